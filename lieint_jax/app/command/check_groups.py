@@ -40,9 +40,7 @@ from jax import Array
 
 from lieint_jax import _discover, groups, maps
 from lieint_jax._integrate import integrate
-from lieint_jax.diagnostics._certify import certify
-from lieint_jax.diagnostics._series import energy_error
-from lieint_jax.diagnostics._symplectic import symplectic_defect
+from lieint_jax.diagnostics import certify, energy_error, symplectic_defect
 from lieint_jax.groups import MatrixGroup
 from lieint_jax.maps import Map
 from lieint_jax.schemes import group_midpoint

@@ -12,7 +12,7 @@ from jax import Array
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.studies._tumbling import model, rotation_between
-from lieint_jax.fitting._member_by_member import member_by_member
+from lieint_jax.fitting import member_by_member
 from lieint_jax.groups import so3
 
 FITTED, MIDDLE = 17, 8  # number of fixes of 1992; index of the middle one, the epoch of the parameters

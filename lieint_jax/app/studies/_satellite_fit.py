@@ -25,9 +25,7 @@ from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, true_magnit
 from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, distance, solutions
 from lieint_jax.app.studies._tumbling import mean_periods, model, rotation_between
 from lieint_jax.ensemble import over_members
-from lieint_jax.fitting._bounds import free, inertia_ratios, principal_inertia
-from lieint_jax.fitting._fit import fit
-from lieint_jax.fitting._outcome import Fit
+from lieint_jax.fitting import Fit, fit, free, inertia_ratios, principal_inertia
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State

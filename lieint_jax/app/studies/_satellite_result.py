@@ -11,7 +11,7 @@ from lieint_jax.app.studies._period_search import Search
 from lieint_jax.app.studies._satellite_fit import Estimate
 from lieint_jax.app.studies._satellite_sky import Lightcurve
 from lieint_jax.app.studies._symmetric_solutions import Change
-from lieint_jax.fitting._outcome import Fit
+from lieint_jax.fitting import Fit
 
 
 class Ends(NamedTuple):

@@ -14,10 +14,17 @@ from jax.flatten_util import ravel_pytree
 from lieint_jax.app.studies._pulls import squared_distances
 from lieint_jax.app.studies._radar import errors, path, path_of_fits
 from lieint_jax.app.studies._tumbling import direction, mean_periods, model, rotate
-from lieint_jax.fitting._bounds import free, inertia_ratios, interval
-from lieint_jax.fitting._fit import fit
-from lieint_jax.fitting._outcome import Fit
-from lieint_jax.fitting._robust import FREEDOM, student_t, student_t_curvature, student_t_noise_error
+from lieint_jax.fitting import (
+    Fit,
+    fit,
+    free,
+    inertia_ratios,
+    interval,
+    student_t,
+    student_t_curvature,
+    student_t_noise_error,
+)
+from lieint_jax.fitting._robust import FREEDOM
 from lieint_jax.groups import so3
 from lieint_jax.types.shapes import PyTree
 

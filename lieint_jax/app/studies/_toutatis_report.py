@@ -8,7 +8,8 @@ from lieint_jax.app.studies import _flyby
 from lieint_jax.app.studies._pulls import ELLIPSOID, chance_errors, shares
 from lieint_jax.app.studies._radar import FITTED, STATES, dates, later_fixes
 from lieint_jax.app.studies._toutatis_result import SpinFit
-from lieint_jax.fitting._robust import FREEDOM, student_t_noise_error
+from lieint_jax.fitting import student_t_noise_error
+from lieint_jax.fitting._robust import FREEDOM
 
 NAMES = (
     "precession period (d)",

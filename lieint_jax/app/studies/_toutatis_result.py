@@ -9,7 +9,7 @@ import numpy as np
 from lieint_jax.app.scenarios.rigid_body import Scenario
 from lieint_jax.app.studies._flyby import Flyby
 from lieint_jax.app.studies._spin_fit import Coverage, Estimate
-from lieint_jax.fitting._outcome import Fit
+from lieint_jax.fitting import Fit
 
 
 class Prediction(NamedTuple):

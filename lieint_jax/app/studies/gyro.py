@@ -21,9 +21,7 @@ from lieint_jax import schemes
 from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
 from lieint_jax.app.studies._pulls import ELLIPSOID, squared_distances
-from lieint_jax.fitting._bounds import free, inertia_ratios
-from lieint_jax.fitting._fit import fit
-from lieint_jax.fitting._outcome import Fit
+from lieint_jax.fitting import Fit, fit, free, inertia_ratios
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 

@@ -22,8 +22,7 @@ from lieint_jax import diagnostics, maps, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
 from lieint_jax.diagnostics._symplectic import pushed
-from lieint_jax.fitting._fit import fit
-from lieint_jax.fitting._outcome import Fit
+from lieint_jax.fitting import Fit, fit
 from lieint_jax.types import State
 
 DT = 0.1

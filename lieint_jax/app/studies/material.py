@@ -19,11 +19,9 @@ from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, schemes, systems
 from lieint_jax._integrate import integrate
-from lieint_jax.adjoints._reversible import reversible
+from lieint_jax.adjoints import reversible
 from lieint_jax.app import plots
-from lieint_jax.fitting._bounds import positive
-from lieint_jax.fitting._fit import fit
-from lieint_jax.fitting._outcome import Fit
+from lieint_jax.fitting import Fit, fit, positive
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State
 

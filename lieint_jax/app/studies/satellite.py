@@ -42,7 +42,7 @@ from lieint_jax.app.studies._symmetric_solutions import (
     solutions,
 )
 from lieint_jax.app.studies._tumbling import mean_periods
-from lieint_jax.fitting._outcome import Fit
+from lieint_jax.fitting import Fit
 
 __all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
 

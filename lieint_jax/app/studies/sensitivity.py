@@ -23,8 +23,9 @@ from matplotlib.figure import Figure
 from lieint_jax import diagnostics, schemes
 from lieint_jax._integrate import saves
 from lieint_jax.app import plots
+from lieint_jax.diagnostics import flow
 from lieint_jax.diagnostics._chaos import orthonormal
-from lieint_jax.diagnostics._order import flow, units
+from lieint_jax.diagnostics._order import units
 from lieint_jax.diagnostics._symplectic import pushed
 from lieint_jax.systems._heavy_top import asymmetric
 from lieint_jax.types import State, Step, System

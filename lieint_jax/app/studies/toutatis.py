@@ -44,8 +44,8 @@ from lieint_jax.app.studies._toutatis_picture import draw
 from lieint_jax.app.studies._toutatis_report import text
 from lieint_jax.app.studies._toutatis_result import Prediction, SpinFit
 from lieint_jax.app.studies._tumbling import model, rotation_between
-from lieint_jax.fitting._outcome import Fit
-from lieint_jax.fitting._robust import FREEDOM, student_t_weights
+from lieint_jax.fitting import Fit, student_t_weights
+from lieint_jax.fitting._robust import FREEDOM
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 
