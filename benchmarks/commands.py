@@ -1,7 +1,8 @@
-"""How long does one wait for a command, the first time and again, on two cores?
+"""How long does a command run, the first time and again, on two cores?
 
-Every scenario, study and figure, and the certificates of each system, in processes of their own, pinned to two cores:
-first without any compiled program kept, then with those of the first time. The peak of memory, and what is written.
+Every scenario, study and figure, and the certificates of each system run in processes of their own, pinned to two
+cores: first without any compiled program on disk, then with those of the first time. The table has the peak of memory
+and the size of what is written too.
 
     python benchmarks/commands.py [--quick] [--out DIR] [--only NAME …]
 
@@ -23,7 +24,7 @@ from typing import Any
 
 from lib import command, report
 
-COSTS = Path(__file__).parents[1] / "lieint_jax" / "command" / "costs.csv"
+COSTS = Path(__file__).parents[1] / "lieint_jax" / "app" / "command" / "costs.csv"
 HEAD = "command,first_s,again_s,memory_gb,disk_mb"
 CORES, BAR = 2, 120.0  # a command of default size should take two minutes at most
 
@@ -40,11 +41,11 @@ def main() -> None:
     else:
         report.publish("commands", render(data), data, options.out)
     if not options.quick:
-        keep(data["rows"])
+        update_costs(data["rows"])
 
 
 def command_names() -> list[str]:
-    """All commands that take no more than a name."""
+    """All commands that need no argument but a name."""
     from lieint_jax import _discover, systems
     from lieint_jax.app import scenarios, studies
     from lieint_jax.app.command.figures import FIGURES
@@ -101,8 +102,8 @@ def render(data: dict[str, Any]) -> list[str]:
     ]
 
 
-def keep(rows: list[dict[str, Any]]) -> None:
-    """Write the rows to `COSTS`, over those of the same commands."""
+def update_costs(rows: list[dict[str, Any]]) -> None:
+    """Replace the rows of these commands in `COSTS`."""
     old = dict(line.split(",", 1) for line in COSTS.read_text(encoding="utf-8").splitlines()[1:])
     new = {r["name"]: f"{r['first']:.0f},{r['again']:.0f},{r['memory']:.1f},{r['disk']:.1f}" for r in rows}
     known = {name: (old | new)[name] for name in command_names() if name in old | new}
