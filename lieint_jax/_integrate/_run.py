@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +30,7 @@ from lieint_jax._integrate._clock import (
 from lieint_jax._integrate._driver import Progress, advance, march, prepared, scan
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
+from lieint_jax.types.shapes import PyTree
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
 _SHORT = 256  # steps of a run that is made before its first step is looked at
@@ -146,7 +146,7 @@ def _trial(step: Step, state: State, clock: Clock, num_steps: int) -> Trajectory
     return of_any_length(step, state, clock, num_steps if num_steps <= _SHORT else 1, rows, 1)
 
 
-def _stands_alone(*arguments: Any) -> bool:
+def _stands_alone(*arguments: PyTree) -> bool:
     """Whether a call with these arguments is not part of another function."""
     return _checks.concrete(arguments) and not _checks.staged()
 
@@ -185,7 +185,7 @@ def _padded_trajectory(
     interval = _interval(prepared(step, state, clock), clock, save_every)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.fresh(state.p)))
 
-    def padded_interval(k: Array, carry: Any) -> Any:
+    def padded_interval(k: Array, carry: PyTree) -> PyTree:
         moved, rows = carry
         moved, saved = interval(moved, None)
         return moved, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
@@ -201,7 +201,7 @@ def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_ever
     return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
 
 
-def _interval(step: Step, clock: Clock, save_every: int) -> Callable[[Any, None], tuple[Any, Any]]:
+def _interval(step: Step, clock: Clock, save_every: int) -> Callable[[PyTree, None], tuple[PyTree, PyTree]]:
     """The steps from one saved state to the next: (state, n) ↦ (state, n), (state, report)."""
 
     def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
@@ -227,7 +227,7 @@ def _at_output_times(
     outputs = jnp.zeros(num_steps + count, bool).at[nodes + jnp.arange(count)].set(True)
     buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), (state, fresh))
 
-    def step_to_output(carry: Any, is_output: Array) -> tuple[Any, None]:
+    def step_to_output(carry: PyTree, is_output: Array) -> tuple[PyTree, None]:
         (state, so_far), n, k, buffer = carry
         rest = rests[jnp.minimum(k, count - 1)]
         end, info = lax.cond(is_output, lambda: step(state, rest), lambda: advance(whole, clock, state, n))

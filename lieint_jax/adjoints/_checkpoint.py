@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +13,7 @@ from jax import Array, lax
 from lieint_jax._integrate import Body, Clock, Progress, advance, march, prepared
 from lieint_jax._xla import compiled, rematerialized
 from lieint_jax.types import State, Step, StepInfo
+from lieint_jax.types.shapes import PyTree
 
 LEVELS = 3  # of nested checkpoints, by default: about 3 N^(1/3) of N states are stored
 
@@ -38,10 +38,10 @@ def checkpointed(
     return lax.scan(jax.checkpoint(interval), start, jnp.asarray(counts, jnp.int32))[1]
 
 
-def _nested_steps(body: Body, first: Array, count: Array, carry: Any, most: int, levels: int) -> Any:
+def _nested_steps(body: Body, first: Array, count: Array, carry: PyTree, most: int, levels: int) -> PyTree:
     """`count` steps, of at most `most`, in nested blocks; the results of surplus steps are discarded."""
 
-    def step_once(numbered: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], None]:
+    def step_once(numbered: tuple[Array, PyTree], _: None) -> tuple[tuple[Array, PyTree], None]:
         n, carry = numbered
         after = jax.tree.map(lambda new, old: jnp.where(n < first + count, new, old), body(n, carry), carry)
         return (n + 1, after), None
@@ -49,14 +49,14 @@ def _nested_steps(body: Body, first: Array, count: Array, carry: Any, most: int,
     return _in_blocks(step_once, (first, carry), most, levels)[1]
 
 
-def _in_blocks(step_once: Callable[..., Any], carry: Any, length: int, levels: int) -> Any:
+def _in_blocks(step_once: Callable[..., PyTree], carry: PyTree, length: int, levels: int) -> PyTree:
     """Apply `step_once` at least `length` times, in about length^(1/levels) nested blocks, each a checkpoint."""
     if levels == 1:
         return lax.scan(rematerialized(step_once), carry, None, length=length)[0]
     blocks = math.ceil(length ** (1 / levels))
     block = math.ceil(length / blocks) if blocks else 0
 
-    def inner(carry: Any, _: None) -> tuple[Any, None]:
+    def inner(carry: PyTree, _: None) -> tuple[PyTree, None]:
         return _in_blocks(step_once, carry, block, levels - 1), None
 
     return lax.scan(jax.checkpoint(inner), carry, None, length=blocks)[0]

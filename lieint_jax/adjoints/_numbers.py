@@ -9,27 +9,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
 from lieint_jax.native import Flattened, UnsupportedError
+from lieint_jax.types.shapes import PyTree
 
 _LONGEST = 10_000  # the most operations of a program of numbers that XLA compiles in bearable time
 
 
-def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...]) -> Any:
+def repeat(
+    count: ArrayLike, function: Callable[[PyTree, PyTree], PyTree], carry: PyTree, over: tuple[float, ...]
+) -> PyTree:
     """Apply carry ← function(carry, x) for each x in `over`, `count` times. It is not differentiable."""
     dtype = jnp.result_type(*jax.tree.leaves(carry))
-    once, closed = _explicit_arrays(function, carry, jnp.ones((), dtype))
+    explicit, closed = _explicit_arrays(function, carry, jnp.ones((), dtype))
 
-    def repeat_with_arrays(count: Any, carry: Any, closed: Any) -> Any:
-        return _repeat_program(count, partial(once, closed), carry, over, dtype)
+    def repeat_with_arrays(count: ArrayLike, carry: PyTree, closed: PyTree) -> PyTree:
+        return _repeat_program(count, partial(explicit, closed), carry, over, dtype)
 
     arguments = (count, carry, closed)
     try:
@@ -39,7 +42,7 @@ def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tu
     return by_numbers(*arguments) if by_numbers.length <= _LONGEST else repeat_with_arrays(*arguments)
 
 
-def _explicit_arrays(function: Callable[..., Any], *example: Any) -> tuple[Callable[..., Any], list[Array]]:
+def _explicit_arrays(function: Callable[..., PyTree], *example: PyTree) -> tuple[Callable[..., PyTree], list[Array]]:
     """`function` with the traced arrays that it closes over, of any type, as its first argument; and these arrays.
 
     `jax.closure_convert` makes only arrays of real numbers arguments.
@@ -47,7 +50,7 @@ def _explicit_arrays(function: Callable[..., Any], *example: Any) -> tuple[Calla
     closed, out = jax.make_jaxpr(function, return_shape=True)(*example)
     traced = [not concrete(x) for x in closed.consts]
 
-    def call_with_arrays(arrays: list[Array], *arguments: Any) -> Any:
+    def call_with_arrays(arrays: list[Array], *arguments: PyTree) -> PyTree:
         following = iter(arrays)
         consts = [next(following) if hoisted else x for x, hoisted in zip(closed.consts, traced, strict=True)]
         results = jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))(*jax.tree.leaves(arguments))
@@ -57,13 +60,17 @@ def _explicit_arrays(function: Callable[..., Any], *example: Any) -> tuple[Calla
 
 
 def _repeat_program(
-    count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...], dtype: Any
-) -> Any:
+    count: ArrayLike,
+    function: Callable[[PyTree, PyTree], PyTree],
+    carry: PyTree,
+    over: tuple[float, ...],
+    dtype: np.dtype,
+) -> PyTree:
     if len(over) == 1:
         return lax.fori_loop(0, count, lambda _, c: function(c, np.asarray(over[0], dtype)), carry)
 
     # x is carried, since XLA would fuse a slice of `over` into every loop over a batch
-    def step_once(carry: tuple[Any, Array], following: Array) -> tuple[tuple[Any, Array], None]:
+    def step_once(carry: tuple[PyTree, Array], following: Array) -> tuple[tuple[PyTree, Array], None]:
         return (function(*carry), following), None
 
     xs = jnp.asarray(over, dtype)

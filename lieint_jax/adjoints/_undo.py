@@ -17,12 +17,12 @@ import math
 import warnings
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.typing import ArrayLike
 
 from lieint_jax._integrate import Progress, advance, counted, march, uniform_clock
 from lieint_jax._xla import compiled
@@ -30,16 +30,17 @@ from lieint_jax.adjoints._numbers import repeat
 from lieint_jax.diagnostics._order import distance
 from lieint_jax.schemes._compose import Composition
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.shapes import PyTree
 
 
 @partial(compiled, static_argnums=4)
-def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
+def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: float | None) -> tuple[State, StepInfo]:
     """`_states_and_reports`, differentiated by undoing steps, also with respect to arrays that the step closes over."""
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
-    return _march(_substeps(step.prepare(state, dt), state, dt), state, dt, counts, tolerance)
+    return _march(_substeps(step.prepare(state, dt), state, dt), state, dt, jnp.asarray(counts), tolerance)
 
 
-def _states_and_reports(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
+def _states_and_reports(step: Step, state: State, dt: Array, counts: Array, tolerance: float) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them."""
     advance_once = partial(advance, step, uniform_clock(step, state, dt))
 
@@ -48,41 +49,40 @@ def _states_and_reports(step: Any, state: State, dt: Array, counts: Any, toleran
         end = march(advance_once, done, count, Progress.begin(state), repeat=counted)
         return (end.state, done + count), (end.state, end.info)
 
-    counts = jnp.asarray(counts)
     return lax.scan(interval, (state, jnp.zeros((), counts.dtype)), counts)[1]
 
 
-_march: Any = jax.custom_vjp(_states_and_reports, nondiff_argnums=(4,))
+_march: Callable[..., PyTree] = jax.custom_vjp(_states_and_reports, nondiff_argnums=(4,))
 
 
-def _march_forward(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> Any:
+def _march_forward(step: Step, state: State, dt: Array, counts: Array, tolerance: float) -> PyTree:
     later, info = _states_and_reports(step, state, dt, counts, tolerance)
     return (later, info), (step, state, dt, counts, later)
 
 
-def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> tuple[Any, ...]:
-    step, state, dt, counts, later = kept
+def _march_back(tolerance: float, residuals: PyTree, cotangents: tuple[State, PyTree]) -> tuple[PyTree, ...]:
+    step, state, dt, counts, later = residuals
     leaves, lam, h = _undone(step, state, dt, counts, later, cotangents[0], tolerance)
     return _cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
 
 
 @partial(compiled, static_argnums=6)
 def _undone(
-    step: Any, state: State, dt: Array, counts: Any, later: State, cotangent: State, tolerance: float
-) -> tuple[Any, State, Array]:
+    step: Step, state: State, dt: Array, counts: Array, later: State, cotangent: State, tolerance: float
+) -> tuple[PyTree, State, Array]:
     """The cotangents of the step's smooth leaves, of the state at the start and of dt, by undoing the steps."""
     smooth = _smooth(step)
 
-    def stage_of_leaves(leaves: Any, z: State, dt: Array) -> State:
+    def stage_of_leaves(leaves: PyTree, z: State, dt: Array) -> State:
         return _stage(_with_real_leaves(step, leaves))(z, dt)[0]
 
-    def undo(carry: Any, gamma: Any) -> Any:
+    def undo(carry: PyTree, gamma: PyTree) -> PyTree:
         z, lam, (leaves, h) = carry
         z = stage_of_leaves(smooth, z, -gamma * dt)
         more, lam, slope = jax.vjp(stage_of_leaves, smooth, z, gamma * dt)[1](lam)
         return z, lam, (jax.tree.map(jnp.add, leaves, more), h + gamma * slope)
 
-    def interval(carry: Any, saved: tuple[State, State, State, Array]) -> tuple[Any, Array]:
+    def interval(carry: PyTree, saved: tuple[State, State, State, Array]) -> tuple[PyTree, Array]:
         lam, sums = carry
         start, end, seen, count = saved
         rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums), _gammas(step)[::-1])
@@ -101,27 +101,27 @@ def _undone(
 _march.defvjp(_march_forward, _march_back)
 
 
-def _stage(step: Any) -> Any:
+def _stage(step: Step) -> PyTree:
     """The sub-step of a composition; any other step itself."""
     return step.step if isinstance(step, Composition) else step
 
 
-def _gammas(step: Any) -> tuple[float, ...]:
+def _gammas(step: Step) -> tuple[float, ...]:
     """The sizes of the sub-steps, over dt."""
     return step.gammas if isinstance(step, Composition) else (1.0,)
 
 
-def _smooth(tree: Any) -> Any:
+def _smooth(tree: PyTree) -> PyTree:
     """The leaves of a tree that are real numbers, None in place of the others."""
     return jax.tree.map(lambda x: jnp.asarray(x) if jnp.issubdtype(jnp.result_type(x), jnp.floating) else None, tree)
 
 
-def _with_real_leaves(tree: Any, smooth: Any) -> Any:
+def _with_real_leaves(tree: PyTree, smooth: PyTree) -> PyTree:
     """`tree` with its real leaves replaced by those of `smooth`."""
     return jax.tree.map(lambda x, new: x if new is None else new, tree, smooth)
 
 
-def _cotangent(tree: Any, smooth: Any) -> Any:
+def _cotangent(tree: PyTree, smooth: PyTree) -> PyTree:
     """The cotangents of `tree` from those of its real leaves; integers and booleans have none."""
     return jax.tree.map(lambda x, c: np.zeros(np.shape(x), jax.dtypes.float0) if c is None else c, tree, smooth)
 
@@ -178,7 +178,7 @@ class _Opened:
     substep = __call__
 
 
-def _substeps(step: Step, state: State, dt: Array) -> Any:
+def _substeps(step: Step, state: State, dt: Array) -> PyTree:
     if isinstance(step, Composition):
         return dataclasses.replace(step, step=_substeps(step.step, state, dt))
     function, closed = jax.closure_convert(lambda step, z, dt: step(z, dt), step, state, dt)
