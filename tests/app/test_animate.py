@@ -52,8 +52,8 @@ def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 1]), run.state)
     every = all_steps(STEP, start, DT, 80, save_every=1)
     R = np.asarray(jax.jit(jax.vmap(BODY.rotation_matrix))(every.state))
-    np.testing.assert_allclose(found.turns[::2, 0], R[::2], rtol=0, atol=1e-14)
-    np.testing.assert_allclose(found.turns[1::2, 0], R[1::2], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.rotations[::2, 0], R[::2], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.rotations[1::2, 0], R[1::2], rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.momenta, np.broadcast_to(found.momenta[0], (81, 1, 3)), rtol=0, atol=1e-13)
     axis = R[0].T @ found.paths[0, 0]  # in the body
     np.testing.assert_allclose(found.paths[:: 2 * found.fine, 0], R[::2] @ axis, rtol=0, atol=1e-13)
@@ -88,8 +88,8 @@ def test_states_too_far_apart_are_shown_as_they_are():
     q = np.stack([np.cos(t / 2), 0 * t, 0 * t, np.sin(t / 2)], axis=1)
     found = scene.scene_of(stored(BODY, q, np.tile([0.0, 0.0, 3.0], (6, 1)), t), 0, 4)
     np.testing.assert_array_equal(found.t, t[:4])
-    np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(t[:4]), rtol=0, atol=1e-14)
-    assert "up to 160° of turning: the frames are the first 4 saved states; save more often" in found.notes[-1]
+    np.testing.assert_allclose(found.rotations[:, 0, 0, 0], np.cos(t[:4]), rtol=0, atol=1e-14)
+    assert "up to 160° of rotation: the frames are the first 4 saved states; save more often" in found.notes[-1]
 
 
 def uniform(t, rate=1.0):
@@ -103,13 +103,13 @@ def test_a_span_begins_and_ends_where_it_was_asked_for_between_saved_states(sign
     run = uniform(sign * np.linspace(0, 8, 9))
     found = scene.scene_of(run, 0, 41, (sign * 2.3, sign * 4.7))
     np.testing.assert_allclose(found.t, sign * np.linspace(2.3, 4.7, 41), rtol=0, atol=1e-14)
-    np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(found.t), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.rotations[:, 0, 0, 0], np.cos(found.t), rtol=0, atol=1e-12)
     assert not any("first" in note for note in found.notes)
     assert found.needed < 41
     short = scene.scene_of(run, 0, 5, (sign * 2.0, None))  # 6 rad at 15° a frame
     np.testing.assert_allclose(short.t[[0, -1]], [sign * 2, sign * (2 + np.pi / 3)], rtol=0, atol=1e-12)
     assert short.needed == 24
-    assert "the first 1.047 of 6 s that were asked for" in short.notes
+    assert "the first 1.047 of 6 s that were requested" in short.notes
     for span in ((-1.0, None), (3.0, 3.0), (3.0, 9.0), (4.0, 3.0)):
         with pytest.raises(ValueError, match=r"--from and --to must lie in the run, from -?0 to -?8 s"):
             scene.scene_of(run, 0, 5, tuple(x if x is None else sign * x for x in span))
@@ -221,7 +221,7 @@ def test_what_is_not_installed_is_named(store, tmp_path, monkeypatch, capsys):
 def test_a_system_without_rigid_bodies_says_what_is_possible():
     bob = li.systems.pendulum(1.0, 9.81, [0.0, 0.0, 1.0])
     run = stored(bob, np.tile([0.0, 0.0, 1.0], (3, 1)), np.zeros((3, 3)), np.arange(3.0))
-    with pytest.raises(ValueError, match=r"^Pendulum is not made of rigid bodies: rigid bodies, gyrostats, tops"):
+    with pytest.raises(ValueError, match=r"^Pendulum has no rigid bodies. Rigid bodies, gyrostats, tops"):
         scene.scene_of(run, 0, 5)
 
 
@@ -251,6 +251,6 @@ def test_two_bodies_stand_at_their_places(dissipative):
     assert len(found.solids) == 2
     np.testing.assert_allclose(found.centers, run.state.q[:, :, :3], rtol=0, atol=1e-12)
     turns = jax.jit(jax.vmap(jax.vmap(li.groups.so3.to_matrix)))(run.state.q[:, :, 3:])
-    np.testing.assert_allclose(found.turns, turns, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.rotations, turns, rtol=0, atol=1e-12)
     middles = np.stack([found.corners(3, b).mean(axis=0) for b in range(2)])
     np.testing.assert_allclose(middles, found.centers[3], rtol=0, atol=1e-12)

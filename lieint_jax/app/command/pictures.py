@@ -102,8 +102,8 @@ def _draw_body(stored: StoredRun) -> Figure:
     system, run = stored.system_of(0), interpolation.member(stored.run, 0)
     joined = hasattr(system, "angular_velocity")
     if joined:
-        angles, _ = interpolation.turns(system, run)
-        joined = bool(angles.max() <= interpolation.APART)
+        angles, _ = interpolation.rotation_angles(system, run)
+        joined = bool(angles.max() <= interpolation.MAX_ROTATION)
         if joined and angles.max() > _CHORD:
             parts = min(int(np.ceil(angles.max() / _CHORD)), max(1, POINTS // len(angles)))
             t = np.asarray(run.t)
@@ -116,7 +116,7 @@ def _draw_body(stored: StoredRun) -> Figure:
 
 def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
     """The body axis to draw, with its name: that of a top, or else the principal axis of the initial spin."""
-    axis = interpolation.pointed(system)
+    axis = interpolation.top_axis(system)
     if axis is not None:
         return axis, "the top's axis"
     if not hasattr(system, "inertia"):
@@ -136,7 +136,7 @@ def _draw_direction(path: np.ndarray, name: str, joined: bool = True) -> Figure:
     plots.sphere_ends(ax, path)
     plots.sphere_axes(ax)
     ax.legend(loc="upper left")
-    note = "" if joined else "; dots: saved states are too far apart for a curve"
+    note = "" if joined else "; dots: the saved states are too far from each other for a curve"
     ax.set_title(f"{name} of the first member, in space; a line every 30°{note}", wrap=True)
     return fig
 
