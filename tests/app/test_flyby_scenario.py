@@ -214,7 +214,7 @@ def _rate(t, y, J, mu):
 
 
 @pytest.mark.long
-def test_a_passage_against_another_integrator():
+def test_a_passage_agrees_with_another_integrator():
     """DOP853 moves the center along, without Kepler. Observed: 2.9e-11 rad of attitude, 1e-12 of Π."""
     scenario = changed(members=2)
     steps, states = flyby.build(scenario)
@@ -257,7 +257,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("tables", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_is_named(tables, message):
+def test_a_bad_key_of_a_flyby_is_named(tables, message):
     with pytest.raises(ValueError, match=message):
         changed(**tables)
 
@@ -273,7 +273,7 @@ def small_study():
 
 
 @pytest.mark.long
-def test_both_phases_half_a_turn_on_are_the_same_passage():
+def test_phases_that_differ_by_a_symmetry_of_the_body_have_the_same_passage():
     """The body turned by 180° about its short axis has the same moments. Observed 2e-14, and 4e-14 on other phases."""
     scenario, _, _, found = small_study()
     other = found.grid._replace(phi=found.grid.phi + np.pi, psi=found.grid.psi + np.pi)
@@ -283,7 +283,7 @@ def test_both_phases_half_a_turn_on_are_the_same_passage():
 
 
 @pytest.mark.long
-def test_derivatives_are_those_of_the_passage():
+def test_derivatives_of_a_passage_agree_with_differences():
     """Central differences of passages by order 8 against tangents by order 4. Observed 3e-5 of the largest."""
     scenario, _, _, found = small_study()
     elements, times = scenario.orbit.elements(), scenario.times()
@@ -306,7 +306,7 @@ def test_derivatives_are_those_of_the_passage():
 
 
 @pytest.mark.long
-def test_the_run_has_the_accuracy_that_is_asked_for():
+def test_the_shipped_run_has_the_declared_accuracy():
     """640 steps: attitudes of 256 members to 1e-8 rad (observed 2.2e-10); ± 96 h: P_φ to 0.01 h (observed 0.0026)."""
     _, _, path, found = small_study()
     assert found.failed == 0
@@ -318,7 +318,7 @@ def test_the_run_has_the_accuracy_that_is_asked_for():
 
 
 @pytest.mark.long
-def test_run_info_plot_and_a_store_of_the_shipped_file(capsys):
+def test_apophis_runs_plots_and_stores_from_the_command_line(capsys):
     text = resources.files(scenarios).joinpath("apophis.toml").read_text(encoding="utf-8")
     for old, new in (
         ("members = 10_000", "members = 256"),

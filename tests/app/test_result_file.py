@@ -61,7 +61,7 @@ def test_only_named_tuples_of_this_package_are_made(tmp_path):
         result_file.save(tmp_path / "other.npz", ({"x": object()},), {})
 
 
-def test_two_arrays_of_one_name_are_refused_and_a_missing_file_is_told(tmp_path):
+def test_two_arrays_of_one_name_and_a_missing_file_are_refused(tmp_path):
     for tree in ({"1": np.ones(2), 1: np.zeros(2)}, {"metadata": np.ones(2)}):
         with pytest.raises(ValueError, match="are called"):
             result_file.save(tmp_path / "tree.npz", tree, {})
@@ -69,14 +69,14 @@ def test_two_arrays_of_one_name_are_refused_and_a_missing_file_is_told(tmp_path)
         result_file.load(tmp_path / "none.npz")
 
 
-def test_a_study_of_another_version_is_told(tmp_path, capsys):
+def test_a_study_of_another_version_is_refused_by_name(tmp_path, capsys):
     result_file.save(tmp_path / "tree.npz", (), {"study": "alchemy", "quick": False, "lieint_jax": "9", "jax": "9"})
     for command in ("info", "plot"):
         assert cli.main([command, str(tmp_path / "tree.npz")]) == 2
         assert "'alchemy' is not one of" in capsys.readouterr().err
 
 
-def test_other_files_are_not_taken_for_studies(tmp_path):
+def test_other_files_are_not_mistaken_for_studies(tmp_path):
     plain, text = tmp_path / "plain.npz", tmp_path / "text.npz"
     np.savez(plain, metadata=np.array('{"scenario": {}}'))
     text.write_text("no archive")

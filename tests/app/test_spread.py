@@ -153,7 +153,7 @@ ERRORS = [
 
 
 @pytest.mark.parametrize(("name", "spread", "message"), ERRORS, ids=[f"{n}-{next(iter(s))}" for n, s, _ in ERRORS])
-def test_what_cannot_be_spread_is_refused_with_a_sentence(name, spread, message):
+def test_numbers_without_a_spread_are_refused_with_the_reason(name, spread, message):
     with pytest.raises(ValueError, match=message):
         load(name, spread)
 
@@ -164,7 +164,7 @@ def test_a_spread_that_leaves_members_without_a_value_is_refused():
         _spread.drawn(scenario)
 
 
-def test_a_spread_of_zero_is_none():
+def test_a_spread_of_zero_changes_nothing():
     scenario = load("toutatis", {"inertia": 0.0})
     assert scenarios.step_axis(scenario) is None
     assert scenarios.step_axis(load("toutatis", {"inertia": 0.1})) == 0
@@ -284,7 +284,7 @@ def test_a_report_measures_every_member_in_its_own_system():
 
 
 @pytest.mark.long
-def test_clones_of_uncertain_inertia_scatter_as_the_derivatives_by_it_say():
+def test_members_of_uncertain_inertia_scatter_as_the_derivatives_predict():
     """Each of 200 clones, to the square of its deviation: observed 1.2e-5 of the largest displacement at 1e-5."""
     scenario = load("toutatis", {"inertia": 1e-5}, members=200, steps=400, save_every=400)
     own = _spread.drawn(scenario)[("inertia",)]
@@ -307,7 +307,7 @@ def test_clones_of_uncertain_inertia_scatter_as_the_derivatives_by_it_say():
 
 
 @pytest.mark.long
-def test_the_command_line_draws_reports_and_stores_what_members_have_of_their_own(tmp_path, monkeypatch, capsys):
+def test_the_command_line_draws_and_stores_the_members_own_numbers(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = scenarios.resources.files("lieint_jax.app.scenarios").joinpath("driven.toml").read_text(encoding="utf-8")
     spread = "[spread]\ninertia_percent = 1.0\norbit.eccentricity = 0.001"

@@ -52,7 +52,7 @@ def published(name):
 
 
 @pytest.mark.parametrize(("name", "rms", "least", "most"), PUBLISHED)
-def test_radar_fixes_against_both_published_states_by_scipy(name, rms, least, most):
+def test_residuals_of_radar_fixes_agree_with_scipy_for_both_published_states(name, rms, least, most):
     """Torque-free, at the 17 epochs of 1992; and no other convention of angles or rates would do."""
     fixes = toutatis.radar_epochs()
     assert fixes.q.shape == (19, 4)
@@ -134,7 +134,7 @@ def test_errors_are_those_of_scipy_and_their_derivatives_those_of_differences():
 
 
 @pytest.mark.long
-def test_a_flyby_against_scipy():
+def test_the_change_of_spin_in_a_flyby_agrees_with_scipy():
     """One passage, by DOP853 of the torque; and without an Earth nothing changes."""
     J, begin, rate = published("toutatis")
     body = li.systems.rigid_body(J)
@@ -171,7 +171,7 @@ def found():
 
 
 @pytest.mark.long
-def test_the_estimate_is_scipys(found):
+def test_the_estimate_agrees_with_scipy(found):
     """The same likelihood through DOP853 and BFGS by differences."""
     data = toutatis.radar_data()
     assert found.fit.starts is not None
@@ -216,7 +216,7 @@ def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
 
 
 @pytest.mark.long
-def test_what_the_study_settles(found):
+def test_the_study_finds_one_minimum_its_noise_and_the_outliers(found):
     assert found.fit.success
     assert found.same == 1  # all random starts end in the minimum
     noise = np.asarray(found.estimate.noise)
