@@ -17,8 +17,8 @@ TREE = GyroTrials(
     truth=np.float64(0.1),
     sigmas=True,
     covariance=np.eye(2),
-    within=KappaErrors(1.0, np.inf, {0.1: 2.0}, 0.0, 0.0, 3),
-    inside=scenarios.load("toutatis"),
+    within_2_sigma=KappaErrors(1.0, np.inf, {0.1: 2.0}, 0.0, 0.0, 3),
+    inside_ellipsoid=scenarios.load("toutatis"),
     readings=(),
 )
 
@@ -48,6 +48,20 @@ def test_a_tree_comes_back_as_it_was(tmp_path):
         np.testing.assert_array_equal(file["fit.2.x.deep"], 1)  # named by its path, for whoever reads it without us
     with pytest.raises(FileExistsError):
         result_file.save(path, TREE, {})
+
+
+def test_every_renamed_field_of_a_file_of_version_0_2_is_read(tmp_path):
+    """Every class with renamed fields, written under the names of version 0.2, comes back under those of today."""
+    for name, fields in result_file._RENAMED_FIELDS.items():
+        kind = result_file._find_class(f"lieint_jax.app.studies.{name}")
+        former = {new: old for old, new in fields.items()}
+        assert set(former) <= set(kind._fields), name
+        tree = {"type": f"lieint_jax.studies.{name}", "fields": {former.get(x, x): x for x in kind._fields}}
+        path = tmp_path / f"{name.partition(':')[2]}.npz"
+        np.savez(path, metadata=np.array(json.dumps({"study": "any", "tree": tree})))
+        assert result_file.load(path) == kind(*kind._fields)
+        path.unlink()
+    assert result_file._find_class("lieint_jax.studies.kappa:LearntKappas").__name__ == "LearnedKappas"
 
 
 def test_only_named_tuples_of_this_package_are_made(tmp_path):

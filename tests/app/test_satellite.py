@@ -179,7 +179,7 @@ def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_
     names = [
         every[k].name for k in _symmetric_solutions.classify(satellite._images(mirror(truth), every), truth, every)
     ]
-    own = [change.name for change in every if change.turn == 0]
+    own = [change.name for change in every if change.symmetry == 0]
     assert sorted(names) == sorted(own)
     assert names[own.index("as it is")] == "mirror"
     assert names[own.index("mirror")] == "as it is"

@@ -36,9 +36,9 @@ def test_the_gyro_study_covers_the_truth_as_often_as_reported():
     found = gyro.run(progress=False)
     assert found.fit.starts.success.all()
     assert len(found.estimates) == 100
-    assert found.within.min() >= 0.90
-    assert found.inside >= 0.88
-    assert found.within.max() <= 1
+    assert found.within_2_sigma.min() >= 0.90
+    assert found.inside_ellipsoid >= 0.88
+    assert found.within_2_sigma.max() <= 1
     np.testing.assert_allclose(found.estimates.std(axis=0, ddof=1), found.sigmas.mean(axis=0), rtol=0.2)
     assert "joint 95 % ellipsoid" in gyro.text(found)
 
@@ -53,9 +53,9 @@ def test_the_gyro_model_agrees_with_the_closed_form():
 @pytest.mark.long
 def test_lyapunov_exponents_agree_with_the_vector_field_and_with_two_neighbors():
     found = sensitivity.run(quick=True, progress=False)
-    np.testing.assert_allclose(found.short, found.independent, rtol=0, atol=1e-8)  # 1e-9
+    np.testing.assert_allclose(found.short_run, found.variational, rtol=0, atol=1e-8)  # 1e-9
     assert abs(found.total) < 1e-12  # a symplectic step keeps volume
-    assert found.exponents[-1, 0] == pytest.approx(found.apart, rel=1e-3)
+    assert found.exponents[-1, 0] == pytest.approx(found.two_trajectories, rel=1e-3)
     limit, error = found.limit
     assert abs(limit - 0.0855) < 3 * error  # 0.0835 to 0.0877 by scipy's DOP853 over t = 3000 and 4000
     assert error < 0.08  # 0.05: 100 units of time are few
