@@ -181,7 +181,7 @@ def test_didymos_in_steps_of_half_an_hour_agrees_with_dop853():
     _, step, path = nominal_didymos()
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 0]), path.state)
     k = int(np.searchsorted(path.t, 5 * 86400.0))
-    x, _ = reference(_runs.nominal_of(step.system), start, float(path.t[k]), 1e-12, 1e-12)
+    x, _ = reference(_runs.nominal_member(step.system), start, float(path.t[k]), 1e-12, 1e-12)
     q = path.state.q[k, 0, :, :3]
     assert np.linalg.norm((q[1] - q[0]) - (x[1] - x[0])) < 1e-4
 
@@ -204,7 +204,7 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
         update={"members": 1}
     )
     step, states = scenarios.build(scenario)
-    first, start = _runs.nominal_of(step), jax.tree.map(lambda x: x[0], states)
+    first, start = _runs.nominal_member(step), jax.tree.map(lambda x: x[0], states)
     measure = partial(_binary_motion.period, first, start, scenario.dt, scenario.steps, scenario.save_every)
     period, slope = (float(x) for x in measure(jnp.asarray(0.0)))
     mu, v = scenario.G * (5e11 + scenario.secondary.mass()), 0.17329064 - 2.7268e-3
@@ -212,7 +212,7 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
     true = 2 * np.pi * np.sqrt(a**3 / mu)
     assert period == pytest.approx(true, rel=1e-5)
     assert slope == pytest.approx(3 * true * a * v / mu, rel=3e-3)
-    change = _binary_motion.change_to(1.05 * true, measure)
+    change = _binary_motion.speed_change_for(1.05 * true, measure)
     assert change == pytest.approx(_binary_motion.kepler_speed(mu, 1180.0, 1.05 * true) - v, rel=3e-3)
 
 

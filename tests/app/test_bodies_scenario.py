@@ -150,7 +150,7 @@ def test_one_body_falls_in_a_field():
     step, path = run(scenario)
     np.testing.assert_allclose(path.state.q[-1, 0, 0, :3], [1.0, 3.0, 4.0 - 9.81 / 2], rtol=1e-14)
     report = scenarios.report(scenario, step, path)
-    assert re.search(r"A: a turn at its mean angular velocity \(h\) +0.00174533 ", report)
+    assert re.search(r"A: rotation period, mean rate \(h\) +0.00174533 ", report)
     assert "P across the field" in report
 
 

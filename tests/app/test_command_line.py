@@ -53,7 +53,7 @@ def test_toutatis_reaches_the_radar_epoch_and_meets_the_independent_prediction(t
     np.testing.assert_allclose([float(x) for x in euler.split(",")], [115.52, 81.96, 110.69], rtol=0, atol=0.05)
     rate = re.search(r"body rate .*predicted \(([^)]*)\)", out)[1]
     np.testing.assert_allclose([float(x) for x in rate.split(",")], [-38.55, 1.46, -97.14], rtol=0, atol=0.05)
-    assert float(re.search(r"observed: ([\d.]+)° apart", out)[1]) == pytest.approx(8.60, abs=0.03)
+    assert float(re.search(r"observed: ([\d.]+)°;", out)[1]) == pytest.approx(8.60, abs=0.03)
     assert float(re.search(r"own error: ([\d.]+)°", out)[1]) < 0.04
 
 

@@ -93,11 +93,11 @@ def test_members_start_on_a_grid_at_pericenter_and_are_planar():
 
 
 def test_a_verdict_needs_nearly_all_members():
-    bound = moon.limit(1500)
+    bound = moon.chaos_limit(1500)
     assert bound == pytest.approx(0.0029, abs=5e-5)
     assert moon.verdict(np.full(24, 0.02), bound) == "chaotic"
     assert moon.verdict(np.append(np.full(22, 0.02), [0.001, 0.001]), bound) == "undecided"
-    assert moon.verdict(np.full(24, 0.001), bound) == "not told from regular"
+    assert moon.verdict(np.full(24, 0.001), bound) == "not distinct from regular"
 
 
 SMALL = """
@@ -235,7 +235,7 @@ def test_hyperion_has_a_chaotic_zone_three_exponents_and_undecided_states():
     step, path = run(scenario)
     found = moon.chaos(scenario, step, path)
     assert found.failed == 0
-    assert np.mean(found.section[:, 0] > moon.limit(300)) == pytest.approx(0.43, abs=0.03)
+    assert np.mean(found.section[:, 0] > moon.chaos_limit(300)) == pytest.approx(0.43, abs=0.03)
     inside, outside = found.planar.mean(axis=0)
     assert inside == pytest.approx(0.116, abs=0.01)
     assert outside == pytest.approx(0.041, abs=0.006)
@@ -247,9 +247,9 @@ def test_hyperion_has_a_chaotic_zone_three_exponents_and_undecided_states():
     theta, rate = moon.section(scenario, path.state)
     synchronous = (abs(theta[0]) < 0.01) & (abs(rate[0] - 0.6) < 0.05)
     assert synchronous.sum() == 1
-    assert (found.section[synchronous, 0] < moon.limit(300)).all()
+    assert (found.section[synchronous, 0] < moon.chaos_limit(300)).all()
     assert (found.section[synchronous, 1] > 0.03).all()  # an island where the attitude is unstable
-    bound = moon.limit(1500)
+    bound = moon.chaos_limit(1500)
     seen = {(x.date, x.reading): y for x, y in zip(scenario.observed, found.observed, strict=True)}
     for date in DATES:
         shape, corrected = seen[date, "those of the shape model"], seen[date, "corrected as in table 1"]

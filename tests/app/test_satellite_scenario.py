@@ -51,7 +51,7 @@ def test_laws_of_control_act_in_their_windows(short):
     assert not bdot[after].any()
     assert not wheels[~after].any()
     assert not unloading[t[:-1] < 200.0].any()
-    assert np.median(c.off[-1]) < 15 < np.median(c.off[20])  # the wheels point the camera
+    assert np.median(c.nadir_angle[-1]) < 15 < np.median(c.nadir_angle[20])  # the wheels point the camera
     assert [name for name, *_ in satellite.phases(scenario, t)] == [
         "detumbling",
         "pointing",
@@ -104,7 +104,7 @@ def test_a_state_relative_to_the_orbit_rotates_with_its_axes():
     """At rest in the axes of the orbit z points to the nadir, and the body rotates with the orbit."""
     state = {"quaternion": [1.0, 0, 0, 0], "angular_velocity_rad": [0.0, 0.0, 0.0], "relative_to": "orbit"}
     scenario = scenarios.load("cubesat", state=state)
-    around = scenario.around()
+    around = scenario.environment()
     q, Omega = satellite._initial(scenario, around)
     r, v = (np.asarray(x) for x in around.orbit(0.0))
     np.testing.assert_allclose(so3.to_matrix(q)[:, 2], -r / np.linalg.norm(r), rtol=0, atol=1e-15)
@@ -153,7 +153,7 @@ def test_every_start_of_the_shipped_scenario_is_captured_and_unloaded(tmp_path, 
     c, t = satellite.course(scenario, step.system, made), np.asarray(made.t)
     (_, _, slow), (_, _, pointed), _ = satellite.phases(scenario, t)
     assert (c.rate[slow] < satellite._SLOW).all()
-    assert (c.off[pointed:] < 1).all()
+    assert (c.nadir_angle[pointed:] < 1).all()
     assert np.median(c.wheels[-1]) < 0.7 * np.median(c.wheels[pointed])
     bdot = c.works[..., c.names.index("bdot")]
     assert (np.diff(bdot, axis=0) <= 0).all()

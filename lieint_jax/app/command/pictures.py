@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.command import interpolation
-from lieint_jax.app.scenarios._body import in_space, spin_axis
+from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
 from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Trajectory, energy_less_work
@@ -111,7 +111,7 @@ def _draw_body(stored: StoredRun) -> Figure:
                 system, run, np.interp(np.arange(len(angles) * parts + 1) / parts, np.arange(len(t)), t)
             )
     axis, name = _drawn_axis(system, run)
-    return _draw_direction(in_space(np.asarray(run.state.q), axis), name, joined)
+    return _draw_direction(axis_in_space(np.asarray(run.state.q), axis), name, joined)
 
 
 def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
