@@ -52,8 +52,8 @@ def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 1]), run.state)
     every = all_steps(STEP, start, DT, 80, save_every=1)
     R = np.asarray(jax.jit(jax.vmap(BODY.rotation_matrix))(every.state))
-    np.testing.assert_allclose(found.turns[::2, 0], R[::2], rtol=0, atol=1e-14)
-    np.testing.assert_allclose(found.turns[1::2, 0], R[1::2], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.rotations[::2, 0], R[::2], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.rotations[1::2, 0], R[1::2], rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.momenta, np.broadcast_to(found.momenta[0], (81, 1, 3)), rtol=0, atol=1e-13)
     axis = R[0].T @ found.paths[0, 0]  # in the body
     np.testing.assert_allclose(found.paths[:: 2 * found.fine, 0], R[::2] @ axis, rtol=0, atol=1e-13)
@@ -63,7 +63,7 @@ def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
 
 
 @pytest.mark.parametrize("J", [[1.0, 2.0, 2.5], [[2.0, 0.2, -0.1], [0.2, 2.5, 0.15], [-0.1, 0.15, 3.0]]])
-def test_a_box_has_the_inertia_that_it_is_of(J):
+def test_a_box_has_the_given_inertia(J):
     """Homogeneous, its second moments are a third of those of its corners with an eighth of the mass each."""
     mass = 1.7
     corners = meshes.box(np.array(J), mass).corners
@@ -71,7 +71,7 @@ def test_a_box_has_the_inertia_that_it_is_of(J):
     np.testing.assert_allclose(np.trace(E) * np.eye(3) - E, np.diag(J) if np.ndim(J) == 1 else J, rtol=0, atol=1e-14)
 
 
-def test_a_top_has_the_inertia_that_it_is_of():
+def test_a_top_has_the_given_inertia():
     """Up to its size, that of a cone on its point: J₃ = 3mr²/10, J₁ = 3m(r²/4 + h²)/5."""
     r, h, e = 0.5, 0.9, np.array([0.6, 0.0, 0.8])
     J1, J3 = 3 / 5 * (r**2 / 4 + h**2), 3 / 10 * r**2
@@ -82,14 +82,14 @@ def test_a_top_has_the_inertia_that_it_is_of():
     np.testing.assert_array_equal(found.corners[0], 0)
 
 
-def test_states_too_far_apart_are_shown_as_they_are():
+def test_sparsely_saved_states_are_shown_without_interpolation():
     """At 2.8 rad between saved states the frames are saved states, and a note says so."""
     t = 2.8 * np.arange(6.0)
     q = np.stack([np.cos(t / 2), 0 * t, 0 * t, np.sin(t / 2)], axis=1)
     found = scene.scene_of(stored(BODY, q, np.tile([0.0, 0.0, 3.0], (6, 1)), t), 0, 4)
     np.testing.assert_array_equal(found.t, t[:4])
-    np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(t[:4]), rtol=0, atol=1e-14)
-    assert "up to 160° of turning: the frames are the first 4 saved states; save more often" in found.notes[-1]
+    np.testing.assert_allclose(found.rotations[:, 0, 0, 0], np.cos(t[:4]), rtol=0, atol=1e-14)
+    assert "up to 160° of rotation: the frames are the first 4 saved states; save more often" in found.notes[-1]
 
 
 def uniform(t, rate=1.0):
@@ -99,23 +99,23 @@ def uniform(t, rate=1.0):
 
 
 @pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
-def test_a_span_begins_and_ends_where_it_was_asked_for_between_saved_states(sign):
+def test_a_span_begins_and_ends_at_the_requested_times(sign):
     run = uniform(sign * np.linspace(0, 8, 9))
     found = scene.scene_of(run, 0, 41, (sign * 2.3, sign * 4.7))
     np.testing.assert_allclose(found.t, sign * np.linspace(2.3, 4.7, 41), rtol=0, atol=1e-14)
-    np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(found.t), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.rotations[:, 0, 0, 0], np.cos(found.t), rtol=0, atol=1e-12)
     assert not any("first" in note for note in found.notes)
     assert found.needed < 41
     short = scene.scene_of(run, 0, 5, (sign * 2.0, None))  # 6 rad at 15° a frame
     np.testing.assert_allclose(short.t[[0, -1]], [sign * 2, sign * (2 + np.pi / 3)], rtol=0, atol=1e-12)
     assert short.needed == 24
-    assert "the first 1.047 of 6 s that were asked for" in short.notes
+    assert "the first 1.047 of 6 s that were requested" in short.notes
     for span in ((-1.0, None), (3.0, 3.0), (3.0, 9.0), (4.0, 3.0)):
         with pytest.raises(ValueError, match=r"--from and --to must lie in the run, from -?0 to -?8 s"):
             scene.scene_of(run, 0, 5, tuple(x if x is None else sign * x for x in span))
 
 
-def test_a_span_of_states_too_far_apart():
+def test_a_span_of_sparsely_saved_states_shows_the_saved_states():
     found = scene.scene_of(uniform(2.8 * np.arange(6.0)), 0, 9, (2.0, 9.0))
     np.testing.assert_array_equal(found.t, 2.8 * np.arange(1.0, 4.0))
     with pytest.raises(ValueError, match="fewer than two states are saved from t = 3 to 4"):
@@ -173,7 +173,7 @@ class Links(html.parser.HTMLParser):
         self.found += [value for name, value in attrs if name in ("src", "href", "data") and value]
 
 
-def test_a_page_holds_all_that_it_needs(store, tmp_path):
+def test_an_animated_page_needs_no_other_file(store, tmp_path):
     pytest.importorskip("plotly")
     out = tmp_path / "turn.html"
     assert moved(store, ["--out", out, "--seconds", 0.5, "--fps", 10]) == 0
@@ -200,7 +200,7 @@ def test_a_page_holds_all_that_it_needs(store, tmp_path):
         ),
     ],
 )
-def test_refusals_are_one_sentence(store, tmp_path, monkeypatch, capsys, arguments, message):
+def test_bad_requests_are_refused_with_a_sentence(store, tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
     assert moved(store, arguments) == 2
     error = capsys.readouterr().err
@@ -208,7 +208,7 @@ def test_refusals_are_one_sentence(store, tmp_path, monkeypatch, capsys, argumen
     assert error.count("\n") == 1
 
 
-def test_what_is_not_installed_is_named(store, tmp_path, monkeypatch, capsys):
+def test_missing_packages_for_animations_are_named(store, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
     assert moved(store, ["--out", tmp_path / "turn.html"]) == 2
     assert 'pip install "lieint_jax[animate]"' in capsys.readouterr().err
@@ -218,15 +218,15 @@ def test_what_is_not_installed_is_named(store, tmp_path, monkeypatch, capsys):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_system_without_rigid_bodies_says_what_is_possible():
+def test_a_system_without_rigid_bodies_is_refused_with_the_possible_systems():
     bob = li.systems.pendulum(1.0, 9.81, [0.0, 0.0, 1.0])
     run = stored(bob, np.tile([0.0, 0.0, 1.0], (3, 1)), np.zeros((3, 3)), np.arange(3.0))
-    with pytest.raises(ValueError, match=r"^Pendulum is not made of rigid bodies: rigid bodies, gyrostats, tops"):
+    with pytest.raises(ValueError, match=r"^Pendulum has no rigid bodies. Rigid bodies, gyrostats, tops"):
         scene.scene_of(run, 0, 5)
 
 
 @pytest.mark.long
-def test_a_top_stands_on_its_point_and_turns_about_the_vertical():
+def test_a_top_stands_on_its_tip_and_precesses_about_the_vertical():
     top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, 20.0])
     start = top.state(li.groups.so3.exp(jnp.array([0.3, 0.0, 0.0])), angular_velocity=[0.0, 0.0, 50.0])
     run = all_steps(li.schemes.splitting(top), start, 0.01, 1000, save_every=5)
@@ -239,7 +239,7 @@ def test_a_top_stands_on_its_point_and_turns_about_the_vertical():
 
 @pytest.mark.long
 @pytest.mark.parametrize("dissipative", [False, True])
-def test_two_bodies_stand_at_their_places(dissipative):
+def test_two_bodies_are_drawn_at_their_centers(dissipative):
     """By the attitudes and positions of the run itself where a frame is at a saved state."""
     law = li.tides.constant_lag(1.0, [2.0, 1.0], [1.0, 1.0], 0.5, 0.1) if dissipative else None
     V = li.potentials.point_masses(1.0, [2.0, 1.0])
@@ -251,6 +251,6 @@ def test_two_bodies_stand_at_their_places(dissipative):
     assert len(found.solids) == 2
     np.testing.assert_allclose(found.centers, run.state.q[:, :, :3], rtol=0, atol=1e-12)
     turns = jax.jit(jax.vmap(jax.vmap(li.groups.so3.to_matrix)))(run.state.q[:, :, 3:])
-    np.testing.assert_allclose(found.turns, turns, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.rotations, turns, rtol=0, atol=1e-12)
     middles = np.stack([found.corners(3, b).mean(axis=0) for b in range(2)])
     np.testing.assert_allclose(middles, found.centers[3], rtol=0, atol=1e-12)

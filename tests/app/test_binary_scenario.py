@@ -30,7 +30,7 @@ def changed(name, **tables):
     return scenarios.parse(given | {key: given.get(key, {}) | keys for key, keys in tables.items()}, name)
 
 
-def test_lines_of_a_series():
+def test_lines_of_a_series_have_their_frequencies_and_amplitudes():
     """Two lines 6 widths of the transform apart: observed 1.4e-2 of a width, and 4e-4 of the amplitude."""
     t = np.arange(500.0)
     x = 2.0 * np.cos(2 * np.pi * 0.1013 * t + 0.3) + 0.5 * np.cos(2 * np.pi * 0.1133 * t)
@@ -80,12 +80,12 @@ BAD = [
 
 
 @pytest.mark.parametrize(("tables", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_is_named(tables, message):
+def test_a_bad_key_of_a_binary_is_named(tables, message):
     with pytest.raises(ValueError, match=message):
         changed("didymos", **tables)
 
 
-def test_an_order_that_a_scheme_does_not_have():
+def test_an_order_that_the_scheme_lacks_is_refused():
     for scheme, order, known in (
         ("nystrom", 2, "6 or 4"),
         ("splitting", [8, 4], "2 or 4"),
@@ -127,7 +127,7 @@ def apsides(scenario, step, path):
 
 
 @pytest.mark.long
-def test_what_is_reported_of_didymos():
+def test_the_report_of_didymos_has_the_published_periods_and_the_rate_of_its_apsides():
     """The nominal one; the apsides' rate beside that of the vector of Laplace, Runge and Lenz."""
     scenario, step, path = nominal_didymos()
     rows = {row.name: row.nominal for row in binary.quantities(scenario, step.system, path)}
@@ -142,7 +142,7 @@ def test_what_is_reported_of_didymos():
     assert kept["angular momentum, relative"] < 5e-14
 
 
-def test_a_spread_beyond_the_published_error_is_said_and_a_value_of_the_other_sign():
+def test_the_report_notes_a_spread_beyond_the_published_error_and_a_wrong_sign():
     published = scenarios._common.Published(value=6.7, error=0.2, source="a book", remark="The primary is rounder.")
     scenario = scenarios.load("didymos", members=1)
 
@@ -176,18 +176,18 @@ def test_the_spread_of_the_apsides_of_didymos_is_that_of_the_librations():
 
 
 @pytest.mark.long
-def test_didymos_in_steps_of_half_an_hour_against_dop853():
+def test_didymos_in_steps_of_half_an_hour_agrees_with_dop853():
     """Five days; observed 2e-5 m."""
     _, step, path = nominal_didymos()
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 0]), path.state)
     k = int(np.searchsorted(path.t, 5 * 86400.0))
-    x, _ = reference(_runs.nominal_of(step.system), start, float(path.t[k]), 1e-12, 1e-12)
+    x, _ = reference(_runs.nominal_member(step.system), start, float(path.t[k]), 1e-12, 1e-12)
     q = path.state.q[k, 0, :, :3]
     assert np.linalg.norm((q[1] - q[0]) - (x[1] - x[0])) < 1e-4
 
 
 @pytest.mark.long
-def test_the_change_of_speed_that_a_change_of_the_period_means():
+def test_a_change_of_the_period_determines_the_change_of_speed():
     scenario, step, path = nominal_didymos()
     found = binary.impact(scenario, step, path)
     assert found.period_unchanged == pytest.approx(11.9216, abs=2e-4)
@@ -204,7 +204,7 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
         update={"members": 1}
     )
     step, states = scenarios.build(scenario)
-    first, start = _runs.nominal_of(step), jax.tree.map(lambda x: x[0], states)
+    first, start = _runs.nominal_member(step), jax.tree.map(lambda x: x[0], states)
     measure = partial(_binary_motion.period, first, start, scenario.dt, scenario.steps, scenario.save_every)
     period, slope = (float(x) for x in measure(jnp.asarray(0.0)))
     mu, v = scenario.G * (5e11 + scenario.secondary.mass()), 0.17329064 - 2.7268e-3
@@ -212,13 +212,13 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
     true = 2 * np.pi * np.sqrt(a**3 / mu)
     assert period == pytest.approx(true, rel=1e-5)
     assert slope == pytest.approx(3 * true * a * v / mu, rel=3e-3)
-    change = _binary_motion.change_to(1.05 * true, measure)
+    change = _binary_motion.speed_change_for(1.05 * true, measure)
     assert change == pytest.approx(_binary_motion.kepler_speed(mu, 1180.0, 1.05 * true) - v, rel=3e-3)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["didymos", "kw4"])
-def test_run_info_and_plot_of_the_shipped_files(name, capsys):
+def test_shipped_binaries_run_and_plot_from_the_command_line(name, capsys):
     assert cli.main(["run", name, "--members", "3", "--steps", "288", "--out", "x.npz"]) == 0
     out = capsys.readouterr().out
     assert "3 of 3 members converged" in out

@@ -30,7 +30,7 @@ LONG = {  # expensive pages, which run in shards
 
 
 @pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.long] if x in LONG else []) for x in PYTHON])
-def test_the_python_of_a_page_runs_and_prints_what_it_shows(name, tmp_path, monkeypatch):
+def test_the_python_of_a_page_runs_and_prints_the_shown_output(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = types.ModuleType("page")
     following = [*PYTHON[name][1:], ("", "")]
@@ -43,7 +43,7 @@ def test_the_python_of_a_page_runs_and_prints_what_it_shows(name, tmp_path, monk
     assert jax.config.jax_enable_x64
 
 
-def test_words_tell_numbers_apart():
+def test_outputs_are_compared_by_their_words_and_rounded_numbers():
     assert words("energy 1.52 within 3e-15") == words("energy 1.5201 within 8e-16")
     assert words("energy 1.52") != words("energy 1.54")
     assert words("energy 1.52") != words("momentum 1.52")
@@ -62,7 +62,7 @@ def commands():
 
 
 @pytest.mark.parametrize(("page", "command"), list(commands()))
-def test_a_command_parses_and_what_it_names_exists(page, command):
+def test_commands_in_pages_parse_and_name_existing_files(page, command):
     words = shlex.split(command)
     if "--help" in words or words in (["run"], ["check"], ["figure"], ["study"]):  # the name of a command alone
         with pytest.raises(SystemExit, match=r"^0$"):
@@ -73,7 +73,7 @@ def test_a_command_parses_and_what_it_names_exists(page, command):
 
 
 @pytest.mark.parametrize("name", [name for name, text in TEXTS.items() if blocks(text, "toml")])
-def test_a_scenario_of_a_page_is_valid(name):
+def test_scenarios_in_pages_are_valid(name):
     import tomllib
 
     for _, code in blocks(TEXTS[name], "toml"):
@@ -81,5 +81,5 @@ def test_a_scenario_of_a_page_is_valid(name):
 
 
 @pytest.mark.parametrize("scheme", [entry.name for entry in li.schemes.catalogue()])
-def test_which_scheme_has_every_scheme(scheme):
+def test_the_page_which_scheme_lists_every_scheme(scheme):
     assert f"`{scheme}" in TEXTS["which_scheme.md"]

@@ -61,7 +61,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def test_the_orbit_s_axes_turn_as_they_are_said_to():
+def test_the_orbit_s_axes_rotate_at_the_returned_rate():
     """Ṙ = ω × R by forward differentiation, and the columns are r̂, the direction of motion and the normal."""
     orbit = orbits.kepler(2.0, 1.5, 0.4, 0.5, node=0.3, periapsis=0.9)
     t = jnp.array(0.7)
@@ -107,7 +107,7 @@ def _rate(t, y, J):
 
 
 @pytest.mark.long
-def test_an_orbit_of_the_scenario_against_another_integrator():
+def test_an_orbit_of_the_driven_satellite_agrees_with_another_integrator():
     """Splitting with 200 steps an orbit: 8e-4 rad off by its order. DOP853 moves the center along, without Kepler."""
     scenario, step, path = small_run()
     body = step.system
@@ -158,7 +158,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_gets_one_line_that_names_it(changes, message, capsys):
+def test_a_bad_key_of_a_driven_satellite_is_named_in_one_line(changes, message, capsys):
     assert cli.main(["run", small(*changes)]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
@@ -166,7 +166,7 @@ def test_a_bad_key_gets_one_line_that_names_it(changes, message, capsys):
 
 
 @pytest.mark.long
-def test_run_info_and_plot_of_the_shipped_file(capsys):
+def test_driven_runs_and_plots_from_the_command_line(capsys):
     """The energy-momentum scheme: 2.1e-14 over an orbit; the energy itself changes by its own size."""
     assert cli.main(["run", "driven", "--members", "3", "--steps", "400"]) == 0
     out = capsys.readouterr().out
@@ -184,7 +184,7 @@ def test_run_info_and_plot_of_the_shipped_file(capsys):
 
 
 @pytest.mark.long
-def test_a_store_that_broke_off_is_resumed_to_the_same_bits(monkeypatch, capsys):
+def test_an_interrupted_store_resumes_to_the_same_bits(monkeypatch, capsys):
     """On a circle, where Jacobi's integral is reported too: 1.8e-4 by the splitting."""
     monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
     name, sync = small(CIRCLE), os.fsync

@@ -25,7 +25,7 @@ def still(states):
 
 
 @pytest.mark.long
-def test_run_pseudo_rigid(tmp_path, monkeypatch, capsys):
+def test_pseudo_rigid_has_the_energy_variation_of_figure_3c_in_its_first_quarter(tmp_path, monkeypatch, capsys):
     """The first quarter of Figure 3c's midpoint run already has the variation of its caption."""
     monkeypatch.chdir(tmp_path)
     text = (
@@ -46,7 +46,7 @@ def test_run_pseudo_rigid(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_run_pseudo_rigid_as_it_is_shipped():
+def test_shipped_pseudo_rigid_has_the_energy_variation_of_figure_3c():
     scenario = scenarios.load("pseudo_rigid", members=8)
     step, made = run(scenario)
     energy, momentum = pseudo_rigid.conserved(scenario, step.system, made)
@@ -61,7 +61,7 @@ def test_run_pseudo_rigid_as_it_is_shipped():
 
 
 @pytest.mark.long
-def test_the_members_of_pseudo_rigid():
+def test_pseudo_rigid_members_are_spread_about_the_nominal_state():
     """The first is Figure 3c's; the others turn with its velocity and their own spin; the seed decides."""
     scenario = scenarios.load("pseudo_rigid", members=2000)
     step, states = jax.device_get(scenarios.build(scenario))
@@ -79,7 +79,7 @@ def test_the_members_of_pseudo_rigid():
     assert np.abs(np.asarray(other.q)[1] - states.q[1]).max() > 1e-3
 
 
-def test_a_nominal_velocity_is_carried_with_the_members():
+def test_a_nominal_velocity_is_that_of_all_members():
     """A body that stretches: V F₀⁻¹ is theirs too, so without spread they are the nominal one."""
     state = {"deformation": np.diag([1.1, 1.0, 0.9]).tolist(), "velocity": np.diag([0.1, 0.0, -0.2]).tolist()}
     scenario = scenarios.load("pseudo_rigid", members=3, state=state, spread={})
@@ -106,7 +106,7 @@ BALL = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BALL, ids=[m[:30] for _, m in BALL])
-def test_bad_keys_of_pseudo_rigid(changes, message):
+def test_bad_keys_of_pseudo_rigid_are_named(changes, message):
     with pytest.raises(ValueError, match=message):
         scenarios.load("pseudo_rigid", **changes)
 
@@ -115,7 +115,7 @@ def test_bad_keys_of_pseudo_rigid(changes, message):
 
 
 @pytest.mark.long
-def test_run_pendulum(tmp_path, monkeypatch, capsys):
+def test_pendulum_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", "pendulum", "--members", "3", "--steps", "1000"]) == 0
     out = capsys.readouterr().out
@@ -129,7 +129,7 @@ def test_run_pendulum(tmp_path, monkeypatch, capsys):
         assert Path(name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_closed_form_of_the_pendulum():
+def test_the_closed_form_of_the_pendulum_has_three_known_limits():
     """Three limits of it, by other formulas.
 
     A conical pendulum goes round at √(G/cos θ), and its angle swings about θ with the frequency √(G(1 + 3cos²θ)/cos θ);
@@ -183,6 +183,6 @@ BOB = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BOB, ids=[m[:30] for _, m in BOB])
-def test_bad_keys_of_pendulum(changes, message):
+def test_bad_keys_of_pendulum_are_named(changes, message):
     with pytest.raises(ValueError, match=message):
         scenarios.load("pendulum", **changes)

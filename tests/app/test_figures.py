@@ -58,7 +58,7 @@ def test_figure_2_is_written_with_its_table(tmp_path, monkeypatch):
     assert (tmp_path / "figure-2.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_lines_of_error_against_cost_take_styles():
+def test_lines_of_error_against_cost_accept_styles():
     _, axes = plots.figure()
     curves = {"ours": (np.array([1.0, 2.0]), np.array([1e-2, 1e-4])), "theirs": (np.array([1.0, 3.0]), np.ones(2))}
     ax = plots.loglog_lines(axes[0, 0], curves, "cost", "error", {"theirs": {"ls": ":"}})
@@ -99,7 +99,7 @@ def test_panels_are_those_of_the_captions(figure):
 @pytest.mark.paper("6.3, Figs. 3 to 5", "delay plots", "app/command/figures.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VARIATIONS)
-def test_figures_3_4_5_have_the_captions_variations(name):
+def test_figures_3_4_5_have_the_variations_of_their_captions(name):
     ours, printed = VARIATIONS[name]
     run = delay_run(PANELS[name])
     assert run.converged

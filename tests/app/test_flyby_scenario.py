@@ -92,7 +92,7 @@ def test_the_elements_are_ecliptic():
 @pytest.mark.long
 def test_the_nominal_body_has_the_published_periods_and_energy():
     spin = jax.tree.map(lambda x: x[0], _flyby_study.members(changed(members=1))[0])
-    near = jax.jit(motion.at_perigee, static_argnums=2)(spin, jnp.asarray([1.0, 0, 0]), False)
+    near = jax.jit(motion.state_at_perigee, static_argnums=2)(spin, jnp.asarray([1.0, 0, 0]), False)
     found = jax.jit(motion.outcome)(motion.moments(spin), near)
     assert float(found.precession) == pytest.approx(27.38, rel=1e-13)
     assert float(found.rotation) == pytest.approx(263.0, rel=1e-13)
@@ -110,7 +110,7 @@ def test_a_spin_has_its_periods_and_phases_in_both_modes(long_axis):
     """φ is the angle of the long axis from the Earth's direction about π; ψ grows by 2π in P_ψ; the motion is free."""
     spin = motion.Spin(*map(jnp.asarray, (0.55, 0.8, 20.0, 60.0, 1.0, -0.4, 2.0, 4.5)))
     toward = jnp.asarray([0.3, -0.9, 0.2])
-    at = jax.jit(motion.at_perigee, static_argnums=2)
+    at = jax.jit(motion.state_at_perigee, static_argnums=2)
     near, J = at(spin, toward, long_axis), motion.moments(spin)
     found = jax.jit(motion.outcome)(J, near)
     np.testing.assert_allclose([found.precession, found.rotation], [20.0, 60.0], rtol=1e-12)
@@ -135,7 +135,7 @@ def test_a_spin_has_its_periods_and_phases_in_both_modes(long_axis):
 def test_half_a_turn_about_the_axis_that_the_momentum_goes_round_is_half_a_turn_of_psi(long_axis, turn):
     """So the map of half the phases has them all: φ changes with the short axis' turn, and not with the long axis'."""
     spin = motion.Spin(*map(jnp.asarray, (0.55, 0.8, 20.0, 60.0, 1.0, -0.4, 2.0, 1.2)))
-    at, toward = jax.jit(motion.at_perigee, static_argnums=2), jnp.asarray([0.3, -0.9, 0.2])
+    at, toward = jax.jit(motion.state_at_perigee, static_argnums=2), jnp.asarray([0.3, -0.9, 0.2])
     one = at(spin, toward, long_axis)
     other = at(spin._replace(phi=spin.phi + np.deg2rad(turn), psi=spin.psi + np.pi), toward, long_axis)
     half = np.diag([1.0, -1, -1]) if long_axis else np.diag([-1.0, -1, 1])
@@ -147,10 +147,10 @@ def test_half_a_turn_about_the_axis_that_the_momentum_goes_round_is_half_a_turn_
 
 def test_a_ratio_of_periods_is_refused_where_no_mode_has_it():
     """Least is that of small wobbles; next to the separatrix rounding leaves no digits of an immense one."""
-    possible = jax.jit(motion.possible, static_argnums=2)
+    mode_exists = jax.jit(motion.mode_exists, static_argnums=2)
     J = jnp.asarray([0.61, 0.965, 1.0])
     wobble = 1 / np.sqrt((1 - 0.61) * (1 - 0.965) / (0.61 * 0.965))
-    assert [bool(possible(J, jnp.asarray(x), False)) for x in (0.999 * wobble, 1.001 * wobble, 50.0, 150.0)] == [
+    assert [bool(mode_exists(J, jnp.asarray(x), False)) for x in (0.999 * wobble, 1.001 * wobble, 50.0, 150.0)] == [
         False,
         True,
         True,
@@ -214,7 +214,7 @@ def _rate(t, y, J, mu):
 
 
 @pytest.mark.long
-def test_a_passage_against_another_integrator():
+def test_a_passage_agrees_with_another_integrator():
     """DOP853 moves the center along, without Kepler. Observed: 2.9e-11 rad of attitude, 1e-12 of Π."""
     scenario = changed(members=2)
     steps, states = flyby.build(scenario)
@@ -257,7 +257,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("tables", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_is_named(tables, message):
+def test_a_bad_key_of_a_flyby_is_named(tables, message):
     with pytest.raises(ValueError, match=message):
         changed(**tables)
 
@@ -273,7 +273,7 @@ def small_study():
 
 
 @pytest.mark.long
-def test_both_phases_half_a_turn_on_are_the_same_passage():
+def test_phases_that_differ_by_a_symmetry_of_the_body_have_the_same_passage():
     """The body turned by 180° about its short axis has the same moments. Observed 2e-14, and 4e-14 on other phases."""
     scenario, _, _, found = small_study()
     other = found.grid._replace(phi=found.grid.phi + np.pi, psi=found.grid.psi + np.pi)
@@ -283,7 +283,7 @@ def test_both_phases_half_a_turn_on_are_the_same_passage():
 
 
 @pytest.mark.long
-def test_derivatives_are_those_of_the_passage():
+def test_derivatives_of_a_passage_agree_with_differences():
     """Central differences of passages by order 8 against tangents by order 4. Observed 3e-5 of the largest."""
     scenario, _, _, found = small_study()
     elements, times = scenario.orbit.elements(), scenario.times()
@@ -294,7 +294,7 @@ def test_derivatives_are_those_of_the_passage():
         turn = np.asarray(_flyby_study.pole_angles(passage.before.pole, passage.after.pole))
         after = passage.after
         values = np.stack([after.precession, after.rotation, after.rate, turn], axis=1)
-        return np.stack([_flyby_study.thinned(scenario, x) for x in values.T], axis=1)
+        return np.stack([_flyby_study.every_second_phase(scenario, x) for x in values.T], axis=1)
 
     for name, h in (("phi", 1e-4), ("psi", 1e-4), ("least", 1e-6), ("middle", 1e-7), ("latitude", 1e-4)):
         up, down = (measured(found.grid._replace(**{name: getattr(found.grid, name) + s * h})) for s in (1, -1))
@@ -306,19 +306,19 @@ def test_derivatives_are_those_of_the_passage():
 
 
 @pytest.mark.long
-def test_the_run_has_the_accuracy_that_is_asked_for():
+def test_the_shipped_run_has_the_declared_accuracy():
     """640 steps: attitudes of 256 members to 1e-8 rad (observed 2.2e-10); ± 96 h: P_φ to 0.01 h (observed 0.0026)."""
     _, _, path, found = small_study()
     assert found.failed == 0
     assert path.info.converged.all()
-    assert found.halved < 1e-8
+    assert found.step_error < 1e-8
     errors = [abs(found.arcs[h].after.precession - found.arcs[192.0].after.precession) for h in (24.0, 48.0, 96.0)]
     assert max(errors[2]) < 0.01
     assert np.median(errors[0]) > 2 * np.median(errors[1]) > 4 * np.median(errors[2])
 
 
 @pytest.mark.long
-def test_run_info_plot_and_a_store_of_the_shipped_file(capsys):
+def test_apophis_runs_plots_and_stores_from_the_command_line(capsys):
     text = resources.files(scenarios).joinpath("apophis.toml").read_text(encoding="utf-8")
     for old, new in (
         ("members = 10_000", "members = 256"),
@@ -333,7 +333,7 @@ def test_run_info_plot_and_a_store_of_the_shipped_file(capsys):
     assert "256 of 256 members converged" in out
     assert re.search(r"precession period P_φ \(h\) +27.3800", out)
     assert "0 of these passages had a step that did not converge" in out
-    kept = float(re.search(r"here: kept in (\S+) %", out)[1])
+    kept = float(re.search(r"here: the same in (\S+) %", out)[1])
     assert 60 < kept < 95
     assert float(re.search(r"twice as many: (\S+) rad", out)[1]) < 1e-8
     for picture in flyby.PICTURES:
@@ -342,7 +342,7 @@ def test_run_info_plot_and_a_store_of_the_shipped_file(capsys):
     changes = re.search(r"largest change of energy less work.*\((\S+) of the largest", capsys.readouterr().out)
     assert float(changes[1]) < 1e-8
     assert cli.main(["plot", "x.npz", "--force"]) == 0
-    assert f"here: kept in {kept:g} %" in capsys.readouterr().out
+    assert f"here: the same in {kept:g} %" in capsys.readouterr().out
     assert cli.main(["run", "x.toml", "--members", "4", "--out", "y.zarr"]) == 0
     assert cli.main(["info", "y.zarr"]) == 0
     assert "complete" in capsys.readouterr().out

@@ -39,7 +39,7 @@ def _facts(top, Omega):
 
 
 @pytest.mark.parametrize("case", TOPS, ids=["fast", "tilted", "hanging", "looping"])
-def test_lagrange_s_top_against_quadrature_in_30_digits_and_the_flow(case):
+def test_lagrange_s_top_agrees_with_quadrature_in_30_digits_and_with_the_flow(case):
     """Floors: period 3e-16, precession 3e-13 (roots close together), recurrence 2e-15."""
     weight, axis, Omega = case
     top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, weight], axis)
@@ -98,7 +98,7 @@ def test_the_shipped_run_shows_the_closed_form():
     assert re.search(r"nutation period \(s\) +0.6822560158 +0.0\d+ +0.6822560158 +-?[\d.]+e(-1\d|\+00)$", line)
 
 
-def test_states_saved_too_far_apart_are_not_measured():
+def test_nutation_of_sparsely_saved_states_is_not_measured():
     top, path = as_shipped()
     period, rate, least, greatest = heavy_top.motion(top, jax.tree.map(lambda x: x[::4], path))
     assert np.isnan([period, rate]).all()
@@ -106,7 +106,7 @@ def test_states_saved_too_far_apart_are_not_measured():
 
 
 @pytest.mark.long
-def test_run_heavy_top(tmp_path, monkeypatch, capsys):
+def test_heavy_top_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", "heavy_top", "--members", "3", "--steps", "500"]) == 0
     out = capsys.readouterr().out
@@ -158,7 +158,7 @@ angular_velocity_rad = [0.0, 1.0, 5.0]
         ("dt = 0.01", "dt = 0.01\naxis = [0.0, 1.0]", "axis: "),
     ],
 )
-def test_a_bad_file_gets_one_line_that_names_the_key(old, new, message, tmp_path):
+def test_a_bad_key_of_a_heavy_top_is_named_in_one_line(old, new, message, tmp_path):
     (tmp_path / "top.toml").write_text(SCENARIO.replace(old, new))
     with pytest.raises(ValueError, match=message):
         scenarios.load(str(tmp_path / "top.toml"))

@@ -43,7 +43,7 @@ def apart(a, b):
 
 
 @pytest.mark.parametrize(("date", "reading"), TABLE_1)
-def test_table_1_has_the_axes_in_the_order_b_c_a_and_angles_from_space_to_body(date, reading):
+def test_table_1_of_the_source_orders_the_axes_b_c_a_and_maps_space_to_body(date, reading):
     angles, axis, rate = TABLE_1[date, reading]
     attitude, own, given = state(date, reading)
     np.testing.assert_allclose(own[[1, 2, 0]], axis, rtol=0, atol=1.5e-3)
@@ -93,11 +93,11 @@ def test_members_start_on_a_grid_at_pericenter_and_are_planar():
 
 
 def test_a_verdict_needs_nearly_all_members():
-    bound = moon.limit(1500)
+    bound = moon.chaos_limit(1500)
     assert bound == pytest.approx(0.0029, abs=5e-5)
     assert moon.verdict(np.full(24, 0.02), bound) == "chaotic"
     assert moon.verdict(np.append(np.full(22, 0.02), [0.001, 0.001]), bound) == "undecided"
-    assert moon.verdict(np.full(24, 0.001), bound) == "not told from regular"
+    assert moon.verdict(np.full(24, 0.001), bound) == "not distinct from regular"
 
 
 SMALL = """
@@ -151,7 +151,7 @@ def small(*changes):
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_gets_one_line_that_names_it(changes, message, capsys, tmp_path, monkeypatch):
+def test_a_bad_key_of_a_moon_is_named_in_one_line(changes, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", small(*changes)]) == 2
     err = capsys.readouterr().err
@@ -160,7 +160,7 @@ def test_a_bad_key_gets_one_line_that_names_it(changes, message, capsys, tmp_pat
 
 
 @pytest.mark.long
-def test_run_info_and_plot_of_a_small_one(capsys, tmp_path, monkeypatch):
+def test_hyperion_runs_and_plots_from_the_command_line(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", small()]) == 0
     out = capsys.readouterr().out
@@ -205,7 +205,7 @@ def planar_growth(e, squared, theta, rate, span):
 
 
 @pytest.mark.long
-def test_the_planar_exponent_against_another_formulation():
+def test_the_planar_exponent_agrees_with_another_formulation():
     """Six orbits of the case of REBOUND's notebook ChaoticHyperion: 3(B−A)/C = 0.78, e = 0.123233, θ = 0.01, θ̇ = 1."""
     A, B, C = 0.6, 0.86, 1.0
     body = systems.gravity_gradient([A, B, C], orbits.kepler(1.0, 1.0, 0.123233))
@@ -222,7 +222,7 @@ def test_the_planar_exponent_against_another_formulation():
 
 
 @pytest.mark.long
-def test_the_numbers_of_hyperion():
+def test_hyperion_has_a_chaotic_zone_three_exponents_and_undecided_states():
     """A quarter of the shipped scenario: the zone, three exponents, the spectrum, and what the observed states are."""
     scenario = scenarios.load(
         "hyperion",
@@ -235,7 +235,7 @@ def test_the_numbers_of_hyperion():
     step, path = run(scenario)
     found = moon.chaos(scenario, step, path)
     assert found.failed == 0
-    assert np.mean(found.section[:, 0] > moon.limit(300)) == pytest.approx(0.43, abs=0.03)
+    assert np.mean(found.section[:, 0] > moon.chaos_limit(300)) == pytest.approx(0.43, abs=0.03)
     inside, outside = found.planar.mean(axis=0)
     assert inside == pytest.approx(0.116, abs=0.01)
     assert outside == pytest.approx(0.041, abs=0.006)
@@ -247,9 +247,9 @@ def test_the_numbers_of_hyperion():
     theta, rate = moon.section(scenario, path.state)
     synchronous = (abs(theta[0]) < 0.01) & (abs(rate[0] - 0.6) < 0.05)
     assert synchronous.sum() == 1
-    assert (found.section[synchronous, 0] < moon.limit(300)).all()
+    assert (found.section[synchronous, 0] < moon.chaos_limit(300)).all()
     assert (found.section[synchronous, 1] > 0.03).all()  # an island where the attitude is unstable
-    bound = moon.limit(1500)
+    bound = moon.chaos_limit(1500)
     seen = {(x.date, x.reading): y for x, y in zip(scenario.observed, found.observed, strict=True)}
     for date in DATES:
         shape, corrected = seen[date, "those of the shape model"], seen[date, "corrected as in table 1"]

@@ -14,7 +14,7 @@ from lieint_jax.systems._euler import kirchhoff as ellipsoid
 
 
 @pytest.mark.long
-def test_run_kirchhoff(tmp_path, monkeypatch, capsys):
+def test_kirchhoff_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
     """The nominal member, a steady motion, stays as it is; energy and Casimirs at round-off, momentum bit for bit."""
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", "kirchhoff", "--members", "3", "--steps", "400"]) == 0
@@ -48,7 +48,7 @@ def test_the_spin_needed_is_where_the_linearized_equations_turn_unstable():
     assert kirchhoff.spin_needed(ellipsoid((3.0, 2.0, 1.0))) is None
 
 
-def test_the_members_of_kirchhoff_and_their_tilts():
+def test_kirchhoff_s_members_have_the_given_spread_and_their_axes_tilt():
     scenario = scenarios.load("kirchhoff", members=500)
     step, states = scenarios.build(scenario)
     exp = jax.jit(step.system.group.exp)
@@ -73,6 +73,6 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:20] for _, m in BAD])
-def test_bad_keys_of_kirchhoff(changes, message):
+def test_bad_keys_of_kirchhoff_are_named(changes, message):
     with pytest.raises(ValueError, match=message):
         scenarios.load("kirchhoff", **changes)

@@ -6,7 +6,7 @@ from lieint_jax.app.command import list as listing
 from lieint_jax.app.command.list import Cost
 
 
-def test_the_list_is_whole(capsys):
+def test_the_list_describes_every_scenario_and_study(capsys):
     assert cli.main(["list"]) == 0
     shown = capsys.readouterr().out
     for name in scenarios.scenario_names():
@@ -17,7 +17,7 @@ def test_the_list_is_whole(capsys):
     assert max(map(len, shown.splitlines())) <= 140
 
 
-def test_what_was_timed_is_there_and_the_rest_is_said_not_to_be():
+def test_the_list_has_every_measured_cost_and_marks_the_others():
     """`python benchmarks/commands.py --only "run NAME"` times a command."""
     every = {f"run {name}" for name in scenarios.scenario_names()} | {
         f"study {name}" for name in study.studies_by_name()

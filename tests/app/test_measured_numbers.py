@@ -99,7 +99,7 @@ def quoted():
 
 
 @pytest.mark.parametrize(("where", "pattern", "measured"), [pytest.param(*x, id=x[1][:40]) for x in quoted()])
-def test_a_page_quotes_what_was_measured(where, pattern, measured):
+def test_pages_quote_the_measured_numbers(where, pattern, measured):
     """To within the last digit that the page prints."""
     found = next(match for match in re.finditer(pattern, page(where)) if match.groups() and match[1])
     assert len(found.groups()) == len(measured)

@@ -44,13 +44,13 @@ def lab(rgb):
 
 
 @pytest.mark.parametrize("vision", VISION)
-def test_colors_are_told_apart_with_every_kind_of_color_vision(vision):
+def test_colors_differ_for_every_kind_of_color_vision(vision):
     """The nearest two are 16.1 apart (green and sky blue, tritanopia); a just noticeable difference is 2.3."""
     seen = [lab(np.array(VISION[vision]) @ linear(color)) for color in plots.COLORS]
     assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(seen, 2)) > 15
 
 
-def test_the_two_reds_and_greens_of_matplotlib_are_not_told_apart():
+def test_the_reds_and_greens_of_matplotlib_fail_the_test_of_color_vision():
     """The refutation: its default green and red with deuteranopia (7.3), so that the test above can fail."""
     green, red = (lab(np.array(VISION["deuteranopia"]) @ linear(color)) for color in ("#2ca02c", "#d62728"))
     assert np.linalg.norm(green - red) < 15
@@ -98,7 +98,7 @@ def test_figures_are_saved_in_one_place_and_never_by_pyplot():
             assert name not in ("savefig", "set_size_inches") or path == ROOT / "app" / "plots.py", path
 
 
-def test_the_style_is_gone_afterwards_and_import_changes_nothing(tmp_path):
+def test_the_style_ends_with_the_figure_and_import_changes_nothing(tmp_path):
     code = (
         "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax import plots;"
         "assert dict(matplotlib.rcParams) == before; print(plots.COLORS[1])"
@@ -127,7 +127,7 @@ def test_a_picture_is_a_png_and_a_pdf_with_the_same_bytes_every_time(tmp_path):
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_errors_stand_beside_the_line_of_round_off(kind):
+def test_errors_are_drawn_with_the_line_of_round_off(kind):
     _, axes = plots.figure()
     error = np.array([0, 1e2, -3], kind) * np.finfo(kind).eps
     ax = plots.log_error(axes[0, 0], np.arange(3), {"midpoint": error}, "energy error", size=10.0, of="|H₀|")

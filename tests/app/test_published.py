@@ -40,12 +40,12 @@ def test_every_case_names_its_source_and_its_limit():
         assert bounds_of(case)
 
 
-def test_the_tumbling_brick_of_nasa():
+def test_nasa_s_tumbling_brick_agrees_with_the_published_run():
     case = next(case for code, case in CASES.items() if "brick" in code)
     assert max(found.difference for found in case.compare()) < 6e-10
 
 
-def test_published_stands_alone():
+def test_the_option_published_is_refused_with_a_system():
     command = [sys.executable, "-m", "lieint_jax.app.command.cli", "check", "rigid_body", "--published"]
     found = subprocess.run(command, capture_output=True, text=True)
     assert found.returncode == 2

@@ -30,7 +30,7 @@ def test_the_readme_is_short_and_shows_code_early():
     assert lines.index("```python") < len(lines) / 3
 
 
-def test_every_scheme_of_the_readme_is_there():
+def test_every_scheme_in_the_readme_exists():
     table = README.partition("## Which scheme?")[2].partition("\n## ")[0]
     rows = [line.split("|")[2] for line in table.splitlines() if line.startswith("| ")][1:]
     assert len(rows) <= 10
@@ -38,13 +38,13 @@ def test_every_scheme_of_the_readme_is_there():
     assert named <= set(li.schemes.__all__)
 
 
-def test_every_link_of_the_readme_leads_somewhere():
+def test_every_link_of_the_readme_has_a_target():
     links = re.findall(r"\]\(([^)#]+)\)", README)
     assert len(links) > 8
     assert not [link for link in links if not (ROOT / link).exists()]
 
 
-def test_the_two_commands():
+def test_the_readme_has_one_command_to_try_and_one_to_test():
     commands = re.findall(r"^python3 -m venv .*$", README, re.M)
     assert len(commands) == 2
     assert "lieint run toutatis" in commands[0]

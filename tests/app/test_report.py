@@ -63,7 +63,7 @@ def test_columns_are_printed_where_there_is_something_to_print():
     assert "!" not in cited
 
 
-def test_the_largest_change_stands_next_to_the_promise():
+def test_the_largest_change_is_printed_next_to_the_promise():
     values = np.array([[1.0, 1.0], [1.0, 1.5]])
     text = report(conserved=[Conserved("energy", values, promise=_report.ROUND_OFF), Conserved("P", 0 * values)])
     assert re.search(r"^  largest change, all members and saved times +the scheme promises$", text, re.M)
@@ -71,7 +71,7 @@ def test_the_largest_change_stands_next_to_the_promise():
     assert re.search(r"^  P +0.0e\+00$", text, re.M)
 
 
-def test_a_value_far_from_the_published_one_is_pointed_out():
+def test_a_value_far_from_the_published_one_is_noted():
     note = " ".join(report(Quantity("period (d)", np.array([-4.0, -4.1]), published=BOOK)).partition("! ")[2].split())
     assert "period (d): The nominal member differs from the published value by -6, 12 times" in note
     assert "and in its sign" in note

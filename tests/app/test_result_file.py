@@ -17,8 +17,8 @@ TREE = GyroTrials(
     truth=np.float64(0.1),
     sigmas=True,
     covariance=np.eye(2),
-    within=KappaErrors(1.0, np.inf, {0.1: 2.0}, 0.0, 0.0, 3),
-    inside=scenarios.load("toutatis"),
+    within_2_sigma=KappaErrors(1.0, np.inf, {0.1: 2.0}, 0.0, 0.0, 3),
+    inside_ellipsoid=scenarios.load("toutatis"),
     readings=(),
 )
 
@@ -50,6 +50,20 @@ def test_a_tree_comes_back_as_it_was(tmp_path):
         result_file.save(path, TREE, {})
 
 
+def test_every_renamed_field_of_a_file_of_version_0_2_is_read(tmp_path):
+    """Every class with renamed fields, written under the names of version 0.2, comes back under those of today."""
+    for name, fields in result_file._RENAMED_FIELDS.items():
+        kind = result_file._find_class(f"lieint_jax.app.studies.{name}")
+        former = {new: old for old, new in fields.items()}
+        assert set(former) <= set(kind._fields), name
+        tree = {"type": f"lieint_jax.studies.{name}", "fields": {former.get(x, x): x for x in kind._fields}}
+        path = tmp_path / f"{name.partition(':')[2]}.npz"
+        np.savez(path, metadata=np.array(json.dumps({"study": "any", "tree": tree})))
+        assert result_file.load(path) == kind(*kind._fields)
+        path.unlink()
+    assert result_file._find_class("lieint_jax.studies.kappa:LearntKappas").__name__ == "LearnedKappas"
+
+
 def test_only_named_tuples_of_this_package_are_made(tmp_path):
     for kind in ("os:system", "lieint_jax.types:Step", "lieint_jax.app.studies.gyro:nothing", "collections:Counter"):
         path = tmp_path / "tree.npz"
@@ -61,7 +75,7 @@ def test_only_named_tuples_of_this_package_are_made(tmp_path):
         result_file.save(tmp_path / "other.npz", ({"x": object()},), {})
 
 
-def test_two_arrays_of_one_name_are_refused_and_a_missing_file_is_told(tmp_path):
+def test_two_arrays_of_one_name_and_a_missing_file_are_refused(tmp_path):
     for tree in ({"1": np.ones(2), 1: np.zeros(2)}, {"metadata": np.ones(2)}):
         with pytest.raises(ValueError, match="are called"):
             result_file.save(tmp_path / "tree.npz", tree, {})
@@ -69,14 +83,14 @@ def test_two_arrays_of_one_name_are_refused_and_a_missing_file_is_told(tmp_path)
         result_file.load(tmp_path / "none.npz")
 
 
-def test_a_study_of_another_version_is_told(tmp_path, capsys):
+def test_a_study_of_another_version_is_refused_by_name(tmp_path, capsys):
     result_file.save(tmp_path / "tree.npz", (), {"study": "alchemy", "quick": False, "lieint_jax": "9", "jax": "9"})
     for command in ("info", "plot"):
         assert cli.main([command, str(tmp_path / "tree.npz")]) == 2
         assert "'alchemy' is not one of" in capsys.readouterr().err
 
 
-def test_other_files_are_not_taken_for_studies(tmp_path):
+def test_other_files_are_not_mistaken_for_studies(tmp_path):
     plain, text = tmp_path / "plain.npz", tmp_path / "text.npz"
     np.savez(plain, metadata=np.array('{"scenario": {}}'))
     text.write_text("no archive")

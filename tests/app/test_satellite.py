@@ -39,7 +39,7 @@ def directions(seed, count=40):
     return q, sun, observer / np.linalg.norm(observer, axis=1, keepdims=True)
 
 
-def test_a_plate_lit_and_seen_from_mirror_directions():
+def test_a_plate_has_lambert_s_light_and_a_lobe_in_the_mirror_direction():
     """cos² 60° (0.5 + 0.25), the lobe at its top; 0.5 + 0.25 face on; nearly nothing from behind."""
     body = _facets.facets([PLATE])
     left, right, top = unit(-np.sqrt(3), 0, 1), unit(np.sqrt(3), 0, 1), np.array([0.0, 0.0, 1.0])
@@ -159,7 +159,7 @@ def test_relabeled_bodies_have_the_light_that_their_turns_leave(normals):
     assert min(float(jnp.abs(a - b).max()) for a, b in itertools.combinations(first, 2)) > 1e-3
 
 
-def test_ends_are_told_apart():
+def test_ends_of_fits_are_classified_by_their_symmetry():
     _, sun, observer = directions(5, 1)
     every = _symmetric_solutions.changes(SCENE.facets, sun, observer)
     best = _satellite_fit.true_solution(SCENE)
@@ -179,7 +179,7 @@ def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_
     names = [
         every[k].name for k in _symmetric_solutions.classify(satellite._images(mirror(truth), every), truth, every)
     ]
-    own = [change.name for change in every if change.turn == 0]
+    own = [change.name for change in every if change.symmetry == 0]
     assert sorted(names) == sorted(own)
     assert names[own.index("as it is")] == "mirror"
     assert names[own.index("mirror")] == "as it is"
@@ -210,7 +210,7 @@ def test_the_spectrum_is_that_of_least_squares_and_has_derivatives():
     assert float(slope) == pytest.approx(float(more - less) / 2e-6, rel=1e-6)
 
 
-def test_how_often_chance_names_a_frequency():
+def test_the_false_alarm_probability_is_the_share_of_matching_frequencies():
     """Beside frequencies at random; intervals that overlap count once, and only inside the band."""
     jk, pair, f = _period_search.combinations(3), np.array([0.061, 0.038]), np.linspace(0.01, 0.3, 20001)
     near = np.abs(jk @ pair - f[:, None]).min(axis=1) < 0.002
@@ -242,13 +242,13 @@ BAD = [
 
 
 @pytest.mark.parametrize(("make", "words"), BAD)
-def test_bad_facets_are_refused_in_words(make, words):
+def test_bad_facets_are_refused_with_a_sentence(make, words):
     with pytest.raises(ValueError, match=words):
         make()
 
 
 @pytest.mark.long
-def test_minima_are_minima_and_their_times_have_derivatives():
+def test_minima_of_the_light_are_minima_and_their_times_have_derivatives():
     rate = jnp.rad2deg(SCENE.body.angular_velocity(SCENE.state))
     params = {"attitude": jnp.zeros(3), "inertia": SCENE.body.inertia[:2], "rate": rate}
 

@@ -51,7 +51,7 @@ def test_laws_of_control_act_in_their_windows(short):
     assert not bdot[after].any()
     assert not wheels[~after].any()
     assert not unloading[t[:-1] < 200.0].any()
-    assert np.median(c.off[-1]) < 15 < np.median(c.off[20])  # the wheels point the camera
+    assert np.median(c.nadir_angle[-1]) < 15 < np.median(c.nadir_angle[20])  # the wheels point the camera
     assert [name for name, *_ in satellite.phases(scenario, t)] == [
         "detumbling",
         "pointing",
@@ -88,7 +88,7 @@ def test_the_members_have_inertias_and_dipoles_of_their_own():
     np.testing.assert_allclose(step.system.inertia[0], body, rtol=0, atol=1e-17)
 
 
-def test_a_stretched_body_is_a_body():
+def test_a_stretched_inertia_is_that_of_a_body():
     """Whatever the factors; against the sum over masses."""
     rng = np.random.default_rng(3)
     x, m, factors = rng.normal(size=(20, 3)), rng.uniform(size=20), np.array([0.1, 3.0, 9.0])
@@ -100,11 +100,11 @@ def test_a_stretched_body_is_a_body():
     np.testing.assert_allclose(found, inertia(x * np.sqrt(factors)), rtol=1e-13)
 
 
-def test_a_state_relative_to_the_orbit():
+def test_a_state_relative_to_the_orbit_rotates_with_its_axes():
     """At rest in the axes of the orbit z points to the nadir, and the body rotates with the orbit."""
     state = {"quaternion": [1.0, 0, 0, 0], "angular_velocity_rad": [0.0, 0.0, 0.0], "relative_to": "orbit"}
     scenario = scenarios.load("cubesat", state=state)
-    around = scenario.around()
+    around = scenario.environment()
     q, Omega = satellite._initial(scenario, around)
     r, v = (np.asarray(x) for x in around.orbit(0.0))
     np.testing.assert_allclose(so3.to_matrix(q)[:, 2], -r / np.linalg.norm(r), rtol=0, atol=1e-15)
@@ -112,7 +112,7 @@ def test_a_state_relative_to_the_orbit():
     np.testing.assert_allclose(so3.Ad(q, Omega), normal / (r @ r), rtol=0, atol=1e-17)
 
 
-def test_times_of_capture():
+def test_times_of_capture_are_those_of_the_saved_states():
     t, off = np.arange(4.0), np.array([[5.0, 20, 20, 5], [20.0, 5, 20, 5], [5.0, 5, 20, 20], [5.0, 5, 5, 20]])
     np.testing.assert_array_equal(satellite.captured_since(t, off), [2.0, 1.0, 3.0, np.nan])
     np.testing.assert_array_equal(satellite.captured_since(t, np.zeros((4, 1))), [0.0])
@@ -131,7 +131,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:20] for _, m in BAD])
-def test_bad_keys_of_a_satellite(changes, message):
+def test_bad_keys_of_a_satellite_are_named(changes, message):
     with pytest.raises(ValueError, match=message):
         scenarios.load("cubesat", **changes)
 
@@ -153,7 +153,7 @@ def test_every_start_of_the_shipped_scenario_is_captured_and_unloaded(tmp_path, 
     c, t = satellite.course(scenario, step.system, made), np.asarray(made.t)
     (_, _, slow), (_, _, pointed), _ = satellite.phases(scenario, t)
     assert (c.rate[slow] < satellite._SLOW).all()
-    assert (c.off[pointed:] < 1).all()
+    assert (c.nadir_angle[pointed:] < 1).all()
     assert np.median(c.wheels[-1]) < 0.7 * np.median(c.wheels[pointed])
     bdot = c.works[..., c.names.index("bdot")]
     assert (np.diff(bdot, axis=0) <= 0).all()

@@ -94,7 +94,7 @@ def second_moments(J):
 def test_draws_have_the_given_mean_and_deviation():
     """4000 members: the mean is uncertain by 1/√4000 of the deviation, the deviation by 1.1 %."""
     spread = {"inertia_percent": 2.0, "state.angular_velocity_deg": [0.1, 0.2, 0.3]}
-    own = _spread.drawn(load("toutatis", spread, members=4001))
+    own = _spread.draw_members(load("toutatis", spread, members=4001))
     J, Omega = own[("inertia",)], own[("state", "angular_velocity_deg")]
     nominal = load("toutatis", {})
     x = np.log(second_moments(J) / second_moments(J[0]))[1:] / 0.02
@@ -108,27 +108,27 @@ def test_draws_have_the_given_mean_and_deviation():
 
 
 def test_a_member_is_the_same_in_ensembles_of_every_size_and_with_other_spreads():
-    many = _spread.drawn(load("toutatis", {"inertia": 0.01}, members=50))
-    few = _spread.drawn(load("toutatis", {"inertia": 0.01, "state.euler_313_deg": 1.0}, members=7))
+    many = _spread.draw_members(load("toutatis", {"inertia": 0.01}, members=50))
+    few = _spread.draw_members(load("toutatis", {"inertia": 0.01, "state.euler_313_deg": 1.0}, members=7))
     np.testing.assert_array_equal(many[("inertia",)][:7], few[("inertia",)])
-    other = _spread.drawn(load("toutatis", {"inertia": 0.01}, members=7, seed=2))
+    other = _spread.draw_members(load("toutatis", {"inertia": 0.01}, members=7, seed=2))
     assert (other[("inertia",)][1:] != few[("inertia",)][1:]).all()
 
 
 def test_every_draw_belongs_to_a_body_an_orbit_a_direction():
     """However wide the spread: draws that no file could have are drawn again."""
-    own = _spread.drawn(load("driven", {"inertia": 1.0, "orbit.eccentricity": 0.5}, members=2000))
+    own = _spread.draw_members(load("driven", {"inertia": 1.0, "orbit.eccentricity": 0.5}, members=2000))
     J, e = own[("inertia",)], own[("orbit", "eccentricity")]
     assert (J > 0).all()
     assert (J.max(axis=1) <= J.sum(axis=1) / 2 * (1 + 1e-12)).all()
     assert ((e >= 0) & (e < 1)).all()
     assert e.std() > 0.2
     tensor = [[3.0, 0.4, 0.0], [0.4, 2.5, 0.2], [0.0, 0.2, 2.0]]
-    J = _spread.drawn(load("heavy_top", {"inertia": 0.5}, inertia=tensor, members=500))[("inertia",)]
+    J = _spread.draw_members(load("heavy_top", {"inertia": 0.5}, inertia=tensor, members=500))[("inertia",)]
     moments = np.linalg.eigvalsh(J)
     assert (moments > 0).all()
     assert (moments[:, 2] <= moments.sum(axis=1) / 2 * (1 + 1e-12)).all()
-    axes = _spread.drawn(load("pendulum", {"axis": 0.3}, members=500))[("axis",)]
+    axes = _spread.draw_members(load("pendulum", {"axis": 0.3}, members=500))[("axis",)]
     np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1, rtol=0, atol=1e-15)
 
 
@@ -153,7 +153,7 @@ ERRORS = [
 
 
 @pytest.mark.parametrize(("name", "spread", "message"), ERRORS, ids=[f"{n}-{next(iter(s))}" for n, s, _ in ERRORS])
-def test_what_cannot_be_spread_is_refused_with_a_sentence(name, spread, message):
+def test_numbers_without_a_spread_are_refused_with_the_reason(name, spread, message):
     with pytest.raises(ValueError, match=message):
         load(name, spread)
 
@@ -161,10 +161,10 @@ def test_what_cannot_be_spread_is_refused_with_a_sentence(name, spread, message)
 def test_a_spread_that_leaves_members_without_a_value_is_refused():
     scenario = load("driven", {"orbit.eccentricity": 1e6}, members=50)
     with pytest.raises(ValueError, match=r"spread\.orbit\.eccentricity: \d+ of 50 members found no value"):
-        _spread.drawn(scenario)
+        _spread.draw_members(scenario)
 
 
-def test_a_spread_of_zero_is_none():
+def test_a_spread_of_zero_changes_nothing():
     scenario = load("toutatis", {"inertia": 0.0})
     assert scenarios.step_axis(scenario) is None
     assert scenarios.step_axis(load("toutatis", {"inertia": 0.1})) == 0
@@ -173,7 +173,7 @@ def test_a_spread_of_zero_is_none():
 def test_a_member_with_an_inertia_of_its_own_is_that_body_alone():
     """Observed: 5e-16 after 200 steps, where it differs from the nominal body by 1e-2."""
     scenario = load("toutatis", {"inertia_percent": 1.0}, members=3, steps=200, save_every=200)
-    J = _spread.drawn(scenario)[("inertia",)]
+    J = _spread.draw_members(scenario)[("inertia",)]
     _, made = run(scenario)
     for m in (1, 2):
         body = li.systems.rigid_body(J[m])
@@ -207,7 +207,7 @@ def with_all_numbers(name):
         zero = not nominal[tuple(key.split("."))].value.any()
         spread[key if zero else f"{key}_percent"] = 1e-3 if zero else 0.1
     scenario = load(name, spread, **SHORT)
-    table = written_out(bare(name), _spread.drawn(scenario), 2)
+    table = written_out(bare(name), _spread.draw_members(scenario), 2)
     table.pop("steps_per_orbit", None)  # all members have the steps of the nominal one
     alone = scenarios.parse(table | SHORT | {"members": 1, "dt": scenario.dt}, name)
     return scenario, alone
@@ -216,7 +216,7 @@ def with_all_numbers(name):
 def first(scenario):
     """The step and the state of the first member."""
     step, states = scenarios.build(scenario)
-    step = step if scenarios.step_axis(scenario) is None else _spread.nominal_of(step)
+    step = step if scenarios.step_axis(scenario) is None else _spread.nominal_member(step)
     return step, jax.tree.map(lambda x: x[0] if jnp.ndim(x) else x, states)
 
 
@@ -255,7 +255,7 @@ def test_droplets_have_temperatures_of_their_own():
     step, states = scenarios.build(scenario)
     assert scenarios.step_axis(scenario) is None
     found = jax.vmap(lambda z: water.temperature(step.system, z))(states)
-    np.testing.assert_allclose(found, _spread.drawn(scenario)[("settling", "temperature_kelvin")], rtol=1e-12)
+    np.testing.assert_allclose(found, _spread.draw_members(scenario)[("settling", "temperature_kelvin")], rtol=1e-12)
 
 
 @pytest.mark.long
@@ -271,7 +271,7 @@ def test_a_report_measures_every_member_in_its_own_system():
         "Π₃, relative to |π|",
     }
     assert all(x.change().shape == (len(made.t), 4) and x.change().max() < 1e-6 for x in conserved)
-    weights = _spread.drawn(scenario)[("weight",)][:, 2]
+    weights = _spread.draw_members(scenario)[("weight",)][:, 2]
     precession = rows[1]
     exact = []
     for m in range(4):
@@ -284,10 +284,10 @@ def test_a_report_measures_every_member_in_its_own_system():
 
 
 @pytest.mark.long
-def test_clones_of_uncertain_inertia_scatter_as_the_derivatives_by_it_say():
+def test_members_of_uncertain_inertia_scatter_as_the_derivatives_predict():
     """Each of 200 clones, to the square of its deviation: observed 1.2e-5 of the largest displacement at 1e-5."""
     scenario = load("toutatis", {"inertia": 1e-5}, members=200, steps=400, save_every=400)
-    own = _spread.drawn(scenario)[("inertia",)]
+    own = _spread.draw_members(scenario)[("inertia",)]
     _, made = run(scenario)
 
     def body(x):
@@ -307,7 +307,7 @@ def test_clones_of_uncertain_inertia_scatter_as_the_derivatives_by_it_say():
 
 
 @pytest.mark.long
-def test_the_command_line_draws_reports_and_stores_what_members_have_of_their_own(tmp_path, monkeypatch, capsys):
+def test_the_command_line_draws_and_stores_the_members_own_numbers(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = scenarios.resources.files("lieint_jax.app.scenarios").joinpath("driven.toml").read_text(encoding="utf-8")
     spread = "[spread]\ninertia_percent = 1.0\norbit.eccentricity = 0.001"
@@ -333,7 +333,7 @@ def test_every_member_librates_about_the_axis_of_its_own_body():
     scenario = load("driven", {"inertia": 0.05}, members=3, steps=100, save_every=10)
     step, made = run(scenario)
     each = [
-        driven.librating(_spread.of_member(scenario, step.system, m), scenarios.select_member(made, m))
+        driven.librating(_spread.for_member(scenario, step.system, m), scenarios.select_member(made, m))
         for m in range(3)
     ]
     assert driven._captured(scenario, step, made).tolist() == [bool(x[0]) for x in each]

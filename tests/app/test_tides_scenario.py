@@ -16,7 +16,7 @@ def run(scenario, **when):
     return step, found
 
 
-def test_the_closed_form_of_the_end_is_a_root_and_the_outer_one():
+def test_the_closed_form_of_the_locked_state_is_the_outer_root():
     scenario = scenarios.load("pluto_charon")
     m, R, f = (np.array(x) for x in (scenario.masses_kg, scenario.radii_km, scenario.moment_factors))
     mu, J, GM = m.prod() / m.sum(), (f * m * R**2).sum(), 6.6743e-20 * 86400**2 * m.sum()

@@ -52,7 +52,7 @@ def published(name):
 
 
 @pytest.mark.parametrize(("name", "rms", "least", "most"), PUBLISHED)
-def test_radar_fixes_against_both_published_states_by_scipy(name, rms, least, most):
+def test_residuals_of_radar_fixes_agree_with_scipy_for_both_published_states(name, rms, least, most):
     """Torque-free, at the 17 epochs of 1992; and no other convention of angles or rates would do."""
     fixes = toutatis.radar_epochs()
     assert fixes.q.shape == (19, 4)
@@ -134,7 +134,7 @@ def test_errors_are_those_of_scipy_and_their_derivatives_those_of_differences():
 
 
 @pytest.mark.long
-def test_a_flyby_against_scipy():
+def test_the_change_of_spin_in_a_flyby_agrees_with_scipy():
     """One passage, by DOP853 of the torque; and without an Earth nothing changes."""
     J, begin, rate = published("toutatis")
     body = li.systems.rigid_body(J)
@@ -171,7 +171,7 @@ def found():
 
 
 @pytest.mark.long
-def test_the_estimate_is_scipys(found):
+def test_the_estimate_agrees_with_scipy(found):
     """The same likelihood through DOP853 and BFGS by differences."""
     data = toutatis.radar_data()
     assert found.fit.starts is not None
@@ -216,9 +216,9 @@ def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
 
 
 @pytest.mark.long
-def test_what_the_study_settles(found):
+def test_the_study_finds_one_minimum_its_noise_and_the_outliers(found):
     assert found.fit.success
-    assert found.same == 1  # all random starts end in the minimum
+    assert found.share_at_minimum == 1  # all random starts end in the minimum
     noise = np.asarray(found.estimate.noise)
     np.testing.assert_allclose(noise, [3.02, 4.01], rtol=0, atol=0.02)
     assert list(np.flatnonzero(found.outlier[1])) == [5, 12]  # 12-07 and 12-14, found by the fit
@@ -233,11 +233,13 @@ def test_what_the_study_settles(found):
     assert abs(lon - 180.2) < sigma[2]
     assert abs(lat + 54.75) < 2 * sigma[3]
     assert (np.abs(np.asarray(found.estimate.derived)[4:6] - [3.0836, 3.235]) < 2 * sigma[4:6]).all()
-    assert found.apart["Takahashi et al. 2013"] < 15.5 < found.apart["Zhao et al. 2015"]  # 95 % of χ² with 8
+    assert (
+        found.mahalanobis_squared["Takahashi et al. 2013"] < 15.5 < found.mahalanobis_squared["Zhao et al. 2015"]
+    )  # 95 % of χ² with 8
     assert min(off[:2].min() for off in found.prediction.off.values()) > 100  # lost, but so are the members:
-    assert (np.percentile(found.prediction.members_off, 5, axis=0) < 60).all()
+    assert (np.percentile(found.prediction.member_fix_angles, 5, axis=0) < 60).all()
     assert found.prediction.rms[-1] > 100
-    assert (found.prediction.farther > 0.05).all()  # inside their spread
+    assert (found.prediction.farther_share > 0.05).all()  # inside their spread
     assert found.prediction.pole[17:].max() < 3
     np.testing.assert_allclose(found.prediction.energy[-3:], found.prediction.energy[0], rtol=0.06)
     assert 0.02 < np.abs(found.flyby.rates).max() < 0.2  # published: 0.08 °/d

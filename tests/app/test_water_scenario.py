@@ -14,7 +14,7 @@ from lieint_jax.types import State, Trajectory
 
 
 @pytest.mark.long
-def test_run_water(tmp_path, monkeypatch, capsys):
+def test_water_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
     """The first peak of one droplet of 8 scatters by 0.005 nm, too much for its bound; of 8 droplets by 0.002."""
     monkeypatch.chdir(tmp_path)
     table = Path(scenarios.__file__).with_name("water.toml").read_text(encoding="utf-8")
@@ -44,7 +44,7 @@ def test_the_grid_has_the_spacing_and_its_middle_at_the_origin():
     assert np.linalg.norm(points, axis=1).max() < 0.31 * 2.7  # a ball of 64 cells has a radius of 2.48 of them
 
 
-def test_the_first_peak_of_a_histogram():
+def test_the_first_peak_of_a_histogram_is_the_maximum_of_its_density():
     r = np.random.default_rng(1).normal(0.276, 0.01, 200_000)
     found = water.histogram(r)
     assert found.peak == pytest.approx(0.276 - 2 * 0.01**2 / 0.276, abs=1e-3)  # the maximum of a Gaussian over r²

@@ -90,7 +90,7 @@ def tide(R, dR, t):
         pytest.param(MOON, TILTED, tide, 12.0, 300, id="Hyperion"),
     ],
 )
-def test_growth_against_the_variational_equations_of_another_formulation(system, state, gradient, t, steps):
+def test_growth_agrees_with_the_variational_equations_of_another_formulation(system, state, gradient, t, steps):
     """Order 6 against DOP853, over a time in which vectors grow tenfold."""
     step = schemes.compose(schemes.splitting(system), 6)
     found = diagnostics.lyapunov(step, state, t / steps, steps, every=steps, vectors=np.eye(6), batches=1)
@@ -138,7 +138,7 @@ def test_a_chaotic_top_has_one_pair_of_exponents_and_the_sum_of_a_symplectic_ste
 
 
 @pytest.mark.long
-def test_an_energy_momentum_step_does_not_keep_volume():
+def test_an_energy_momentum_step_does_not_conserve_volume():
     found = diagnostics.lyapunov(schemes.top_energy_momentum(TOP), TUMBLING, 0.05, 2000, every=20)
     assert abs(float(found.exponents.sum())) > 1e-7  # 2e-6
     assert bool(found.info.converged)
@@ -156,7 +156,7 @@ def test_one_vector_is_the_first_of_many_and_megno_grows_with_it():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["heavy top", "tumbling top", "Hyperion in its plane"])
-def test_errors_are_those_of_64_starts(name):
+def test_standard_errors_of_exponents_are_the_scatter_of_64_starts(name):
     """Mean errors over the scatter: 0.80, 1.13 and 0.75; by 16 batches they were 0.55, 0.88 and 0.56 of it."""
     near = 1e-3 * jnp.arange(64)
     top = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
@@ -214,7 +214,7 @@ def test_the_errors_of_exponents_are_those_of_their_batches():
 
 
 @pytest.mark.long
-def test_in_float32_and_by_vmap_with_a_flag_for_the_member_that_fails():
+def test_exponents_work_in_float32_and_under_vmap_with_a_flag_for_failures():
     step, state = jax.tree.map(lambda x: x.astype(jnp.float32), REGULAR["free"])
     states = jax.tree.map(lambda x: jnp.stack([x, 100 * x if x.shape == (3,) else x]), state)
     found = jax.vmap(lambda z: diagnostics.megno(step, z, 0.05, 10_000))(states)
@@ -224,7 +224,7 @@ def test_in_float32_and_by_vmap_with_a_flag_for_the_member_that_fails():
 
 
 @pytest.mark.long
-def test_ten_million_steps_take_no_more_memory_than_a_thousand():
+def test_ten_million_steps_need_no_more_memory_than_a_thousand():
     step, state = REGULAR["free"]
 
     def memory(measure, count):

@@ -123,14 +123,14 @@ def no_folder():
         jax.config.update(name, value)
 
 
-def test_programs_are_kept_under_the_user_s_cache_directory(no_folder, monkeypatch, tmp_path):
+def test_programs_are_stored_in_the_user_s_cache_directory(no_folder, monkeypatch, tmp_path):
     monkeypatch.delenv("LIEINT_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     use_program_cache()
     assert "lieint" in jax.config.jax_compilation_cache_dir
 
 
-def test_a_folder_of_one_s_own(no_folder, monkeypatch, tmp_path):
+def test_a_custom_cache_folder_is_used(no_folder, monkeypatch, tmp_path):
     monkeypatch.setenv("LIEINT_CACHE", str(tmp_path))
     use_program_cache()
     assert jax.config.jax_compilation_cache_dir.startswith(str(tmp_path))
@@ -165,7 +165,7 @@ print(len(hits), len(list(folder.iterdir())))
     assert hits_again
 
 
-def test_a_folder_that_jax_was_given_stays(monkeypatch, tmp_path):
+def test_a_cache_folder_that_jax_was_given_is_not_replaced(monkeypatch, tmp_path):
     before = jax.config.jax_compilation_cache_dir
     assert before
     monkeypatch.setenv("LIEINT_CACHE", str(tmp_path))

@@ -159,14 +159,14 @@ def bounded():
     assert grown(before) < _MEMORY
 
 
-def test_the_run_that_is_changed_below_is_good(tmp_path):
+def test_the_unaltered_run_is_read(tmp_path):
     for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # np.savez and np.savez_compressed
         (tmp_path / "run.npz").write_bytes(packed(method=method))
         assert files.load(tmp_path / "run.npz")[0].state.q.shape == (11, 2, 4)
 
 
 @pytest.mark.usefixtures("bounded")
-def test_crafted_archives(tmp_path, capsys):
+def test_altered_archives_are_refused_with_a_sentence(tmp_path, capsys):
     cases = list(archives())
     assert len(cases) > 100
     path = tmp_path / "run.npz"
@@ -281,7 +281,7 @@ def stores(good):
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(4))
 @pytest.mark.usefixtures("bounded")
-def test_crafted_stores(part, good, tmp_path, capsys):
+def test_altered_stores_are_refused_with_a_sentence(part, good, tmp_path, capsys):
     cases = list(stores(good))
     assert len(cases) > 100
     path = tmp_path / "run.zarr"
@@ -312,7 +312,7 @@ def places(tmp_path):
     yield from ("a" * 5000, "a" * 5000 + ".npz", "a" * 5000 + ".zarr", "null\0.npz", "null\0.zarr", "two\nlines.npz")
 
 
-def test_what_is_no_file_of_results(tmp_path, monkeypatch, capsys):
+def test_files_without_results_are_refused_with_a_sentence(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for path in list(places(tmp_path)):
         for command in ("info", "plot", "animate"):

@@ -62,7 +62,7 @@ def _turn(a, b):
 @pytest.mark.parametrize(
     "name", [name for name in GRID if "full_tensor-" in name and "-exact" not in name and "-cal" not in name]
 )
-def test_linearization_against_finite_differences(name):
+def test_linearized_steps_agree_with_differences(name):
     step, state, dt = GRID[name]
     (_, L), h = _linearized(step, state, dt), 1e-5
     columns = []
@@ -109,7 +109,7 @@ def test_flow_converges_and_preserves_what_it_should():
     np.testing.assert_allclose(back.q, STATE.q, rtol=0, atol=2e-14)
 
 
-def test_flow_against_25_digits():
+def test_the_reference_flow_agrees_with_25_digits():
     """A Taylor integration with mpmath, of the body momentum and the attitude together."""
     body_momentum = jax.jit(BODY.body_momentum)
     Pi = [mpmath.mpf(float(x)) for x in np.asarray(body_momentum(STATE))]
@@ -174,7 +174,7 @@ def test_certificate_of_the_paper_s_schemes(name):
 @pytest.mark.parametrize(
     ("name", "order"), [("compose[commuting_8]", 8), ("preprocessed[4]", 4), ("preprocessed[6]", 6)]
 )
-def test_certificate_tells_orders_apart_even_where_the_given_step_is_at_round_off(name, order):
+def test_the_certificate_measures_orders_even_where_the_given_step_is_at_round_off(name, order):
     """And whether the form is kept to round-off, or to which order."""
     [(step, state, dt)] = [rest for key, rest in GRID.items() if f"asymmetric-{name}" in key]
     c = diagnostics.certify(step, state, dt, 50)
@@ -196,7 +196,7 @@ def test_verdicts_do_not_depend_on_units(scale):
         assert c.reversibility < 1e-15
 
 
-def test_diagnostics_past_the_branch_are_errors():
+def test_diagnostics_past_the_branch_raise_errors():
     step = li.schemes.so3_midpoint(BODY)
     for measure in (
         diagnostics.linearization,
@@ -210,7 +210,7 @@ def test_diagnostics_past_the_branch_are_errors():
         diagnostics.poisson_error(step, STATE, 0.1, 2.5)
 
 
-def test_delay():
+def test_delay_lists_values_at_equal_distances():
     points = diagnostics.delay(jnp.arange(10.0), 3)
     np.testing.assert_array_equal(points, [[k, k + 3, k + 6] for k in range(4)])
     with pytest.raises(ValueError, match="more than 10 numbers"):

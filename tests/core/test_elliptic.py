@@ -21,14 +21,14 @@ def digits():
         yield
 
 
-def test_quarter_period():
+def test_the_quarter_period_agrees_with_mpmath():
     K = jax.jit(jax.vmap(elliptic.quarter_period))(jnp.array(M1))
     exact = [mpmath.ellipk(1 - mpmath.mpf(m1)) for m1 in M1]
     assert max(abs(float(mpmath.mpf(float(a)) / b - 1)) for a, b in zip(K, exact, strict=True)) < 1e-15  # floor 3e-16
     assert np.isfinite(elliptic.quarter_period(jnp.array(0.0)))
 
 
-def test_jacobi():
+def test_jacobi_functions_agree_with_mpmath():
     """Each function to a few eps of itself and of its change over u·eps."""
     function = jax.jit(jax.vmap(elliptic.jacobi))
     cases = []
@@ -47,7 +47,7 @@ def test_jacobi():
 
 
 @pytest.mark.parametrize("m1", [1.0, 0.7, 0.5, 0.2, 1e-6, 0.0])
-def test_derivatives(m1):
+def test_derivatives_of_jacobi_functions_are_exact_also_at_the_ends(m1):
     """In u, the defining equations; in m1 against mpmath. At 0 and at 1 too."""
     u = 1.1
     of_u, of_m1 = JACOBIAN(jnp.array(u), jnp.array(m1))
@@ -67,7 +67,7 @@ def test_jacobi_functions_are_elementary_at_the_ends_of_the_parameter():
     assert np.abs(np.array(line) - np.array([np.tanh(u), 1 / np.cosh(u), 1 / np.cosh(u)])).max() < 5e-16
 
 
-def test_carlson_rj():
+def test_carlson_rj_agrees_with_mpmath():
     cases = [
         (x, y, p) for x in (0, 1e-30, 1e-5, 0.2, 1) for y in (1, 0.5, 1e-3, 1e-20, 1e-60) for p in (1, 1.001, 2, 1e2)
     ]
@@ -79,7 +79,7 @@ def test_carlson_rj():
             assert abs(mpmath.mpf(float(value)) / exact - 1) < 2e-15  # floor 6e-16
 
 
-def test_derivatives_of_carlson_rj():
+def test_derivatives_of_carlson_rj_agree_with_mpmath():
     """By all four arguments, forwards and in reverse, where x = 0 and where p = z too; observed 8e-16."""
     cases = [(x, y, p) for x in (0, 1e-10, 0.2) for y in (0.5, 1e-3) for p in (1.0, 1.001, 1e2)]
     x, y, p = (jnp.array(c) for c in zip(*cases, strict=True))
@@ -100,7 +100,7 @@ def _rj(a, b, c, p):
 
 
 @pytest.mark.long
-def test_slopes_are_found_forwards():
+def test_forward_mode_differentiates_loops_in_both_modes():
     """Through a `while_loop`, which reverse mode cannot pass, in both modes, of both orders, by one argument or two."""
 
     @forward_mode
@@ -133,7 +133,7 @@ def test_a_value_and_its_slopes_share_a_loop():
         assert mixed(*at) == pytest.approx(6 * 0.49 * 1.3, rel=1e-15)
 
 
-def test_float32():
+def test_elliptic_functions_are_finite_in_float32():
     m1 = jnp.array([*M1, 0.0], "float32")
     for x in (*elliptic.jacobi(jnp.full_like(m1, 1.3), m1), elliptic.quarter_period(m1)):
         assert x.dtype == jnp.float32

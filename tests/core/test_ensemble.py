@@ -39,7 +39,7 @@ def test_the_batch_is_the_bodies_one_by_one():
         np.testing.assert_array_equal(np.asarray(run.state.p)[:, m], one.state.p)
 
 
-def test_keeping_the_last_state_only_and_an_inertia_each():
+def test_an_ensemble_may_save_the_last_state_only_and_give_each_member_an_inertia():
     batch = states(4)
     J = np.array([[1.0, 2, 3], [1, 1, 2], [2, 2, 2], [1, 1.5, 2]])
     steps = jax.jit(jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J))))(J)
@@ -81,7 +81,7 @@ def test_the_first_failure_of_each_member_is_found():
 
 
 @pytest.mark.long
-def test_three_bodies():
+def test_an_ensemble_of_three_bodies_is_the_bodies_one_by_one():
     masses, inertias = [1.0, 0.5, 0.2], jnp.array([[0.1, 0.2, 0.25]] * 3)
     bodies = li.systems.rigid_bodies(masses, inertias, li.potentials.maccullagh(1.0, masses, inertias))
     state = bodies.state([[3.0, 0, 0], [-3.0, 1, 0], [0, -2.0, 1]], angular_velocities=[[0.1, 0.2, 0.3]] * 3)
@@ -98,7 +98,7 @@ def test_a_failure_of_the_first_step_is_an_error():
         ensemble.run(STEP, states(4), 3.0, 10, progress=False)
 
 
-def test_bad_batches():
+def test_bad_batches_are_refused():
     good = states(3)
     for bad, message in (
         (State(good.q[0], good.p[0]), "leading member axis"),
@@ -132,7 +132,7 @@ def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch
     assert "step" in err
 
 
-def test_store_round_trip_and_that_nothing_is_overwritten(tmp_path):
+def test_a_result_file_reads_back_and_is_not_overwritten(tmp_path):
     run = ensemble.run(STEP, states(3), 0.1, 20, save_every=10, progress=False)
     path = files.check_writable(tmp_path / "run.npz")
     files.save(path, run, {"seed": 4})

@@ -152,13 +152,13 @@ def test_a_size_is_refused_before_it_is_allocated(call, sentence, tmp_path, monk
     assert not list(tmp_path.iterdir())
 
 
-def test_the_memory_of_this_machine():
+def test_the_memory_of_this_machine_is_known_and_sizes_are_spelled():
     assert 2**28 < _checks.memory_of_machine() < 2**50
     assert [_checks.spoken_size(x) for x in (81, 4.2e6, 1.4e11)] == ["81 bytes", "4.2 MB", "140 GB"]
     assert _checks.entry_size(STATE) == 8 * 7 + 9
 
 
-def test_a_step_of_ones_own_that_fails_has_a_message():
+def test_a_custom_step_that_fails_has_a_message():
     @li.pytree
     class Failing(li.Step):
         system: li.systems.RigidBody
@@ -189,7 +189,7 @@ def test_a_mesh_over_processes_must_be_even_and_have_this_one(monkeypatch, owner
         _layout.checked_mesh(Mesh())  # pyright: ignore[reportArgumentType]
 
 
-def test_an_interrupted_run_in_memory_says_what_would_have_been_better(monkeypatch):
+def test_an_interrupted_run_in_memory_suggests_a_store(monkeypatch):
     monkeypatch.setattr(_run.CallLength, "measure", lambda *_: True)
     states = jax.tree.map(lambda x: x[None], STATE)
     with pytest.raises(KeyboardInterrupt, match="stopped after 6 of 6 steps; a run with a store can be resumed"):
@@ -221,7 +221,7 @@ def test_the_command_line_ends_quietly(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
-def test_output_of_any_encoding(encoding, monkeypatch):
+def test_output_adapts_to_any_encoding(encoding, monkeypatch):
     """As of LC_ALL=C: letters that an encoding does not have are spelled."""
     written = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding=encoding))
@@ -267,7 +267,7 @@ def test_waiting_for_processes_prints_what_it_waits_for(monkeypatch, capsys):
     assert last == "lieint: the processes did not meet"
 
 
-def test_a_machine_that_does_not_describe_its_processor(monkeypatch):
+def test_a_machine_without_a_description_of_its_processor_has_a_name(monkeypatch):
     def unreadable(*_):
         raise OSError
 

@@ -32,7 +32,7 @@ def spinning(start=SPIN, **options):
     return li.event(schemes.exact(BODY), start, 0.3, attitude, max_steps=100, **options)
 
 
-def test_changes_of_either_direction_are_told_from_each_other():
+def test_crossings_of_either_direction_are_distinguished():
     """q = cos t of an oscillator falls through 0 first at π/2 and rises at 3π/2; with steps of 0.1, to 4e-3."""
     step, start = Leapfrog(Oscillators(jnp.array(1.0))), li.State(jnp.eye(3), jnp.zeros((3, 3)))
     for direction, quarters in ((0, 1), (-1, 1), (1, 3)):
@@ -42,7 +42,7 @@ def test_changes_of_either_direction_are_told_from_each_other():
 
 
 @pytest.mark.long
-def test_a_spin_about_an_axis_passes_where_it_must():
+def test_a_spin_about_an_axis_crosses_at_the_exact_times():
     """q₀ = cos 0.35 t vanishes at π/0.7 and each 2π/0.7 after, falling first; observed 4e-16 off."""
     for options, quarter in (({}, 1), (dict(direction=1), 3), (dict(direction=-1, count=2), 5)):
         found = spinning(**options)
@@ -62,7 +62,7 @@ def test_where_the_condition_begins_at_zero_the_sign_just_after_counts():
 
 
 @pytest.mark.long
-def test_where_there_is_none_nothing_is_found_and_no_derivative_is_nan():
+def test_without_a_crossing_nothing_is_found_and_no_derivative_is_nan():
     def time(w):
         found = li.event(SPLITTING, TOP.state(TURN, angular_velocity=w), 0.05, lambda z: z.p[0] - 100, max_steps=20)
         return found.t, found.found
@@ -106,7 +106,7 @@ def test_derivatives_forward_reverse_and_by_differences():
 
 
 @pytest.mark.long
-def test_many_at_once_and_one_after_the_other():
+def test_events_of_many_members_are_found_at_once_and_in_order():
     """A batch finds what each member finds; the events in turn are those of `count`."""
     starts = jax.vmap(lambda w: TOP.state(TURN, angular_velocity=w))(jnp.array([[0.3, 0.5, 0.8], [0.1, -0.4, 0.9]]))
     many = jax.vmap(lambda z: events(SPLITTING, z, 0.05, level, max_steps=400, count=3))(starts)
@@ -121,7 +121,7 @@ def test_many_at_once_and_one_after_the_other():
 
 
 @pytest.mark.long
-def test_a_heavy_top_falls():
+def test_the_event_of_a_falling_top_lies_on_its_trajectory():
     """The energy at the event is that of the steps, and its time lies between two of them."""
     found = jax.jit(lambda z: li.event(SPLITTING, z, 0.05, level, max_steps=200, count=2))(STATE)
     path = li.integrate(SPLITTING, STATE, 0.05, 200)

@@ -79,7 +79,7 @@ PUBLISHED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
-def test_levenberg_marquardt_takes_as_many_evaluations_as_minpack(name):
+def test_levenberg_marquardt_needs_as_many_evaluations_as_minpack(name):
     from scipy.optimize import least_squares
 
     function, start, least = PUBLISHED[name]
@@ -133,7 +133,7 @@ def test_the_unit_of_a_loss_does_not_matter():
         np.testing.assert_allclose(found.params, 0.3, rtol=0, atol=2e-3 if dtype == jnp.float64 else 1e-2)
 
 
-def test_the_best_place_seen_is_what_is_given():
+def test_the_best_parameters_of_the_search_are_returned():
     found = li.fit(lambda x: jnp.sum((x - 0.3) ** 2), jnp.ones(2), optax.adam(1.0), iterations=11)
     assert found.loss == found.history.min() < found.history[-1]
 
@@ -149,7 +149,7 @@ def rosenbrock(p):
 
 
 @pytest.mark.parametrize(("optimizer", "iterations"), [("lbfgs", 60), (optax.adam(0.05), 1500)], ids=["lbfgs", "adam"])
-def test_scalar_losses(optimizer, iterations):
+def test_scalar_losses_are_minimized_without_a_covariance(optimizer, iterations):
     found = li.fit(rosenbrock, jnp.array([0.5, 0.5]), optimizer, iterations=iterations)
     np.testing.assert_allclose(found.params, [1, 1], rtol=0, atol=5e-3)
     assert found.covariance is None
@@ -195,7 +195,7 @@ def test_a_first_guess_that_fails_is_reported():
 
 
 @pytest.mark.long
-def test_many_starts_at_once_and_the_best_is_taken():
+def test_many_starts_are_fitted_at_once_and_the_best_is_returned():
     def loss(x):
         return jnp.array([jnp.sin(3 * x) + 0.2 * x**2 + 0.1 * x + 2])  # minima of different depths
 
@@ -219,7 +219,7 @@ def test_each_start_may_have_data_of_its_own():
 
 
 @pytest.mark.long
-def test_stopping_rules():
+def test_a_fit_stops_at_its_target_and_at_its_number_of_iterations():
     far = li.fit(rosenbrock, jnp.array([-1.0, 1.0]), "lbfgs", iterations=3)
     assert (far.iterations, far.success, len(far.history)) == (3, False, 4)
     assert li.fit(rosenbrock, jnp.array([-1.0, 1.0]), "lbfgs", target=1.0).stopped == "the target was reached"
@@ -352,7 +352,7 @@ def test_covariance_does_not_depend_on_the_bound():
     np.testing.assert_allclose(li.fitting.covariance(residuals, plain.params), plain.covariance, rtol=1e-12)
 
 
-def test_errors():
+def test_bad_arguments_of_fit_raise_errors():
     with pytest.raises(ValueError, match="leading axis of starts"):
         li.fit(rosenbrock, {"a": jnp.zeros(2), "b": jnp.zeros(3)}, starts=True)
     with pytest.raises(ValueError, match="prefix of the parameter tree"):

@@ -152,7 +152,7 @@ def test_exp_and_its_derivative_on_both_sides_of_every_scaling(size):
         close(g.exp_near(xi), expm(X), 2e-15)
 
 
-def test_exp_is_nan_beyond_its_range_and_near_says_no():
+def test_exp_is_nan_beyond_its_range_and_near_is_false():
     g = groups.special_orthogonal(3)
     assert np.isnan(g.exp(jnp.array([200.0, 0, 0]))).all()
     assert not g.near(jnp.array([2.5, 0, 0]))
@@ -246,7 +246,7 @@ def test_groups_by_their_known_structure():
     assert groups.special_unitary(3).dim == 8
 
 
-def test_defect_sees_what_is_off_the_group():
+def test_the_defect_detects_matrices_off_the_group():
     for name, wrong in {
         "SO(3)": np.diag([1.0, 1.0, -1.001]),
         "SE(3)": np.diag([1.001, 1.001, 1.001, 1.0]),
@@ -276,7 +276,7 @@ def test_building_a_group_again_is_the_same_group_and_hits_the_same_cache():
     assert groups.special_linear(2) != groups.special_orthogonal(3)
 
 
-def test_bad_bases_say_which_matrix_is_at_fault():
+def test_a_bad_basis_is_refused_with_the_faulty_matrix():
     a, b, c = np.zeros((3, 3, 3))
     a[0, 1] = b[1, 0] = c[2, 2] = 1
     with pytest.raises(ValueError, match=r"bracket of basis\[0\] and basis\[1\] leaves the span"):
@@ -295,7 +295,7 @@ def test_bad_bases_say_which_matrix_is_at_fault():
         groups.product(groups.so3, groups.affine(1))
 
 
-def test_custom_groups():
+def test_custom_groups_are_made_from_a_basis():
     """Complex matrices too: the unit quaternions from Pauli matrices are SU(2)."""
     x, y, z = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
     own = groups.matrix([-0.5j * x, -0.5j * y, -0.5j * z])

@@ -37,20 +37,20 @@ def test_a_loop_of_one_iteration_is_unrolled():
     assert loops(4) - loops(1) == loops(4) - loops(8) == 1
 
 
-def test_there_and_back_over_many_steps():
+def test_a_run_forward_and_backward_returns_to_its_start():
     there = jax.device_get(integrate(STEP, STATE, 0.1, 500, save_every=500))
     back = jax.device_get(integrate(STEP, jax.tree.map(lambda x: x[-1], there.state), -0.1, 500, save_every=500))
     np.testing.assert_allclose(back.state.q[-1], STATE.q, rtol=0, atol=2e-13)  # floor 3e-14
     assert back.t[-1] == -50
 
 
-def test_zero_steps():
+def test_a_run_of_zero_steps_is_its_start():
     run = integrate(STEP, STATE, 0.1, 0)
     assert run.t.shape == (1,)
     np.testing.assert_array_equal(run.state.q, [STATE.q])
 
 
-def test_jit_vmap_grad_of_a_whole_run():
+def test_a_whole_run_compiles_batches_and_differentiates():
     def end(J, dt):
         step = li.schemes.so3_midpoint(li.systems.RigidBody(J))
         return li.integrate(step, STATE, dt, 50, save_every=10).state.q[-1, 0]
@@ -79,7 +79,7 @@ def test_jit_vmap_grad_of_a_whole_run():
         (10, 0, "save_every must be an integer ≥ 1, got 0"),
     ],
 )
-def test_bad_counts(num_steps, save_every, message):
+def test_bad_numbers_of_steps_are_refused(num_steps, save_every, message):
     with pytest.raises(ValueError, match=message):
         li.integrate(STEP, STATE, 0.1, num_steps, save_every=save_every)
 
@@ -116,7 +116,7 @@ def test_a_state_is_a_State(state):
         li.integrate(STEP, state, 0.1, 2)
 
 
-def test_a_run_that_leaves_the_branch_later_says_so():
+def test_a_run_that_leaves_the_branch_later_is_flagged():
     """Ω grows in the flip of the intermediate axis: the first steps are within the branch, a later one is not."""
     state = State(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 2.0, 3e-4]))  # Ω = (0, 1, 1e-4)
     step = li.schemes.so3_midpoint(BODY, iterations=8)

@@ -48,7 +48,7 @@ def test_the_error_is_of_order_6_and_the_states_stay_on_the_phase_space(name):
 
 
 @pytest.mark.long
-def test_saved_states_too_far_apart_or_too_few_are_refused():
+def test_too_sparse_or_too_few_saved_states_are_refused():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     step, state = li.schemes.exact(body), body.state(angular_velocity=[0.0, 0.0, 1.0])
     path = li.integrate(step, state, 4.0, 3)  # 4 rad in one step: more than half a turn

@@ -24,7 +24,7 @@ def run(*members):
     return both if members else both._replace(**jax.tree.map(lambda x: x[:, 0], both._asdict() | {"t": T[:, None]}))
 
 
-def test_a_run_as_a_dataset():
+def test_a_run_becomes_a_dataset_with_coordinates():
     found = run().to_xarray(BODY, units={"time": "d", "energy": "J"})
     assert found.q.dims == ("time", "quaternion")
     np.testing.assert_array_equal(found.q.sel(quaternion="w"), run().state.q[:, 0])
@@ -58,7 +58,7 @@ def test_several_bodies_and_matrices_have_axes_of_their_own():
     assert elastic.extra_rotor.dims == ("time", "extra_rotor_component")
 
 
-def test_attitudes_as_rotations_and_euler_angles():
+def test_attitudes_become_rotations_and_euler_angles():
     path = run()
     turns = path.rotations()
     np.testing.assert_allclose(turns.as_matrix(), jax.vmap(BODY.rotation_matrix)(path.state), rtol=0, atol=1e-15)
@@ -86,7 +86,7 @@ def test_states_print_in_a_line(capsys):
     assert "1 not converged" in str(run()._replace(info=StepInfo(np.zeros(5), np.arange(5) > 0)))
 
 
-def test_a_missing_package_is_a_sentence(monkeypatch):
+def test_a_missing_package_is_named_in_a_sentence(monkeypatch):
     def missing(name):
         raise ModuleNotFoundError(name)
 

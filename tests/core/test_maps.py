@@ -81,7 +81,7 @@ def test_scaled_cayley_is_the_map_it_is_scaled_to():
         )
 
 
-def test_custom_kappas():
+def test_custom_kappas_are_functions_with_or_without_parameters():
     assert maps.as_kappa(maps.kappa_cayley) is maps.kappa_cayley
     kappa = maps.as_kappa(lambda x: 1 + x)
     assert kappa(2.0) == 3

@@ -57,7 +57,7 @@ def variation(step, state, dt, order):
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
-def test_with_the_second_term_it_varies_as_the_fourth_power(name):
+def test_the_modified_energy_of_order_4_varies_as_the_fourth_power_of_dt(name):
     """From Δt = 0.2 to 0.05: observed orders 3.95 to 4.05, and 1.95 to 2.05 without the term."""
     step, state = STEPS[name]
     sizes = (0.2, 0.05)
@@ -70,7 +70,7 @@ def test_with_the_second_term_it_varies_as_the_fourth_power(name):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["top", "satellite on a circle", "gyrostat", "top, drift first"])
-def test_with_the_fourth_term_it_varies_as_the_sixth_power(name):
+def test_the_modified_energy_of_order_6_varies_as_the_sixth_power_of_dt(name):
     """From Δt = 0.2 to 0.1."""
     step, state = STEPS[name]
     coarse, fine = (variation(step, state, dt, 6) for dt in (0.2, 0.1))
@@ -137,7 +137,7 @@ def test_the_coefficients_are_those_of_a_product_of_exponentials():
 
 
 @pytest.mark.long
-def test_two_bodies():
+def test_the_modified_energy_of_two_bodies_has_its_order():
     masses, inertias = [1.0, 0.5], jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
     bodies = systems.rigid_bodies(masses, inertias, li.potentials.maccullagh(1.0, masses, inertias))
     x, v = jnp.array([[-1.0, 0, 0], [2.0, 0, 0]]), jnp.array([[0.0, -0.24, -0.01], [0.0, 0.48, 0.02]])

@@ -58,7 +58,7 @@ def test_greatest_and_least_show_nan():
 
 
 @pytest.mark.parametrize(("dtype", "rtol"), [(np.float64, 4e-15), (np.float32, 2e-6)])
-def test_elementary_functions(dtype, rtol):
+def test_elementary_functions_have_the_names_types_and_arguments_of_jax(dtype, rtol):
     """Their errors in ulp are measured elsewhere; here their names, types and arguments."""
 
     def function(x, y):
@@ -77,7 +77,7 @@ def test_elementary_functions(dtype, rtol):
 
 
 @pytest.mark.parametrize("dtype", TYPES)
-def test_whole_numbers(dtype):
+def test_integers_wrap_and_divide_as_in_xla(dtype):
     """They wrap, and their quotients by 0 and −1 and shifts by any number of bits are XLA's, and stop no machine."""
     info = np.iinfo(dtype)
 
@@ -94,7 +94,7 @@ def test_whole_numbers(dtype):
     check_against_jax(function, pairs([info.min, info.max, 0, 1, 3, 7, 40, info.max - 1, info.max // 2 + 1], dtype))
 
 
-def test_truth_values():
+def test_booleans_have_the_values_of_jax():
     def function(x, y):
         found = single("eq ne lt le gt ge max min", 2)(x, y)
         found |= {"and": x & y, "or": x | y, "xor": x ^ y, "not": ~x, "known": x & True}
@@ -129,7 +129,7 @@ def test_indexing_and_stacking_move_entries():
     check_against_jax(function, [normal(4, 3)])
 
 
-def test_reductions_and_products():
+def test_reductions_and_products_are_those_of_jax():
     whole = np.random.default_rng(1).integers(-9, 9, (MEMBERS, 3, 4))
     with_nan = normal(3, 4)
     with_nan[::3, 1, 2] = with_nan[1::3, 0, 1] = with_nan[::2, 2, 0] = np.nan
@@ -171,7 +171,7 @@ MODES = ["clip", "fill", "promise_in_bounds"]
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float64, np.int32, np.uint32, np.bool_])
 @pytest.mark.parametrize("mode", MODES)
-def test_indices(mode, dtype):
+def test_indices_of_any_kind_are_those_of_jax(mode, dtype):
     """Known and computed ones, of a member and shared, in bounds and out of them."""
     x = (10 * normal(4, 3)).astype(dtype)
     long = (10 * normal(12, seed=2)).astype(dtype)
@@ -211,7 +211,7 @@ def test_indices(mode, dtype):
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.bool_])
-def test_slices_at_computed_indices(dtype):
+def test_slices_at_computed_indices_are_those_of_jax(dtype):
     def function(x, update, k, shared):
         return [
             {
@@ -232,7 +232,7 @@ def test_slices_at_computed_indices(dtype):
 _WINDOW = lax.ScatterDimensionNumbers((0, 1), (), (0, 1))
 
 
-def test_loops_of_a_known_length():
+def test_loops_of_a_known_length_are_those_of_jax():
     """Written out and rolled, forwards and backwards, over what is known, shared, and a member's, with results."""
     series = jnp.array(np.random.default_rng(5).normal(size=(200, 2)))
 
@@ -264,7 +264,7 @@ def test_loops_of_a_known_length():
     check_against_jax(function, (normal(30, 2), flags, normal(2, seed=1)), [series[::-1].copy()[:30]], rtol=1e-12)
 
 
-def test_loops_of_an_unknown_length():
+def test_loops_of_an_unknown_length_are_those_of_jax():
     """As long as a shared number says, or a member's; nested, in a map over entries, with all kinds of carries."""
 
     def halved(x):
@@ -335,7 +335,7 @@ def test_branches_are_those_of_lax_cond():
         check_against_jax(function, (normal(2), k, flag), [np.int64(n), np.bool_(on)], rtol=1e-14)
 
 
-def test_solves_and_calls():
+def test_solves_and_calls_are_those_of_jax():
     def function(x):
         root = lax.custom_root(
             lambda y: y**3 + y - x[0],
@@ -374,7 +374,7 @@ def test_what_is_returned_may_be_known_shared_or_given():
     check_against_jax(function, member, [np.int64(3), np.bool_(True), 2.5, np.float32(3)], signs=True)
 
 
-def test_shared_tables():
+def test_shared_tables_are_read_by_any_index():
     """A long shared array is read where a program needs it: by any index, and row by row."""
     table = np.random.default_rng(0).normal(size=300)
     whole = np.arange(1000)

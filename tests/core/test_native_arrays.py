@@ -55,7 +55,7 @@ def test_loops_and_branches_are_those_of_vmap(k):
     assert set(jax.tree.leaves(flat.kinds_of_results[0])) == {"member"}
 
 
-def test_the_width_counts_what_is_alive_at_once_and_carried_what_a_loop_takes_along():
+def test_the_width_counts_simultaneous_values_and_those_carried_by_loops():
     kinds, examples = ("member", "shared"), (np.zeros(8), np.asarray(3))
 
     def chain(x, n):
@@ -242,7 +242,7 @@ def on(platform):
     return SimpleNamespace(devices=np.array([SimpleNamespace(platform=platform)]))
 
 
-def test_an_accelerator_takes_arrays_for_short_steps_and_the_plain_loop_for_others(monkeypatch):
+def test_an_accelerator_uses_arrays_for_short_steps_and_the_plain_loop_for_others(monkeypatch):
     jobs = []
     monkeypatch.setattr(_run, "engine_of", lambda job, mesh: jobs.append(job) or XlaEngine(job))
     states = li.State(jnp.tile(jnp.eye(3), (2, 1, 1)), jnp.zeros((2, 3, 3)))

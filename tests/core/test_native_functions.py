@@ -223,7 +223,7 @@ def test_sincos_has_the_bits_of_sin_and_cos(native):
             assert np.array_equal(bits(result), bits(native(name, x, lanes=lanes)))
 
 
-def test_sin_cos_tan_next_to_all_quarter_turns(native):
+def test_sin_cos_and_tan_are_accurate_next_to_all_multiples_of_a_quarter_rotation(native):
     """At every exponent the double nearest to a multiple of π/2, where reductions lose the most."""
     x = near_quarter_turns(range(-60, 971, 5))
     for name in ("sin", "cos", "tan"):

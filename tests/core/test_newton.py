@@ -116,7 +116,7 @@ def test_a_fixed_count_that_is_too_small_shows_in_the_residual():
     assert np.abs(residual).max() > 0.1
 
 
-def test_nested_transformations():
+def test_roots_differentiate_in_nested_transformations():
     """grad of a scan of roots, forward over reverse, under jit and vmap."""
 
     def run(c):

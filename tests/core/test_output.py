@@ -66,7 +66,7 @@ def test_between_exact_nodes_the_error_is_one_order_above_the_scheme_s(order, ex
 
 @pytest.mark.long
 @pytest.mark.parametrize("scheme", ["splitting", "top_energy_momentum"])
-def test_given_steps_keep_what_the_step_keeps(scheme):
+def test_steps_between_given_times_conserve_what_the_step_conserves(scheme):
     step = getattr(schemes, scheme)(TOP)
     path = li.integrate(step, STATE, times=GRADED)
     one_by_one = functools.reduce(lambda z, h: step(z, h)[0], np.diff(GRADED), STATE)
@@ -121,7 +121,7 @@ def test_traced_times_outside_the_run_are_flagged():
     assert distance(jax.tree.map(lambda x: x[2], seen.state), last(middle)) < 1e-15
 
 
-def test_what_is_no_order_of_times_is_refused():
+def test_unordered_times_are_refused():
     run = functools.partial(li.integrate, SPLITTING, STATE)
     cases = [
         (dict(save_at=[0.2, 0.1]), r"save_at must be in the order of the run, from 0.0 to 1.0"),

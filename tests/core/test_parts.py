@@ -143,7 +143,7 @@ def test_every_member_is_in_one_part_of_about_equal_size():
         run(part=(0, 42))
 
 
-def test_what_is_there_is_read_and_missing_parts_are_named(place, capsys):
+def test_finished_parts_are_read_and_missing_parts_are_named(place, capsys):
     whole, found = run(), None
     for k in (4, 1):
         run(place, (k, 5))
@@ -385,7 +385,7 @@ def test_an_ordinary_store_is_not_written_in_parts_and_the_only_part_is_ordinary
         run(tmp_path / "run.zarr", (0, 2))
 
 
-def test_the_part_of_a_task():
+def test_the_part_of_a_task_follows_the_variables_of_its_scheduler():
     def part(count=None, **variables):
         return ensemble.part_of_task(count, variables)
 

@@ -31,14 +31,14 @@ def columns(*ranges):
     return [list(column) for column in zip(*((a, b) for a in ranges[0] for b in ranges[1]), strict=True)]
 
 
-def test_complete_integrals():
+def test_complete_integrals_agree_with_mpmath():
     assert max(errors(elliptic.K, mpmath.ellipk, [*M, -1e200])) < 1e-15  # observed 2.9e-16
     assert max(errors(elliptic.E, mpmath.ellipe, [*M, -1e200])) < 1e-15  # observed 3.9e-16
     n = [0.0, 0.3, 1 - 1e-9, -1e-9, -1e6, -1e12]
     assert max(errors(elliptic.Pi, mpmath.ellippi, *columns(n, M))) < 2e-15  # observed 5.7e-16
 
 
-def test_incomplete_integrals():
+def test_incomplete_integrals_agree_with_mpmath():
     """Beyond a quarter period too."""
     assert max(errors(elliptic.F, mpmath.ellipf, *columns(PHI, M))) < 2e-15  # observed 5.9e-16
     assert max(errors(elliptic.E, mpmath.ellipe, *columns(PHI, M))) < 2e-15  # observed 7.4e-16
@@ -48,7 +48,7 @@ def test_incomplete_integrals():
     assert max(found) < 4e-15  # observed 1.2e-15
 
 
-def test_jacobi():
+def test_jacobi_s_functions_agree_with_mpmath():
     """To a few eps of each function and of its change over |u| eps, also many periods away and for m < 0."""
     cases = [(u, m) for u in (1e-9, 0.3, 1.1, -7.0, 100.0) for m in (0.0, 1e-8, 0.5, 1 - 1e-8, 1.0, -0.7, -1e5, -1e20)]
     u, m = (jnp.array(column) for column in zip(*cases, strict=True))
@@ -62,7 +62,7 @@ def test_jacobi():
             assert abs(mpmath.mpf(float(value)) - x) < allowed, (a, b)
 
 
-def test_carlson():
+def test_carlson_s_integrals_agree_with_mpmath():
     """For arguments of any ratio, one of which may be 0, and principal values."""
     sizes = [0.0, 1e-150, 1e-3, 1.0, 1.1, 1e60]
     cases = [(x, y, z) for x in sizes for y in sizes for z in sizes if x <= y and y > 0 and z > 0]
@@ -73,7 +73,7 @@ def test_carlson():
     assert max(errors(elliptic.RC, mpmath.elliprc, x, y)) < 2e-15  # observed 3.2e-16
 
 
-def test_carlson_third():
+def test_carlson_s_third_integral_agrees_with_mpmath():
     cases = [
         (*xyz, p) for xyz in ((0.0, 1.0, 2.0), (1.0, 1.0, 1.0), (1e-20, 0.3, 1e9)) for p in (1e-30, 0.7, 1.0, 1e20)
     ]
@@ -94,7 +94,7 @@ def principal_value(x, y, z, p):
 
 
 @pytest.mark.long
-def test_principal_values():
+def test_principal_values_agree_with_quadrature():
     """R_J for p < 0 against the principal value of its integral, with the pole taken out of it, and its slopes."""
     cases = [(0.3, 1.0, 2.0, -0.5), (1.0, 1.0, 1.0, -2.0), (5.0, 1e-3, 1.0, -1.0)]
     found = elliptic.RJ(*(jnp.array(column) for column in zip(*cases, strict=True)))
@@ -152,7 +152,7 @@ CASES = [pytest.param(*case, marks=[pytest.mark.long] * (k in (3, 4, 6, 7, 9, 10
 
 
 @pytest.mark.parametrize(("own", "other", "rows"), CASES, ids=lambda x: getattr(x, "__name__", ""))
-def test_derivatives(own, other, rows):
+def test_derivatives_by_every_argument_agree_with_differences_at_50_digits(own, other, rows):
     """By every argument, forwards and in reverse, against differences at 50 digits; observed 2e-15."""
     arguments = [jnp.array(column) for column in zip(*rows, strict=True)]
     every = tuple(range(len(arguments)))
@@ -166,7 +166,7 @@ def test_derivatives(own, other, rows):
             assert float(forward[k][i]) == pytest.approx(exact, rel=5e-14, abs=1e-15), (row, k)
 
 
-def test_slopes_where_an_argument_is_0_or_the_integral_infinite():
+def test_derivatives_are_right_where_an_argument_is_0_or_the_integral_infinite():
     """∂R_F/∂y = −R_D(x, z, y)/6 at x = 0 too, where ∂R_F/∂x is infinite: a very large number stands for it."""
     for slopes in (jax.jacfwd(elliptic.RF, (0, 1, 2))(0.0, 1.0, 2.0), jax.grad(elliptic.RF, (0, 1, 2))(0.0, 1.0, 2.0)):
         assert float(slopes[0]) < -1e300
@@ -177,13 +177,13 @@ def test_slopes_where_an_argument_is_0_or_the_integral_infinite():
     assert jax.grad(elliptic.E)(1.0) == -np.inf
 
 
-def test_second_derivatives():
+def test_second_derivatives_at_zero_are_those_of_the_power_series():
     """K″ and E″ at m = 0, from the power series: 9π/64 and −3π/64."""
     assert float(jax.grad(jax.grad(elliptic.K))(0.0)) == pytest.approx(9 * np.pi / 64, rel=1e-14)
     assert float(jax.jacfwd(jax.grad(elliptic.E))(0.0)) == pytest.approx(-3 * np.pi / 64, rel=1e-14)
 
 
-def test_float32_batches_and_integers():
+def test_elliptic_functions_accept_float32_batches_and_integers():
     m = jnp.array([[0.0, 0.5, 1 - 1e-6], [-1.0, -1e4, 0.9]], "float32")
     for found, exact in (
         (elliptic.K(m), scipy.special.ellipk(np.asarray(m, float))),
@@ -196,7 +196,7 @@ def test_float32_batches_and_integers():
     assert float(elliptic.K(0)) == pytest.approx(np.pi / 2, rel=1e-15)
 
 
-def test_bad_arguments():
+def test_bad_arguments_of_elliptic_functions_raise_errors():
     with pytest.raises(TypeError, match=r"E\(m\) or E\(phi, m\)"):
         elliptic.E(0.1, 0.2, 0.3)
     with pytest.raises(ValueError, match="must have shapes that broadcast"):

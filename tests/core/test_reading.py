@@ -55,7 +55,7 @@ def test_a_store_gives_the_trajectory_and_the_system_back(tmp_path):
     assert (shown.attrs["format"], shown.attrs["leaves"]) == (3, ["q", "p"])
 
 
-def test_members_with_systems_of_their_own(tmp_path):
+def test_systems_of_members_are_read_back(tmp_path):
     J = np.array([[1.0, 2.0, 3.0], [2.0, 2.0, 3.0], [2.0, 4.0, 5.0]])
     steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.RigidBody(J)))(J)
     li.ensemble.run(steps, STATES, 0.05, 4, store=tmp_path / "own.zarr", step_axis=0, progress=False)
@@ -67,7 +67,7 @@ def test_members_with_systems_of_their_own(tmp_path):
     np.testing.assert_allclose(energies(bodies, last), energies(bodies, STATES), rtol=2e-15)  # seen: 4e-16
 
 
-def test_a_summary_and_its_system(tmp_path):
+def test_a_summary_is_read_back_with_its_system(tmp_path):
     path, run = stored(tmp_path, reduce="energy")
     again, body = li.ensemble.open(path)
     np.testing.assert_array_equal(again.greatest, run.greatest)
@@ -78,7 +78,7 @@ def my_wells(R):
     return jnp.sum(R**4)
 
 
-def test_a_function_of_one_s_own_is_asked_for_by_its_name():
+def test_a_custom_function_is_requested_by_its_name():
     top = li.systems.potential_top([1.0, 2.0, 3.0], my_wells, axis=None)
     description, arrays = describe(li.schemes.splitting(top))
     name = f"{my_wells.__module__}.my_wells"

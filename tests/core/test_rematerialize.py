@@ -49,7 +49,7 @@ def test_a_saved_root_is_not_computed_again():
     assert loops(rematerialized) == loops(lambda step: step) < loops(jax.checkpoint)
 
 
-def test_what_is_kept_is_not_computed_again():
+def test_stored_values_are_not_computed_again():
     def gradient(mark):
         dear = rematerialized(lambda x: mark(jnp.arctan(x)) ** 2)
         return str(jax.make_jaxpr(jax.grad(lambda x: dear(dear(x))))(0.3)).count("atan ")
@@ -64,7 +64,7 @@ def test_what_is_kept_is_not_computed_again():
         (li.schemes.extrapolate(TOP), TOP.state(angular_velocity=[0.3, 0.2, 1.0]), 7),  # 461
     ],
 )
-def test_a_gradient_keeps_the_state_of_each_step(step, state, most):
+def test_a_gradient_stores_the_state_of_each_step_only(step, state, most):
     def numbers(steps):
         end = jax.vjp(
             lambda p: li.integrate(step, state._replace(p=p), 0.05, steps, save_every=steps).state.q, state.p
@@ -84,7 +84,7 @@ def of_stages(z, way):
     return lax.scan(step, z, None, length=5)[0]
 
 
-def test_stages_are_not_gone_through_to_find_their_carries():
+def test_carries_are_found_without_running_the_stages():
     def plain(one, z, each):
         return lax.scan(rematerialized(one), z, each)[0]
 

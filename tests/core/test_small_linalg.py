@@ -21,7 +21,7 @@ def flipped(M):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("d", [1, 2, 3, 4, 6, 7])
-def test_elimination_determinant_and_pivots(d):
+def test_elimination_solves_as_numpy_and_finds_the_signs_of_pivots(d):
     """Of a metric less something nearly skew, as Newton's matrices are; whole ones go to the library."""
     rng = np.random.default_rng(d)
     A, B = rng.normal(size=(2, d, d))
@@ -61,7 +61,7 @@ def test_columns_of_a_linear_function_have_no_products_with_zeros():
     np.testing.assert_array_equal(np.transpose(la.columns(linear, 3, jnp.result_type(float))), A)
 
 
-def test_sums_of_vectors():
+def test_sums_of_vectors_omit_zeros():
     x, y = [jnp.array(1.0), 0.0], [jnp.array(2.0), jnp.array(3.0)]
     assert [float(a) for a in la.plus(x, (-2.0, y))] == [-3.0, -6.0]
     np.testing.assert_array_equal(la.plus((2.0, jnp.ones(2)), jnp.ones(2)), [3, 3])

@@ -39,7 +39,7 @@ DEFECT = jax.jit(so3.defect)
 
 
 @hypothesis.given(units, units, units)
-def test_group_axioms(a, b, c):
+def test_quaternions_satisfy_the_group_axioms(a, b, c):
     same(MUL(MUL(a, b), c), MUL(a, MUL(b, c)))
     same(MUL(a, so3.identity), a)
     same(MUL(a, INVERSE(a)), so3.identity)
@@ -64,7 +64,7 @@ def _algebra(u, v, w):
 
 
 @hypothesis.given(vectors, vectors, vectors)
-def test_algebra(u, v, w):
+def test_hat_vee_and_brackets_satisfy_the_algebra(u, v, w):
     hat, back, ad, dual, paired, jacobi = map(np.asarray, _algebra(u, v, w))
     same(ad, np.cross(u, v), 8 * EPS)
     same(hat @ v, np.cross(u, v), 8 * EPS)
@@ -133,7 +133,7 @@ def test_quaternion_of_a_matrix_near_half_turns(axis, angle):
 
 
 @hypothesis.given(st.floats(-3, 3), st.floats(0.01, 3.13), st.floats(-3, 3))
-def test_euler_angles_round_trip(alpha, beta, gamma):
+def test_euler_angles_are_inverted_by_their_attitude(alpha, beta, gamma):
     angles = np.array([alpha, beta, gamma])
     same(EULER(FROM_EULER(angles)), angles, 2e-13)  # sin β down to 0.01 divides the round-off
 
@@ -171,7 +171,7 @@ def _velocities(q, v):
 
 @pytest.mark.paper("2.1: (2.1), (2.2), (2.10)", "algebra, velocities", "groups/so3.py")
 @hypothesis.given(units, vectors)
-def test_velocities(q, v):
+def test_velocities_in_body_and_space_are_consistent(q, v):
     q_dot, body, space, carried, tangent, spatial_tangent = map(np.asarray, _velocities(q, v))
     same(body, v, 32 * EPS)
     same(space, carried, 64 * EPS)
@@ -248,7 +248,7 @@ def test_another_sequence_is_refused(sequence):
         so3.from_euler(jnp.zeros(3), sequence)
 
 
-def test_modified_rodrigues_parameters():
+def test_modified_rodrigues_parameters_are_those_of_the_shorter_rotation():
     """tan(φ/4) along the axis, of the shorter rotation; its shadow −σ/|σ|² is the same attitude."""
     e, angle = np.array([0.48, -0.6, 0.64]), 2.7
     q = so3.exp(jnp.asarray(angle * e))

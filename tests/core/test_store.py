@@ -91,7 +91,7 @@ def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
         run(reduce="momentum")
 
 
-def test_xarray_reads_it(tmp_path, small_chunks):
+def test_xarray_reads_a_store(tmp_path, small_chunks):
     xarray = pytest.importorskip("xarray")
     memory = run()
     run(ensemble.StoreOptions(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
@@ -281,7 +281,7 @@ def test_a_function_that_has_captured_another_number_is_another_run(tmp_path):
 
 
 @pytest.mark.usefixtures("no_loop")
-def test_a_function_that_cannot_be_compared_is_said_at_once_and_refused_at_a_resume(tmp_path):
+def test_a_function_that_cannot_be_compared_draws_a_warning_and_is_refused_at_a_resume(tmp_path):
     with (tmp_path / "file").open("w") as file:
         law, sentence = opened_file(file), r"cannot be resumed: .*opened_file.* → file: .*TextIOWrapper.*Partial"
         with pytest.warns(RuntimeWarning, match=sentence), pytest.raises(Begun):
@@ -523,7 +523,7 @@ def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_ch
         assert same_folders(path, tmp_path / "whole.zarr")
 
 
-def test_a_limit_on_the_size_of_files_likewise(tmp_path, monkeypatch):
+def test_a_limit_on_the_size_of_files_ends_a_run_that_resumes_to_the_same_bits(tmp_path, monkeypatch):
     """What needs no root: the system refuses files above a size, below that of the metadata or that of the chunks."""
     monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 13)
     run(tmp_path / "whole.zarr")
@@ -574,7 +574,7 @@ def command(folder, *options, **popen):
 
 
 @pytest.mark.long
-def test_killed_at_random_moments_and_resumed(book):
+def test_a_run_killed_at_random_moments_resumes(book):
     delays = np.random.default_rng(11).uniform(1.5, 5.0, 5)
     ended = 0
     for delay in delays:
@@ -647,7 +647,7 @@ def meet(folder, port, *options, own=((), ())):
 
 
 @pytest.mark.long
-def test_two_processes_are_one(book):
+def test_two_processes_write_the_store_of_one(book):
     for process in meet(book, free_port(), "--out", "two.zarr"):
         error = process.communicate(timeout=120)[1]
         assert process.returncode == 0, error

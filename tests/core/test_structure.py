@@ -173,7 +173,7 @@ schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting tides.co
 
 
 @pytest.mark.parametrize("name", CONTRACT.split())
-def test_every_name_of_the_contract_is_there(name):
+def test_every_name_of_the_contract_exists(name):
     found = li
     for part in name.split("."):
         found = getattr(found, part)
@@ -229,7 +229,7 @@ def test_the_grid_of_systems_and_schemes_runs(name, step, state, dt):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "system"), [pytest.param(name, x[0], id=name) for name, x in systems()])
-def test_every_scheme_that_takes_a_system_has_its_motion(name, system):
+def test_every_scheme_that_accepts_a_system_integrates_its_motion(name, system):
     """The steps of the grid are made without that comparison, which raises where a vector field is another."""
     ids = [i for i, step, *_ in steps() if step.system is system]
     assert ids == [f"{name}-{found}" for _, found in examples(system)]

@@ -64,7 +64,7 @@ def test_the_matrix_of_another_step_is_not_symplectic():
 
 
 @pytest.mark.long
-def test_the_derivatives_of_a_driven_run_by_three_ways():
+def test_three_derivatives_of_a_driven_run_agree():
     """Against differences of sixth order (observed 1e-12 of the largest) and `reversible` in reverse mode (5e-15)."""
     space, J = SATELLITE.phase_space, SATELLITE.inertia
     found = li.transition(satellite, TILTED, DT, STEPS, parameters={"inertia": J})
@@ -117,7 +117,7 @@ def test_a_state_may_depend_on_the_parameters():
 
 
 @pytest.mark.long
-def test_what_a_state_carries_along_is_differentiated_too():
+def test_extra_arrays_of_a_state_are_differentiated_too():
     """Wheels whose motors follow the body's rates; their momenta at the start are parameters. Observed 3e-12."""
 
     def motor(t, q, Omega, h):
@@ -146,7 +146,7 @@ def test_what_a_state_carries_along_is_differentiated_too():
 
 
 @pytest.mark.long
-def test_covariance_and_ellipse():
+def test_covariance_and_ellipse_are_those_of_the_linear_map():
     step = li.schemes.splitting(TOP)
     found = li.transition(step, SPINNING, DT, STEPS, parameters="inertia", save_every=STEPS)
     P0, Pp = np.diag([1.0, 2, 3, 4, 5, 6]), np.array([[1.0, 0.5, 0], [0.5, 2, 0], [0, 0, 1]])

@@ -19,7 +19,7 @@ def spd(full):
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_symmetric_matrices(full):
+def test_symmetric_matrices_multiply_and_invert_as_by_numpy(full):
     J = jnp.array(spd(full))
     M = np.array(J) if full else np.diag(J)
     S, v = vec3.symmetric(J), RNG.normal(size=3)
@@ -32,18 +32,18 @@ def test_symmetric_matrices(full):
     np.testing.assert_allclose(vec3.solve_symmetric(S, v), np.linalg.solve(M, v), rtol=0, atol=64 * EPS)
 
 
-def test_inverse_inertia_in_float32_at_the_size_of_an_asteroid():
+def test_the_inverse_inertia_of_an_asteroid_is_accurate_in_float32():
     J = jnp.array(spd(True) * 1e20, jnp.float32)
     x = vec3.solve_symmetric(vec3.symmetric(J), jnp.array([1e20, 2e20, -1e20], jnp.float32))
     np.testing.assert_allclose(x, np.linalg.solve(np.array(J, float), [1e20, 2e20, -1e20]), rtol=1e-5)
 
 
-def test_solve():
+def test_solve_agrees_with_numpy():
     K, b = RNG.normal(size=(3, 3)) + 3 * np.eye(3), RNG.normal(size=3)
     np.testing.assert_allclose(vec3.solve(K, b), np.linalg.solve(K, b), rtol=0, atol=32 * EPS)
 
 
-def test_vectors():
+def test_products_of_vectors_agree_with_numpy():
     a, b = RNG.normal(size=(2, 3))
     np.testing.assert_allclose(vec3.cross(a, b), np.cross(a, b), rtol=0, atol=4 * EPS)
     np.testing.assert_allclose(vec3.dot(a, b), a @ b, rtol=0, atol=4 * EPS)
@@ -59,7 +59,7 @@ FUNCTIONS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_series_branches_values_and_two_derivatives(name):
+def test_series_branches_have_accurate_values_and_two_derivatives(name):
     ours, exact, threshold = FUNCTIONS[name]
     first, second = jax.grad(ours), jax.grad(jax.grad(ours))
     with mpmath.workdps(40):
@@ -71,7 +71,7 @@ def test_series_branches_values_and_two_derivatives(name):
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_series_branches_at_zero(name):
+def test_series_branches_are_exact_at_zero(name):
     ours, exact, _ = FUNCTIONS[name]
     with mpmath.workdps(40):
         taylor = [float(c) for c in mpmath.taylor(exact, mpmath.mpf("1e-30"), 2)]

@@ -31,7 +31,7 @@ SCHEMES = {  # the scheme, and its force evaluations a step
 def start():
     """The bodies and the nominal state of `lieint run kw4`."""
     step, states = scenarios.build(scenarios.load("kw4", members=1))
-    return binary.nominal_of(step.system), jax.tree.map(lambda x: x[0], states)
+    return binary.nominal_member(step.system), jax.tree.map(lambda x: x[0], states)
 
 
 @functools.cache

@@ -61,7 +61,7 @@ def both(step, state, dt):
 
 @pytest.mark.paper("4.2: (4.13)–(4.22), Result 8", "not symplectic", "diagnostics/_conditions.py")
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in QUICK)) for n in CASES])
-def test_the_conditions_say_what_is_kept(name):
+def test_the_conditions_predict_what_a_step_conserves(name):
     """Against the symplectic defect, which knows no condition, and the energy of the step."""
     step, state, dt, energy, form = case(name)
     found, defect = both(step, state, dt)
@@ -134,7 +134,7 @@ def test_a_splitting_is_not_of_the_class():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.5, 0.3])
-def test_the_family_in_l3(alpha):
+def test_the_alpha_family_fulfills_the_group_condition_for_one_half_only(alpha):
     found = jax.jit(diagnostics.conditions)(schemes.so3_alpha(EMBEDDED, alpha), TILTED, 0.4)
     assert found.keeps("momentum")
     assert found.keeps("energy")
@@ -149,7 +149,7 @@ def test_the_residual_of_3_5_falls_as_dt():
     assert np.log2(coarse / fine) == pytest.approx(1, abs=0.1)
 
 
-def test_the_report_reads():
+def test_the_report_of_conditions_lists_residuals_and_verdicts():
     text = str(both(*case("cayley")[:3])[0])
     assert text.splitlines()[0] == "so3_midpoint[cayley]"
     assert "3.5    form       8.7e-02  —" in text
@@ -157,7 +157,7 @@ def test_the_report_reads():
 
 
 @pytest.mark.long
-def test_float32_and_batches():
+def test_conditions_work_in_float32_and_under_vmap():
     body = li.systems.rigid_body(np.array([1, 2, 3], np.float32))
     states = jax.tree.map(lambda x: jnp.stack([x, x]).astype(np.float32), SPIN)
     good, bad = (schemes.so3_midpoint(body, kappa) for kappa in (maps.kappa_symplectic, maps.kappa_cayley))
@@ -168,7 +168,7 @@ def test_float32_and_batches():
 
 
 @pytest.mark.long
-def test_what_has_no_conditions_is_refused():
+def test_steps_without_conditions_are_refused():
     pendulum = li.systems.pendulum(1.0, 9.81)
     state = pendulum.phase_space.origin
     with pytest.raises(ValueError, match=r"conditions are those of the paper for left-invariant .*got Pendulum"):

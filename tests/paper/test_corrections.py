@@ -100,7 +100,7 @@ def test_2_3_2_4_2_5_2_7_exponential_and_cayley():
     assert close(cay(THETA), cayley) < 1e-15
 
 
-def test_2_6_brackets():
+def test_2_6_holds_with_the_factor_before_both_terms():
     t, c = hat(THETA) / 2, 2 / (1 + THETA @ THETA / 4)
     assert close(cay(THETA), ONE + c * (t + t @ t)) < 1e-15
     assert close(cay(THETA), ONE + (c * t + t @ t)) > 0.1  # as printed, the factor stands on the first term only
@@ -131,7 +131,7 @@ def test_2_9_5_7_5_9_body_form_is_the_pull_back_of_the_spatial_one():
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.8, 1.0])
-def test_2_21_and_2_22(alpha):
+def test_2_21_and_2_22_hold_with_corrected_coefficients(alpha):
     t, x = hat(THETA), THETA @ THETA
     T = paper.T(alpha, THETA)
     right, printed = (ONE + (t + c * t @ t) / (1 + alpha**2 * x) for c in (alpha, 1 - alpha))
@@ -159,7 +159,7 @@ def test_3_5_holds_for_the_symplectic_kappa_only(s):
     assert defect < 6e-15 if s.name == "symplectic" else defect > 0.1  # floor 1.4e-15; 0.19 and 0.28
 
 
-def test_3_6_with_the_hat(s):
+def test_3_6_holds_with_the_hat(s):
     dtheta, dpi = np.array([0.3, 0.1, -0.2]), np.array([-0.1, 0.4, 0.2])
     out = s.L @ np.concatenate([dtheta, dpi])
     J_inverse = np.linalg.inv(s.J)
@@ -183,7 +183,7 @@ def test_3_8_3_9_linearized_step(s):
     assert close(left @ s.L, right) < 1e-15
 
 
-def test_3_10_identity():
+def test_3_10_is_an_identity():
     rng = np.random.default_rng(3)
     U, V, pi = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=3)
     A = np.block([[U, V], [0 * ONE, ONE]])
@@ -192,7 +192,7 @@ def test_3_10_identity():
     assert close(A @ omega_inverse(pi) @ A.T, right) < 4e-15
 
 
-def test_3_13_3_14_regroupings(s):
+def test_3_13_and_3_14_regroup_the_defect(s):
     M, B0, B1 = B_matrices(s)
     H_T = np.linalg.inv(s.H).T
     p = hat(s.pi)
@@ -223,7 +223,7 @@ def test_3_15_is_necessary():
     assert paper.mu("exponential", bar) == pytest.approx(1 / 12, abs=2e-3)
 
 
-def test_3_18(s):
+def test_3_18_gives_the_change_of_the_body_momentum(s):
     middle = (s.Pi0 + s.Pi1) / 2
     assert close(s.J @ s.bar, DT * middle) < 2e-15
     assert close(s.Pi0 - s.Pi1, np.cross(s.Theta, middle)) < 2e-15
@@ -237,13 +237,13 @@ def _H_cay(Theta):
     return jax.vmap(lambda t: so3.body_velocity(h, t), in_axes=-1, out_axes=-1)(tangents)
 
 
-def test_3_19_3_20(s):
+def test_3_19_and_3_20_are_the_derivative_of_the_map(s):
     by_autodiff = _H_cay(s.Theta)
     assert close(by_autodiff, paper.H_cay(s.Theta)) < 1e-15
     assert close(s.H, by_autodiff @ paper.P(s.name, s.bar)) < 1e-15
 
 
-def test_3_21_sign(s):
+def test_3_21_holds_with_the_other_sign(s):
     b = 2 * s.slope / (s.kappa + 2 * (s.bar @ s.bar) * s.slope)
     right, printed = ((ONE + sign * b * np.outer(s.bar, s.bar)) / s.kappa for sign in (-1, 1))
     assert close(np.linalg.inv(paper.P(s.name, s.bar)), right) < 1e-15
@@ -251,7 +251,7 @@ def test_3_21_sign(s):
         assert close(np.linalg.inv(paper.P(s.name, s.bar)), printed) > 1e-3
 
 
-def test_3_22_3_23_3_24_3_25(s):
+def test_3_22_to_3_25_follow_from_the_inverse_derivative(s):
     mu, outer = paper.mu(s.name, s.bar), np.outer(s.Theta, s.Theta)
     H_T = np.linalg.inv(s.H).T
     assert close(H_T, (ONE - hat(s.Theta) / 2 + mu * outer) / s.kappa) < 1e-15

@@ -94,7 +94,7 @@ def test_4_1_and_4_2_the_torque_is_gamma_cross_e():
 
 
 @pytest.mark.slow
-def test_4_3_and_4_4_are_the_step(s):
+def test_4_3_and_4_4_hold_for_the_step(s):
     assert close(s.Q1, s.Q0 @ s.T) < 2e-15
     assert close(s.pi1, s.pi0 + DT * np.cross(GAMMA, s.e)) < 1e-15
     assert GAMMA @ (s.pi1 - s.pi0) == pytest.approx(0, abs=3e-16)  # Result 6
@@ -108,7 +108,7 @@ def test_4_5_and_4_10_have_no_kappa(s):
         assert abs(s.kappa * work - s.dV) > 1e-4
 
 
-def test_4_6_needs_kappa(s):
+def test_4_6_holds_only_with_the_factor_kappa(s):
     """As printed, e lacks the factor κ, and (4.5) fails for every κ but 1."""
     work = GAMMA @ np.cross(s.Q0 @ s.bar, s.e / s.kappa)
     assert (abs(work - s.dV) > 1e-4) == (s.name != "cayley")
@@ -119,7 +119,7 @@ def test_4_7_is_with_t_not_its_transpose(s):
     assert close(s.Pi0, s.T.T @ s.Pi1 - DT * s.g) > 0.1
 
 
-def test_4_8_and_4_9(s):
+def test_4_9_holds_and_4_8_holds_with_corrected_signs(s):
     assert close(np.linalg.inv(ONE + s.T) @ (s.T - ONE), s.kappa * hat(s.bar) / 2) < 1e-15  # (4.9)
     free = -s.kappa / DT * np.cross(s.bar, s.J @ s.bar)
     assert close(s.Pi1 - s.Pi0, free + DT * (ONE - s.kappa * hat(s.bar) / 2) @ s.g) < 5e-15
@@ -196,6 +196,6 @@ def test_4_13_symplectic_within_the_class_forces_zero_force():
     assert close(s.Pi1 - s.Pi0 - rest, np.cross(s.bar, s.J @ s.bar) / DT) > 0.1  # as printed
 
 
-def test_paper_kappas_are_ours():
+def test_the_kappas_of_the_paper_are_those_of_the_package():
     ours = jax.jit(lambda x: [getattr(li.maps, f"kappa_{name}")(x) for name in KAPPAS])(0.3)
     assert list(map(float, ours)) == pytest.approx([kappa(0.3) for kappa, _ in KAPPAS.values()], rel=1e-15)

@@ -47,7 +47,7 @@ def test_a_mark_names_a_file_of_the_package(row):
     assert (ROOT / row.file).is_file()
 
 
-def test_corrections_has_the_table_of_the_marks():
+def test_the_page_of_corrections_has_the_table_of_the_marks():
     """`python tests/lib/paper_table.py` prints it."""
     text = (ROOT / "corrections.md").read_text(encoding="utf-8")
     assert table(rows()) in text

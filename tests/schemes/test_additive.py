@@ -160,7 +160,7 @@ LABELED = additive(SOFT, "symplectic", alpha=0.3)  # its static fields serve eve
 
 @pytest.mark.paper("6.2: (6.15)–(6.17)", "the symplectic family", "schemes/_additive.py")
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.8, 1.0])
-def test_6_17_is_symplectic_and_keeps_momentum_for_every_alpha(alpha):
+def test_6_17_is_symplectic_and_conserves_momentum_for_every_alpha(alpha):
     step = dataclasses.replace(LABELED, alpha=jnp.array(alpha))
     L = _linear(step, SOFT_STATE, 0.1)
     assert np.abs(L.T @ OMEGA @ L - OMEGA).max() < 1e-13  # floor 3e-15
@@ -318,7 +318,7 @@ def test_6_13_gamma_is_not_below_one_half():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("dt", "Phi"), [(0.005, 6.0), (0.05, 10.0)], ids=["3c", "4c"])
-def test_average_keeps_energy_and_momentum_where_the_figures_are(dt, Phi):
+def test_average_conserves_energy_and_momentum_in_the_runs_of_the_figures(dt, Phi):
     """λ = 2000 makes rounding visible. Of 4c it is a random walk of 5e-14 per step once the motion has lost its
     symmetry (|F| up to 3.6): a stress rounded otherwise or further Newton corrections end between 4e-12 and 6e-12 as
     well.
@@ -331,7 +331,7 @@ def test_average_keeps_energy_and_momentum_where_the_figures_are(dt, Phi):
 
 
 @pytest.mark.long
-def test_the_rules_with_gamma_say_where_they_fail():
+def test_the_rules_with_gamma_are_flagged_where_they_fail():
     """At Figure 4's step (6.13) has no root near some steps' own: a flag, not a wrong number."""
     step = additive(BALL, "energy_momentum")
     H, Phi, converged, _ = run(step, spinning(6.0), 0.05, 60)
@@ -346,7 +346,7 @@ def test_the_rules_with_gamma_say_where_they_fail():
 
 @pytest.mark.long
 @pytest.mark.parametrize("W", ["user", "saint_venant_kirchhoff", "neo_hookean"])
-def test_every_material_keeps_energy(W):
+def test_every_material_conserves_energy(W):
     """A user's W(C) by 8 Gauss nodes; St Venant–Kirchhoff by its midpoint; neo-Hookean by its invariants."""
     material = (lambda C: jnp.sum((C - jnp.eye(3)) ** 4) + 20 * (jnp.linalg.det(C) - 1) ** 2) if W == "user" else None
     body = li.systems.pseudo_rigid_body(E, material or getattr(li.systems, W)(40.0, 6.0))
@@ -376,7 +376,7 @@ def test_a_step_that_turns_the_body_inside_out_is_flagged():
 
 
 @pytest.mark.long
-def test_gradients_through_a_step():
+def test_gradients_through_a_step_of_a_pseudo_rigid_body_agree_with_differences():
     """By the implicit function, with respect to λ, μ, which are leaves of the step, and Δt: against differences."""
     step = additive(SOFT)
 
@@ -395,7 +395,7 @@ def test_gradients_through_a_step():
 
 
 @pytest.mark.long
-def test_float32_is_kept():
+def test_pseudo_rigid_bodies_in_float32_stay_in_float32():
     with jax.enable_x64(False):
         body = li.systems.pseudo_rigid_body([2.0, 2.0, 2.0], li.systems.mooney_rivlin(2000.0, 6.0))
         step, state = additive(body), body.state(angular_velocity=[0.0, 0.0, 3.0])
@@ -406,7 +406,7 @@ def test_float32_is_kept():
         assert step.system.energy(state) == pytest.approx(18, rel=1e-4)  # floor 1e-5
 
 
-def test_what_is_out_of_range_is_an_error():
+def test_arguments_of_additive_out_of_range_raise_errors():
     rigid = li.systems.rigid_body([1.0, 2.0, 3.0])
     for arguments, message in (
         ((rigid,), "pseudo-rigid bodies"),

@@ -694,7 +694,7 @@ NAMES = [pytest.param(name, marks=[pytest.mark.long] * (name not in QUICK)) for 
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=6)
 @given(seed=st.integers(0, 2**31), k=st.integers(0, SPOILT - 1))
-def test_what_is_no_body_no_state_and_no_step_size_is_refused(name, seed, k):
+def test_impossible_bodies_states_and_step_sizes_are_refused(name, seed, k):
     assert accepted(name, seed, k) is None
 
 

@@ -57,7 +57,7 @@ def test_gravity_to_second_order_leaves_out_terms_of_fourth_order():
     assert np.log2(differences[0] / differences[1]) == pytest.approx(5, abs=0.05)
 
 
-def test_full_tensors_are_principal_moments_turned():
+def test_full_tensors_are_rotated_principal_moments():
     full = jnp.stack([jnp.diag(J) for J in BINARY.inertias])
     V = potentials.maccullagh(1.0, BINARY.masses, full)
     turned = systems.rigid_bodies(BINARY.masses, full, V)
@@ -93,7 +93,7 @@ def test_forces_and_torques_are_the_derivatives_of_the_potential(name):
 
 
 @pytest.mark.long
-def test_splitting_keeps_both_momenta_and_the_energy_does_not_drift():
+def test_splitting_conserves_both_momenta_and_the_energy_does_not_drift():
     """Observed over 10 000 steps, 35 orbits: P 0, L 6e-15, energy 2.6e-6."""
     H, P, L = errors(SPLITTING, START, DT, 10_000, 100)
     assert P < 1e-15
@@ -119,7 +119,7 @@ def test_many_bodies_are_kicked_once_a_step(monkeypatch):
 
 
 @pytest.mark.long
-def test_a_step_of_many_bodies_keeps_what_that_of_two_does():
+def test_a_step_of_many_bodies_conserves_what_that_of_two_does():
     """P and L observed within 2e-16 over 100 steps, and a step back within 5e-16."""
     bodies, state = eight()
     step = schemes.splitting(bodies)
@@ -132,7 +132,7 @@ def test_a_step_of_many_bodies_keeps_what_that_of_two_does():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_splitting_keeps_the_form(name):
+def test_splitting_of_bodies_is_symplectic(name):
     """Observed 4e-14 and 5e-15."""
     system, state, dt = EXAMPLES[name]
     step = schemes.splitting(system)
@@ -159,7 +159,7 @@ def test_the_error_is_of_second_order_against_dop853(step):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_the_energy_momentum_scheme_keeps_all_three(name):
+def test_the_energy_momentum_scheme_conserves_energy_and_both_momenta(name):
     """Observed over 10 000 steps: H 9e-15 and 2e-15, P 0 and 3e-15, L 1e-14 and 3e-15."""
     system, state, dt = EXAMPLES[name]
     H, P, L = errors(schemes.bodies_energy_momentum(system), state, dt, 10_000, 100)
@@ -169,13 +169,13 @@ def test_the_energy_momentum_scheme_keeps_all_three(name):
 
 
 @pytest.mark.long
-def test_a_plain_function_as_potential_is_kept_by_quadrature():
+def test_energy_of_a_plain_function_as_potential_is_conserved_by_quadrature():
     """Gravity given as a function only; observed 4e-14."""
     plain = systems.rigid_bodies(BINARY.masses, BINARY.inertias, lambda x, R: BINARY.potential(x, R))
     assert max(errors(schemes.bodies_energy_momentum(plain), START, DT, 2000, 100)) < 2e-13
 
 
-def test_no_other_kappa_keeps_angular_momentum():
+def test_no_other_kappa_conserves_angular_momentum():
     """κτ̄ in place of τ̄ keeps energy at κ ≠ 1, and L changes by Δt Σ(κ − 1)τ̄: the discrete balance has no other way."""
     kappa, dt = 1.2, jnp.asarray(0.3)
     equation = _Equation(BINARY, START, dt)
@@ -237,7 +237,7 @@ def test_certificates_do_not_depend_on_units():
 
 @pytest.mark.long
 @pytest.mark.parametrize("scheme", [schemes.splitting, schemes.bodies_energy_momentum])
-def test_gradients_in_masses_inertias_and_states(scheme):
+def test_gradients_by_masses_inertias_and_states_agree_with_differences(scheme):
     def separation(run, masses, inertias, p):
         bodies = systems.RigidBodies(masses, inertias, potentials.MacCullagh(jnp.asarray(1.0), masses, inertias))
         x = run(scheme(bodies), START._replace(p=p), 0.1, 20, save_every=20).state.q[-1, :, :3]
@@ -269,7 +269,7 @@ def test_an_ensemble_of_binaries_is_the_binaries_one_by_one(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize("count", [1, 5])
-def test_any_number_of_bodies(count):
+def test_any_number_of_bodies_can_be_integrated(count):
     J = jnp.tile(jnp.array([1.0, 1.1, 1.3]), (count, 1))
     bodies = systems.rigid_bodies(jnp.ones(count), J, potentials.maccullagh(1.0, jnp.ones(count), J))
     x = 5.0 * jnp.stack([jnp.arange(count), jnp.arange(count) % 2, jnp.zeros(count)], axis=1)
@@ -280,13 +280,13 @@ def test_any_number_of_bodies(count):
     assert bodies.phase_space.dim == 12 * count
 
 
-def test_attitudes_as_quaternions_or_matrices():
+def test_attitudes_of_bodies_are_accepted_as_quaternions_or_matrices():
     q = jnp.array([[0.5, -0.1, 0.7, 0.5], [1.0, 0, 0, 0]])
     one, two = (BINARY.state(START.q[:, :3], a) for a in (q, jax.vmap(so3.to_matrix)(q)))
     np.testing.assert_allclose(one.q, two.q, rtol=0, atol=1e-15)
 
 
-def test_bad_input():
+def test_bad_arguments_of_bodies_raise_errors():
     m, J, V, x = [1.0, 0.1], np.ones((2, 3)), BINARY.potential, np.array([[0.0, 0, 0], [3.0, 0, 0]])
     for arguments, message in [
         (([1.0, -0.1], J, V), "masses must be positive"),
@@ -342,7 +342,7 @@ KEPLER = {method: schemes.kepler_splitting(BINARY, method) for method in (2, (8,
     ],
     ids=lambda x: getattr(x, "name", None),
 )
-def test_orders_and_what_the_splittings_of_high_order_keep(step, dt, order):
+def test_splittings_of_high_order_have_their_order_and_conserve_momenta_and_form(step, dt, order):
     """Observed orders 4.03, 6.01, 2.01, 4.00, 4.0; P 0, L 2e-14 at most over 5000 steps."""
     assert diagnostics.order(step, START, dt) == pytest.approx(order, abs=0.15)
     assert diagnostics.reversibility(step, START, dt) < 2e-15
@@ -361,7 +361,7 @@ TURNS = schemes.preprocessed(BINARY.free, 10)
 @pytest.mark.parametrize(
     ("drift", "bound"), [(schemes.exact(BINARY.free), 5e-16), (TURNS, 6e-13)], ids=["exact", "preprocessed"]
 )
-def test_free_bodies_go_straight_on_and_turn_alone(drift, bound):
+def test_free_bodies_move_on_straight_lines_and_rotate_independently(drift, bound):
     """At |ΔtΩ| = 0.36; observed 1e-16 from each body's closed form, and 1.8e-13 by steps of order 10."""
     end, info = jax.jit(drift)(START, 0.3)
     assert info.converged
@@ -384,7 +384,7 @@ def test_free_bodies_go_straight_on_and_turn_alone(drift, bound):
     ],
     ids=lambda x: getattr(x, "name", None),
 )
-def test_bodies_may_turn_by_preprocessed_steps(step, exact, dt, form):
+def test_bodies_may_rotate_by_preprocessed_steps(step, exact, dt, form):
     """They keep what the exact drift keeps, in an ensemble too; observed: form a third of the bound, P 0, L 2e-15."""
     (end, info), (same, _) = (jax.jit(x)(START, dt) for x in (step, exact))
     assert info.converged
@@ -403,7 +403,7 @@ def test_bodies_may_turn_by_preprocessed_steps(step, exact, dt, form):
 
 
 @pytest.mark.long
-def test_derivatives_through_preprocessed_turns():
+def test_derivatives_through_preprocessed_rotations_agree_with_differences():
     """Forward, reverse, and differences, in an inertia, a mass and the start."""
 
     def end(J, m, dx):
@@ -446,7 +446,7 @@ def test_energy_at_equal_forces_orders_the_schemes():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.3, 0.9, 1.9], ids=["narrow ellipse", "ellipse", "hyperbola"])
-def test_kepler_s_flow_on_every_conic(speed):
+def test_kepler_s_flow_is_exact_on_every_conic(speed):
     """Beside DOP853; observed 1e-14. Derivatives beside differences."""
     d, v = jnp.array([1.0, 0.2, -0.1]), speed * jnp.array([0.15, 1.0, 0.2])
     flow = jax.jit(lambda d, v, dt: kepler_flow(d, v, jnp.asarray(1.0), dt))

@@ -64,7 +64,7 @@ def both_derivatives(J, Pi, dt):
 @pytest.mark.parametrize(
     "J", [*itertools.permutations([1.0, 2.0, 3.0], 3), [1, 1, 2], [2, 1, 1], [1, 1, 1], [1, 2, 9], FULL]
 )
-def test_exact_where_it_converges_and_it_converges_up_to_70_degrees(J):
+def test_calibrated_steps_are_exact_where_they_converge_up_to_70_degrees(J):
     dts = np.array([0.01, 0.4, -0.8, 1.4, 1.8, 2.5, 4.0, 6.0, 9.0, 15.0, 40.0])
     converged, error = (np.asarray(x) for x in against_the_flow(jnp.asarray(J, float), momenta(), dts))
     assert converged[np.abs(dts) <= 1.2].all()  # |Ω| ≤ 1, so the turn is less than 70°
@@ -72,7 +72,7 @@ def test_exact_where_it_converges_and_it_converges_up_to_70_degrees(J):
 
 
 @pytest.mark.long
-def test_long_runs_with_constants_found_once():
+def test_long_runs_with_constants_computed_once_stay_exact():
     @jax.jit
     def measured(step, state):
         run = li.integrate(step, state, 0.8, 500, save_every=50)
@@ -111,7 +111,7 @@ def test_constants_are_those_of_the_trajectory_and_the_preprocessed_ones_approac
 
 
 @pytest.mark.long
-def test_symplectic_with_constants_held_fixed_or_found_anew():
+def test_calibrated_steps_are_symplectic_with_fixed_or_recomputed_constants():
     state, dt = moving(FULL), 0.7
 
     @jax.jit
@@ -138,7 +138,7 @@ def test_symplectic_with_constants_held_fixed_or_found_anew():
 
 @pytest.mark.long
 @pytest.mark.parametrize("J", [[1, 2, 3], [1, 1, 2], [2, 1, 1], [1, 1, 1], [1, 1, 1 + 1e-9]])
-def test_derivatives_are_those_of_the_exact_flow(J):
+def test_derivatives_of_calibrated_steps_are_those_of_the_exact_flow(J):
     """In J, Π and dt, where moments are equal too, and about every axis."""
     momenta = [[0.3, 0.4, 0.5], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1e-9, 1, 0], [1, 1, 0], [0, 0, 0]]
     cases = [(Pi, dt) for Pi in momenta for dt in (0.3, 0.0)]
@@ -195,7 +195,7 @@ def test_a_step_prepared_for_another_run_does_not_converge():
 
 
 @pytest.mark.long
-def test_single_precision():
+def test_calibrated_steps_in_single_precision_have_its_accuracy():
     J, Pi = jnp.array([1, 2, 3], "float32"), momenta().astype("float32")
     q = jnp.array(Q, "float32")
     state, info = jax.vmap(lambda Pi: calibrated(RigidBody(J))(State(q, Pi), jnp.float32(0.5)))(Pi)

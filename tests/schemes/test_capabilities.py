@@ -81,7 +81,7 @@ def test_a_gyrostat_is_no_free_body(name):
     make(BODY)
 
 
-def test_a_small_force_added_to_a_geodesic_flow_is_seen():
+def test_a_small_force_added_to_a_geodesic_flow_is_detected():
     wind = Wind(jnp.array([1.0, 2.0, 3.0]), li.groups.special_euclidean(2))
     with pytest.raises(ValueError, match=r"group_midpoint integrates geodesics on groups .* Wind.vector_field"):
         schemes.group_midpoint(wind)
@@ -138,7 +138,7 @@ def compares_all(monkeypatch):
     ],
     ids=lambda x: getattr(x, "__name__", None),
 )
-def test_the_package_s_own_systems_move_as_schemes_say(make, names, monkeypatch):
+def test_the_built_in_systems_have_the_vector_fields_that_schemes_integrate(make, names, monkeypatch):
     """So that the making of a step need not compare them."""
     compares_all(monkeypatch)
     compared, difference = [], accepts._difference
@@ -196,7 +196,7 @@ def test_an_altered_motion_is_refused_by_every_scheme_with_a_field_of_its_own():
             scheme(changed(**fields))
 
 
-def test_extrapolation_takes_an_altered_motion_as_it_is():
+def test_extrapolation_integrates_an_altered_motion():
     """Not as that of the class from which it inherits, whose unknowns of one body it knows."""
     changed = li.pytree(type("Changed", (Doubled, type(BODY)), {}))(BODY.inertia)
     state, dt = changed.state(angular_velocity=[0.1, 0.2, 1.0]), 0.1
@@ -205,7 +205,7 @@ def test_extrapolation_takes_an_altered_motion_as_it_is():
     np.testing.assert_allclose(end.p - state.p, dt * changed.vector_field(state).p, rtol=1e-12)
 
 
-def test_tracers_pass():
+def test_traced_inertias_are_accepted():
     """An inertia that is traced cannot be looked at: the step is made."""
 
     def end(inertia, rotor):
@@ -257,7 +257,7 @@ def test_every_system_declares_what_it_is():
         assert sum(isinstance(system, kind) for kind in kinds) == 1, name
 
 
-def test_groups_that_know_more_are_told_from_those_that_do_not():
+def test_groups_with_analytic_functions_are_distinguished_from_others():
     class Plain:
         """so3 in a class: all that a `Group` must have."""
 
@@ -288,7 +288,7 @@ def test_objects_that_are_no_steps_raise_an_error_on_how_to_define_one(thing):
             call()
 
 
-def test_a_step_of_one_s_own_by_the_public_names():
+def test_a_custom_step_needs_public_names_only():
     """Explicit Euler for the kinematics: what `li.pytree`, `li.static` and `li.Step` are public for."""
 
     @li.pytree

@@ -48,7 +48,7 @@ def test_the_declared_symmetry_is_that_of_the_default_step(scheme):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", MEASURED)
-def test_what_is_declared_conserved_is_measured(scheme):
+def test_every_quantity_declared_conserved_is_measured_conserved(scheme):
     """A declared invariant is constant to round-off; an energy or form that is not declared visibly is not."""
     found = examples(scheme)
     step, state, dt = next((x for x in found if x[0].system.momentum(x[1]).size), found[0])

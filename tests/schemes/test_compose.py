@@ -84,7 +84,7 @@ def test_power_sums_of_commuting_methods_to_38_digits(name):
 
 
 @pytest.mark.parametrize(("order", "stages", "constant"), [(4, 9, 2.12), (6, 13, 3.41), (8, 19, 4.67), (10, 23, 6.11)])
-def test_table_of_commuting_methods(order, stages, constant):
+def test_the_table_of_commuting_methods_lists_their_stages_and_errors(order, stages, constant):
     """The stages and error constants that the docstring tabulates, and that each beats every general one."""
 
     def cost(gammas):
@@ -123,7 +123,7 @@ def rate(errors):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
-def test_commuting_orders(order):
+def test_commuting_compositions_have_their_order(order):
     step = compose(SYMPLECTIC, order)
     runs = {n: np.asarray(_measured(step, 3.2 / n)[0].state.q) for n in (4, 8)}
     errors = [np.abs(q[n] - exact(3.2)).max() for n, q in runs.items()]
@@ -150,7 +150,7 @@ def test_published_order_10_on_steps_that_do_not_commute():
     assert errors[1] > 3e-13  # 1e-12, above the floor of 3e-15
 
 
-def test_suzuki_is_far_better_than_the_triple_jump():
+def test_suzuki_s_composition_has_a_smaller_error_than_the_triple_jump():
     """70 times smaller on the symplectic step, as the power sums say: 5.29 / 0.0744 = 71."""
     jump, suzuki = (errors_at(3.2, compose(SYMPLECTIC, 4, m), (32,))[0] for m in ("triple_jump", "suzuki"))
     assert jump / suzuki == pytest.approx(71, rel=0.05)
@@ -158,7 +158,7 @@ def test_suzuki_is_far_better_than_the_triple_jump():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
-def test_every_invariant_of_the_base_step_is_kept(order):
+def test_every_invariant_of_the_base_step_is_conserved(order):
     run, (energy, momentum, constraint), (form, back) = _measured(compose(SYMPLECTIC, order), 0.4)
     assert np.asarray(run.info.converged).all()
     assert energy < 2e-14  # floor 4e-15: 300 × 23 base steps
@@ -207,7 +207,7 @@ class Skew(Step):
         raise NotImplementedError
 
 
-def test_bad_arguments():
+def test_bad_arguments_of_compose_raise_errors():
     for call, message in (
         (lambda: compose(Skew(), 4), "symmetric step of order 2, got 'skew'"),
         (lambda: compose(compose(SYMPLECTIC, 4), 4), "symmetric step of order 2"),
@@ -220,7 +220,7 @@ def test_bad_arguments():
             call()
 
 
-def test_a_sub_step_past_the_branch_says_so():
+def test_a_sub_step_past_the_branch_is_flagged():
     step = compose(SYMPLECTIC, 8)
     assert after(step, STATE, 2.0, 1)[1].converged  # sub-steps are small: 0.39 of it at most
     assert not after(step, STATE, 4.0, 1)[1].converged
@@ -258,7 +258,7 @@ def test_a_tangent_vector_goes_through_what_sub_steps_carry_from_one_to_the_next
 
 
 @pytest.mark.long
-def test_derivatives_go_through():
+def test_derivatives_of_compositions_agree_with_differences():
     def end(J):
         return compose(so3_midpoint(li.systems.RigidBody(J)), 6)(STATE, 0.5)[0].q[1]
 

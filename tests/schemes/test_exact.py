@@ -87,14 +87,14 @@ def reference(J, state, t, order=48):
         ([1, 1, 2], [1, 0, 1e-3], 40.0),
     ],
 )
-def test_long_times_against_50_digits(moments, Omega, t):
+def test_exact_steps_over_long_times_agree_with_50_digits(moments, Omega, t):
     J, state = setting(moments, Omega)
     assert difference(solve(J, state, t).q, reference(J, state, t)) < 1e-13  # floor 2e-14
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, -1e-9, -1e-3])
-def test_near_the_separatrix(off):
+def test_exact_steps_near_the_separatrix_lose_no_more_digits_than_the_state(off):
     """On it (1/J₁ − 1/J₂)Π₁² = (1/J₂ − 1/J₃)Π₃². The last bits of the state allow an error of eps·exp(λt)."""
     J = np.array([1.0, 2.0, 3.0])
     state = State(np.array([1.0, 0, 0, 0]), np.array([0.3, 0.8, 0.3 * 3**0.5 * (1 + off)]))
@@ -108,7 +108,7 @@ def test_near_the_separatrix(off):
 @pytest.mark.parametrize(
     "moments", [*itertools.permutations([1.0, 2.0, 3.0]), [1, 1, 2], [2, 1, 1], [1, 2, 1], [1, 1, 1]]
 )
-def test_value_and_derivatives_for_every_ordering_and_symmetry(moments):
+def test_exact_steps_have_values_and_derivatives_for_every_ordering_and_symmetry(moments):
     """Against collocation of the vector field, in q, π, J and t; motions about every axis, permanent rotations too."""
     for Omega in ([1, 0, 0], [0, 1, 0], [0, 0, 1], [0.8, 0.1, 0.2], [0.1, 0.2, 0.9], [0.01, 1, 0]):
         J, state = setting(moments, Omega)
@@ -128,7 +128,7 @@ def closed_form(J, state, t):
     return so3.multiply(so3.exp(t * state.p / J[0]), so3.multiply(state.q, turn))
 
 
-def test_symmetric_top_and_sphere_in_closed_form():
+def test_a_symmetric_body_and_a_sphere_move_by_the_elementary_closed_form():
     """Λ(t) = exp(tπ̂/J₁) Λ exp(t(1/J₃ − 1/J₁)Π₃ ê₃)."""
     for moments in ([1.0, 1.0, 2.0], [2.0, 2.0, 1.0], [1.5, 1.5, 1.5]):
         J, state = setting(moments, [0.3, 0.4, 0.8])
@@ -136,7 +136,7 @@ def test_symmetric_top_and_sphere_in_closed_form():
             assert difference(solve(J, state, t).q, closed_form(J, state, t)) < 5e-14  # floor 1e-14
 
 
-def test_half_a_turn_of_the_intermediate_axis_takes_two_quarter_periods():
+def test_half_a_rotation_about_the_middle_axis_lasts_two_quarter_periods():
     """From Π₂ = 0 the body momentum has Π₃ → 0 … and Π₁, Π₂ change sign after 2K/λ."""
     J, Pi = np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.0, 1.0])  # about the third axis: λ² = (b₁ − b₃)(b₂ − b₃)Π₃²
     low, high = 1 - 1 / 2, 1 / 2 - 1 / 3
@@ -165,7 +165,7 @@ def walk(body, state, sizes, again):
 
 @pytest.mark.long
 @pytest.mark.parametrize("full", [False, True])
-def test_invariants_group_law_and_form(full):
+def test_the_exact_flow_has_its_invariants_group_law_and_form(full):
     J = turned([1.0, 2.0, 3.0]) if full else jnp.array([1.0, 2.0, 3.0])
     state = moving(J)
     sizes, again = np.array([3.0] * 300 + [20.0, -20.0]), np.arange(302) == 300
@@ -185,7 +185,7 @@ flow_of_body = jax.jit(lambda body, state, t: diagnostics.flow(body, state, t, 1
 defect = jax.jit(lambda body, state, dt: diagnostics.symplectic_defect(exact(body), state, dt))
 
 
-def test_poinsot():
+def test_the_angular_velocity_stays_on_poinsot_s_invariable_plane():
     """Ω rolls: its end stays on the plane 2H = π·ω, |Π| is constant, for 200 times in one batch."""
     J, state = setting([1, 2, 3], [0.1, 1, 0.2])
     body = RigidBody(jnp.array(J))
@@ -206,7 +206,7 @@ def test_poinsot():
 
 
 @pytest.mark.long
-def test_gradient_of_a_full_tensor_and_reverse_mode():
+def test_gradients_by_a_full_tensor_agree_in_both_modes():
     J, state = turned([1.0, 2.0, 3.0]), setting([1, 2, 3], [0.3, 0.6, 0.8])[1]
     slopes = jax.grad(lambda J, t: RigidBody(J).solution(state, t).q[1], argnums=(0, 1))
     by_J, by_t = jax.jit(slopes)(J, 4.0)
@@ -216,7 +216,7 @@ def test_gradient_of_a_full_tensor_and_reverse_mode():
     assert float(by_t) == pytest.approx((end(J, 4.0 + h) - end(J, 4.0 - h)) / (2 * h), rel=1e-7)
 
 
-def test_rest_and_single_precision():
+def test_exact_works_at_rest_and_in_single_precision():
     J, state = setting([1, 2, 3], [0, 0, 0])
     assert difference(solve(J, state, 5.0).q, Q) < 3e-16
     of_p = derivative(J, state, 5.0)[1].p
@@ -227,7 +227,7 @@ def test_rest_and_single_precision():
     assert difference(q, solve(J, state, 20.0).q) < 2e-5
 
 
-def test_bad_arguments():
+def test_bad_arguments_of_exact_raise_errors():
     with pytest.raises(ValueError, match="free rigid bodies"):
         exact("top")
     J, state = setting([1, 2, 3], [0.3, 0.6, 0.8])

@@ -202,7 +202,7 @@ def test_a_full_tensor_of_a_needle_is_flagged(scheme):
 
 
 @pytest.mark.long
-def test_exact_says_when_no_digits_are_left():
+def test_exact_is_flagged_when_no_digits_are_left():
     """The error of q is some eps |Ω| dt: 7e-15, 7e-10, 9e-5, 1e-2, 0.4 for these."""
     body = li.systems.rigid_body([1.0, 1.0, 2.0])
     state = body.state(angular_velocity=[0.2, 0.1, 1.0])
@@ -214,7 +214,7 @@ def test_exact_says_when_no_digits_are_left():
     assert not schemes.exact(body)(State(q, p), 1e300)[1].converged  # NaN
 
 
-def test_exact_says_when_it_passed_the_separatrix_too_closely():
+def test_exact_is_flagged_when_it_passed_the_separatrix_too_closely():
     """1e-10 from the separatrix, each passage of the middle axis loses digits: rounding the state decides the rest."""
     step, later = schemes.exact(BODY), jnp.linspace(0, 300, 60)
     state = BODY.state(body_momentum=[1.0, 1.0, 3**0.5 * (1 + 1e-10)])
@@ -297,7 +297,7 @@ def test_every_converged_root_is_that_of_the_branch_from_zero(name):
 
 
 @pytest.mark.long
-def test_steps_made_inside_jit():
+def test_steps_can_be_constructed_inside_jit():
     """κ by a closure; the drift of a potential on SE(2), whose metric is then a tracer."""
     made = jax.jit(lambda J: schemes.so3_midpoint(li.systems.rigid_body(J), lambda x: 1 + 0.3 * x)(STATE, 0.05)[0].q)
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -318,7 +318,7 @@ def test_steps_made_inside_jit():
     assert jnp.isfinite(jax.grad(lambda m: drifted(m)[0, 2])(metric)).all()
 
 
-def test_kirchhoff_inside_jit():
+def test_kirchhoff_can_be_constructed_inside_jit_without_arguments_only():
     metric = jax.jit(lambda: li.systems.kirchhoff().metric)()
     np.testing.assert_array_equal(metric, li.systems.kirchhoff().metric)
     with pytest.raises(ValueError, match="call kirchhoff outside jit"):

@@ -38,7 +38,7 @@ def _measured(step, state, dt):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", [kappa_cayley, kappa_exponential, kappa_symplectic], ids=lambda k: k.name)
-def test_a_run_in_single_precision(kappa):
+def test_runs_in_single_precision_conserve_to_its_round_off(kappa):
     step = li.schemes.so3_midpoint(_body(), kappa)
     run, energy, constraint = _measured(step, START, 0.05)
     assert all(x.dtype == jnp.float32 for x in (run.t, *jax.tree.leaves(run.state), run.info.residual))
@@ -49,7 +49,7 @@ def test_a_run_in_single_precision(kappa):
     assert not _measured(step, START, 1.2 if kappa.name == "symplectic" else 40.0)[0].info.converged[1]
 
 
-def test_the_form_in_single_precision():
+def test_the_form_in_single_precision_is_conserved_to_its_round_off():
     defect = jax.jit(li.diagnostics.symplectic_defect)
     defects = [
         defect(li.schemes.so3_midpoint(_body(), kappa), START, 0.4) for kappa in (kappa_symplectic, kappa_cayley)
@@ -59,7 +59,7 @@ def test_the_form_in_single_precision():
 
 
 @pytest.mark.long
-def test_certificate_says_single_precision():
+def test_certificates_name_single_precision():
     state = jax.tree.map(jnp.asarray, START)
     certificate = li.diagnostics.certify(li.schemes.so3_midpoint(_body()), state, 0.2, 200)
     assert "float32" in str(certificate)
@@ -67,7 +67,7 @@ def test_certificate_says_single_precision():
     assert certificate.order == pytest.approx(2, abs=0.05)
 
 
-def test_the_group_in_single_precision():
+def test_exp_and_log_in_single_precision_are_inverse():
     v = np.array([0.3, -0.5, 0.4], SINGLE)
 
     @jax.jit

@@ -79,7 +79,7 @@ def test_canonical_coordinates_are_those_of_the_system(name):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
-def test_form_momentum_length_and_way_back(name):
+def test_gauss_conserves_form_momentum_and_length_and_is_reversible(name):
     """One step at |Δt Ω| of 0.25 to 0.6; observed at most: form 1e-15, momentum and way back 1e-16, energy 2e-16."""
     system, state, dt = example(name)
     step = schemes.gauss(system)
@@ -151,7 +151,7 @@ def test_energy_and_momentum_over_a_long_run():
 
 @pytest.mark.long
 @pytest.mark.parametrize("group", [li.groups.so3, li.groups.special_linear(2)], ids=["SO(3)", "SL(2)"])
-def test_in_a_canonical_chart_of_a_group_the_form_is_kept_and_the_momentum_is_not(group):
+def test_in_a_canonical_chart_of_a_group_the_form_is_conserved_and_the_momentum_is_not(group):
     """Why `gauss` takes no groups: q = exp(ξ) qₙ and η = dexp*π are canonical at any qₙ, but π is not quadratic.
 
     Geodesics, so π is constant. Observed: form 2e-16; π moves by 1.5e-7 and 8e-8 at Δt = 0.4, with order 5.
@@ -239,7 +239,7 @@ def test_too_few_sweeps_and_too_long_steps_are_flagged():
 
 
 @pytest.mark.parametrize("size", [1e-50, 1e50])
-def test_units_change_nothing(size):
+def test_a_step_of_gauss_is_independent_of_units(size):
     """A step does not depend on the unit of momentum; observed: 3e-16."""
 
     @jax.jit
@@ -270,14 +270,14 @@ def test_bad_arguments_of_gauss_and_extrapolate_raise_errors():
             make()
 
 
-def test_the_polynomial_through_the_nodes():
+def test_the_polynomial_through_the_nodes_has_exact_values_and_integrals():
     """Of degree 3 through 4 nodes, at 7: its values and its integrals; observed 1.1e-15 and 6e-17."""
     c, at = collocation.nodes(4), collocation.nodes(7)
     np.testing.assert_allclose(collocation.values(4, at) @ c**3, at**3, rtol=0, atol=4e-15)
     np.testing.assert_allclose(collocation.integrals(4, at) @ c**3, at**4 / 4, rtol=0, atol=3e-16)
 
 
-def test_the_weights_cancel_even_powers():
+def test_the_weights_of_extrapolation_cancel_even_powers():
     numbers = [2, 4, 6, 8, 10, 12]
     w = np.array(weights(numbers))
     sums = [np.sum(w * np.array(numbers, float) ** (-2 * k)) for k in range(6)]
@@ -346,7 +346,7 @@ def test_a_converged_step_of_gauss_is_the_flow(name):
 
 
 @pytest.mark.long
-def test_increments_keep_the_last_digits():
+def test_increments_preserve_the_last_digits():
     """After 2000 steps, by the energy; observed: 4e-15 with increments, 1.7e-13 without."""
     drift = {}
     for increments in (True, False):

@@ -49,7 +49,7 @@ def measured(step, state, dt):
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.3, 0.0, 1.0])
-def test_without_a_potential_momentum_is_kept_for_every_alpha_and_the_rest_is_not(alpha):
+def test_without_a_potential_momentum_alone_is_conserved_for_every_alpha(alpha):
     """Energy and form are lost as Δt² per step, even by the map that keeps both at α = ½; order 1."""
     step = li.schemes.group_alpha(FREE, alpha, SYMPLECTIC)
     (_, good, *coarse), (_, _, *fine) = (measured(step, SPIN, dt) for dt in (0.2, 0.1))
@@ -75,7 +75,7 @@ def test_the_ends_of_the_family_are_the_symplectic_euler_schemes(alpha):
 
 
 @pytest.mark.long
-def test_without_a_potential_one_half_is_group_midpoint():
+def test_without_a_potential_alpha_one_half_is_group_midpoint():
     step = li.schemes.group_alpha(FREE, 0.5, SYMPLECTIC)
     other = measured(li.schemes.group_midpoint(FREE, SYMPLECTIC), SPIN, 0.3)
     after, good, defect, energy, momentum = measured(step, SPIN, 0.3)
@@ -88,7 +88,7 @@ def test_without_a_potential_one_half_is_group_midpoint():
 @pytest.mark.paper("1.1: (1.1), (1.2)", "canonical systems, on translations of ℝⁿ", "schemes/_group_alpha.py")
 @pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.3, 0.0, 0.5, 1.0])
-def test_on_an_abelian_group_the_form_is_kept_for_every_alpha(alpha):
+def test_on_an_abelian_group_the_form_is_conserved_for_every_alpha(alpha):
     """1″ to 3″ of Result 14 hold; energy is not kept; order 2 for ½ alone."""
     step = li.schemes.group_alpha(PLANE, alpha)
     _, good, defect, energy, _ = measured(step, MOVING, 0.4)
@@ -117,7 +117,7 @@ def test_the_equations_5_43_and_5_45_hold_as_they_stand(alpha):
 @pytest.mark.paper("5.4: (5.43), (5.44)", "the class, and momentum", "schemes/_group_alpha.py")
 @pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.5, 0.3])
-def test_with_a_potential_the_momentum_of_its_symmetry_is_kept_and_the_form_is_not(alpha):
+def test_with_a_potential_the_momentum_of_its_symmetry_is_conserved_and_the_form_is_not(alpha):
     """(5.44) for every α; Result 8: on SO(3) no member is symplectic, the best loses the form as Δt³."""
     step = li.schemes.group_alpha(TOP, alpha)
     (_, good, *coarse), (_, _, *fine) = (measured(step, SPIN, dt) for dt in (0.2, 0.1))

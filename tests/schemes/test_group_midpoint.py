@@ -128,7 +128,7 @@ KAPPAS = {"cayley": maps.kappa_cayley, "exponential": maps.kappa_exponential, "a
 
 @pytest.mark.long
 @pytest.mark.parametrize("tau", TAUS)
-def test_on_so3_it_is_so3_midpoint(tau):
+def test_group_midpoint_on_so3_is_so3_midpoint(tau):
     """To round-off over 50 steps, for each κ; for the symplectic one on quaternions too, by the scaled Cayley map."""
     J, kappa = [1.0, 2.0, 3.0], KAPPAS[tau]
     R, _ = attitudes(li.schemes.so3_midpoint(li.systems.rigid_body(J), kappa, iterations=6), "angular_velocity")
@@ -260,7 +260,7 @@ def test_5_31_with_the_inverse_5_33_and_6_28(name, tau):
 
 @pytest.mark.paper("App. B: (6.24)–(6.32)", "the linearized step, (5.31)", "diagnostics/_conditions.py")
 @formulas
-def test_6_31_6_32_are_why(name, tau):
+def test_6_31_and_6_32_explain_why_5_31_and_6_30_vanish_together(name, tau):
     """For every map: the residual of (5.31) is that of (6.30) carried by G_n Ad*, so the two vanish together."""
     m, dt, d, o = one_step(name, tau)
     one = np.eye(d)
@@ -358,7 +358,7 @@ def stretched(M, group, theta):
 
 
 @pytest.mark.long
-def test_abelian_remark_both_ways():
+def test_the_remark_on_abelian_groups_holds_both_ways():
     """On an abelian group a map is symplectic if and only if H*m = mH; energy is conserved by any map."""
     system, state = system_and_state("R^3")
     m, g = np.array(system.metric), system.group
@@ -490,7 +490,7 @@ def test_hyperbolic_motion_is_flagged_before_digits_run_out():
     assert not good[~np.isfinite(error)].any()
 
 
-def test_past_its_range_a_step_says_so():
+def test_a_step_past_the_range_of_its_map_is_flagged():
     system, state = system_and_state("SO(3)")
     step = group_midpoint(system)
     rest = State(np.eye(3), np.zeros(3))

@@ -41,7 +41,7 @@ def _steps(E, F, V, dt):
 @pytest.mark.long
 @hypothesis.settings(max_examples=12)
 @hypothesis.given(matrices, matrices, st.tuples(*[st.floats(0.5, 2)] * 3).map(np.array), st.sampled_from([-0.02, 0.02]))
-def test_energy_momentum_and_volume_are_kept(A, V, E, dt):
+def test_energy_momentum_and_volume_are_conserved(A, V, E, dt):
     F = np.eye(3) + A / 5
     hypothesis.assume(np.abs(V).max() > 0.1)
     energy, momentum, volume, converged = map(np.asarray, _steps(E, F, V, dt))
@@ -52,7 +52,7 @@ def test_energy_momentum_and_volume_are_kept(A, V, E, dt):
 
 
 @pytest.mark.long
-def test_the_volume_of_stretched_bodies_is_kept_to_the_rounding_of_det_F():
+def test_the_volume_of_stretched_bodies_is_conserved_to_the_rounding_of_det_F():
     """Where the equation was asked of C = FᵀF, whose determinant has the terms |F|⁶, it was off by up to 40."""
     rng = np.random.default_rng(0)
     F = np.array([[1.3, -0.3, 0.8], [-0.8, 1.6, 0.5], [1.0, 0.3, 1.6]]) + rng.normal(size=(1000, 3, 3)) / 50
@@ -143,7 +143,7 @@ def test_the_vector_field_is_hamiltonian_and_perturb_stays_on_the_manifold():
 
 
 @pytest.mark.long
-def test_it_is_the_limit_of_bodies_that_resist_a_change_of_volume():
+def test_an_incompressible_body_is_the_limit_of_stiff_ones():
     """The flow of W + (λ/2)(I₃ − 1 − ln I₃) tends to the constrained one: it is off by less than 1/λ."""
     exact = jax.jit(flow, static_argnums=(0, 3))(BODY, STATE, 0.4, 40)
     for lam in (1e4, 1e5):
@@ -175,7 +175,7 @@ def test_float32_and_a_step_of_no_time():
 
 
 @pytest.mark.long
-def test_the_derivative_by_dt():
+def test_the_derivative_by_dt_agrees_with_differences():
     end = lambda h: STEP(STATE, h)[0].q  # noqa: E731
     slope, ends = jax.jit(jax.jacfwd(end))(DT), jax.jit(jax.vmap(end))(jnp.array([DT - 1e-5, DT + 1e-5]))
     np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-5, rtol=0, atol=1e-8)

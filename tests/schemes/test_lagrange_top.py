@@ -45,7 +45,7 @@ def nutation(top, state):
     return roots[0], roots[1], 4 * float(mpmath.ellipk(k2)) / np.sqrt(beta * (roots[2] - roots[0]))
 
 
-def test_the_closed_form_of_nutation_and_precession_against_quadrature():
+def test_the_closed_form_of_nutation_and_precession_agrees_with_quadrature():
     """With u = Γ₃ between its two bounds, u̇² = β(u − u₁)(u₂ − u)(u₃ − u) and the precession is (b − cu)/(1 − u²)."""
     top = top_of()
     state = moving(np.array([A, A, C]), [0.5, 0.3, 20.0])
@@ -71,7 +71,7 @@ def test_the_closed_form_of_nutation_and_precession_against_quadrature():
 
 
 @pytest.mark.long
-def test_nutation_period_and_amplitude():
+def test_a_released_top_nutates_with_the_closed_form_s_period_and_amplitude():
     """Released with nothing but spin, the axis falls to the other root in half a period and is back after a whole."""
     top, state = jax.jit(lagrange)()
     low, high, period = nutation(top, state)
@@ -91,7 +91,7 @@ def test_nutation_period_and_amplitude():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fast", [False, True])
-def test_steady_precession_at_both_rates(fast):
+def test_steady_precession_is_possible_at_both_rates(fast):
     """A cos θ Ω² − CΩ₃ Ω + Mgl = 0: the axis keeps its tilt and turns at Ω, for both roots, to O(Δt²)."""
     top, tilt, spin = top_of(), 0.7, 30.0
     rates = np.sort(np.roots([A * np.cos(tilt), -C * spin, WEIGHT]).real)

@@ -128,7 +128,7 @@ def test_a_step_back_is_flagged_and_refused():
         step.check(state, -0.1)
 
 
-def test_a_key_that_is_none_is_refused():
+def test_a_bad_key_of_random_numbers_is_refused():
     step = thermostat()
     state = step.start(BEGIN)
     for key, message in (([1.0, 2.0, 3.0, 0.5], "must be a key"), ([np.nan] * 4, "finite"), ([1.0] * 8, "shape")):
@@ -175,7 +175,7 @@ def test_bad_arguments_of_langevin_raise_errors(name):
         make()
 
 
-def test_a_root_of_a_tensor():
+def test_the_root_of_a_tensor_squares_to_it():
     root = np.random.default_rng(0).normal(size=(3, 3))
     tensor = jnp.array(root @ root.T + np.eye(3))
     L = np.array([schemes._langevin._root_times(tensor, e) for e in jnp.eye(3)]).T
@@ -290,7 +290,7 @@ def decay(kT, inertia, rate, times, largest=14):
 
 
 @pytest.mark.long
-def test_a_free_rotor_forgets_its_attitude_as_theory_says():
+def test_the_attitude_of_a_free_rotor_decorrelates_at_the_rate_of_theory():
     """A spherical body, γ = 0.5, kT/J = 1: from the persistent to the diffusive regime, within 4 standard errors."""
     body = systems.rigid_body([2.0, 2.0, 2.0])
     step = schemes.langevin(body, 2.0, 0.5)
@@ -309,7 +309,7 @@ def test_a_free_rotor_forgets_its_attitude_as_theory_says():
 
 @pytest.mark.long
 @pytest.mark.parametrize("metropolis", [False, True])
-def test_the_certificate_says_what_is_certain(metropolis):
+def test_the_certificate_of_a_random_step_measures_heat_order_and_bias(metropolis):
     step = thermostat(metropolis)
     found = diagnostics.certify(step, step.start(BEGIN), 0.2, 400)
     assert found.exact_heat

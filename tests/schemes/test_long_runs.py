@@ -94,7 +94,7 @@ def cases():
 
 
 @pytest.mark.parametrize(("scheme", "name", "step", "state", "dt"), list(cases()))
-def test_what_a_long_run_conserves_and_the_order(scheme, name, step, state, dt):
+def test_long_runs_conserve_what_their_scheme_declares_at_its_order(scheme, name, step, state, dt):
     system_name, _, step_name = name.partition("-")
     states = members(step, state)
     run = ensemble.run(step, states, float(dt), LONG, save_every=LONG // 20, progress=False)

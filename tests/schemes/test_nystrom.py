@@ -54,7 +54,7 @@ def measured(step, state, dt):
 @pytest.mark.long
 @pytest.mark.parametrize("order", [4, 6])
 @pytest.mark.parametrize("name", CASES)
-def test_order_form_and_momentum(name, order):
+def test_nystrom_steps_have_their_order_and_conserve_form_and_momentum(name, order):
     """Observed: orders 3.96, 4.28, 5.93, 6.10; γ·π to the last bit.
 
     The form, with |ΔtΩ| = 0.5: 4e-12 and 2e-11 of order 4, whose drifts are longer, 4e-15 of order 6.
@@ -97,7 +97,7 @@ def test_the_drift_decides_what_becomes_of_the_form():
 
 
 @pytest.mark.long
-def test_derivatives_by_weight_and_step_size():
+def test_derivatives_by_weight_and_step_size_agree_with_differences():
     def end(weight, dt):
         return integrate(schemes.nystrom(systems.heavy_top(TOP.inertia, weight), 6), START, dt, 4).state.q[-1, 1]
 

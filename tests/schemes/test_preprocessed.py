@@ -63,7 +63,7 @@ def of(name, order):
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
 @pytest.mark.parametrize("name", BODIES)
-def test_order_against_the_exact_flow(name, order):
+def test_preprocessed_steps_have_their_order_against_the_exact_flow(name, order):
     out = of(name, order)
     assert np.log2(out["errors"][0] / out["errors"][1]) == pytest.approx(order, abs=0.15 if order < 8 else 0.4)
     assert out["errors"][1] < 1e-2 * out["error of order 2"]
@@ -168,7 +168,7 @@ def test_the_canonical_defect_is_that_of_the_literature():
     assert 1e-8 < defect < 1e-6
 
 
-def test_derivatives_and_batches():
+def test_preprocessed_steps_have_derivatives_and_vmap():
     J = BODIES["principal"].inertia
     state = moving(J)
 
@@ -184,7 +184,7 @@ def test_derivatives_and_batches():
         assert slope == pytest.approx(float(plus - minus) / (2 * h), rel=1e-7)
 
 
-def test_bad_arguments():
+def test_bad_arguments_of_preprocessed_raise_errors():
     body = BODIES["principal"]
     with pytest.raises(ValueError, match="order must be 4, 6, 8 or 10, got 12"):
         preprocessed(body, 12)

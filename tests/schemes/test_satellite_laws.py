@@ -148,7 +148,7 @@ def test_drag_and_sunlight_are_those_of_single_plates():
 
 
 @pytest.mark.long
-def test_air_at_rest_takes_energy_in_every_step():
+def test_air_at_rest_removes_energy_in_every_step():
     body, state = start(torques.aerodynamic(lambda t: (jnp.asarray(2.0), jnp.zeros(3)), *PLATES))
     path, H = run(torqued_midpoint(body), state, 100)
     assert (np.diff(path.state.work) < 0).all()
@@ -188,7 +188,7 @@ def test_a_pyramid_gives_the_torque_and_has_the_same_authority_everywhere():
     np.testing.assert_allclose(-g.T @ u, wanted, rtol=0, atol=1e-15)
 
 
-def test_torquers_give_what_is_across_the_field():
+def test_torquers_exert_the_torque_across_the_field():
     control = lambda t, q, Omega: jnp.array([0.1, 0.2, -0.3])  # noqa: E731
     t, B = jnp.asarray(0.7), np.asarray(so3.Ad_star(Q, FIELD(0.7)))
     T, unit = np.array([0.1, 0.2, -0.3]), B / np.linalg.norm(B)
@@ -267,7 +267,7 @@ def test_steps_back_undo_steps():
 
 
 @pytest.mark.long
-def test_three_basilisk_wheels():
+def test_three_wheels_agree_with_the_published_run_of_basilisk():
     """MRP after 1 s; motors until 0.5 s, the third cut at 0.2 N m. Observed: 5e-11, 10 digits are published.
 
     Source: AVSLab/basilisk @babdff7, reactionWheels/_UnitTest/test_reactionWheelStateEffector_integrated.py.

@@ -72,7 +72,7 @@ def test_the_equations_2_17_hold_as_they_stand(alpha, kappa):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
-def test_one_half_is_so3_midpoint(kappa):
+def test_alpha_one_half_is_so3_midpoint(kappa):
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     state = body.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.3, 1.0])
     here, there = STATE, state
@@ -110,7 +110,7 @@ def test_alpha_is_undone_by_one_less_alpha():
 
 
 @pytest.mark.long
-def test_one_half_is_symplectic_with_the_symplectic_kappa_and_not_with_another():
+def test_alpha_one_half_is_symplectic_with_the_symplectic_kappa_only():
     defect = [jax.jit(symplectic_defect)(li.schemes.so3_alpha(BODY, 0.5, k), STATE, 0.3) for k in KAPPAS]
     assert defect[2] < 4e-15  # floor 9e-16
     assert min(defect[:2]) > 1e-4
@@ -118,7 +118,7 @@ def test_one_half_is_symplectic_with_the_symplectic_kappa_and_not_with_another()
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("alpha", "axis"), [(0.1, 0), (0.9, 2)])
-def test_other_members_end_on_an_axis(alpha, axis):
+def test_other_alphas_end_in_a_spin_about_an_axis(alpha, axis):
     """|Π| falls or grows monotonically, at constant energy, to its least or greatest value √(2HJ)."""
     run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(
         li.schemes.so3_alpha(BODY, alpha), STATE, 0.1, 1200, save_every=100
@@ -151,14 +151,14 @@ def _slopes(alpha, kappa, state, dt):
 
 
 @pytest.mark.long
-def test_derivatives_by_alpha_and_dt():
+def test_derivatives_by_alpha_and_dt_agree_with_differences():
     forward, differences, reverse = _slopes(0.3, kappa_exponential, STATE, 0.2)
     np.testing.assert_allclose(forward, differences, rtol=0, atol=1e-9)
     np.testing.assert_allclose(reverse, forward[:, 0, 1], rtol=0, atol=1e-15)
 
 
 @pytest.mark.long
-def test_float32():
+def test_so3_alpha_in_float32_has_its_accuracy():
     body = li.systems.embedded_body(np.array([1, 2, 3], np.float32))
     state = jax.tree.map(lambda x: x.astype(np.float32), STATE)
     after, info = _once(li.schemes.so3_alpha(body, np.float32(0.3)), state, np.float32(0.2))

@@ -41,7 +41,7 @@ def measured(body, state):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", INERTIAS)
-def test_equal_to_the_implicit_step_and_as_conserving(name):
+def test_so3_explicit_is_the_implicit_step_and_conserves_as_much(name):
     runs, form, back = measured(RigidBody(INERTIAS[name]), moving(INERTIAS[name]))
     assert runs["converged"].shape == (2, 2001)
     assert runs["converged"].all()
@@ -53,7 +53,7 @@ def test_equal_to_the_implicit_step_and_as_conserving(name):
 
 
 @pytest.mark.long
-def test_gradients_go_through_what_is_solved_once():
+def test_gradients_include_the_constants_that_are_solved_once():
     J = INERTIAS["principal"]
     state = moving(J)
 

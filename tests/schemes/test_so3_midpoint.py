@@ -44,7 +44,7 @@ def test_the_reference_flow_agrees_with_another_package():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
-def test_second_order_against_another_package(kappa):
+def test_so3_midpoint_is_of_second_order_against_another_package(kappa):
     q, _ = dop853([1.0, 2, 3], STATE.q, STATE.p, 10.0)
     step = li.schemes.so3_midpoint(BODY, kappa)
     errors = [float(angle(after(step, STATE, 10 / n, n)[0].q, q)) for n in (200, 400, 800)]
@@ -82,7 +82,7 @@ def test_full_inertia_is_the_same_body_in_other_axes(kappa):
     assert angle(both(a.q)[-1], b.q) < 2e-15
 
 
-def test_moser_veselov():
+def test_the_symplectic_step_is_the_discrete_moser_veselov_map():
     """The symplectic step is the discrete Moser–Veselov map: M = ωᵀJd − Jdω, ω the transposed rotation of the step."""
     end, _ = after(li.schemes.so3_midpoint(BODY), STATE, 0.3, 1)
     R = np.array(jax.jit(lambda a, b: so3.to_matrix(so3.multiply(so3.inverse(a), b)))(STATE.q, end.q))
@@ -95,7 +95,7 @@ def test_moser_veselov():
 
 
 @pytest.mark.parametrize("kappa", [*KAPPAS, lambda x: 1 + x / 5], ids=["cayley", "exponential", "symplectic", "user"])
-def test_time_symmetric(kappa):
+def test_so3_midpoint_is_time_symmetric(kappa):
     step = li.schemes.so3_midpoint(BODY, kappa)
     back, _ = after(step, after(step, STATE, 0.3, 1)[0], -0.3, 1)
     assert np.abs(np.asarray(back.q) - STATE.q).max() < 1e-15  # floor 2e-16
@@ -155,7 +155,7 @@ def test_derivatives_forward_reverse_and_finite_differences(kappa, full):
 
 
 @pytest.mark.long
-def test_derivatives_nest():
+def test_nested_derivatives_agree_in_either_order():
     """Forward over reverse and reverse over forward agree: the Hessian in the inertia, which is symmetric."""
 
     def f(J):
@@ -170,7 +170,7 @@ def test_derivatives_nest():
     np.testing.assert_allclose(hessians[0], hessians[0].T, rtol=0, atol=1e-14)
 
 
-def test_derivative_in_a_parameter_of_kappa():
+def test_the_derivative_by_a_parameter_of_kappa_agrees_with_differences():
     """A κ with a parameter of its own is a Partial; its derivative goes through the step's leaves."""
 
     def kappa(c, x):
@@ -189,7 +189,7 @@ def test_derivative_in_a_parameter_of_kappa():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
-def test_at_rest_value_and_derivative_are_finite(kappa):
+def test_a_body_at_rest_has_finite_values_and_derivatives(kappa):
     """No momentum, no step, no 0/0: and it converges."""
     rest = li.State(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
     for state, dt in ((rest, 0.1), (STATE, 0.0)):
@@ -348,14 +348,14 @@ def test_advice_for_rods_names_the_vector_form():
     assert after(li.schemes.so3_midpoint(rod, vector), state, 0.5, 1)[1].converged
 
 
-def test_advice_for_the_symplectic_kappa_says_where_it_ends_in_either_form():
+def test_advice_for_the_symplectic_kappa_names_its_limit_in_either_form():
     vector = dataclasses.replace(kappa_symplectic, solve_by="vector")
     for kappa, ends in ((kappa_symplectic, "ends at"), (vector, "ends at"), (kappa_cayley, "folds at")):
         step = li.schemes.so3_midpoint(BODY, kappa)
         assert f"the branch of this κ {ends} |Δt Ω|" in step.advice(STATE, 2.0)
 
 
-def test_scheme_arguments():
+def test_bad_arguments_of_so3_midpoint_raise_errors():
     with pytest.raises(ValueError, match="free rigid bodies"):
         li.schemes.so3_midpoint("a top")
     with pytest.raises(ValueError, match="callable"):

@@ -53,7 +53,7 @@ def power_sums(squares):
 
 
 @pytest.mark.long
-def test_the_linearized_step_has_the_roots_of_the_characteriztic_equation():
+def test_the_linearized_step_has_the_roots_of_the_characteristic_equation():
     """λ² = −3(A − C)/B of pitch, λ⁴ + (1 + 3k₁ + k₁k₃)λ² + 4k₁k₃ = 0 of roll and yaw: to order Δt².
 
     Observed 7.5e-4 of the largest sum of its kind at Δt = 0.02, and 4.00 times as much at 0.04.

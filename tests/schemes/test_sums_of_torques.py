@@ -260,7 +260,7 @@ def rhs(body, template):
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 4])
-def test_orders_against_another_package(order):
+def test_sums_of_torques_have_the_order_of_the_step_against_another_package(order):
     """Nine laws, all but the rod, without limits and with a plate that stays lit, as switches have no order."""
     switching = ("bdot", "hysteresis", "wheels", "pd_trace", "solar_plate")
     chosen = [law for name, law in LAWS.items() if name not in switching]

@@ -67,7 +67,7 @@ def test_the_closed_form_of_the_kicks_is_their_derivative():
 
 @pytest.mark.long
 @pytest.mark.parametrize(("step", "state", "dt"), GRID)
-def test_every_step_carries_tangent_vectors(step, state, dt):
+def test_every_step_maps_tangent_vectors_by_its_derivative(step, state, dt):
     check(step, jax.tree.map(jnp.asarray, state), dt)
 
 

@@ -106,7 +106,7 @@ def test_any_law_of_pairs_is_balanced(seed):
     assert lost.sum() > 1e-2
 
 
-def test_the_law_is_mignard_s():
+def test_the_constant_lag_law_is_mignard_s():
     """Equations (5) and (6) of the paper: −(3C/r¹⁰)[2r(r·v) + r²(r×ω + v)], and its part that loses nothing."""
     rng = np.random.default_rng(0)
     r, v, *omega = rng.normal(size=(4, 3))

@@ -100,7 +100,7 @@ def own_and_shared(name, *others):
 
 
 @pytest.mark.long
-def test_a_kappa_shared_by_a_leaf_is_each_of_the_three():
+def test_a_kappa_selected_by_a_leaf_is_each_of_the_three():
     """Its value and slope are theirs, and it is they that decide where a top goes."""
     both = jax.jit(lambda kappa, x: jax.vmap(jax.value_and_grad(kappa))(x))
     x = np.array([0.0, 0.1, 0.6])
@@ -129,7 +129,7 @@ def test_results_06_and_07_momentum_about_gamma_and_energy_for_any_kappa(name, k
 
 
 @pytest.mark.long
-def test_result_07_any_kappa_of_ones_own():
+def test_result_07_holds_for_a_custom_kappa():
     top = TOPS["linear"]
     _, _, (energy, *_) = run(top_energy_momentum(top, lambda x: 1 + x / 3), start(top), 0.1)
     assert np.abs(energy).max() < 5e-14
@@ -137,7 +137,7 @@ def test_result_07_any_kappa_of_ones_own():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
-def test_second_order_and_reversible(name, kappas):
+def test_steps_of_tops_are_of_second_order_and_reversible(name, kappas):
     top = TOPS[name]
     state = start(top)
     end = flow(top, state, 3.2, 32)
@@ -161,7 +161,7 @@ def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*TOPS, "three_wells"])
-def test_splitting_is_symplectic_and_keeps_gamma_dot_pi(name):
+def test_splitting_is_symplectic_and_conserves_gamma_dot_pi(name):
     top, state = three_wells() if name == "three_wells" else (TOPS[name], start(TOPS[name]))
     step = splitting(top)
     for dt in (0.1, -0.3):
@@ -214,7 +214,7 @@ def test_splitting_has_no_drift_of_energy_where_the_top_is_chaotic():
 
 
 @pytest.mark.long
-def test_compositions_raise_the_order_and_keep_what_the_base_keeps():
+def test_compositions_raise_the_order_and_conserve_what_the_base_conserves():
     top = TOPS["linear"]
     state = start(top)
     end = flow(top, state, 3.2, 32)
@@ -230,7 +230,7 @@ def test_compositions_raise_the_order_and_keep_what_the_base_keeps():
 
 
 @pytest.mark.long
-def test_a_custom_drift():
+def test_a_custom_drift_lowers_the_error_of_a_fast_top():
     """With the exact drift a fast top in a weak field has a smaller error; and no step is too long."""
     top = li.systems.heavy_top([1.0, 2.0, 3.0], [0.0, 0.0, 1e-3])
     state = start(top)
@@ -243,7 +243,7 @@ def test_a_custom_drift():
 
 
 @pytest.mark.long
-def test_clebsch_and_kovalevskaya():
+def test_the_fourth_integrals_of_clebsch_and_kovalevskaya_are_bounded():
     """The fourth integrals: constant along the exact flow, bounded along the schemes, their errors O(Δt²)."""
     for (top, state), integral, dt in (
         (brun(), functools.partial(clebsch_integral, strength=0.8), 0.05),
@@ -263,7 +263,7 @@ def test_clebsch_and_kovalevskaya():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["linear", "transcendental"])
-def test_value_and_derivatives_are_finite_where_gamma_does_not_move(name):
+def test_values_and_derivatives_are_finite_where_gamma_is_at_rest(name):
     """Spin about γ, Δt = 0, zero momentum: ΔΓ = 0 in the discrete gradient."""
     top = li.systems.potential_top([1.0, 2.0, 3.0], TOPS[name].potential)
     one = np.array([1.0, 0.0, 0.0, 0.0])
@@ -284,7 +284,7 @@ def test_value_and_derivatives_are_finite_where_gamma_does_not_move(name):
 
 
 @pytest.mark.long
-def test_linearization_against_finite_differences():
+def test_linearized_steps_of_tops_agree_with_differences():
     top = TOPS["transcendental"]
     state, step, space, h = start(top), top_energy_momentum(top), top.phase_space, 1e-4
     L = linearization(step, state, 0.2)
@@ -343,7 +343,7 @@ def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
 
 
 @pytest.mark.long
-def test_single_precision():
+def test_tops_in_single_precision_have_its_accuracy():
     top = li.systems.heavy_top(np.array([1, 2, 3], "float32"), np.array([0.5, 0.4, 1], "float32"))
     state = jax.tree.map(lambda x: np.asarray(x, "float32"), start(top))
     for step in (top_energy_momentum(top), splitting(top)):
@@ -387,7 +387,7 @@ def test_a_top_made_inside_jit_checks_what_is_concrete():
         jax.jit(lambda J: energy(J, [0.0, 0.0, 0.0]))(J)
 
 
-def test_bad_arguments():
+def test_bad_arguments_of_tops_raise_errors():
     with pytest.raises(ValueError, match="axis must not be zero"):
         li.systems.potential_top([1.0, 2.0, 3.0], quartic, [0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="potential must be a function of Γ"):
@@ -412,7 +412,7 @@ def test_bad_arguments():
         li.integrate(splitting(TOPS["linear"]), start(TOPS["linear"]), 9.0, 1)
 
 
-def test_potentials_that_know_their_gradient():
+def test_declared_gradients_of_potentials_agree_with_autodiff():
     """It is what autodiff finds; observed: 1e-16."""
     Gamma, S = jnp.array([0.3, -0.5, 0.9]), jnp.array([[1.1, 0.2, 0.1], [0.2, 1.8, -0.3], [0.1, -0.3, 2.2]])
     for potential in (Linear(Gamma[::-1]), QuadraticPotential(S), QuadraticPotential(jnp.diag(S))):

@@ -234,7 +234,7 @@ def at_root(name, q, y, dt):
 
 
 @pytest.mark.parametrize("name", [name for name in LAWS if name != "push in space"])
-def test_the_balances_of_every_law_at_a_root_that_is_given(name):
+def test_every_law_balances_energy_and_momentum_at_a_given_root(name):
     """By the formulas of each law in matrices; a push in space see above, internal friction below."""
     for dt in (0.07, -0.05):
         start, end, gain, moved = at_root(name, Q, dt / 2 * OMEGA, dt)
@@ -268,7 +268,7 @@ def test_the_rate_of_the_work_is_that_of_the_energy():
         assert abs(work) > 1e-3, name
 
 
-def test_every_law_is_its_formula():
+def test_every_law_agrees_with_its_formula():
     """At one time, whatever the scheme makes of it: the laws against matrices, at random attitudes and velocities."""
     rng = np.random.default_rng(1)
     q, omega, t = rng.normal(size=(20, 4)), rng.normal(size=(20, 3)), rng.uniform(0, 3, 20)
@@ -323,7 +323,7 @@ def test_internal_friction_ends_about_the_major_axis_with_the_momentum_bit_for_b
 
 
 @pytest.mark.long
-def test_a_damper_keeps_the_momentum_of_both_and_ends_about_the_major_axis():
+def test_a_damper_conserves_the_total_momentum_and_ends_about_the_major_axis():
     damper = torqued_body(J, torques.kane_damper(0.4, 0.3))
     start = damper.state(Q, angular_velocity=[1.0, 0.05, -0.1], work=0.0)
     states, energy, converged = path(torqued_midpoint(damper), start, 0.2, 6000)
@@ -347,7 +347,7 @@ def turned_by(states):
 
 
 @pytest.mark.long
-def test_one_controller_unwinds_and_the_other_takes_the_short_way():
+def test_one_controller_unwinds_and_the_other_rotates_the_short_way():
     """From an error of 330°, that is of −30°, at rest about a principal axis: more damped than critically."""
     angle = np.deg2rad(330)
     for law, way in ((torques.pd_quaternion(0.5, 3.0), angle), (torques.pd_trace(0.5, 3.0), 2 * np.pi - angle)):
@@ -402,7 +402,7 @@ def test_the_impulse_of_a_thruster_is_that_of_its_window_whatever_the_steps():
 
 
 @pytest.mark.long
-def test_the_end_of_a_run_changes_with_the_window_as_differences_say():
+def test_the_derivative_of_a_run_by_the_window_agrees_with_differences():
     state = moving(FULL)._replace(t=jnp.array(0.2), work=jnp.array(0.0))
 
     def end(window, dt=0.1):
@@ -456,7 +456,7 @@ def gains(name, row, dt, start, num_steps):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", DISSIPATIVE)
-def test_dissipation_never_gives_energy_back(name):
+def test_dissipation_never_raises_the_energy(name):
     """Each single step of 10⁵, each κ, Δt to |ΔtΩ| = 0.9; one that does not converge is not taken."""
     start = DISSIPATIVE[name].state(Q, angular_velocity=[0.6, 0.3, -0.7], work=0.0)
     most, work, count, left = jax.device_get(gains(name, np.eye(3), SIZES, start, 100_000))
@@ -530,7 +530,7 @@ def flat(state):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", BODIES)
-def test_orders_against_another_package(name):
+def test_torqued_steps_have_their_order_against_another_package(name):
     """Of the step 2, of its composition 4, in the attitude, the momenta and the work at once."""
     body = BODIES[name]
     start = body.state(Q, angular_velocity=OMEGA, t=0.4, work=0.0)
@@ -643,7 +643,7 @@ def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", BODIES)
-def test_single_precision_stays(name):
+def test_torqued_bodies_in_single_precision_stay_single(name):
     single = functools.partial(jax.tree.map, lambda x: jnp.asarray(x, jnp.float32))
     body = BODIES[name]
     start = single(body.state(Q, angular_velocity=OMEGA, work=0.0))
@@ -707,7 +707,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_torque_and_no_body_is_refused_in_a_sentence(name):
+def test_bad_torques_and_bodies_are_refused_with_a_sentence(name):
     make, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
         make()
@@ -761,7 +761,7 @@ def test_a_torque_that_becomes_nan_is_flagged_and_at_the_start_refused():
 
 
 @pytest.mark.long
-def test_advice_where_a_step_is_too_large():
+def test_a_step_too_large_for_the_torque_is_refused_with_advice():
     start = moving(J, [0.5, 3.0, 0.2])._replace(t=jnp.array(0.0))
     with pytest.raises(ValueError, match=r"does not converge at dt = 9.0.* the torque is too stiff.* smaller dt"):
         torqued_midpoint(BODIES["viscous"]).check(start, 9.0)
@@ -774,7 +774,7 @@ SCHEMES = sorted(set(_discover.modules_with_examples(schemes)) - OTHERS)
 
 
 @pytest.mark.parametrize("name", SCHEMES)
-def test_other_schemes_refuse_a_torque_and_friction_and_name_the_scheme_that_takes_them(name):
+def test_other_schemes_refuse_torques_and_friction_and_name_the_scheme_that_accepts_them(name):
     make = getattr(schemes, name)
     make = functools.partial(make, order=4) if name in ("nystrom", "preprocessed") else make
     make = functools.partial(make, temperature=1.0, friction=1.0) if name == "langevin" else make
@@ -783,7 +783,7 @@ def test_other_schemes_refuse_a_torque_and_friction_and_name_the_scheme_that_tak
             make(body)
 
 
-def test_bodies_that_move_otherwise_are_refused():
+def test_torqued_bodies_with_an_altered_vector_field_are_refused():
     class Faster:
         def vector_field(self, state):
             rate = super().vector_field(state)
@@ -796,7 +796,7 @@ def test_bodies_that_move_otherwise_are_refused():
 
 
 @pytest.mark.long
-def test_work_that_nobody_counts_is_not_counted_and_what_else_is_carried_stays():
+def test_work_is_counted_on_request_only_and_other_extra_arrays_are_preserved():
     for name in ("viscous", "kane_damper", "internal friction"):
         start = BODIES[name].state(Q, angular_velocity=OMEGA, work=0.0)
         start = start._replace(extra=(start.extra or {}) | {"note": jnp.arange(2.0)})

@@ -73,7 +73,7 @@ def error(run, every):
 
 
 @pytest.mark.long
-def test_the_form_is_kept_with_the_exact_drift_and_not_with_one_that_errs():
+def test_the_form_is_conserved_with_the_exact_drift_only():
     """Observed 6e-15; 1.1e-2 and 8e-4 with steps of Lewis & Simo for the free motion, near the charge."""
     defect = jax.jit(diagnostics.symplectic_defect)
     run = li.integrate(LOG, LOG.start(START), 0.04, 400, save_every=400)
@@ -99,7 +99,7 @@ def test_the_order_is_that_of_the_states_at_their_own_times(step, dt, order):
     assert diagnostics.order(scheme, step.start(START), dt) == pytest.approx(order, abs=0.1)
 
 
-def test_the_logarithmic_hamiltonian_s_clock_and_kick():
+def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():
     """A drift that rests leaves Δt = ½h/(K₀ + B) + ½h/(K₁ + B), K before and after the kick hF/(−V)."""
     step, start = LogHamiltonian(TOP, LOG.energy, Rests(TOP.free)), START._replace(t=jnp.array(0.7))
     end, info = one(step, start, 0.04)
@@ -153,7 +153,7 @@ def test_energy_does_not_drift():
 
 
 @pytest.mark.long
-def test_in_chaotic_motion_the_symplectic_one_holds_energy():
+def test_in_chaotic_motion_the_symplectic_variable_step_conserves_energy():
     """Observed 5e-2 near the charge, at V down to −20, where the energy of equal steps is lost after a few passages."""
     run = li.integrate(LOG, LOG.start(START), 0.04, 20_000)
     assert run.info.converged.all()
@@ -161,7 +161,7 @@ def test_in_chaotic_motion_the_symplectic_one_holds_energy():
 
 
 @pytest.mark.long
-def test_where_the_motion_has_violent_moments_control_takes_a_third_of_the_steps():
+def test_in_close_encounters_step_control_needs_a_third_of_the_steps():
     """To the same error at t = 40: observed 3.5 times fewer, 2.9 with steps in proportion to the distance."""
     step = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.5))
     run = li.integrate(step, step.start(START), 0.02, 1800)
@@ -182,7 +182,7 @@ def test_the_times_of_a_run_are_those_of_its_states():
 
 
 @pytest.mark.long
-def test_a_certificate_says_that_varying_steps_break_the_form():
+def test_a_certificate_shows_that_varying_steps_break_the_form():
     found = diagnostics.certify(CONTROLLED, CONTROLLED.start(START), 0.04, 100)
     assert found.order == pytest.approx(2, abs=0.1)
     assert found.reversibility < 1e-15
@@ -190,7 +190,7 @@ def test_a_certificate_says_that_varying_steps_break_the_form():
 
 
 @pytest.mark.long
-def test_the_energy_momentum_scheme_keeps_its_invariants_at_any_steps():
+def test_the_energy_momentum_scheme_conserves_its_invariants_at_any_steps():
     step = schemes.reversible_control(schemes.top_energy_momentum(TOP), jax.tree_util.Partial(near, 1.0))
     run = li.integrate(step, step.start(START), 0.1, 100)
     np.testing.assert_array_equal(run.t, run.state.t)
@@ -360,7 +360,7 @@ def test_sigma_must_be_a_positive_scalar():
             schemes.reversible_control(SPLITTING, sigma).start(START)
 
 
-def test_what_has_no_constant_energy_or_no_exact_drift_is_refused():
+def test_systems_without_constant_energy_or_an_exact_drift_are_refused():
     driven = systems.driven_top(J, lambda Gamma, t: jnp.cos(t) * Gamma[2] - 2, [0.0, 0.0, 1.0])
     for system, message in (
         (driven, "depends on time"),
@@ -382,7 +382,7 @@ def test_a_state_of_another_energy_or_where_v_is_positive_does_not_start():
 
 
 @pytest.mark.long
-def test_what_leaves_the_domain_is_flagged_in_a_compiled_loop():
+def test_a_state_outside_of_the_domain_is_flagged_in_a_compiled_loop():
     """And without a NaN."""
 
     @jax.jit

@@ -29,7 +29,7 @@ def test_momentum_and_the_energy_with_what_is_lost_are_conserved_and_every_step_
 
 
 @pytest.mark.long
-def test_a_step_back_gives_back_what_a_step_lost():
+def test_a_step_back_returns_the_energy_that_a_step_lost():
     """Observed 1e-16 for the state, 0 for the work."""
     run = jax.jit(STEP)
     there, _ = run(START, 0.02)
@@ -74,7 +74,7 @@ def test_the_error_is_of_second_order_against_dop853():
 
 
 @pytest.mark.long
-def test_small_wobble_dies_out_as_the_closed_form_says():
+def test_a_small_wobble_decays_at_the_rate_of_the_closed_form():
     """To a rotation about the axis of the greatest moment, at the rate of quasi-static shear.
 
     With E = (1, 1, E₃), J₁ = 1 + E₃, J₃ = 2 and σ = (J₃ − J₁)Ω/J₁, the wobble Ω⊥ bends the body with the stress

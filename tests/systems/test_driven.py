@@ -61,7 +61,7 @@ def error(a, b):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("step", "state", "dt"), [x[1:] for x in steps()], ids=[x[0] for x in steps()])
-def test_every_step_advances_time_and_keeps_work_and_extra(step, state, dt):
+def test_every_step_advances_time_and_preserves_work_and_extra(step, state, dt):
     """A step does the same with a time, work and extra arrays in the state as without."""
     full = state._replace(
         t=jnp.asarray(2.0), work=jnp.asarray(0.5), extra={**(state.extra or {}), "carried": jnp.arange(3.0)}
@@ -88,7 +88,7 @@ def test_a_run_is_at_t0_plus_n_dt_and_not_at_a_sum():
 
 
 @pytest.mark.long
-def test_a_composition_and_the_adjoints_keep_the_clock():
+def test_a_composition_and_the_adjoints_preserve_the_clock():
     step = schemes.compose(schemes.splitting(example("satellite")[0]), 4)
     state = example("satellite")[1]
     exact = state.t + 0.1 * np.arange(0, 13, 4)
@@ -204,7 +204,7 @@ CASES = [pytest.param("satellite", KAPPAS[0], id="satellite-cayley")] + [
 
 
 @pytest.mark.parametrize(("name", "kappa"), CASES)
-def test_energy_less_work_is_kept_over_20_000_steps(name, kappa):
+def test_energy_less_work_is_conserved_over_20_000_steps(name, kappa):
     """To 1e-13 of max|H|, and √n·ulp(t)·|∂V/∂t|, which the time's own rounding costs; observed 0.1 to 0.4 of it."""
     system, state, _ = example(name)
     dt = 0.05
@@ -306,7 +306,7 @@ def test_the_potential_of_gravity_s_gradient_at_any_distance():
 
 
 @pytest.mark.parametrize("amplitude", [1e-5, 0.5, 1.4])
-def test_the_period_of_pitch_libration(amplitude):
+def test_the_period_of_pitch_libration_is_the_closed_form(amplitude):
     """B α̈ = −(3/2)(A − C) sin 2α: n√(3(A − C)/B) where it is small, 4K(sin²α₀)/that where it is large.
 
     After a half of the period the satellite hangs at −α₀, at rest in its orbit; C, A, B along the radius, the track and
@@ -444,7 +444,7 @@ def test_schemes_that_ignore_time_refuse_what_is_driven(make):
 
 
 @pytest.mark.long
-def test_a_driven_motion_that_is_another_is_refused():
+def test_a_driven_body_with_an_altered_vector_field_is_refused():
     """A satellite with a drag of its own: neither scheme knows of it."""
 
     @li.pytree
@@ -474,7 +474,7 @@ def test_a_time_too_large_for_its_type_warns():
 
 
 @pytest.mark.long
-def test_float32_is_kept():
+def test_driven_bodies_in_float32_stay_in_float32():
     with jax.enable_x64(False):
         satellite = systems.gravity_gradient(np.float32(J), li.orbits.kepler(*np.float32([1.0, 1.0, 0.1])))
         state = satellite.state(angular_velocity=np.float32([0.2, 0.3, 1.0]), work=0.0)
@@ -486,7 +486,7 @@ def test_float32_is_kept():
         assert np.abs(diagnostics.energy_error(satellite, path)).max() < 2e-5
 
 
-def test_the_motion_of_the_axis_is_a_leaf():
+def test_another_orbit_of_the_same_kind_has_the_same_tree_structure():
     """Orbits are data: another eccentricity is another satellite of the same structure, which compiles nothing."""
     satellite = example("satellite")[0]
     other = dataclasses.replace(satellite, orbit=li.orbits.kepler(1.0, 1.0, 0.3, 0.4, node=0.3, periapsis=1.1))

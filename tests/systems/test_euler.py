@@ -29,7 +29,7 @@ CASIMIRS = {
 
 
 @pytest.mark.parametrize("name", CASIMIRS)
-def test_coadjoint_invariants(name):
+def test_casimirs_are_constant_on_coadjoint_orbits(name):
     """Constant on coadjoint orbits, so along every motion and every step, whatever the metric."""
     g = MATRIX.MatrixGroup(groups.catalogue.examples()[name].basis, name, unrolled=False)
     invariant, rng = CASIMIRS[name], np.random.default_rng(0)
@@ -47,7 +47,7 @@ def test_coadjoint_invariants(name):
         assert np.abs(after - mu).max() > 1e-2
 
 
-def test_the_casimirs_found_are_those_known():
+def test_the_computed_casimirs_are_the_known_ones():
     """By name; the same numbers up to a constant. On Aff(1) there is none, on SU(2) and quaternions |Π|²."""
     rng = np.random.default_rng(1)
     for name, invariant in CASIMIRS.items():
@@ -109,7 +109,7 @@ def test_kirchhoff_added_mass_and_inertia_are_lamb_s(axes):
     assert np.abs(m - np.diag(np.diag(m))).max() == 0
 
 
-def test_kirchhoff_of_a_sphere_and_of_a_spheroid():
+def test_kirchhoff_has_the_added_masses_of_a_sphere_and_a_spheroid():
     """½ of the displaced mass for a sphere, no added inertia; Lamb's closed forms (§114) of a spheroid with a = 2b."""
     sphere = np.diag(EULER.kirchhoff((1.0, 1.0, 1.0)).metric)
     np.testing.assert_allclose(sphere, [0.4] * 3 + [1.5] * 3, rtol=1e-13)

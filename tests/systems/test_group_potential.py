@@ -78,7 +78,7 @@ def test_result_13_energy_for_any_potential(name):
 
 
 @pytest.mark.long
-def test_momentum_of_the_symmetries_is_kept():
+def test_momentum_of_the_symmetries_is_conserved():
     """A bottom-heavy ellipsoid in a fluid: spatial momentum and the angular momentum about the vertical."""
     g = MATRIX.MatrixGroup(groups.special_euclidean(3).basis, "SE(3)", unrolled=False)
     example, _, dt = _discover.modules_with_examples(li.systems)["group_potential"].examples()["bottom_heavy"]
@@ -90,7 +90,7 @@ def test_momentum_of_the_symmetries_is_kept():
 
 
 @pytest.mark.long
-def test_splitting_takes_the_arcsine_map_where_it_is_symplectic():
+def test_splitting_uses_the_arcsine_map_where_it_is_symplectic():
     """Kick – drift – kick on SL(2): the form to round-off. On SE(3) no drift is known, and it says so."""
     system, state = system_and_state(groups.special_linear(2))
     step = li.schemes.splitting(system)
@@ -174,7 +174,7 @@ def test_the_equations_of_motion_are_hamiltonian():
     assert np.abs(motion + np.linalg.solve(form, DH)).max() < 1e-14
 
 
-def test_the_force_in_space_and_in_the_body():
+def test_the_forces_in_space_and_in_the_body_agree_with_differences():
     """−dV(exp(εeᵢ)q)/dε and −dV(q exp(εeᵢ))/dε by differences; the second is Ad*_q of the first, and not the same."""
     system, state = system_and_state(groups.special_euclidean(2))
     g, V, q, h = system.group, system.potential, np.asarray(state.q), 1e-4
@@ -190,7 +190,7 @@ def test_the_force_in_space_and_in_the_body():
     assert np.abs(body - space).max() > 0.05
 
 
-def test_arguments():
+def test_bad_arguments_of_group_potential_raise_errors():
     g = groups.special_euclidean(2)
     with pytest.raises(ValueError, match="function of q"):
         li.systems.group_potential(g, [1.0, 1, 1], 3.0)

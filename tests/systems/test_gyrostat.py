@@ -71,7 +71,7 @@ def test_the_rate_of_a_motor_s_work_is_that_of_the_energy():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
-def test_every_kappa_keeps_energy_to_round_off_and_momentum_bit_for_bit(kappa):
+def test_every_kappa_conserves_energy_to_round_off_and_momentum_bit_for_bit(kappa):
     for rotor in (H_R, np.array([0.0, 0.0, 10.0])):
         step = schemes.so3_midpoint(systems.gyrostat(J, rotor), kappa)
         (energy, momentum, length), converged = history(step, moving(J, rotor), 0.1)
@@ -144,7 +144,7 @@ def test_rotation_exact_rotation_is_symplectic():
     assert found.max() < 8e-15  # floor 3e-15
 
 
-def test_turn_exact_turn_keeps_momentum_and_the_energy_of_a_nearby_hamiltonian():
+def test_the_default_splitting_conserves_momentum_and_the_energy_of_a_nearby_hamiltonian():
     errors = []
     for dt in (0.1, 0.05):
         (energy, momentum, length), converged = history(schemes.splitting(GYROSTAT), STATE, dt)
@@ -164,7 +164,7 @@ def test_compositions_raise_the_order(order):
         assert found == pytest.approx(order, abs=0.2)
 
 
-def test_another_drift_and_what_is_none():
+def test_a_gyrostat_splitting_accepts_other_drifts_of_the_same_body_only():
     assert schemes.splitting(GYROSTAT, schemes.so3_explicit(GYROSTAT.free)).name == "splitting[so3_explicit]"
     with pytest.raises(ValueError, match=r"with rotations of the rotor; Gyrostat\.vector_field differs"):
         schemes.splitting(GYROSTAT, schemes.exact(systems.rigid_body([1.0, 2.0, 2.9])))
@@ -192,7 +192,7 @@ def dop853(J, z, t, motor=None, rtol=1e-13):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["cayley", "symplectic", "splitting"])
-def test_second_order_against_another_package(scheme):
+def test_gyrostat_schemes_are_of_second_order_against_another_package(scheme):
     step = {
         "cayley": schemes.so3_midpoint(GYROSTAT, kappa_cayley),
         "symplectic": schemes.so3_midpoint(GYROSTAT),
@@ -229,7 +229,7 @@ def test_a_driven_gyrostat_against_another_package_and_the_reference_flow():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
-def test_a_motor_moves_momentum_and_what_it_works_is_what_energy_gains(kappa):
+def test_the_work_of_a_motor_is_the_gain_of_energy(kappa):
     step = schemes.so3_midpoint(DRIVEN, kappa)
     (energy, momentum, length), converged = history(step, START, 0.1)
     assert converged
@@ -261,7 +261,7 @@ def test_each_step_balances_the_power(kappa):
         assert abs(gain - float(end.work)) < 2e-14
 
 
-def test_a_wheel_takes_up_all_momentum_and_the_body_stops():
+def test_a_wheel_absorbs_all_momentum_and_the_body_stops():
     """A spin about a principal axis, whose wheel gains all of it: the body rests, and the work is −½JΩ²."""
     wheel = systems.driven_gyrostat(J, systems.SpinUpMotor(jnp.array([0.0, 0.0, 3 * 0.4]), jnp.array(4.0)))
     start = moving(J, np.zeros(3), np.array([0, 0, 0.4]), **ZERO)
@@ -305,7 +305,7 @@ STEPS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
-def test_time_symmetric(name):
+def test_steps_of_a_gyrostat_are_time_symmetric(name):
     step, state = STEPS[name]
     back, _ = after(step, after(step, state, 0.3, 1)[0], -0.3, 1)
     for one, other in zip(jax.tree.leaves(back), jax.tree.leaves(state), strict=True):
@@ -333,7 +333,7 @@ components = st.lists(st.floats(-1, 1), min_size=3, max_size=3).map(np.array)
 @given(
     J=st.lists(sizes, min_size=3, max_size=3).map(np.array), rotor=components, Omega=components, dt=st.floats(-0.6, 0.6)
 )
-def test_random_gyrostats(J, rotor, Omega, dt):
+def test_steps_of_random_gyrostats_conserve_or_are_flagged(J, rotor, Omega, dt):
     unit = np.linalg.norm(J * Omega + rotor) * (1 + np.linalg.norm(Omega))
     (kept, missed, length, good), (_, came, size, fine) = one_step(J, rotor, moving(J, rotor, Omega), dt)
     assert fine
@@ -473,7 +473,7 @@ def single(tree):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
-def test_single_precision(name):
+def test_gyrostats_in_single_precision_have_its_accuracy(name):
     step, state = (single(x) for x in STEPS[name])
     (energy, momentum, length), converged = history(step, state, jnp.float32(0.1))
     end, _ = after(step, state, jnp.float32(0.1), 3)
@@ -542,7 +542,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_other_schemes_refuse_a_gyrostat_and_name_those_that_take_it(name):
+def test_other_schemes_refuse_a_gyrostat_and_name_those_that_accept_it(name):
     with pytest.raises(ValueError, match=f"{name} integrates .* got Gyrostat; use so3_midpoint or splitting"):
         OTHERS[name](GYROSTAT)
     with pytest.raises(ValueError, match=f"{name} integrates .* got DrivenGyrostat; use so3_midpoint$"):
@@ -554,7 +554,7 @@ def test_splitting_refuses_a_driven_gyrostat():
         schemes.splitting(DRIVEN)
 
 
-def test_a_gyrostat_that_moves_otherwise_is_refused():
+def test_a_gyrostat_with_an_altered_vector_field_is_refused():
     class Faster:
         def vector_field(self, state):
             rate = super().vector_field(state)

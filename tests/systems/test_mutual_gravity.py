@@ -49,7 +49,7 @@ def exact_terms(orders):
     return totals
 
 
-def test_every_order_is_its_term_at_40_digits():
+def test_every_order_of_mutual_gravity_agrees_with_40_digits():
     with mpmath.workdps(40):
         terms = exact_terms((0, 2, 3, 4))
     value = 0.0
@@ -72,7 +72,7 @@ def test_forces_and_torques_in_closed_form_are_the_derivative(order):
     np.testing.assert_allclose(force, expected, rtol=0, atol=2e-14 * float(jnp.abs(expected).max()))  # observed 1e-15
 
 
-def test_to_order_2_it_is_maccullagh_s():
+def test_mutual_gravity_of_order_2_is_maccullagh_s_formula():
     V = potentials.maccullagh(2.0, BODIES, BODIES)
     a, b = (evaluate(f, PLACES, TURNS) for f in (V, potentials.mutual_gravity(2.0, BODIES, 2)))
     assert float(a[0]) == pytest.approx(float(b[0]), rel=1e-14)
@@ -166,7 +166,7 @@ def test_polyhedra_conserve_both_momenta_and_by_the_energy_momentum_scheme_energ
 
 
 @pytest.mark.long
-def test_a_sun_as_an_outer_field():
+def test_a_distant_sun_is_an_outer_field_of_bounded_energy_error():
     """A distant point that attracts the centers: the energy of the splitting oscillates with the square of the step."""
     system, state = triple(2)
     sun = potentials.outer_field(
@@ -181,7 +181,7 @@ def test_a_sun_as_an_outer_field():
 
 
 @pytest.mark.long
-def test_the_slope_of_a_force_by_a_vertex():
+def test_the_derivative_of_a_force_by_a_vertex_agrees_with_differences():
     """Through the moments of a mesh, forwards and in reverse, against a sixth-order difference."""
     at, faces = hull(8)
 
@@ -196,7 +196,7 @@ def test_the_slope_of_a_force_by_a_vertex():
         assert float(way(pull)(0.0)) == pytest.approx(differences / (60 * h), rel=1e-9)  # observed 2e-12
 
 
-def test_bad_arguments():
+def test_bad_arguments_of_mutual_gravity_raise_errors():
     for shape_list, order, sentence in (
         ([1.0, 2.0], 5, "order must be 2, 3 or 4, got 5"),
         ([1.0], 2, "two or more shapes or masses"),

@@ -52,7 +52,7 @@ ANGLES = (0.3, 2.0, -1.1)
 
 
 @pytest.mark.parametrize(("e", "a"), CASES)
-def test_positions_and_velocities(e, a):
+def test_positions_and_velocities_agree_with_40_digits(e, a):
     """To 1e-13 of r and of v (seen: 2e-15), at times of both signs, over many sizes."""
     times = np.concatenate([[0.0], np.geomspace(1e-9, 30, 12), -np.geomspace(1e-6, 20, 8)])
     for t in times + 0.25:
@@ -67,7 +67,7 @@ def test_positions_and_velocities(e, a):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("e", "a"), [(0.5, 1.3), (0.99, 1.3), (1.01, -1.3), (4.2, -1.3)])
-def test_derivatives_in_every_element_and_in_time(e, a):
+def test_derivatives_by_every_element_and_time_agree_with_differences(e, a):
     """Forward and reverse, against differences in 60 digits; two times, near periapsis and far from it."""
     elements = (1.7, a, e, *ANGLES, 0.25)
     forward, reverse = (jax.jit(d(lambda x: found(tuple(x[:7]), x[7]))) for d in (jax.jacfwd, jax.jacrev))
@@ -93,7 +93,7 @@ def test_the_acceleration_of_an_orbit_is_that_of_gravity(e, a):
     np.testing.assert_allclose(v @ v / 2 - 3.0 / np.linalg.norm(x), -3.0 / (2 * a), rtol=1e-14)  # vis viva
 
 
-def test_a_period_and_a_batch_of_both_kinds():
+def test_an_orbit_repeats_after_a_period_and_ellipses_and_hyperbolas_batch_together():
     orbit = orbits.kepler(1.0, 2.0, 0.6)
     period = 2 * np.pi / float(orbit.mean_motion)
     np.testing.assert_allclose(orbit(0.4 + 100 * period)[0], orbit(0.4)[0], rtol=0, atol=1e-12)
@@ -119,7 +119,7 @@ def test_an_orbit_of_a_known_kind_compiles_the_equation_of_that_kind_only():
         np.testing.assert_array_equal(jnp.concatenate(wrong(0.7)), jnp.concatenate(other(0.7)))  # known outside of jit
 
 
-def test_float32():
+def test_orbits_in_float32_have_its_accuracy():
     orbit = orbits.kepler(*(jnp.float32(x) for x in (1.7, 1.3, 0.9)))
     position, velocity = orbit(jnp.float32(0.7))
     assert position.dtype == velocity.dtype == jnp.float32

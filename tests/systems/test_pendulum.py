@@ -85,7 +85,7 @@ def test_claim_3_the_plain_rule_is_not_symplectic_the_normalized_one_is(field):
 
 
 @pytest.mark.paper("1.1: (1.6), claims 1, 2", "the midpoint rule on T*S²", "schemes/_sphere_midpoint.py")
-def test_1_6_as_printed_does_not_keep_energy():
+def test_1_6_as_printed_does_not_conserve_energy():
     """∇H(½(z_n + z_n)), an explicit gradient, for ∇H(½(z_n + z_{n+1})): of first order, and energy is lost."""
     m, dt, grad = 1.5, 0.1, -2 * AXIS
 
@@ -148,7 +148,7 @@ def test_the_spherical_chart_is_one_of_darboux():
 
 @pytest.mark.paper("1.1: claim 4", "spherical coordinates: form and momentum", "schemes/_sphere_chart.py")
 @pytest.mark.long
-def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_keeps_momentum():
+def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_conserves_momentum():
     """The form of T*S² itself, by autodiff of the step on the sphere; γ·π; and the constraints."""
     trajectory, _, momentum, defect, *_ = in_the_chart()
     assert trajectory.info.converged.all()
@@ -168,7 +168,7 @@ def test_claim_4_the_step_is_the_midpoint_rule_in_the_coordinates():
 
 
 @pytest.mark.long
-def test_claim_5_in_spherical_coordinates_energy_is_not_kept_even_for_linear_g():
+def test_claim_5_in_spherical_coordinates_energy_is_not_conserved_even_for_linear_g():
     energy = in_the_chart()[1]
     assert 1e-5 < np.abs(energy).max() < 1e-1
 
@@ -282,7 +282,7 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("normalized", [False, True])
-def test_gradients_through_a_step(normalized):
+def test_gradients_through_a_step_of_the_pendulum_agree_with_differences(normalized):
     """By the implicit function, with respect to m, mG, γ (leaves of the step) and Δt: against differences, by a jvp."""
 
     def end(x):
@@ -299,7 +299,7 @@ def test_gradients_through_a_step(normalized):
 
 
 @pytest.mark.long
-def test_float32_is_kept():
+def test_the_pendulum_in_float32_stays_in_float32():
     with jax.enable_x64(False):
         bob = li.systems.pendulum(1.5, 2.0)
         state = bob.state([0.6, 0.0, -0.8], velocity=[0.0, 0.7, 0.0])
@@ -309,7 +309,7 @@ def test_float32_is_kept():
         assert np.abs(energy[:51]).max() < 2e-5
 
 
-def test_errors():
+def test_bad_arguments_of_the_pendulum_raise_errors():
     bob = BOBS["linear"]
     for make, message in (
         (lambda: li.systems.pendulum(-1.0, 1.0), "mass must be positive"),

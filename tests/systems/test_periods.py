@@ -34,7 +34,7 @@ def by_quadrature(J, Pi):
 
 
 @pytest.mark.parametrize("long_axis", [False, True])
-def test_both_modes_against_quadrature(long_axis):
+def test_periods_of_both_modes_agree_with_quadrature(long_axis):
     """Observed 7e-15."""
     random = np.random.default_rng(3)
     found = 0
@@ -87,7 +87,7 @@ def test_order_of_the_axes_a_full_tensor_and_units_do_not_matter():
     np.testing.assert_allclose(scaled[:2], np.array(plain[:2]) * 7 / 3, rtol=1e-14)
 
 
-def test_limits():
+def test_periods_have_the_known_limits():
     """Spin about an axis: the period of small wobbles; symmetric bodies, a sphere, rest, and the separatrix."""
     A, B, C = APOPHIS
     for axis, J, size in ((2, C, (C - A) * (C - B) / (A * B)), (0, A, (B - A) * (C - A) / (B * C))):
@@ -118,7 +118,7 @@ def test_precession_next_to_the_separatrix_and_of_a_disc_on_edge():
 
 
 @pytest.mark.long
-def test_derivatives_in_inertia_and_state():
+def test_derivatives_of_periods_by_inertia_and_state_agree_with_differences():
     """Forward and reverse against central differences of a step of 1e-5: observed 4e-9."""
 
     def both(x):
@@ -177,7 +177,7 @@ def test_periods_that_no_motion_has_are_refused():
         body.state_from_periods(precession=1.0, rotation=20.0, long_axis="long")  # pyright: ignore
 
 
-def test_the_periods_of_a_run():
+def test_the_periods_of_a_run_are_those_of_each_state():
     """Constant in free motion; of a body with torques they are those of the moment."""
     body = systems.rigid_body(APOPHIS)
     state = body.state_from_periods(precession=27.38, rotation=263.0, long_axis=False)

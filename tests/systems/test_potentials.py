@@ -73,7 +73,7 @@ def test_one_number_a_body_is_a_point_at_its_center():
         _ = KINDS["charges"][0].G
 
 
-def test_a_spring_pulls_as_hooke_says():
+def test_a_spring_obeys_hooke_s_law():
     V = potentials.springs([[0, 1]], [[[1.0, 0, 0], [0, 1, 0]]], 2.0, 1.5)
     ends = PLACES[0] + TURNS[0][:, 0], PLACES[1] + TURNS[1][:, 1]
     length = np.linalg.norm(ends[0] - ends[1])
@@ -135,7 +135,7 @@ def test_a_uniform_field_of_many_bodies_acts_on_the_sum_over_their_points():
     assert float(jax.jit(FIELD)(PLACES, TURNS)) == pytest.approx(-total, rel=1e-14)
 
 
-def test_carlson_s_integrals():
+def test_carlson_s_integrals_agree_with_scipy():
     """Beside scipy's, over six decades of each argument; observed 7e-16."""
     evaluate = jax.jit(carlson_rf_rd)
     for x, y, z in 10 ** np.random.default_rng(0).uniform(-3, 3, (50, 3)):
@@ -145,7 +145,7 @@ def test_carlson_s_integrals():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("place", [[3.0, 0.4, 0.5], [2.01, 0, 0], [0, 0, 0.71], [0.1, 0.1, 0.1], [100.0, 30, 20]])
-def test_an_ellipsoid_attracts_as_dirichlet_s_integral_says(place):
+def test_an_ellipsoid_attracts_by_dirichlet_s_integral(place):
     """By quadrature to its 1e-10; Laplace's and Poisson's equation to round-off."""
     Gamma, squares = np.array(place), np.array([4.0, 2.25, 0.49])
     inside = (Gamma**2 / squares).sum() < 1
@@ -164,7 +164,7 @@ def test_an_ellipsoid_attracts_as_dirichlet_s_integral_says(place):
     )
 
 
-def test_an_ellipsoid_far_away_is_maccullagh_s():
+def test_a_distant_ellipsoid_attracts_by_maccullagh_s_formula():
     """Their difference, of the fourth order of size over distance, falls by 2⁵ from r to 2r."""
     a, along = np.array([2.0, 1.5, 0.7]), np.array([[0.0, 0, 0], [0.6, 0.48, 0.64]])
     inertias = np.array([2.0 / 5 * ((a**2).sum() - a**2), [0.4, 0.4, 0.4]])
@@ -174,7 +174,7 @@ def test_an_ellipsoid_far_away_is_maccullagh_s():
     assert np.log2(differences[0] / differences[1]) == pytest.approx(5, abs=0.05)
 
 
-def test_symmetries_of_outer_fields():
+def test_outer_fields_declare_the_momenta_that_they_conserve():
     """P across a uniform field and L about it; of two fields P across both; of a central one what is declared."""
     z, x = (potentials.uniform_field(g, np.ones(6)) for g in ([0.0, 0, -2], [1.0, 0, 0]))
     np.testing.assert_allclose(np.diag(z.symmetry), [1, 1, 0, 0, 0, 1], rtol=0, atol=1e-15)
@@ -210,7 +210,7 @@ def test_momentum_shows_what_an_outer_field_leaves_and_zero_for_the_rest():
         pytest.param("central", "splitting", marks=pytest.mark.long),
     ],
 )
-def test_two_bodies_and_a_spring_in_an_outer_field(field, scheme):
+def test_two_bodies_and_a_spring_conserve_the_momenta_that_an_outer_field_leaves(field, scheme):
     """What is left of P and L is kept: 3e-15 at most was observed; and energy, by the scheme that keeps it, 2e-15."""
     both = HANGING[field] + potentials.springs([[0, 1]], [[[0.1, 0, 0], [0, 0.2, 0]]], 3.0, 1.0)
     bodies = systems.rigid_bodies([1.0, 2.0], [[0.3, 0.4, 0.5], [0.5, 0.6, 0.7]], both)
@@ -252,7 +252,7 @@ def test_water_has_the_published_geometry_and_dipole(model, to_m, dipole, size, 
     np.testing.assert_allclose(molecule.charges.sum(), 0, rtol=0, atol=1e-15)
 
 
-def test_a_molecule_from_its_sites():
+def test_a_molecule_built_from_its_sites_has_its_moments_in_any_axes():
     """Water in other axes and from another origin: the same moments and distances; and what is refused."""
     water = potentials.water("TIP4P")
     masses = np.array([15.9994, 1.008, 1.008, 0.0])
@@ -274,7 +274,7 @@ def test_a_molecule_from_its_sites():
             potentials.molecule(*arguments)
 
 
-def test_the_tip4p_dimer():
+def test_the_tip4p_dimer_has_the_published_energy():
     """Its energy least by minimization: −26.04 kJ/mol are published (Jorgensen 1983), found are −26.09."""
     V = WATER.potential(2)
 
@@ -302,7 +302,7 @@ def water_errors(num_steps, every):
 
 
 @pytest.mark.long
-def test_water_keeps_energy_and_both_momenta():
+def test_water_conserves_energy_and_both_momenta():
     """Two molecules, ten thousand steps of 1 fs; observed 2e-13, 3e-15 and 2e-14."""
     error = water_errors(10_000, 100)
     assert error.H < 5e-12
@@ -311,7 +311,7 @@ def test_water_keeps_energy_and_both_momenta():
 
 
 @pytest.mark.long
-def test_gradients_in_the_numbers_of_a_potential():
+def test_gradients_by_the_numbers_of_a_potential_agree_with_differences():
     """Forward, reverse and differences of V and of a force, in masses, charges, wells, axes and the field."""
     at = jnp.array([[0.0, 0, 0], [3.0, 0.5, 0.2]])
 
@@ -332,7 +332,7 @@ def test_gradients_in_the_numbers_of_a_potential():
 
 
 @pytest.mark.long
-def test_single_precision_stays_single():
+def test_potentials_in_single_precision_stay_single():
     def f32(tree):
         return jax.tree.map(lambda a: a.astype(jnp.float32), tree)
 
@@ -345,7 +345,7 @@ def test_single_precision_stays_single():
     assert float(near) == pytest.approx(float(ELLIPSOID.value(jnp.array([2.1, 0.1, 0.2]))), rel=2e-6)
 
 
-def test_bad_input():
+def test_bad_arguments_of_potentials_raise_errors():
     for make, message in [
         (lambda: potentials.point_masses(1.0, [1.0, -1.0]), "masses must be ≥ 0"),
         (lambda: potentials.point_masses(1.0, 1.0), "masses must have an entry for each body"),

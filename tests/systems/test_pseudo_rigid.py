@@ -73,7 +73,7 @@ def test_the_mean_stress_does_not_cancel(size):
     assert np.sum(mean * D) / 2 == pytest.approx(quotient, rel=1e-12)
 
 
-def test_log1p_ratio_on_both_sides_of_its_threshold():
+def test_log1p_ratio_is_accurate_on_both_sides_of_its_threshold():
     for y in (-0.5, -0.1000001, -0.0999999, -1e-9, 0.0, 1e-300, 1e-9, 0.0999999, 0.1000001, 3.0):
         value, slope = power_series.log1p_ratio(jnp.array(y)), jax.grad(power_series.log1p_ratio)(jnp.array(y))
         with mpmath.workdps(40):
@@ -84,7 +84,7 @@ def test_log1p_ratio_on_both_sides_of_its_threshold():
         assert float(slope) == pytest.approx(float(exact_slope), rel=1e-14)
 
 
-def test_elimination_and_the_arithmetic_of_matrices():
+def test_small_matrices_are_eliminated_and_multiplied_as_by_numpy():
     rng = np.random.default_rng(0)
     A, b = rng.normal(size=(7, 7)) + 5 * np.eye(7), rng.normal(size=(7, 2))
     ours = la.eliminate(A, b[:, 0], b[:, 1])
@@ -115,7 +115,7 @@ def test_the_equations_of_motion_are_hamilton_s(name):
     np.testing.assert_allclose(rate, np.zeros(3), rtol=0, atol=1e-12)
 
 
-def test_invariance_under_rotations_in_space():
+def test_energy_is_invariant_and_momentum_equivariant_under_rotations_in_space():
     body = systems.pseudo_rigid_body(E, MATERIALS["mooney_rivlin"])
     Q = np.array(li.groups.so3.to_matrix(li.groups.so3.exp(jnp.array([0.4, -0.7, 0.2]))))
     turned = body.state(Q @ F, momentum=Q @ P)
@@ -123,7 +123,7 @@ def test_invariance_under_rotations_in_space():
     np.testing.assert_allclose(body.momentum(turned), Q @ body.momentum(body.state(F, momentum=P)), rtol=0, atol=1e-15)
 
 
-def test_states():
+def test_states_of_a_pseudo_rigid_body_have_the_given_motion():
     body = systems.pseudo_rigid_body(E, MATERIALS["neo_hookean"])
     V = np.array(body.velocity(body.state(F, momentum=P)))
     np.testing.assert_allclose(body.state(F, velocity=V).p, P, rtol=0, atol=1e-15)
@@ -159,13 +159,13 @@ def test_states():
         (lambda: systems.pseudo_rigid_body(E, MATERIALS["user"]).check(State(-jnp.eye(3), jnp.eye(3))), "det state.q"),
     ],
 )
-def test_errors(make, message):
+def test_bad_arguments_of_pseudo_rigid_bodies_raise_errors(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 
 
 @pytest.mark.parametrize("factory", [systems.pseudo_rigid_body, systems.pendulum], ids=lambda f: f.__name__)
-def test_docstring_examples(factory):
+def test_the_examples_of_the_constructors_run(factory):
     globs = {name: getattr(systems, name) for name in ("pseudo_rigid_body", "pendulum", "mooney_rivlin")}
     [example] = doctest.DocTestFinder().find(factory, globs=globs, name="x")
     results = doctest.DocTestRunner().run(example)

@@ -30,7 +30,7 @@ def made(name, turn=0.4):
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
-def test_energy_and_body_momentum_are_kept_and_the_order_is_two(name):
+def test_energy_and_body_momentum_are_conserved_and_the_order_is_two(name):
     system, state = made(name)
     step = li.schemes.group_midpoint(system)
     found = certify(step, state, 0.1, 40)
@@ -77,7 +77,7 @@ def test_a_step_follows_the_vector_field():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
-def test_the_inverse_map_carries_it_to_the_left_invariant_flow(name):
+def test_inversion_maps_a_right_invariant_flow_to_a_left_invariant_one(name):
     """q ↦ q⁻¹ makes a right-invariant motion a left-invariant one, with spatial momentum −Π; steps too."""
     group, metric, _ = CATALOGUE[name]
     system, state = made(name)
@@ -118,7 +118,7 @@ def test_the_poisson_error_is_that_of_the_whole_form():
 
 
 @pytest.mark.long
-def test_where_no_digits_of_the_conserved_momentum_are_left_the_step_says_so():
+def test_a_step_that_lost_the_digits_of_its_momentum_is_flagged():
     """On SL(2) Ad_q grows along a motion, and Π = Ad*_q π comes to be a small difference of large terms."""
     system, state = made("SL(2)")
     run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(
@@ -132,7 +132,7 @@ def test_where_no_digits_of_the_conserved_momentum_are_left_the_step_says_so():
 
 
 @pytest.mark.long
-def test_derivatives_and_batches():
+def test_derivatives_by_the_metric_agree_with_differences_and_steps_vmap():
     system, state = made("SL(2)")
     energy = lambda m, dt: li.schemes.group_midpoint(li.systems.RightEuler(m, system.group))(state, dt)[0].p[0]  # noqa: E731
     slope = jax.jit(jax.grad(energy))(system.metric, 0.3)

@@ -60,7 +60,7 @@ def test_trivialize_inverts_perturb():
     assert space.dim == 6
 
 
-def test_it_vmaps_and_differentiates_through_the_constructors():
+def test_the_constructors_of_a_rigid_body_vmap_and_differentiate():
     energy = lambda J, q: li.systems.rigid_body(J).state(q, angular_velocity=OMEGA).p.sum()  # noqa: E731
     assert jax.jit(jax.vmap(energy, in_axes=(0, None)))(np.ones((3, 3)), Q).shape == (3,)
     assert np.isfinite(jax.jit(jax.grad(energy))(np.eye(3), Q)).all()
@@ -76,7 +76,7 @@ BAD_INERTIA = {
 
 
 @pytest.mark.parametrize(("message", "value"), [(m, v) for m, values in BAD_INERTIA.items() for v in values])
-def test_bad_inertia(message, value):
+def test_a_bad_inertia_is_refused(message, value):
     with pytest.raises(ValueError, match=message):
         li.systems.rigid_body(value)
 
@@ -100,7 +100,7 @@ BAD_ATTITUDE = {
 
 
 @pytest.mark.parametrize(("message", "value"), [(m, v) for m, values in BAD_ATTITUDE.items() for v in values])
-def test_bad_attitude(message, value):
+def test_a_bad_attitude_is_refused(message, value):
     with pytest.raises(ValueError, match=message):
         BODY.state(value, angular_velocity=OMEGA)
 
@@ -110,14 +110,14 @@ def test_a_quaternion_nearly_of_unit_length_is_normalized():
     assert state.q[0] == 1
 
 
-def test_numbers_beyond_range():
+def test_numbers_beyond_the_range_of_floats_are_refused():
     with pytest.raises(ValueError, match="real numbers"):
         BODY.state(Q, angular_velocity=10**400)
     with pytest.raises(ValueError, match="spatial momentum must be finite"):
         BODY.state(Q, angular_velocity=[1e308, 1e308, 1e308])
 
 
-def test_exactly_one_kind_of_motion():
+def test_a_state_requires_exactly_one_kind_of_motion():
     for given in ({}, {"angular_velocity": OMEGA, "body_momentum": OMEGA}):
         with pytest.raises(ValueError, match="exactly one of angular_velocity"):
             BODY.state(Q, **given)

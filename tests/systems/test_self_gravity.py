@@ -81,6 +81,6 @@ def test_the_largest_angular_velocity_is_at_the_published_eccentricity():
 
 
 @pytest.mark.parametrize("bad", [-1.0, 0.0, np.nan])
-def test_what_is_not_positive_is_refused(bad):
+def test_self_gravity_refuses_numbers_that_are_not_positive(bad):
     with pytest.raises(ValueError, match=r"radius must be (positive|finite)"):
         li.systems.self_gravity(1.0, 1.0, bad)

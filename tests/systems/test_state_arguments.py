@@ -61,7 +61,7 @@ def test_errors_of_an_attitude_show_the_order_of_its_numbers():
     assert "scipy" in type(body()).state.__doc__
 
 
-def test_a_driven_state_begins_at_0_and_times_that_do_not_say_how_to_change_that():
+def test_a_driven_state_begins_at_0_and_other_times_are_refused_with_advice():
     system = satellite()
     state = system.state(angular_velocity=[0.1, 0.2, 1.0])
     assert float(state.t) == 0

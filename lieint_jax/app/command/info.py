@@ -224,7 +224,7 @@ def _conservation(stored: StoredRun) -> list[str]:
 
 def headline(scenario: Common, step: Step) -> str:
     """The first lines of a scenario's report: its title, its size and its scheme."""
-    lines = [scenario.title, f"  {scenario.members} member(s), {scenario.pace()}, {step.name}"]
+    lines = [scenario.title, f"  {scenario.members} member(s), {scenario.describe_steps()}, {step.name}"]
     if scenario.members > 1 and scenario.assumption():
         lines.append(f"  {scenario.assumption()}")
     return "\n".join(lines)

@@ -12,7 +12,7 @@ from lieint_jax._integrate import interpolate
 from lieint_jax.systems._heavy_top import Linear
 from lieint_jax.types import Trajectory
 
-APART = 2.6  # rad, largest rotation between saved states; interpolation then has an error of 0.3° (tumbling bodies)
+MAX_ROTATION = 2.6  # rad between saved states: interpolation then has an error of 0.3° (tumbling bodies)
 
 
 def member(run: Trajectory, k: int) -> Trajectory:
@@ -20,11 +20,11 @@ def member(run: Trajectory, k: int) -> Trajectory:
     return Trajectory(jnp.asarray(run.t), *jax.tree.map(lambda x: np.asarray(x[:, k]), (run.state, run.info)))
 
 
-def turns(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def rotation_angles(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Estimated angles of rotation between saved states, of the fastest body and of a top's axis, (saves − 1,), rad."""
     rates = system.angular_velocities if hasattr(system, "angular_velocities") else system.angular_velocity
     Omega = np.asarray(jax.jit(jax.vmap(rates))(jax.tree.map(jnp.asarray, run.state)))
-    Omega, axis = Omega.reshape(len(Omega), -1, 3), pointed(system)
+    Omega, axis = Omega.reshape(len(Omega), -1, 3), top_axis(system)
     across = Omega if axis is None else np.cross(Omega, axis)
 
     def largest_angles(rates: np.ndarray) -> np.ndarray:
@@ -35,11 +35,11 @@ def turns(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def interpolate_at(system: Any, run: Trajectory, times: np.ndarray) -> Trajectory:
-    """The trajectory at times inside it, by interpolation; saved states may be separated by up to `APART`."""
+    """The trajectory at times inside it, by interpolation; bodies rotate by at most `MAX_ROTATION` between saves."""
     return Trajectory(jnp.asarray(times), interpolate(system, run, times), run.info)
 
 
-def pointed(system: Any) -> np.ndarray | None:
+def top_axis(system: Any) -> np.ndarray | None:
     """The axis (3,) of a heavy top in the body, from the fixed point to the center of mass; None for other systems."""
     potential = getattr(system, "potential", None)
     weight = np.asarray(potential.weight) if isinstance(potential, Linear) else np.zeros(3)

@@ -26,7 +26,7 @@ class Solid(NamedTuple):
     faces: tuple[Face, ...]
     colors: tuple[str, ...]
 
-    def grown(self, factor: float) -> Solid:
+    def scaled_by(self, factor: float) -> Solid:
         """The same shape, scaled by a factor."""
         return self._replace(corners=factor * self.corners)
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.command import interpolation
-from lieint_jax.app.scenarios._body import in_space, spin_axis
+from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
 from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Trajectory, energy_less_work
@@ -102,8 +102,8 @@ def _draw_body(stored: StoredRun) -> Figure:
     system, run = stored.system_of(0), interpolation.member(stored.run, 0)
     joined = hasattr(system, "angular_velocity")
     if joined:
-        angles, _ = interpolation.turns(system, run)
-        joined = bool(angles.max() <= interpolation.APART)
+        angles, _ = interpolation.rotation_angles(system, run)
+        joined = bool(angles.max() <= interpolation.MAX_ROTATION)
         if joined and angles.max() > _CHORD:
             parts = min(int(np.ceil(angles.max() / _CHORD)), max(1, POINTS // len(angles)))
             t = np.asarray(run.t)
@@ -111,12 +111,12 @@ def _draw_body(stored: StoredRun) -> Figure:
                 system, run, np.interp(np.arange(len(angles) * parts + 1) / parts, np.arange(len(t)), t)
             )
     axis, name = _drawn_axis(system, run)
-    return _draw_direction(in_space(np.asarray(run.state.q), axis), name, joined)
+    return _draw_direction(axis_in_space(np.asarray(run.state.q), axis), name, joined)
 
 
 def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
     """The body axis to draw, with its name: that of a top, or else the principal axis of the initial spin."""
-    axis = interpolation.pointed(system)
+    axis = interpolation.top_axis(system)
     if axis is not None:
         return axis, "the top's axis"
     if not hasattr(system, "inertia"):
@@ -136,7 +136,7 @@ def _draw_direction(path: np.ndarray, name: str, joined: bool = True) -> Figure:
     plots.sphere_ends(ax, path)
     plots.sphere_axes(ax)
     ax.legend(loc="upper left")
-    note = "" if joined else "; dots: saved states are too far apart for a curve"
+    note = "" if joined else "; dots: the saved states are too far from each other for a curve"
     ax.set_title(f"{name} of the first member, in space; a line every 30°{note}", wrap=True)
     return fig
 

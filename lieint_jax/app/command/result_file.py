@@ -19,6 +19,33 @@ _RENAMED = {  # since version 0.2
     "lieint_jax.studies.": "lieint_jax.app.studies.",
     "studies._equivalents:": "studies._symmetric_solutions:",
     "fitting._outcome:Starts": "fitting._outcome:MultiStartResult",
+    "kappa:LearntKappas": "kappa:LearnedKappas",
+}
+_RENAMED_FIELDS = {  # of named tuples of the studies, since version 0.2
+    "_satellite_fit:Estimate": {"turned": "facet_symmetry"},
+    "_spin_fit:Coverage": {"distance": "mahalanobis_squared"},
+    "_symmetric_solutions:Change": {"turn": "symmetry"},
+    "gyro:GyroTrials": {"within": "within_2_sigma", "inside": "inside_ellipsoid"},
+    "kappa:KappaErrors": {
+        "learnt": "training_defect",
+        "unseen": "test_defect",
+        "sizes": "defect_by_dt",
+        "poisson": "poisson_error",
+        "energy": "energy_error",
+        "converged": "converged_runs",
+    },
+    "sensitivity:LyapunovSpectrum": {
+        "apart": "two_trajectories",
+        "pairs": "pair_defect",
+        "short": "short_run",
+        "independent": "variational",
+    },
+    "_toutatis_result:Prediction": {
+        "off": "fix_angles",
+        "members_off": "member_fix_angles",
+        "farther": "farther_share",
+    },
+    "_toutatis_result:SpinFit": {"apart": "mahalanobis_squared", "same": "share_at_minimum"},
 }
 
 
@@ -88,7 +115,9 @@ def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     if "type" in value:
-        return _find_class(value["type"])(**{name: _decode(inner, arrays) for name, inner in value["fields"].items()})
+        found: Any = _find_class(value["type"])
+        renamed: dict[str, str] = _RENAMED_FIELDS.get(f"{found.__module__.rpartition('.')[2]}:{found.__qualname__}", {})
+        return found(**{renamed.get(str(name), str(name)): _decode(x, arrays) for name, x in value["fields"].items()})
     [(kind, inner)] = value.items()
     if kind == "array":
         return arrays[inner]

@@ -13,7 +13,7 @@ from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import files, info
 from lieint_jax.app.scenarios._common import Common
-from lieint_jax.app.scenarios._runs import nominal, nominal_of
+from lieint_jax.app.scenarios._runs import nominal_member, nominal_state
 from lieint_jax.diagnostics import certify
 from lieint_jax.ensemble.archives import Address, Url
 
@@ -108,10 +108,10 @@ def run(
     drawn = info.draw(out, drawings, scenario, step, run)
     print(scenarios.report(scenario, step, run))
     if certificate:
-        first = step if options["step_axis"] is None else nominal_of(step)
+        first = step if options["step_axis"] is None else nominal_member(step)
         watched = min(scenario.steps, _WATCHED)
         print(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
-        print(certify(first, nominal(run), scenario.dt, watched))
+        print(certify(first, nominal_state(run), scenario.dt, watched))
     converged = int(np.asarray(run.info.converged).all(axis=0).sum())
     print(f"  {converged} of {scenario.members} members converged at every step")
     arrays = ", ".join(["t, q, p, residual, converged, metadata", *(f"member.{name}" for name in own)])

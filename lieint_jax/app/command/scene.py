@@ -15,12 +15,12 @@ from lieint_jax.app.scenarios._body import spin_axis
 from lieint_jax.groups import so3
 from lieint_jax.types import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies, Trajectory
 
-_MOST = np.deg2rad(15)  # the most that a body turns from frame to frame, if states can be interpolated
-_TILT = np.deg2rad(2)  # the same of the axis of a top, whose spin may be much faster
-_FINE = 4  # points of the path of an axis between two frames
-_SMALLEST = 0.06  # the size of the largest of several bodies, over that of the scene; smaller ones are drawn larger
-_TIP, _ARROW = 1.2, 1.5  # where axes and momentum vectors end, over the size of their body
-_SEVERAL = (AbstractFreeBodies, AbstractRigidBodies, AbstractDissipativeBodies)
+_MAX_ROTATION = np.deg2rad(15)  # largest rotation of a body between frames, if states can be interpolated
+_MAX_TILT = np.deg2rad(2)  # the same for the axis of a top, whose spin may be much faster
+_FINE = 4  # number of points of an axis' path from frame to frame
+_MIN_SIZE = 0.06  # smallest size of the largest body, over that of the scene: smaller bodies are drawn larger
+_TIP, _ARROW = 1.2, 1.5  # lengths of axes and momentum vectors, over the size of their body
+_SYSTEMS_OF_BODIES = (AbstractFreeBodies, AbstractRigidBodies, AbstractDissipativeBodies)
 
 Span = tuple[float | None, float | None]
 
@@ -29,19 +29,19 @@ class Scene(NamedTuple):
     """A scene of `bodies` bodies in `frames` frames, in one unit of length.
 
     Attributes:
-        title: of the run.
-        notes: what is shown, in sentences.
-        time_unit: of t.
-        t: times (frames,).
+        title: the title of the run.
+        notes: descriptions of what is shown.
+        time_unit: the unit of t.
+        t: the times of the frames, (frames,).
         solids: the surface of each body.
-        turns: rotation matrices, body to space, (frames, bodies, 3, 3).
-        centers: (frames, bodies, 3).
-        momenta: ends of the spatial angular momenta, drawn from the centers, (frames, bodies, 3).
-        paths: of the ends of the axes, (points, bodies, 3); point k·`fine` belongs to frame k.
-        fine: points of a path from frame to frame.
-        middle: the middle of what is seen, (3,).
-        reach: half the side of a cube about it that holds everything.
-        needed: how many frames would show all that was asked for.
+        rotations: rotation matrices, body to space, (frames, bodies, 3, 3).
+        centers: the centers of the bodies, (frames, bodies, 3).
+        momenta: the ends of the spatial angular momenta, drawn from the centers, (frames, bodies, 3).
+        paths: the paths of the ends of the axes, (points, bodies, 3); point k·`fine` belongs to frame k.
+        fine: the number of points of a path from frame to frame.
+        middle: the center of the scene, (3,).
+        reach: half the side of a cube about the center that contains the scene.
+        needed: the number of frames that would show the requested span.
     """
 
     title: str
@@ -49,7 +49,7 @@ class Scene(NamedTuple):
     time_unit: str
     t: np.ndarray
     solids: tuple[Solid, ...]
-    turns: np.ndarray
+    rotations: np.ndarray
     centers: np.ndarray
     momenta: np.ndarray
     paths: np.ndarray
@@ -60,7 +60,7 @@ class Scene(NamedTuple):
 
     def corners(self, frame: int, body: int) -> np.ndarray:
         """The corners of a body in space, (n, 3)."""
-        return self.centers[frame, body] + self.solids[body].corners @ self.turns[frame, body].T
+        return self.centers[frame, body] + self.solids[body].corners @ self.rotations[frame, body].T
 
     def arrow(self, frame: int, body: int) -> np.ndarray:
         """The ends of the momentum vector of a body, (2, 3)."""
@@ -80,9 +80,9 @@ def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, No
 
     Args:
         stored: the run.
-        member: which one.
-        frames: the most of them.
-        span: the times of the first and the last frame; None is that of the run.
+        member: the index of the member.
+        frames: the largest number of frames.
+        span: the times of the first and the last frame; None selects that of the run.
 
     Raises:
         ValueError: a system without rigid bodies, no such member, or times outside the run.
@@ -90,29 +90,30 @@ def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, No
     if not 0 <= member < stored.run.state.p.shape[1]:
         raise ValueError(f"the run has members 0 to {stored.run.state.p.shape[1] - 1}, got --member {member}")
     system = stored.system_of(member)
-    several = isinstance(system, _SEVERAL)
+    is_multibody = isinstance(system, _SYSTEMS_OF_BODIES)
     shape = stored.run.state.q.shape
-    if not (several or (shape[2:] == (4,) and hasattr(system, "inertia"))):
+    if not (is_multibody or (shape[2:] == (4,) and hasattr(system, "inertia"))):
         raise ValueError(
-            f"{type(system).__name__} is not made of rigid bodies: rigid bodies, gyrostats, tops, satellites and "
-            "several bodies can be animated; `lieint plot` draws this run"
+            f"{type(system).__name__} has no rigid bodies. Rigid bodies, gyrostats, tops, satellites and "
+            "systems of bodies can be animated; `lieint plot` draws this run"
         )
     run, fine, notes, needed = _drawable_span(
         system, interpolation.member(stored.run, member), frames, stored.time_unit, span
     )
     q, p = np.asarray(run.state.q), np.asarray(run.state.p)
-    x, attitudes, spins = (q[..., :3], q[..., 3:], p[..., 3:]) if several else (np.zeros((len(q), 1, 3)), q[:, None], p)
-    spins = spins.reshape(len(q), -1, 3)
-    turns = np.asarray(jax.jit(jax.vmap(jax.vmap(so3.to_matrix)))(jnp.asarray(attitudes)))
-    solids, axes, factor = _bodies(system, turns[0], spins[0], x)
+    x, attitudes, spins = np.zeros((len(q), 1, 3)), q[:, None], p[:, None]
+    if is_multibody:
+        x, attitudes, spins = q[..., :3], q[..., 3:], p[..., 3:]
+    rotations = np.asarray(jax.jit(jax.vmap(jax.vmap(so3.to_matrix)))(jnp.asarray(attitudes)))
+    solids, axes, factor = _bodies(system, rotations[0], spins[0], x)
     if factor > 1:
         notes = (*notes, f"bodies are drawn {factor:.2g} times as large as they are")
     sizes = np.array([solid.size() for solid in solids])[:, None]
-    paths = x + np.einsum("tbij,bj->tbi", turns, _TIP * sizes * axes)
+    paths = x + np.einsum("tbij,bj->tbi", rotations, _TIP * sizes * axes)
     lengths = np.linalg.norm(spins, axis=-1).max(axis=0)
     momenta = x + _ARROW * sizes * spins / np.where(lengths > 0, lengths, 1)[:, None]
-    seen = np.concatenate([z.reshape(-1, 3) for z in (paths, momenta, x - sizes, x + sizes)])
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    shown = np.concatenate([z.reshape(-1, 3) for z in (paths, momenta, x - sizes, x + sizes)])
+    low, high = shown.min(axis=0), shown.max(axis=0)
     each = ", each to its own scale" if len(solids) > 1 else ""
     notes = (f"blue: the axis and the path of its end; dark orange: the angular momentum{each}", *notes)
     return Scene(
@@ -121,7 +122,7 @@ def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, No
         time_unit=stored.time_unit,
         t=np.asarray(run.t)[::fine],
         solids=solids,
-        turns=turns[::fine],
+        rotations=rotations[::fine],
         centers=x[::fine],
         momenta=momenta[::fine],
         paths=paths,
@@ -135,42 +136,46 @@ def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, No
 def _drawable_span(
     system: Any, run: Trajectory, frames: int, time_unit: str, span: Span
 ) -> tuple[Trajectory, int, tuple[str, ...], int]:
-    """As much of a span of a trajectory as `frames` frames can show, at the points of paths; points a frame; notes;
-    how many frames would show the whole span.
+    """The part of a span of a trajectory that `frames` frames can show, at the points of the paths.
+
+    Returns:
+        The trajectory, its number of points per frame, notes, and the number of frames that would show the whole span.
     """
     t = np.asarray(run.t)
     sign, (first, last) = np.sign(t[-1] - t[0]), _span(t, span, time_unit)
-    turns, tilts = interpolation.turns(system, run)
-    steps, step = (turns, _MOST) if interpolation.pointed(system) is None else (tilts, _TILT)
-    turned = np.concatenate([[0.0], np.cumsum(steps)])
-    begun, ended = np.interp(sign * np.array([first, last]), sign * t, turned)
-    most = begun + (frames - 1) * step
-    end = last if ended <= most else np.interp(most, turned, t)
-    needed = int(np.ceil((ended - begun) / step)) + 1
+    angles, tilts = interpolation.rotation_angles(system, run)
+    steps, per_frame = (angles, _MAX_ROTATION) if interpolation.top_axis(system) is None else (tilts, _MAX_TILT)
+    total = np.concatenate([[0.0], np.cumsum(steps)])
+    at_first, at_last = np.interp(sign * np.array([first, last]), sign * t, total)
+    limit = at_first + (frames - 1) * per_frame
+    end = last if at_last <= limit else np.interp(limit, total, t)
+    needed = int(np.ceil((at_last - at_first) / per_frame)) + 1
     low = int(np.searchsorted(sign * t, sign * first, side="right")) - 1
     low = min(low, len(t) - 2)
     high = max(int(np.searchsorted(sign * t, sign * end)), low + 1)
     part = jax.tree.map(lambda x: x[low : high + 1], run)
-    whole = "" if span == (None, None) else " that were asked for"
-    unit = f" {time_unit}".rstrip()
-    notes = (f"the first {abs(end - first):.4g} of {abs(last - first):.4g}{unit}{whole}",) if ended > most else ()
-    apart = turns[low:high].max()
-    if apart <= interpolation.APART:
+    notes: tuple[str, ...] = ()
+    if at_last > limit:
+        requested = "" if span == (None, None) else " that were requested"
+        length = f"{abs(last - first):.4g} {time_unit}".rstrip()
+        notes = (f"the first {abs(end - first):.4g} of {length}{requested}",)
+    largest = angles[low:high].max()
+    if largest <= interpolation.MAX_ROTATION:
         times = np.linspace(first, end, (frames - 1) * _FINE + 1)
         return interpolation.interpolate_at(system, part, times), _FINE, notes, needed
     saved = np.flatnonzero((sign * (t - first) >= 0) & (sign * (last - t) >= 0))[:frames]
     if len(saved) < 2:
-        raise ValueError(f"fewer than two states are saved from t = {first:.6g} to {last:.6g}, too far apart to show")
+        raise ValueError(f"fewer than two states are saved from t = {first:.6g} to {last:.6g}: save more often")
     which = "first" if saved[0] == 0 else "next"
     note = (
-        f"states are saved too far apart to be interpolated, up to {np.rad2deg(apart):.0f}° of turning: the frames are "
-        f"the {which} {len(saved)} saved states; save more often to see what is between"
+        f"the saved states are too far from each other to be interpolated, up to {np.rad2deg(largest):.0f}° of "
+        f"rotation: the frames are the {which} {len(saved)} saved states; save more often to see the motion between"
     )
     return jax.tree.map(lambda x: x[saved], run), 1, (note,), len(saved)
 
 
 def _span(t: np.ndarray, span: Span, time_unit: str) -> tuple[float, float]:
-    """The first and last time to show; ValueError if they are not in the run, in its order."""
+    """The first and last time to show; ValueError unless they lie in the run, in its order."""
     first, last = (float(end if given is None else given) for given, end in zip(span, (t[0], t[-1]), strict=True))
     sign = np.sign(t[-1] - t[0])
     if not sign * t[0] <= sign * first < sign * last <= sign * t[-1]:
@@ -183,17 +188,17 @@ def _span(t: np.ndarray, span: Span, time_unit: str) -> tuple[float, float]:
 
 
 def _bodies(
-    system: Any, turns: np.ndarray, spins: np.ndarray, x: np.ndarray
+    system: Any, rotations: np.ndarray, spins: np.ndarray, x: np.ndarray
 ) -> tuple[tuple[Solid, ...], np.ndarray, float]:
-    """The surfaces of the bodies, the axis of each in the body (bodies, 3), and by how much they are enlarged."""
-    axis = interpolation.pointed(system)
+    """The surfaces of the bodies, the axis of each in the body (bodies, 3), and how many times they are enlarged."""
+    axis = interpolation.top_axis(system)
     if axis is not None:
         return (top(np.asarray(system.inertia), axis),), axis[None], 1.0
     single = not hasattr(system, "inertias")
     inertias = np.asarray(system.inertia)[None] if single else np.asarray(system.inertias)
     masses = [None] if single else np.asarray(system.masses)
-    axes = np.stack([spin_axis(J, R.T @ p) for J, R, p in zip(inertias, turns, spins, strict=True)])
+    axes = np.stack([spin_axis(J, R.T @ p) for J, R, p in zip(inertias, rotations, spins, strict=True)])
     solids = [box(J, m) for J, m in zip(inertias, masses, strict=True)]
     extent = np.ptp(x, axis=(0, 1)).max() / 2
-    factor = max(1.0, _SMALLEST * extent / max(solid.size() for solid in solids))
-    return tuple(solid.grown(factor) for solid in solids), axes, factor
+    factor = max(1.0, _MIN_SIZE * extent / max(solid.size() for solid in solids))
+    return tuple(solid.scaled_by(factor) for solid in solids), axes, factor

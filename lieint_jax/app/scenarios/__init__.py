@@ -7,18 +7,18 @@ observations to compare with the results. `scenario_names` lists the shipped one
 | name | |
 |---|---|
 | `Scenario` | a pydantic model of its keys, a subclass of `_common.Common` |
-| `build(scenario, numbers=None)` | the step, and the initial states of these members or of all; member 0 is nominal |
+| `build(scenario, numbers=None)` | the step, and the initial states of all members or of some; member 0 is nominal |
 | `conserved(scenario, system, run)` | what the motion conserves, as a list of `_report.Conserved` |
 | `quantities(scenario, system, run)` | what is measured, as a list of `_report.Quantity` |
 | `remarks(scenario, step, run)` | further lines of the report |
 | `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names; see `_pictures.picture` |
-| `STEP_AXIS` | 0 where every member always has a system of its own: the leaves of the step have the member axis, |
-| | and `build` has no `numbers`; None where all share one, also where `[spread]` names numbers |
-| `CERTIFIED` | False where `lieint run` prints no certificate: control and friction leave it nothing but the energy |
+| `STEP_AXIS` | 0 where every member has its own system: the leaves of the step have the member axis, and `build` |
+| | has no `numbers`; None where all share one, also where `[spread]` names numbers |
+| `CERTIFIED` | False where `lieint run` prints no certificate: control and friction conserve the energy balance only |
 
-Only the first two and `PICTURES` are required. A kind whose report is no such table has `report(scenario, step, run)`.
+Only the first two and `PICTURES` are required. A kind with another form of report has `report(scenario, step, run)`.
 Where `[spread]` names numbers of the scenario (`_spread`), the step has the member axis too: `conserved` and
-`quantities` are then called for each member alone, and `remarks` and pictures find the nominal one by `of_member`.
+`quantities` are then called for each member alone; `remarks` and pictures use `for_member` for the nominal one.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from lieint_jax.app.scenarios._runs import select_member
 from lieint_jax.types import State, Step, Trajectory
 
 _OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1
-_FOR_PYTHON = "; use jax.vmap for batches"  # advice that is of no use in a file
+_FOR_PYTHON = "; use jax.vmap for batches"  # advice that does not apply to a file
 
 
 def scenario_names() -> list[str]:
@@ -68,33 +68,33 @@ def build(scenario: Common) -> tuple[Step, State]:
 
 
 def states_of(scenario: Common, numbers: np.ndarray) -> State:
-    """The initial states of the members of these numbers, of a kind whose members share one step."""
+    """The initial states of the members with these numbers, for a kind whose members share one step."""
     return kind(scenario).build(scenario, numbers)[1]
 
 
 def shapes_of_states(scenario: Common) -> State:
-    """The shapes of the initial states of all members, without making any."""
-    one = jax.eval_shape(lambda: states_of(scenario, np.arange(1)))
-    return jax.tree.map(lambda x: jax.ShapeDtypeStruct((scenario.members, *x.shape[1:])[: x.ndim], x.dtype), one)
+    """The shapes of the initial states of all members, without computing them."""
+    first = jax.eval_shape(lambda: states_of(scenario, np.arange(1)))
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct((scenario.members, *x.shape[1:])[: x.ndim], x.dtype), first)
 
 
 def step_axis(scenario: Common) -> int | None:
-    """0 if the leaves of the step of `build` have the member axis, as `ensemble.run` has it; else None."""
-    return 0 if _own_systems(scenario) else getattr(kind(scenario), "STEP_AXIS", None)
+    """The argument `step_axis` of `ensemble.run`: 0 if the leaves of the step have the member axis, else None."""
+    return 0 if _systems_differ_by_spread(scenario) else getattr(kind(scenario), "STEP_AXIS", None)
 
 
-def _own_systems(scenario: Common) -> bool:
-    """Whether members have systems of their own only because of the spread of the scenario's numbers."""
+def _systems_differ_by_spread(scenario: Common) -> bool:
+    """Whether members have their own systems only because numbers of the scenario have a spread."""
     return bool(scenario.own_numbers()) and not hasattr(kind(scenario), "STEP_AXIS")
 
 
 def members_numbers(scenario: Common) -> dict[str, np.ndarray]:
-    """The numbers of which every member has a value of its own, (members, …), by their paths."""
-    return {".".join(path): values for path, values in _spread.drawn(scenario).items()}
+    """The numbers that differ between members, (members, …), by their paths."""
+    return {".".join(path): values for path, values in _spread.draw_members(scenario).items()}
 
 
 def build_first(scenario: Common, members: int) -> Step:
-    """The step of the first `members` members, for those of a run that are shown; one for all if they share it."""
+    """The step of the first `members` members of a run, or the one that all members share."""
     return build(scenario.model_copy(update={"members": 1 if step_axis(scenario) is None else members}))[0]
 
 
@@ -109,18 +109,21 @@ def report(scenario: Common, step: Any, run: Trajectory) -> str:
 
 
 def _measured(module: ModuleType, name: str, scenario: Common, system: Any, run: Trajectory) -> list[Any]:
-    """What a kind declares of a run under a name: of one system, or of the members' systems one by one."""
-    if not _own_systems(scenario):
+    """The declaration of a kind under a name for a run: of one system, or of the members' systems one by one."""
+    if not _systems_differ_by_spread(scenario):
         return _declared(module, name, scenario, system, run)
-    each = enumerate(_spread.each_member(scenario))
-    return _report.joined(
-        [_declared(module, name, its, _spread.of_member(scenario, system, m), select_member(run, m)) for m, its in each]
+    each = enumerate(_spread.member_scenarios(scenario))
+    return _report.join_members(
+        [
+            _declared(module, name, its, _spread.for_member(scenario, system, m), select_member(run, m))
+            for m, its in each
+        ]
     )
 
 
-def _declared(module: ModuleType, name: str, *given: Any) -> list[Any]:
-    """What a kind declares under a name, if it does."""
-    return getattr(module, name)(*given) if hasattr(module, name) else []
+def _declared(module: ModuleType, name: str, *arguments: Any) -> list[Any]:
+    """The value of a kind's declaration under a name; empty if there is none."""
+    return getattr(module, name)(*arguments) if hasattr(module, name) else []
 
 
 def load(name: str, **changes: Any) -> Any:
@@ -130,7 +133,7 @@ def load(name: str, **changes: Any) -> Any:
         A `Scenario` of the module that its `system` key names.
 
     Raises:
-        ValueError: no such scenario, not TOML, or a key that is missing, unknown or out of range: the message names it.
+        ValueError: no such scenario, not TOML, or a key is missing, unknown or out of range: the message names it.
     """
     return parse(_table(name) | {key: value for key, value in changes.items() if value is not None}, name)
 
@@ -150,7 +153,7 @@ def parse(table: dict[str, Any], name: str) -> Any:
 
 
 def from_results(table: dict[str, Any], name: str) -> Any:
-    """The scenario that results hold; those of version 0.1 have keys of then, without units."""
+    """The scenario in a file of results; keys of version 0.1, which have no units, are renamed."""
 
     def renamed(tree: Any) -> Any:
         if isinstance(tree, list):
@@ -163,7 +166,7 @@ def from_results(table: dict[str, Any], name: str) -> Any:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON schema of a scenario file: one of the kinds of system, told apart by the key `system`."""
+    """The JSON schema of a scenario file: one of the kinds of system, distinguished by the key `system`."""
     from pydantic.json_schema import models_json_schema
 
     found, definitions = models_json_schema([(module.Scenario, "validation") for module in kinds().values()])
@@ -181,7 +184,7 @@ def _table(name: str) -> dict[str, Any]:
             raise ValueError(f"{name} is not UTF-8 text: {error}") from error
     else:
         if path.suffix or len(path.parts) > 1:
-            raise ValueError(f"there is no file {name}; `lieint list` shows the scenarios that need none")
+            raise ValueError(f"there is no file {name}; `lieint list` shows the scenarios that need no file")
         near = difflib.get_close_matches(name, scenario_names(), 1)
         meant = f"did you mean {near[0]}? " if near else ""
         raise ValueError(f"there is no scenario {name!r}: {meant}`lieint list` shows all; or give a .toml file")
@@ -192,11 +195,11 @@ def _table(name: str) -> dict[str, Any]:
 
 
 def _quotes(text: str, error: str) -> str:
-    """What to write where the line of an error has text without quotes."""
+    """Advice where the line of an error has text without quotes."""
     number = re.search(r"at line (\d+)", error)
     line = text.splitlines()[int(number[1]) - 1] if number else ""
     found = re.fullmatch(r"\s*([\w.]+)\s*=\s*([A-Za-z_][\w-]*)\s*(#.*)?", line)
-    return f'; text stands in quotes: {found[1]} = "{found[2]}"' if found else ""
+    return f'; text must be in quotes: {found[1]} = "{found[2]}"' if found else ""
 
 
 def _keys(model: Any, path: list[str]) -> list[str]:
@@ -218,11 +221,11 @@ def _nearest(key: str, allowed: list[str]) -> list[str]:
 
 
 def _explain(error: ValidationError, model: Any) -> str:
-    """The first problem of a validation, in one line that names the key; an unknown one with those that are known."""
+    """The first problem of a validation in one line that names the key; for an unknown key, with the allowed ones."""
     problem, *others = error.errors()
     key = "".join(f"{part}." for part in problem["loc"] if part != "[key]").removesuffix(".")
-    silent = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
-    given = "" if silent else f" (got {problem['input']!r})"
+    without_value = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
+    given = "" if without_value else f" (got {problem['input']!r})"
     message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
     if problem["type"] == "extra_forbidden":
         allowed = _keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])

@@ -1,7 +1,7 @@
-"""Motions of two bodies about one another as they are measured: periods, librations, energies.
+"""Measured motions of two bodies about one another: periods, librations, energies.
 
 Positions are relative: d = x₂ − x₁, v = ẋ₂ − ẋ₁. Longitudes are angles about the total angular momentum L, which is
-conserved. The leaves of `step` and `system` have the member axis: every member has masses and moments of its own.
+conserved. The leaves of `step` and `system` have the member axis: every member has its own masses and moments.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from jax import Array
 
 from lieint_jax._integrate import integrate
 from lieint_jax._numerics import vec3
-from lieint_jax.app.scenarios._runs import for_last_run, over_members
+from lieint_jax.app.scenarios._runs import cached_for_last_run, over_members
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
 
-_NEWTON = 8  # the most corrections of a speed that is to give a period
-_CLOSE = 1e-5  # the largest last correction, over the change: what Newton's method leaves is its square
+_MAX_ITERATIONS = 8  # of Newton's method for the speed
+_TOLERANCE = 1e-5  # largest last correction over the change; the error that Newton's method leaves is its square
 
 
 class Motion(NamedTuple):
@@ -32,12 +32,12 @@ class Motion(NamedTuple):
 
     Attributes:
         distance: |d|.
-        longitude: of d.
+        longitude: the longitude of d.
         spin_1, spin_2: the longitudes of the x axes of the two bodies.
-        libration: of the secondary's x axis from the line of centers, in its own equator.
-        out_of_plane: of the line of centers from the secondary's equator.
-        obliquity_1, obliquity_2: of the z axes of the two bodies from the normal of the orbit.
-        inclination: of the normal of the orbit from L.
+        libration: the angle of the secondary's x axis from the line of centers, in its own equator.
+        out_of_plane: the angle of the line of centers from the secondary's equator.
+        obliquity_1, obliquity_2: the angles of the z axes of the two bodies from the normal of the orbit.
+        inclination: the angle of the normal of the orbit from L.
         node: the longitude of the normal of the orbit.
     """
 
@@ -57,9 +57,9 @@ class Energies(NamedTuple):
     """The parts of the energy H; all but `total` add up to it.
 
     Attributes:
-        orbit: of the relative motion of two points, ½μ|v|² − G m₁m₂/|d|.
-        spin_1, spin_2: ½ Π·J⁻¹Π of the two bodies.
-        shape: V₂ = V + G m₁m₂/|d|, the part of the potential that their shapes make.
+        orbit: the energy of the relative motion of two points, ½μ|v|² − G m₁m₂/|d|.
+        spin_1, spin_2: the kinetic energies of rotation, ½ Π·J⁻¹Π.
+        shape: V₂ = V + G m₁m₂/|d|, the part of the potential that is due to their shapes.
         total: H.
     """
 
@@ -70,36 +70,36 @@ class Energies(NamedTuple):
     total: Any
 
 
-def relative(system: RigidBodies, state: State) -> tuple[Array, Array]:
-    """d and v."""
+def relative_motion(system: RigidBodies, state: State) -> tuple[Array, Array]:
+    """The relative position d and the relative velocity v."""
     x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
     return x[1] - x[0], v[1] - v[0]
 
 
-@for_last_run
+@cached_for_last_run
 def motion(_: Any, system: RigidBodies, run: Trajectory) -> Motion:
     """The angles and distances of a scenario's run."""
-    return measured(system, run)
+    return measure_motion(system, run)
 
 
-def measured(system: RigidBodies, run: Trajectory) -> Motion:
+def measure_motion(system: RigidBodies, run: Trajectory) -> Motion:
     """The angles and distances of any run."""
-    angles, rates = over_members(_instant, system, run)
-    continued = {name: followed(run.t, getattr(angles, name), rate) for name, rate in rates.items()}
+    angles, rates = over_members(_motion_at, system, run)
+    continued = {name: continue_angle(run.t, getattr(angles, name), rate) for name, rate in rates.items()}
     continued["libration"] = np.unwrap(angles.libration, axis=0)
     continued["node"] = np.unwrap(angles.node, axis=0)
     return angles._replace(**continued)
 
 
-def followed(t: np.ndarray | Array, angle: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """An angle (times, …) continued in time; it moves by less than half a turn off its first rate between two saves."""
-    since = (np.asarray(t) - t[0]).reshape(-1, *[1] * (angle.ndim - 1))
-    return rate[0] * since + np.unwrap(angle - rate[0] * since, axis=0)
+def continue_angle(t: np.ndarray | Array, angle: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Continue angles (times, …) over 2π; between two saves they must deviate from their first rate by less than π."""
+    elapsed = (np.asarray(t) - t[0]).reshape(-1, *[1] * (angle.ndim - 1))
+    return rate[0] * elapsed + np.unwrap(angle - rate[0] * elapsed, axis=0)
 
 
-def _instant(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Array]]:
-    """The angles at one time, each within a turn, and the rates of those that go round."""
-    d, v = relative(system, state)
+def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Array]]:
+    """The angles at one time, in (−π, π], and the rates of those that circulate."""
+    d, v = relative_motion(system, state)
     normal = jnp.stack(vec3.cross(d, v))
     L = system.momentum(state)[3:]
     up = L / jnp.sqrt(vec3.dot(L, L))
@@ -115,9 +115,9 @@ def _instant(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Array
         spin_2=about_up(x[1]),
         libration=-jnp.arctan2(Gamma[1], Gamma[0]),  # pyright: ignore[reportArgumentType]
         out_of_plane=jnp.arcsin(Gamma[2] / jnp.sqrt(vec3.dot(d, d))),  # pyright: ignore[reportArgumentType]
-        obliquity_1=_between(z[0], normal),
-        obliquity_2=_between(z[1], normal),
-        inclination=_between(up, normal),
+        obliquity_1=_angle_between(z[0], normal),
+        obliquity_2=_angle_between(z[1], normal),
+        inclination=_angle_between(up, normal),
         node=about_up(normal),
     )
     orbital = vec3.dot(normal, up) / vec3.dot(d, d)
@@ -130,7 +130,7 @@ def longitude(up: Array, a: Array) -> Any:
     return jnp.arctan2(vec3.dot(e2, a), vec3.dot(e1, a))
 
 
-def _between(a: Array, b: Array) -> Any:
+def _angle_between(a: Array, b: Array) -> Any:
     """The angle between two vectors, accurate for small ones too."""
     c = jnp.stack(vec3.cross(a, b))
     return jnp.arctan2(jnp.sqrt(vec3.dot(c, c)), vec3.dot(a, b))
@@ -138,7 +138,7 @@ def _between(a: Array, b: Array) -> Any:
 
 def energies(system: RigidBodies, state: State) -> Energies:
     """The parts of the energy at a state."""
-    m, (d, v) = system.masses, relative(system, state)
+    m, (d, v) = system.masses, relative_motion(system, state)
     points = system.potential.G * m[0] * m[1] / jnp.sqrt(vec3.dot(d, d))  # pyright: ignore[reportFunctionMemberAccess]
     Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
     spins = jnp.sum(Pi * system.angular_velocities(state), axis=1) / 2
@@ -146,46 +146,51 @@ def energies(system: RigidBodies, state: State) -> Energies:
     return Energies(orbit, spins[0], spins[1], system.potential_energy(state.q) + points, system.energy(state))
 
 
-def rate(t: np.ndarray | Array, angle: Any) -> Any:
-    """The mean rate of an angle (times, …): the slope of its line of least squares."""
+def mean_rate(t: np.ndarray | Array, angle: Any) -> Any:
+    """The mean rate of an angle (times, …): the slope of its least-squares line."""
     centered = t - t.mean()
     return (centered @ angle) / (centered @ centered)
 
 
-def faster(system: RigidBodies, state: State, change: Array) -> State:
+def with_speed_change(system: RigidBodies, state: State, change: Array) -> State:
     """The state with `change` added to the speed of the relative motion, across the line of centers."""
-    m, (d, v) = system.masses, relative(system, state)
+    m, (d, v) = system.masses, relative_motion(system, state)
     across = v - d * (vec3.dot(d, v) / vec3.dot(d, d))
     push = m[0] * m[1] / (m[0] + m[1]) * change * across / jnp.sqrt(vec3.dot(across, across))
     return state._replace(p=state.p.at[:, :3].add(jnp.stack([-push, push])))
 
 
 @partial(jax.jit, static_argnames=("num_steps", "save_every"))
-def period(step: Step, state: State, dt: float, num_steps: int, save_every: int, change: Array) -> tuple[Array, Array]:
-    """The orbital period after a change of the speed at the start, and its derivative by that change.
+def orbital_period(
+    step: Step, state: State, dt: float, num_steps: int, save_every: int, change: Array
+) -> tuple[Array, Array]:
+    """The orbital period after a change of the initial speed, and its derivative by that change.
 
-    One run with its tangent: the derivative is that of the whole model, not of Kepler's formula.
+    The derivative is that of the whole model, by a tangent vector along the run, not of Kepler's formula.
     """
 
-    def perturbed_end(change: Array) -> Array:
+    def period_after(change: Array) -> Array:
         system: Any = step.system
-        run = integrate(step, faster(system, state, change), dt, num_steps, save_every=save_every)
+        run = integrate(step, with_speed_change(system, state, change), dt, num_steps, save_every=save_every)
         L = system.momentum(state)[3:]
         up = L / jnp.sqrt(vec3.dot(L, L))
-        angles = jax.vmap(lambda z: longitude(up, relative(system, z)[0]))(run.state)
-        return 2 * jnp.pi / rate(run.t, jnp.unwrap(angles))
+        angles = jax.vmap(lambda z: longitude(up, relative_motion(system, z)[0]))(run.state)
+        return 2 * jnp.pi / mean_rate(run.t, jnp.unwrap(angles))
 
-    return jax.jvp(perturbed_end, (change,), (jnp.ones_like(change),))
+    return jax.jvp(period_after, (change,), (jnp.ones_like(change),))
 
 
-def change_to(target: float, measure: Callable[[Array], tuple[Array, Array]]) -> float:
-    """The change of speed that gives the orbital period `target`, by Newton's method; `measure` is that of `period`."""
+def speed_change_for(target: float, measure: Callable[[Array], tuple[Array, Array]]) -> float:
+    """The change of speed that gives the orbital period `target`, by Newton's method; nan if it fails to converge.
+
+    `measure` returns the period and its derivative for a change of speed, as `orbital_period` does.
+    """
     change = 0.0
-    for _ in range(_NEWTON):
+    for _ in range(_MAX_ITERATIONS):
         found, slope = measure(jnp.asarray(change))
         correction = (target - float(found)) / float(slope)
         change += correction
-        if abs(correction) <= _CLOSE * abs(change):
+        if abs(correction) <= _TOLERANCE * abs(change):
             return change
     return float("nan")
 

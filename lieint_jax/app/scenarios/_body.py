@@ -1,4 +1,4 @@
-"""The keys that scenarios of rigid bodies share: inertia, initial attitude and angular velocity, and their spread."""
+"""The common keys of rigid-body scenarios: inertia, initial attitude and angular velocity, and their spread."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from pydantic import field_validator, model_validator
 
 from lieint_jax import _checks, maps, schemes
 from lieint_jax.app.scenarios._common import (
+    AttitudeSpread,
     Common,
     GivenRate,
-    NonNegative,
     NumberSpread,
     Quadruple,
-    RateSpread,
     Triple,
-    at_order,
+    compose_to_order,
 )
 from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
@@ -27,7 +26,7 @@ from lieint_jax.types import State, Step
 
 
 class InitialState(GivenRate):
-    """The nominal state: an attitude, by one of two keys, and an angular velocity in the body."""
+    """The nominal state: an attitude, given by one of two keys, and an angular velocity in the body."""
 
     quaternion: Quadruple | None = None
     """Attitude (w, x, y, z), body to space, of unit length."""
@@ -35,9 +34,9 @@ class InitialState(GivenRate):
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
 
     @model_validator(mode="after")
-    def _one_attitude(self) -> Self:
+    def _check_attitude(self) -> Self:
         if (self.quaternion is None) == (self.euler_313_deg is None):
-            raise ValueError("give the attitude, by exactly one of quaternion and euler_313_deg")
+            raise ValueError("give the attitude by exactly one of quaternion and euler_313_deg")
         if self.quaternion is not None:
             _checks.unit_quaternion("quaternion", self.quaternion)
         return self
@@ -48,11 +47,8 @@ class InitialState(GivenRate):
         return jnp.asarray(self.quaternion)
 
 
-class Spread(RateSpread, NumberSpread):
+class Spread(AttitudeSpread, NumberSpread):
     """Standard deviations of the members about the nominal state, and of numbers of the scenario by their paths."""
-
-    attitude_deg: NonNegative = 0.0
-    """Of a turn about each axis of space, in degrees."""
 
 
 class BodyScenario(Common):
@@ -65,12 +61,12 @@ class BodyScenario(Common):
 
     fixed: ClassVar[dict[str, str]] = Common.fixed | {
         "state.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg",
-        "observation.*": "it is what was observed",
+        "observation.*": "it is an observed value",
     }
 
     @field_validator("inertia")
     @classmethod
-    def _a_body(cls, value: list[Any]) -> list[Any]:
+    def _check_inertia(cls, value: list[Any]) -> list[Any]:
         _checks.inertia(value)
         return value
 
@@ -79,7 +75,7 @@ class BodyScenario(Common):
 
 
 class TopScenario(BodyScenario):
-    """The keys of every scenario of a rigid body in a potential with an axis."""
+    """The keys of every scenario of a rigid body in an axial potential."""
 
     scheme: Literal["top_energy_momentum", "splitting"] = "top_energy_momentum"
     kappa: Literal["cayley", "exponential", "symplectic"] | None = None
@@ -88,35 +84,35 @@ class TopScenario(BodyScenario):
     """Of accuracy; above 2 by composition."""
 
     @model_validator(mode="after")
-    def _kappa_of_the_scheme(self) -> Self:
+    def _check_kappa(self) -> Self:
         if self.kappa is not None and self.scheme == "splitting":
-            raise ValueError("kappa is a key of top_energy_momentum; splitting takes the symplectic one")
+            raise ValueError("kappa is a key of top_energy_momentum; splitting uses the symplectic one")
         return self
 
 
 def top_schemes(scenario: TopScenario, top: Any) -> dict[str, Step]:
     """The two schemes for tops, at the order of the scenario."""
-    two: dict[str, Step] = {
+    at_order_2: dict[str, Step] = {
         "top_energy_momentum": schemes.top_energy_momentum(top, getattr(maps, f"kappa_{scenario.kappa or 'cayley'}")),
         "splitting": schemes.splitting(top),
     }
-    return {name: at_order(step, scenario.order) for name, step in two.items()}
+    return {name: compose_to_order(step, scenario.order) for name, step in at_order_2.items()}
 
 
-def start(scenario: BodyScenario, body: Any, noise: Array) -> State:
-    """A member's initial state, by its deviates (2, 3)."""
+def initial_state(scenario: BodyScenario, body: Any, noise: Array) -> State:
+    """A member's initial state, for its standard normal deviates (2, 3)."""
     q, Omega = scenario.state.attitude(), jnp.asarray(scenario.state.rate())
-    return about(scenario, body, noise, q, Omega)
+    return state_about(scenario, body, noise, q, Omega)
 
 
-def about(scenario: BodyScenario, body: Any, noise: Array, q: Array, Omega: Array, **options: Any) -> State:
+def state_about(scenario: BodyScenario, body: Any, noise: Array, q: Array, Omega: Array, **options: Any) -> State:
     """A member's state about an attitude and a body angular velocity; `options` go to `body.state`."""
-    kick, jolt = jnp.deg2rad(scenario.spread.attitude_deg) * noise[0], scenario.spread.rate() * noise[1]
-    return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt, **options)
+    rotation, change = jnp.deg2rad(scenario.spread.attitude_deg) * noise[0], scenario.spread.rate() * noise[1]
+    return body.state(so3.multiply(so3.exp(rotation), q), angular_velocity=Omega + change, **options)
 
 
-def in_space(q: Any, axis: Any) -> np.ndarray:
-    """The direction in space of an axis of the body, (n, 3), at attitudes (n, 4)."""
+def axis_in_space(q: Any, axis: Any) -> np.ndarray:
+    """The directions in space of a body axis, (n, 3), at attitudes (n, 4)."""
     return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))
 
 
@@ -132,13 +128,13 @@ def longitude_latitude(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def inertia_matrix(body: Any) -> np.ndarray:
-    """The inertia of a body as a matrix (3, 3), also where it is given by principal moments."""
-    J = np.asarray(body.inertia)
+    """The inertia of a body or a scenario as a matrix (3, 3), also where it is given by principal moments."""
+    J = np.asarray(body.inertia, float)
     return np.diag(J) if J.ndim == 1 else J
 
 
-def about_least(moments: np.ndarray, Pi: np.ndarray) -> bool:
-    """Whether a free body tumbles about its axis of least inertia: |Π|² < 2H J₂; else about the greatest (Poinsot).
+def is_long_axis_mode(moments: np.ndarray, Pi: np.ndarray) -> bool:
+    """Whether a free body tumbles about its axis of least inertia, |Π|² < 2H J₂, or about that of greatest (Poinsot).
 
     Args:
         moments: principal moments (3,), ascending.
@@ -150,5 +146,5 @@ def about_least(moments: np.ndarray, Pi: np.ndarray) -> bool:
 def spin_axis(inertia: np.ndarray, Pi: np.ndarray) -> np.ndarray:
     """The principal axis (3,) about which a body of an inertia, (3,) or (3, 3), tumbles with the body momentum Π."""
     moments, axes = np.linalg.eigh(np.diag(inertia) if np.ndim(inertia) == 1 else inertia)
-    axis = axes[:, 0 if about_least(moments, Pi @ axes) else 2]
+    axis = axes[:, 0 if is_long_axis_mode(moments, Pi @ axes) else 2]
     return axis if axis @ Pi >= 0 else -axis

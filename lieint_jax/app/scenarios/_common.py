@@ -21,15 +21,15 @@ HOUR, DAY = 3600.0, 86400.0  # seconds
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
 NonNegative = Annotated[float, Field(ge=0)]
-Above = Annotated[float, Field(gt=0)]
-Positive = Annotated[int, Field(gt=0, le=10**12)]
+PositiveFloat = Annotated[float, Field(gt=0)]
+PositiveInt = Annotated[int, Field(gt=0, le=10**12)]
 Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
 
 
 class Table(BaseModel):
     """A table of keys, strictly validated: no unknown keys, no text for a number, no nan.
 
-    The text below a key is its description in the JSON schema, with its unit. Angles have theirs in the key.
+    The text below a key is its description in the JSON schema, with its unit. The unit of an angle is in its key.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
@@ -39,8 +39,8 @@ class Published(Table):
     """A published number, with its error and source."""
 
     value: float
-    """Periods in time_unit; what ends in _deg, in degrees."""
-    error: Above | None = None
+    """Periods are in time_unit, quantities whose names end in _deg in degrees."""
+    error: PositiveFloat | None = None
     """Standard deviation, in the unit of the value."""
     source: str
     """A key of the table sources, or the source itself if there is no such table."""
@@ -54,30 +54,30 @@ class Common(Table):
     title: Text
     """Shown in reports and pictures."""
     about: Text = ""
-    """The question that the scenario answers, in a line for `lieint list`."""
+    """The question that the scenario answers, one line for `lieint list`."""
     time_unit: Text = "time unit"
-    """The name of the unit of time. Units of length and mass are yours; all numbers must agree with them."""
+    """The name of the unit of time. Choose any units of length and mass; all numbers must be in them."""
     system: str
     """The kind of system."""
     dt: float
     """Step size, in time_unit, of either sign."""
-    steps: Positive
+    steps: PositiveInt
     """The number of steps, a multiple of save_every."""
-    save_every: Positive = 1
+    save_every: PositiveInt = 1
     """Steps between saved states."""
     save_at: list[float] | None = None
-    """Times of saved states, in the order of the run, in place of save_every; a shorter step leads to each."""
+    """Times of saved states, in the order of the run, instead of save_every; a shorter step ends at each."""
     members: Annotated[int, Field(gt=0, le=10**9)] = 1
     """The number of members of the ensemble; the first is the nominal state."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Of the random deviations of the members."""
+    """The seed of the members' random deviations."""
     sources: dict[str, str] = {}
-    """Full references, by the short names that `source` keys give."""
+    """Full references, by the short names in `source` keys."""
 
     fixed: ClassVar[dict[str, str]] = {
         "dt": "all members have the same steps",
         "save_at": "all members are saved at the same times",
-        "published.*": "it is what was published",
+        "published.*": "it is a published value",
     }
     """Patterns of the paths of numbers that have no spread, with the reasons."""
     no_spread: ClassVar[str] = ""
@@ -85,13 +85,13 @@ class Common(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _a_spread_of_this_kind(cls, keys: Any) -> Any:
+    def _check_spread_table(cls, keys: Any) -> Any:
         if isinstance(keys, dict) and "spread" in keys and "spread" not in cls.model_fields:
             raise ValueError(f"spread: {cls.no_spread}")
         return keys
 
     @model_validator(mode="after")
-    def _steps_and_saves(self) -> Self:
+    def _check_steps(self) -> Self:
         if self.dt == 0:
             raise ValueError("dt must not be 0")
         if self.steps % self.save_every:
@@ -100,27 +100,27 @@ class Common(Table):
         return self
 
     @model_validator(mode="after")
-    def _sources_are_defined(self) -> Self:
+    def _check_sources(self) -> Self:
         for key in _sources(self.model_dump()):
             if self.sources and key not in self.sources:
                 raise ValueError(f"source {key!r} is not one of the keys of [sources]: {', '.join(self.sources)}")
         return self
 
     @model_validator(mode="after")
-    def _spread_of_numbers(self) -> Self:
+    def _check_number_spreads(self) -> Self:
         self.own_numbers()
         return self
 
-    def own_numbers(self) -> dict[_spread.Path, _spread.Given]:
-        """The numbers, by their paths, of which every member has a value of its own, with their spreads."""
+    def own_numbers(self) -> dict[_spread.Path, _spread.GivenSpread]:
+        """The spreads of the numbers that differ between members, by the paths of the numbers."""
         return _spread.requested_spreads(self, self.fixed)
 
     def spreads(self) -> dict[str, tuple[float, str]]:
-        """The standard deviations of the initial states with their units, by what they are of, as a kind declares."""
+        """The standard deviations of the initial states with their units, by quantity, as a kind declares them."""
         return {}
 
     def assumption(self) -> str:
-        """A line for the report that states the ensemble's assumption; empty if there is none."""
+        """The line of the report with the assumed spread of the ensemble; empty if there is none."""
         spreads = self.spreads()
         given = [
             f"{name} {x:.3g}{'' if unit[:1] == '°' else ' '}{unit}".rstrip() for name, (x, unit) in spreads.items() if x
@@ -130,16 +130,16 @@ class Common(Table):
         return line if spreads or given else ""
 
     def clock(self) -> dict[str, Any]:
-        """When the steps are: those arguments of `ensemble.run`."""
+        """The arguments of `ensemble.run` for the times of the steps."""
         return {"dt": self.dt, "num_steps": self.steps}
 
-    def pace(self) -> str:
-        """The steps in words."""
+    def describe_steps(self) -> str:
+        """The number and size of the steps, as text."""
         span = self.dt * self.steps
         return f"{self.steps} steps of {self.dt:.6g} {self.time_unit} = {span:.6g} {self.time_unit}"
 
     def source(self, key: str) -> str:
-        """The source under `key`, or `key` itself."""
+        """The full reference for `key`, or `key` itself."""
         return self.sources.get(key, key)
 
 
@@ -150,17 +150,17 @@ class NumberSpread(Table):
 
 
 def array(values: Any) -> Any:
-    """Numbers of a scenario as an array: numpy's, or JAX's where they are traced."""
+    """Numbers of a scenario as an array, of NumPy or, where they are traced, of JAX."""
     return np.asarray(values) if _checks.concrete(values) else jnp.asarray(values)
 
 
 def radians(degrees: Any) -> Any:
-    """Angles of a scenario in radians, as such an array."""
+    """Angles of a scenario in radians, as an array of NumPy or, where they are traced, of JAX."""
     return (np if _checks.concrete(degrees) else jnp).deg2rad(array(degrees))
 
 
 class Rate(Table):
-    """An angular velocity, by one of two keys; its frame is said where it is used."""
+    """An angular velocity, given by one of two keys; its frame is stated where it is used."""
 
     angular_velocity_rad: Triple | None = None
     """In radians per time_unit."""
@@ -178,17 +178,17 @@ class Rate(Table):
 
 
 class GivenRate(Rate):
-    """An angular velocity, by exactly one of two keys."""
+    """An angular velocity, given by exactly one of two keys."""
 
     @model_validator(mode="after")
-    def _one_rate(self) -> Self:
+    def _check_rate(self) -> Self:
         if self.rate() is None:
             raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
         return self
 
 
 class RateSpread(Table):
-    """A standard deviation of angular velocity, by one of two keys."""
+    """A standard deviation of angular velocity, given by one of two keys."""
 
     angular_velocity_rad: NonNegative = 0.0
     """In radians per time_unit, each component."""
@@ -196,7 +196,7 @@ class RateSpread(Table):
     """In degrees per time_unit, each component."""
 
     @model_validator(mode="after")
-    def _one_key(self) -> Self:
+    def _check_rate_keys(self) -> Self:
         if self.angular_velocity_rad and self.angular_velocity_deg:
             raise ValueError("give angular_velocity_rad or angular_velocity_deg, not both")
         return self
@@ -212,33 +212,40 @@ class RateSpread(Table):
         return self.angular_velocity_rad, f"rad/{time_unit}"
 
 
+class AttitudeSpread(RateSpread):
+    """Standard deviations of an attitude and an angular velocity."""
+
+    attitude_deg: NonNegative = 0.0
+    """Of a rotation about each axis of space, in degrees."""
+
+
 def _sources(tree: Any) -> list[str]:
     """The values of all keys `source` of a tree of tables."""
     if isinstance(tree, dict):
-        own = [value for key, value in tree.items() if key == "source"]
-        return own + [name for value in tree.values() for name in _sources(value)]
+        here = [value for key, value in tree.items() if key == "source"]
+        return here + [name for value in tree.values() for name in _sources(value)]
     return [name for value in tree for name in _sources(value)] if isinstance(tree, list) else []
 
 
-def numbers_of(scenario: Common, numbers: np.ndarray | None) -> np.ndarray:
-    """The numbers of the members that `build` is asked for; None means all."""
+def member_indices(scenario: Common, numbers: np.ndarray | None) -> np.ndarray:
+    """The indices of the members that `build` returns; None selects all."""
     return np.arange(scenario.members) if numbers is None else numbers
 
 
 def deviates(scenario: Common, numbers: np.ndarray | None = None) -> Array:
-    """Standard normal deviates for two vectors of each member, (m, 2, 3); those of the nominal member are 0."""
-    numbers, key = numbers_of(scenario, numbers), jax.random.key(scenario.seed)
+    """Standard normal deviates of two vectors of each member, (m, 2, 3); those of the nominal member are 0."""
+    numbers, key = member_indices(scenario, numbers), jax.random.key(scenario.seed)
     normal = random_bits.normal_rows(key, (2, scenario.members, 3), numbers, axis=1)
     return jnp.swapaxes(jnp.where((numbers == 0)[:, None], 0.0, normal), 0, 1)
 
 
 def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:
-    """ValueError if an order is given that a scheme does not have; an exact one has none."""
+    """Raise ValueError if a scheme does not have the given order; an exact scheme has none."""
     if order is not None and order not in allowed:
         known = " or ".join(map(str, allowed)) or "none, since it is exact"
         raise ValueError(f"order of {scheme} is {known}, got {order}")
 
 
-def at_order(step: Step, order: int | None) -> Step:
+def compose_to_order(step: Step, order: int | None) -> Step:
     """A symmetric step of order 2 at a higher order, by composition."""
     return step if order in (None, 2) else schemes.compose(step, order)

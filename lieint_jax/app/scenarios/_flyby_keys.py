@@ -7,11 +7,11 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from lieint_jax import orbits
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import HOUR, Above, Common, Positive, Table, Text
+from lieint_jax.app.scenarios._common import HOUR, Common, PositiveFloat, PositiveInt, Table, Text
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit
 from lieint_jax.groups import so3
 
@@ -23,7 +23,7 @@ Frame = Literal["ecliptic", "equator"]
 
 
 class Measured(Table):
-    """A published value, with its error, or with errors to either side, of so many `sigmas`."""
+    """A published value with its error, or with errors to both sides, of `sigmas` standard deviations."""
 
     value: float
     """In the unit that the key names."""
@@ -37,7 +37,7 @@ class Measured(Table):
     """A key of the table sources."""
 
     @model_validator(mode="after")
-    def _one_kind_of_error(self) -> Self:
+    def _check_error(self) -> Self:
         if (self.below is None) != (self.above is None) or (self.error is not None and self.below is not None):
             raise ValueError("give error, or both below and above, or none of them")
         return self
@@ -57,9 +57,9 @@ class Measured(Table):
 class Orbit(Table):
     """A hyperbola about the planet."""
 
-    gm_km3_s2: Above
+    gm_km3_s2: PositiveFloat
     """The gravitational parameter of the planet, in km³/s²."""
-    perigee_km: Above
+    perigee_km: PositiveFloat
     """The least distance from the planet's center, in km."""
     eccentricity: Annotated[float, Field(gt=1)]
     """Above 1."""
@@ -76,13 +76,13 @@ class Orbit(Table):
 
     @field_validator("perigee_utc")
     @classmethod
-    def _a_date(cls, value: str) -> str:
+    def _check_date(cls, value: str) -> str:
         if datetime.fromisoformat(value).utcoffset() != timedelta(0):
             raise ValueError("must be a date in UTC, such as 2029-04-13T21:45:04Z")
         return value
 
     @model_validator(mode="after")
-    def _above_the_ground(self) -> Self:
+    def _check_perigee(self) -> Self:
         if abs(self.gm_km3_s2 / orbits.EARTH_GM - 1) < 0.01 and self.perigee_km <= _EARTH_RADIUS:
             raise ValueError(
                 f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {_EARTH_RADIUS:.0f} km: give the "
@@ -105,7 +105,7 @@ class Orbit(Table):
 
 
 class Changes(Table):
-    """Values of the tumbling, of which a variant may replace any."""
+    """Values of the tumbling; a variant may replace any of them."""
 
     least_moment: Measured | None = None
     """The least principal moment, about x, over the greatest, about z."""
@@ -125,7 +125,7 @@ class Tumbling(Changes):
     """The tumbling before the passage."""
 
     mode: Mode
-    """Whether the angular momentum goes round the axis of greatest or of least moment."""
+    """Whether the angular momentum circles the axis of greatest or of least moment in the body."""
     least_moment: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     middle_moment: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     precession_period_h: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
@@ -138,7 +138,7 @@ class Tumbling(Changes):
     """ψ of the nominal member at the perigee, in degrees."""
 
     @model_validator(mode="after")
-    def _a_mode_with_these_periods(self) -> Self:
+    def _check_mode(self) -> Self:
         self.check()
         return self
 
@@ -148,11 +148,11 @@ class Tumbling(Changes):
         if not 0 < least < middle < 1:
             raise ValueError("must be 0 < least_moment < middle_moment < 1, over the greatest")
         ratio = self.rotation_period_h.value / self.precession_period_h.value
-        if not motion.possible(jnp.asarray([least, middle, 1.0]), jnp.asarray(ratio), self.long_axis):
+        if not motion.mode_exists(jnp.asarray([least, middle, 1.0]), jnp.asarray(ratio), self.long_axis):
             raise ValueError(f"no {self.mode} mode of these moments has periods of the ratio {ratio:g}")
 
-    def changed(self, changes: Changes) -> Tumbling:
-        """The tumbling with the values that are given there."""
+    def with_changes(self, changes: Changes) -> Tumbling:
+        """The tumbling with the given changes."""
         given = {name: getattr(changes, name) for name in Changes.model_fields}
         return self.model_copy(update={name: x for name, x in given.items() if x is not None})
 
@@ -164,14 +164,14 @@ class Tumbling(Changes):
     def same_passage_deg(self) -> int:
         """The change of φ, in degrees, that gives the same passage if ψ changes by 180°.
 
-        Such a body has turned by half a turn about the axis that Π goes round: its short axis, which reverses the long
-        one, or the long axis itself.
+        The body is then rotated by 180° about the axis that Π circles: its short axis, which reverses the long one, or
+        the long axis itself.
         """
         return 0 if self.long_axis else 180
 
 
 class Variant(Changes):
-    """Other assumptions."""
+    """A variant of the scenario with other assumptions."""
 
     label: Text
     """Shown in the report."""
@@ -184,7 +184,7 @@ class Phases(Table):
 
     precession_phases: Annotated[int, Field(gt=0, multiple_of=2)]
     """The number of values of φ, even."""
-    rotation_phases: Positive
+    rotation_phases: PositiveInt
     """The number of values of ψ."""
 
 
@@ -201,11 +201,16 @@ class Known(Table):
     ]
     """Which quantity it is."""
     value: float
-    """In the unit that the name has."""
-    error: Above | None = None
+    """In the unit of the quantity's name."""
+    error: PositiveFloat | None = None
     """As published."""
     source: str
     """A key of the table sources."""
+
+
+def _renamed(quantity: Any) -> Any:
+    """The name of a quantity, from its name in files of version 0.2."""
+    return "pole_angle" if quantity == "turn" else quantity
 
 
 class Expected(Table):
@@ -213,8 +218,8 @@ class Expected(Table):
 
     claim: Text
     """In short."""
-    quantity: Literal["rate", "turn", "longitude", "latitude", "mode"]
-    """What the report holds against it."""
+    quantity: Annotated[Literal["rate", "pole_angle", "longitude", "latitude", "mode"], BeforeValidator(_renamed)]
+    """The measured quantity with which the report compares it."""
     source: str
     """A key of the table sources."""
 
@@ -226,15 +231,15 @@ class Scenario(Common):
     time_unit: Literal["h"] = "h"  # pyright: ignore[reportIncompatibleVariableOverride]
     """Hours since the perigee."""
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
-    """The mean step, given by hours and steps: results hold it."""
+    """The mean step, which follows from hours and steps; files of results have it."""
     order: Literal[2, 4, 6, 8] = 8
     """Of the symplectic splitting, above 2 by composition."""
-    hours: Above
-    """The run is from so long before the perigee to so long after it."""
-    arcs_hours: Annotated[list[Above], Field(min_length=1)]
-    """The same for other runs, of which the report says how the results converge."""
-    sigmas: Above = 1.0
-    """The errors of the spin are of so many standard deviations."""
+    hours: PositiveFloat
+    """The length of the run before and after the perigee, in h."""
+    arcs_hours: Annotated[list[PositiveFloat], Field(min_length=1)]
+    """The same for other runs: the report shows how the results converge with it."""
+    sigmas: PositiveFloat = 1.0
+    """The number of standard deviations of the errors of the spin."""
     orbit: Orbit
     spin: Tumbling
     map: Phases
@@ -242,21 +247,21 @@ class Scenario(Common):
     published: list[Known] = []
     expected: list[Expected] = []
     notes: list[Text] = []
-    """Paragraphs at the end of the report: what was assumed, what was checked, what is not in the model."""
+    """Paragraphs at the end of the report: assumptions, checks, and effects that the model omits."""
 
-    no_spread: ClassVar[str] = "the members have the errors that the keys of spin give; they share the orbit"
+    no_spread: ClassVar[str] = "the members are spread by the errors in the keys of spin; they share the orbit"
 
     @model_validator(mode="after")
-    def _variants_have_such_a_mode(self) -> Self:
+    def _check_variants(self) -> Self:
         for variant in self.variant:
             try:
-                self.spin.changed(variant).check()
+                self.spin.with_changes(variant).check()
             except ValueError as error:
                 raise ValueError(f"variant {variant.label!r}: {error}") from None
         return self
 
     @model_validator(mode="after")
-    def _mean_step(self) -> Self:
+    def _set_mean_step(self) -> Self:
         dt = 2 * self.hours / self.steps
         if self.dt is not None and self.dt != dt:
             raise ValueError("dt is given by hours and steps: leave it out")
@@ -264,14 +269,14 @@ class Scenario(Common):
         return self
 
     def times(self, hours: float | None = None, steps: int | None = None) -> np.ndarray:
-        """The steps' boundaries, graded along the orbit."""
+        """The boundaries of the steps, graded along the orbit."""
         hours = self.hours if hours is None else hours
         return orbits.graded_times(GivenOrbit(self.orbit.elements()), -hours, hours, steps or self.steps)
 
     def clock(self) -> dict[str, Any]:
         return {"times": self.times()}
 
-    def pace(self) -> str:
+    def describe_steps(self) -> str:
         sizes = np.diff(self.times())
         return f"{self.steps} graded steps of {sizes.min():.2g} to {sizes.max():.2g} h, ± {self.hours:g} h"
 

@@ -18,14 +18,14 @@ from lieint_jax import _free_body, orbits, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax._numerics import elliptic, vec3
 from lieint_jax.app.scenarios._body import direction
-from lieint_jax.app.scenarios._common import at_order
-from lieint_jax.app.scenarios._runs import on_own_devices
+from lieint_jax.app.scenarios._common import compose_to_order
+from lieint_jax.app.scenarios._runs import map_on_local_devices
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
 
-_FREE = 128  # steps of the motion without torque, where it is differentiated
-_NEAR = 1e-12  # the fraction of a mode's range of energies that is left out at either end
+_FREE_STEPS = 128  # of the torque-free motion, where it is differentiated
+_MARGIN = 1e-12  # fraction of a mode's range of energies that is excluded at either end
 
 
 class Spin(NamedTuple):
@@ -39,7 +39,7 @@ class Spin(NamedTuple):
         phi: at the perigee, the angle about the angular momentum from the line Earth–body to the long axis x.
         psi: at the perigee, 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x.
 
-    Both phases are those that the motion without torque has.
+    Both phases are those of the torque-free motion.
     """
 
     least: Any
@@ -53,7 +53,7 @@ class Spin(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """A tumbling state by its invariants; before a passage or after it.
+    """The invariants of a tumbling state, before or after a passage.
 
     Attributes:
         precession, rotation: P_φ and P_ψ, in h.
@@ -75,8 +75,8 @@ class Outcome(NamedTuple):
 
 @pytree
 class GivenOrbit:
-    """A Kepler orbit by fixed numbers, those of `orbits.kepler`. It has no leaves, so members with bodies of their own
-    share it: its position is computed once a step, not once a member."""
+    """A Kepler orbit with the given elements, those of `orbits.kepler`. It has no leaves, so members with different
+    bodies share it: its position is computed once per step, not once per member."""
 
     elements: tuple[float, ...] = static()
 
@@ -93,19 +93,19 @@ def moments(spin: Spin) -> Array:
     return jnp.stack([spin.least, spin.middle, jnp.ones_like(spin.least)])
 
 
-def possible(J: Array, ratio: Array, long_axis: bool) -> Array:
+def mode_exists(J: Array, ratio: Array, long_axis: bool) -> Array:
     """Whether a mode of this body has the ratio P_ψ/P_φ.
 
-    The least ratio is that of a small wobble; the greatest is taken next to the separatrix, where the ratio grows
-    without bound, but rounding leaves it no digits.
+    The least ratio is that of a small wobble; the greatest is evaluated next to the separatrix, where the
+    ratio grows without bound, but rounding leaves no digits.
     """
-    ends = jnp.asarray([1 - _NEAR, _NEAR] if long_axis else [_NEAR, 1 - _NEAR])
+    ends = jnp.asarray([1 - _MARGIN, _MARGIN] if long_axis else [_MARGIN, 1 - _MARGIN])
     least, most = jax.vmap(lambda s: _free_body.period_ratio(J, s, long_axis))(ends)
     return (least < ratio) & (ratio < most)
 
 
-def on_polhode(J: Array, unit: Array, psi: Array) -> Array:
-    """The unit Π at the phase ψ; `unit` is that at ψ = 0, in the x-z plane. In Jacobi's functions of 2Kψ/π."""
+def momentum_on_polhode(J: Array, unit: Array, psi: Array) -> Array:
+    """The unit Π at the phase ψ, by Jacobi's functions of 2Kψ/π; `unit` is that at ψ = 0, in the x-z plane."""
     (A, B, C), (x, _, z) = vec3.components(J), vec3.components(unit)
     above, below = x * x * (C / A - 1), z * z * (1 - A / C)  # 2HC − 1 and 1 − 2HA
     f, g = (B - A) * above, (C - B) * below
@@ -115,36 +115,36 @@ def on_polhode(J: Array, unit: Array, psi: Array) -> Array:
     sn, cn, dn = elliptic.jacobi(elliptic.quarter_period(m1) * (psi - jnp.pi * halves) * 2 / jnp.pi, m1)
     odd = 1 - 2 * jnp.abs(halves % 2)
     y = jnp.sqrt(B * jnp.where(long_axis, below / (B - A), above / (C - B)))
-    moved = jnp.where(long_axis, dn, odd * cn), odd * sn, jnp.where(long_axis, odd * cn, dn)
-    return jnp.stack([x * moved[0], y * moved[1], z * moved[2]])
+    ratios = jnp.where(long_axis, dn, odd * cn), odd * sn, jnp.where(long_axis, odd * cn, dn)
+    return jnp.stack([x * ratios[0], y * ratios[1], z * ratios[2]])
 
 
-def at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
-    """The state at the perigee without torque; `toward` is the direction of the body from the Earth there."""
+def state_at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
+    """The torque-free state at the perigee; `toward` is the direction of the body from the Earth there."""
     J = moments(spin)
     unit = _free_body.momentum_of_ratio(J, spin.rotation / spin.precession, long_axis)
     size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / spin.precession
     pole = direction(spin.longitude, spin.latitude)
-    in_body = _triad(unit_of(on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
-    x, y, z = _triad(pole, toward)
+    in_body = _orthonormal_frame(normalize(momentum_on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
+    x, y, z = _orthonormal_frame(pole, toward)
     across = jnp.cos(spin.phi) * y + jnp.sin(spin.phi) * z
-    in_space = jnp.stack([x, across, jnp.stack(vec3.cross(x, across))])
-    R = jnp.stack([sum(in_space[k, i] * in_body[k] for k in range(3)) for i in range(3)])
+    axis_in_space = jnp.stack([x, across, jnp.stack(vec3.cross(x, across))])
+    R = jnp.stack([sum(axis_in_space[k, i] * in_body[k] for k in range(3)) for i in range(3)])
     return State(so3.from_matrix(R), size * pole)
 
 
-def start(spin: Spin, toward: Array, t: Array, long_axis: bool) -> State:
-    """The state at the time t since the perigee, by the exact motion without torque."""
-    return RigidBody(moments(spin)).solution(at_perigee(spin, toward, long_axis), t)
+def initial_state(spin: Spin, toward: Array, t: Array, long_axis: bool) -> State:
+    """The state at the time t since the perigee, by the exact torque-free motion."""
+    return RigidBody(moments(spin)).solution(state_at_perigee(spin, toward, long_axis), t)
 
 
-def _triad(along: Array, near: Array) -> Array:
-    """The unit vector `along`, the direction of `near` across it, and their product: rows of a rotation."""
-    across = unit_of(near - vec3.dot(near, along) * along)
+def _orthonormal_frame(along: Array, near: Array) -> Array:
+    """The unit vector `along`, the direction of `near` across it, and their cross product: rows of a rotation."""
+    across = normalize(near - vec3.dot(near, along) * along)
     return jnp.stack([along, across, jnp.stack(vec3.cross(along, across))])
 
 
-def unit_of(v: Array) -> Array:
+def normalize(v: Array) -> Array:
     return v / jnp.sqrt(vec3.dot(v, v))
 
 
@@ -158,17 +158,17 @@ def outcome(J: Array, state: State) -> Outcome:
 
 def step_of(J: Array, orbit: Any, order: int) -> Step:
     """The symplectic step of a body on an orbit."""
-    return at_order(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
+    return compose_to_order(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
 
 
-def member(spin: Spin, orbit: Any, t: Array, order: int, long_axis: bool) -> tuple[Step, State]:
-    """The step and the state at the time t of one member, its work counted from there."""
-    state = start(spin, orbit(jnp.zeros_like(t))[0], t, long_axis)
+def step_and_state(spin: Spin, orbit: Any, t: Array, order: int, long_axis: bool) -> tuple[Step, State]:
+    """The step of one member, and its state at the time t, with work 0."""
+    state = initial_state(spin, orbit(jnp.zeros_like(t))[0], t, long_axis)
     return step_of(moments(spin), orbit, order), state._replace(t=t, work=jnp.zeros_like(t))
 
 
 class Passage(NamedTuple):
-    """A passage: before, after, the attitude at the end, and whether every step converged."""
+    """A passage: the spin before and after, the attitude at the end, and whether every step converged."""
 
     before: Outcome
     after: Outcome
@@ -183,26 +183,26 @@ def orbit_of(elements: Any) -> orbits.Kepler:
 
 
 def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Passage:
-    """The passages of many members, between steps at the times (N+1,), on all devices."""
+    """The passages of many members, in steps between the times (N + 1,), on all devices."""
     return _passages(order, long_axis)(spins, elements, times)
 
 
 @cache
 def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
-    return _many(lambda spin, elements, times: _passage(spin, orbit_of(elements), times, order, long_axis))
+    return _map_over_members(lambda spin, elements, times: _passage(spin, orbit_of(elements), times, order, long_axis))
 
 
-def _many(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function (spin, elements, times) of one member as one of many, on all devices, from and to host arrays."""
-    mapped = on_own_devices(function, (0, None, None))
+def _map_over_members(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Map a function (spin, elements, times) of one member over many, on all devices, for arrays of the host."""
+    mapped = map_on_local_devices(function, (0, None, None))
     return lambda spins, *given: jax.tree.map(np.asarray, mapped(spins, *map(jnp.asarray, given)))
 
 
 def _passage(spin: Spin, orbit: Any, times: Array, order: int, long_axis: bool) -> Passage:
-    return _passed(moments(spin), *member(spin, orbit, times[0], order, long_axis), times)
+    return _integrate_passage(moments(spin), *step_and_state(spin, orbit, times[0], order, long_axis), times)
 
 
-def _passed(J: Array, step: Step, state: State, times: Array) -> Passage:
+def _integrate_passage(J: Array, step: Step, state: State, times: Array) -> Passage:
     run = integrate(step, state, times=times, save_every=times.shape[0] - 1)
     last = jax.tree.map(lambda x: x[-1], run.state)
     return Passage(outcome(J, state), outcome(J, last), last.q, jnp.all(run.info.converged))
@@ -212,7 +212,7 @@ class Slopes(NamedTuple):
     """Derivatives of (P_φ, P_ψ, 2H/|π|, angle of the pole) after a passage, each (4,), by the parts of `Spin`.
 
     Attributes:
-        perigee: by the distance of the perigee, at the same energy of the orbit.
+        perigee: the derivatives by the distance of the perigee, at constant energy of the orbit.
     """
 
     least: Any
@@ -227,27 +227,31 @@ class Slopes(NamedTuple):
 
 
 def slopes(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Slopes:
-    """The derivatives of many passages, forward through all steps."""
+    """The derivatives of many passages, in forward mode through all steps."""
     return _slopes(order, long_axis)(spins, elements, times)
 
 
 @cache
 def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
-    def measured(given: Slopes, elements: Array, times: Array) -> Array:
+    def spin_after(given: Slopes, elements: Array, times: Array) -> Array:
         mu, a, _, *others = elements
         orbit = orbit_of((mu, a, 1 - given.perigee / a, *others))
         spin = Spin(*given[:-1])
         J = moments(spin)
-        near = at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
-        free = at_order(schemes.so3_midpoint(RigidBody(J)), order)  # XLA takes minutes over tangents of `solution`
-        state = jax.tree.map(lambda x: x[-1], integrate(free, near, times[0] / _FREE, _FREE, save_every=_FREE).state)
+        near = state_at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
+        free = compose_to_order(
+            schemes.so3_midpoint(RigidBody(J)), order
+        )  # XLA takes minutes over tangents of `solution`
+        state = jax.tree.map(
+            lambda x: x[-1], integrate(free, near, times[0] / _FREE_STEPS, _FREE_STEPS, save_every=_FREE_STEPS).state
+        )
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
-        found = _passed(J, step_of(J, orbit, order), state, times)
-        turn = vec3.angle(found.before.pole, found.after.pole)
-        return jnp.stack([found.after.precession, found.after.rotation, found.after.rate, turn])
+        found = _integrate_passage(J, step_of(J, orbit, order), state, times)
+        pole_angle = vec3.angle(found.before.pole, found.after.pole)
+        return jnp.stack([found.after.precession, found.after.rotation, found.after.rate, pole_angle])
 
-    def end(spin: Spin, elements: Array, times: Array) -> Slopes:
+    def slopes_of_one(spin: Spin, elements: Array, times: Array) -> Slopes:
         perigee = elements[1] * (1 - elements[2])
-        return jax.jacfwd(measured)(Slopes(*spin, perigee), elements, times)
+        return jax.jacfwd(spin_after)(Slopes(*spin, perigee), elements, times)
 
-    return _many(end)
+    return _map_over_members(slopes_of_one)

@@ -10,18 +10,18 @@ from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import Scenario
 from lieint_jax.app.scenarios._flyby_motion import Outcome
-from lieint_jax.app.scenarios._flyby_study import change, study, unknowns
+from lieint_jax.app.scenarios._flyby_study import change_of_spin, study, unknowns
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.types import Step, Trajectory
 
-_LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last color is of all above
+_LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last color shows all larger values
 
 
 @picture(2, 2)
 def draw_map(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot, over both phases at the perigee, periods, effective spin rate and turn of the pole after the passage."""
+    """Plot periods, effective spin rate and rotation of the pole after the passage, over both phases at the perigee."""
     found = study(scenario, step, run)
-    x, after = change(found.mapped.before, found.mapped.after), found.mapped.after
+    x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
     shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
     before = found.mapped.before
     panels = (
@@ -40,7 +40,7 @@ def draw_map(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None
             (),
             False,
         ),
-        ("pole turned by (°)", x.turn, "magma", (5, 10, 15, 20, 25, 30), False),
+        ("rotation of the pole (°)", x.pole_angle, "magma", (5, 10, 15, 20, 25, 30), False),
     )
     for ax, (title, values, colors, levels, middle) in zip(axes, panels, strict=True):
         maps = values.reshape(shape), after.long_axis.reshape(shape)
@@ -50,11 +50,11 @@ def draw_map(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None
         ax.set_xlabel("precession phase $\\phi$ at the perigee (°)")
     for ax in axes[::2]:
         ax.set_ylabel("rotation phase $\\psi$ at the perigee (°)")
-    axes[0].figure.suptitle(f"{scenario.title}: nominal body, every phase; hatched: it ends in a long-axis mode")
+    axes[0].figure.suptitle(f"{scenario.title}: nominal body, every phase; hatched: a long-axis mode after the passage")
 
 
 def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: str, levels: Any, middle: bool) -> None:
-    """A map over φ and ψ, both to 360°: the second half is the first with ψ 180° on, and φ by `same_deg`."""
+    """Plot a map over φ and ψ, both to 360°: its second half is the first, with ψ + 180° and φ + `same_deg`."""
     from matplotlib.patheffects import withStroke
 
     n, m = values.shape
@@ -92,23 +92,23 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
 
 @picture(3, 2)
 def draw_after(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the distributions of the members after the passage: periods, spin rate, turn of the pole, and the poles."""
+    """Plot the members after the passage: distributions of periods, spin rate and rotation of the pole, and poles."""
     found = study(scenario, step, run)
-    x, after, before = change(found.before, found.after), found.after, found.before
+    x, after, before = change_of_spin(found.before, found.after), found.after, found.before
     panels = (
         ("precession period $P_\\phi$ (h)", after.precession, before.precession[0]),
         ("rotation period $P_\\psi$ (h)", after.rotation, before.rotation[0]),
         ("$|L|$ over that before", x.momentum, 1.0),
         ("effective spin rate $2H/|L|$ over that before", x.rate, 1.0),
-        ("pole turned by (°)", x.turn, None),
+        ("rotation of the pole (°)", x.pole_angle, None),
     )
-    for ax, (label, values, was) in zip(axes, panels, strict=False):
+    for ax, (label, values, initial) in zip(axes, panels, strict=False):
         top = np.quantile(values, 0.99)
         bins = np.linspace(values.min(), top + 0.02 * np.ptp(values[values <= top]), 50)
         parts = [values[~after.long_axis], values[after.long_axis]]
         ax.hist(parts, bins, stacked=True, color=[plots.BLUE, plots.RED], label=["short-axis mode", "long-axis mode"])
-        if was is not None:
-            ax.axvline(was, color=plots.INK, ls="--", lw=1.0, label="before (nominal)")
+        if initial is not None:
+            ax.axvline(initial, color=plots.INK, ls="--", lw=1.0, label="before (nominal)")
         ax.set(xlabel=label, ylabel="members")
     axes[0].legend()
     fig = axes[0].figure
@@ -118,7 +118,7 @@ def draw_after(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> No
 
 
 def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
-    """The poles on the sky about the nearer pole of the ecliptic."""
+    """Plot the poles on the sky about the nearer pole of the ecliptic."""
     side = np.sign(before.pole[0, 2]) or 1.0
     for outcome, color, label in ((after, plots.RED, "after"), (before, plots.BLUE, "before")):
         longitude, latitude = longitude_latitude(outcome.pole)
@@ -136,7 +136,7 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
 
 @picture(2)
 def draw_sensitivity(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot what one standard deviation of each unknown does to the periods, to first order, over the phases."""
+    """Plot the change of the periods by one standard deviation of each unknown, to first order, over the phases."""
     found = study(scenario, step, run)
     names = {
         "phi": "φ, uniform",

@@ -1,4 +1,4 @@
-"""The members of a flyby, their changes, and the passages beside them: a map of phases, arcs, other assumptions."""
+"""The members of a flyby, their changes, and further passages: a map of phases, other arcs, other assumptions."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import direction, longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import Changes, Scenario, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Slopes, Spin
-from lieint_jax.app.scenarios._runs import for_last_run
+from lieint_jax.app.scenarios._runs import cached_for_last_run
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Trajectory
 
-_TRIES = 16  # draws of a member's moments, of which the first that has such periods is taken
-_SLOPE_ORDER = 4  # of the steps that are differentiated: derivatives are right to 5e-4 of the largest
-WATCHED = 256  # members whose steps are halved and whose arcs are changed
+_TRIES = 16  # draws of a member's moments; the first for which the mode exists is used
+_SLOPE_ORDER = 4  # of the differentiated steps: the errors of derivatives are below 5e-4 of the largest
+CHECKED = 256  # members that are integrated again in shorter steps and over other arcs
 
 
 def members(scenario: Scenario) -> tuple[Spin, np.ndarray]:
-    """The members' spins, the nominal one first, and whether the first draw of each had such a mode.
+    """The members' spins, the nominal one first, and whether the mode exists for the first draw of each.
 
     A member is the same in ensembles of every size.
     """
@@ -33,17 +33,17 @@ def members(scenario: Scenario) -> tuple[Spin, np.ndarray]:
     known = np.array([[x.value, *x.sides()] for x in (getattr(spin, name) for name in Changes.model_fields)])
     known[:, 1:] /= scenario.sigmas
     phases = np.deg2rad([spin.precession_phase_deg, spin.rotation_phase_deg])
-    spins, good = _drawn(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
+    spins, good = _draw_member(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
     good = np.asarray(good)
-    if none := int((~good.any(axis=1)).sum()):
-        raise ValueError(f"{none} members: none of {_TRIES} draws within the errors is a {spin.mode} mode")
+    if failed := int((~good.any(axis=1)).sum()):
+        raise ValueError(f"{failed} members: none of {_TRIES} draws within the errors is a {spin.mode} mode")
     return spins, good[:, 0]
 
 
 @partial(jax.jit, static_argnums=4)
 @partial(jax.vmap, in_axes=(None, 0, None, None, None))
-def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) -> tuple[Spin, Array]:
-    """The k-th member, and whether each of its draws has such a mode, (_TRIES,).
+def _draw_member(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) -> tuple[Spin, Array]:
+    """The k-th member, and whether the mode exists for each of its draws, (_TRIES,).
 
     `known` has a row for each key of `Changes`: value, standard deviations below and above.
     """
@@ -51,19 +51,19 @@ def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) 
     noise = jnp.where(k == 0, 0.0, jax.random.normal(key, (_TRIES, 6)))
     drawn = known[:, 0] + jnp.where(noise < 0, known[:, 1], known[:, 2]) * noise
     least, middle, precession, rotation = drawn.T[:4]
-    sound = (least > 0) & (least < middle) & (middle < 1)
-    J = jnp.stack([jnp.where(sound, least, 0.5), jnp.where(sound, middle, 0.75), jnp.ones_like(least)], axis=1)
-    has = jax.vmap(lambda J, ratio: motion.possible(J, ratio, long_axis))(J, rotation / precession)
-    good = sound & has
-    one = jnp.argmax(good)
+    ordered = (least > 0) & (least < middle) & (middle < 1)
+    J = jnp.stack([jnp.where(ordered, least, 0.5), jnp.where(ordered, middle, 0.75), jnp.ones_like(least)], axis=1)
+    exists = jax.vmap(lambda J, ratio: motion.mode_exists(J, ratio, long_axis))(J, rotation / precession)
+    good = ordered & exists
+    first = jnp.argmax(good)
     longitude, latitude = _along_great_circle(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))
-    anywhere = jax.random.uniform(jax.random.fold_in(key, 1), (2,)) * 2 * jnp.pi
-    phi, psi = jnp.where(k == 0, phases, anywhere)
-    return Spin(least[one], middle[one], precession[one], rotation[one], longitude, latitude, phi, psi), good
+    uniform = jax.random.uniform(jax.random.fold_in(key, 1), (2,)) * 2 * jnp.pi
+    phi, psi = jnp.where(k == 0, phases, uniform)
+    return Spin(least[first], middle[first], precession[first], rotation[first], longitude, latitude, phi, psi), good
 
 
 def _along_great_circle(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
-    """The longitude and latitude at the end of a great circle that sets out by (east, north), rad."""
+    """The longitude and latitude at the end of an arc (east, north) of a great circle, rad."""
     pole = direction(longitude, latitude)
     to_east = jnp.stack([-jnp.sin(longitude), jnp.cos(longitude), jnp.zeros_like(longitude)])
     to_north = direction(longitude, latitude + jnp.pi / 2)
@@ -76,11 +76,12 @@ class Study(NamedTuple):
     """The contents of the report and the pictures.
 
     Attributes:
-        before, after: of the members.
-        grid: the spins of the map, φ slowest; mapped: their passages.
+        before, after: the spins of the members.
+        grid: the spins of the map, φ slowest.
+        mapped: the passages of the map.
         slopes: derivatives at every second value of both phases.
-        halved: the largest angle between attitudes at the end by the steps of the run and by half as long ones.
-        arcs: passages of the first members by the length of the arc in h.
+        step_error: the largest angle between final attitudes by the steps of the run and by steps half as long.
+        arcs: passages of the first members, by the length of the arc in h.
         variants: passages under other assumptions, by their labels.
         failed: the number of these passages with a step that did not converge.
     """
@@ -90,23 +91,23 @@ class Study(NamedTuple):
     grid: Spin
     mapped: Passage
     slopes: Slopes
-    halved: float
+    step_error: float
     arcs: dict[float, Passage]
     variants: dict[str, Passage]
     failed: int
 
 
-@for_last_run
+@cached_for_last_run
 def study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
-    """The study of a run: its members before and after the passage, and the passages that are shown beside them."""
+    """The study of a run: its members before and after the passage, and the further passages of the report."""
     from tqdm import tqdm
 
-    measured, J = jax.jit(jax.vmap(motion.outcome)), step.system.inertia
+    outcomes, J = jax.jit(jax.vmap(motion.outcome)), step.system.inertia
     ends = [jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), run.state) for k in (0, -1)]
-    before, after = (jax.tree.map(np.asarray, measured(J, State(z.q, z.p))) for z in ends)
-    grid, few = phases(scenario), _first(scenario, WATCHED)
+    before, after = (jax.tree.map(np.asarray, outcomes(J, State(z.q, z.p))) for z in ends)
+    grid, first = phases(scenario), _first_members(scenario, CHECKED)
     orbit, long_axis = scenario.orbit.elements(), scenario.spin.long_axis
-    go = partial(motion.passages, orbit, scenario.order, long_axis)
+    passages = partial(motion.passages, orbit, scenario.order, long_axis)
     count = 3 + len(scenario.arcs_hours) + len(scenario.variant)
     with tqdm(total=count, unit=" passages", disable=None, leave=False) as bar:
 
@@ -114,15 +115,20 @@ def study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
             bar.update()
             return x
 
-        mapped = advance_bar(go(grid, scenario.times()))
-        fine = advance_bar(go(few, scenario.times(steps=2 * scenario.steps)))
-        arcs = {hours: advance_bar(go(few, scenario.times(hours, 2 * scenario.steps))) for hours in scenario.arcs_hours}
-        variants = {x.label: advance_bar(_varied(scenario, x, len(grid.phi))) for x in scenario.variant}
-        slopes = advance_bar(motion.slopes(orbit, _SLOPE_ORDER, long_axis, thinned(scenario, grid), scenario.times()))
-    watched = min(WATCHED, run.state.q.shape[1])
-    halved = float(np.max(_angles(fine.q[:watched], run.state.q[-1, :watched])))
+        mapped = advance_bar(passages(grid, scenario.times()))
+        fine = advance_bar(passages(first, scenario.times(steps=2 * scenario.steps)))
+        arcs = {
+            hours: advance_bar(passages(first, scenario.times(hours, 2 * scenario.steps)))
+            for hours in scenario.arcs_hours
+        }
+        variants = {x.label: advance_bar(_passages_of_variant(scenario, x, len(grid.phi))) for x in scenario.variant}
+        slopes = advance_bar(
+            motion.slopes(orbit, _SLOPE_ORDER, long_axis, every_second_phase(scenario, grid), scenario.times())
+        )
+    count = min(CHECKED, run.state.q.shape[1])
+    step_error = float(np.max(_angles(fine.q[:count], run.state.q[-1, :count])))
     failed = sum(int((~x.converged).sum()) for x in (mapped, fine, *arcs.values(), *variants.values()))
-    return Study(before, after, grid, mapped, slopes, halved, arcs, variants, failed)
+    return Study(before, after, grid, mapped, slopes, step_error, arcs, variants, failed)
 
 
 _angles = jax.jit(jax.vmap(so3.angle))
@@ -137,51 +143,52 @@ def phases(scenario: Scenario) -> Spin:
     return Spin(*map(jnp.asarray, (*same, phi.ravel(), psi.ravel())))
 
 
-def thinned(scenario: Scenario, grid: Any) -> Any:
+def every_second_phase(scenario: Scenario, grid: Any) -> Any:
     """Every second value of both phases."""
     n, m = scenario.map.precession_phases, scenario.map.rotation_phases
     return jax.tree.map(lambda x: x.reshape(n, m)[::2, ::2].ravel(), grid)
 
 
-def _first(scenario: Scenario, count: int) -> Spin:
-    """The first `count` members. They are drawn with all those of the run, whose program is compiled already."""
-    enough = scenario.model_copy(update={"members": max(count, scenario.members)})
-    return jax.tree.map(lambda x: x[:count], members(enough)[0])
+def _first_members(scenario: Scenario, count: int) -> Spin:
+    """The first `count` members, drawn by the compiled program that draws all members of the run."""
+    at_least = scenario.model_copy(update={"members": max(count, scenario.members)})
+    return jax.tree.map(lambda x: x[:count], members(at_least)[0])
 
 
-def _varied(scenario: Scenario, variant: Variant, count: int) -> Passage:
-    """The passages of members under other assumptions."""
-    spin = scenario.spin.changed(variant)
+def _passages_of_variant(scenario: Scenario, variant: Variant, count: int) -> Passage:
+    """The passages of `count` members under the assumptions of a variant."""
+    spin = scenario.spin.with_changes(variant)
     orbit = scenario.orbit.model_copy(update={"frame": variant.frame or scenario.orbit.frame})
-    spins = _first(scenario.model_copy(update={"spin": spin}), count)
+    spins = _first_members(scenario.model_copy(update={"spin": spin}), count)
     return motion.passages(orbit.elements(), scenario.order, spin.long_axis, spins, scenario.times())
 
 
-class Change(NamedTuple):
-    """The change of members by a passage.
+class SpinChange(NamedTuple):
+    """The changes of the members' spins by a passage.
 
     Attributes:
         momentum, rate: |π| and 2H/|π| after, over those before.
-        turn, longitude, latitude: of the pole, in degrees; latitude is the change of its distance from the ecliptic.
-        kept: whether the mode is the same.
+        pole_angle: the angle between the poles before and after, in degrees.
+        longitude: the change of the pole's longitude, in degrees.
+        latitude: the change of the pole's distance from the ecliptic, in degrees.
+        same_mode: whether the mode is the same.
     """
 
     momentum: np.ndarray
     rate: np.ndarray
-    turn: np.ndarray
+    pole_angle: np.ndarray
     longitude: np.ndarray
     latitude: np.ndarray
-    kept: np.ndarray
+    same_mode: np.ndarray
 
 
-def change(before: Outcome, after: Outcome) -> Change:
+def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
     """The changes of the members."""
     longitudes, latitudes = zip(*(longitude_latitude(x.pole) for x in (before, after)), strict=True)
-    turn = np.rad2deg(pole_angles(before.pole, after.pole))
-    return Change(
+    return SpinChange(
         after.momentum / before.momentum,
         after.rate / before.rate,
-        turn,
+        np.rad2deg(pole_angles(before.pole, after.pole)),
         (longitudes[1] - longitudes[0] + 180) % 360 - 180,
         abs(latitudes[1]) - abs(latitudes[0]),
         after.long_axis == before.long_axis,
@@ -192,7 +199,7 @@ pole_angles = jax.jit(jax.vmap(vec3.angle))
 
 
 def unknowns(scenario: Scenario) -> dict[str, tuple[str, float, float]]:
-    """By part of `Slopes`: the change that the report takes, in words and in its unit, and one standard deviation."""
+    """By field of `Slopes`: the label of the change in the report, its size, and one standard deviation."""
     given, degree = scenario.spin, np.deg2rad(1.0)
     sigma = {name: sum(getattr(given, name).sides()) / 2 / scenario.sigmas for name in Changes.model_fields}
     east = sigma["momentum_longitude_deg"] / np.cos(np.deg2rad(given.momentum_latitude_deg.value))

@@ -1,21 +1,30 @@
-"""What scenarios of several rigid bodies share: the keys of a body, a member's numbers, schemes."""
+"""Common parts of scenarios of several rigid bodies: the keys of a body, the members, the schemes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from pydantic import model_validator
 
 from lieint_jax import _checks, schemes
-from lieint_jax.app.scenarios._common import Above, GivenRate, NonNegative, RateSpread, Triple, array, at_order
-from lieint_jax.app.scenarios._spread import INERTIA, on_the_side_of
+from lieint_jax.app.scenarios._common import (
+    AttitudeSpread,
+    GivenRate,
+    NonNegative,
+    PositiveFloat,
+    Triple,
+    array,
+    compose_to_order,
+)
+from lieint_jax.app.scenarios._spread import INERTIA, draw_members, same_side_of, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import Step
+from lieint_jax.types import State, Step
 
 ORDERS: dict[str, list[Any]] = {
     "kepler_splitting": [[8, 6, 4], [8, 4], 2],
@@ -24,37 +33,35 @@ ORDERS: dict[str, list[Any]] = {
     "bodies_energy_momentum": [2, 4, 6, 8],
     "gauss": [16, *range(2, 16, 2)],
 }
-"""The orders of the schemes for several bodies, the one by default first."""
+"""The orders of the schemes for several bodies, the default first."""
 
 
-class BodySpread(RateSpread):
+class BodySpread(AttitudeSpread):
     """Standard deviations of the members' bodies about the nominal one."""
 
-    attitude_deg: NonNegative = 0.0
-    """Of a turn about each axis of space, in degrees."""
     mass_percent: NonNegative = 0.0
-    """Of the mass, of unchanged size and shape."""
+    """Of the mass, for unchanged size and shape."""
     axes_percent: NonNegative = 0.0
-    """Of each semi-axis of the homogeneous ellipsoid with the body's moments, of unchanged mass."""
+    """Of each semi-axis of the homogeneous ellipsoid with the body's moments, for unchanged mass."""
 
 
 class ExtendedBody(GivenRate):
     """The keys of a body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity."""
 
-    mass_kg: Above | None = None
+    mass_kg: PositiveFloat | None = None
     """In kg."""
     moments_kg_m2: Annotated[Triple, INERTIA] | None = None
     """Principal moments about the center of mass, in kg m²."""
-    semi_axes_m: Annotated[Triple, on_the_side_of(0)] | None = None
+    semi_axes_m: Annotated[Triple, same_side_of(0)] | None = None
     """Semi-axes of an ellipsoid along the principal axes, in m."""
-    density_kg_m3: Above | None = None
+    density_kg_m3: PositiveFloat | None = None
     """Of the ellipsoid, in kg/m³."""
     euler_313_deg: Triple = [0.0, 0.0, 0.0]
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
     spread: BodySpread = BodySpread()
 
     @model_validator(mode="after")
-    def _a_body(self) -> Self:
+    def _check_body(self) -> Self:
         given = [x is not None for x in (self.mass_kg, self.moments_kg_m2, self.semi_axes_m, self.density_kg_m3)]
         if given not in ([True, True, False, False], [True, False, True, False], [False, False, True, True]):
             raise ValueError("give mass_kg and moments_kg_m2, or semi_axes_m and one of density_kg_m3 and mass_kg")
@@ -76,15 +83,15 @@ class ExtendedBody(GivenRate):
         assert self.density_kg_m3 is not None
         return self.density_kg_m3 * 4 / 3 * np.pi * array(self.semi_axes_m).prod()
 
-    def squares(self) -> Any:
-        """The squared semi-axes, over 5, of the homogeneous ellipsoid with the body's moments per mass."""
+    def second_moments(self) -> Any:
+        """The second moments per mass: those of a homogeneous ellipsoid are the squared semi-axes over 5."""
         if self.semi_axes_m is not None:
             return array(self.semi_axes_m) ** 2 / 5
         J = array(self.moments_kg_m2) / self.mass()
         return J.sum() / 2 - J
 
     def spreads(self, name: str) -> dict[str, tuple[float, str]]:
-        """The standard deviations of the body `name` with their units, by what they are of."""
+        """The standard deviations of the body `name` with their units, by quantity."""
         return {
             f"{name}'s attitude": (self.spread.attitude_deg, "°"),
             f"{name}'s angular velocity": (np.rad2deg(self.spread.rate()), "°/s"),
@@ -97,40 +104,58 @@ def member_bodies(bodies: Sequence[ExtendedBody], noise: Array) -> tuple[Array, 
     """Masses (n,), principal moments (n, 3), attitudes (n, 4) and angular velocities (n, 3) of a member's bodies.
 
     Args:
-        bodies: as their keys give them.
+        bodies: the nominal bodies.
         noise: standard normal deviates of mass, semi-axes, attitude and angular velocity, (n, 4 or more, 3).
     """
-    made = [
+    members = [
         (*_mass_and_moments(body, x[0], x[1]), _attitude(body, x[2]), _angular_velocity(body, x[3]))
         for body, x in zip(bodies, noise, strict=True)
     ]
-    m, J, q, Omega = (jnp.stack(x) for x in zip(*made, strict=True))
+    m, J, q, Omega = (jnp.stack(x) for x in zip(*members, strict=True))
     return m, J, q, Omega
 
 
-def _mass_and_moments(body: ExtendedBody, heavier: Array, longer: Array) -> tuple[Array, Array]:
-    """The mass and the principal moments of a member's body, by its deviations."""
-    mass = body.mass() * (1 + body.spread.mass_percent / 100 * heavier[0])
-    squares = body.squares() * (1 + body.spread.axes_percent / 100 * longer) ** 2
-    return mass, mass * (jnp.sum(squares) - squares)
+def _mass_and_moments(body: ExtendedBody, for_mass: Array, for_axes: Array) -> tuple[Array, Array]:
+    """The mass and the principal moments of a member's body, for its deviates of mass and semi-axes."""
+    mass = body.mass() * (1 + body.spread.mass_percent / 100 * for_mass[0])
+    E = body.second_moments() * (1 + body.spread.axes_percent / 100 * for_axes) ** 2
+    return mass, mass * (jnp.sum(E) - E)
 
 
-def _attitude(body: ExtendedBody, turned: Array) -> Array:
-    """The attitude of a member's body, by its deviation."""
-    return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * turned), body.attitude())
+def _attitude(body: ExtendedBody, noise: Array) -> Array:
+    """The attitude of a member's body, for its deviates."""
+    return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * noise), body.attitude())
 
 
-def _angular_velocity(body: ExtendedBody, jolt: Array) -> Array:
-    """The angular velocity of a member's body as its keys give it, by its deviation."""
-    return jnp.asarray(body.rate()) + body.spread.rate() * jolt
+def _angular_velocity(body: ExtendedBody, noise: Array) -> Array:
+    """The angular velocity of a member's body, for its deviates."""
+    return jnp.asarray(body.rate()) + body.spread.rate() * noise
+
+
+def build_members(
+    scenario: Any, member: Callable[[Any, Array], tuple[Step, State]], shape: tuple[int, ...]
+) -> tuple[Step, State]:
+    """The steps and the initial states of all members; a member is the same in ensembles of every size.
+
+    Args:
+        scenario: the scenario.
+        member: the step and the state of a member, from its scenario and its standard normal deviates.
+        shape: the shape of a member's deviates; those of the first member are 0.
+    """
+
+    def build_member(k: Array, own: Any) -> tuple[Step, State]:
+        noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), shape)
+        return member(with_numbers(scenario, own), jnp.where(k == 0, 0.0, noise))
+
+    return jax.jit(jax.vmap(build_member))(jnp.arange(scenario.members), draw_members(scenario))
 
 
 def step_of(bodies: RigidBodies, scheme: str, order: Any, G: float | None = None) -> Step:
-    """The step of a scheme at an order of `ORDERS`; G, where a potential has none, is for kepler_splitting."""
+    """The step of a scheme at an order of `ORDERS`; kepler_splitting needs G if the potential has none."""
     if scheme == "kepler_splitting":
         return schemes.kepler_splitting(bodies, order, G)
     if scheme == "nystrom":
         return schemes.nystrom(bodies, order)
     if scheme == "gauss":
         return schemes.gauss(bodies, order // 2)
-    return at_order(getattr(schemes, scheme)(bodies), order)
+    return compose_to_order(getattr(schemes, scheme)(bodies), order)

@@ -11,22 +11,22 @@ from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._report import Conserved
-from lieint_jax.app.scenarios._runs import LONGEST, as_ensemble, follow
+from lieint_jax.app.scenarios._runs import LONGEST, as_ensemble, drawn_trajectory
 from lieint_jax.types import State, Step, Trajectory
 
 
 def picture(
     columns: int = 1, rows: int = 1, *, size: Any = None, spatial: Sequence[int] = (), **options: Any
 ) -> Callable[[Callable[..., None]], Callable[[Any, Any, Trajectory], Figure]]:
-    """Make a function that draws on axes one that returns a picture of a run, with the title of the scenario.
+    """Make the figure for a function that draws a run on axes, with the title of the scenario.
 
-    The function is called with an array of axes (panels,), scenario, step, run.
+    The function is called with an array of axes (panels,), scenario, step and run.
 
     Args:
-        columns, rows: of panels.
-        size: of a panel, in inches, or a function of the scenario that returns it.
-        spatial: the numbers of panels with three axes.
-        options: for `plots.figure`.
+        columns, rows: the numbers of columns and rows of panels.
+        size: the size of a panel in inches, or a function of the scenario that returns it.
+        spatial: the indices of panels with three axes.
+        options: further arguments of `plots.figure`.
     """
 
     def decorate(draw: Callable[..., None]) -> Callable[[Any, Any, Trajectory], Figure]:
@@ -55,17 +55,17 @@ def changes_by_scheme(
     start: State,
     longest: int = LONGEST,
 ) -> tuple[np.ndarray, dict[str, dict[str, np.ndarray]]]:
-    """Times, and by the names of steps and quantities the relative changes of what a kind conserves, from one state."""
+    """Times, and the relative changes of conserved quantities by the names of steps and quantities, from one state."""
     found, t = {}, np.zeros(0)
     for step in steps:
-        run = as_ensemble(follow(step, start, scenario.dt, scenario.steps, longest))
+        run = as_ensemble(drawn_trajectory(step, start, scenario.dt, scenario.steps, longest))
         t = np.asarray(run.t)
         found[step.name] = {x.name: x.change()[:, 0] for x in conserved(scenario, step.system, run)}
     return t, found
 
 
 def draw_changes(ax: Any, t: np.ndarray, conserved: Sequence[Conserved], unit: str) -> None:
-    """Plot the relative changes of conserved quantities along a run, of the worst member each."""
+    """Plot the largest relative change over the members of each conserved quantity along a run."""
     errors = {x.name.partition(",")[0]: x.change().max(axis=1) for x in conserved}
     plots.log_error(ax, t, errors, "relative change, worst member", unit)
 
@@ -84,7 +84,7 @@ def draw_on_sphere(
     eye: np.ndarray | None = None,
     bounds: Iterable[float] = (),
 ) -> None:
-    """Plot a path of unit vectors on the sphere, with all members' at the time `end`, and its angle from the pole."""
+    """Plot a path of unit vectors on the sphere, the members' vectors at time `end`, and its angle from the pole."""
     left, right = axes
     plots.sphere_path(left, path, pole, eye=pole + 0.8 * path[0] if eye is None else eye, pole_label=pole_label)
     if len(ends) > 1:

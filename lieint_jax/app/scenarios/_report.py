@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.app.scenarios._common import Common, Published
-from lieint_jax.app.scenarios._runs import deviation
+from lieint_jax.app.scenarios._runs import standard_deviation
 
 ROUND_OFF = "conserved to round-off"
-_FAR = 3  # published errors, beyond which a difference is pointed out
-_WIDTH = 34  # the least of the column of names
+_MAX_MISFIT = 3  # published errors; a larger difference is noted
+_WIDTH = 34  # smallest width of the column of names
 
 
 def largest_component(x: np.ndarray) -> np.ndarray:
-    """The largest component of (times, members, …) in size."""
+    """The largest absolute component of values (times, members, …)."""
     return abs(x).reshape(*x.shape[:2], -1).max(axis=2)
 
 
@@ -31,12 +31,12 @@ class Conserved:
     """A quantity that an exact motion conserves.
 
     Attributes:
-        name: in words, with what its change is relative to.
-        values: at all saved times of all members, (times, members, …).
-        size: what its change is relative to; broadcasts with (times, members).
-        promise: of the scheme, for the report.
+        name: its name in the report, with the quantity to which its change is relative.
+        values: its values at all saved times of all members, (times, members, …).
+        size: the size to which its change is relative; broadcasts with (times, members).
+        promise: the statement of the report on how well the scheme conserves it.
         initial: the value from which it changes; by default that at the first saved time.
-        norm: of the change of a vector.
+        norm: the norm of the change of a vector.
     """
 
     name: str
@@ -46,8 +46,8 @@ class Conserved:
     initial: Any = None
     norm: Callable[[np.ndarray], np.ndarray] = largest_component
 
-    def joined(self, members: Sequence[Conserved]) -> Conserved:
-        """The quantity of all members, from those of each; in words as this one."""
+    def join_members(self, members: Sequence[Conserved]) -> Conserved:
+        """The quantity of all members, from those of each, under the name of this one."""
         shape = self.values.shape
         values = np.concatenate([x.values for x in members], axis=1)
         size = np.concatenate([np.broadcast_to(x.size, shape[:2]) for x in members], axis=1)
@@ -63,12 +63,12 @@ class Quantity:
     """A measured quantity of every member.
 
     Attributes:
-        name: in words, with its unit.
-        values: of the members, the nominal one first, (members,); nan where there is none.
-        digits: the format of its numbers; with a closed form there are ten digits.
+        name: its name in the report, with its unit.
+        values: its values for the members, the nominal one first, (members,); nan for none.
+        digits: the format of its numbers; with a closed form they have ten digits.
         closed_form: its exact value for the nominal member; nan where none is known.
         published: its published values.
-        angle: whether it is an angle in degrees, so that its spread is that of differences below 180°.
+        angle: whether it is an angle in degrees: the spread is then that of differences below 180°.
     """
 
     name: str
@@ -78,8 +78,8 @@ class Quantity:
     published: Published | Sequence[Published] | None = None
     angle: bool = False
 
-    def joined(self, members: Sequence[Quantity]) -> Quantity:
-        """The quantity of all members, from those of each; closed form and published values are those of this one."""
+    def join_members(self, members: Sequence[Quantity]) -> Quantity:
+        """The quantity of all members, from those of each, with the closed form and published values of this one."""
         return replace(self, values=np.concatenate([x.values for x in members]))
 
     @property
@@ -91,7 +91,7 @@ class Quantity:
     def spread(self) -> float:
         """Its standard deviation over the members; nan if one of them has no value."""
         x = (self.values - self.values[0] + 180) % 360 - 180 if self.angle else self.values
-        return float(deviation(x)) if np.isfinite(x).all() else np.nan
+        return float(standard_deviation(x)) if np.isfinite(x).all() else np.nan
 
     @property
     def citations(self) -> list[Published]:
@@ -101,11 +101,11 @@ class Quantity:
         return [self.published] if isinstance(self.published, Published) else list(self.published)
 
 
-def joined(members: Sequence[Sequence[Any]]) -> list[Any]:
-    """The conserved or measured quantities of many members, from those of each: those that all of them have."""
+def join_members(members: Sequence[Sequence[Any]]) -> list[Any]:
+    """The conserved or measured quantities that all members have, from those of each member."""
     by_name = [{x.name: x for x in found} for found in members]
     common = [name for name in by_name[0] if all(name in found for found in by_name)]
-    return [by_name[0][name].joined([found[name] for found in by_name]) for name in common]
+    return [by_name[0][name].join_members([found[name] for found in by_name]) for name in common]
 
 
 def text(
@@ -113,11 +113,11 @@ def text(
 ) -> str:
     """The report of a run: what is conserved, what was measured, and the remarks of the kind."""
     width = max([_WIDTH, *(len(x.name) + 2 for x in (*conserved, *quantities))])
-    lines = [*changes(conserved, width), *table(scenario, quantities, width), *_notes(quantities), *remarks]
+    lines = [*change_lines(conserved, width), *table_lines(scenario, quantities, width), *_notes(quantities), *remarks]
     return "\n".join(line.rstrip() for line in lines)
 
 
-def changes(conserved: Sequence[Conserved], width: int = _WIDTH) -> list[str]:
+def change_lines(conserved: Sequence[Conserved], width: int = _WIDTH) -> list[str]:
     """The lines of a report with the largest change of each conserved quantity, and what the scheme promises."""
     if not conserved:
         return []
@@ -126,7 +126,7 @@ def changes(conserved: Sequence[Conserved], width: int = _WIDTH) -> list[str]:
     return lines + [f"  {x.name:<{width}}{float(x.change().max()):>10.1e}   {x.promise}" for x in conserved]
 
 
-def table(scenario: Common, quantities: Sequence[Quantity], width: int = _WIDTH, head: str = "") -> list[str]:
+def table_lines(scenario: Common, quantities: Sequence[Quantity], width: int = _WIDTH, head: str = "") -> list[str]:
     """The lines of a report with the measured quantities next to their closed forms and published values."""
     if not quantities:
         return []
@@ -165,23 +165,21 @@ def citation(scenario: Common, published: Published) -> str:
 
 
 def _notes(quantities: Sequence[Quantity]) -> list[str]:
-    """Lines that say what keeps quantities from being a test of their published values."""
-    notes = [
-        f"{x.name}: {found}" for x in quantities for published in x.citations if (found := _compared(x, published))
-    ]
+    """The lines on quantities that do not test their published values, with the reasons."""
+    notes = [f"{x.name}: {found}" for x in quantities for published in x.citations if (found := _misfit(x, published))]
     return [
         line for note in notes for line in textwrap.wrap(note, 116, initial_indent="  ! ", subsequent_indent="    ")
     ]
 
 
-def _compared(x: Quantity, published: Published) -> str:
-    """What keeps a quantity from being a test of a published value; empty if nothing does."""
+def _misfit(x: Quantity, published: Published) -> str:
+    """Why a quantity does not test a published value; empty if it does."""
     if published.error is None or not np.isfinite(x.nominal):
         return ""
-    found, off = [], x.nominal - published.value
-    if abs(off) > _FAR * published.error:
+    found, difference = [], x.nominal - published.value
+    if abs(difference) > _MAX_MISFIT * published.error:
         sign = ", and in its sign" if x.nominal * published.value < 0 else ""
-        by = f"{off:+.3g}, {abs(off) / published.error:.2g} times the published error"
+        by = f"{difference:+.3g}, {abs(difference) / published.error:.2g} times the published error"
         found.append(f"The nominal member differs from the published value by {by}{sign}.")
     if x.spread > published.error:
         low, middle, high = np.percentile(x.values, (16, 50, 84))
@@ -193,6 +191,6 @@ def _compared(x: Quantity, published: Published) -> str:
 
 
 def paragraphs(notes: list[str]) -> list[str]:
-    """Notes as lines of a report, an empty line before each."""
+    """Notes as lines of a report, with an empty line before each."""
     wrapped = (textwrap.wrap(note, 118, initial_indent="  ", subsequent_indent="  ") for note in notes)
     return [line for lines in wrapped for line in ("", *lines)]

@@ -1,4 +1,4 @@
-"""The classical Runge–Kutta method, which conserves nothing, to draw beside the schemes."""
+"""The classical Runge–Kutta method, which conserves nothing, for comparison in pictures."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ class RungeKutta(Step):
         return "Runge–Kutta 4"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        def rate(h: ArrayLike, slope: State) -> State:
+        def slope_after(h: ArrayLike, slope: State) -> State:
             return self.system.vector_field(jax.tree.map(lambda x, v: x + h * v, state, slope))
 
         k1 = self.system.vector_field(state)
-        k2 = rate(dt / 2, k1)
-        k3 = rate(dt / 2, k2)
-        k4 = rate(dt, k3)
+        k2 = slope_after(dt / 2, k1)
+        k3 = slope_after(dt / 2, k2)
+        k4 = slope_after(dt, k3)
         end = jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4)
         q = so3.normalize(end.q) if end.q.ndim == 1 else end.q
         return end._replace(q=q), StepInfo(jnp.zeros_like(dt), jnp.isfinite(end.p).all())
 
 
 def cost(step: Step, state: State, dt: float) -> float:
-    """Seconds per step of a batch of `_BODIES` bodies, measured now."""
+    """Measure the seconds per step of a batch of `_BODIES` bodies."""
 
     @partial(jax.jit, compiler_options=compiler_options())
     def run(states: State) -> Any:

@@ -15,38 +15,38 @@ from lieint_jax import ensemble
 from lieint_jax._integrate import integrate
 from lieint_jax.types import State, Step, Trajectory
 
-LONGEST, POINTS = 200_000, 4_000  # the most steps of the nominal member that are drawn, and points of a curve
+LONGEST, POINTS = 200_000, 4_000  # largest numbers of steps of a drawn run and of points of a curve
 
 S = TypeVar("S")
 T = TypeVar("T")
 R = TypeVar("R")
 
 
-def member(run: Trajectory, m: int, time: int = 0) -> State:
+def member_state(run: Trajectory, m: int, time: int = 0) -> State:
     """The state of one member of a run at the saved time of index `time`."""
     return jax.tree.map(lambda x: jnp.asarray(x[time, m]), run.state)
 
 
-def nominal(run: Trajectory, time: int = 0) -> State:
+def nominal_state(run: Trajectory, time: int = 0) -> State:
     """The state of member 0 of a run at the saved time of index `time`."""
-    return member(run, 0, time)
+    return member_state(run, 0, time)
 
 
 def select_member(run: Trajectory, m: int) -> Trajectory:
-    """One member of a run, as that of an ensemble of one."""
+    """The run of one member, as that of an ensemble of one."""
     state, info = jax.tree.map(lambda x: x[:, m : m + 1] if np.ndim(x) > 1 else x, (run.state, run.info))
     return Trajectory(run.t, state, info)
 
 
-def nominal_of(tree: Any) -> Any:
+def nominal_member(tree: Any) -> Any:
     """Member 0 of a step or a system whose leaves have the member axis."""
     return jax.tree.map(lambda leaf: leaf[0], tree)
 
 
 def series(function: Callable[..., Any], run: Trajectory, *given: Any) -> np.ndarray:
-    """The values of a function of what is given and the state, at all saved times of all members: (times, members, …).
+    """The values of a function of the arguments `given` and the state, at all saved times: (times, members, …).
 
-    A function that is no closure is compiled once, for all that it is given.
+    A function that is not a closure is compiled once for all arguments.
     """
     return np.asarray(_along_run(function, len(given))(*given, jax.tree.map(jnp.asarray, run.state)))
 
@@ -58,23 +58,23 @@ def _along_run(function: Callable[..., Any], count: int) -> Callable[..., Any]:
 
 
 def over_members(function: Callable[[Any, State], Any], system: Any, run: Trajectory) -> Any:
-    """The same for a function of system and state, where each member has a system of its own."""
+    """The values of a function of system and state at all saved times, where each member has its own system."""
     each = jax.jit(jax.vmap(jax.vmap(function), in_axes=(None, 0)))
     return jax.tree.map(np.asarray, each(system, jax.tree.map(jnp.asarray, run.state)))
 
 
-def on_own_devices(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
-    """A function of one member as one of many, on the devices of this process: of many, only the first one reports."""
+def map_on_local_devices(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
+    """Map a function of one member over many, on the devices of this process: only the first process reports."""
     return ensemble.over_members(function, axes, Mesh(np.array(jax.local_devices()), ("members",)))
 
 
-def deviation(x: np.ndarray) -> np.ndarray:
+def standard_deviation(x: np.ndarray) -> np.ndarray:
     """The standard deviation over the members, the first axis; 0 for a single member."""
     return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
 
 
-def for_last_run(function: Callable[[S, T, Trajectory], R]) -> Callable[[S, T, Trajectory], R]:
-    """The same function, which stores its value for the last run: the report and the pictures share it."""
+def cached_for_last_run(function: Callable[[S, T, Trajectory], R]) -> Callable[[S, T, Trajectory], R]:
+    """Store the value of a function for the last run, which the report and the pictures share."""
     last: list[tuple[Trajectory, R]] = []
 
     @wraps(function)
@@ -86,16 +86,16 @@ def for_last_run(function: Callable[[S, T, Trajectory], R]) -> Callable[[S, T, T
     return cached
 
 
-def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
-    """The steps of a drawn curve, at most `longest`, and its stride, for at most `POINTS` points."""
+def drawn_steps(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
+    """The number of steps of a drawn curve, at most `longest`, and its stride, for at most `POINTS` points."""
     num_steps = min(num_steps, longest)
     every = -(-num_steps // POINTS) or 1
     return max(num_steps // every, 1) * every, every
 
 
-def follow(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
-    """The trajectory from one state, of at most `longest` steps, saved at the points to draw."""
-    num_steps, every = thinned(num_steps, longest)
+def drawn_trajectory(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
+    """Integrate from one state for a picture, at most `longest` steps, saved at the points to draw."""
+    num_steps, every = drawn_steps(num_steps, longest)
     return _follow(step, state, dt, num_steps, save_every=every)
 
 

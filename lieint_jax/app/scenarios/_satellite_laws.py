@@ -1,4 +1,4 @@
-"""What acts on a satellite in a low orbit: the keys of its surroundings and equipment, and their laws of torque."""
+"""The torques on a satellite in a low orbit: the keys of its surroundings and equipment, and their laws."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jax import Array
 from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, orbits, torques
-from lieint_jax.app.scenarios._common import Above, NonNegative, Table, Triple
+from lieint_jax.app.scenarios._common import NonNegative, PositiveFloat, Table, Triple
 from lieint_jax.app.scenarios._spread import DIRECTION
 from lieint_jax.types import Law, Rotation, pytree, static
 
@@ -26,7 +26,7 @@ Window = Annotated[list[float], Field(min_length=2, max_length=2)]
 class Orbit(Table):
     """A Kepler orbit about the Earth."""
 
-    perigee_km: Above
+    perigee_km: PositiveFloat
     """The height above the equatorial radius."""
     eccentricity: Annotated[float, Field(ge=0, lt=1)] = 0.0
     inclination_deg: float
@@ -37,7 +37,7 @@ class Orbit(Table):
     """The argument of the perigee, where the satellite is at t = 0."""
 
     def motion(self) -> orbits.Kepler:
-        """In m and s."""
+        """The orbit in m and s."""
         perigee = (orbits.EARTH_RADIUS + self.perigee_km) * _KM
         inclination, node, argument = np.deg2rad([self.inclination_deg, self.node_deg, self.perigee_deg])
         size = perigee / (1 - self.eccentricity)
@@ -48,17 +48,17 @@ class Orbit(Table):
 class Drag(Table):
     """The air on the six faces of a box."""
 
-    box_m: Annotated[list[Above], Field(min_length=3, max_length=3)]
+    box_m: Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
     """The lengths of its edges along the body axes."""
     center_m: Triple = [0.0, 0.0, 0.0]
     """The middle of the box, from the center of mass, in body axes."""
     coefficient: NonNegative = 2.2
-    density_kg_m3: Above
-    """Of the air, at the height below; it varies by a factor of ten with the activity of the Sun."""
+    density_kg_m3: PositiveFloat
+    """The density of the air at height_km; it varies by a factor of ten with the activity of the Sun."""
     height_km: NonNegative
     """Above the equatorial radius."""
-    scale_height_km: Above
-    """In which the density falls to 1/e."""
+    scale_height_km: PositiveFloat
+    """The height over which the density falls to 1/e."""
 
 
 class Rods(Table):
@@ -66,16 +66,16 @@ class Rods(Table):
 
     axes: Annotated[list[Triple], Field(min_length=1), DIRECTION]
     """Unit vectors in the body."""
-    saturation: Above
+    saturation: PositiveFloat
     """The greatest moment of a rod, in A m²."""
-    slope: Above
+    slope: PositiveFloat
     """The field over which the moment rises, in tesla: M = saturation × tanh(w/slope)."""
     coercivity: NonNegative
     """The half-width of the hysteresis loop, in tesla."""
 
     @field_validator("axes")
     @classmethod
-    def _units(cls, value: list[list[float]]) -> list[list[float]]:
+    def _check_axes(cls, value: list[list[float]]) -> list[list[float]]:
         if np.max(abs(np.linalg.norm(value, axis=1) - 1)) > _checks.UNIT_TOLERANCE:
             raise ValueError("must be unit vectors; divide each by its norm")
         return value
@@ -87,11 +87,11 @@ class Wheels(Table):
     number: Annotated[int, Field(ge=3, le=100)] = 4
     tilt_deg: Annotated[float, Field(gt=0, lt=90)] = 35.264389682754654
     """From the xy-plane to the axes."""
-    inertia_kg_m2: Above
+    inertia_kg_m2: PositiveFloat
     """Of each, about its axis."""
-    max_torque: Above
+    max_torque: PositiveFloat
     """Of each motor, in N m."""
-    max_momentum: Above
+    max_momentum: PositiveFloat
     """Of each wheel, in N m s."""
 
     def axes(self) -> Array:
@@ -102,10 +102,10 @@ class Control(Table):
     """A law of control that acts in a window of time."""
 
     window: Window
-    """From when to when it acts, in time_unit."""
+    """The first and last time at which it acts, in time_unit."""
 
     @model_validator(mode="after")
-    def _a_window(self) -> Self:
+    def _check_window(self) -> Self:
         if not self.window[0] < self.window[1]:
             raise ValueError(f"window must be [from, to] with from < to, got {self.window}")
         return self
@@ -114,29 +114,29 @@ class Control(Table):
 class Detumbling(Control):
     """Torquers with the moment gain × angular velocity × field, the law B-dot."""
 
-    gain: Above
+    gain: PositiveFloat
     """In N m s/T²."""
 
 
 class Pointing(Control):
-    """Wheels that point z to the nadir and x forward, as a spring with a damper would about each axis."""
+    """Wheels that point z to the nadir and x forward, like a damped spring about each axis."""
 
-    frequency: Above
+    frequency: PositiveFloat
     """Of the spring, in rad/s: that of small errors without damping."""
-    damping_ratio: Above = 1.0
+    damping_ratio: PositiveFloat = 1.0
     """1: critical."""
 
 
 class Unloading(Control):
-    """Torquers that take the momentum out of the wheels."""
+    """Torquers that remove the momentum of the wheels."""
 
-    gain: Above
-    """In 1/s: the momentum falls with this rate across the field."""
+    gain: PositiveFloat
+    """In 1/s: the rate at which the momentum across the field falls."""
 
 
 @pytree
 class Frame:
-    """A frame whose functions are traced once, although every iteration of a step evaluates them."""
+    """A frame whose functions are traced once, although every iteration of a step calls them."""
 
     attitude: Any = static()
     velocity: Any = static()
@@ -145,7 +145,7 @@ class Frame:
         return self.attitude(t)
 
     def angular_velocity(self, t: Any) -> Array:
-        """In the axes of the frame."""
+        """The angular velocity in the axes of the frame."""
         return self.velocity(t)
 
 
@@ -155,9 +155,9 @@ class Surroundings(NamedTuple):
     Attributes:
         orbit: position and velocity, m and m/s.
         mu: the gravitational parameter, m³/s².
-        field: of the Earth in space, T.
-        frame: local vertical, local horizontal: z down, x forward.
-        air: density and relative velocity, or None.
+        field: the Earth's magnetic field in space, T.
+        frame: the local vertical, local horizontal frame: z down, x forward.
+        air: density and relative velocity of the air, or None.
     """
 
     orbit: Any
@@ -168,7 +168,7 @@ class Surroundings(NamedTuple):
 
 
 def surroundings(orbit: Orbit, date: datetime.date, drag: Drag | None) -> Surroundings:
-    """Those of an orbit from a date on."""
+    """The surroundings along an orbit, from a date on."""
     motion = orbit.motion()
     field = orbits.earth_field(motion, orbits.julian_date(date.year, date.month, date.day), radius=_FIELD_RADIUS)
     air = None
@@ -187,22 +187,22 @@ def surroundings(orbit: Orbit, date: datetime.date, drag: Drag | None) -> Surrou
 
 
 @pytree
-class Within(torques.ModifiedLaw):
-    """A law that acts in a window of time: in steps whose middle is in it."""
+class WindowedLaw(torques.ModifiedLaw):
+    """A law that acts in a window of time: in steps whose midpoint lies in it."""
 
     law: Law
     begin: Array
     end: Array
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
-        """The law's mean torque, or 0."""
+        """The law's mean torque in the window, else 0."""
         torque = self.law.mean(rotation, inner)[0]
         return jnp.where(_is_inside(self, rotation.t), torque, 0), inner
 
 
 @pytree
-class MotorsWithin:
-    """Motors of wheels that act in a window of time; outside of it the wheels are free in their bearings."""
+class WindowedMotors:
+    """Motors of wheels that act in a window of time; outside of it the wheels rotate freely."""
 
     motor: torques.WheelMotor
     begin: Array
@@ -212,12 +212,12 @@ class MotorsWithin:
         return self.torque_by_momentum(t, q, Omega)(h)
 
     def torque_by_momentum(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
-        """As that of `WheelMotor`."""
+        """The same as in `WheelMotor`."""
         motors, acts = self.motor.torque_by_momentum(t, q, Omega), _is_inside(self, t)
         return lambda h: jnp.where(acts, motors(h), 0)
 
 
-def _is_inside(window: Within | MotorsWithin, t: Array) -> Array:
+def _is_inside(window: WindowedLaw | WindowedMotors, t: Array) -> Array:
     return (window.begin <= t) & (t < window.end)
 
 
@@ -243,10 +243,10 @@ def laws(scenario: Any, around: Surroundings, inertia: Array, dipole: Array) -> 
         ]
     if (detumbling := scenario.detumbling) is not None:
         bdot = torques.bdot(detumbling.gain, around.field, scenario.max_dipole)
-        found.append(Within(bdot, *_edges(detumbling)))
+        found.append(WindowedLaw(bdot, *_edges(detumbling)))
     if (unloading := scenario.unloading) is not None:
         dumping = torques.unloading(scenario.wheels.axes(), unloading.gain, around.field, scenario.max_dipole)
-        found.append(Within(dumping, *_edges(unloading)))
+        found.append(WindowedLaw(dumping, *_edges(unloading)))
     if (wheels := scenario.wheels) is not None:
         found.append(_wheels_with_motors(wheels, scenario.pointing, around, inertia))
     return found
@@ -260,6 +260,6 @@ def _wheels_with_motors(wheels: Wheels, pointing: Pointing | None, around: Surro
         control = torques.pointing(
             around.frame, 2 * rate**2 * moments, 2 * pointing.damping_ratio * rate * moments, inertia
         )
-        motor = MotorsWithin(torques.wheel_motor(axes, control, gyroscopic=True), *_edges(pointing))
+        motor = WindowedMotors(torques.wheel_motor(axes, control, gyroscopic=True), *_edges(pointing))
     limits = {"max_torque": wheels.max_torque, "max_momentum": wheels.max_momentum}
     return torques.wheels(axes, wheels.inertia_kg_m2, motor, **limits)

@@ -20,8 +20,8 @@ def spectrum(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def line(t: np.ndarray, x: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The frequency and the amplitude of the strongest line between two frequencies, for every column of x (n, m).
 
-    It is the highest of the transform's values between `low` and `high`, (m,), refined between the frequencies beside
-    it. nan for columns that have no frequency of the transform between them.
+    It is the highest of the transform's values between `low` and `high`, (m,), refined between its two
+    neighbors. nan for columns without a frequency of the transform between them.
     """
     window = np.hanning(len(t))
     windowed = window[:, None] * (x - x.mean(axis=0))
@@ -30,13 +30,13 @@ def line(t: np.ndarray, x: np.ndarray, low: np.ndarray, high: np.ndarray) -> tup
     peak = np.argmax(np.where(inside, abs(np.fft.rfft(windowed, axis=0)), -1.0), axis=0)
     found, reach = frequencies[peak], frequencies[1] / 2
 
-    def size(f: np.ndarray) -> np.ndarray:
+    def height(f: np.ndarray) -> np.ndarray:
         return abs(np.sum(windowed * np.exp(-2j * np.pi * t[:, None] * f), axis=0))
 
     for _ in range(_REFINEMENTS):
-        left, middle, right = size(found - reach), size(found), size(found + reach)
+        left, middle, right = height(found - reach), height(found), height(found + reach)
         curvature = left - 2 * middle + right
         slope = np.where(curvature < 0, (left - right) / np.where(curvature < 0, 2 * curvature, 1), 0)
         found, reach = found + reach * np.clip(slope, -1, 1), reach / 4
-    there = inside.any(axis=0)
-    return np.where(there, found, np.nan), np.where(there, 2 * size(found) / window.sum(), np.nan)
+    exists = inside.any(axis=0)
+    return np.where(exists, found, np.nan), np.where(exists, 2 * height(found) / window.sum(), np.nan)

@@ -1,9 +1,9 @@
-"""Numbers of a scenario of which every member has a value of its own: what `[spread]` may name, and these values.
+"""Numbers of a scenario that differ between members: the numbers that `[spread]` may name, and their values.
 
 The key of a number in `[spread]` is its path in the scenario, such as `inertia` or `orbit.eccentricity`; a table of a
 list is named by its `name` or counted from 1. The value is a standard deviation in the unit of the number, one for all
-components or one each; with `_percent` behind the key it is relative to the number. Deviations are normal. A value that
-the scenario itself could not have is drawn again, so that every member is a system that a file could describe.
+components or one each; with the suffix `_percent` it is relative to the number. Deviations are normal. A value that the
+scenario itself could not have is drawn again, so that every member is a system that a file could describe.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from jax import Array
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from lieint_jax.app.scenarios._runs import nominal_of
+from lieint_jax.app.scenarios._runs import nominal_member
 from lieint_jax.types import State, Step
 
 Path = tuple[str, ...]
 T = TypeVar("T", bound=BaseModel)
 
 _SPREAD, _PERCENT = "spread", "_percent"
-_STREAM = 2**31 - 1  # of random numbers: not one of those that kinds count by members, of which there are fewer
-_TRIES = 16  # draws of a number that must be one that a file could have
+_STREAM = 2**31 - 1  # of random numbers; kinds use the smaller numbers of members for theirs
+_TRIES = 16  # draws of a number until a file could have it
 
 
 class Law(NamedTuple):
-    """How a member's value follows from the nominal one: the mark of a key in a model.
+    """How a member's value follows from the nominal one; the annotation of a key in a model.
 
     Attributes:
-        value: of a nominal value and deviations, (members, …).
-        allows: whether values (members, …), of this nominal one, are those of a system.
-        of: what deviations are of, in words, where they are not of the number itself.
+        value: the values (members, …) for a nominal value and deviations.
+        allows: whether a system may have these values (members, …), for a nominal value.
+        basis: the quantities that deviate, in words, unless they are the number itself.
         by_axis: whether there is one deviation for each of three axes, not for each component.
     """
 
     value: Callable[[np.ndarray, np.ndarray], np.ndarray]
     allows: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    of: str = ""
+    basis: str = ""
     by_axis: bool = False
 
 
@@ -55,9 +55,9 @@ class Number(NamedTuple):
     """A number of a scenario, or a list of them.
 
     Attributes:
-        value: the nominal one.
+        value: the nominal value.
         law: how members deviate from it.
-        limits: of its key: `annotated_types` of every component.
+        limits: the limits of every component, `annotated_types` of its key.
     """
 
     value: np.ndarray
@@ -65,7 +65,7 @@ class Number(NamedTuple):
     limits: tuple[Any, ...]
 
     def shape(self) -> tuple[int, ...]:
-        """That of deviations."""
+        """The shape of the deviations."""
         return (3,) if self.law.by_axis else self.value.shape
 
     def allows(self, x: np.ndarray) -> np.ndarray:
@@ -83,118 +83,128 @@ _TESTS: dict[type, Callable[[np.ndarray, Any], np.ndarray]] = {
 }
 
 
-def _any(value: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _allow_all(value: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.ones(len(x), bool)
 
 
-def _definite(value: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Whether tensors, principal values (members, 3) or (members, 3, 3), are positive definite."""
+def _is_positive_definite(value: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Whether tensors (members, 3, 3), or principal values (members, 3), are positive definite."""
     return (x if x.ndim == 2 else np.linalg.eigvalsh(x)).min(axis=1) > 0
 
 
-def _scaled(P: Array, factors: Array) -> Array:
-    """Second moments of mass (3, 3) that are larger by factors along the axes."""
+def _scale_second_moments(P: Array, factors: Array) -> Array:
+    """Multiply second moments of mass (3, 3) by factors along the axes."""
     size = jnp.sqrt(factors)
     return size[:, None] * P * size
 
 
 def stretch_inertia(inertia: Array, factors: Array) -> Array:
-    """The inertia of a body whose second moments of mass along the body axes are larger by factors, (3, 3).
+    """The inertia of a body after its second moments of mass along the body axes are multiplied by factors, (3, 3).
 
     With P = ½ tr(J) 1 − J: any factors > 0 give an inertia that a body can have.
     """
-    P = _scaled(jnp.trace(inertia) / 2 * jnp.eye(3) - inertia, factors)
+    P = _scale_second_moments(jnp.trace(inertia) / 2 * jnp.eye(3) - inertia, factors)
     return jnp.trace(P) * jnp.eye(3) - P
 
 
-def _by_axis(function: Callable[..., Any], tensor: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """A function of a tensor and many factors, by deviations of their logarithms; principal values stay such."""
+def _apply_along_axes(function: Callable[..., Any], tensor: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """Apply a function of a tensor and factors, for deviations of their logarithms; principal values stay principal."""
     given = np.diag(tensor) if tensor.ndim == 1 else tensor
     found = np.asarray(function(given, np.exp(deviation)))
     return np.diagonal(found, axis1=1, axis2=2) if tensor.ndim == 1 else found
 
 
-def _unit(value: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def _deviate_direction(value: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     found = value + deviation
     return found / np.linalg.norm(found, axis=-1, keepdims=True)
 
 
-def _same_side(of: float, value: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _is_same_side(limit: float, value: np.ndarray, x: np.ndarray) -> np.ndarray:
     components = tuple(range(1, x.ndim))
-    return (np.sign(x - of) == np.sign(value - of)).all(axis=components)
+    return (np.sign(x - limit) == np.sign(value - limit)).all(axis=components)
 
 
 _MOMENTS = "of the second moments of mass along the body axes"  # of their logarithms: see the page on covariance
-PLAIN = Law(np.add, _any)
-INERTIA = Law(partial(_by_axis, jax.jit(jax.vmap(stretch_inertia, (None, 0)))), _definite, _MOMENTS, by_axis=True)
-SECOND_MOMENTS = Law(partial(_by_axis, jax.jit(jax.vmap(_scaled, (None, 0)))), _definite, _MOMENTS, by_axis=True)
-DIRECTION = Law(_unit, _any, "of each component, before the length is made 1 again")
-NOT_INSIDE_OUT = Law(np.add, lambda _, x: np.linalg.det(x) > 0)
+ADDITIVE = Law(np.add, _allow_all)
+INERTIA = Law(
+    partial(_apply_along_axes, jax.jit(jax.vmap(stretch_inertia, (None, 0)))),
+    _is_positive_definite,
+    _MOMENTS,
+    by_axis=True,
+)
+SECOND_MOMENTS = Law(
+    partial(_apply_along_axes, jax.jit(jax.vmap(_scale_second_moments, (None, 0)))),
+    _is_positive_definite,
+    _MOMENTS,
+    by_axis=True,
+)
+DIRECTION = Law(_deviate_direction, _allow_all, "of each component, before normalization")
+POSITIVE_DETERMINANT = Law(np.add, lambda _, x: np.linalg.det(x) > 0)
 
 
-def on_the_side_of(of: float) -> Law:
-    """Members' values stay above or below this number, as the nominal one is; one that is equal to it stays equal."""
-    return Law(np.add, partial(_same_side, of))
+def same_side_of(limit: float) -> Law:
+    """Values of members stay on the side of the limit on which the nominal value is, above, below or equal."""
+    return Law(np.add, partial(_is_same_side, limit))
 
 
 def numbers(table: BaseModel, path: Path = ()) -> dict[Path, Number]:
     """All real numbers of a scenario, by their paths."""
     found: dict[Path, Number] = {}
     for name, field in type(table).model_fields.items():
-        value, own = getattr(table, name), (*path, name)
+        value, place = getattr(table, name), (*path, name)
         if name == _SPREAD:
             continue
         if isinstance(value, BaseModel):
-            found |= numbers(value, own)
+            found |= numbers(value, place)
         elif isinstance(value, list) and value and isinstance(value[0], BaseModel):
-            for label, row in _labeled(value):
-                found |= numbers(row, (*own, label))
-        elif (number := _number(value, field)) is not None:
-            found[own] = number
+            for label, row in _labeled_rows(value):
+                found |= numbers(row, (*place, label))
+        elif (number := _as_number(value, field)) is not None:
+            found[place] = number
     return found
 
 
-def _labeled(rows: list[Any]) -> list[tuple[str, Any]]:
+def _labeled_rows(rows: list[Any]) -> list[tuple[str, Any]]:
     return [(getattr(row, "name", str(k)), row) for k, row in enumerate(rows, 1)]
 
 
-def _number(value: Any, field: FieldInfo) -> Number | None:
-    """A value as a number, if it is one; its law and limits are in the annotation of its key."""
-    marks = list(_marks(field))
+def _as_number(value: Any, field: FieldInfo) -> Number | None:
+    """The value of a key as a number, if it is one, with law and limits from the key's annotation."""
+    marks = list(_annotations(field))
     law = next((mark for mark in marks if isinstance(mark, Law)), None)
-    if value is None or (law is None and not _real(value)):
+    if value is None or (law is None and not _is_real(value)):
         return None
     limits = tuple(mark for mark in marks if type(mark) in _TESTS)
-    return Number(np.asarray(value, float), law or PLAIN, limits)
+    return Number(np.asarray(value, float), law or ADDITIVE, limits)
 
 
-def _real(value: Any) -> bool:
+def _is_real(value: Any) -> bool:
     if isinstance(value, list):
-        return bool(value) and all(map(_real, value))
+        return bool(value) and all(map(_is_real, value))
     return isinstance(value, float)
 
 
-def _marks(annotation: Any) -> Iterator[Any]:
-    """Everything that an annotation says besides its type, of the value and of its components."""
+def _annotations(annotation: Any) -> Iterator[Any]:
+    """The metadata of an annotation, for the value and for its components."""
     if isinstance(annotation, FieldInfo):
         yield from annotation.metadata
-        yield from _marks(annotation.annotation)
+        yield from _annotations(annotation.annotation)
     elif hasattr(annotation, "__metadata__"):
         for mark in annotation.__metadata__:
-            yield from _marks(mark) if isinstance(mark, FieldInfo) else (mark,)
-        yield from _marks(annotation.__origin__)
+            yield from _annotations(mark) if isinstance(mark, FieldInfo) else (mark,)
+        yield from _annotations(annotation.__origin__)
     else:
         for part in get_args(annotation):
-            yield from _marks(part)
+            yield from _annotations(part)
 
 
-class Given(NamedTuple):
-    """The spread of a number as a file gives it.
+class GivenSpread(NamedTuple):
+    """The spread of a number in a file.
 
     Attributes:
-        number: of which it is.
-        sigma: standard deviations, of the shape of the number's deviations.
-        words: for the report.
+        number: the number.
+        sigma: the standard deviations, in the shape of the number's deviations.
+        words: the spread as text for the report.
     """
 
     number: Number
@@ -202,11 +212,11 @@ class Given(NamedTuple):
     words: str
 
 
-def requested_spreads(scenario: BaseModel, fixed: Mapping[str, str]) -> dict[Path, Given]:
-    """The spreads of numbers that a scenario gives, by the paths of the numbers; those that are 0 are left out.
+def requested_spreads(scenario: BaseModel, fixed: Mapping[str, str]) -> dict[Path, GivenSpread]:
+    """The spreads of numbers that a scenario gives, by the paths of the numbers, without those that are 0.
 
     Args:
-        scenario: the scenario, whose table `spread` may hold them.
+        scenario: the scenario; its table `spread` may contain them.
         fixed: patterns of paths of numbers that have no spread, with the reasons.
 
     Raises:
@@ -218,8 +228,8 @@ def requested_spreads(scenario: BaseModel, fixed: Mapping[str, str]) -> dict[Pat
         return {}
     known, declared = numbers(scenario), type(table).model_fields
     own = dict.fromkeys(declared, "[spread] has a key for it, without %")
-    reasons = {path: _reason(path, {**own, **fixed}) for path in known}
-    found: dict[Path, Given] = {}
+    reasons = {path: _reason_without_spread(path, {**own, **fixed}) for path in known}
+    found: dict[Path, GivenSpread] = {}
     for path, value in entries.items():
         percent = path not in known and path[-1].endswith(_PERCENT)
         key = (*path[:-1], path[-1].removesuffix(_PERCENT)) if percent else path
@@ -240,20 +250,20 @@ def _entries(table: Mapping[str, Any], path: Path = ()) -> Iterator[tuple[Path, 
             yield (*path, name), value
 
 
-def _parse_spread(path: Path, value: Any, number: Number, percent: bool) -> Given:
+def _parse_spread(path: Path, value: Any, number: Number, percent: bool) -> GivenSpread:
     key = _join((_SPREAD, *path))
     sigma = _standard_deviations(key, value, number.shape())
-    unit, of = (" %" if percent else ""), (f" {number.law.of}" if number.law.of else "")
+    unit, basis = (" %" if percent else ""), (f" {number.law.basis}" if number.law.basis else "")
     shown = ", ".join(f"{x:.3g}" for x in np.ravel(value))
-    words = f"{_join(path).removesuffix(_PERCENT)} {shown if np.ndim(value) == 0 else f'({shown})'}{unit}{of}"
+    words = f"{_join(path).removesuffix(_PERCENT)} {shown if np.ndim(value) == 0 else f'({shown})'}{unit}{basis}"
     if percent:
         sigma = sigma / 100 * (1.0 if number.law.by_axis else abs(number.value))
-    return Given(number, sigma, words)
+    return GivenSpread(number, sigma, words)
 
 
 def _standard_deviations(key: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    numeric = not isinstance(value, bool | str) and all(isinstance(x, int | float) for x in _flat(value))
-    if not numeric or not all(math.isfinite(x) and x >= 0 for x in _flat(value)):
+    numeric = not isinstance(value, bool | str) and all(isinstance(x, int | float) for x in _flatten(value))
+    if not numeric or not all(math.isfinite(x) and x >= 0 for x in _flatten(value)):
         raise ValueError(f"{key}: must be a standard deviation, 0 or above (got {value!r})")
     try:
         sigma = np.asarray(value, float)
@@ -265,23 +275,23 @@ def _standard_deviations(key: str, value: Any, shape: tuple[int, ...]) -> np.nda
     return np.broadcast_to(sigma, shape)
 
 
-def _flat(value: Any) -> list[Any]:
-    return [x for part in value for x in _flat(part)] if isinstance(value, list) else [value]
+def _flatten(value: Any) -> list[Any]:
+    return [x for part in value for x in _flatten(part)] if isinstance(value, list) else [value]
 
 
-def _reason(path: Path, fixed: Mapping[str, str]) -> str | None:
-    """Why a number has no spread; None if it has."""
+def _reason_without_spread(path: Path, fixed: Mapping[str, str]) -> str | None:
+    """Why a number must not have a spread; None if it may."""
     return next((reason for pattern, reason in fixed.items() if fnmatchcase(_join(path), pattern)), None)
 
 
 def _refusal(path: Path, key: Path, reasons: Mapping[Path, str | None], declared: Mapping[str, Any]) -> str:
-    """What to say of an entry that is no number with a spread: why, and what there is."""
+    """The message for an entry that must not have a spread: the reason, and the allowed entries."""
     name = _join((_SPREAD, *path))
-    can = [*declared, *(_join(other) for other, reason in reasons.items() if reason is None)]
-    allowed = f"these can be spread: {', '.join(can)}"
+    possible = [*declared, *(_join(other) for other, reason in reasons.items() if reason is None)]
+    allowed = f"these can be spread: {', '.join(possible)}"
     if key in reasons:
         return f"{name}: {reasons[key]}; {allowed}"
-    near = difflib.get_close_matches(_join(key), can, 1)
+    near = difflib.get_close_matches(_join(key), possible, 1)
     meant = f"did you mean {near[0]}? " if near else ""
     return f"{name}: no number of this scenario: {meant}{allowed}"
 
@@ -290,61 +300,61 @@ def _join(path: Path) -> str:
     return ".".join(path)
 
 
-def drawn(scenario: Any) -> dict[Path, np.ndarray]:
+def draw_members(scenario: Any) -> dict[Path, np.ndarray]:
     """The members' own values, (members, …), by the paths of the numbers that have a spread.
 
     A member's value depends on the seed, its number and the path alone: not on the size of the ensemble or on other
     spreads. That of the first member is the nominal one.
 
     Raises:
-        ValueError: a spread so large that a member has no value which is allowed.
+        ValueError: a spread is so large that a member found no allowed value.
     """
-    return {path: _members(scenario, path, spread) for path, spread in scenario.own_numbers().items()}
+    return {path: _draw_number(scenario, path, spread) for path, spread in scenario.own_numbers().items()}
 
 
-def _members(scenario: Any, path: Path, spread: Given) -> np.ndarray:
+def _draw_number(scenario: Any, path: Path, spread: GivenSpread) -> np.ndarray:
     number, key = spread.number, jax.random.key(scenario.seed)
     name = np.uint32(zlib.crc32(_join(path).encode()))
-    found, left = np.repeat(number.value[None], scenario.members, axis=0), np.arange(scenario.members) > 0
+    found, remaining = np.repeat(number.value[None], scenario.members, axis=0), np.arange(scenario.members) > 0
     for attempt in range(_TRIES):
         noise = np.asarray(_normal(key, name, attempt, scenario.members, number.shape()), float)
         x = number.law.value(number.value, spread.sigma * noise)
-        good = left & number.allows(x)
-        found[good] = x[good]
-        left &= ~good
-        if not left.any():
+        accepted = remaining & number.allows(x)
+        found[accepted] = x[accepted]
+        remaining &= ~accepted
+        if not remaining.any():
             return found
     raise ValueError(
-        f"spread.{_join(path)}: {left.sum()} of {scenario.members} members found no value that the scenario allows "
-        f"within {_TRIES} draws about {number.value.tolist()}: give a smaller one"
+        f"spread.{_join(path)}: {remaining.sum()} of {scenario.members} members found no value that the scenario "
+        f"allows within {_TRIES} draws about {number.value.tolist()}: give a smaller one"
     )
 
 
 @partial(jax.jit, static_argnames=("members", "shape"))
 def _normal(key: Array, name: np.uint32, attempt: int, members: int, shape: tuple[int, ...]) -> Array:
-    """Standard normal deviates of members, (members, …), by the key of a seed and the name of what is drawn."""
+    """Standard normal deviates of the members, (members, …), for the key of a seed and the hash of a number's path."""
     for number in (_STREAM, name, attempt):
         key = jax.random.fold_in(key, number)
     return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(key, k), shape))(jnp.arange(members))
 
 
 def with_numbers(table: T, values: Mapping[Path, Any]) -> T:
-    """A scenario with other values, which may be traced, of the numbers at some paths. They are not checked."""
+    """A scenario with other values of the numbers at some paths. They may be traced, and are not checked."""
     inner: dict[str, dict[Path, Any]] = {}
     for path, value in values.items():
         inner.setdefault(path[0], {})[path[1:]] = value
-    return table.model_copy(update={name: _replaced(getattr(table, name), parts) for name, parts in inner.items()})
+    return table.model_copy(update={name: _with_parts(getattr(table, name), parts) for name, parts in inner.items()})
 
 
-def _replaced(value: Any, parts: Mapping[Path, Any]) -> Any:
+def _with_parts(value: Any, parts: Mapping[Path, Any]) -> Any:
     if () in parts:
         return parts[()]
     if isinstance(value, BaseModel):
         return with_numbers(value, parts)
     rows = []
-    for label, row in _labeled(value):
-        own = {path[1:]: x for path, x in parts.items() if path[0] == label}
-        rows.append(with_numbers(row, own) if own else row)
+    for label, row in _labeled_rows(value):
+        inner = {path[1:]: x for path, x in parts.items() if path[0] == label}
+        rows.append(with_numbers(row, inner) if inner else row)
     return rows
 
 
@@ -360,62 +370,62 @@ def build(
 
     Args:
         scenario: the scenario.
-        noise: a member's deviations of the initial state, with the member axis.
+        noise: the deviates of the members' initial states, with the member axis.
         step_of: the step of a scenario, whose numbers may be traced.
-        state_of: the initial state of scenario, system and deviations.
-        traced: whether `step_of` accepts traced numbers; else the members' steps are made one by one.
+        state_of: the initial state for a scenario, a system and deviates.
+        traced: whether `step_of` accepts traced numbers; if not, the members' steps are constructed one by one.
     """
-    nominal, own = step_of(scenario), drawn(scenario)
+    nominal, own = step_of(scenario), draw_members(scenario)
     if not own:
-        return nominal, _sharing_time(jax.vmap(partial(state_of, scenario, nominal.system))(noise))
+        return nominal, _with_shared_time(jax.vmap(partial(state_of, scenario, nominal.system))(noise))
 
     def member(numbers: Mapping[Path, Any], noise: Any) -> tuple[Step, State]:
-        its = with_numbers(scenario, numbers)
-        step = step_of(its)
-        return step, state_of(its, step.system, noise)
+        of_member = with_numbers(scenario, numbers)
+        step = step_of(of_member)
+        return step, state_of(of_member, step.system, noise)
 
     if traced:
-        made = jax.jit(jax.vmap(member))(own, noise)
+        members = jax.jit(jax.vmap(member))(own, noise)
     else:
-        each = [member(*_of_member((own, noise), m)) for m in range(scenario.members)]
-        made = jax.tree.map(lambda *x: jnp.stack(x), *each)
-    step, states = with_first(made, (nominal, state_of(scenario, nominal.system, nominal_of(noise))))
-    return step, _sharing_time(states)
+        each = [member(*_select_member((own, noise), m)) for m in range(scenario.members)]
+        members = jax.tree.map(lambda *x: jnp.stack(x), *each)
+    step, states = with_exact_first(members, (nominal, state_of(scenario, nominal.system, nominal_member(noise))))
+    return step, _with_shared_time(states)
 
 
-def _sharing_time(states: State) -> State:
-    """The states of members with one time for all, if they have a time."""
+def _with_shared_time(states: State) -> State:
+    """The states of members with one shared time, if they have a time."""
     return states if states.t is None else states._replace(t=states.t[0])
 
 
-def _of_member(tree: tuple[dict[Path, np.ndarray], Any], m: int) -> tuple[dict[Path, Any], Any]:
+def _select_member(tree: tuple[dict[Path, np.ndarray], Any], m: int) -> tuple[dict[Path, Any], Any]:
     own, noise = tree
     return {path: x[m].tolist() for path, x in own.items()}, jax.tree.map(lambda x: x[m], noise)
 
 
-def with_first(made: tuple[Step, State], first: tuple[Step, State]) -> tuple[Step, State]:
-    """Members of which the first is exactly `first`, as it is without a spread: a compiled program rounds otherwise."""
-    leaves, structure = jax.tree.flatten(made)
+def with_exact_first(members: tuple[Step, State], first: tuple[Step, State]) -> tuple[Step, State]:
+    """Replace the first member by `first`, computed without a spread: a compiled program rounds differently."""
+    leaves, structure = jax.tree.flatten(members)
     known = jax.tree.leaves(first)
     exact = [jnp.asarray(x).at[0].set(x0) for x, x0 in zip(leaves, known, strict=True)]
     return jax.tree.unflatten(structure, exact)
 
 
-def value_of(scenario: Any, *path: str) -> np.ndarray:
-    """The members' values of a number, (members, …), or the one that they share."""
-    found = drawn(scenario)
+def member_values(scenario: Any, *path: str) -> np.ndarray:
+    """The members' values of a number, (members, …), or the value that they share."""
+    found = draw_members(scenario)
     return found[path] if path in found else numbers(scenario)[path].value
 
 
-def each_member(scenario: Any) -> Iterator[Any]:
-    """The scenarios of the members alone: those of one member, with its numbers and without a spread of numbers."""
-    own = drawn(scenario)
+def member_scenarios(scenario: Any) -> Iterator[Any]:
+    """The scenario of each member alone, with its numbers and without a spread of numbers."""
+    own = draw_members(scenario)
     declared = {name: getattr(scenario.spread, name) for name in type(scenario.spread).model_fields}
     plain = scenario.model_copy(update={"members": 1, _SPREAD: type(scenario.spread).model_construct(**declared)})
     for m in range(scenario.members):
         yield with_numbers(plain, {path: x[m].tolist() for path, x in own.items()})
 
 
-def of_member(scenario: Any, tree: Any, m: int = 0) -> Any:
-    """The step or the system of a member: the one that all share, unless their numbers have a spread."""
+def for_member(scenario: Any, tree: Any, m: int = 0) -> Any:
+    """The step or the system of a member: the shared one, unless numbers have a spread."""
     return jax.tree.map(lambda leaf: leaf[m], tree) if scenario.own_numbers() else tree

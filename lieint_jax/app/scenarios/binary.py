@@ -1,13 +1,12 @@
-"""Two bodies about one another, a binary asteroid: periods, librations, energies, and what a change of speed did.
+"""Two bodies about one another, a binary asteroid: periods, librations, energies, and the effect of a change of speed.
 
 Units: m, kg and s; reports are in hours and days. At the start the line from the primary to the secondary is the x axis
 of space, the secondary moves along y, z is the normal of the orbit, and the barycenter is at rest at the origin. Every
-member has masses and moments of its own: the leaves of the step that `build` makes have the member axis.
+member has its own masses and moments: the leaves of the step have the member axis.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, Literal, NamedTuple, Self, get_args
 
 import jax
@@ -19,14 +18,14 @@ from pydantic import model_validator
 from lieint_jax import potentials, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _binary_motion
-from lieint_jax.app.scenarios._binary_motion import Motion, energies, motion, rate
+from lieint_jax.app.scenarios._binary_motion import Motion, energies, mean_rate, motion
 from lieint_jax.app.scenarios._common import (
     DAY,
     HOUR,
-    Above,
     Common,
     NonNegative,
     NumberSpread,
+    PositiveFloat,
     Published,
     Table,
     check_order,
@@ -34,25 +33,32 @@ from lieint_jax.app.scenarios._common import (
 from lieint_jax.app.scenarios._multibody import (
     ORDERS,
     ExtendedBody,
+    build_members,
     member_bodies,
     step_of,
 )
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity, citation, length
-from lieint_jax.app.scenarios._runs import as_ensemble, deviation, follow, nominal, nominal_of, over_members
+from lieint_jax.app.scenarios._runs import (
+    as_ensemble,
+    drawn_trajectory,
+    nominal_member,
+    nominal_state,
+    over_members,
+    standard_deviation,
+)
 from lieint_jax.app.scenarios._spectrum import line, spectrum
-from lieint_jax.app.scenarios._spread import drawn, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
 
-STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.app.scenarios`
+STEP_AXIS = 0  # every member has its own system
 
 _ENERGY, _MOMENTUM = "energy, over |energy|", "angular momentum, relative"
 _SHOWN = {"H": _ENERGY, "L": _MOMENTUM}  # in the picture of errors
-_BRIEF, _FINE = 4, 4  # orbits of the picture of energies, and the steps of pictures in one of the scenario
-_BAND = 100  # the most members whose range is drawn
-_UPRIGHT = 30  # degrees of obliquity, above which a secondary counts as tumbling
+_BRIEF, _FINE = 4, 4  # orbits in the picture of energies; steps of pictures per step of the scenario
+_MAX_DRAWN = 100  # members whose range is drawn
+_UPRIGHT = 30  # degrees; a secondary of larger obliquity counts as tumbling
 _LONG = 8  # length of the spectrum's run, over that of the scenario
 
 
@@ -60,16 +66,16 @@ class Body(ExtendedBody):
     """One body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity in its axes."""
 
     relative_to: Literal["space", "orbit"] = "space"
-    """What the angular velocity is relative to: the orbit's axes turn by speed/separation about their z axis."""
+    """What the angular velocity is relative to: the orbit's axes rotate at speed/separation about their z axis."""
 
 
 class Orbit(Table):
     """The relative motion at the start."""
 
-    separation_m: Above
+    separation_m: PositiveFloat
     """The distance of the centers of mass, in m."""
-    speed_m_s: Above | None = None
-    """Relative, across the line of centers, in m/s; by default that of a circle under the force of both shapes."""
+    speed_m_s: PositiveFloat | None = None
+    """The relative speed across the line of centers, in m/s; by default that of a circular orbit."""
     speed_change_mm_s: float = 0.0
     """Added to the speed, as by an impact, in mm/s."""
 
@@ -97,7 +103,7 @@ class Scenario(Common):
     system: Literal["binary"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
     """Seconds; other units are in the names of the keys."""
-    G: Above = 6.67430e-11
+    G: PositiveFloat = 6.67430e-11
     """The constant of gravity, in m³ kg⁻¹ s⁻²."""
     scheme: Scheme = "kepler_splitting"
     order: int | list[int] | None = None
@@ -110,28 +116,22 @@ class Scenario(Common):
     """Periods in hours, rates in degrees a day, changes of speed in mm/s, as the names say."""
 
     @model_validator(mode="after")
-    def _order_of_the_scheme(self) -> Self:
+    def _check_order(self) -> Self:
         check_order(self.scheme, self.order, ORDERS[self.scheme])
         return self
 
     def spreads(self) -> dict[str, tuple[float, str]]:
-        own = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
-        return own | self.primary.spreads("primary") | self.secondary.spreads("secondary")
+        orbit = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
+        return orbit | self.primary.spreads("primary") | self.secondary.spreads("secondary")
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
-    """The step, whose leaves have the member axis, and the batch of initial states.
-
-    A member is the same in ensembles of every size.
-    """
-    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members), drawn(scenario))
+    """The step, whose leaves have the member axis, and the batch of initial states."""
+    return build_members(scenario, _member, (1 + 2 * 4, 3))
 
 
-def _member(scenario: Scenario, k: Array, own: Any) -> tuple[Step, State]:
-    """The step and the state of the k-th member, with its own numbers; the first has no deviations."""
-    scenario = with_numbers(scenario, own)
-    noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (1 + 2 * 4, 3))
-    noise = jnp.where(k == 0, 0.0, noise)
+def _member(scenario: Scenario, noise: Array) -> tuple[Step, State]:
+    """The step and the state of a member, for its deviates."""
     pair = scenario.primary, scenario.secondary
     m, J, attitudes, rates = member_bodies(pair, noise[1:].reshape(2, 4, 3))
     bodies = systems.rigid_bodies(m, J, potentials.maccullagh(scenario.G, m, J))
@@ -139,9 +139,9 @@ def _member(scenario: Scenario, k: Array, own: Any) -> tuple[Step, State]:
     speed = _speed(scenario.orbit, bodies, d, attitudes)
     across = speed + scenario.orbit.speed_change_mm_s / 1000
     v = jnp.stack([0 * across, across, 0 * across]) + scenario.spread.velocity_mm_s / 1000 * noise[0]
-    turning = jnp.stack([0 * speed, 0 * speed, speed / d[0]])
-    relative = jnp.array([[body.relative_to == "orbit"] for body in pair])
-    rates = rates + jnp.where(relative, jax.vmap(so3.Ad_star, (0, None))(attitudes, turning), 0.0)
+    orbital = jnp.stack([0 * speed, 0 * speed, speed / d[0]])
+    is_relative = jnp.array([[body.relative_to == "orbit"] for body in pair])
+    rates = rates + jnp.where(is_relative, jax.vmap(so3.Ad_star, (0, None))(attitudes, orbital), 0.0)
     shares = jnp.stack([-m[1], m[0]]) / (m[0] + m[1])
     x, v = shares[:, None] * d, shares[:, None] * v
     state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
@@ -149,47 +149,49 @@ def _member(scenario: Scenario, k: Array, own: Any) -> tuple[Step, State]:
 
 
 def _steps(scenario: Scenario, bodies: RigidBodies) -> dict[str, Step]:
-    """Every scheme; the scenario's at its order, the others at their highest or, where it is of composition, at 2."""
+    """Every scheme: that of the scenario at its order, the others at their default order."""
     orders = {name: ORDERS[name][0] for name in get_args(Scheme)}
     orders[scenario.scheme] = scenario.order or orders[scenario.scheme]
     return {name: step_of(bodies, name, order) for name, order in orders.items()}
 
 
 def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Array:
-    """The relative speed before its change: that given, or that of a circle under the force along the line."""
+    """The relative speed before its change: the given one, or that of a circle under the force along the line."""
     if orbit.speed_m_s is not None:
         return jnp.asarray(orbit.speed_m_s)
-    m, none = bodies.masses, jnp.zeros(3)
-    pull = bodies.force(jnp.stack([jnp.concatenate([x, q]) for x, q in zip((none, d), attitudes, strict=True)]))[1, 0]
-    return jnp.sqrt(-pull * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
+    m, origin = bodies.masses, jnp.zeros(3)
+    force = bodies.force(jnp.stack([jnp.concatenate([x, q]) for x, q in zip((origin, d), attitudes, strict=True)]))[
+        1, 0
+    ]
+    return jnp.sqrt(-force * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
 
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
-    """How periods are measured, which members stay upright, exchanges of energy, what a change of period says."""
+    """How periods are measured, which members stay upright, exchanges of energy, and the published impact."""
     found = motion(scenario, step.system, run)
-    days, stay = abs(run.t[-1] - run.t[0]) / DAY, facing(found)
+    days, faces = abs(run.t[-1] - run.t[0]) / DAY, faces_primary(found)
     upright = np.rad2deg(found.obliquity_2).max(axis=0) < _UPRIGHT
     lines = [
         f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares",
-        f"  {int(stay.sum())} of {len(stay)} members: one end of the secondary's x axis stays toward the primary",
-        f"  {int(upright.sum())} of {len(stay)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal",
+        f"  {int(faces.sum())} of {len(faces)} members: one end of the secondary's x axis stays toward the primary",
+        f"  {int(upright.sum())} of {len(faces)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal",
         *_exchange(step.system, run),
     ]
     if {"orbital_period_h", "orbital_period_before_h"} <= set(scenario.published):
-        lines += _impact(scenario, step, run)
+        lines += _impact_lines(scenario, step, run)
     return lines
 
 
 def quantities(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Quantity]:
     """Periods, precessions and librations, with published values."""
     t, found = np.asarray(run.t), motion(scenario, system, run)
-    orbital = rate(t, found.longitude)
+    orbital = mean_rate(t, found.longitude)
     lines = frequencies(t, found)
-    swing = np.rad2deg(abs(found.libration - _middle(found)).max(axis=0))
+    swing = np.rad2deg(abs(found.libration - _libration_center(found)).max(axis=0))
     table: list[tuple[str, np.ndarray, Name | None]] = [
         ("orbital period (h)", _hours(orbital), "orbital_period_h"),
-        ("primary's spin period (h)", _hours(rate(t, found.spin_1)), "primary_spin_period_h"),
-        ("secondary's spin period (h)", _hours(rate(t, found.spin_2)), None),
+        ("primary's spin period (h)", _hours(mean_rate(t, found.spin_1)), "primary_spin_period_h"),
+        ("secondary's spin period (h)", _hours(mean_rate(t, found.spin_2)), None),
         ("eccentricity: amplitude of the distance over its mean", lines.eccentricity, None),
         (
             "precession of the line of apsides (°/d)",
@@ -212,19 +214,19 @@ def _hours(rate: np.ndarray) -> np.ndarray:
 
 
 def _precession(t: np.ndarray, found: Motion) -> np.ndarray:
-    """°/d; nan where the orbit's plane is L's: the inclination is round-off."""
+    """The precession of the orbit's normal, °/d; nan where the inclination is round-off."""
     inclined = found.inclination.max(axis=0) > 1e-9
-    return np.where(inclined, np.rad2deg(rate(t, found.node)) * DAY, np.nan)
+    return np.where(inclined, np.rad2deg(mean_rate(t, found.node)) * DAY, np.nan)
 
 
-def _middle(found: Motion) -> np.ndarray:
-    """The multiple of half a turn from which each member's libration starts."""
+def _libration_center(found: Motion) -> np.ndarray:
+    """The multiple of π nearest to the start of each member's libration."""
     return np.pi * np.round(found.libration[0] / np.pi)
 
 
-def facing(found: Motion) -> np.ndarray:
-    """Whether each member's secondary keeps one end of its x axis toward the primary."""
-    return abs(found.libration - _middle(found)).max(axis=0) < np.pi / 2
+def faces_primary(found: Motion) -> np.ndarray:
+    """Whether one end of the x axis of each member's secondary stays toward the primary."""
+    return abs(found.libration - _libration_center(found)).max(axis=0) < np.pi / 2
 
 
 class Lines(NamedTuple):
@@ -232,10 +234,10 @@ class Lines(NamedTuple):
 
     Attributes:
         anomalistic: the frequency of the distance.
-        eccentricity: the amplitude of the distance at it, over the mean distance.
-        forced: the amplitude of the libration at it.
-        free_frequency: of the strongest line of the libration below it.
-        free: the amplitude there.
+        eccentricity: the amplitude of the distance at that frequency, over the mean distance.
+        forced: the amplitude of the libration at that frequency.
+        free_frequency: the frequency of the strongest line of the libration below it.
+        free: the amplitude of the libration at `free_frequency`.
     """
 
     anomalistic: np.ndarray
@@ -246,8 +248,8 @@ class Lines(NamedTuple):
 
 
 def frequencies(t: np.ndarray, found: Motion) -> Lines:
-    """The lines of a run; nan where it is too short to tell them apart."""
-    f = abs(rate(t, found.longitude)) / (2 * np.pi)
+    """The lines of a run; nan where the run is too short to resolve them."""
+    f = abs(mean_rate(t, found.longitude)) / (2 * np.pi)
     resolved = 2 / abs(t[-1] - t[0])  # half the width of a line under the window
     anomalistic, size = line(t, found.distance, 0.9 * f, 1.1 * f)
     forced = line(t, found.libration, anomalistic - resolved / 2, anomalistic + resolved / 2)[1]
@@ -256,7 +258,7 @@ def frequencies(t: np.ndarray, found: Motion) -> Lines:
 
 
 def _exchange(system: RigidBodies, run: Trajectory) -> list[str]:
-    """How much the parts of the energy change, greatest less least."""
+    """The range of each part of the energy, greatest less least."""
     parts = over_members(energies, system, run)
     size = abs(parts.orbit[0, 0])
     lines = [
@@ -265,7 +267,7 @@ def _exchange(system: RigidBodies, run: Trajectory) -> list[str]:
     names = {"orbit": "orbit of two points", "spin_1": "primary's spin", "spin_2": "secondary's spin"}
     for key, name in (names | {"shape": "potential of their shapes, V + G m₁m₂/r"}).items():
         swing = np.ptp(getattr(parts, key), axis=0)
-        lines.append(f"  {name:<54}{swing[0]:>11.3g}{float(deviation(swing)):>12.2g}   {swing[0] / size:.3g}")
+        lines.append(f"  {name:<54}{swing[0]:>11.3g}{float(standard_deviation(swing)):>12.2g}   {swing[0] / size:.3g}")
     return lines
 
 
@@ -273,24 +275,25 @@ def conserved(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[
     """Energy and momenta."""
     parts, Phi = over_members(lambda s, z: (energies(s, z), s.momentum(z)), system, run)
     P, L = Phi[..., :3], Phi[..., 3:]
-    pushed = length(np.asarray(run.state.p)[0, :, 1, :3])
+    of_secondary = length(np.asarray(run.state.p)[0, :, 1, :3])
     return [
         Conserved("energy, over |energy of the orbit|", parts.total, abs(parts.orbit[0])),
         Conserved(_ENERGY, parts.total, abs(parts.total[0])),
-        Conserved("linear momentum, over that of the secondary", P, pushed, norm=length),
+        Conserved("linear momentum, over that of the secondary", P, of_secondary, norm=length),
         Conserved(_MOMENTUM, L, length(L[0]), norm=length),
     ]
 
 
 class Impact(NamedTuple):
-    """What the published change of the period says of the speed; periods in h, speeds in mm/s.
+    """The change of speed that follows from the published change of the period; periods in h, speeds in mm/s.
 
     Attributes:
-        period_unchanged: of the nominal state without the scenario's change of speed.
-        change: of the speed, from the period published before to that after, both by the whole model.
-        slope: the derivative of the period by the speed, h/(mm/s), half-way.
-        kepler: the change of the speed for two points.
-    X"""
+        period_unchanged: the period of the nominal state without the scenario's change of speed.
+        change: the change of speed from the published period before to that after, by the whole model.
+        slope: the derivative of the period by the speed half-way, h/(mm/s).
+        kepler: the change of speed for two points.
+        kepler_slope: the derivative for two points, h/(mm/s).
+    """
 
     period_unchanged: float
     change: float
@@ -300,16 +303,16 @@ class Impact(NamedTuple):
 
 
 def impact(scenario: Scenario, step: Any, run: Trajectory) -> Impact:
-    """The change of the speed at the start that takes the period from the published one before to that after."""
-    first, start = nominal_of(step), nominal(run)
+    """The change of the initial speed that changes the published period before into that after."""
+    first, start = nominal_member(step), nominal_state(run)
     duration = scenario.dt, scenario.steps, scenario.save_every
 
     def measure(change: Array) -> tuple[Array, Array]:
-        return _binary_motion.period(first, start, *duration, change)
+        return _binary_motion.orbital_period(first, start, *duration, change)
 
     before, after = (scenario.published[key].value * HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
-    ends = [_binary_motion.change_to(period, measure) for period in (before, after)]
-    d = float(jnp.linalg.norm(_binary_motion.relative(first.system, start)[0]))
+    ends = [_binary_motion.speed_change_for(period, measure) for period in (before, after)]
+    d = float(jnp.linalg.norm(_binary_motion.relative_motion(first.system, start)[0]))
     mu = scenario.G * float(jnp.sum(first.system.masses))
     unchanged = float(measure(jnp.asarray(-scenario.orbit.speed_change_mm_s / 1000))[0])
     middle = (before + after) / 2
@@ -323,8 +326,8 @@ def impact(scenario: Scenario, step: Any, run: Trajectory) -> Impact:
     )
 
 
-def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
-    """What the published change of the period says of the change of the secondary's speed."""
+def _impact_lines(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """The lines of the report on the change of the secondary's speed by the impact."""
     found, published = impact(scenario, step, run), scenario.published
     before, after = published["orbital_period_before_h"], published["orbital_period_h"]
     lines = [
@@ -336,17 +339,17 @@ def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
         f"  {'derivative of the period by the speed, half-way':<54}{found.slope:>11.4f} h/(mm/s)",
         f"  {'  for two points, ΔT/T = 3 a v Δv/GM':<54}{found.kepler_slope:>11.4f} h/(mm/s)",
     ]
-    seen = published.get("speed_change_mm_s")
-    if seen is not None:
-        lines.append(f"  {'published change of speed (mm/s)':<54}     {citation(scenario, seen)}")
+    measured = published.get("speed_change_mm_s")
+    if measured is not None:
+        lines.append(f"  {'published change of speed (mm/s)':<54}     {citation(scenario, measured)}")
     return lines
 
 
 @picture(2, size=(5.5, 3.8))
 def draw_orbit(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot the distance and the secondary's libration: the nominal member, and 90 % of up to `_BAND` members."""
-    days, found = _closely(scenario, step, run)
-    swing = np.rad2deg(found.libration - _middle(found))
+    """Plot the distance and the secondary's libration: the nominal member, and 90 % of up to `_MAX_DRAWN` members."""
+    days, found = _fine_motion(scenario, step, run)
+    swing = np.rad2deg(found.libration - _libration_center(found))
     for ax, x, label in zip(
         axes, (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
     ):
@@ -361,23 +364,25 @@ def draw_orbit(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> Non
     axes[0].legend(loc="upper right", ncols=2)
 
 
-def _closely(scenario: Scenario, step: Any, run: Trajectory) -> tuple[np.ndarray, Motion]:
-    """The times in days and the motion of the first members, in smaller steps than the run's."""
-    some, start = jax.tree.map(lambda x: jnp.asarray(x)[:_BAND], (step, State(run.state.q[0], run.state.p[0])))
+def _fine_motion(scenario: Scenario, step: Any, run: Trajectory) -> tuple[np.ndarray, Motion]:
+    """The times in days and the motion of the first members, in smaller steps than those of the run."""
+    steps_of_first, start = jax.tree.map(
+        lambda x: jnp.asarray(x)[:_MAX_DRAWN], (step, State(run.state.q[0], run.state.p[0]))
+    )
     dt, steps = scenario.dt / _FINE, _FINE * scenario.steps
-    long = jax.vmap(lambda step, z: follow(step, z, dt, steps), out_axes=1)(some, start)
+    long = jax.vmap(lambda step, z: drawn_trajectory(step, z, dt, steps), out_axes=1)(steps_of_first, start)
     members = Trajectory(long.t[:, 0], long.state, long.info)
-    return np.asarray(members.t) / DAY, _binary_motion.measured(some.system, members)
+    return np.asarray(members.t) / DAY, _binary_motion.measure_motion(steps_of_first.system, members)
 
 
 @picture(size=(7.2, 4.2))
 def draw_spectrum(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot the spectrum of the nominal secondary's libration over a longer run, and the frequencies expected in it."""
-    first, ax = nominal_of(step), axes[0]
-    long = as_ensemble(follow(first, nominal(run), scenario.dt, _LONG * scenario.steps))
-    t, found = np.asarray(long.t), _binary_motion.measured(jax.tree.map(lambda x: x[None], first.system), long)
+    """Plot the spectrum of the nominal secondary's libration over a longer run, and its expected frequencies."""
+    first, ax = nominal_member(step), axes[0]
+    long = as_ensemble(drawn_trajectory(first, nominal_state(run), scenario.dt, _LONG * scenario.steps))
+    t, found = np.asarray(long.t), _binary_motion.measure_motion(jax.tree.map(lambda x: x[None], first.system), long)
     f, amplitude = spectrum(t, np.rad2deg(found.libration[:, 0]))
-    orbital = float(rate(t, found.longitude)[0]) / (2 * np.pi)
+    orbital = float(mean_rate(t, found.longitude)[0]) / (2 * np.pi)
     A, B, C = (float(x) for x in first.system.inertias[1])
     anomalistic = float(frequencies(t, found).anomalistic[0])
     shown = (f > 0) & (f < 3 * orbital)
@@ -396,10 +401,10 @@ def draw_spectrum(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> 
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
     left, right = axes
-    first, start = nominal_of(step), nominal(run)
-    turn = 2 * np.pi / abs(rate(run.t, motion(scenario, step.system, run).longitude)[0])
-    dt = scenario.dt / _FINE  # the primary's spin takes few steps a turn
-    brief = follow(first, start, dt, min(_FINE * scenario.steps, round(_BRIEF * turn / abs(dt))))
+    first, start = nominal_member(step), nominal_state(run)
+    orbital_period = 2 * np.pi / abs(mean_rate(run.t, motion(scenario, step.system, run).longitude)[0])
+    dt = scenario.dt / _FINE  # the primary rotates once in few steps of the scenario
+    brief = drawn_trajectory(first, start, dt, min(_FINE * scenario.steps, round(_BRIEF * orbital_period / abs(dt))))
     parts = jax.tree.map(np.asarray, jax.jit(jax.vmap(lambda z: energies(first.system, z)))(brief.state))
     size = abs(parts.orbit[0])
     names = {"orbit": "orbit", "spin_1": "primary's spin", "spin_2": "secondary's spin", "shape": "shapes, V + Gm₁m₂/r"}
@@ -408,9 +413,11 @@ def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
     left.margins(y=0.25)
     left.legend(loc="upper center", ncols=2)
     left.set_title(f"exchange of energy, nominal member, {_BRIEF} orbits")
-    made = _steps(scenario, first.system)
-    two = [made[name] for name in dict.fromkeys((scenario.scheme, "kepler_splitting", "bodies_energy_momentum"))]
-    t, found = changes_by_scheme(_conserved_by_one, scenario, two, start)
+    schemes = _steps(scenario, first.system)
+    compared = [
+        schemes[name] for name in dict.fromkeys((scenario.scheme, "kepler_splitting", "bodies_energy_momentum"))
+    ]
+    t, found = changes_by_scheme(_conserved_of_one, scenario, compared, start)
     errors = {f"{symbol}, {scheme}": x[name] for scheme, x in found.items() for symbol, name in _SHOWN.items()}
     plots.log_error(right, t / DAY, errors, "relative change", "d")
     right.set_ylim(top=1e3 * right.get_ylim()[1])  # room for the legend
@@ -418,8 +425,8 @@ def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
     right.set_title("energy H and angular momentum L")
 
 
-def _conserved_by_one(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
-    """`conserved` of a system without the member axis."""
+def _conserved_of_one(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
+    """`conserved` for a system without the member axis."""
     return conserved(scenario, jax.tree.map(lambda x: x[None], system), run)
 
 

@@ -1,15 +1,14 @@
-"""Custom rigid bodies, one to a hundred, in potentials chosen by name: distances, periods, what is conserved.
+"""Custom rigid bodies, one to a hundred, in potentials selected by name: distances, periods, conserved quantities.
 
-Units: m, kg and s; reports are in hours, days and degrees. Positions and velocities are in any axes that do not turn,
+Units: m, kg and s; reports are in hours, days and degrees. Positions and velocities are in any inertial axes,
 angular velocities in the axes of each body. Gravity acts between all bodies, springs between two points of two bodies,
-a field on the masses. Every member has masses and moments of its own: the leaves of the step that `build` makes have
-the member axis.
+a field on the masses. Every member has its own masses and moments: the leaves of the step have the member axis.
 """
 
 from __future__ import annotations
 
 import operator
-from functools import partial, reduce
+from functools import reduce
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
@@ -21,14 +20,14 @@ from pydantic import Field, field_validator, model_validator
 from lieint_jax import _checks, potentials, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._binary_motion import followed, longitude, rate
+from lieint_jax.app.scenarios._binary_motion import continue_angle, longitude, mean_rate
 from lieint_jax.app.scenarios._common import (
     DAY,
     HOUR,
-    Above,
     Common,
     NonNegative,
     NumberSpread,
+    PositiveFloat,
     Published,
     Quadruple,
     Table,
@@ -41,22 +40,22 @@ from lieint_jax.app.scenarios._multibody import (
     ORDERS,
     BodySpread,
     ExtendedBody,
+    build_members,
     member_bodies,
     step_of,
 )
 from lieint_jax.app.scenarios._pictures import draw_changes, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity, length
-from lieint_jax.app.scenarios._runs import for_last_run, nominal_of, over_members
+from lieint_jax.app.scenarios._runs import cached_for_last_run, nominal_member, over_members
 from lieint_jax.app.scenarios._spectrum import line
-from lieint_jax.app.scenarios._spread import drawn, with_numbers
 from lieint_jax.potentials import Potential, Springs
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
 
-STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.app.scenarios`
+STEP_AXIS = 0  # every member has its own system
 
-_PAIRS = 6  # the most pairs of which every distance is reported
-_SHOWN = 8  # the most bodies and pairs of a picture or of the report's periods
+_MAX_PAIRS = 6  # pairs whose distances are reported one by one
+_MAX_SHOWN = 8  # bodies and pairs in a picture and in the report's periods
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -69,7 +68,7 @@ class Spread(BodySpread):
     """Of each component of the velocity, in m/s."""
 
 
-Measured = Literal["orbital_period_h", "apsidal_precession_deg_d", "turn_h"]
+Measured = Literal["orbital_period_h", "apsidal_precession_deg_d", "rotation_period_h"]
 
 
 class Body(ExtendedBody):
@@ -82,13 +81,13 @@ class Body(ExtendedBody):
     velocity_m_s: Triple
     """Of the center of mass, in m/s."""
     quaternion: Quadruple | None = None
-    """Attitude (w, x, y, z), body to space, of unit length, in place of euler_313_deg."""
+    """Attitude (w, x, y, z), body to space, of unit length, instead of euler_313_deg."""
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
     published: dict[Measured, Published] = {}
-    """Orbital period about the first body and time of a turn in hours, precession of the apsides in degrees a day."""
+    """Orbital period about the first body and rotation period in hours, precession of the apsides in degrees a day."""
 
     @model_validator(mode="after")
-    def _one_attitude(self) -> Self:
+    def _check_attitude(self) -> Self:
         if self.quaternion is not None:
             if any(self.euler_313_deg):
                 raise ValueError("give the attitude by quaternion or euler_313_deg, not both")
@@ -110,7 +109,7 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "maccullagh": ((), ("G",)),
     "spring": (("between", "points_m", "stiffness_n_m"), ("length_m",)),
     "uniform_field": (("field_m_s2",), ()),
-}  # of each kind of potential: the keys it needs and others it takes
+}  # for each kind of potential: required keys and optional keys
 _GRAVITY = ("point_masses", "maccullagh")
 
 
@@ -122,7 +121,7 @@ class Term(Table):
     """
 
     kind: Literal["point_masses", "maccullagh", "spring", "uniform_field"]
-    G: Above | None = None
+    G: PositiveFloat | None = None
     """The constant of gravity, in m³ kg⁻¹ s⁻²; by default 6.67430e-11."""
     softening_m: NonNegative | None = None
     """Of point_masses: the length ε of −G m₁m₂/√(r² + ε²), in m; by default 0."""
@@ -138,14 +137,14 @@ class Term(Table):
     """Of uniform_field: the acceleration of every mass, in m/s²."""
 
     @model_validator(mode="after")
-    def _keys_of_the_kind(self) -> Self:
-        needed, others = _KEYS[self.kind]
+    def _check_keys(self) -> Self:
+        required, optional = _KEYS[self.kind]
         given = [name for name in type(self).model_fields if name != "kind" and getattr(self, name) is not None]
         for name in given:
-            if name not in (*needed, *others):
-                allowed = ", ".join((*needed, *others))
+            if name not in (*required, *optional):
+                allowed = ", ".join((*required, *optional))
                 raise ValueError(f"{name} is no key of the potential {self.kind!r}; allowed: {allowed}")
-        missing = [name for name in needed if name not in given]
+        missing = [name for name in required if name not in given]
         if missing:
             raise ValueError(f"the potential {self.kind!r} needs {' and '.join(missing)}")
         if self.between is not None and self.between[0] == self.between[1]:
@@ -155,7 +154,7 @@ class Term(Table):
         return self
 
     def gravity(self) -> float:
-        """G in use."""
+        """The constant of gravity of this potential."""
         return 6.67430e-11 if self.G is None else self.G
 
 
@@ -175,7 +174,7 @@ class Scenario(Common):
     bodies: Annotated[list[Body], Field(min_length=1, max_length=100)]
     """The bodies, one table each."""
     potential: Annotated[list[Term], Field(min_length=1)]
-    """What acts on them, one table for each potential of the sum."""
+    """The potentials that act on the bodies, one table each; they are added."""
     spread: NumberSpread = NumberSpread()
     """Standard deviations of numbers by their paths, such as `potential.1.G` or `bodies.NAME.position_m`."""
 
@@ -185,25 +184,25 @@ class Scenario(Common):
 
     @field_validator("bodies", "potential", mode="before")
     @classmethod
-    def _a_list_of_tables(cls, value: Any, info: Any) -> Any:
+    def _check_list_of_tables(cls, value: Any, info: Any) -> Any:
         if isinstance(value, dict):
             raise ValueError(f"is a list of tables: write [[{info.field_name}]] for [{info.field_name}]")
         return value
 
     @model_validator(mode="after")
-    def _each_body_by_its_name_and_place(self) -> Self:
-        seen: dict[Any, str] = {}
+    def _check_names_and_positions(self) -> Self:
+        names: dict[Any, str] = {}
         for body in self.bodies:
-            if body.name in self.names()[: len(seen)]:
+            if body.name in self.names()[: len(names)]:
                 raise ValueError(f"two bodies have the name {body.name!r}")
-            place = tuple(body.position_m)
-            if place in seen:
-                raise ValueError(f"{seen[place]} and {body.name} are at one place, {body.position_m}")
-            seen[place] = body.name
+            position = tuple(body.position_m)
+            if position in names:
+                raise ValueError(f"{names[position]} and {body.name} are at one place, {body.position_m}")
+            names[position] = body.name
         return self
 
     @model_validator(mode="after")
-    def _potentials_of_these_bodies(self) -> Self:
+    def _check_potentials(self) -> Self:
         gravities = [term.kind for term in self.potential if term.kind in _GRAVITY]
         if len(gravities) > 1:
             raise ValueError(f"gravity is given {len(gravities)} times, by {' and '.join(gravities)}: give it once")
@@ -216,7 +215,7 @@ class Scenario(Common):
         return self
 
     @model_validator(mode="after")
-    def _a_scheme_for_these_bodies(self) -> Self:
+    def _check_scheme(self) -> Self:
         check_order(self.scheme, self.order, ORDERS[self.scheme])
         if self.scheme == "kepler_splitting":
             if len(self.bodies) != 2:
@@ -226,7 +225,7 @@ class Scenario(Common):
         return self
 
     def names(self) -> list[str]:
-        """Of the bodies."""
+        """The names of the bodies."""
         return [body.name for body in self.bodies]
 
     def attraction(self) -> Term | None:
@@ -238,19 +237,13 @@ class Scenario(Common):
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
-    """The step, whose leaves have the member axis, and the batch of initial states.
-
-    A member is the same in ensembles of every size.
-    """
-    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members), drawn(scenario))
+    """The step, whose leaves have the member axis, and the batch of initial states."""
+    return build_members(scenario, _member, (len(scenario.bodies), 6, 3))
 
 
-def _member(scenario: Scenario, k: Array, own: Any) -> tuple[Step, State]:
-    """The step and the state of the k-th member, with its own numbers; the first has no deviations."""
-    scenario = with_numbers(scenario, own)
+def _member(scenario: Scenario, noise: Array) -> tuple[Step, State]:
+    """The step and the state of a member, for its deviates."""
     given = scenario.bodies
-    noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (len(given), 6, 3))
-    noise = jnp.where(k == 0, 0.0, noise)
     m, J, attitudes, rates = member_bodies(given, noise)
     bodies = systems.rigid_bodies(m, J, _potential(scenario, m, J))
     x = jnp.asarray([b.position_m for b in given]) + _column([b.spread.position_m for b in given]) * noise[:, 4]
@@ -295,28 +288,29 @@ def _springs(names: list[str], springs: list[Term]) -> Springs:
 
 
 class Motion(NamedTuple):
-    """Of all members at the saved times; angles in rad.
+    """The motion of all members at the saved times; angles in rad.
 
     Attributes:
-        distances: of every pair i < j, (times, members, pairs).
-        longitudes: of the lines from the first body to the others about L, continuous in time, (times, members, N − 1).
-        turning: the size of the angular velocity of each body, in rad/s, (times, members, N).
+        distances: the distances of all pairs i < j, (times, members, pairs).
+        longitudes: the longitudes about L of the lines from the first body to the others, continuous in time,
+            (times, members, N − 1).
+        rotation_rate: the size of the angular velocity of each body, in rad/s, (times, members, N).
     """
 
     distances: np.ndarray
     longitudes: np.ndarray
-    turning: np.ndarray
+    rotation_rate: np.ndarray
 
 
-@for_last_run
+@cached_for_last_run
 def motion(_: Scenario, system: RigidBodies, run: Trajectory) -> Motion:
     """The distances and angles of a run."""
-    found, rates = over_members(_instant, system, run)
-    return found._replace(longitudes=followed(run.t, found.longitudes, rates))
+    found, rates = over_members(_motion_at, system, run)
+    return found._replace(longitudes=continue_angle(run.t, found.longitudes, rates))
 
 
-def _instant(system: RigidBodies, state: State) -> tuple[Motion, Array]:
-    """The motion at one time, longitudes within a turn, and the rates of the longitudes."""
+def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, Array]:
+    """The motion at one time, longitudes in (−π, π], and the rates of the longitudes."""
     x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
     i, j = _pairs(x.shape[0])
     L = system.free.momentum(state)[3:]
@@ -326,8 +320,8 @@ def _instant(system: RigidBodies, state: State) -> tuple[Motion, Array]:
         return longitude(up, d), vec3.dot(jnp.stack(vec3.cross(d, v)), up) / vec3.dot(d, d)
 
     longitudes, rates = jax.vmap(angle)(x[1:] - x[0], v[1:] - v[0])
-    turning = jnp.sqrt(jnp.sum(system.angular_velocities(state) ** 2, axis=1))
-    return Motion(jnp.sqrt(jnp.sum((x[j] - x[i]) ** 2, axis=1)), longitudes, turning), rates  # pyright: ignore[reportArgumentType]
+    rotation_rate = jnp.sqrt(jnp.sum(system.angular_velocities(state) ** 2, axis=1))
+    return Motion(jnp.sqrt(jnp.sum((x[j] - x[i]) ** 2, axis=1)), longitudes, rotation_rate), rates  # pyright: ignore[reportArgumentType]
 
 
 def _pairs(n: int) -> tuple[Any, Any]:
@@ -335,13 +329,13 @@ def _pairs(n: int) -> tuple[Any, Any]:
 
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
-    """How periods are measured, and what a field does not conserve."""
+    """How periods are measured, and which momenta a field does not conserve."""
     lines = []
     if _orbits(scenario):
         days = abs(run.t[-1] - run.t[0]) / DAY
         lines.append(f"  periods: mean rates of longitudes about L over {days:.4g} d, by least squares")
     if any(term.kind == "uniform_field" for term in scenario.potential):
-        lines.append("  P across the field, and L about it, of the sum of potentials: the rest is not conserved")
+        lines.append("  a field conserves P across it and L about it only")
     return lines
 
 
@@ -351,26 +345,28 @@ def _orbits(scenario: Scenario) -> bool:
 
 
 def quantities(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Quantity]:
-    """Distances, periods and turns, with published values."""
+    """Distances and periods of orbits and rotations, with published values."""
     found = motion(scenario, system, run)
     rows = _distances(scenario.names(), found.distances)
     if _orbits(scenario):
-        for k in range(1, min(len(scenario.bodies), _SHOWN)):
+        for k in range(1, min(len(scenario.bodies), _MAX_SHOWN)):
             rows += _orbit(scenario, k, np.asarray(run.t), found)
-    for k, body in enumerate(scenario.bodies[:_SHOWN]):
-        hours = 2 * np.pi / np.maximum(found.turning[..., k].mean(axis=0), _TINY) / HOUR
-        rows.append(_row(f"{body.name}: a turn at its mean angular velocity (h)", hours, body.published.get("turn_h")))
+    for k, body in enumerate(scenario.bodies[:_MAX_SHOWN]):
+        hours = 2 * np.pi / np.maximum(found.rotation_rate[..., k].mean(axis=0), _TINY) / HOUR
+        rows.append(
+            _row(f"{body.name}: rotation period, mean rate (h)", hours, body.published.get("rotation_period_h"))
+        )
     return rows
 
 
 def _row(name: str, values: np.ndarray, published: Published | None = None) -> Quantity:
-    """A quantity; a body at rest has no time of a turn."""
+    """A quantity of the report; a body at rest has an infinite period."""
     return Quantity(name, np.where(values < 1e300, values, np.inf), ".6g", published=published)
 
 
 def _distances(names: list[str], distances: np.ndarray) -> list[Quantity]:
     """The least and the greatest distance of each pair, or of all pairs if they are many."""
-    if distances.shape[-1] > _PAIRS:
+    if distances.shape[-1] > _MAX_PAIRS:
         return [
             _row("all pairs: least distance (m)", distances.min(axis=(0, 2))),
             _row("  greatest (m)", distances.max(axis=(0, 2))),
@@ -383,11 +379,11 @@ def _distances(names: list[str], distances: np.ndarray) -> list[Quantity]:
 
 
 def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Quantity]:
-    """The orbit of body k about the first: nan where it goes round less than once, or has no lines to measure."""
+    """The orbit of body k about the first: nan for less than one revolution, or without lines to measure."""
     first, body = scenario.bodies[0], scenario.bodies[k]
-    around = found.longitudes[..., k - 1]
-    turns = abs(around[-1] - around[0]) / (2 * np.pi)
-    orbital = np.where(turns > 1, rate(t, around), np.nan)
+    longitudes = found.longitudes[..., k - 1]
+    revolutions = abs(longitudes[-1] - longitudes[0]) / (2 * np.pi)
+    orbital = np.where(revolutions > 1, mean_rate(t, longitudes), np.nan)
     f = abs(orbital) / (2 * np.pi)
     distance = found.distances[..., k - 1]
     anomalistic, size = line(t, distance, 0.9 * f, 1.1 * f)
@@ -400,17 +396,17 @@ def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Qua
     ]
 
 
-@for_last_run
+@cached_for_last_run
 def conserved(_: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
-    """Energy and momenta, relative to the greatest of the terms that each is made of."""
+    """Energy and momenta, relative to the greatest term of each."""
 
     def invariants(system: RigidBodies, state: State) -> tuple[Array, ...]:
         x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
-        own = jnp.concatenate([p, jnp.cross(x, p) + spin], axis=1)
-        return system.kinetic_energy(state), system.energy(state), system.momentum(state), own
+        each = jnp.concatenate([p, jnp.cross(x, p) + spin], axis=1)
+        return system.kinetic_energy(state), system.energy(state), system.momentum(state), each
 
-    K, H, Phi, own = over_members(invariants, system, run)
-    linear, angular = (np.maximum(length(x).max(axis=(0, 2)), _TINY) for x in (own[..., :3], own[..., 3:]))
+    K, H, Phi, each = over_members(invariants, system, run)
+    linear, angular = (np.maximum(length(x).max(axis=(0, 2)), _TINY) for x in (each[..., :3], each[..., 3:]))
     return [
         Conserved("energy H, over the greatest kinetic energy", H, np.maximum(K.max(axis=0), _TINY)),
         Conserved("linear momentum P, over the greatest |p|", Phi[..., :3], linear, norm=length),
@@ -422,19 +418,19 @@ def conserved(_: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserv
 def draw_motion(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the nominal bodies' paths about their barycenter, their distances from the first, and the errors."""
     left, middle, right = axes
-    first = nominal_of(step.system)
+    first = nominal_member(step.system)
     x = np.asarray(run.state.q[:, 0, :, :3])
     x = x - (np.asarray(first.masses) @ x / np.asarray(first.masses).sum())[:, None]
     names, distances = scenario.names(), motion(scenario, step.system, run).distances[:, 0]
     unit, seconds = _clock(float(abs(run.t[-1] - run.t[0])))
     t = np.asarray(run.t) / seconds
-    shown = dict(zip(names, np.moveaxis(x, 1, 0)[:_SHOWN], strict=False))
+    shown = dict(zip(names, np.moveaxis(x, 1, 0)[:_MAX_SHOWN], strict=False))
     plots.paths(left, shown).set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycenter")
     left.legend()
     if len(names) > 1:
-        curves = dict(zip(names[1:_SHOWN], distances[:, : len(names) - 1].T, strict=False))
+        curves = dict(zip(names[1:_MAX_SHOWN], distances[:, : len(names) - 1].T, strict=False))
         plots.series(middle, t, curves, f"distance from {names[0]} (m)", unit)
-        for curve, look in zip(middle.lines, plots.STYLES[1:], strict=False):  # as each body's path has it
+        for curve, look in zip(middle.lines, plots.STYLES[1:], strict=False):  # the style of each body's path
             curve.set(**look)
         middle.legend()
     else:
@@ -445,7 +441,7 @@ def draw_motion(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
 
 
 def _clock(span: float) -> tuple[str, float]:
-    """The unit of the time axis for a run of so many seconds, and its seconds."""
+    """The unit of the time axis for a run of a length in seconds, and its size in seconds."""
     return next(((unit, size) for unit, size in (("d", DAY), ("h", HOUR)) if span > 2 * size), ("s", 1.0))
 
 

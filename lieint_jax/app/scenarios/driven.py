@@ -1,4 +1,4 @@
-"""A satellite under the torque of gravity's gradient on a given orbit: energy less work, and where its axes point."""
+"""A satellite under the gravity-gradient torque on a given orbit: energy less work, and the pointing of its axes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from lieint_jax import orbits, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body, _spread
-from lieint_jax.app.scenarios._body import TopScenario, about, in_space, inertia_matrix, top_schemes
-from lieint_jax.app.scenarios._common import Above, Table, deviates, radians
+from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_matrix, state_about, top_schemes
+from lieint_jax.app.scenarios._common import PositiveFloat, Table, deviates, radians
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import follow, nominal, select_member, series
-from lieint_jax.app.scenarios._spread import of_member, on_the_side_of
+from lieint_jax.app.scenarios._runs import drawn_trajectory, nominal_state, select_member, series
+from lieint_jax.app.scenarios._spread import for_member, same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
 from lieint_jax.systems import GravityGradient
@@ -32,23 +32,23 @@ _DISTINCT = 1e-9  # the least relative difference of two moments of inertia that
 class Orbit(Table):
     """A Kepler orbit about the center of attraction: an ellipse, or a hyperbola with semi_major_axis < 0."""
 
-    mu: Above
+    mu: PositiveFloat
     """The gravitational parameter GM, in length³ per time_unit²."""
-    semi_major_axis: Annotated[float, on_the_side_of(0)]
+    semi_major_axis: Annotated[float, same_side_of(0)]
     """A length, in the unit of mu; negative for a hyperbola."""
-    eccentricity: Annotated[float, Field(ge=0), on_the_side_of(1)]
+    eccentricity: Annotated[float, Field(ge=0), same_side_of(1)]
     """Below 1 for an ellipse, above 1 for a hyperbola."""
     inclination_deg: float = 0.0
-    """In degrees, as the two angles below: R_z(node) R_x(inclination) R_z(periapsis) takes the orbit to space."""
+    """In degrees, as the two angles below: R_z(node) R_x(inclination) R_z(periapsis) maps the orbit to space."""
     node_deg: float = 0.0
     """The longitude of the ascending node, in degrees."""
     periapsis_deg: float = 0.0
     """The argument of periapsis, in degrees."""
     periapsis_time: float = 0.0
-    """When the body is nearest, in time_unit, on the clock of state.t."""
+    """The time of periapsis, in time_unit, on the clock of state.t."""
 
     @model_validator(mode="after")
-    def _an_orbit(self) -> Self:
+    def _check_orbit(self) -> Self:
         self.motion()
         return self
 
@@ -71,16 +71,16 @@ class InitialState(_body.InitialState):
     t: float = 0.0
     """The time at the start, in time_unit."""
     relative_to: Literal["space", "orbit"] = "space"
-    """What attitude and angular velocity (in body axes) are relative to; the orbit's axes turn as the body goes."""
+    """What attitude and angular velocity (in body axes) are relative to; the orbit's axes rotate along the orbit."""
 
 
 class Scenario(TopScenario):
-    """The keys of a scenario of this kind. Give dt, or steps_per_orbit in its place."""
+    """The keys of a scenario of this kind. Give dt or steps_per_orbit."""
 
     system: Literal["driven"]  # pyright: ignore[reportIncompatibleVariableOverride]
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """Step size, in time_unit, of either sign."""
-    steps_per_orbit: Above | None = None
+    steps_per_orbit: PositiveFloat | None = None
     """The period of the orbit, an ellipse, over the step size."""
     orbit: Orbit
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -91,7 +91,7 @@ class Scenario(TopScenario):
     }
 
     @model_validator(mode="after")
-    def _one_step_size(self) -> Self:
+    def _set_dt(self) -> Self:
         if (self.dt is None) == (self.steps_per_orbit is None):
             raise ValueError("give exactly one of dt and steps_per_orbit")
         if self.steps_per_orbit is not None:
@@ -99,7 +99,7 @@ class Scenario(TopScenario):
                 raise ValueError("steps_per_orbit is a key of ellipses; a hyperbola has no period: give dt")
             period = 2 * np.pi / float(self.orbit.motion().mean_motion)
             self.dt = period / self.steps_per_orbit  # pyright: ignore[reportIncompatibleVariableOverride]
-            self.steps_per_orbit = None  # results hold dt
+            self.steps_per_orbit = None  # files of results have dt
         return self
 
 
@@ -120,11 +120,11 @@ def _start(scenario: Scenario, body: GravityGradient, noise: Array) -> State:
         R, rate = orbit_axes(body.orbit, jnp.asarray(given.t))
         q = so3.multiply(so3.from_matrix(R), q)
         Omega = Omega + so3.Ad_star(q, rate)
-    return about(scenario, body, noise, q, Omega, t=given.t, work=0.0)
+    return state_about(scenario, body, noise, q, Omega, t=given.t, work=0.0)
 
 
 def orbit_axes(orbit: Any, t: Array) -> tuple[Array, Array]:
-    """The matrix whose columns point radially outward, along the motion and along the normal, and its spin in space."""
+    """The matrix with columns radially outward, along the motion and the normal, and its angular velocity in space."""
     position, velocity = orbit(t)
     normal = jnp.stack(vec3.cross(position, velocity))
     r, z = (x / jnp.sqrt(vec3.dot(x, x)) for x in (position, normal))
@@ -153,26 +153,26 @@ def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> li
 
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
-    """What the changes are relative to, and how many members librate."""
+    """The unit of the changes, and the number of librating members."""
     lines, captured = ["  changes are relative to the largest |energy| of each member"], _captured(scenario, step, run)
     if captured is not None:
         lines.append(
-            f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia stays on its "
-            "side of the horizon"
+            f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia never crosses "
+            "the horizon"
         )
     return lines
 
 
 def _captured(scenario: Scenario, step: Any, run: Trajectory) -> np.ndarray | None:
-    """Whether each member librates, about the axis of its own body."""
+    """Whether each member librates, for the axis of its own body."""
     if not scenario.own_numbers():
         return librating(step.system, run)
-    each = [librating(of_member(scenario, step.system, m), select_member(run, m)) for m in range(scenario.members)]
+    each = [librating(for_member(scenario, step.system, m), select_member(run, m)) for m in range(scenario.members)]
     return np.concatenate([x for x in each if x is not None]) if all(x is not None for x in each) else None
 
 
 def librating(body: GravityGradient, run: Trajectory) -> np.ndarray | None:
-    """Whether each member's axis of least inertia stays on its side of the horizon; None if there is no such axis."""
+    """Whether each member's axis of least inertia never crosses the horizon; None if there is no such axis."""
     cosines = _cosines(body, run)
     if "least" not in cosines:
         return None
@@ -181,10 +181,10 @@ def librating(body: GravityGradient, run: Trajectory) -> np.ndarray | None:
 
 
 def _cosines(body: GravityGradient, run: Trajectory) -> dict[str, tuple[str, np.ndarray]]:
-    """By axis of the body: the name of one of the orbit, and the cosine of the angle between them, (times, members)."""
+    """By body axis: the name of an axis of the orbit, and the cosine of the angle between both, (times, members)."""
     R = np.asarray(_matrices(body.orbit, jnp.asarray(run.t)))
     return {
-        which: (name, np.einsum("tmi,ti->tm", series(_axis_in_space, run, e), R[:, :, k]))
+        which: (name, np.einsum("tmi,ti->tm", series(_space_axis, run, e), R[:, :, k]))
         for which, (e, name, k) in _principal(body).items()
     }
 
@@ -195,12 +195,12 @@ def _matrices(orbit: Any, t: Array) -> Array:
     return jax.vmap(lambda t: orbit_axes(orbit, t)[0])(t)
 
 
-def _axis_in_space(axis: Any, state: State) -> Array:
+def _space_axis(axis: Any, state: State) -> Array:
     return so3.Ad(state.q, axis)
 
 
 def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
-    """The axes of least and greatest inertia, if single, and that of the orbit along which each one is stable."""
+    """The axes of least and greatest inertia, if distinct, and the axis of the orbit along which each is stable."""
     moments, axes = np.linalg.eigh(inertia_matrix(body))
     least, greatest = np.diff(moments) > _DISTINCT * moments[2]
     found = {"least": (axes[:, 0], "vertical", 0)} if least else {}
@@ -209,15 +209,15 @@ def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
 
 @picture(2, spatial=(0,))
 def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from where it is stable."""
-    step = of_member(scenario, step)
+    """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from its stable direction."""
+    step = for_member(scenario, step)
     body = step.system
     found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
     which, (axis, stable, k) = next(iter(found.items()))
-    long = follow(step, nominal(run), _dt(scenario), scenario.steps)
+    long = drawn_trajectory(step, nominal_state(run), _dt(scenario), scenario.steps)
     R = np.asarray(jax.vmap(lambda t: orbit_axes(body.orbit, t)[0])(jnp.asarray(long.t)))
-    path = np.einsum("tij,ti->tj", R, in_space(long.state.q, axis))
-    ends = in_space(run.state.q[-1], axis) @ np.asarray(orbit_axes(body.orbit, jnp.asarray(run.t[-1]))[0])
+    path = np.einsum("tij,ti->tj", R, axis_in_space(long.state.q, axis))
+    ends = axis_in_space(run.state.q[-1], axis) @ np.asarray(orbit_axes(body.orbit, jnp.asarray(run.t[-1]))[0])
     pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
     t, unit = _clock(scenario, long)
     look: dict[str, Any] = {"pole_label": stable, "angle_label": f"angle from the {stable} (°)", "unit": unit}
@@ -230,8 +230,8 @@ def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> 
 @picture(size=(6.4, 4.2))
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the error of energy less work of the nominal member by both schemes, and how much the energy changes."""
-    both = top_schemes(scenario, of_member(scenario, step.system))
-    t, found = changes_by_scheme(conserved, scenario, both.values(), nominal(run))
+    both = top_schemes(scenario, for_member(scenario, step.system))
+    t, found = changes_by_scheme(conserved, scenario, both.values(), nominal_state(run))
     curves = {f"H − W, {name}": errors[_LESS_WORK] for name, errors in zip(both, found.values(), strict=True)}
     curves["H"] = [*found.values()][-1][_ENERGY]
     t, unit = _clock(scenario, run._replace(t=t))
@@ -240,7 +240,7 @@ def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
 
 
 def _dt(scenario: Scenario) -> float:
-    """The step size, which a scenario has once it is read."""
+    """The step size, which every validated scenario has."""
     assert scenario.dt is not None
     return scenario.dt
 

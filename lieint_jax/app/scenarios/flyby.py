@@ -1,8 +1,8 @@
 """A tumbling body passes a planet: periods, mode, spin rate and pole before and after, over all phases.
 
-The clock is the time since the perigee, in h; lengths are in km. The members share the orbit; each has moments, periods
-and a pole of its own, drawn from the published errors, and two phases, which are uniform: the leaves of the step that
-`build` makes have the member axis. See `_flyby_motion` for the phases.
+The clock is the time since the perigee, in h; lengths are in km. The members share the orbit; each has its own moments,
+periods and pole, drawn from the published errors, and two uniform phases (see `_flyby_motion`): the leaves of the step
+have the member axis.
 """
 
 from __future__ import annotations
@@ -19,13 +19,22 @@ from lieint_jax.app.scenarios._common import HOUR, Published
 from lieint_jax.app.scenarios._flyby_keys import Scenario
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
-from lieint_jax.app.scenarios._flyby_study import WATCHED, Study, change, members, pole_angles, study, thinned, unknowns
-from lieint_jax.app.scenarios._report import Quantity, paragraphs, table
+from lieint_jax.app.scenarios._flyby_study import (
+    CHECKED,
+    Study,
+    change_of_spin,
+    every_second_phase,
+    members,
+    pole_angles,
+    study,
+    unknowns,
+)
+from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
 from lieint_jax.types import State, Step, Trajectory
 
 __all__ = ["PICTURES", "STEP_AXIS", "Scenario", "build", "report"]
 
-STEP_AXIS = 0  # members have bodies of their own, see `lieint_jax.app.scenarios`
+STEP_AXIS = 0  # every member has its own body
 
 _QUANTILES = (0.05, 0.5, 0.95)
 
@@ -33,13 +42,13 @@ _QUANTILES = (0.05, 0.5, 0.95)
 def build(scenario: Scenario) -> tuple[Step, State]:
     """The step, whose leaves have the member axis, and the batch of states at the start, which share their time."""
     orbit, t = GivenOrbit(scenario.orbit.elements()), jnp.asarray(-scenario.hours)
-    made = partial(motion.member, orbit=orbit, t=t, order=scenario.order, long_axis=scenario.spin.long_axis)
+    made = partial(motion.step_and_state, orbit=orbit, t=t, order=scenario.order, long_axis=scenario.spin.long_axis)
     step, states = jax.jit(jax.vmap(made))(members(scenario)[0])
     return step, states._replace(t=t)
 
 
 def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
-    """The passage, periods, spin rates and poles before and after beside published ones, sensitivities and errors."""
+    """The passage, periods, spin rates and poles before and after with published ones, sensitivities and errors."""
     found = study(scenario, step, run)
     lines = [
         *_published_lines(scenario, found),
@@ -59,7 +68,10 @@ def facts(scenario: Scenario, before: Outcome) -> list[Quantity]:
     """Quantities of the orbit and of the members before the passage, with published values."""
     position, velocity = (np.asarray(x) for x in GivenOrbit(scenario.orbit.elements())(jnp.zeros(())))
     date, a = scenario.orbit.date(0), scenario.orbit.elements()[1]
-    far, light = float(np.sqrt(-scenario.orbit.gm_km3_s2 / a)), 1 / (1 / before.precession - 1 / before.rotation)
+    at_infinity, light = (
+        float(np.sqrt(-scenario.orbit.gm_km3_s2 / a)),
+        1 / (1 / before.precession - 1 / before.rotation),
+    )
 
     def quantity(name: str, values: np.ndarray | float, key: str = "") -> Quantity:
         given = [k for k in scenario.published if k.quantity == key]
@@ -69,7 +81,7 @@ def facts(scenario: Scenario, before: Outcome) -> list[Quantity]:
     return [
         quantity("distance at the perigee (km)", float(np.linalg.norm(position)), "perigee_distance_km"),
         quantity("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
-        quantity("speed far away (km/s)", far),
+        quantity("speed far away (km/s)", at_infinity),
         quantity(
             "time of the perigee (h, UTC)", date.hour + date.minute / 60 + date.second / HOUR, "perigee_time_utc_h"
         ),
@@ -87,7 +99,7 @@ def _published_lines(scenario: Scenario, found: Study) -> list[str]:
         f"\n  from {date(-hours):%Y-%m-%d %H:%M} to {date(hours):%Y-%m-%d %H:%M} UTC; "
         f"perigee {date(0):%Y-%m-%d %H:%M:%S} UTC",
         f"  {100 * redrawn:.3g} % of the moments were drawn again: no {scenario.spin.mode} mode has such periods",
-        *table(scenario, facts(scenario, found.before), 52, "before"),
+        *table_lines(scenario, facts(scenario, found.before), 52, "before"),
     ]
 
 
@@ -97,7 +109,7 @@ def _row(name: str, x: np.ndarray, form: str = "9.3f") -> str:
 
 
 def _change_lines(scenario: Scenario, found: Study) -> list[str]:
-    changed, after = change(found.before, found.after), found.after
+    changed, after = change_of_spin(found.before, found.after), found.after
     short = ~after.long_axis
     return [
         f"\n  {'after, members of the run':<52}{'5 %':>9}{'median':>9}{'95 %':>9}{'least':>9}{'most':>9}",
@@ -108,7 +120,7 @@ def _change_lines(scenario: Scenario, found: Study) -> list[str]:
         _row("|L| over that before", changed.momentum),
         _row("effective spin rate 2H/|L| over that before", changed.rate),
         _row("energy over the least at this |L|", after.excitation),
-        _row("pole turned by (°)", changed.turn),
+        _row("rotation of the pole (°)", changed.pole_angle),
         _row("pole's longitude changed by (°)", changed.longitude, "9.1f"),
         _row("pole's distance from the ecliptic changed by (°)", changed.latitude, "9.2f"),
         f"  {100 * short.mean():.1f} % end in a short-axis mode, {100 * (~short).mean():.1f} % in a long-axis mode",
@@ -116,16 +128,16 @@ def _change_lines(scenario: Scenario, found: Study) -> list[str]:
 
 
 def _expectations(scenario: Scenario, found: Study) -> list[str]:
-    x = change(found.before, found.after)
+    x = change_of_spin(found.before, found.after)
     share = lambda condition: f"{100 * np.mean(condition):.3g} %"  # noqa: E731
     low, high = np.quantile(x.rate, (0.05, 0.95))
     ours = {
         "rate": f"× {low:.2f} to × {high:.2f} (5 to 95 %), × {x.rate.min():.2f} to × {x.rate.max():.2f} in all; "
         f"halved or less in {share(x.rate <= 0.5)}, doubled or more in {share(x.rate >= 2)}",
-        "turn": f"median {np.median(x.turn):.1f}°; 10° or more in {share(x.turn >= 10)}",
+        "pole_angle": f"median {np.median(x.pole_angle):.1f}°; 10° or more in {share(x.pole_angle >= 10)}",
         "longitude": f"it increases in {share(x.longitude > 0)}",
         "latitude": f"it moves closer in {share(x.latitude < 0)}",
-        "mode": f"kept in {share(x.kept)}",
+        "mode": f"the same in {share(x.same_mode)}",
     }
     lines = ["\n  published expectations, and the members of the run"] if scenario.expected else []
     for expected in scenario.expected:
@@ -135,33 +147,33 @@ def _expectations(scenario: Scenario, found: Study) -> list[str]:
 
 
 def _by_phase(scenario: Scenario, found: Study) -> list[str]:
-    x, after = change(found.mapped.before, found.mapped.after), found.mapped.after
+    x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
     phi, psi = (np.rad2deg(np.asarray(x)) for x in (found.grid.phi, found.grid.psi))
-    turn = scenario.spin.same_passage_deg
-    same = "φ + 180°, ψ + 180°" if turn else "φ, ψ + 180°"
+    shift = scenario.spin.same_passage_deg
+    same = "φ + 180°, ψ + 180°" if shift else "φ, ψ + 180°"
     lines = [f"\n  {f'nominal body, {len(phi)} pairs of phases':<52}{'value':>9}   at φ, ψ and at {same} (°)"]
     for name, values in (
         ("P_φ after (h)", after.precession),
         ("effective spin rate over that before", x.rate),
-        ("pole turned by (°)", x.turn),
+        ("rotation of the pole (°)", x.pole_angle),
     ):
         for which, k in (("least", values.argmin()), ("most", values.argmax())):
             lines.append(f"  {f'{name}, {which}':<52}{values[k]:>9.3f}   {phi[k]:.0f}, {psi[k]:.0f}")
-    for name, held in (
+    for name, holds in (
         ("spin rate halved or less", x.rate <= 0.5),
         ("spin rate below × 0.75", x.rate <= 0.75),
         ("spin rate above × 1.5", x.rate >= 1.5),
         ("spin rate doubled or more", x.rate >= 2),
         ("long-axis mode after", after.long_axis),
     ):
-        modulo = 180 if turn else 360
-        where = f"φ mod {modulo}° within {_interval(phi[held], modulo)}" if held.any() else "at no phase"
-        lines.append(f"  {name:<52}{100 * held.mean():>7.1f} %   {where}")
+        modulo = 180 if shift else 360
+        where = f"φ mod {modulo}° within {_interval(phi[holds], modulo)}" if holds.any() else "at no phase"
+        lines.append(f"  {name:<52}{100 * holds.mean():>7.1f} %   {where}")
     return lines
 
 
 def _interval(phi: np.ndarray, modulo: int) -> str:
-    """The shortest interval, of angles in degrees modulo 180° or 360°, that holds all of these."""
+    """The shortest interval that contains all of these angles, in degrees modulo 180° or 360°."""
     x = np.unique(np.round(phi % modulo, 9))
     gaps = np.diff(np.append(x, x[0] + modulo))
     k = int(gaps.argmax())
@@ -174,7 +186,7 @@ def _sensitivity(scenario: Scenario, found: Study) -> list[str]:
         "\n  sensitivities over the map, by forward differentiation of the whole passage: median and largest",
         f"  {'by':<28}{'dP_φ (h)':>18}{'dP_ψ (h)':>22}{'d ln(spin rate)':>22}{'d pole (°)':>20}",
     ]
-    rate = thinned(scenario, found.mapped.after.rate)
+    rate = every_second_phase(scenario, found.mapped.after.rate)
     for name, (unit, size, _) in unknowns(scenario).items():
         x = abs(getattr(found.slopes, name)) * size
         scaled = (x[:, 0], x[:, 1], x[:, 2] / rate, np.rad2deg(x[:, 3]))
@@ -187,8 +199,8 @@ def _errors(scenario: Scenario, found: Study) -> list[str]:
     best = found.arcs[longest].after
     heads = ("P_φ (h)", "P_ψ (%)", "2H/|L| (%)", "pole (°)")
     lines = [
-        f"\n  attitude at the end, {scenario.steps} steps and twice as many: {found.halved:.1e} rad, the largest of "
-        f"{min(WATCHED, len(found.before.rate))} members",
+        f"\n  attitude at the end, {scenario.steps} steps and twice as many: {found.step_error:.1e} rad, largest of "
+        f"{min(CHECKED, len(found.before.rate))} members",
         f"\n  {f'arcs against ± {longest:g} h, {len(best.rate)} members':<34}" + "".join(f"{x:>20}" for x in heads),
         f"  {'':<34}" + f"{'median':>11}{'largest':>9}" * 4,
     ]
@@ -196,31 +208,30 @@ def _errors(scenario: Scenario, found: Study) -> list[str]:
         if hours == longest:
             continue
         x = passage.after
-        turn = np.rad2deg(pole_angles(x.pole, best.pole))
         parts = (
             abs(x.precession - best.precession),
             100 * abs(x.rotation / best.rotation - 1),
             100 * abs(x.rate / best.rate - 1),
-            turn,
+            np.rad2deg(pole_angles(x.pole, best.pole)),
         )
         lines.append(f"  {f'± {hours:g} h':<34}" + "".join(f"{np.median(v):>11.2g}{v.max():>9.2g}" for v in parts))
     return lines
 
 
 def _variants(scenario: Scenario, found: Study) -> list[str]:
-    heads = {"P_φ (h)": 22, "spin rate": 20, "pole turned (°)": 22, "kept mode": 11}
+    heads = {"P_φ (h)": 22, "spin rate": 20, "pole rotated (°)": 22, "same mode": 11}
     title = "other assumptions: 5 %, median, 95 %"
     lines = [f"\n  {title:<42}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
     cases = {"the run": (found.before, found.after)}
     cases |= {name: (passage.before, passage.after) for name, passage in found.variants.items()}
     for name, (before, after) in cases.items():
-        x = change(before, after)
-        columns = [(after.precession, 22, ".1f"), (x.rate, 20, ".2f"), (x.turn, 22, ".1f")]
+        x = change_of_spin(before, after)
+        columns = [(after.precession, 22, ".1f"), (x.rate, 20, ".2f"), (x.pole_angle, 22, ".1f")]
         text = "".join(
             f"{', '.join(format(v, form) for v in np.quantile(values, _QUANTILES)):>{width}}"
             for values, width, form in columns
         )
-        lines.append(f"  {name:<42}{text}{100 * np.mean(x.kept):>9.1f} %")
+        lines.append(f"  {name:<42}{text}{100 * np.mean(x.same_mode):>9.1f} %")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""A heavy top: its integrals, nutation and precession compared with the closed form, its axis on the sphere."""
+"""A heavy top: its integrals, its nutation and precession compared with the closed form, and its axis on the sphere."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from lieint_jax import diagnostics, schemes, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
-from lieint_jax.app.scenarios._body import TopScenario, in_space, inertia_matrix, start, top_schemes
+from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_matrix, initial_state, top_schemes
 from lieint_jax.app.scenarios._common import Triple, check_order, deviates
 from lieint_jax.app.scenarios._pictures import draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta, cost
-from lieint_jax.app.scenarios._runs import LONGEST, POINTS, follow, nominal, series
-from lieint_jax.app.scenarios._spread import of_member
+from lieint_jax.app.scenarios._runs import LONGEST, POINTS, drawn_trajectory, nominal_state, series
+from lieint_jax.app.scenarios._spread import for_member
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
@@ -28,11 +28,11 @@ from lieint_jax.types import State, Step, Trajectory
 CLOSED_FORM = (
     "  closed form: elliptic integrals; the difference is the scheme's error, of its order in dt, or round-off"
 )
-_LONG = 10  # length of the energies' picture, over that of the run
-_NYSTROM = (4, 6)  # its orders
-_SAMPLES = 6  # the fewest saved states per nutation from which it is measured
-_STENCIL = 6  # the saved states through which an angle and its rate are interpolated
-_HALVINGS = 50  # of the interval between two saved states in which an extreme lies
+_LONG = 10  # length of the picture of energies, over that of the run
+_NYSTROM = (4, 6)  # orders of nystrom
+_MIN_SAMPLES = 6  # saved states per nutation that a measurement needs
+_STENCIL = 6  # saved states through which an angle and its rate are interpolated
+_HALVINGS = 50  # of the interval between two saved states that contains an extreme
 
 
 class Scenario(TopScenario):
@@ -46,14 +46,14 @@ class Scenario(TopScenario):
     scheme: Literal["nystrom", "top_energy_momentum", "splitting"] = "top_energy_momentum"  # pyright: ignore[reportIncompatibleVariableOverride]
 
     @model_validator(mode="after")
-    def _order_of_the_scheme(self) -> Self:
+    def _check_order(self) -> Self:
         if self.scheme == "nystrom":
             check_order("nystrom", self.order, _NYSTROM)
         return self
 
     @field_validator("weight", "axis")
     @classmethod
-    def _a_direction(cls, value: list[float]) -> list[float]:
+    def _check_direction(cls, value: list[float]) -> list[float]:
         if not any(value):
             raise ValueError("must not be zero; a body without weight is a rigid_body")
         return value
@@ -61,7 +61,7 @@ class Scenario(TopScenario):
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states."""
-    return _spread.build(scenario, deviates(scenario, numbers), _step, start)
+    return _spread.build(scenario, deviates(scenario, numbers), _step, initial_state)
 
 
 def _step(scenario: Scenario) -> Step:
@@ -76,7 +76,7 @@ def _schemes(scenario: Scenario, top: PotentialTop) -> dict[str, Step]:
 
 
 def is_lagrange(top: PotentialTop) -> bool:
-    """True if the top is symmetric about the axis to its center of mass, and that axis is the third."""
+    """Whether the top is symmetric about the axis to its center of mass, and that axis is the third."""
     J, E = inertia_matrix(top), _weight(top)
     size = 1e-12 * J.max()
     symmetric = abs(J[0, 0] - J[1, 1]) <= size and abs(J - np.diag(np.diag(J))).max() <= size
@@ -122,7 +122,7 @@ def quantities(scenario: Any, top: PotentialTop, run: Trajectory) -> list[Quanti
     motions = np.array([motion(top, run, m) for m in range(run.state.p.shape[1])])
     closed = np.full(4, np.nan)
     if is_lagrange(top):
-        exact = lagrange_motion(top, nominal(run))
+        exact = lagrange_motion(top, nominal_state(run))
         closed = np.array([exact.nutation_period, exact.precession_rate, *np.rad2deg(exact.inclination)])
     names = (
         f"nutation period ({scenario.time_unit})",
@@ -136,13 +136,15 @@ def quantities(scenario: Any, top: PotentialTop, run: Trajectory) -> list[Quanti
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     """How to read the table."""
-    top = of_member(scenario, step.system)
+    top = for_member(scenario, step.system)
     if is_lagrange(top):
         lines = [CLOSED_FORM]
     else:
         lines = ["  (a closed form is known for J₁ = J₂ and the weight along the third axis: Lagrange's top)"]
     if any(np.isnan(x.nominal) for x in quantities(scenario, top, run)):
-        lines.append(f"  — not measured: fewer than two nutations, or states saved fewer than {_SAMPLES} times in one")
+        lines.append(
+            f"  — not measured: fewer than two nutations, or states saved fewer than {_MIN_SAMPLES} times in one"
+        )
     return lines
 
 
@@ -150,61 +152,61 @@ def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
     """Nutation period, mean precession rate, least and greatest inclination (°) of a member, over whole nutations.
 
     They are interpolated at the times when the axis is lowest and highest; nan if it is lowest fewer than twice, or if
-    states are saved too far apart.
+    states are saved too rarely.
     """
     q, p = (jnp.asarray(x[:, member]) for x in (run.state.q, run.state.p))
     t, axis = np.asarray(run.t), _unit(np.asarray(top.axis))
     e, velocity, acceleration = (np.asarray(x) for x in _axis_motion(top, State(q, p), _unit(_weight(top))))
-    h = t[min(1, len(t) - 1)] - t[0]  # rates by the number of the saved state, so that runs backwards are as others
-    u, slope, bend = e @ axis, h * velocity @ axis, h**2 * acceleration @ axis
+    h = t[min(1, len(t) - 1)] - t[0]  # rates per saved state, so that backward runs need no other treatment
+    u, slope, curvature = e @ axis, h * velocity @ axis, h**2 * acceleration @ axis
     across = np.stack(frame(jnp.asarray(axis)))
     (x, y), (dx, dy) = across @ e.T, h * across @ velocity.T
     phi = np.unwrap(np.arctan2(y, x))
     period = rate = np.nan
     lowest, highest = (np.flatnonzero((s * slope[:-1] < 0) & (s * slope[1:] >= 0)) for s in (1, -1))
-    if len(lowest) > 1 and np.diff(lowest).min() >= _SAMPLES:
-        [low, high] = (_Extremes.from_slope(k, slope, bend) for k in (lowest, highest))
-        at, since = t[0] + h * low.position, np.arctan2(low.value(y, dy), low.value(x, dx)) - phi[lowest]
-        turned = phi[lowest] + np.remainder(since + np.pi, 2 * np.pi) - np.pi  # it moves by less than half a turn
-        period = abs(at[-1] - at[0]) / (len(at) - 1)
-        rate = (turned[-1] - turned[0]) / (at[-1] - at[0])
+    if len(lowest) > 1 and np.diff(lowest).min() >= _MIN_SAMPLES:
+        [low, high] = (_Extremes.from_slope(k, slope, curvature) for k in (lowest, highest))
+        times, change = t[0] + h * low.position, np.arctan2(low.value(y, dy), low.value(x, dx)) - phi[lowest]
+        angles = phi[lowest] + np.remainder(change + np.pi, 2 * np.pi) - np.pi  # each change is less than π
+        period = abs(times[-1] - times[0]) / (len(times) - 1)
+        rate = (angles[-1] - angles[0]) / (times[-1] - times[0])
         u = np.concatenate([u, low.value(u, slope), high.value(u, slope)])
     angle = np.rad2deg(np.arccos(np.clip(u, -1, 1)))
     return np.array([period, rate, angle.min(), angle.max()])
 
 
 class _Extremes(NamedTuple):
-    """Extremes of a series of which the rate is known too, between saved states, by Hermite's polynomial.
+    """Extremes of a series with known rates, between saved states, by Hermite polynomials.
 
     Attributes:
-        first: the first saved state of the polynomial of each, (n,).
-        inside: their place, counted from the middle of the polynomial's states, (n,).
+        first: the index of the first saved state of each polynomial, (n,).
+        offset: the index of each extreme relative to the middle of the polynomial's states, (n,).
     """
 
     first: np.ndarray
-    inside: np.ndarray
+    offset: np.ndarray
 
     @classmethod
-    def from_slope(cls, before: np.ndarray, slope: np.ndarray, bend: np.ndarray) -> Self:
-        """The zeros of `slope`, whose rate is `bend`, each behind the saved state `before`."""
+    def from_slope(cls, before: np.ndarray, slope: np.ndarray, curvature: np.ndarray) -> Self:
+        """The zeros of `slope`, whose rate is `curvature`, each after the saved state `before`."""
         first = np.clip(before - _STENCIL // 2 + 1, 0, len(slope) - _STENCIL)
         low = before - first - (_STENCIL - 1) / 2
-        high, begins = low + 1, np.sign(slope[before])
-        polynomial = _hermite(first, slope, bend)
+        high, sign = low + 1, np.sign(slope[before])
+        polynomial = _hermite(first, slope, curvature)
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            same = np.sign(_value(polynomial, middle)) == begins
+            same = np.sign(_value(polynomial, middle)) == sign
             low, high = np.where(same, middle, low), np.where(same, high, middle)
         return cls(first, (low + high) / 2)
 
     @property
     def position(self) -> np.ndarray:
-        """Their place among the saved states."""
-        return self.first + self.inside + (_STENCIL - 1) / 2
+        """The indices of the extremes among the saved states."""
+        return self.first + self.offset + (_STENCIL - 1) / 2
 
     def value(self, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """A series y with this slope, there."""
-        return _value(_hermite(self.first, y, slope), self.inside)
+        """The values at the extremes of a series y with this slope."""
+        return _value(_hermite(self.first, y, slope), self.offset)
 
 
 def _hermite(first: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -234,16 +236,16 @@ def _axis_motion(top: PotentialTop, states: State, axis: Any) -> tuple[Any, Any,
 
 @picture(2, spatial=(0,))
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot the axis to the center of mass on the sphere, for one turn about γ or the whole run, and its inclination."""
-    step = of_member(scenario, step)
+    """Plot the axis to the center of mass on the sphere, for one revolution about γ at most, and its inclination."""
+    step = for_member(scenario, step)
     top, unit = step.system, scenario.time_unit
     rate = motion(top, run)[1]
     steps = scenario.steps
     if np.isfinite(rate) and rate:
         steps = min(steps, int(2 * np.pi / abs(rate * scenario.dt)) + 1)
-    long = follow(step, nominal(run), scenario.dt, steps)
-    path, ends = (in_space(q, _unit(_weight(top))) for q in (long.state.q, run.state.q[-1]))
-    bounds = np.rad2deg(lagrange_motion(top, nominal(run)).inclination) if is_lagrange(top) else []
+    long = drawn_trajectory(step, nominal_state(run), scenario.dt, steps)
+    path, ends = (axis_in_space(q, _unit(_weight(top))) for q in (long.state.q, run.state.q[-1]))
+    bounds = np.rad2deg(lagrange_motion(top, nominal_state(run)).inclination) if is_lagrange(top) else []
     look = {"unit": unit, "pole_label": "γ, up", "angle_label": "inclination (°)", "bounds": bounds}
     draw_on_sphere(axes, np.asarray(long.t), path, float(run.t[-1]), ends, _unit(np.asarray(top.axis)), **look)
     axes[0].set_title(f"the nominal axis in space to t = {long.t[-1]:.4g} {unit}")
@@ -254,20 +256,20 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 @picture(size=(6.4, 4.2))
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the largest energy error so far of each scheme, and of Runge–Kutta at the cost of the slower scheme."""
-    top, z, dt = of_member(scenario, step.system), nominal(run), scenario.dt
+    top, z, dt = for_member(scenario, step.system), nominal_state(run), scenario.dt
     found, peer = _schemes(scenario, top), RungeKutta(top)
     ratio = cost(peer, z, dt) / max(cost(scheme, z, dt) for scheme in found.values())
     end = dt * min(_LONG * scenario.steps, LONGEST)
     t, curves = np.linspace(0, end, POINTS + 1)[1:], {}
     for scheme, h in [*((s, dt) for s in found.values()), (peer, dt * ratio)]:
-        long = follow(scheme, z, h, round(end / h), round(end / h))
+        long = drawn_trajectory(scheme, z, h, round(end / h), round(end / h))
         error = np.abs(np.asarray(diagnostics.energy_error(top, long))) / abs(float(top.energy(z)))
         curves[f"{scheme.name.replace('[so3_midpoint[symplectic]]', '')}, Δt = {h:.2g}"] = np.interp(
             abs(t), np.abs(long.t), np.maximum.accumulate(error)
         )
     axes[0].set_xscale("log" if dt > 0 else "linear")
     plots.log_error(axes[0], t, curves, "largest relative energy error so far", scenario.time_unit)
-    axes[0].set_title("Runge–Kutta takes steps of equal cost per unit of time")
+    axes[0].set_title("Runge–Kutta: steps of equal cost per unit of time")
 
 
 PICTURES = {"path": draw_path, "energy": draw_energy}

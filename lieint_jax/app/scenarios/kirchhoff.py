@@ -1,4 +1,4 @@
-"""A neutrally buoyant ellipsoid in a fluid: its conserved quantities, its tilt, and whether its spin is stable."""
+"""A neutrally buoyant ellipsoid in a fluid: its conserved quantities, its tilt, and the stability of its spin."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._common import (
-    Above,
     Common,
     GivenRate,
     NonNegative,
     NumberSpread,
+    PositiveFloat,
     RateSpread,
     Triple,
-    at_order,
-    numbers_of,
+    compose_to_order,
+    member_indices,
 )
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta
-from lieint_jax.app.scenarios._runs import follow, member, nominal, series
-from lieint_jax.app.scenarios._spread import of_member
+from lieint_jax.app.scenarios._runs import drawn_trajectory, member_state, nominal_state, series
+from lieint_jax.app.scenarios._spread import for_member
 from lieint_jax.systems import Euler, kirchhoff
 from lieint_jax.types import State, Step, Trajectory
 
 _TINY = float(np.finfo(float).tiny)
 
-PositiveTriple = Annotated[list[Above], Field(min_length=3, max_length=3)]
+PositiveTriple = Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
 
 
 class InitialState(GivenRate):
-    """The nominal state: at the origin, axes along those of space, with these velocities in the body."""
+    """The nominal state: at the origin, with axes along those of space, and velocities in the body."""
 
     velocity: Triple
     """In body axes, in the unit of semi_axes per time_unit."""
@@ -72,7 +72,7 @@ class Scenario(Common):
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
-    numbers, key = numbers_of(scenario, numbers), jax.random.key(scenario.seed)
+    numbers, key = member_indices(scenario, numbers), jax.random.key(scenario.seed)
     noise = random_bits.normal_rows(key, (scenario.members, 6), numbers)
     noise = jnp.where((numbers == 0)[:, None], 0.0, noise)
     return _spread.build(scenario, noise, _step, _start, traced=False)
@@ -81,7 +81,7 @@ def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, 
 def _step(scenario: Scenario) -> Step:
     a, b, c = scenario.semi_axes
     body = kirchhoff((a, b, c), scenario.center_of_mass)
-    return at_order(schemes.group_midpoint(body, getattr(maps, scenario.map)), scenario.order)
+    return compose_to_order(schemes.group_midpoint(body, getattr(maps, scenario.map)), scenario.order)
 
 
 def _start(scenario: Scenario, body: Euler, noise: Any) -> State:
@@ -107,8 +107,8 @@ def quantities(scenario: Scenario, body: Euler, run: Trajectory) -> list[Quantit
     """The mean speed along the impulse P, and the largest angle of the third axis from its initial direction."""
     q, p, t = np.asarray(run.state.q), np.asarray(run.state.p), np.asarray(run.t)
     P = p[0, :, 3:]
-    way = np.einsum("mi,mi->m", q[-1, :, :3, 3] - q[0, :, :3, 3], P)
-    speed = way / np.maximum(np.linalg.norm(P, axis=1), _TINY) / (t[-1] - t[0])
+    distance = np.einsum("mi,mi->m", q[-1, :, :3, 3] - q[0, :, :3, 3], P)
+    speed = distance / np.maximum(np.linalg.norm(P, axis=1), _TINY) / (t[-1] - t[0])
     return [
         Quantity(f"mean speed along the impulse (/{scenario.time_unit})", speed),
         Quantity("third axis strays by (°)", tilts(q).max(axis=0)),
@@ -116,16 +116,16 @@ def quantities(scenario: Scenario, body: Euler, run: Trajectory) -> list[Quantit
 
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
-    """Whether the spin is stable, and what the fluid adds to mass and inertia."""
-    body = of_member(scenario, step.system)
-    need = spin_needed(body)
-    if need is None:
-        lines = ["  (the spin it needs is known in closed form for a body of revolution about the third axis)"]
+    """Whether the spin is stable, and the added mass and inertia of the fluid."""
+    body = for_member(scenario, step.system)
+    needed = spin_needed(body)
+    if needed is None:
+        lines = ["  (the needed spin is known in closed form for a body of revolution about the third axis)"]
     else:
-        Pi = np.asarray(body.body_momentum(nominal(run)))
-        have = abs(Pi[2] / Pi[5]) if Pi[5] else np.inf
-        verdict = "stable" if have > need else "not stable"
-        lines = [f"  |Π₃/P₃| = {have:.4f}, needed to go along the third axis: {need:.4f} [Lamb §128]: {verdict}"]
+        Pi = np.asarray(body.body_momentum(nominal_state(run)))
+        spin = abs(Pi[2] / Pi[5]) if Pi[5] else np.inf
+        verdict = "stable" if spin > needed else "not stable"
+        lines = [f"  |Π₃/P₃| = {spin:.4f}, needed to move along the third axis: {needed:.4f} [Lamb §128]: {verdict}"]
     a, b, c = scenario.semi_axes
     m, axes = np.diag(np.asarray(kirchhoff((a, b, c)).metric)), np.array([a, b, c])
     solid = (np.sum(axes**2) - axes**2) / 5
@@ -138,7 +138,7 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
 def spin_needed(body: Euler) -> float | None:
     """The least |Π₃/P₃| with which a body of revolution moves stably along its axis, 0 if it needs no spin.
 
-    It is 2√(I₁(1/m₃ − 1/m₁)). None if the body is not one of revolution about the third axis, with its mass central.
+    It is 2√(I₁(1/m₃ − 1/m₁)). None unless it is a body of revolution about the third axis with a central mass.
     """
     m = np.asarray(body.metric)
     I1, I2, _, m1, m2, m3 = np.diag(m)
@@ -158,10 +158,13 @@ def tilts(q: Any) -> np.ndarray:
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the path of the center of the nominal and the last member, and the last one's third axis on the sphere."""
     left, right = axes
-    last, name_of_last = member(run, -1), f"member {scenario.members - 1}" if scenario.members > 1 else "nominal member"
-    members = {"nominal member": (0, nominal(run)), name_of_last: (-1, last)}
+    last, name_of_last = (
+        member_state(run, -1),
+        f"member {scenario.members - 1}" if scenario.members > 1 else "nominal member",
+    )
+    members = {"nominal member": (0, nominal_state(run)), name_of_last: (-1, last)}
     paths = {
-        name: np.asarray(follow(of_member(scenario, step, m), z, scenario.dt, scenario.steps).state.q)
+        name: np.asarray(drawn_trajectory(for_member(scenario, step, m), z, scenario.dt, scenario.steps).state.q)
         for name, (m, z) in members.items()
     }
     for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
@@ -184,8 +187,8 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot energy errors of the last member by this scheme and by Runge–Kutta, and the tilts of all members' axes."""
     left, right = axes
-    step = of_member(scenario, step, -1)
-    t, found = changes_by_scheme(conserved, scenario, (step, RungeKutta(step.system)), member(run, -1))
+    step = for_member(scenario, step, -1)
+    t, found = changes_by_scheme(conserved, scenario, (step, RungeKutta(step.system)), member_state(run, -1))
     curves = {scheme: errors["energy"] for scheme, errors in found.items()}
     plots.log_error(left, t, curves, "energy error, relative", scenario.time_unit)
     tilt = tilts(run.state.q)

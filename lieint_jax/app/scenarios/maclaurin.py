@@ -11,16 +11,16 @@ from pydantic import Field, model_validator
 
 from lieint_jax import schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Common, at_order, numbers_of
+from lieint_jax.app.scenarios._common import Common, compose_to_order, member_indices
 from lieint_jax.app.scenarios._pictures import picture
-from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, changes
+from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, change_lines
 from lieint_jax.app.scenarios._runs import series
 from lieint_jax.systems import IncompressibleBody
 from lieint_jax.types import State, Step, Trajectory
 
 SECULAR, DYNAMICAL = 0.812670, 0.952887  # eccentricities at which a bar may and must grow [Chandrasekhar 1969, § 33]
-_LINEAR = 1e-3  # the largest bar whose modes are measured
-_ROWS = 16
+_MAX_BAR = 1e-3  # largest bar whose modes are measured
+_ROWS = 16  # largest number of members in the report
 
 Eccentricity = Annotated[float, Field(gt=0, lt=0.99)]
 
@@ -42,13 +42,13 @@ class Scenario(Common):
     no_spread: ClassVar[str] = "the members are spheroids of eccentricities at equal distances"
 
     @model_validator(mode="after")
-    def _members_differ(self) -> Scenario:
+    def _check_members(self) -> Scenario:
         if (self.last_eccentricity is None) != (self.members == 1):
             raise ValueError("last_eccentricity and members > 1 go together")
         return self
 
     def eccentricities(self) -> np.ndarray:
-        """Of all members."""
+        """The eccentricities of all members."""
         last = self.eccentricity if self.last_eccentricity is None else self.last_eccentricity
         return np.linspace(self.eccentricity, last, self.members)
 
@@ -79,7 +79,7 @@ def bar_modes(e: Any) -> np.ndarray:
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the spheroids with a small bar, each in its rotation."""
     body = systems.incompressible_body(np.full(3, 0.2), systems.self_gravity(1.0, 1.0, 1.0))
-    e = scenario.eccentricities()[numbers_of(scenario, numbers)]
+    e = scenario.eccentricities()[member_indices(scenario, numbers)]
     a, Omega = spheroid(e)
     axes = np.stack([a * (1 + scenario.bar), a / (1 + scenario.bar), a * np.sqrt(1 - e * e)], axis=1)
 
@@ -87,7 +87,7 @@ def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, 
         return body.state(jnp.diag(axes), angular_velocity=Omega * jnp.array([0.0, 0.0, 1.0]))
 
     step = schemes.additive(body, "incompressible")
-    return at_order(step, scenario.order), jax.vmap(member)(jnp.asarray(axes), jnp.asarray(Omega))
+    return compose_to_order(step, scenario.order), jax.vmap(member)(jnp.asarray(axes), jnp.asarray(Omega))
 
 
 def conserved(scenario: Scenario, body: IncompressibleBody, run: Trajectory) -> list[Conserved]:
@@ -117,11 +117,11 @@ def bars(run: Trajectory) -> np.ndarray:
 
 
 def measured_modes(run: Trajectory) -> np.ndarray:
-    """The two rates of each member's bar, (members, 2), by Prony's method, while the bar is small; nan if too short."""
+    """The two rates of each member's bar, (members, 2), by Prony's method while it is small; nan for a short series."""
     z, t = bars(run), np.asarray(run.t)
     found = np.full((z.shape[1], 2), np.nan + 0j)
     for m, series_of_member in enumerate(z.T):
-        large = abs(series_of_member) > _LINEAR
+        large = abs(series_of_member) > _MAX_BAR
         x = series_of_member[: int(large.argmax()) if large.any() else None]
         if len(x) < 8:
             continue
@@ -134,11 +134,11 @@ def measured_modes(run: Trajectory) -> np.ndarray:
 
 
 def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
-    """What is conserved, and the modes of some members next to the closed form."""
+    """The conserved quantities, and the modes of some members next to the closed form."""
     e, modes = scenario.eccentricities(), measured_modes(run)
     known = _ordered(bar_modes(e))
     rows = np.unique(np.linspace(0, len(e) - 1, min(len(e), _ROWS)).round().astype(int))
-    lines = changes(conserved(scenario, step.system, run))
+    lines = change_lines(conserved(scenario, step.system, run))
     lines.append(f"\n  {'e':>8}{'Ω':>10}{'σ measured':>26}{'closed form':>26}{'difference':>12}")
     for m in rows:
         for k in range(2):
@@ -152,7 +152,7 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
 
 
 def _ordered(modes: np.ndarray) -> np.ndarray:
-    """In the order of `measured_modes`: the faster first, and of two with the same speed the growing one."""
+    """Sort modes as in `measured_modes`: the faster first, and of two with the same speed the growing one."""
     return np.array([sorted(pair, key=lambda rate: (-round(rate.real, 6), rate.imag)) for pair in modes])
 
 
@@ -181,8 +181,8 @@ def draw_modes(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> No
     left.set_ylim(-1.35, 1.25)
     left.legend(loc="center left", bbox_to_anchor=(0.0, 0.62))
     z, t = bars(run), np.asarray(run.t)
-    looks = zip((plots.INK, plots.BLUE, plots.ORANGE), ("-", "--", "-"), strict=True)
-    for m, (color, dashes) in zip((0, len(e) // 2, len(e) - 1), looks, strict=True):
+    styles = zip((plots.INK, plots.BLUE, plots.ORANGE), ("-", "--", "-"), strict=True)
+    for m, (color, dashes) in zip((0, len(e) // 2, len(e) - 1), styles, strict=True):
         size = np.maximum(abs(z[:, m]), 1e-300)
         right.semilogy(t, size, color=color, ls=dashes, lw=0.8, label=f"e = {e[m]:.3f}")
     right.set(xlabel=r"t ($\sqrt{R^3/GM}$)", ylabel=r"$|B_{xx}-B_{yy}+2iB_{xy}|$ ($R^2$), $B=FF^T$")

@@ -19,41 +19,50 @@ from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Positive, Table, Text, Triple, numbers_of
+from lieint_jax.app.scenarios._common import (
+    Common,
+    NonNegative,
+    PositiveFloat,
+    PositiveInt,
+    Table,
+    Text,
+    Triple,
+    member_indices,
+)
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import paragraphs
-from lieint_jax.app.scenarios._runs import deviation, for_last_run, on_own_devices
+from lieint_jax.app.scenarios._runs import cached_for_last_run, map_on_local_devices, standard_deviation
 from lieint_jax.diagnostics import Lyapunov, lyapunov
 from lieint_jax.groups import so3
 from lieint_jax.systems import GravityGradient
 from lieint_jax.types import State, Step, Trajectory
 
-_TURN = 2 * np.pi
-_BOUND = 3.0  # a motion counts as chaotic if its exponent is above this many times ln(t)/t, which regular ones reach
-_MOST = 0.95  # the share of members from which a state counts as chaotic, or less than the rest of it as regular
-_COLORS = plots.COLORS[1:]  # of the regular motions
-_ROUND = 1e-9  # an angle within this of π is one of 0
+_PERIOD = 2 * np.pi  # of the orbit
+_CHAOTIC = 3.0  # a motion counts as chaotic above this many times ln(t)/t, the exponent of regular motions
+_MAJORITY = 0.95  # share of chaotic members above which a state is chaotic; below 1 − _MAJORITY it may be regular
+_COLORS = plots.COLORS[1:]  # of regular motions
+_ROUND_OFF = 1e-9  # an angle closer to π is 0
 _IN_PLANE, _OUT_OF_PLANE = (2, 5), (0, 1, 3, 4)  # coordinates (δθ, δπ), which do not mix along a planar motion
 
 Eccentricity = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Sample(Table):
-    """How many chaotic motions are followed, and for how long."""
+    """The number of chaotic motions that are integrated, and their length."""
 
-    starts: Positive
+    starts: PositiveInt
     """The number of motions, those of the section's chaotic members."""
-    orbits: Positive
-    """Their length."""
+    orbits: PositiveInt
+    """The length of each motion."""
 
 
 class Observed(Table):
-    """A rotation state as observed, and where the principal axes were taken to be."""
+    """An observed rotation state, and the assumed principal axes."""
 
     date: str
-    """Of the observation."""
+    """The date of the observation."""
     reading: str
-    """A short name of what is assumed of the principal axes."""
+    """A short name of the assumption on the principal axes."""
     inertia: Triple
     """Principal moments about the axes a, b, c."""
     eccentricity: Eccentricity
@@ -64,20 +73,20 @@ class Observed(Table):
     """Attitude R_z(α) R_x(β) R_z(γ), axes a, b, c to space, in degrees; in space x is toward pericenter, z normal."""
     spin_axis: Triple
     """The direction of the angular velocity, components along a, b, c; of any length."""
-    spin_rate: Above
+    spin_rate: PositiveFloat
     """The size of the angular velocity, in mean motions."""
     source: str
     """A key of the table sources."""
 
     @field_validator("inertia")
     @classmethod
-    def _a_body(cls, value: list[float]) -> list[float]:
+    def _check_inertia(cls, value: list[float]) -> list[float]:
         _checks.inertia(value)
         return value
 
     @field_validator("spin_axis")
     @classmethod
-    def _a_direction(cls, value: list[float]) -> list[float]:
+    def _check_direction(cls, value: list[float]) -> list[float]:
         if not any(value):
             raise ValueError("must not be zero")
         return value
@@ -86,14 +95,14 @@ class Observed(Table):
 class Ensemble(Table):
     """Members about each observed state, an assumption on its errors."""
 
-    members: Positive
+    members: PositiveInt
     """The number of members of each; the first is the state itself."""
-    orbits: Positive
+    orbits: PositiveInt
     """The length of a run."""
-    steps_per_orbit: Positive
-    """The period over the step size: fast spin takes more than planar motions."""
+    steps_per_orbit: PositiveInt
+    """The period over the step size: fast spin needs more steps than planar motions."""
     attitude_deg: NonNegative = 0.0
-    """Standard deviation of a turn about each axis of space, in degrees."""
+    """Standard deviation of a rotation about each axis of space, in degrees."""
     spin_axis_deg: NonNegative = 0.0
     """Standard deviation of the spin axis in the body, about each of two axes, in degrees."""
     spin_rate: NonNegative = 0.0
@@ -105,8 +114,8 @@ class Scenario(Common):
 
     system: Literal["moon"]  # pyright: ignore[reportIncompatibleVariableOverride]
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
-    """Given by steps_per_orbit: results hold it."""
-    period: Above
+    """Follows from steps_per_orbit; files of results have it."""
+    period: PositiveFloat
     """Of the orbit, in period_unit: for times in reports."""
     period_unit: str = "d"
     """The name of that unit."""
@@ -114,24 +123,24 @@ class Scenario(Common):
     """Principal moments of the planar motions, the axes of the least and the greatest first and last."""
     eccentricity: Eccentricity
     """Of the orbit of the planar motions."""
-    steps_per_orbit: Positive
+    steps_per_orbit: PositiveInt
     """The period over the step size; a state is saved at every pericenter."""
-    angles: Positive
-    """Starts of one rate: θ = 0 … π; members is a multiple of it."""
-    greatest_rate: Above
+    angles: PositiveInt
+    """The number of starts with one rate: θ = 0 … π; members is a multiple of it."""
+    greatest_rate: PositiveFloat
     """Starts have rates θ̇ = 0 … greatest_rate, in mean motions."""
     planar: Sample
-    """Of the planar exponents."""
+    """The sample of the planar exponents."""
     spatial: Sample
-    """Of the exponents of motions in space: the same starts, tilted by tilt_deg."""
-    tilt_deg: Above = 5.0
+    """The sample of the exponents of motions in space: the same starts, tilted by tilt_deg."""
+    tilt_deg: PositiveFloat = 5.0
     """In degrees."""
     around: Ensemble
     """About the observed states."""
     observed: list[Observed] = []
     """Observed states."""
     notes: list[Text] = []
-    """Paragraphs of the report below the observed states: what was assumed."""
+    """Paragraphs of the report below the observed states: the assumptions."""
 
     no_spread: ClassVar[str] = (
         "the members are a grid of planar starts; members about observed states are spread by the table around"
@@ -139,15 +148,15 @@ class Scenario(Common):
 
     @field_validator("inertia")
     @classmethod
-    def _a_long_body(cls, value: list[float]) -> list[float]:
+    def _check_moments(cls, value: list[float]) -> list[float]:
         _checks.inertia(value)
         if not value[0] < value[1] <= value[2]:
             raise ValueError("must be three moments in order, the first the least")
         return value
 
     @model_validator(mode="after")
-    def _at_every_pericenter(self) -> Self:
-        dt = _TURN / self.steps_per_orbit
+    def _check_steps_per_orbit(self) -> Self:
+        dt = _PERIOD / self.steps_per_orbit
         if self.dt is not None and self.dt != dt:
             raise ValueError("dt is given by steps_per_orbit: leave it out")
         if self.steps % self.steps_per_orbit:
@@ -164,18 +173,18 @@ class Scenario(Common):
         return self.steps // self.steps_per_orbit
 
     def assumption(self) -> str:
-        about = self.around
+        a = self.around
         return (
             f"planar starts: {self.angles} angles × {self.members // self.angles} rates; about each observed state "
-            f"{about.members} members, an assumption: {about.attitude_deg:g}° of attitude, {about.spin_axis_deg:g}° of "
-            f"the spin axis, {about.spin_rate:g} n of its rate (1 sigma, each component)"
+            f"{a.members} members, an assumption: {a.attitude_deg:g}° of attitude, {a.spin_axis_deg:g}° of "
+            f"the spin axis, {a.spin_rate:g} n of its rate (1 sigma, each component)"
         )
 
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the planar starts, which share their time."""
     step = _step(scenario.inertia, scenario.eccentricity)
-    number = numbers_of(scenario, numbers)
+    number = member_indices(scenario, numbers)
     rates = max(scenario.members // scenario.angles, 2)
     theta = np.pi / scenario.angles * (number % scenario.angles)
     rate = scenario.greatest_rate / (rates - 1) * (number // scenario.angles)
@@ -199,12 +208,12 @@ class Chaos(NamedTuple):
     """The exponents of a scenario's motions, in n.
 
     Attributes:
-        section: of the members, in the plane and out of it, (members, 2).
-        planar: of longer planar motions in the chaotic zone, likewise, (starts, 2).
-        spatial: the spectrum of motions in space from there, (starts, 6).
+        section: the exponents of the members, in the plane and out of it, (members, 2).
+        planar: the same for longer planar motions in the chaotic zone, (starts, 2).
+        spatial: the spectrum of motions in space from these starts, (starts, 6).
         observed: the largest exponents of the members about each observed state, (states, members).
-        errors: their standard errors.
-        failed: how many of all these runs had a step that did not converge.
+        errors: the standard errors of `observed`.
+        failed: the number of these runs with a step that did not converge.
     """
 
     section: np.ndarray
@@ -215,7 +224,7 @@ class Chaos(NamedTuple):
     failed: int
 
 
-@for_last_run
+@cached_for_last_run
 def chaos(scenario: Scenario, step: Step, run: Trajectory) -> Chaos:
     """The exponents of a scenario."""
     starts = State(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]), jnp.asarray(run.t[0]))
@@ -226,66 +235,66 @@ def chaos(scenario: Scenario, step: Step, run: Trajectory) -> Chaos:
     zone = large_zone(scenario, np.asarray(section.exponents[:, 0]))
     planar = spatial = np.zeros((0, 6))
     if zone.size:
-        drawn = _pick(starts, zone, scenario.planar.starts)
-        found.append(one := _exponents(step, drawn, scenario.planar.orbits, per_orbit, planes))
+        drawn = _select_evenly(starts, zone, scenario.planar.starts)
+        found.append(in_plane := _exponents(step, drawn, scenario.planar.orbits, per_orbit, planes))
         tilt = so3.exp(jnp.deg2rad(scenario.tilt_deg) * jnp.array([1.0, 0.0, 0.0]))
-        drawn = _pick(starts, zone, scenario.spatial.starts)
+        drawn = _select_evenly(starts, zone, scenario.spatial.starts)
         drawn = drawn._replace(q=jax.vmap(lambda q: so3.multiply(tilt, q))(drawn.q))
-        found.append(two := _exponents(step, drawn, scenario.spatial.orbits, per_orbit, np.eye(6)))
-        planar, spatial = np.asarray(one.exponents), np.sort(np.asarray(two.exponents), axis=1)[:, ::-1]
-    seen = [_about(scenario, k) for k in range(len(scenario.observed))]
-    failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*found, *seen))
-    exponents, errors = (np.array([np.asarray(x[k])[:, 0] for x in seen]) for k in (0, 1))
+        found.append(in_space := _exponents(step, drawn, scenario.spatial.orbits, per_orbit, np.eye(6)))
+        planar, spatial = np.asarray(in_plane.exponents), np.sort(np.asarray(in_space.exponents), axis=1)[:, ::-1]
+    observed = [_exponents_about(scenario, k) for k in range(len(scenario.observed))]
+    failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*found, *observed))
+    exponents, errors = (np.array([np.asarray(x[k])[:, 0] for x in observed]) for k in (0, 1))
     return Chaos(np.asarray(section.exponents), planar, spatial, exponents, errors, failed)
 
 
 def large_zone(scenario: Scenario, exponents: np.ndarray) -> np.ndarray:
-    """The members in the large chaotic zone, not in thin layers: exponents above half the median of chaotic ones."""
-    chaotic = exponents[exponents > limit(scenario.orbits)]
+    """The members in the large chaotic zone, without thin layers: exponents above half the chaotic ones' median."""
+    chaotic = exponents[exponents > chaos_limit(scenario.orbits)]
     return np.flatnonzero(exponents > np.median(chaotic) / 2) if chaotic.size else np.zeros(0, int)
 
 
-def _pick(states: State, among: np.ndarray, count: int) -> State:
-    """So many of the members with the numbers `among`, evenly spread; each once at most."""
+def _select_evenly(states: State, among: np.ndarray, count: int) -> State:
+    """Select `count` of the members with the indices `among`, evenly spread, each at most once."""
     chosen = among[np.unique(np.linspace(0, among.size - 1, count).round().astype(int))]
     return states._replace(q=states.q[chosen], p=states.p[chosen])
 
 
-def _about(scenario: Scenario, k: int) -> Lyapunov:
+def _exponents_about(scenario: Scenario, k: int) -> Lyapunov:
     """The largest exponents of the members about the k-th observed state."""
     given, spread = scenario.observed[k], scenario.around
     step = _step(given.inertia, given.eccentricity)
     normal = np.random.default_rng([scenario.seed, k]).normal(size=(spread.members, 7))
-    turn, aside, change = np.split(normal, [3, 6], axis=1)
-    turn[0] = aside[0] = change[0] = 0
+    rotation, tilt, rate = np.split(normal, [3, 6], axis=1)
+    rotation[0] = tilt[0] = rate[0] = 0
     q = so3.from_euler_313(jnp.deg2rad(jnp.asarray(given.euler_313_deg)))
-    q = jax.vmap(lambda v: so3.multiply(so3.exp(v), q))(jnp.asarray(np.deg2rad(spread.attitude_deg) * turn))
+    q = jax.vmap(lambda v: so3.multiply(so3.exp(v), q))(jnp.asarray(np.deg2rad(spread.attitude_deg) * rotation))
     axis = np.asarray(given.spin_axis) / np.linalg.norm(given.spin_axis)
-    axes = axis + np.deg2rad(spread.spin_axis_deg) * (aside - (aside @ axis)[:, None] * axis)
+    axes = axis + np.deg2rad(spread.spin_axis_deg) * (tilt - (tilt @ axis)[:, None] * axis)
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    Omega = (given.spin_rate + spread.spin_rate * change) * axes
+    Omega = (given.spin_rate + spread.spin_rate * rate) * axes
     states = _states(step.system, q, jnp.asarray(Omega), np.deg2rad(given.mean_anomaly_deg))
     return _exponents(step, states, spread.orbits, spread.steps_per_orbit, np.ones((6, 1)))
 
 
 def _exponents(step: Step, states: State, orbits: int, per_orbit: int, vectors: np.ndarray) -> Lyapunov:
-    """The exponents of many members, on all devices, of initial tangent vectors (6, k)."""
-    program = _program(orbits * per_orbit, math.gcd(per_orbit, 20))
-    return program(step, states, _TURN / per_orbit, jnp.asarray(vectors))
+    """The exponents of many members, on all devices, for initial tangent vectors (6, k)."""
+    program = _compiled_exponents(orbits * per_orbit, math.gcd(per_orbit, 20))
+    return program(step, states, _PERIOD / per_orbit, jnp.asarray(vectors))
 
 
 @functools.cache
-def _program(num_steps: int, every: int) -> Any:
+def _compiled_exponents(num_steps: int, every: int) -> Any:
     def exponents_of(step: Step, state: State, dt: Array, vectors: Array) -> Lyapunov:
         return lyapunov(step, state, dt, num_steps, every=every, vectors=vectors)
 
-    return on_own_devices(exponents_of, (None, State(0, 0, None), None, None))  # pyright: ignore[reportArgumentType]
+    return map_on_local_devices(exponents_of, (None, State(0, 0, None), None, None))  # pyright: ignore[reportArgumentType]
 
 
-def limit(orbits: int) -> float:
-    """The exponent above which a motion of so many orbits counts as chaotic: regular ones reach about ln(t)/t."""
-    t = _TURN * orbits
-    return _BOUND * np.log(t) / t
+def chaos_limit(orbits: int) -> float:
+    """The exponent above which a motion of this length counts as chaotic: regular ones reach about ln(t)/t."""
+    t = _PERIOD * orbits
+    return _CHAOTIC * np.log(t) / t
 
 
 def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
@@ -293,7 +302,7 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
     found, unit = chaos(scenario, step, run), scenario.period_unit
     return "\n".join(
         [
-            f"\n  exponents in mean motions n = 2π / {scenario.period:g} {unit}; chaotic: above {_BOUND:g} ln(t)/t",
+            f"\n  exponents in mean motions n = 2π / {scenario.period:g} {unit}; chaotic: above {_CHAOTIC:g} ln(t)/t",
             *_planar_lines(scenario, found),
             *_observed_lines(scenario, found),
             *paragraphs(scenario.notes),
@@ -303,12 +312,12 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
 
 
 def _planar_lines(scenario: Scenario, found: Chaos) -> list[str]:
-    chaotic = found.section[:, 0] > limit(scenario.orbits)
-    tumbles = found.section[:, 1] > limit(scenario.orbits)
+    chaotic = found.section[:, 0] > chaos_limit(scenario.orbits)
+    unstable = found.section[:, 1] > chaos_limit(scenario.orbits)
     lines = [
         f"\n  planar motions, {scenario.members} starts × {scenario.orbits} orbits",
         f"  {'chaotic':<58}{_percent(chaotic):>8}",
-        f"  {'of the regular ones, attitude unstable':<58}{_percent(tumbles[~chaotic]):>8}",
+        f"  {'of the regular ones, attitude unstable':<58}{_percent(unstable[~chaotic]):>8}",
     ]
     for name, values, sample in (
         (("in the plane", "out of the plane: attitude unstable if > 0"), found.planar, scenario.planar),
@@ -319,8 +328,8 @@ def _planar_lines(scenario: Scenario, found: Chaos) -> list[str]:
             title = f"{space}, {len(values)} starts × {sample.orbits} orbits"
             lines.append(f"\n  {title:<68}{'mean ± error':>10}{'spread':>9}{'e-folding':>12}")
             lines += [
-                f"  {what:<46}{x.mean():>+10.4f} ± {_error(x):.4f}{deviation(x):>10.4f}"
-                + f"{_folding(scenario, x.mean()):>12}"
+                f"  {what:<46}{x.mean():>+10.4f} ± {_standard_error(x):.4f}{standard_deviation(x):>10.4f}"
+                + f"{_e_folding_time(scenario, x.mean()):>12}"
                 for what, x in zip(name, values.T, strict=True)
             ]
     if len(found.spatial):
@@ -329,34 +338,35 @@ def _planar_lines(scenario: Scenario, found: Chaos) -> list[str]:
 
 
 def _observed_lines(scenario: Scenario, found: Chaos) -> list[str]:
-    bound = limit(scenario.around.orbits)
+    bound = chaos_limit(scenario.around.orbits)
     lines = [
         f"\n  observed states, {scenario.around.members} members × {scenario.around.orbits} orbits; "
         f"chaotic: largest exponent above {bound:.4f} n",
         f"  {'date':<12}{'principal axes':<32}{'nominal':>17}{'mean of members':>20}{'e-folding':>12}{'chaotic':>9}",
     ]
     for given, x, error in zip(scenario.observed, found.observed, found.errors, strict=True):
+        mean = f"{x.mean():>11.4f} ± {_standard_error(x):.4f}"
         lines.append(
-            f"  {given.date:<12}{given.reading:<32}{x[0]:>8.4f} ± {error[0]:.4f}{x.mean():>11.4f} ± {_error(x):.4f}"
-            f"{_folding(scenario, x.mean()):>12}{_percent(x > bound):>9}  {verdict(x, bound)}"
+            f"  {given.date:<12}{given.reading:<32}{x[0]:>8.4f} ± {error[0]:.4f}{mean}"
+            f"{_e_folding_time(scenario, x.mean()):>12}{_percent(x > bound):>9}  {verdict(x, bound)}"
         )
     return lines if scenario.observed else []
 
 
 def verdict(exponents: np.ndarray, bound: float) -> str:
-    """Whether the members about a state are chaotic: all but a few, none but a few, or undecided by the observation."""
+    """Whether the members about a state are chaotic: nearly all of them, nearly none, or undecided."""
     share = np.mean(exponents > bound)
-    return "chaotic" if share >= _MOST else "not told from regular" if share <= 1 - _MOST else "undecided"
+    return "chaotic" if share >= _MAJORITY else "not distinct from regular" if share <= 1 - _MAJORITY else "undecided"
 
 
-def _error(x: np.ndarray) -> float:
+def _standard_error(x: np.ndarray) -> float:
     """The standard error of the mean."""
-    return float(deviation(x)) / len(x) ** 0.5
+    return float(standard_deviation(x)) / len(x) ** 0.5
 
 
-def _folding(scenario: Scenario, exponent: float) -> str:
-    """The time in which small differences grow e times."""
-    return f"{scenario.period / (_TURN * exponent):.0f} {scenario.period_unit}" if exponent > 0 else "—"
+def _e_folding_time(scenario: Scenario, exponent: float) -> str:
+    """The time in which small differences grow by the factor e."""
+    return f"{scenario.period / (_PERIOD * exponent):.0f} {scenario.period_unit}" if exponent > 0 else "—"
 
 
 def _percent(x: np.ndarray) -> str:
@@ -367,7 +377,7 @@ def _percent(x: np.ndarray) -> str:
 def draw_section(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the surface of section at pericenter, and maps of the exponents in the plane and out of it."""
     found = chaos(scenario, step, run)
-    chaotic = found.section[:, 0] > limit(scenario.orbits)
+    chaotic = found.section[:, 0] > chaos_limit(scenario.orbits)
     theta, rate = section(scenario, run.state)
     left, *maps = axes
     left.scatter(theta[:, chaotic], rate[:, chaotic], s=0.15, color=plots.GRAY, lw=0, rasterized=True)
@@ -391,7 +401,7 @@ def draw_section(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> 
 
 
 def _rows(scenario: Scenario, x: np.ndarray) -> np.ndarray:
-    """Values of the members as a grid, a row for each rate; its last column is the first, as θ is taken modulo π."""
+    """Values of the members as a grid, a row for each rate; its last column repeats the first, since θ has period π."""
     grid = x.reshape(-1, scenario.angles)
     return np.concatenate([grid, grid[:, :1]], axis=1)
 
@@ -400,11 +410,11 @@ def section(scenario: Scenario, state: State) -> tuple[np.ndarray, np.ndarray]:
     """θ in [0, π) and θ̇ of planar states."""
     q, p = np.asarray(state.q), np.asarray(state.p)
     theta = 2 * np.arctan2(q[..., 3], q[..., 0]) % np.pi
-    return np.where(theta > np.pi - _ROUND, 0.0, theta), p[..., 2] / scenario.inertia[2]
+    return np.where(theta > np.pi - _ROUND_OFF, 0.0, theta), p[..., 2] / scenario.inertia[2]
 
 
 def _legend() -> list[Any]:
-    """What the dots of the section are."""
+    """The legend of the section."""
     from matplotlib.lines import Line2D
 
     dot = {"marker": "o", "ls": "", "ms": 4}
@@ -417,9 +427,9 @@ def _legend() -> list[Any]:
 @picture(size=lambda scenario: (8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
 def draw_observed(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the largest exponents of the members about each observed state."""
-    found, bound = chaos(scenario, step, run), limit(scenario.around.orbits)
+    found, bound = chaos(scenario, step, run), chaos_limit(scenario.around.orbits)
     ax, scatter = axes[0], np.random.default_rng(0)
-    ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not told from a regular motion")
+    ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not distinct from a regular motion")
     for k, (x, error) in enumerate(zip(found.observed, found.errors, strict=True)):
         color = plots.RED if verdict(x, bound) == "chaotic" else plots.BLUE
         ax.plot(x[1:], k + scatter.uniform(-0.2, 0.2, len(x) - 1), "o", ms=3, color=color, alpha=0.6, lw=0)

@@ -13,25 +13,25 @@ from lieint_jax import _checks, schemes, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread, heavy_top
 from lieint_jax.app.scenarios._common import (
-    Above,
     Common,
     NonNegative,
     NumberSpread,
+    PositiveFloat,
     Table,
     Triple,
-    at_order,
+    compose_to_order,
     deviates,
 )
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import follow, nominal, series
-from lieint_jax.app.scenarios._spread import DIRECTION, of_member, on_the_side_of
+from lieint_jax.app.scenarios._runs import drawn_trajectory, nominal_state, series
+from lieint_jax.app.scenarios._spread import DIRECTION, for_member, same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import Pendulum, PotentialTop
 from lieint_jax.types import State, Step, Trajectory
 
-_FINE = 4  # steps of the drawn path in one of the scenario: so it reaches its bounds
+_FINE = 4  # steps of the drawn path per step of the scenario, so that it reaches its bounds
 
 
 class InitialState(Table):
@@ -44,12 +44,12 @@ class InitialState(Table):
 
     @field_validator("direction")
     @classmethod
-    def _unit(cls, value: list[float]) -> list[float]:
+    def _check_unit(cls, value: list[float]) -> list[float]:
         return _unit_vector(value)
 
 
 class Spread(NumberSpread):
-    """Standard deviations, per component, of the members about the nominal state; and of numbers by their paths."""
+    """Standard deviations of each component of the members' states, and of numbers of the scenario by their paths."""
 
     direction_deg: NonNegative = 0.0
     """In degrees."""
@@ -61,15 +61,15 @@ class Scenario(Common):
     """The keys of a scenario of this kind."""
 
     system: Literal["pendulum"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    mass: Above
+    mass: PositiveFloat
     """In a unit of mass."""
-    gravity: Annotated[float, on_the_side_of(0)]
+    gravity: Annotated[float, same_side_of(0)]
     """The acceleration of gravity over the pendulum's length, per time_unit squared."""
     axis: Annotated[Triple, DIRECTION] = [0.0, 0.0, -1.0]
     """The direction of gravity in space, a unit vector: downwards."""
     scheme: Literal["sphere_midpoint"] = "sphere_midpoint"
     normalized: bool = Field(default=False, validation_alias=AliasChoices("normalized", "normalised"))
-    """Whether the midpoint is put back on the sphere, which makes the scheme symplectic."""
+    """Whether the midpoint is projected to the sphere, which makes the scheme symplectic."""
     order: Literal[2, 4, 6, 8] = 2
     """Of accuracy; above 2 by composition."""
     state: InitialState
@@ -77,11 +77,11 @@ class Scenario(Common):
 
     @field_validator("axis")
     @classmethod
-    def _unit(cls, value: list[float]) -> list[float]:
+    def _check_unit(cls, value: list[float]) -> list[float]:
         return _unit_vector(value)
 
     @model_validator(mode="after")
-    def _some_gravity(self) -> Scenario:
+    def _check_gravity(self) -> Scenario:
         if self.gravity == 0:
             raise ValueError("gravity must not be 0")
         return self
@@ -103,13 +103,13 @@ def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, 
 
 def _step(scenario: Scenario) -> Step:
     bob = systems.pendulum(scenario.mass, scenario.gravity, scenario.axis)
-    return at_order(schemes.sphere_midpoint(bob, scenario.normalized), scenario.order)
+    return compose_to_order(schemes.sphere_midpoint(bob, scenario.normalized), scenario.order)
 
 
 def _start(scenario: Scenario, bob: Pendulum, noise: Any) -> State:
-    kick, jolt = jnp.deg2rad(scenario.spread.direction_deg) * noise[0], scenario.spread.velocity * noise[1]
-    q = so3.Ad(so3.exp(kick), jnp.asarray(scenario.state.direction))
-    V = jnp.asarray(scenario.state.velocity) + jolt
+    rotation, change = jnp.deg2rad(scenario.spread.direction_deg) * noise[0], scenario.spread.velocity * noise[1]
+    q = so3.Ad(so3.exp(rotation), jnp.asarray(scenario.state.direction))
+    V = jnp.asarray(scenario.state.velocity) + change
     return bob.state(q, velocity=V - q * (q @ V) / (q @ q))
 
 
@@ -150,14 +150,14 @@ def quantities(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Quant
     period, rate, least, greatest = heavy_top.quantities(scenario, *as_top(bob, run))
     return [
         replace(period, name=f"lowest point to lowest point ({scenario.time_unit})"),
-        _of_the_top(f"mean rate about γ (rad/{scenario.time_unit})", rate, 0.0),
-        _of_the_top("least angle from γ (°)", greatest, 180.0),
-        _of_the_top("greatest angle from γ (°)", least, 180.0),
+        _complement(f"mean rate about γ (rad/{scenario.time_unit})", rate, 0.0),
+        _complement("least angle from γ (°)", greatest, 180.0),
+        _complement("greatest angle from γ (°)", least, 180.0),
     ]
 
 
-def _of_the_top(name: str, of_top: Quantity, total: float) -> Quantity:
-    """A quantity of the pendulum that adds up with one of the top to a number."""
+def _complement(name: str, of_top: Quantity, total: float) -> Quantity:
+    """The quantity of the pendulum that adds up with one of the top to `total`."""
     assert of_top.closed_form is not None
     return replace(of_top, name=name, values=total - of_top.values, closed_form=total - of_top.closed_form)
 
@@ -166,20 +166,20 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     """How to read the table."""
     return [
         heavy_top.CLOSED_FORM,
-        "  — none: fewer than two swings, states saved too far apart, or a swing through the axis",
+        "  — none: fewer than two swings, states saved too rarely, or a swing through the axis",
     ]
 
 
 @picture(2, spatial=(0,))
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot a dozen swings of the bob on the sphere, seen from below and aside, and its angle from γ against time."""
-    step = of_member(scenario, step)
+    """Plot a dozen swings of the bob on the sphere, seen from below, and its angle from γ against time."""
+    step = for_member(scenario, step)
     bob, unit = step.system, scenario.time_unit
     period, _, *bounds = quantities(scenario, bob, run)
     steps = scenario.steps
     if np.isfinite(period.nominal):
         steps = min(steps, int(12 * period.nominal / abs(scenario.dt)) + 1)
-    long = follow(step, nominal(run), scenario.dt / _FINE, _FINE * steps)
+    long = drawn_trajectory(step, nominal_state(run), scenario.dt / _FINE, _FINE * steps)
     known = [x.closed_form for x in bounds if x.closed_form is not None and np.isfinite(x.closed_form)]
     path, ends = np.asarray(long.state.q), np.asarray(run.state.q[-1])
     look = {"unit": unit, "pole_label": "γ, down", "bounds": known}
@@ -191,9 +191,9 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 @picture(2)
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot energy and constraint errors of the nominal member by both forms of the midpoint rule."""
-    bob = of_member(scenario, step.system)
+    bob = for_member(scenario, step.system)
     both = [schemes.sphere_midpoint(bob, normalized) for normalized in (False, True)]
-    t, found = changes_by_scheme(conserved, scenario, both, nominal(run))
+    t, found = changes_by_scheme(conserved, scenario, both, nominal_state(run))
     for ax, name in ((axes[0], "energy, relative"), (axes[1], "constraints |q| = 1, q·π = 0")):
         plots.log_error(ax, t, {scheme: errors[name] for scheme, errors in found.items()}, name, scenario.time_unit)
 

@@ -1,4 +1,4 @@
-"""A pseudo-rigid body: measured conservation next to the rule's promise, delay plots, energy by two rules."""
+"""A pseudo-rigid body: conservation, measured and promised by the rule, delay plots, and energy by two rules."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._common import (
-    Above,
     Common,
     NonNegative,
     NumberSpread,
-    Positive,
+    PositiveFloat,
+    PositiveInt,
     Published,
     Rate,
     RateSpread,
     Table,
     Triple,
-    numbers_of,
+    member_indices,
 )
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
-from lieint_jax.app.scenarios._runs import follow, for_last_run, nominal, series
-from lieint_jax.app.scenarios._spread import NOT_INSIDE_OUT, SECOND_MOMENTS, of_member
+from lieint_jax.app.scenarios._runs import cached_for_last_run, drawn_trajectory, nominal_state, series
+from lieint_jax.app.scenarios._spread import POSITIVE_DETERMINANT, SECOND_MOMENTS, for_member
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State, Step, Trajectory
 
 _TINY = float(np.finfo(float).tiny)
-_LONGEST = 4_000  # the most steps of the nominal member that are drawn; all are, since a delay plot needs each
+_LONGEST = 4_000  # largest number of drawn steps, which are all saved, since a delay plot needs each
 
 Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
 
@@ -44,16 +44,16 @@ class Material(Table):
     """A law of stored energy and its Lamé constants."""
 
     law: Literal["mooney_rivlin", "neo_hookean", "saint_venant_kirchhoff"] = "mooney_rivlin"
-    lam: Above
+    lam: PositiveFloat
     """Lamé's λ times the body's volume: an energy."""
-    mu: Above
+    mu: PositiveFloat
     """Lamé's μ times the body's volume: an energy."""
 
 
 class InitialState(Rate):
     """The nominal state: F, and one of angular velocity in space, velocity and momentum."""
 
-    deformation: Annotated[Matrix, NOT_INSIDE_OUT] = np.eye(3).tolist()
+    deformation: Annotated[Matrix, POSITIVE_DETERMINANT] = np.eye(3).tolist()
     """F, 3 × 3, without unit; by default undeformed, axes along those of space."""
     velocity: Matrix | None = None
     """The time derivative of F, per time_unit."""
@@ -62,13 +62,13 @@ class InitialState(Rate):
 
     @field_validator("deformation")
     @classmethod
-    def _not_inside_out(cls, value: Any) -> Any:
+    def _check_determinant(cls, value: Any) -> Any:
         if not np.linalg.det(value) > 0:
             raise ValueError("must have a positive determinant")
         return value
 
     @model_validator(mode="after")
-    def _one_motion(self) -> Self:
+    def _check_motion(self) -> Self:
         if len(self.motion()) != 1:
             raise ValueError("give exactly one of angular_velocity_rad, angular_velocity_deg, velocity, momentum")
         return self
@@ -79,8 +79,8 @@ class InitialState(Rate):
 
 
 class Spread(RateSpread, NumberSpread):
-    """Standard deviations of the members about the nominal state; the angular velocity is added to it. And of numbers
-    of the scenario by their paths."""
+    """Standard deviations of the members about the nominal state, to which an angular velocity is added, and of
+    numbers of the scenario by their paths."""
 
     deformation: NonNegative = 0.0
     """Of each entry of F, without unit."""
@@ -97,7 +97,7 @@ class Scenario(Common):
     rule: Literal["average", "symplectic", "energy", "energy_momentum"] = "average"
     alpha: Annotated[float, Field(ge=0, le=1)] = 0.5
     """α of the symplectic rule."""
-    lag: Positive = 3
+    lag: PositiveInt = 3
     """Of the delay plots, in steps."""
     state: InitialState
     spread: Spread = Spread()
@@ -107,12 +107,12 @@ class Scenario(Common):
 
     @field_validator("inertia")
     @classmethod
-    def _positive_definite(cls, value: list[Any]) -> list[Any]:
+    def _check_inertia(cls, value: list[Any]) -> list[Any]:
         _checks.positive_definite("inertia", value)
         return value
 
     @model_validator(mode="after")
-    def _alpha_of_the_rule(self) -> Self:
+    def _check_alpha(self) -> Self:
         if self.alpha != 0.5 and self.rule != "symplectic":
             raise ValueError(f"alpha: the rule {self.rule!r} conserves energy for 0.5 only (got {self.alpha})")
         if self.steps <= 2 * self.lag:
@@ -126,13 +126,13 @@ class Scenario(Common):
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
     for_F, for_spin = jax.random.split(jax.random.key(scenario.seed))
-    numbers, members = numbers_of(scenario, numbers), scenario.members
+    numbers, members = member_indices(scenario, numbers), scenario.members
     first = jnp.asarray(numbers == 0)
     dF = scenario.spread.deformation * random_bits.normal_rows(for_F, (members, 3, 3), numbers)
     spin = scenario.spread.rate() * random_bits.normal_rows(for_spin, (members, 3), numbers)
     dF, spin = jnp.where(first[:, None, None], 0.0, dF), jnp.where(first[:, None], 0.0, spin)
     step, states = _spread.build(scenario, (dF, spin), _step, _start)
-    start = _nominal(scenario, of_member(scenario, step.system))
+    start = _nominal(scenario, for_member(scenario, step.system))
 
     def exact(x: Array, x0: Array) -> Array:  # the nominal state, since F⁻¹F rounds
         return jnp.where(first.reshape(-1, *[1] * x0.ndim), x0, x)
@@ -147,7 +147,7 @@ def _step(scenario: Scenario) -> Step:
 
 
 def _nominal(scenario: Scenario, body: Any) -> State:
-    """The state that the keys of a scenario give."""
+    """The nominal state of a scenario."""
     motion = {name: jnp.asarray(x) for name, x in scenario.state.motion().items()}
     return body.state(jnp.asarray(scenario.state.deformation), **motion)
 
@@ -156,8 +156,8 @@ def _start(scenario: Scenario, body: Any, noise: Any) -> State:
     dF, spin = noise
     start = _nominal(scenario, body)
     F, V = start.q + dF, body.velocity(start)
-    turned = body.state(F, angular_velocity=spin)
-    return turned._replace(p=turned.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
+    rotating = body.state(F, angular_velocity=spin)
+    return rotating._replace(p=rotating.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
 
 
 def conserved(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Conserved]:
@@ -180,7 +180,7 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     if (printed := scenario.published.get("midpoint_energy_variation")) is not None:
         lines[-1] += f"   published {citation(scenario, printed)}"
     if not found.converged:
-        lines.append("  NOT every one of these steps converged: do not trust what follows the first that did not")
+        lines.append("  NOT all of these steps converged: values after the first failure are wrong")
     return lines
 
 
@@ -196,19 +196,19 @@ class Energies(NamedTuple):
 MIDPOINT = "implicit midpoint rule"
 
 
-@for_last_run
+@cached_for_last_run
 def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
     """Integrate by both rules from the nominal state, at most `_LONGEST` steps, all saved."""
-    step = of_member(scenario, step)
-    body, start, energy = step.system, nominal(run), {}
+    step = for_member(scenario, step)
+    body, start, energy = step.system, nominal_state(run), {}
     steps = min(scenario.steps, _LONGEST)
-    own = long = follow(step, start, scenario.dt, steps)
+    own = midpoint = drawn_trajectory(step, start, scenario.dt, steps)
     converged = bool(np.all(own.info.converged))
     if (scenario.rule, scenario.alpha) != ("symplectic", 0.5):
         energy[f"the rule {scenario.rule!r}"] = np.asarray(jax.vmap(body.energy)(own.state))
-        long = follow(schemes.additive(body, "symplectic"), start, scenario.dt, steps)
-        converged &= bool(np.all(long.info.converged))
-    energy[MIDPOINT] = np.asarray(jax.vmap(body.energy)(long.state))
+        midpoint = drawn_trajectory(schemes.additive(body, "symplectic"), start, scenario.dt, steps)
+        converged &= bool(np.all(midpoint.info.converged))
+    energy[MIDPOINT] = np.asarray(jax.vmap(body.energy)(midpoint.state))
     displacement = np.sum((np.asarray(own.state.q) - np.eye(3)) ** 2, axis=(1, 2))
     return Energies(np.asarray(own.t), energy, displacement, converged)
 

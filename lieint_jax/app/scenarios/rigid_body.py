@@ -17,17 +17,17 @@ from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._body import (
     BodyScenario,
     InitialState,
-    about_least,
-    in_space,
+    axis_in_space,
     inertia_matrix,
+    initial_state,
+    is_long_axis_mode,
     longitude_latitude,
-    start,
 )
-from lieint_jax.app.scenarios._common import Published, Text, at_order, check_order, deviates
+from lieint_jax.app.scenarios._common import Published, Text, check_order, compose_to_order, deviates
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import Quantity
-from lieint_jax.app.scenarios._runs import follow, nominal, thinned
-from lieint_jax.app.scenarios._spread import of_member
+from lieint_jax.app.scenarios._runs import drawn_steps, drawn_trajectory, nominal_state
+from lieint_jax.app.scenarios._spread import for_member
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import RigidBody
@@ -76,14 +76,14 @@ class Scenario(BodyScenario):
     observation: list[Observation] = []
 
     @model_validator(mode="after")
-    def _keys_of_the_scheme(self) -> Self:
+    def _check_scheme(self) -> Self:
         if self.kappa is not None and self.scheme != "so3_midpoint":
             raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
         check_order(self.scheme, self.order, _ORDERS.get(self.scheme, ()))
         return self
 
     @model_validator(mode="after")
-    def _observations_are_saved(self) -> Self:
+    def _check_observations(self) -> Self:
         interval = self.dt * self.save_every
         for seen in self.observation:
             if seen.t * interval < 0:
@@ -98,7 +98,7 @@ class Scenario(BodyScenario):
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states."""
-    return _spread.build(scenario, deviates(scenario, numbers), _step, start)
+    return _spread.build(scenario, deviates(scenario, numbers), _step, initial_state)
 
 
 def _step(scenario: Scenario) -> Step:
@@ -118,7 +118,7 @@ def _step(scenario: Scenario) -> Step:
             step: Step = schemes.so3_explicit(body)
         case _:
             step = schemes.so3_midpoint(body, getattr(maps, f"kappa_{scenario.kappa or 'symplectic'}"))
-    return at_order(step, scenario.order)
+    return compose_to_order(step, scenario.order)
 
 
 def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Quantity]:
@@ -128,23 +128,23 @@ def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Qua
     precession, rotation = mean_periods(body, run)
     unit, published = scenario.time_unit, {**scenario.published}
 
-    def declared(name: str, values: np.ndarray, key: Any) -> Quantity:
+    def quantity(name: str, values: np.ndarray, key: Any) -> Quantity:
         return Quantity(name, values, published=published.get(key), angle=key.endswith("_deg"))
 
     return [
-        declared(f"precession period ({unit})", precession, "precession_period"),
-        declared(f"rotation period ({unit})", rotation, "rotation_period"),
-        declared("angular momentum longitude (°)", longitude, "momentum_longitude_deg"),
-        declared("angular momentum latitude (°)", latitude, "momentum_latitude_deg"),
+        quantity(f"precession period ({unit})", precession, "precession_period"),
+        quantity(f"rotation period ({unit})", rotation, "rotation_period"),
+        quantity("angular momentum longitude (°)", longitude, "momentum_longitude_deg"),
+        quantity("angular momentum latitude (°)", latitude, "momentum_latitude_deg"),
     ]
 
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
-    """Why a period is missing, and predictions next to observations."""
-    body = of_member(scenario, step.system)
-    lines = [_sighting(scenario, seen) for seen in sightings(scenario, body, run)]
+    """The reason for a missing period, and predictions next to observations."""
+    body = for_member(scenario, step.system)
+    lines = [_prediction_lines(scenario, found) for found in predictions(scenario, body, run)]
     if any(np.isnan(x.nominal) for x in quantities(scenario, body, run)):
-        missing = "  — no period: the body spins about an axis, or states are saved too far apart (lower save_every)"
+        missing = "  — no period: the body spins about an axis, or states are saved too rarely (lower save_every)"
         return [missing, *lines]
     return lines
 
@@ -157,7 +157,7 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
     body.
 
     Returns:
-        Arrays (members,); nan where states are saved too far apart to follow the angles (more than 2.5 rad at |Π|/J₁).
+        Arrays (members,); nan where states are saved too rarely to unwrap the angles (more than 2.5 rad at |Π|/J₁).
     """
     moments, axes = np.linalg.eigh(inertia_matrix(body))  # ascending; columns are axes in the body
     axes[:, 2] *= np.linalg.det(axes)  # right-handed
@@ -166,7 +166,7 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
         R, pi = np.asarray(_matrices(run.state.q[:, m])), np.asarray(run.state.p[0, m])
         Pi = R.transpose(0, 2, 1) @ pi @ axes
         square = (Pi[0] ** 2).sum()
-        long = about_least(moments, Pi[0])
+        long = is_long_axis_mode(moments, Pi[0])
         e = R @ axes[:, 0 if long else 2]
         Pi = Pi[:, [1, 2, 0]] if long else Pi
         across = np.stack(frame(jnp.asarray(pi / np.maximum(np.linalg.norm(pi), np.finfo(float).tiny))))
@@ -174,8 +174,8 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
         too_coarse = rate * abs(run.t[1] - run.t[0]) > 2.5
         phi, psi = (np.unwrap(np.arctan2(y, x)) for x, y in (across @ e.T, Pi[:, :2].T))
         for periods, angle in ((precession, phi), (rotation, psi)):
-            turn = abs(angle[-1] - angle[0])
-            periods.append(np.nan if too_coarse or turn == 0 else 2 * np.pi * abs(run.t[-1] - run.t[0]) / turn)
+            total = abs(angle[-1] - angle[0])
+            periods.append(np.nan if too_coarse or total == 0 else 2 * np.pi * abs(run.t[-1] - run.t[0]) / total)
     return np.array(precession), np.array(rotation)
 
 
@@ -187,80 +187,86 @@ def save_index(scenario: Scenario, seen: Observation) -> int:
     return round(seen.t / (scenario.dt * scenario.save_every))
 
 
-class Sighting(NamedTuple):
-    """An observation and its prediction; angles in degrees."""
+class Prediction(NamedTuple):
+    """The prediction of an observation; angles in degrees.
+
+    Attributes:
+        observation: the observation.
+        euler_313_deg: the predicted attitude, (3,).
+        angular_velocity_deg: the predicted angular velocity in the body, (3,).
+        misfit_deg: the angle between the predicted and the observed attitude.
+        spread_deg: the root mean square angle of the members about the nominal one.
+        integrator_error_deg: the angle between the nominal attitude and that of `diagnostics.flow`, which is accurate
+            to round-off.
+    """
 
     observation: Observation
     euler_313_deg: np.ndarray
     angular_velocity_deg: np.ndarray
-    apart_deg: float
+    misfit_deg: float
     spread_deg: float
     integrator_error_deg: float
 
 
-def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sighting]:
-    """The prediction of the nominal member for each observation within the run.
-
-    `spread_deg` is the root mean square angle of the members about the nominal one; `integrator_error_deg` the angle
-    between the nominal one and a solution of the equations of motion by `diagnostics.flow`, accurate to round-off.
-    """
+def predictions(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Prediction]:
+    """The predictions of the nominal member for the observations within the run."""
     found = []
     for seen in scenario.observation:
         k = save_index(scenario, seen)
         if not 0 <= k < len(run.t):
             continue
-        now, start = nominal(run, k), nominal(run)
+        now, start = nominal_state(run, k), nominal_state(run)
         Omega = jnp.linalg.norm(body.angular_velocity(start))
         true = diagnostics.flow(body, start, seen.t, 2 * int(abs(seen.t * Omega)) + 2)
-        apart = jax.vmap(so3.angle, in_axes=(0, None))(jnp.asarray(run.state.q[k]), now.q)
+        angles = jax.vmap(so3.angle, in_axes=(0, None))(jnp.asarray(run.state.q[k]), now.q)
         found.append(
-            Sighting(
+            Prediction(
                 seen,
                 np.rad2deg(np.asarray(so3.to_euler_313(now.q))) % 360,
                 np.rad2deg(np.asarray(body.angular_velocity(now))),
                 float(jnp.rad2deg(so3.angle(now.q, seen.attitude()))),
-                float(jnp.rad2deg(jnp.sqrt(jnp.mean(apart**2)))),
+                float(jnp.rad2deg(jnp.sqrt(jnp.mean(angles**2)))),
                 float(jnp.rad2deg(so3.angle(now.q, true.q))),
             )
         )
     return found
 
 
-def _sighting(scenario: Scenario, sighting: Sighting) -> str:
-    seen = sighting.observation
+def _prediction_lines(scenario: Scenario, found: Prediction) -> str:
+    seen = found.observation
 
     def triple(values: np.ndarray | list[float]) -> str:
         return "(" + ", ".join(f"{x:8.2f}" for x in values) + ")"
 
     lines = [f"\n  {seen.label}: t = {seen.t:g} {scenario.time_unit}   [{scenario.source(seen.source)}]"]
     if seen.euler_313_deg:
-        predicted, observed = triple(sighting.euler_313_deg), triple(seen.euler_313_deg)
+        predicted, observed = triple(found.euler_313_deg), triple(seen.euler_313_deg)
         lines += [f"    Euler 3-1-3 (°)      predicted {predicted}   observed {observed}"]
     if seen.angular_velocity_deg:
-        predicted, observed = triple(sighting.angular_velocity_deg), triple(seen.angular_velocity_deg)
+        predicted, observed = triple(found.angular_velocity_deg), triple(seen.angular_velocity_deg)
         lines += [f"    body rate (°/{scenario.time_unit})      predicted {predicted}   observed {observed}"]
     lines += [
-        f"    attitude predicted and observed: {sighting.apart_deg:.2f}° apart; members about the nominal one: "
-        f"{sighting.spread_deg:.2f}° rms; the integrator's own error: {sighting.integrator_error_deg:.2g}°",
-        "    (torque-free: what remains is the error of the initial state, of the observation, and torques left out)",
+        f"    angle between attitudes predicted and observed: {found.misfit_deg:.2f}°; members about the nominal one: "
+        f"{found.spread_deg:.2f}° rms; the integrator's own error: {found.integrator_error_deg:.2g}°",
+        "    (torque-free: the angle includes errors of the initial state and the observation, and omitted torques)",
     ]
     return "\n".join(lines)
 
 
 @picture(2, size=(4.7, 4.2), gridspec_kw={"width_ratios": [2, 1]})
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Map where the body's z axis points in space, with all members at the first observation, and what was observed.
+    """Map the direction of the body's z axis in space, of all members at the first observation, and the observed one.
 
     Next to the map of the sky is one of the members' surroundings.
     """
-    step = of_member(scenario, step)
+    step = for_member(scenario, step)
     place, close = axes
     wide = place.figure.add_subplot(place.get_subplotspec(), projection="mollweide")
     place.remove()
     seen = [s for s in scenario.observation if 0 <= save_index(scenario, s) < len(run.t)][:1]
     last = save_index(scenario, seen[0]) if seen else len(run.t) - 1
-    long = follow(step, nominal(run), scenario.dt, last * scenario.save_every)
-    path, members = in_space(long.state.q, Z), in_space(run.state.q[last], Z)
+    long = drawn_trajectory(step, nominal_state(run), scenario.dt, last * scenario.save_every)
+    path, members = axis_in_space(long.state.q, Z), axis_in_space(run.state.q[last], Z)
     pole = np.asarray(run.state.p[0, :1]) / np.linalg.norm(run.state.p[0, 0])
     center = float(30 * np.round(np.rad2deg(np.arctan2(pole[0, 1], pole[0, 0])) / 30))
     ax, span = plots.sky(wide, center), f"to t = {long.t[-1]:.4g} {scenario.time_unit}"
@@ -268,12 +274,12 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
     label = f"{scenario.members} members then" if scenario.members > 1 else "axis z then"
     plots.sky_points(ax, members, label, center, color=plots.INK, s=2, alpha=0.4, lw=0, zorder=3)
     plots.sky_points(ax, pole, "angular momentum", center, color=plots.GREEN, marker="P", s=45, zorder=3)
-    observed = in_space(seen[0].attitude()[None], Z) if seen else np.zeros((0, 3))
+    observed = axis_in_space(seen[0].attitude()[None], Z) if seen else np.zeros((0, 3))
     if seen:
         plots.sky_points(ax, observed, "observed then", center, color=plots.RED, marker="x", s=60, lw=1.6, zorder=4)
         plots.caption(ax.figure, _observation_in_words(scenario, seen[0], path[-1], members))
     legend = ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
-    legend.legend_handles[1].set_sizes([12])  # the members' dots are too small to be found in it
+    legend.legend_handles[1].set_sizes([12])  # the members' dots would be too small in the legend
     ax.set(xlabel="longitude in the axes of space", ylabel="latitude")
     ax.set_title(f"(a) the whole sky, {span}", loc="left")
     _draw_surroundings(close, path, members, observed)
@@ -303,8 +309,8 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
 
 
 def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: np.ndarray, members: np.ndarray) -> str:
-    """What the cross of `draw_path` is, and how far from the predicted axes it lies."""
-    [observed] = in_space(seen.attitude()[None], Z)
+    """The caption of `draw_path`: the source of the cross, and its distance from the predicted axes."""
+    [observed] = axis_in_space(seen.attitude()[None], Z)
 
     def degrees(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), a @ b))
@@ -319,8 +325,8 @@ def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: n
 @picture(3)
 def draw_invariants(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the energy and Poisson errors of the nominal member against time."""
-    step = of_member(scenario, step)
-    n, every = thinned(scenario.steps)
+    step = for_member(scenario, step)
+    n, every = drawn_steps(scenario.steps)
 
     @jax.jit
     def errors(z: State) -> tuple[Array, Array, Array]:
@@ -329,18 +335,18 @@ def draw_invariants(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -
         sigma = jax.vmap(so3.vee)(diagnostics.poisson_error(step, z, scenario.dt, n)[::every])
         return series.t, energy, jnp.linalg.norm(sigma, axis=1)
 
-    t, energy, sigma = (np.asarray(x) for x in errors(nominal(run)))
+    t, energy, sigma = (np.asarray(x) for x in errors(nominal_state(run)))
     plots.log_error(axes[0], t, {"nominal member": energy}, "relative energy error", scenario.time_unit)
     plots.log_error(axes[1], t, {"nominal member": sigma}, "Poisson error |σ|", scenario.time_unit)
     _draw_polhode(axes[2], step.system, run)
 
 
 def _draw_polhode(ax: Any, body: RigidBody, run: Trajectory) -> None:
-    """The body momentum of the nominal member, looked at along the principal axis that it goes about."""
+    """The body momentum of the nominal member, seen along the principal axis that it circles."""
     moments, axes = np.linalg.eigh(inertia_matrix(body))
     Pi = np.asarray(jax.jit(jax.vmap(body.body_momentum))(jax.tree.map(lambda x: jnp.asarray(x[:, 0]), run.state)))
     Pi = Pi @ axes / np.linalg.norm(Pi[0])
-    about = 0 if about_least(moments, Pi[0]) else 2
+    about = 0 if is_long_axis_mode(moments, Pi[0]) else 2
     x, y = (k for k in range(3) if k != about)
     angle = np.linspace(0, 2 * np.pi, 145)
     ax.plot(np.cos(angle), np.sin(angle), color=plots.GRAY, lw=0.8)

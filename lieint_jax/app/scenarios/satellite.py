@@ -1,4 +1,4 @@
-"""A satellite in a low orbit, from its release to its work: what captures it, and the work of every law of torque."""
+"""A satellite in a low orbit, from its release to its operation: its capture, and the work of every law of torque."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from pydantic import field_validator, model_validator
 from lieint_jax import schemes, systems, torques
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
-from lieint_jax.app.scenarios._common import Above, NonNegative, Triple, deviates
+from lieint_jax.app.scenarios._body import inertia_matrix
+from lieint_jax.app.scenarios._common import NonNegative, PositiveFloat, Triple, deviates
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import for_last_run, over_members
+from lieint_jax.app.scenarios._runs import cached_for_last_run, over_members
 from lieint_jax.app.scenarios._satellite_laws import (
     Control,
     Detumbling,
@@ -32,13 +33,13 @@ from lieint_jax.app.scenarios._satellite_laws import (
     laws,
     surroundings,
 )
-from lieint_jax.app.scenarios._spread import drawn, stretch_inertia, with_numbers
+from lieint_jax.app.scenarios._spread import draw_members, stretch_inertia, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.systems import TorquedBody
 from lieint_jax.types import State, Step, Trajectory, labels
 
-STEP_AXIS = 0  # every member has an inertia and a dipole of its own
-CERTIFIED = False  # control and friction conserve no form and no momentum; the report has the balance of energy
+STEP_AXIS = 0  # every member has its own inertia and dipole
+CERTIFIED = False  # control and friction conserve only the energy balance, which the report has
 _CAPTURED = 10.0  # degrees from the nadir
 _SLOW = 0.5  # °/s: detumbled
 
@@ -72,8 +73,8 @@ class Scenario(_body.BodyScenario):
     drag: Drag | None = None
     rods: Rods | None = None
     wheels: Wheels | None = None
-    max_dipole: Above | None = None
-    """Of each magnetic torquer, along the body axes, in A m²; needed for detumbling and unloading."""
+    max_dipole: PositiveFloat | None = None
+    """Of each magnetic torquer, along the body axes, in A m²; required by detumbling and unloading."""
     detumbling: Detumbling | None = None
     pointing: Pointing | None = None
     unloading: Unloading | None = None
@@ -89,7 +90,7 @@ class Scenario(_body.BodyScenario):
 
     @field_validator("date")
     @classmethod
-    def _a_day(cls, value: str) -> str:
+    def _check_date(cls, value: str) -> str:
         try:
             datetime.date.fromisoformat(value)
         except ValueError as error:
@@ -97,7 +98,7 @@ class Scenario(_body.BodyScenario):
         return value
 
     @model_validator(mode="after")
-    def _equipment_is_there(self) -> Self:
+    def _check_equipment(self) -> Self:
         torquers = [name for name in ("detumbling", "unloading") if getattr(self, name) is not None]
         if torquers and self.max_dipole is None:
             raise ValueError(f"{torquers[0]} needs torquers: give max_dipole")
@@ -111,12 +112,12 @@ class Scenario(_body.BodyScenario):
         return self
 
     @model_validator(mode="after")
-    def _the_earth_is_there(self) -> Self:
-        self.around()
-        _driven_inertia(self, jnp.asarray(_matrix(self.inertia)))
+    def _check_orbit_and_wheels(self) -> Self:
+        self.environment()
+        _driven_inertia(self, jnp.asarray(inertia_matrix(self)))
         return self
 
-    def around(self) -> Surroundings:
+    def environment(self) -> Surroundings:
         """The functions of time along the orbit."""
         return surroundings(self.orbit, datetime.date.fromisoformat(self.date), self.drag)
 
@@ -126,53 +127,48 @@ class Scenario(_body.BodyScenario):
         return dict(sorted(((k, c) for k, c in given.items() if c is not None), key=lambda pair: pair[1].window))
 
     def spreads(self) -> dict[str, tuple[float, str]]:
-        more = {
+        own = {
             "second moments of mass": (self.spread.inertia, "of them"),
             "residual dipole": (self.spread.residual_dipole, "A m²"),
         }
-        return super().spreads() | more
-
-
-def _matrix(inertia: Any) -> np.ndarray:
-    J = np.asarray(inertia, float)
-    return np.diag(J) if J.ndim == 1 else J
+        return super().spreads() | own
 
 
 def _driven_inertia(scenario: Scenario, locked: Any) -> Any:
-    """The inertia that moves with the momentum π: without the axial parts of the wheels."""
+    """The inertia of the body without the axial inertia of the wheels."""
     if scenario.wheels is None:
         return locked
     return torques.body_inertia(locked, scenario.wheels.axes(), scenario.wheels.inertia_kg_m2)
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
-    """The steps of the members, each with an inertia and a dipole of its own, and their states."""
-    around, spread = scenario.around(), scenario.spread
+    """The steps of the members, each with its own inertia and dipole, and their states."""
+    around, spread = scenario.environment(), scenario.spread
     key = jax.random.fold_in(jax.random.key(scenario.seed), 1)
     own = jax.random.normal(key, (2, scenario.members, 3)).at[:, 0].set(0.0)
     locked = jax.vmap(stretch_inertia, (None, 0))(
-        jnp.asarray(_matrix(scenario.inertia)), jnp.exp(spread.inertia * own[0])
+        jnp.asarray(inertia_matrix(scenario)), jnp.exp(spread.inertia * own[0])
     )
     dipoles = jnp.asarray(scenario.residual_dipole) + spread.residual_dipole * own[1]
     q, Omega = _initial(scenario, around)
-    kick, jolt = jnp.swapaxes(deviates(scenario), 0, 1)
-    kick, jolt = jnp.deg2rad(spread.attitude_deg) * kick, spread.rate() * jolt
+    for_attitude, for_rate = jnp.swapaxes(deviates(scenario), 0, 1)
+    rotations, changes = jnp.deg2rad(spread.attitude_deg) * for_attitude, spread.rate() * for_rate
 
-    def member(own: Any, locked: Any, dipole: Any, kick: Any, jolt: Any) -> tuple[Step, State]:
-        its = with_numbers(scenario, own)
-        law = torques.total(laws(its, around, locked, dipole))
-        body = systems.torqued_body(_driven_inertia(its, locked), law)
-        attitude, rate = _initial(its, around) if own else (q, Omega)
-        state = body.state(so3.multiply(so3.exp(kick), attitude), angular_velocity=rate + jolt, works=True)
+    def member(own: Any, locked: Any, dipole: Any, rotation: Any, change: Any) -> tuple[Step, State]:
+        of_member = with_numbers(scenario, own)
+        law = torques.total(laws(of_member, around, locked, dipole))
+        body = systems.torqued_body(_driven_inertia(of_member, locked), law)
+        attitude, rate = _initial(of_member, around) if own else (q, Omega)
+        state = body.state(so3.multiply(so3.exp(rotation), attitude), angular_velocity=rate + change, works=True)
         return schemes.torqued_midpoint(body), state
 
-    step, states = jax.jit(jax.vmap(member))(drawn(scenario), locked, dipoles, kick, jolt)
+    step, states = jax.jit(jax.vmap(member))(draw_members(scenario), locked, dipoles, rotations, changes)
     _check_wheels(scenario, step)
     return step, states._replace(t=jnp.zeros((), states.p.dtype))
 
 
 def _check_wheels(scenario: Scenario, step: Any) -> None:
-    """ValueError if members have wheels whose axial inertia is larger than that of the satellite with them."""
+    """Raise ValueError if members have wheels of larger axial inertia than the whole satellite."""
     if scenario.wheels is not None and scenario.own_numbers():
         heavy = int((np.linalg.eigvalsh(np.asarray(step.system.inertia)).min(axis=-1) <= 0).sum())
         if heavy:
@@ -190,43 +186,39 @@ def _initial(scenario: Scenario, around: Surroundings) -> tuple[Any, Any]:
 
 
 class Course(NamedTuple):
-    """What is measured of a run.
+    """The measured series of a run.
 
     Attributes:
         rate: the size of the angular velocity in space, °/s, (times, members).
-        off: the angle of the z axis from the nadir, degrees, (times, members).
+        nadir_angle: the angle of the z axis from the nadir, degrees, (times, members).
         wheels: the size of the momentum of the wheels, N m s, (times, members); 0 without wheels.
-        works: of each law, J, (times, members, laws).
-        energy: (times, members).
-        names: of the laws.
+        works: the work of each law, J, (times, members, laws).
+        energy: the energy, J, (times, members).
+        names: the names of the laws.
     """
 
     rate: np.ndarray
-    off: np.ndarray
+    nadir_angle: np.ndarray
     wheels: np.ndarray
     works: np.ndarray
     energy: np.ndarray
     names: list[str]
 
 
+@cached_for_last_run
 def course(scenario: Scenario, body: TorquedBody, run: Trajectory) -> Course:
-    """The course of all members."""
-    return _course(scenario, body, run)
-
-
-@for_last_run
-def _course(scenario: Scenario, body: TorquedBody, run: Trajectory) -> Course:
+    """The measured series of all members."""
     axes = None if scenario.wheels is None else scenario.wheels.axes()
 
-    def measured(body: TorquedBody, state: State) -> tuple[Any, ...]:
+    def measure(body: TorquedBody, state: State) -> tuple[Any, ...]:
         Omega = body.angular_velocity(state)
         z = so3.Ad(state.q, jnp.array([0.0, 0.0, 1.0], state.q.dtype))
         extra: Any = state.extra
         h = jnp.zeros(()) if axes is None else jnp.linalg.norm(extra["wheels"] @ axes)
         return jnp.linalg.norm(Omega), z, h, extra["works"], body.energy(state)
 
-    rate, z, h, works, energy = over_members(measured, body, run)
-    frames = jax.vmap(scenario.around().frame)(jnp.asarray(run.t))
+    rate, z, h, works, energy = over_members(measure, body, run)
+    frames = jax.vmap(scenario.environment().frame)(jnp.asarray(run.t))
     down = np.asarray(jax.vmap(so3.Ad, (0, None))(frames, jnp.array([0.0, 0.0, 1.0])))[:, None]
     angle = np.arctan2(np.linalg.norm(np.cross(z, down), axis=-1), np.sum(z * down, axis=-1))
     return Course(np.rad2deg(rate), np.rad2deg(angle), h, works, energy, labels(body))
@@ -244,9 +236,11 @@ def quantities(scenario: Scenario, body: TorquedBody, run: Trajectory) -> list[Q
     c = course(scenario, body, run)
     found = [
         Quantity("rate at the end (°/s)", c.rate[-1]),
-        Quantity("z axis from the nadir at the end (°)", c.off[-1]),
+        Quantity("z axis from the nadir at the end (°)", c.nadir_angle[-1]),
         Quantity(f"first slower than {_SLOW:g} °/s (s)", first_slow(np.asarray(run.t), c.rate), ".0f"),
-        Quantity(f"within {_CAPTURED:g}° of the nadir since (s)", captured_since(np.asarray(run.t), c.off), ".0f"),
+        Quantity(
+            f"within {_CAPTURED:g}° of the nadir since (s)", captured_since(np.asarray(run.t), c.nadir_angle), ".0f"
+        ),
     ]
     if scenario.wheels is not None:
         found += [
@@ -262,9 +256,9 @@ def first_slow(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return np.where(slow.any(axis=0), t[slow.argmax(axis=0)], np.nan)
 
 
-def captured_since(t: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """The first saved time from which on a member is near the nadir, (members,); nan if it is not at the end."""
-    far = off > _CAPTURED
+def captured_since(t: np.ndarray, nadir_angle: np.ndarray) -> np.ndarray:
+    """The first saved time after which a member stays near the nadir, (members,); nan if it is not near at the end."""
+    far = nadir_angle > _CAPTURED
     last = np.where(far.any(axis=0), len(t) - 1 - far[::-1].argmax(axis=0), -1)
     return np.where(last == len(t) - 1, np.nan, t[np.minimum(last + 1, len(t) - 1)])
 
@@ -291,7 +285,7 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
         f"  {'median and largest, at its end':<38}",
     ]
     for name, _, k in parts:
-        pairs = [f"{np.median(x[k]):.3f}  {np.max(x[k]):.3f}" for x in (c.rate, c.off, 1e3 * c.wheels)]
+        pairs = [f"{np.median(x[k]):.3f}  {np.max(x[k]):.3f}" for x in (c.rate, c.nadir_angle, 1e3 * c.wheels)]
         lines.append(f"  {name:<28}{t[k]:>10.0f}{pairs[0]:>20}{pairs[1]:>22}{pairs[2]:>19}")
     lines.append(f"\n  {'work (µJ), mean of members':<28}" + "".join(f"{_short(name):>20}" for name, *_ in parts))
     for j, name in enumerate(c.names):
@@ -302,18 +296,18 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     if "bdot" in c.names:
         work = c.works[..., c.names.index("bdot")]
         braked = int(np.sum(np.all(np.diff(work, axis=0) <= 0, axis=0)))
-        lines.append(f"\n  the detumbling gave no energy between any two saved times to {braked} of {work.shape[1]}")
-    done = int(np.sum(c.off[-1] <= _CAPTURED))
-    lines.append(f"  at the end within {_CAPTURED:g}° of the nadir: {done} of {c.off.shape[1]}")
+        lines.append(f"\n  detumbling raised the energy between no two saved times of {braked} of {work.shape[1]}")
+    done = int(np.sum(c.nadir_angle[-1] <= _CAPTURED))
+    lines.append(f"  at the end within {_CAPTURED:g}° of the nadir: {done} of {c.nadir_angle.shape[1]}")
     return lines
 
 
 def _short(name: str) -> str:
-    """A name of a phase for the head of a column."""
+    """The name of a phase, shortened for the head of a column."""
     return name.replace("detumbling", "detumble").replace("pointing", "point").replace("unloading", "unload")
 
 
-def _shade(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
+def _mark_phases(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
     """Mark the edges of the phases."""
     for _, first, _ in phases(scenario, t)[1:]:
         ax.axvline(t[first], color="gray", lw=0.6, ls=":")
@@ -326,13 +320,13 @@ def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
     shown = slice(0, 100)
     for ax, values, label in (
         (axes[0], c.rate, "angular velocity (°/s)"),
-        (axes[1], c.off, "z axis from the nadir (°)"),
+        (axes[1], c.nadir_angle, "z axis from the nadir (°)"),
         (axes[2], 1e3 * c.wheels, "momentum of the wheels (mN m s)"),
     ):
         ax.plot(t, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4)
         ax.plot(t, values[:, 0], color=plots.INK, lw=1.0)
         ax.set(xlabel="t (s)", ylabel=label)
-        _shade(ax, scenario, t)
+        _mark_phases(ax, scenario, t)
     if (c.rate > 0).all():
         axes[0].set_yscale("log")
     works: Mapping[str, np.ndarray] = {name: 1e6 * c.works[:, 0, j] for j, name in enumerate(c.names)}
@@ -341,17 +335,17 @@ def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
     axes[3].set_yscale("symlog", linthresh=0.1)
     axes[3].set(xlabel="t (s)", ylabel="work of each law (µJ)")
     axes[3].legend(fontsize="small")
-    _shade(axes[3], scenario, t)
+    _mark_phases(axes[3], scenario, t)
 
 
 @picture(2)
 def draw_capture(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot when each start was slow and captured against its initial rate, and how many of them are, with time."""
+    """Plot the times of slowing and capture against the initial rate, and the share of captured starts against time."""
     left, right = axes
     c, t = course(scenario, step.system, run), np.asarray(run.t)
     events = (
         (first_slow(t, c.rate), plots.BLUE, f"slower than {_SLOW:g} °/s"),
-        (captured_since(t, c.off), plots.ORANGE, f"within {_CAPTURED:g}° of the nadir for good"),
+        (captured_since(t, c.nadir_angle), plots.ORANGE, f"within {_CAPTURED:g}° of the nadir for good"),
     )
     for since, color, label in events:
         reached = np.isfinite(since)
@@ -360,10 +354,10 @@ def draw_capture(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> N
     left.set_ylim(0, t[-1])
     left.legend()
     for limit, color in ((90.0, plots.ORANGE), (_CAPTURED, plots.BLUE), (1.0, plots.INK)):
-        right.plot(t, 100 * np.mean(c.off <= limit, axis=1), color=color, lw=0.9, label=f"within {limit:g}°")
+        right.plot(t, 100 * np.mean(c.nadir_angle <= limit, axis=1), color=color, lw=0.9, label=f"within {limit:g}°")
     right.set(xlabel="t (s)", ylabel="of all starts (%)", ylim=(0, 102))
     right.legend()
-    _shade(right, scenario, t)
+    _mark_phases(right, scenario, t)
 
 
 PICTURES = {"phases": draw_phases, "capture": draw_capture}

@@ -1,4 +1,4 @@
-"""Tides of two bodies on a circle in the plane of their equators: how they part and slow down, and where that ends."""
+"""Tides of two bodies on a circle in the plane of their equators: recession, braking and the final locked state."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from matplotlib.figure import Figure
 from pydantic import Field
 
 from lieint_jax import potentials, schemes, systems, tides
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, NonNegative, NumberSpread, Published, Table
+from lieint_jax.app.scenarios._common import Common, NonNegative, NumberSpread, PositiveFloat, Published, Table
+from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._runs import over_members, series
-from lieint_jax.app.scenarios._spread import drawn, value_of, with_numbers
+from lieint_jax.app.scenarios._spread import draw_members, member_values, with_numbers
 from lieint_jax.types import State, Step, Trajectory
 
-Pair = Annotated[list[Above], Field(min_length=2, max_length=2)]
+Pair = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
 NonNegativePair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 
 _DAY, _HOUR, _YEAR = 86400.0, 1 / 24, 365.25  # s; d; d
 _G = 6.6743e-20 * _DAY**2  # km³/(kg d²)
 _TERAWATT = 1e6 / _DAY**3 / 1e12  # of kg km²/d³
-_SLIGHT = 1e-2  # a relative change of the distance up to which it has a rate
-STEP_AXIS = 0  # every member has lags of its own
+_SLIGHT = 1e-2  # relative change of the distance below which a mean rate is reported
+STEP_AXIS = 0  # every member has its own lags
 
 
 class Measured(Table):
     """Published values to compare with."""
 
     recession_cm: Published | None = None
-    """By how much the distance grows in a year, in cm."""
+    """The growth of the distance in a year, in cm."""
     distance_km: Published | None = None
-    """Between the centers when both bodies show each other one face, in km."""
+    """The distance of the centers when both bodies are locked, in km."""
     period_d: Published | None = None
-    """Of that motion, in d."""
+    """The period of the locked motion, in d."""
 
 
 class Scenario(Common):
-    """The keys of a scenario of this kind. Lists have a number for each of two bodies."""
+    """The keys of a scenario of this kind. Lists have a number for each of the two bodies."""
 
     system: Literal["tides"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["d"] = "d"  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -49,15 +49,15 @@ class Scenario(Common):
     radii_km: Pair
     """In km."""
     moment_factors: Pair
-    """The moment of inertia over mass and square of the radius; 0.4 of a ball of one density."""
+    """The moment of inertia over mass times squared radius; 0.4 for a homogeneous ball."""
     love_numbers: NonNegativePair
-    """k₂, by which a body yields to tides of degree 2."""
+    """k₂, the response of a body to tides of degree 2."""
     lags_s: NonNegativePair
-    """The constant times by which the tides lag, in s."""
+    """The constant time lags of the tides, in s."""
     lag_spread: NonNegative = 0.0
     """The standard deviation of the logarithm of both lags over the members."""
-    distance_km: Above
-    """Between the centers at the start, in km, on a circle."""
+    distance_km: PositiveFloat
+    """The initial distance of the centers, in km, on a circle."""
     rotation_periods_h: Pair
     """Sidereal, in hours, in the sense of the orbit."""
     spread: NumberSpread = NumberSpread()
@@ -72,10 +72,10 @@ class Scenario(Common):
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
-    """The steps of the members, each with lags of its own, and their states."""
+    """The steps of the members, each with its own lags, and their states."""
     random = np.random.default_rng(scenario.seed).normal(size=scenario.members)
     factors = jnp.asarray(np.exp(scenario.lag_spread * random * (np.arange(scenario.members) > 0)))
-    own = drawn(scenario)
+    own = draw_members(scenario)
     step = jax.vmap(lambda factor, own: _step(with_numbers(scenario, own), factor))(factors, own)
     if own:
         return step, jax.vmap(lambda own: _start(with_numbers(scenario, own)))(own)
@@ -105,13 +105,13 @@ def _start(scenario: Scenario) -> State:
 
 
 class Course(NamedTuple):
-    """What is measured of a run, each (times, members) or (times, members, 2).
+    """The measured series of a run, (times, members) or (times, members, 2).
 
     Attributes:
-        distance: between the centers, km.
-        spins: about the normal of the orbit, rad/d.
-        orbital: the angular momentum of the orbit about it.
-        lost: the energy lost so far.
+        distance: the distance of the centers, km.
+        spins: the angular velocities about the normal of the orbit, rad/d.
+        orbital: the angular momentum of the orbit about its normal.
+        lost: the energy lost since the start.
     """
 
     distance: np.ndarray
@@ -121,27 +121,27 @@ class Course(NamedTuple):
 
 
 def course(scenario: Scenario, run: Trajectory) -> Course:
-    """The course of all members."""
+    """The measured series of all members."""
     q, p = np.asarray(run.state.q), np.asarray(run.state.p)
-    factors, m, R = (value_of(scenario, name) for name in ("moment_factors", "masses_kg", "radii_km"))
+    factors, m, R = (member_values(scenario, name) for name in ("moment_factors", "masses_kg", "radii_km"))
     orbital = np.cross(q[..., :3], p[..., :3])[..., 2].sum(axis=-1)
     distance = np.linalg.norm(q[..., 1, :3] - q[..., 0, :3], axis=-1)
     return Course(distance, p[..., 5] / (factors * m * R**2), orbital, -np.asarray(run.state.work))
 
 
 def recession(scenario: Scenario, run: Trajectory) -> np.ndarray:
-    """The mean growth of the distance, km a year, of each member: by the momentum that the orbit gains, L ∝ √a.
+    """The mean growth of the distance of each member, km a year, from the gain of the orbit's momentum, L ∝ √a.
 
-    It is as exact as rounding leaves the spins, which change little in a step: to 1e-3 for the Moon.
+    Its accuracy is limited by the rounding of the spins, which change little in a step: 1e-3 for the Moon.
     """
     found = course(scenario, run)
-    spin = found.spins * value_of(scenario, "moment_factors") * value_of(scenario, "masses_kg")
-    gained = -((spin[-1] - spin[0]) * value_of(scenario, "radii_km") ** 2).sum(axis=-1)
-    return 2 * value_of(scenario, "distance_km") * gained / found.orbital[0] / (float(run.t[-1]) / _YEAR)
+    spin = found.spins * member_values(scenario, "moment_factors") * member_values(scenario, "masses_kg")
+    gained = -((spin[-1] - spin[0]) * member_values(scenario, "radii_km") ** 2).sum(axis=-1)
+    return 2 * member_values(scenario, "distance_km") * gained / found.orbital[0] / (float(run.t[-1]) / _YEAR)
 
 
 def double_synchronous(scenario: Scenario, L: float) -> tuple[float, float]:
-    """The distance in km and the period in d of the outer motion with both bodies locked, of angular momentum L.
+    """The distance in km and the period in d of the outer locked motion with the angular momentum L.
 
     The root of L = μ√(GMa) + (J₁ + J₂)√(GM/a³) above its least value, which it has where the orbit's part is three
     times the bodies'; nan if there is none.
@@ -163,7 +163,7 @@ def double_synchronous(scenario: Scenario, L: float) -> tuple[float, float]:
 
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """What is balanced, worst of all members; rates at which bodies part and slow down; where they end."""
+    """The largest errors of the balances over the members; rates of recession and braking; the locked state."""
     found = course(scenario, run)
     J = _moments(scenario)
     L = found.orbital + (J * found.spins).sum(axis=-1)
@@ -180,15 +180,17 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     days = 2 * np.pi / found.spins / _HOUR
     century = float(run.t[-1]) / (100 * _YEAR)
     power = (found.lost[-1] - found.lost[0]) / float(run.t[-1]) * _TERAWATT
-    circle, turn = _circle(scenario, found)
+    circle, period_of_circle = _circle(scenario, found)
     rows = {
         "distance at the end (km)": found.distance[-1],
         "of a circle with the orbit's angular momentum (km)": circle,
-        "rotation periods over that of this circle, 1st": days[-1, :, 0] * _HOUR / turn,
-        "and 2nd": days[-1, :, 1] * _HOUR / turn,
+        "rotation periods over that of this circle, 1st": days[-1, :, 0] * _HOUR / period_of_circle,
+        "and 2nd": days[-1, :, 1] * _HOUR / period_of_circle,
         "power lost (TW)": power,
     }
-    if (abs(circle / value_of(scenario, "distance_km") - 1) < _SLIGHT).all():  # else there is no one rate
+    if (
+        abs(circle / member_values(scenario, "distance_km") - 1) < _SLIGHT
+    ).all():  # otherwise the rate varies too much for a mean
         rows |= {
             "distance grows (cm a year)": 1e5 * recession(scenario, run),
             "rotation of the first body slows (ms a century)": (days[-1] - days[0])[:, 0] * 3.6e6 / century,
@@ -213,14 +215,14 @@ def _energies(scenario: Scenario, step: Any, run: Trajectory) -> np.ndarray:
     states = run.state._replace(t=None, work=None)
     if scenario.own_numbers():
         return over_members(lambda bodies, z: bodies.energy(z), step.system, run._replace(state=states))
-    bodies: Any = jax.tree.map(lambda x: x[0], step.system)  # members differ in what is no part of H
+    bodies: Any = jax.tree.map(lambda x: x[0], step.system)  # members differ in numbers that do not enter H
     return series(bodies.energy, run._replace(state=states))
 
 
 def _moments(scenario: Scenario) -> np.ndarray:
-    """The moments of inertia of both bodies, of each member if they differ."""
-    R = value_of(scenario, "radii_km")
-    return value_of(scenario, "moment_factors") * value_of(scenario, "masses_kg") * np.square(R)
+    """The moments of inertia of both bodies, (2,), or (members, 2) if they differ."""
+    R = member_values(scenario, "radii_km")
+    return member_values(scenario, "moment_factors") * member_values(scenario, "masses_kg") * np.square(R)
 
 
 def _least_loss(lost: np.ndarray) -> float:
@@ -229,28 +231,24 @@ def _least_loss(lost: np.ndarray) -> float:
 
 def _circle(scenario: Scenario, found: Course) -> tuple[np.ndarray, np.ndarray]:
     """The distance, km, and the period, d, of a circle of the angular momentum that the orbit has at the end."""
-    m = value_of(scenario, "masses_kg")
+    m = member_values(scenario, "masses_kg")
     GM, mu = _G * m.sum(axis=-1), m.prod(axis=-1) / m.sum(axis=-1)
-    own = found.orbital[-1] / mu
-    return own**2 / GM, 2 * np.pi * own**3 / GM**2
+    specific = found.orbital[-1] / mu
+    return specific**2 / GM, 2 * np.pi * specific**3 / GM**2
 
 
-@plots.style()
-def draw_course(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(3)
+def draw_course(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the distance, the rotations of the nominal member and the loss, and the balances."""
-    fig, axes = plots.figure(3)
     found, t = course(scenario, run), np.asarray(run.t)
-    plots.series(axes[0, 0], t, {"": found.distance[:, 0]}, "distance (km)", scenario.time_unit)
+    plots.series(axes[0], t, {"": found.distance[:, 0]}, "distance (km)", scenario.time_unit)
     n = np.sqrt(_G * sum(scenario.masses_kg) / found.distance[:, 0] ** 3)
     rates = {"first body": found.spins[:, 0, 0], "second body": found.spins[:, 0, 1], "orbit": n}
-    plots.series(axes[0, 1], t, rates, "rate (rad/d)", scenario.time_unit)
-    J = np.asarray(scenario.moment_factors) * scenario.masses_kg * np.square(scenario.radii_km)
-    L = found.orbital[:, 0] + (J * found.spins[:, 0]).sum(axis=-1)
+    plots.series(axes[1], t, rates, "rate (rad/d)", scenario.time_unit)
+    L = (found.orbital + (_moments(scenario) * found.spins).sum(axis=-1))[:, 0]
     H = (_energies(scenario, step, run) + found.lost)[:, 0]
     curves = {"L": L / L[0] - 1, "H with what was lost": H / H[0] - 1}
-    plots.log_error(axes[0, 2], t, curves, "relative change", scenario.time_unit)
-    fig.suptitle(scenario.title)
-    return fig
+    plots.log_error(axes[2], t, curves, "relative change", scenario.time_unit)
 
 
 PICTURES = {"course": draw_course}

@@ -1,4 +1,4 @@
-"""A droplet of rigid molecules of water in vacuum: what schemes conserve, its temperature, and its O–O distances."""
+"""A droplet of rigid molecules of water in vacuum: conserved quantities, temperature, and O–O distances."""
 
 from __future__ import annotations
 
@@ -13,49 +13,49 @@ from pydantic import Field, model_validator
 from lieint_jax import potentials, schemes, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, NumberSpread, Published, Table, numbers_of
+from lieint_jax.app.scenarios._common import Common, NumberSpread, PositiveFloat, Published, Table, member_indices
 from lieint_jax.app.scenarios._multibody import step_of
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, citation
-from lieint_jax.app.scenarios._runs import nominal, series
-from lieint_jax.app.scenarios._spread import drawn, with_numbers
+from lieint_jax.app.scenarios._runs import nominal_state, series
+from lieint_jax.app.scenarios._spread import draw_members, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
 
 STEP_AXIS = None  # the molecules are the same in all droplets
 _BOLTZMANN = 0.00831446261815324  # kJ/(mol K)
-_SCALED_EVERY = 10  # steps, while a droplet settles
-_LONGEST = 2000  # the most steps of the picture of errors: the energy–momentum scheme takes ten forces a step
+_SCALED_EVERY = 10  # steps between scalings of the momenta while a droplet settles
+_LONGEST = 2000  # largest number of steps in the picture of errors: the energy–momentum scheme is slow
 
 
 class Settling(Table):
-    """How a droplet is made: molecules on a grid, turned at random, then steps in which momenta are scaled."""
+    """How a droplet is made: molecules on a grid with random attitudes, then steps in which momenta are scaled."""
 
-    spacing_nm: Above = 0.31
-    """Of the grid, in nm."""
-    temperature_kelvin: Above
-    """To which the momenta are scaled every ten steps, in K."""
+    spacing_nm: PositiveFloat = 0.31
+    """The spacing of the grid, in nm."""
+    temperature_kelvin: PositiveFloat
+    """The temperature to which the momenta are scaled every ten steps, in K."""
     steps: Annotated[int, Field(ge=0, le=10**7)]
-    """Of the splitting, with dt."""
+    """The number of steps of the splitting, with dt."""
 
 
 class Measured(Table):
     """Published values to compare with."""
 
     first_peak_nm: Published
-    """Where the first peak of the O–O distances stands, in nm."""
+    """The first peak of the O–O distances, in nm."""
 
 
 class Scenario(Common):
-    """The keys of a scenario of this kind. Units are nm, ps, u and kJ/mol, which go together."""
+    """The keys of a scenario of this kind. Units are nm, ps, u and kJ/mol, which are consistent."""
 
     system: Literal["water"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["ps"] = "ps"  # pyright: ignore[reportIncompatibleVariableOverride]
     model: Literal["TIP4P", "TIP4P/2005"] = "TIP4P/2005"
     """Of the molecule: its charges and its Lennard-Jones site."""
     molecules: Annotated[int, Field(ge=2, le=1000)]
-    """In a droplet; all act on all, without a cut-off."""
+    """The number of molecules of a droplet; all interact, without a cut-off."""
     scheme: Literal["splitting", "nystrom", "bodies_energy_momentum"] = "splitting"
     order: Literal[2, 4, 6] = 2
     """Of accuracy; above 2 by composition. nystrom has 4 and 6."""
@@ -65,22 +65,22 @@ class Scenario(Common):
     published: Measured | None = None
 
     @model_validator(mode="after")
-    def _the_scheme_has_the_order(self) -> Self:
+    def _check_order(self) -> Self:
         if self.scheme == "nystrom" and self.order == 2:
             raise ValueError("nystrom has order = 4 and order = 6")
         return self
 
     def assumption(self) -> str:
-        made = "members: other turns of the molecules on the grid, and other velocities, before they settle"
+        made = "members: other attitudes of the molecules on the grid, and other velocities, before they settle"
         return "; ".join(filter(None, (made, super().assumption())))
 
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of droplets, once they have settled."""
     bodies = _bodies(scenario)
-    numbers = numbers_of(scenario, numbers)
+    numbers = member_indices(scenario, numbers)
     keys = random_bits.split_rows(jax.random.key(scenario.seed), scenario.members, numbers)
-    own = {path: values[numbers] for path, values in drawn(scenario).items()}
+    own = {path: values[numbers] for path, values in draw_members(scenario).items()}
     member = jax.vmap(lambda key, own: _droplet(with_numbers(scenario, own), bodies, key))
     starts = jax.jit(member)(keys, own)
     return step_of(bodies, scenario.scheme, scenario.order), starts
@@ -94,24 +94,24 @@ def _bodies(scenario: Scenario) -> RigidBodies:
 def _droplet(scenario: Scenario, bodies: RigidBodies, key: Array) -> State:
     """A droplet that has settled, its center of mass at rest at the origin."""
     n, given = scenario.molecules, scenario.settling
-    turning, going, spinning = jax.random.split(key, 3)
-    q = jax.random.normal(turning, (n, 4))
-    v, Omega = (jax.random.normal(k, (n, 3)) for k in (going, spinning))
+    for_attitude, *others = jax.random.split(key, 3)
+    q = jax.random.normal(for_attitude, (n, 4))
+    v, Omega = (jax.random.normal(k, (n, 3)) for k in others)
     v = (v - jnp.mean(v, axis=0)) / jnp.sqrt(bodies.masses[:, None])
-    turned = q / jnp.sqrt(jnp.sum(q * q, axis=1, keepdims=True))
+    q = q / jnp.sqrt(jnp.sum(q * q, axis=1, keepdims=True))
     state = bodies.state(
-        _grid(n, given.spacing_nm), turned, velocities=v, angular_velocities=Omega / jnp.sqrt(bodies.inertias)
+        _grid(n, given.spacing_nm), q, velocities=v, angular_velocities=Omega / jnp.sqrt(bodies.inertias)
     )
     step, kT = schemes.splitting(bodies), _BOLTZMANN * given.temperature_kelvin
 
-    def scaled(state: State) -> State:
-        wanted = kT * (6 * n - 6) / 2
-        return state._replace(p=state.p * jnp.sqrt(wanted / bodies.kinetic_energy(state)))
+    def rescale(state: State) -> State:
+        K = kT * (6 * n - 6) / 2
+        return state._replace(p=state.p * jnp.sqrt(K / bodies.kinetic_energy(state)))
 
     def relax(_: Any, state: State) -> State:
-        return lax.fori_loop(0, _SCALED_EVERY, lambda _, z: step(z, scenario.dt)[0], scaled(state))
+        return lax.fori_loop(0, _SCALED_EVERY, lambda _, z: step(z, scenario.dt)[0], rescale(state))
 
-    return scaled(lax.fori_loop(0, -(-given.steps // _SCALED_EVERY), relax, state))
+    return rescale(lax.fori_loop(0, -(-given.steps // _SCALED_EVERY), relax, state))
 
 
 def _grid(n: int, spacing: float) -> np.ndarray:
@@ -129,12 +129,12 @@ def temperature(bodies: RigidBodies, state: State) -> Array:
 
 def distances(scenario: Scenario, run: Trajectory) -> np.ndarray:
     """The O–O distances at all saved times of all members, in nm, (times, members, pairs)."""
-    oxygen = jnp.asarray(potentials.water(scenario.model).points[0])
+    site = jnp.asarray(potentials.water(scenario.model).points[0])
     i, j = np.triu_indices(scenario.molecules, 1)
 
     def pair_distances(state: State) -> Array:
-        at = state.q[:, :3] + jax.vmap(lambda q: so3.Ad(q, oxygen))(state.q[:, 3:])
-        return jnp.sqrt(jnp.sum((at[i] - at[j]) ** 2, axis=1))
+        oxygens = state.q[:, :3] + jax.vmap(lambda q: so3.Ad(q, site))(state.q[:, 3:])
+        return jnp.sqrt(jnp.sum((oxygens[i] - oxygens[j]) ** 2, axis=1))
 
     return series(pair_distances, run)
 
@@ -143,9 +143,9 @@ class Histogram(NamedTuple):
     """The number of pairs of a molecule with others at a distance r, per volume, over that at the first peak.
 
     Attributes:
-        r: middles of the bins, in nm.
-        density: in units of its first maximum.
-        peak: r of the first maximum, by a parabola through three bins, in nm.
+        r: the middles of the bins, in nm.
+        density: the density in units of its first maximum.
+        peak: the distance of the first maximum, by a parabola through three bins, in nm.
     """
 
     r: np.ndarray
@@ -191,7 +191,7 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
 def draw_errors(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the errors of H, P and L of the nominal droplet by the splitting and by the energy–momentum scheme."""
     both = [step_of(step.system, name, scenario.order) for name in ("splitting", "bodies_energy_momentum")]
-    t, found = changes_by_scheme(conserved, scenario, both, nominal(run), _LONGEST)
+    t, found = changes_by_scheme(conserved, scenario, both, nominal_state(run), _LONGEST)
     for ax, errors, title in zip(
         axes, found.values(), ("splitting, symplectic", "energy–momentum scheme"), strict=True
     ):
@@ -203,7 +203,7 @@ def draw_errors(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
 def draw_droplet(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the nominal droplet at the end, the temperature of the members, and the histogram of O–O distances."""
     left, middle, right = axes
-    end, molecule = nominal(run, -1), potentials.water(scenario.model)
+    end, molecule = nominal_state(run, -1), potentials.water(scenario.model)
     R = np.asarray(jax.vmap(so3.to_matrix)(end.q[:, 3:]))
     sites = np.asarray(end.q)[:, None, :3] + np.einsum("nij,sj->nsi", R, molecule.points[:3])
     _draw_molecules(left, sites - sites.mean(axis=(0, 1)))

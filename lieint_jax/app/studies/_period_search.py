@@ -17,7 +17,8 @@ from jax import Array
 
 BAND = (0.01, 0.16)  # 1/min, the range of the pairs of frequencies that are searched
 SPECTRUM = (0.005, 0.35)  # 1/min, the range of the spectrum
-ORDER, APART = 2, 0.004  # of the series in two frequencies; distance in 1/min below which pairs are one peak
+ORDER = 2  # of the series in two frequencies
+SEPARATION = 0.004  # 1/min; pairs of frequencies that are closer are one peak
 HARMONICS = 6  # largest |j| and |k| of the combinations by which a sine is identified
 _FINE, _COARSE = 6, 4  # grid points per resolution (1/duration), of the spectrum and of the pairs
 _SHOWN, _NUMBERS = 10, 2  # number of peaks and pairs in the result; largest coefficients of another basis
@@ -98,7 +99,7 @@ class Peak(NamedTuple):
 
     Attributes:
         frequency: its frequency.
-        share: the increase of the explained_variance share of the variance by this sine.
+        share: the increase of the explained share of the variance by this sine.
     """
 
     frequency: float
@@ -172,7 +173,7 @@ class Search(NamedTuple):
     def candidates(self) -> np.ndarray:
         """Candidates for the frequencies of (precession, rotation), 1/min, (c, 2).
 
-        If half a turn about each axis maps the facets onto equal ones, the light shows the rotation twice as fast.
+        If half a rotation about each axis maps the facets onto equal ones, the light shows the rotation twice as fast.
         """
         return self.lines / np.array([1.0, 2.0])
 
@@ -184,7 +185,7 @@ def search(t: np.ndarray, y: np.ndarray) -> Search:
     step = 1 / (_COARSE * duration)
     numbers = np.arange(int(BAND[0] / step) + 1, int(BAND[1] / step))
     f, g = np.meshgrid(numbers, numbers, indexing="ij")
-    separate = g - f > APART / step
+    separate = g - f > SEPARATION / step
     fits = fit_two_periods(t, y, step, np.stack([f[separate], g[separate]], axis=1), ORDER)
-    best, power = fits.select_best(_SHOWN, APART), np.asarray(spectrum(t, y, frequencies))
+    best, power = fits.select_best(_SHOWN, SEPARATION), np.asarray(spectrum(t, y, frequencies))
     return Search(frequencies, power, peaks(t, y, frequencies, _SHOWN), best, bases(best.pairs[0], _NUMBERS, BAND))

@@ -13,10 +13,15 @@ ELLIPSOID = 15.507  # the 95 % point of χ² with 8 degrees of freedom
 
 
 class Shares(NamedTuple):
-    """The scatter of pulls: percentages within one and two standard errors (68.3 and 95.4 expected), and the rms."""
+    """The scatter of pulls.
 
-    one: np.ndarray
-    two: np.ndarray
+    Attributes:
+        within_1, within_2: the percentages within one and two standard errors; 68.3 and 95.4 are expected.
+        rms: the root mean square; 1 is expected.
+    """
+
+    within_1: np.ndarray
+    within_2: np.ndarray
     rms: np.ndarray
 
 
@@ -50,7 +55,7 @@ def draw_pulls(ax: Axes, pulls: np.ndarray, own: np.ndarray | None = None) -> No
     if own is not None:
         ax.plot(own, np.full(len(own), 0.02), "|", color=plots.RED, ms=14, mew=1.5, label="the best solution")
     found = shares(pulls, None)
-    note = f"within 1σ {found.one:.0f} % (68)\nwithin 2σ {found.two:.0f} % (95)"
+    note = f"within 1σ {found.within_1:.0f} % (68)\nwithin 2σ {found.within_2:.0f} % (95)"
     ax.text(0.03, 0.97, note, transform=ax.transAxes, va="top", fontsize="x-small")
     ax.set(xlabel=f"(estimate − truth)/σ, {sets} synthetic sets", ylabel="density", ylim=(0, 0.6))
     ax.legend(frameon=False, fontsize="x-small", loc="upper right")

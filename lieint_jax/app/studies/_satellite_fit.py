@@ -174,7 +174,7 @@ class Estimate(NamedTuple):
         value: the estimate, (8,).
         truth: the truth, or its image under a symmetry of the facets, whichever is nearest, (8,).
         sigma: standard errors of the estimate, (8,).
-        turned: that symmetry, a rotation of the body axes, (3, 3).
+        facet_symmetry: that symmetry, a rotation of the body axes, (3, 3).
         periods: mean precession and rotation period of the estimate (min), (2,).
         periods_sigma: their standard errors, (2,).
         errors: (estimate − truth)/σ of the synthetic sets, (sets, 8).
@@ -186,7 +186,7 @@ class Estimate(NamedTuple):
     value: np.ndarray
     truth: np.ndarray
     sigma: np.ndarray
-    turned: np.ndarray
+    facet_symmetry: np.ndarray
     periods: np.ndarray
     periods_sigma: np.ndarray
     errors: np.ndarray

@@ -118,11 +118,11 @@ def _times(found: SatelliteFit, images: int) -> list[str]:
 
 def _table(found: SatelliteFit, rows: list[tuple[str, np.ndarray, float, bool, float]]) -> list[str]:
     n, night = (found.curve.t < found.session).sum(), len(found.curve.t)
-    turns = ("identity", *(f"180° {axis}" for axis in "xyz"))
+    rotations = ("identity", *(f"180° {axis}" for axis in "xyz"))
     lines = [
         "  ends of the starts, by the half turn of the body, which does not change its light; χ² of "
         f"{n} exposures, then of {night}:",
-        f"    {'':<32}{'all':>5}" + "".join(f"{t:>9}" for t in turns) + f"{'χ² first':>11}{'χ² night':>11}",
+        f"    {'':<32}{'all':>5}" + "".join(f"{t:>9}" for t in rotations) + f"{'χ² first':>11}{'χ² night':>11}",
     ]
     for name, counts, before, own, after in sorted(rows, key=lambda row: -row[1].sum()):
         if counts.sum() or own:
@@ -162,7 +162,7 @@ def _symmetries(found: SatelliteFit) -> list[str]:
 def _estimate(found: SatelliteFit) -> list[str]:
     e = found.estimate
     each, every, by_chance = shares(e.errors), shares(e.errors, None), chance_errors(len(e.errors))
-    truth = "itself" if np.allclose(e.turned, np.eye(3)) else "after a half turn of the body"
+    truth = "itself" if np.allclose(e.facet_symmetry, np.eye(3)) else "after a half turn of the body"
     lines = [
         f"\n  the best solution, χ² {2 * found.night.loss.min():.1f} for {len(found.curve.t) - 9} degrees of freedom, "
         f"and the truth {truth},",
@@ -171,15 +171,15 @@ def _estimate(found: SatelliteFit) -> list[str]:
     ]
     for k, name in enumerate(NAMES):
         compared = _comparison(name, e.value[k], e.sigma[k], e.truth[k])
-        lines.append(f"{compared}{each.one[k]:>11.0f}%{each.two[k]:>5.0f}%{each.rms[k]:>9.2f}")
+        lines.append(f"{compared}{each.within_1[k]:>11.0f}%{each.within_2[k]:>5.0f}%{each.rms[k]:>9.2f}")
     periods = zip(
         ("precession period (min)", "rotation period (min)"), e.periods, e.periods_sigma, found.periods, strict=True
     )
     return [
         *lines,
-        f"    {'all parameters':<24}{'':>41}{every.one:>11.0f}%{every.two:>5.0f}%{every.rms:>9.2f}",
-        f"    {'expected of each':<24}{'':>41}{68:>11}%{95:>5}%{1:>9.2f}   ± {by_chance.one:.0f} %, "
-        f"{by_chance.two:.0f} %, {by_chance.rms:.2f} by chance",
+        f"    {'all parameters':<24}{'':>41}{every.within_1:>11.0f}%{every.within_2:>5.0f}%{every.rms:>9.2f}",
+        f"    {'expected of each':<24}{'':>41}{68:>11}%{95:>5}%{1:>9.2f}   ± {by_chance.within_1:.0f} %, "
+        f"{by_chance.within_2:.0f} %, {by_chance.rms:.2f} by chance",
         *(_comparison(*row) for row in periods),
         f"  the scheme of order 6, in steps of {STEP:g} min, agrees with the closed form to "
         f"{e.integration:.2g} of the noise in every magnitude",

@@ -132,13 +132,13 @@ class Coverage(NamedTuple):
 
     Attributes:
         pulls: (estimate − truth)/reported σ of the 8 parameters, the 2 logarithms of noise, the 12 derived, (sets, 22).
-        distance: the squared distance of the estimate from the truth by its covariance, (sets,), expected to be
-            χ² of 8 degrees of freedom.
+        mahalanobis_squared: the squared distance of the estimate from the truth by its covariance, (sets,), expected
+            to be χ² of 8 degrees of freedom.
         success: whether each fit succeeded.
     """
 
     pulls: np.ndarray
-    distance: np.ndarray
+    mahalanobis_squared: np.ndarray
     success: np.ndarray
 
     @property
@@ -153,7 +153,7 @@ class Coverage(NamedTuple):
     def rescale(self, factors: np.ndarray) -> Coverage:
         """The coverage with reported errors enlarged by two factors, for parameters and for noise levels."""
         each = np.where(np.isin(np.arange(self.pulls.shape[1]), (8, 9)), factors[1], factors[0])
-        return Coverage(self.pulls / each, self.distance / factors[0] ** 2, self.success)
+        return Coverage(self.pulls / each, self.mahalanobis_squared / factors[0] ** 2, self.success)
 
 
 def enlarge_errors(estimate: Estimate, factor: float) -> Estimate:

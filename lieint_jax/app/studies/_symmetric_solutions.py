@@ -72,14 +72,14 @@ class Change(NamedTuple):
         space: its kind in space, an index of `SPACE`.
         axes: the new names of the body axes, such as "yxz"; "xyz" where the facets have this symmetry. With signs,
             such as "x−y−z", unless all rotations by 180° about the body axes are symmetries of the facets.
-        turn: the index of the symmetry of the facets that follows the relabeling; 0 for none.
+        symmetry: the index of the symmetry of the facets that follows the relabeling; 0 for none.
         sigma: the rotation of space, a quaternion, (4,).
         g: the rotation of the body axes, (3, 3).
     """
 
     space: int
     axes: str
-    turn: int
+    symmetry: int
     sigma: np.ndarray
     g: np.ndarray
 
@@ -121,10 +121,10 @@ def changes(facets: Facets, sun: np.ndarray, observer: np.ndarray) -> list[Chang
         if not any(np.allclose(g, h @ other) for other in cosets for h in own):
             cosets.append(g)
     return [
-        Change(space, _axes(g, signed), turn, sigma, h @ g)
+        Change(space, _axes(g, signed), symmetry, sigma, h @ g)
         for space, sigma in enumerate(every)
         for g in cosets
-        for turn, h in enumerate(own)
+        for symmetry, h in enumerate(own)
     ]
 
 

@@ -72,7 +72,7 @@ def _draw_prediction(ax: Axes, found: SpinFit) -> None:
         fill = color if name == "fitted" else "none"
         ax.plot(
             later,
-            p.off[name],
+            p.fix_angles[name],
             mark,
             color=color,
             ms=5,

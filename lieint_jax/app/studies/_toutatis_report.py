@@ -47,7 +47,7 @@ def _head(found: SpinFit) -> list[str]:
     return [
         f"{found.scenario.title}: spin state, inertia ratios and noise from the {FITTED} radar fixes of 1992",
         f"  fixes: {found.scenario.source('takahashi')}, without errors: attitudes have one weight, and so have rates",
-        f"  {found.fit.outcome}; {100 * found.same:.0f} % of {random} random starts end there",
+        f"  {found.fit.outcome}; {100 * found.share_at_minimum:.0f} % of {random} random starts end there",
         f"  noise, fitted: attitudes {noise[0]:.2f} ± {noise[0] * error:.2f}°, rates {noise[1]:.2f} ± "
         f"{noise[1] * error:.2f} °/d (scales of Student's t, {FREEDOM:g} degrees of freedom)",
         f"  with normal errors instead: {normal[0]:.2f}°, {normal[1]:.2f} °/d, and the values below change by up to "
@@ -90,7 +90,7 @@ def _comparison(found: SpinFit) -> list[str]:
             other = float(found.published[state][k])
             row += f"{other:>10.3f}{_difference(other, value[k], k) / sigma[k]:>+5.1f} σ "
         lines.append(row.rstrip())
-    distances, synthetic = found.apart.values(), found.coverage.distance
+    distances, synthetic = found.mahalanobis_squared.values(), found.coverage.mahalanobis_squared
     beyond = " and ".join(
         f"{d:.0f} ({(synthetic > d).sum()} of {len(synthetic)} synthetic sets are farther off)" for d in distances
     )
@@ -125,17 +125,17 @@ def _prediction(found: SpinFit) -> list[str]:
     p = found.prediction
     lines = ["\n  torque-free prediction of later fixes, by radar and, in 2012, by Chang'e-2: angle from the fix (°)"]
     lines += [f"  {'':<26}" + "".join(f"{date:>14}" for date in later_fixes().date)]
-    lines += [f"    {name:<24}" + "".join(f"{angle:>14.1f}" for angle in off) for name, off in p.off.items()]
-    ranges = (f"{a:.0f} to {b:.0f}" for a, b in np.percentile(p.members_off, (5, 95), axis=0).T)
+    lines += [f"    {name:<24}" + "".join(f"{angle:>14.1f}" for angle in off) for name, off in p.fix_angles.items()]
+    ranges = (f"{a:.0f} to {b:.0f}" for a, b in np.percentile(p.member_fix_angles, (5, 95), axis=0).T)
     pole = p.pole[:FITTED][~found.outlier[1]]
     late = ", ".join(f"{x:.3f}" for x in p.energy[-3:])
     single, early = np.sqrt((pole**2).mean()), p.energy[1 : 1 + FITTED][~found.outlier[0]]
-    verdict = "No miss is outside the spread" if p.farther.min() > 0.05 else "Some misses are outside the spread"
+    verdict = "No miss is outside the spread" if p.farther_share.min() > 0.05 else "Some misses are outside the spread"
     first, second = (np.interp(angle, p.rms, p.t) for angle in (30, 90))
     return [
         *lines,
         f"    {'members, 5 to 95 %':<24}" + "".join(f"{x:>14}" for x in ranges),
-        f"    {'members farther off':<24}" + "".join(f"{100 * share:>12.0f} %" for share in p.farther),
+        f"    {'members farther off':<24}" + "".join(f"{100 * share:>12.0f} %" for share in p.farther_share),
         f"  {verdict} of the fit's own uncertainty: the members spread by 30° rms after {first:.0f} days,",
         f"  by 90° after {second:.0f}, by {p.rms[-1]:.0f}° at the end (random attitudes: 132°).",
         f"  The direction of the momentum differs from the fitted one by {single:.1f}° rms in single fixes of 1992, by",
@@ -182,9 +182,10 @@ def _coverage(found: SpinFit) -> list[str]:
         f"  {'':<26}{'within 1σ':>10}{'within 2σ':>10}{'rms/σ':>11}",
     ]
     lines += [f"  {label:<26}{one[k]:>9.0f}%{two[k]:>9.0f}%{rms[k]:>11.2f}" for k, label in enumerate(labels)]
+    inside = 100 * (c.mahalanobis_squared <= ELLIPSOID).mean()
     return [
         *lines,
         f"  {'mean of the parameters':<26}{one[:8].mean():>9.1f}%{two[:8].mean():>9.1f}%{c.scatter[0]:>11.2f}",
         f"  {'expected of each':<26}{68.3:>9}%{95.4:>9}%{1:>11}   ± {margin[0]:.1f} %, {margin[1]:.1f} % by chance",
-        f"  truth inside the joint 95 % ellipsoid: {100 * (c.distance <= ELLIPSOID).mean():.0f} % of the sets",
+        f"  truth inside the joint 95 % ellipsoid: {inside:.0f} % of the sets",
     ]

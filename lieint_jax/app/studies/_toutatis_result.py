@@ -19,10 +19,10 @@ class Prediction(NamedTuple):
         t: days from the middle fix, (times,).
         spread: the 5, 50 and 95 % quantiles of the members' angles from the estimate (°), (3, times).
         rms: the root mean square of these angles (°), (times,).
-        off: the angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
-        members_off: the angles (°) of the members from the later fixes, (members, 3).
-        farther: the share of the members that are farther from the estimate than the later fix is, (3,): small where
-            the fix is outside the spread.
+        fix_angles: the angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
+        member_fix_angles: the angles (°) of the members from the later fixes, (members, 3).
+        farther_share: the share of the members that are farther from the estimate than the later fix is, (3,): small
+            where the fix is outside the spread.
         pole: the angle (°) between the momentum of each single radar fix and the fitted one, (19,).
         energy: 2H Jz/|π|² of the estimate, and of each attitude with the fitted direction of π, (1 + 20,).
     """
@@ -30,9 +30,9 @@ class Prediction(NamedTuple):
     t: np.ndarray
     spread: np.ndarray
     rms: np.ndarray
-    off: dict[str, np.ndarray]
-    members_off: np.ndarray
-    farther: np.ndarray
+    fix_angles: dict[str, np.ndarray]
+    member_fix_angles: np.ndarray
+    farther_share: np.ndarray
     pole: np.ndarray
     energy: np.ndarray
 
@@ -42,14 +42,15 @@ class SpinFit(NamedTuple):
 
     Attributes:
         fit: the fits from the two published states, from one of them with normal errors, and from random starts.
-        same: the share of the random starts that end in the minimum of the first fit.
+        share_at_minimum: the share of the random starts that end in the minimum of the first fit.
         estimate: the spin state with its uncertainty.
         normal: the estimate for normal errors, by least squares that are not robust.
         residuals: calculated less observed attitudes (°) and rates (°/d), by name of the state, (2, 17, 3) each.
         weights: the weights of attitudes and rates in the fit, (2, 17).
         outlier: whether each is an outlier, (2, 17).
         published: the derived quantities of the published states, by name, (12,) each.
-        apart: the squared distance of each published state from the estimate by its covariance; χ² of 8 expected.
+        mahalanobis_squared: the squared distance of each published state from the estimate, by its covariance, by
+            name; for the truth it would be χ² of 8 degrees of freedom.
         prediction: the prediction for 2004, 2008 and 2012.
         flyby: the effect of the Earth's torque on 2004-09-29.
         factors: the factors by which the errors of the parameters, and of the noise levels, are enlarged: the ratio of
@@ -59,14 +60,14 @@ class SpinFit(NamedTuple):
     """
 
     fit: Fit
-    same: float
+    share_at_minimum: float
     estimate: Estimate
     normal: Estimate
     residuals: dict[str, np.ndarray]
     weights: np.ndarray
     outlier: np.ndarray
     published: dict[str, np.ndarray]
-    apart: dict[str, float]
+    mahalanobis_squared: dict[str, float]
     prediction: Prediction
     flyby: Flyby
     factors: np.ndarray

@@ -37,7 +37,7 @@ def mean_periods(body: RigidBody, state: State) -> Array:
 
     The angular momentum circles an axis of the body, that of least or of greatest moment, in the period of rotation;
     this axis circles the angular momentum in the period of precession. `RigidBody.periods` returns the precession of
-    the long axis in both modes; the short axis precesses one turn more in each rotation.
+    the long axis in both modes; the short axis precesses by one more revolution in each rotation.
     `scenarios.rigid_body.mean_periods` measures both periods on a trajectory.
     """
     precession, rotation, long_axis = body.periods(state)

@@ -44,8 +44,8 @@ class GyroTrials(NamedTuple):
         truth: true parameters, (8,).
         sigmas: reported standard errors, (trials, 8).
         covariance: the mean of the reported covariances, (8, 8).
-        within: the share of trials with each parameter within 2σ of the truth, (8,).
-        inside: the share of trials with the truth in the joint 95 % ellipsoid.
+        within_2_sigma: the share of trials with each parameter within 2σ of the truth, (8,).
+        inside_ellipsoid: the share of trials with the truth in the joint 95 % ellipsoid.
         readings: the times, the readings, and the fitted rates with bias of the first trial.
     """
 
@@ -54,8 +54,8 @@ class GyroTrials(NamedTuple):
     truth: np.ndarray
     sigmas: np.ndarray
     covariance: np.ndarray
-    within: np.ndarray
-    inside: float
+    within_2_sigma: np.ndarray
+    inside_ellipsoid: float
     readings: tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -131,9 +131,11 @@ def text(found: GyroTrials) -> str:
     mean, scatter, sigma = found.estimates.mean(axis=0), found.estimates.std(axis=0, ddof=1), found.sigmas.mean(axis=0)
     lines += [
         f"  {name:<8}{t:>9.4f}{m:>11.5f}{s:>11.5f}{r:>12.5f}{100 * w:>10.0f}%"
-        for name, t, m, s, r, w in zip(_NAMES, found.truth, mean, scatter, sigma, found.within, strict=True)
+        for name, t, m, s, r, w in zip(_NAMES, found.truth, mean, scatter, sigma, found.within_2_sigma, strict=True)
     ]
-    return "\n".join([*lines, f"\n  truth inside the joint 95 % ellipsoid: {100 * found.inside:.0f} % of the trials"])
+    return "\n".join(
+        [*lines, f"\n  truth inside the joint 95 % ellipsoid: {100 * found.inside_ellipsoid:.0f} % of the trials"]
+    )
 
 
 @plots.style()

@@ -64,23 +64,23 @@ class KappaErrors(NamedTuple):
     """The errors of one κ.
 
     Attributes:
-        learnt: root mean square defect of a step on the training states, at step size DT.
-        unseen: the same on unseen states.
-        sizes: the same on the training states, by step size.
-        poisson: geometric mean over the long runs of their final Poisson errors.
-        energy: largest energy error of the long runs.
-        converged: the number of long runs that converged.
+        training_defect: root mean square defect of a step on the training states, at step size DT.
+        test_defect: the same on the unseen test states.
+        defect_by_dt: the same on the training states, by step size.
+        poisson_error: geometric mean over the long runs of their final Poisson errors.
+        energy_error: largest energy error of the long runs.
+        converged_runs: the number of long runs that converged.
     """
 
-    learnt: float
-    unseen: float
-    sizes: dict[float, float]
-    poisson: float
-    energy: float
-    converged: int
+    training_defect: float
+    test_defect: float
+    defect_by_dt: dict[float, float]
+    poisson_error: float
+    energy_error: float
+    converged_runs: int
 
 
-class LearntKappas(NamedTuple):
+class LearnedKappas(NamedTuple):
     """The results of the study.
 
     Attributes:
@@ -112,7 +112,7 @@ def states(count: int, seed: int, size: float = FAST) -> State:
     return jax.vmap(lambda q, w: top().state(q, angular_velocity=w))(jnp.asarray(q), jnp.asarray(Omega))
 
 
-def run(quick: bool = False, progress: bool = True) -> LearntKappas:
+def run(quick: bool = False, progress: bool = True) -> LearnedKappas:
     """Learn on 200 states, and test on 500 others; `quick` uses a tenth of each."""
     few = 10 if quick else 1
     training, unseen, long = states(200 // few, 1), states(500 // few, 2, FASTER), states(16 // (4 if quick else 1), 3)
@@ -135,7 +135,7 @@ def run(quick: bool = False, progress: bool = True) -> LearntKappas:
         series[name] = growth
         rows[name] = KappaErrors(sizes[DT], _rms(kappa, unseen, DT), sizes, float(growth[-1]), energy, converged)
     t = DT * np.linspace(0, steps, len(next(iter(series.values()))))
-    return LearntKappas(coefficients, both, rows, steps, (t, series))
+    return LearnedKappas(coefficients, both, rows, steps, (t, series))
 
 
 def defects(kappa: Callable[[Array], Array], states: State, dt: ArrayLike) -> tuple[Array, Array]:
@@ -179,7 +179,7 @@ def _integrate_long_run(weights: Array, state: State, steps: int) -> tuple[Array
 _integrate_long_runs: Any = jax.jit(jax.vmap(_integrate_long_run, (None, 0, None)), static_argnums=2)
 
 
-def text(found: LearntKappas) -> str:
+def text(found: LearnedKappas) -> str:
     """The report of the study, as text."""
 
     def number(x: float) -> str:
@@ -192,12 +192,14 @@ def text(found: LearntKappas) -> str:
         f"\n  {'κ':<18}{'learned on':>11}{'unseen':>11}{'Δt/2':>11}{'2Δt':>11}{'Poisson error':>15}{'energy':>10}",
     ]
     for name, row in found.rows.items():
-        halves, doubles = row.sizes[DT / 2], row.sizes[2 * DT]
-        lines.append(
-            f"  {name:<18}{''.join(map(number, (row.learnt, row.unseen, halves, doubles)))}    {number(row.poisson)}"
-            f"{row.energy:>10.1e}"
-        )
-    compared = [("the training states", "learnt"), ("unseen, faster states", "unseen"), ("long runs", "poisson")]
+        defects = row.training_defect, row.test_defect, row.defect_by_dt[DT / 2], row.defect_by_dt[2 * DT]
+        poisson = number(row.poisson_error)
+        lines.append(f"  {name:<18}{''.join(map(number, defects))}    {poisson}{row.energy_error:>10.1e}")
+    compared = [
+        ("the training states", "training_defect"),
+        ("unseen, faster states", "test_defect"),
+        ("long runs", "poisson_error"),
+    ]
     for data, column in compared:
         learned, given = (np.nanmin([getattr(found.rows[k], column) for k in names]) for names in (FORMS, _GIVEN))
         lines.append(f"  {data + ':':<24}the best learned κ has {learned / given:.2f} of the best given κ's error")
@@ -207,7 +209,7 @@ def text(found: LearntKappas) -> str:
 
 
 @plots.style()
-def draw(found: LearntKappas) -> Figure:
+def draw(found: LearnedKappas) -> Figure:
     """Plot every κ on its training range (shaded) and test range, and the Poisson error along the long runs."""
     fig, axes = plots.figure(2)
     x = np.linspace(0, (FASTER * DT) ** 2, 200)

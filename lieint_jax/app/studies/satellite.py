@@ -99,7 +99,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
 
 def _images(best: Solutions, every: list[Change]) -> Solutions:
     """The images of a solution under the changes of every kind, including the solution itself."""
-    return _join(*(change(best) for change in every if change.turn == 0))
+    return _join(*(change(best) for change in every if change.symmetry == 0))
 
 
 def _join(*parts: Solutions) -> Solutions:

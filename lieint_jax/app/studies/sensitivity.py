@@ -40,20 +40,20 @@ class LyapunovSpectrum(NamedTuple):
         t: times, (n,).
         exponents: finite-time exponents at these times, (n, 6), 1/time unit.
         total: sum of the exponents at the end.
-        pairs: largest |λ_i + λ_{7−i}| at the end, with the exponents in descending order.
-        short: exponents at the end of a short run by `exponents`, (6,).
-        independent: exponents at the same time by `reference`, (6,).
-        apart: the largest exponent over the whole run by `shadow`.
+        pair_defect: largest |λ_i + λ_{7−i}| at the end, with the exponents in descending order.
+        short_run: exponents at the end of a short run by `exponents`, (6,).
+        variational: exponents at the same time from the variational equations, by `reference`, (6,).
+        two_trajectories: the largest exponent over the whole run by `shadow`.
         limit: the largest exponent over the second half of the run, and its standard error from `_BLOCKS` blocks.
     """
 
     t: np.ndarray
     exponents: np.ndarray
     total: float
-    pairs: float
-    short: np.ndarray
-    independent: np.ndarray
-    apart: float
+    pair_defect: float
+    short_run: np.ndarray
+    variational: np.ndarray
+    two_trajectories: float
     limit: tuple[float, float]
 
 
@@ -161,12 +161,12 @@ def text(found: LyapunovSpectrum) -> str:
     return "\n".join(
         [
             "Lyapunov exponents of a chaotic heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1)",
-            f"  to t = 20, order 6:            {row(found.short)}",
-            f"  the same by the vector field:  {row(found.independent)}",
-            f"  largest difference             {np.abs(found.short - found.independent).max():.1e}",
+            f"  to t = 20, order 6:            {row(found.short_run)}",
+            f"  the same by the vector field:  {row(found.variational)}",
+            f"  largest difference             {np.abs(found.short_run - found.variational).max():.1e}",
             f"  to t = {found.t[-1]:g}, splitting:      {row(found.exponents[-1])}",
-            f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pairs:.1e}",
-            f"  largest by two neighbors      {found.apart:.5f}",
+            f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pair_defect:.1e}",
+            f"  largest by two neighbors      {found.two_trajectories:.5f}",
             "  largest, over the second half  {:.4f} ± {:.4f}, a standard error".format(*found.limit),
         ]
     )

@@ -142,11 +142,7 @@ def _derived_at_epoch(params: dict[str, Array], data: dict[str, Array]) -> np.nd
 
 
 def _predict(
-    estimate: Estimate,
-    unravel: Unravel,
-    given: dict[str, dict[str, Array]],
-    begin: Array,
-    members: int,
+    estimate: Estimate, unravel: Unravel, given: dict[str, dict[str, Array]], begin: Array, members: int
 ) -> Prediction:
     """Predict the motion of the estimate, of both published states, and of members drawn from the covariance."""
     fixes, later = radar_epochs(), later_fixes()
