@@ -147,6 +147,9 @@ def test_times_of_capture():
     np.testing.assert_array_equal(satellite.captured_since(t, off), [2.0, 1.0, 3.0, np.nan])
     np.testing.assert_array_equal(satellite.captured_since(t, np.zeros((4, 1))), [0.0])
     np.testing.assert_array_equal(satellite.first_slow(t, np.array([[1.0, 0.1]] * 4)), [np.nan, 0.0])
+    rates = np.array([[1.0, 0.1, 0.9], [0.9, 1.0, 0.4], [0.6, 0.2, 0.8], [0.1, 0.1, 0.1]])
+    np.testing.assert_allclose(satellite.crossing(t, rates), [2.2, 0.0, 0.8])
+    np.testing.assert_array_equal(satellite.crossing(t, np.ones((4, 1))), [np.nan])
 
 
 BAD = [

@@ -263,6 +263,16 @@ def first_slow(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return np.where(slow.any(axis=0), t[slow.argmax(axis=0)], np.nan)
 
 
+def crossing(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """The time at which a member first rotates slowly, (members,), between the saved times around it; or nan."""
+    first = first_slow(t, rate)
+    k = np.searchsorted(t, np.where(np.isnan(first), t[-1], first))
+    members, before = np.arange(rate.shape[1]), np.maximum(k - 1, 0)
+    fall = rate[before, members] - rate[k, members]
+    part = np.where(fall > 0, (rate[before, members] - _SLOW) / np.where(fall > 0, fall, 1), 1.0)
+    return np.where(np.isnan(first), np.nan, t[before] + np.clip(part, 0, 1) * (t[k] - t[before]))
+
+
 def captured_since(t: np.ndarray, off: np.ndarray) -> np.ndarray:
     """The first saved time from which on a member is near the nadir, (members,); nan if it is not at the end."""
     far = off > _CAPTURED
@@ -369,20 +379,20 @@ def draw_capture(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> N
     """Plot how long each start took to become slow, by its initial rate and fate, and how many are slow or captured."""
     left, right = axes
     c, t = course(scenario, step.system, run), np.asarray(run.t)
-    captured, slow = np.isfinite(captured_since(t, c.off)), first_slow(t, c.rate)
-    hours = np.where(np.isfinite(slow), slow, t[-1]) / _HOUR
-    size = 5 if captured.size <= _FEW else 1.5
-    for fate, chosen, color, mark in (
-        ("captured", captured, plots.BLUE, "."),
-        ("not captured", ~captured, plots.RED, "x"),
+    captured, slow = np.isfinite(captured_since(t, c.off)), crossing(t, c.rate)
+    never = int(np.isnan(slow).sum())
+    hours = np.where(np.isnan(slow), t[-1], slow) / _HOUR
+    for fate, chosen, look in (
+        ("captured", captured, {"color": plots.BLUE, "marker": ".", "s": 12 if captured.size <= _FEW else 3}),
+        ("not captured", ~captured, {"color": plots.RED, "marker": "x", "s": 16, "linewidths": 0.8}),
     ):
-        look = {"s": size if chosen is captured else 12, "color": color, "marker": mark, "linewidths": 0.7}
         label = f"{fate}: {chosen.sum()} of {chosen.size}"
-        left.scatter(c.rate[0, chosen], hours[chosen], label=label, alpha=0.6, rasterized=True, **look)
-    never = int((~np.isfinite(slow)).sum())
-    left.set(xlabel="initial angular velocity (°/s)", ylabel=f"first slower than {_SLOW:g} °/s (h)")
-    left.set(xlim=(0, None), ylim=(0, None if never == 0 else 1.02 * t[-1] / _HOUR))
-    left.legend(loc="upper left", title=f"never slower: {never}, drawn at the end" if never else None, markerscale=2)
+        left.scatter(c.rate[0, chosen], hours[chosen], label=label, rasterized=True, **look)
+    left.set(xlabel="initial angular velocity (°/s)", ylabel=f"first slower than {_SLOW:g} °/s, at t (h)")
+    left.set(xlim=(0, None), ylim=(0, None))
+    legend = left.legend(loc="upper left", title=f"never slower: {never}, drawn at the end" if never else None)
+    for handle in legend.legend_handles:
+        handle.set_sizes([20])
     part, error = fraction(captured)
     left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: ({100 * part:.2f} ± {100 * error:.2f}) %")
 
@@ -390,7 +400,7 @@ def draw_capture(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> N
     curves |= {f"z within {limit:g}° of the nadir": c.off <= limit for limit in (90.0, _CAPTURED, 1.0)}
     plots.series(right, t / _HOUR, {name: 100 * x.mean(axis=1) for name, x in curves.items()}, "of all starts (%)", "h")
     right.set_ylim(0, 102)
-    right.legend(loc="center left")
+    right.legend(loc="center right")
     _draw_edges(right, scenario, t)
     _name_phases(right, scenario, t)
 
