@@ -37,6 +37,7 @@ STYLES: tuple[dict[str, Any], ...] = tuple(
 )
 SpatialAxes: TypeAlias = Any  # matplotlib's Axes3D, some of whose declared types are wrong
 _MARKED = 8  # markers on each curve of `series`
+_COMPARABLE = 30  # works with peaks of such a ratio are drawn on a linear axis
 _NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
 
@@ -121,6 +122,28 @@ def _marker_indices(ax: Axes, t: np.ndarray, shift: float) -> list[int]:
     x = np.log10(abs(t)) if ax.get_xscale() == "log" else np.asarray(t, float)
     wanted = x[0] + (x[-1] - x[0]) * (np.arange(_MARKED) + shift) / _MARKED
     return np.unique(abs(x - wanted[:, None]).argmin(axis=1)).tolist()
+
+
+def works(ax: Axes, t: np.ndarray, works: Mapping[str, np.ndarray], unit: str = "", time_unit: str = "") -> Axes:
+    """Plot the cumulative work of each law of torque, by name; of more than eight, the least are added up in one curve.
+
+    If the laws differ much, the axis is logarithmic, and linear about zero up to the peak of the least, or to 10⁻⁶ of
+    the greatest.
+    """
+    peaks = {name: float(np.abs(work).max()) for name, work in works.items()}
+    shown = {name.replace("_", " "): work for name, work in works.items()}
+    if len(works) > len(STYLES):
+        greatest = sorted(peaks, key=lambda name: -peaks[name])[: len(STYLES) - 1]
+        rest = [work for name, work in works.items() if name not in greatest]
+        shown = {name.replace("_", " "): works[name] for name in works if name in greatest}
+        shown[f"{len(rest)} others"] = np.sum(rest, axis=0)
+    series(ax, t, shown, f"work of each law ({unit})" if unit else "work of each law", time_unit)
+    acting = [peak for peak in peaks.values() if peak > 0]
+    if acting and max(acting) > _COMPARABLE * min(acting):
+        linear = max(min(acting), 1e-6 * max(acting))
+        ax.set_yscale("symlog", linthresh=10.0 ** np.floor(np.log10(linear)))
+    ax.legend(loc="upper left", bbox_to_anchor=(1, 1))
+    return ax
 
 
 def paths(ax: Axes, curves: Mapping[str, np.ndarray], plane: tuple[int, int] = (0, 1)) -> Axes:

@@ -12,7 +12,7 @@ from jax import Array
 from lieint_jax.types import _labeled
 from lieint_jax.types._members import Axis, map_over_run
 from lieint_jax.types._record import record
-from lieint_jax.types.shapes import Flag, PyTree, Time
+from lieint_jax.types.shapes import Flag, PyTree, Scalar, Time
 
 
 @record
@@ -142,6 +142,12 @@ class Trajectory(NamedTuple):
 def counts_work(state: State) -> bool:
     """Whether a state counts work, in total or law by law."""
     return state.work is not None or "works" in (state.extra or {})
+
+
+def counted_work(state: State) -> Scalar | None:
+    """The work in total, from that law by law if only this is counted; None if neither is."""
+    works = (state.extra or {}).get("works")
+    return state.work if state.work is not None or works is None else jnp.sum(works, axis=-1)
 
 
 def clock(state: State) -> Time:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax.types._group import PhaseSpace
-from lieint_jax.types._state import State
+from lieint_jax.types._state import State, counted_work
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
@@ -51,6 +51,6 @@ def time_derivative(system: System, state: State) -> State:
 
 
 def energy_less_work(system: System, state: State) -> Scalar:
-    """H − W, a scalar, which is conserved: W is `state.work`, 0 if it is not counted."""
-    energy = system.energy(state)
-    return energy if state.work is None else energy - state.work
+    """H − W, a scalar, which is conserved: W is `state.work` or the sum of the laws' works, 0 if none is counted."""
+    energy, work = system.energy(state), counted_work(state)
+    return energy if work is None else energy - work

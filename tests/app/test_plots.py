@@ -172,6 +172,43 @@ def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, nam
     np.testing.assert_allclose(np.ravel(near.get_data_3d()), expected, rtol=1e-12)
 
 
+def test_works_are_drawn_by_law_and_the_least_of_many_together():
+    """Nothing is lost: the curves add up to the whole work. Works of one size have a linear axis."""
+    t = np.linspace(0, 1, 9)
+    works = {f"law_{k}": 10.0**-k * t for k in range(10)}
+    ax = plots.works(plots.figure()[1][0, 0], t, works, "J", "s")
+    names = [line.get_label() for line in ax.get_lines()]
+    assert names == [*(f"law {k}" for k in range(7)), "3 others"]
+    np.testing.assert_allclose(sum(line.get_ydata() for line in ax.get_lines()), sum(works.values()), rtol=1e-15)
+    assert (ax.get_ylabel(), ax.get_yscale()) == ("work of each law (J)", "symlog")
+    even = {"drag": -t, "still": 0 * t, "motor": 2 * t}
+    ax = plots.works(plots.figure()[1][0, 0], t, even)
+    assert (ax.get_ylabel(), ax.get_yscale()) == ("work of each law", "linear")
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == list(even)
+
+
+@pytest.mark.long
+def test_a_run_that_counts_works_has_a_picture_of_them():
+    """Each law by its name, and H − ΣW; the energy error is that less the work, also if only works are counted."""
+    body = li.systems.torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1) + li.torques.pd_trace(0.4, 0.1))
+    start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=[1.0, -2.0, 0.5], works=True)
+    run = as_ensemble(li.integrate(li.schemes.torqued_midpoint(body), start, 0.05, 40))
+    stored = pictures.StoredRun("a body", "s", body, run, False)
+    kinds = pictures.drawing_functions(stored)
+    assert set(kinds) == {"invariants", "motion", "works"}
+    left, right = kinds["works"](stored).axes
+    drawn = {line.get_label(): line.get_ydata() for line in left.get_lines()}
+    assert list(drawn) == ["change of energy", "viscous", "pd trace"]
+    np.testing.assert_allclose(drawn["viscous"], run.state.extra["works"][:, 0, 0])
+    np.testing.assert_allclose(drawn["change of energy"], drawn["viscous"] + drawn["pd trace"], atol=1e-14)
+    assert max(np.max(line.get_ydata()) for line in right.get_lines()) < 1e-14
+    errors = pictures.draw_invariants(stored).axes[0]
+    assert errors.get_ylabel() == "error of energy less work, relative"
+    assert max(np.max(line.get_ydata()) for line in errors.get_lines()) < 1e-14
+    without = run._replace(state=run.state._replace(extra=None))
+    assert set(pictures.drawing_functions(stored._replace(run=without))) == {"invariants", "motion"}
+
+
 def apart(labels):
     """Whether the boxes of neighboring texts do not overlap."""
     boxes = [text.get_window_extent() for text in labels if text.get_text() and text.get_visible()]

@@ -72,6 +72,36 @@ def test_the_report_lists_phases_and_works(short):
 
 
 @pytest.mark.long
+def test_pictures_name_the_laws_and_count_the_captured(short):
+    scenario, step, made = short
+    c = satellite.course(scenario, step.system, made)
+    left, right = satellite.draw_works(scenario, step, made).axes
+    drawn = {line.get_label(): line.get_ydata() for line in left.get_lines()}
+    for name, work in zip(c.names, c.works[:, 0].T, strict=True):
+        np.testing.assert_allclose(drawn[name.replace("_", " ")], 1e6 * work, rtol=1e-12)
+    assert left.get_ylabel() == "work of each law (µJ)"
+    assert max(np.max(line.get_ydata()) for line in right.get_lines()) < 1e-14
+    fates, course = satellite.draw_capture(scenario, step, made).axes
+    captured = int(np.isfinite(satellite.captured_since(np.asarray(made.t), c.off)).sum())
+    names = [text.get_text() for text in fates.get_legend().get_texts()]
+    assert names == [f"captured: {captured} of 6", f"not captured: {6 - captured} of 6"]
+    curves = {line.get_label(): line.get_ydata() for line in course.get_lines()}
+    np.testing.assert_allclose(curves["z within 90° of the nadir"], 100 * (c.off <= 90).mean(axis=1))
+
+
+def test_the_error_of_a_fraction_is_that_of_drawing_starts():
+    """Against 20 000 draws of 400 starts. Where all are captured, it is still not 0."""
+    rng = np.random.default_rng(2)
+    drawn = rng.binomial(400, 0.3, 20_000) / 400
+    part, error = satellite.fraction(np.arange(400) < 120)
+    assert part == 0.3
+    assert error == pytest.approx(drawn.std(), rel=0.02)
+    part, error = satellite.fraction(np.ones(10_000, bool))
+    assert part == 1.0
+    assert 5e-5 < error < 1e-4
+
+
+@pytest.mark.long
 def test_the_members_have_inertias_and_dipoles_of_their_own():
     scenario = scenarios.load("cubesat", members=400, steps=20)
     step, states = scenarios.build(scenario)
@@ -117,6 +147,9 @@ def test_times_of_capture_are_those_of_the_saved_states():
     np.testing.assert_array_equal(satellite.captured_since(t, off), [2.0, 1.0, 3.0, np.nan])
     np.testing.assert_array_equal(satellite.captured_since(t, np.zeros((4, 1))), [0.0])
     np.testing.assert_array_equal(satellite.first_slow(t, np.array([[1.0, 0.1]] * 4)), [np.nan, 0.0])
+    rates = np.array([[1.0, 0.1, 0.9], [0.9, 1.0, 0.4], [0.6, 0.2, 0.8], [0.1, 0.1, 0.1]])
+    np.testing.assert_allclose(satellite.crossing(t, rates), [2.2, 0.0, 0.8])
+    np.testing.assert_array_equal(satellite.crossing(t, np.ones((4, 1))), [np.nan])
 
 
 BAD = [

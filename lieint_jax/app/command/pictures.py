@@ -14,10 +14,11 @@ from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.command import interpolation
+from lieint_jax.app.scenarios import _pictures
 from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
 from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Trajectory, energy_less_work
+from lieint_jax.types import State, Trajectory, counts_work, energy_less_work, labels
 from lieint_jax.types._members import map_over_run
 
 _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the next, where `POINTS` allows it
@@ -60,7 +61,8 @@ def drawing_functions(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figu
     """The functions that draw a run, by the suffix of their file names."""
     if not isinstance(stored.run, Trajectory):
         return {"change": draw_change}
-    return {"invariants": draw_invariants, "motion": draw_motion}
+    kinds = {"invariants": draw_invariants, "motion": draw_motion}
+    return kinds | ({"works": draw_works} if "works" in (stored.run.state.extra or {}) else {})
 
 
 @plots.style()
@@ -68,7 +70,7 @@ def draw_invariants(stored: StoredRun) -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
     H = stored.series(energy_less_work)
     Phi = stored.series(lambda system, z: system.momentum(z))
-    what = "energy error" if stored.run.state.work is None else "error of energy less work"
+    what = "error of energy less work" if counts_work(stored.run.state) else "energy error"
     errors = {f"{what}, relative": abs(H - H[0]) / _nonzero(abs(H[0]))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
@@ -77,6 +79,20 @@ def draw_invariants(stored: StoredRun) -> Figure:
     for ax, (label, error) in zip(axes[0], errors.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
         plots.log_error(ax, stored.run.t, curves, label, stored.time_unit)
+    fig.suptitle(stored.title)
+    return fig
+
+
+@plots.style()
+def draw_works(stored: StoredRun) -> Figure:
+    """Plot the work of each law of torque, and what is left of the change of energy without it."""
+    works = np.asarray(stored.run.state.extra["works"])
+    names = labels(stored.system)
+    if len(names) != works.shape[-1]:
+        names = [f"law {k + 1}" for k in range(works.shape[-1])]
+    H = stored.series(lambda system, z: system.energy(z))
+    fig, axes = plots.figure(2)
+    _pictures.draw_balance(axes[0], stored.run.t, H, works, names, time_unit=stored.time_unit)
     fig.suptitle(stored.title)
     return fig
 

@@ -5,6 +5,7 @@
 
 from lieint_jax.app.published._case import Case, Comparison
 from lieint_jax.app.published._constant_torque import basilisk_constant_torque
+from lieint_jax.app.published._detumbling import magnetic_detumbling
 from lieint_jax.app.published._free_bodies import (
     basilisk_free_body,
     basilisk_momentum_frame,
@@ -28,6 +29,7 @@ def cases() -> tuple[Case, ...]:
         basilisk_momentum_frame(),
         basilisk_wheels(),
         basilisk_constant_torque(),
+        magnetic_detumbling(),
         multibody_heavy_top(),
         kynema_precession(),
     )

@@ -70,6 +70,41 @@ def draw_changes(ax: Any, t: np.ndarray, conserved: Sequence[Conserved], unit: s
     plots.log_error(ax, t, errors, "relative change, worst member", unit)
 
 
+def draw_balance(
+    axes: Sequence[Any],
+    t: np.ndarray,
+    energy: np.ndarray,
+    works: np.ndarray,
+    names: Sequence[str],
+    *,
+    unit: str = "",
+    time_unit: str = "",
+) -> None:
+    """Plot the work of each law on the first member, and the relative change of energy less all work.
+
+    Args:
+        axes: two panels.
+        t: times (times,).
+        energy: (times, members), in `unit`.
+        works: of each law, (times, members, laws), in `unit`.
+        names: of the laws.
+        unit: of energy.
+        time_unit: of t.
+    """
+    left, right = axes
+    left.plot(t, energy[:, 0] - energy[0, 0], color=plots.GRAY, lw=3.5, label="change of energy")
+    plots.works(left, t, {name: works[:, 0, k] for k, name in enumerate(names)}, unit, time_unit)
+    left.set_title("first member")
+    largest = abs(energy).max(axis=0)
+    balance = energy - works.sum(axis=-1)
+    change = abs(balance - balance[0]) / np.where(largest > 0, largest, 1)
+    curves = {"worst member": change.max(axis=1), "median": np.median(change, axis=1)}
+    plots.log_error(
+        right, t, curves if change.shape[1] > 1 else {"": change[:, 0]}, "H − ΣW, relative change", time_unit
+    )
+    right.set_title("energy less the work of all laws")
+
+
 def draw_on_sphere(
     axes: Sequence[Any],
     t: np.ndarray,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import itertools
-from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
@@ -17,7 +16,7 @@ from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._body import inertia_matrix
 from lieint_jax.app.scenarios._common import NonNegative, PositiveFloat, Triple, deviates
-from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._pictures import draw_balance, picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
 from lieint_jax.app.scenarios._runs import cached_for_last_run, over_members
 from lieint_jax.app.scenarios._satellite_laws import (
@@ -42,6 +41,8 @@ STEP_AXIS = 0  # every member has its own inertia and dipole
 CERTIFIED = False  # control and friction conserve only the energy balance, which the report has
 _CAPTURED = 10.0  # degrees from the nadir
 _SLOW = 0.5  # °/s: detumbled
+_HOUR = 3600.0  # s
+_FEW = 500  # members that are drawn as larger dots
 
 
 class InitialState(_body.InitialState):
@@ -256,6 +257,16 @@ def first_slow(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return np.where(slow.any(axis=0), t[slow.argmax(axis=0)], np.nan)
 
 
+def crossing(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """The time at which a member first rotates slowly, (members,), between the saved times around it; or nan."""
+    first = first_slow(t, rate)
+    k = np.searchsorted(t, np.where(np.isnan(first), t[-1], first))
+    members, before = np.arange(rate.shape[1]), np.maximum(k - 1, 0)
+    fall = rate[before, members] - rate[k, members]
+    part = np.where(fall > 0, (rate[before, members] - _SLOW) / np.where(fall > 0, fall, 1), 1.0)
+    return np.where(np.isnan(first), np.nan, t[before] + np.clip(part, 0, 1) * (t[k] - t[before]))
+
+
 def captured_since(t: np.ndarray, nadir_angle: np.ndarray) -> np.ndarray:
     """The first saved time after which a member stays near the nadir, (members,); nan if it is not near at the end."""
     far = nadir_angle > _CAPTURED
@@ -297,8 +308,12 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
         work = c.works[..., c.names.index("bdot")]
         braked = int(np.sum(np.all(np.diff(work, axis=0) <= 0, axis=0)))
         lines.append(f"\n  detumbling raised the energy between no two saved times of {braked} of {work.shape[1]}")
-    done = int(np.sum(c.nadir_angle[-1] <= _CAPTURED))
-    lines.append(f"  at the end within {_CAPTURED:g}° of the nadir: {done} of {c.nadir_angle.shape[1]}")
+    done = c.nadir_angle[-1] <= _CAPTURED
+    part, error = fraction(done)
+    lines.append(
+        f"  at the end within {_CAPTURED:g}° of the nadir: {done.sum()} of {done.size}, "
+        f"({100 * part:.2f} ± {100 * error:.2f}) % of all starts"
+    )
     return lines
 
 
@@ -308,14 +323,24 @@ def _short(name: str) -> str:
 
 
 def _mark_phases(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
-    """Mark the edges of the phases."""
+    """Mark the edges of the phases on an axis in hours."""
     for _, first, _ in phases(scenario, t)[1:]:
-        ax.axvline(t[first], color="gray", lw=0.6, ls=":")
+        ax.axvline(t[first] / _HOUR, color="gray", lw=0.6, ls=":", zorder=1)
 
 
-@picture(2, 2)
+def _name_phases(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
+    """Write the names of the phases above an axis in hours."""
+    for name, first, last in phases(scenario, t):
+        middle = (t[first] + t[last]) / 2 / _HOUR
+        text = name.replace(" and ", "\nand ")
+        ax.annotate(
+            text, (middle, 1.0), (0, 4), ("data", "axes fraction"), "offset points", ha="center", va="bottom", size=7.5
+        )
+
+
+@picture(3)
 def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot rates and angles of all members, the wheels' momenta, and the work of each law on the nominal member."""
+    """Plot rates and angles, and the momenta of the wheels, of the first hundred members; the nominal one in black."""
     c, t = course(scenario, step.system, run), np.asarray(run.t)
     shown = slice(0, 100)
     for ax, values, label in (
@@ -323,41 +348,66 @@ def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
         (axes[1], c.nadir_angle, "z axis from the nadir (°)"),
         (axes[2], 1e3 * c.wheels, "momentum of the wheels (mN m s)"),
     ):
-        ax.plot(t, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4)
-        ax.plot(t, values[:, 0], color=plots.INK, lw=1.0)
-        ax.set(xlabel="t (s)", ylabel=label)
+        ax.plot(t / _HOUR, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4, rasterized=True)
+        ax.plot(t / _HOUR, values[:, 0], color=plots.INK, lw=1.0)
+        ax.set(xlabel="t (h)", ylabel=label)
         _mark_phases(ax, scenario, t)
+        _name_phases(ax, scenario, t)
+    axes[1].set(ylim=(0, 180), yticks=range(0, 181, 30))
     if (c.rate > 0).all():
         axes[0].set_yscale("log")
-    works: Mapping[str, np.ndarray] = {name: 1e6 * c.works[:, 0, j] for j, name in enumerate(c.names)}
-    for name, work in works.items():
-        axes[3].plot(t, work, lw=0.9, label=name.replace("_", " "))
-    axes[3].set_yscale("symlog", linthresh=0.1)
-    axes[3].set(xlabel="t (s)", ylabel="work of each law (µJ)")
-    axes[3].legend(fontsize="small")
-    _mark_phases(axes[3], scenario, t)
+
+
+@picture(2)
+def draw_works(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+    """Plot the work of each law on the nominal member, and how well the works add up to the change of energy."""
+    c, t = course(scenario, step.system, run), np.asarray(run.t)
+    energy, works = 1e6 * c.energy, 1e6 * c.works
+    draw_balance(axes, t / _HOUR, energy, works, c.names, unit="µJ", time_unit="h")
+    for ax in axes:
+        _mark_phases(ax, scenario, t)
 
 
 @picture(2)
 def draw_capture(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot the times of slowing and capture against the initial rate, and the share of captured starts against time."""
+    """Plot how long each start took to become slow, by its initial rate and fate, and how many are slow or captured."""
     left, right = axes
     c, t = course(scenario, step.system, run), np.asarray(run.t)
-    events = (
-        (first_slow(t, c.rate), plots.BLUE, f"slower than {_SLOW:g} °/s"),
-        (captured_since(t, c.nadir_angle), plots.ORANGE, f"within {_CAPTURED:g}° of the nadir for good"),
-    )
-    for since, color, label in events:
-        reached = np.isfinite(since)
-        left.scatter(c.rate[0, reached], since[reached], s=5, color=color, label=f"{label}: {reached.sum()}")
-    left.set(xlabel="initial angular velocity (°/s)", ylabel=f"reached at t ({scenario.time_unit})")
-    left.set_ylim(0, t[-1])
-    left.legend()
-    for limit, color in ((90.0, plots.ORANGE), (_CAPTURED, plots.BLUE), (1.0, plots.INK)):
-        right.plot(t, 100 * np.mean(c.nadir_angle <= limit, axis=1), color=color, lw=0.9, label=f"within {limit:g}°")
-    right.set(xlabel="t (s)", ylabel="of all starts (%)", ylim=(0, 102))
-    right.legend()
+    captured, slow = np.isfinite(captured_since(t, c.nadir_angle)), crossing(t, c.rate)
+    never = int(np.isnan(slow).sum())
+    hours = np.where(np.isnan(slow), t[-1], slow) / _HOUR
+    for fate, chosen, look in (
+        ("captured", captured, {"color": plots.BLUE, "marker": ".", "s": 12 if captured.size <= _FEW else 3}),
+        ("not captured", ~captured, {"color": plots.RED, "marker": "x", "s": 16, "linewidths": 0.8}),
+    ):
+        label = f"{fate}: {chosen.sum()} of {chosen.size}"
+        left.scatter(c.rate[0, chosen], hours[chosen], label=label, rasterized=True, **look)
+    left.set(xlabel="initial angular velocity (°/s)", ylabel=f"first slower than {_SLOW:g} °/s, at t (h)")
+    left.set(xlim=(0, None), ylim=(0, None))
+    legend = left.legend(loc="upper left", title=f"never slower: {never}, drawn at the end" if never else None)
+    for handle in legend.legend_handles:
+        handle.set_sizes([20])
+    part, error = fraction(captured)
+    left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: ({100 * part:.2f} ± {100 * error:.2f}) %")
+
+    curves = {f"slower than {_SLOW:g} °/s": c.rate < _SLOW}
+    curves |= {f"z within {limit:g}° of the nadir": c.nadir_angle <= limit for limit in (90.0, _CAPTURED, 1.0)}
+    plots.series(right, t / _HOUR, {name: 100 * x.mean(axis=1) for name, x in curves.items()}, "of all starts (%)", "h")
+    right.set_ylim(0, 102)
+    right.legend(loc="center right")
     _mark_phases(right, scenario, t)
+    _name_phases(right, scenario, t)
 
 
-PICTURES = {"phases": draw_phases, "capture": draw_capture}
+def fraction(chosen: np.ndarray) -> tuple[float, float]:
+    """The fraction of members with a property, and its standard error.
+
+    The error is that of Jeffreys' posterior, Beta(k + ½, n − k + ½). It is not 0 if all members have the property, and
+    tends to √(p(1 − p)/n).
+    """
+    n, k = chosen.size, int(chosen.sum())
+    p = (k + 0.5) / (n + 1)
+    return k / n, float(np.sqrt(p * (1 - p) / (n + 2)))
+
+
+PICTURES = {"phases": draw_phases, "works": draw_works, "capture": draw_capture}

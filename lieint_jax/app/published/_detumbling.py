@@ -1,0 +1,100 @@
+"""A CubeSat that magnetic torquers detumble in the field of IGRF-13: the simulations of Willis et al. 2024."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax import orbits, schemes, systems, torques
+from lieint_jax.app.published._case import Case
+from lieint_jax.app.published._geomagnetic import igrf, orbit_with_j2
+from lieint_jax.groups import so3
+from lieint_jax.types import State
+
+_INERTIA = 1.58 / 1.504 * np.array([[0.0043, -0.0003, 0.0], [-0.0003, 0.0049, 0.0], [0.0, 0.0, 0.0035]])  # kg m²
+_TURNS, _OHMS, _AREAS = np.array([40, 56, 28]), np.array([12.2, 16.8, 14.4]), np.array([4218e-6, 3150e-6, 7091e-6])
+_MAX_DIPOLE = _TURNS * 5.06 / _OHMS * _AREAS  # A m², of the three coils at 5.06 V
+_ORBIT = [1.9394507081343518e6, 4.766642029817451e6, -4.411438134177178e6, 5444.6283277223, -4691.101972534811]
+_ORBIT += [-2675.140215905073]  # m and m/s, at 2018 January 1, 0 h
+_ATTITUDE = [-0.7353624981952477, 0.32177790229023334, 0.4367418868778419, 0.4061496055545587]
+_RATES = [0.0713423406637996, 0.3955777863977627, 0.3355356361778791]  # rad/s; only their size is used
+_SAMPLING = 0.1  # s, between two measurements; the dipole is constant in between
+_GAINS = (4e-5, 4e-3)
+_PUBLISHED = {  # hours ↦ the momentum in mN m s, for both gains
+    0.0: (2.616151227517433, 2.616151227517433),
+    0.1: (2.5735162368628497, 2.570794631431001),
+    0.2: (2.45368351993988, 2.4733397638842087),
+    0.4: (1.7949980248355762, 1.9475189703635862),
+    0.6: (0.8597752615778026, 1.012453264864826),
+    0.8: (0.5523330453224512, 0.7567601398504379),
+    1.0: (0.40556637037912, 0.7544831104898146),
+}
+
+
+def field_of_case() -> orbits.VectorTable:
+    """The field along the orbit for the first hour, T."""
+    t = np.arange(0.0, 3601.0, 10.0)
+    return orbits.vector_table(
+        t, igrf(orbits.julian_date(2018, 1, 1), t, orbit_with_j2(np.array(_ORBIT), 10.0, 360), 2018 + 1 / 365.2425)
+    )
+
+
+def start_of_case(field: Any) -> tuple[Array, Array]:
+    """The attitude, and the angular velocity in the body, which is along the field: there control is weakest."""
+    q = jnp.asarray(_ATTITUDE) / jnp.linalg.norm(jnp.asarray(_ATTITUDE))
+    B = so3.Ad_star(q, field(0.0))
+    return q, jnp.linalg.norm(jnp.asarray(_RATES)) * B / jnp.linalg.norm(B)
+
+
+def commanded_dipole(gain: Array, B: Array, Omega: Array) -> Array:
+    """k Ω × B/|B|², each component cut at its limit: the law of Avanzini & Giulietti 2012."""
+    return jnp.clip(gain * jnp.cross(Omega, B) / jnp.dot(B, B), -jnp.asarray(_MAX_DIPOLE), jnp.asarray(_MAX_DIPOLE))
+
+
+@partial(jax.jit, static_argnames="samples")
+def _momenta(field: Any, q: Array, Omega: Array, gain: Array, samples: int) -> Array:
+    """|JΩ| at every sample, (samples + 1,)."""
+    inertia = jnp.asarray(_INERTIA)
+    start = systems.TorquedBody(inertia, torques.Dipole(jnp.zeros(3), field)).state(q, angular_velocity=Omega, t=0.0)
+
+    def sample(state: State, _: None) -> tuple[State, Array]:
+        B = so3.Ad_star(state.q, field(state.t))
+        spin = jnp.linalg.solve(inertia, so3.Ad_star(state.q, state.p))
+        body = systems.TorquedBody(inertia, torques.Dipole(commanded_dipole(gain, B, spin), field))
+        after, _info = schemes.torqued_midpoint(body)(state, _SAMPLING)
+        return after, jnp.linalg.norm(after.p)
+
+    _, momenta = jax.lax.scan(sample, start, None, samples)
+    return jnp.concatenate([jnp.linalg.norm(start.p)[None], momenta])
+
+
+def magnetic_detumbling() -> Case:
+    """The "B-cross" law with two gains, from a rotation about the field; the greater gain gets stuck there."""
+    hours = np.array(list(_PUBLISHED))
+    numbers = np.array(list(_PUBLISHED.values())).T
+    names = [f"momentum for 1 h, gain {gain:g} N m s, mN m s" for gain in _GAINS]
+
+    def compute() -> dict[str, np.ndarray]:
+        field = field_of_case()
+        q, Omega = start_of_case(field)
+        samples = np.round(3600 * hours / _SAMPLING).astype(int)
+        return {
+            name: 1e3 * np.asarray(_momenta(field, q, Omega, jnp.asarray(gain), int(samples[-1])))[samples]
+            for name, gain in zip(names, _GAINS, strict=True)
+        }
+
+    return Case(
+        code="Willis et al. 2024, magnetic detumbling of a CubeSat, 1 h",
+        source="RoboticExplorationLab/non-monotonic-detumbling, final/bcross_stuck_detumble.jl, "
+        "figs/bcross_stuck.tikz @413faf0; arXiv:2407.02724",
+        scheme="torqued_midpoint(body) with torques.dipole, constant for each of 36 000 samples, Δt = 0.1 s",
+        published=dict(zip(names, numbers, strict=True)),
+        limit="the noise of the sensors there, and an orbit without air and without tesseral gravity here",
+        compute=compute,
+        digits={},
+    )
