@@ -298,7 +298,7 @@ def delay_plot(ax: Any, points: np.ndarray, symbol: str = "x") -> Any:
         symbol: the symbol of x, in TeX.
     """
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
-    power = int(np.floor(np.log10(np.ptp(points) or 1.0)))
+    power = int(np.floor(np.log10(np.ptp(points) / 2 or 1.0)))
     power = power if abs(power) > 1 else 0
     x, y, z = ((points - middle) / 10.0**power).T
     ax.scatter(x, y, z, s=1.5, color=BLUE, alpha=0.7, depthshade=False, linewidths=0, rasterized=True)
@@ -312,6 +312,7 @@ def cube(ax: Any) -> Any:
     """Give axes in three dimensions equal sides and few small ticks."""
     ax.set_box_aspect((1, 1, 1), zoom=0.85)  # room for the labels
     ax.tick_params(labelsize="xx-small", pad=-2)
+    ax.tick_params(axis="z", pad=1)  # or the axis crosses the minus signs
     ax.locator_params(nbins=4)
     return ax
 
