@@ -205,7 +205,12 @@ def draw(run: dict[str, Any], runs: list[dict[str, Any]], out: Any) -> None:
         axes[1].plot(np.bincount(np.array(run["request times"]).astype(int)), lw=0.5)
         axes[1].set(xlabel="time (s)", ylabel="requests a second")
         axes[2].plot([r["lifetime"] for r in runs], [r["computed again"] for r in runs], "o-", label="computed again")
-        axes[2].plot([r["lifetime"] for r in runs], [r["waited for commits"] for r in runs], "s-", label="waited for others' commits")
+        axes[2].plot(
+            [r["lifetime"] for r in runs],
+            [r["waited for commits"] for r in runs],
+            "s-",
+            label="waited for others' commits",
+        )
         axes[2].set(xlabel="mean life (min)", ylabel="fraction of the computing time", xscale="log")
         axes[2].set_xticks(LIFETIMES, [f"{life / 60:.0f}" for life in LIFETIMES])
         axes[2].minorticks_off()

@@ -70,9 +70,7 @@ def _draw_pairs(ax: Axes, found: Any) -> None:
     y = np.arange(len(pairs))[::-1]
     ax.barh(y, left, color=plots.BLUE, height=0.6)
     for height, pair, value in zip(y, pairs, left, strict=True):
-        names = " and ".join(
-            _pair_name(*find_combination(f, true, HARMONICS, 1 / found.curve.t[-1])[:2]) for f in pair
-        )
+        names = " and ".join(_pair_name(*find_combination(f, true, HARMONICS, 1 / found.curve.t[-1])[:2]) for f in pair)
         ax.text(value + 0.3, height, names, va="center", fontsize="x-small")
     ax.set(xlabel="variance left by a double series of order 2 (%)", xlim=(0, 1.5 * left.max()))
     ax.set_yticks(y, [f"{p[0]:.4f}, {p[1]:.4f}" for p in pairs], fontsize="x-small")
@@ -119,7 +117,12 @@ def _draw_night(ax: Axes, found: Any) -> None:
     for space, color in _COLORS.items():
         ax.plot([], [], "o", color=color, ms=5, label=space)
     ax.plot([], [], "o", color=plots.GRAY, mfc="none", ms=5, label="ended elsewhere")
-    ax.set(yscale="log", xlabel="principal axes, by their new names", ylabel="χ² above the best (0 drawn at 0.5)", ylim=(0.3, 3e7))
+    ax.set(
+        yscale="log",
+        xlabel="principal axes, by their new names",
+        ylabel="χ² above the best (0 drawn at 0.5)",
+        ylim=(0.3, 3e7),
+    )
     ax.set_xticks(range(len(columns)), columns)
     ax.legend(frameon=False, fontsize="x-small", ncols=2, loc="upper left")
 
