@@ -200,16 +200,23 @@ def draw(run: dict[str, Any], runs: list[dict[str, Any]], out: Any) -> None:
         left = axes[0]
         left.plot(t, computing / run["workers"], label="workers that compute")
         left.plot(t, np.searchsorted(commits, t) / len(commits), label="work committed")
-        left.set(xlabel="time (s)", ylabel="fraction", title=f"{run['workers']} workers")
-        left.legend(loc="center right")
+        left.set(xlabel="time (s)", ylabel="fraction", ylim=(-0.05, 1.3))
+        left.legend(loc="upper right")
         axes[1].plot(np.bincount(np.array(run["request times"]).astype(int)), lw=0.5)
         axes[1].set(xlabel="time (s)", ylabel="requests a second")
         axes[2].plot([r["lifetime"] for r in runs], [r["computed again"] for r in runs], "o-", label="computed again")
-        axes[2].plot([r["lifetime"] for r in runs], [r["waited for commits"] for r in runs], "s-", label="waited")
+        axes[2].plot(
+            [r["lifetime"] for r in runs],
+            [r["waited for commits"] for r in runs],
+            "s-",
+            label="waited for others' commits",
+        )
         axes[2].set(xlabel="mean life (min)", ylabel="fraction of the computing time", xscale="log")
         axes[2].set_xticks(LIFETIMES, [f"{life / 60:.0f}" for life in LIFETIMES])
         axes[2].minorticks_off()
         axes[2].legend()
+        titles = (f"{run['workers']} workers", "their requests to the store", "work lost to ends of workers")
+        plots.letter_panels(axes, titles)
         plots.save(fig, out / "scale.png")
 
 

@@ -1,12 +1,18 @@
-"""The notebooks as pages of the site: their text, code and outputs as they are in the files; nothing is run."""
+"""The notebooks as pages of the site: their text, code and outputs as they are in the files; nothing is run.
+
+Code with lines longer than a page is wide is formatted again, for that width.
+"""
 
 import base64
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 from mkdocs.structure.files import File
 
 FOLDER = Path(__file__).parents[2] / "notebooks"
+WIDTH = 94  # characters of a line of code, in a window of 1280 pixels
 
 
 def on_files(files, config):
@@ -27,13 +33,22 @@ def _page(path):
         if cell["cell_type"] == "markdown":
             parts.append(source)
             continue
-        parts.append(_fenced("python", source))
+        parts.append(_fenced("python", _fitted(source)))
         for output in _merged(cell["outputs"]):
             parts.append(_output(output, path.stem, pictures))
     title, *rest = parts
     run = f"*This page is the notebook `notebooks/{path.name}`; download it from the repository to run it.*"
     heading, _, body = title.partition("\n")
     return "\n\n".join([heading, run, body.strip(), *rest]), pictures
+
+
+def _fitted(source):
+    """Code whose lines fit the page; as it is if they do, or if it is no pure Python."""
+    if max(map(len, source.splitlines()), default=0) <= WIDTH:
+        return source
+    command = [sys.executable, "-m", "ruff", "format", "--isolated", "--line-length", str(WIDTH), "-"]
+    formatted = subprocess.run(command, input=source, capture_output=True, text=True, encoding="utf-8")
+    return source if formatted.returncode else formatted.stdout
 
 
 def _merged(outputs):

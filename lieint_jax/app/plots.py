@@ -105,7 +105,8 @@ def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: st
         shown = ~np.ma.getmaskarray(y)
         x = np.asarray(t)[shown]
         places = _marker_indices(ax, x, (k + 0.5) / len(curves)) if len(curves) > 1 and len(x) else []
-        ax.plot(x, np.asarray(y)[shown], label=label, markevery=places, **look)
+        marks = {"markevery": places} if len(curves) > 1 else {"marker": ""}
+        ax.plot(x, np.asarray(y)[shown], label=label, **(look | marks))
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
     if len(curves) > 1:
         ax.legend()
@@ -324,7 +325,7 @@ def delay_plot(ax: SpatialAxes, points: np.ndarray, symbol: str = "x") -> Spatia
         symbol: the symbol of x, in TeX.
     """
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
-    power = int(np.floor(np.log10(np.ptp(points) or 1.0)))
+    power = int(np.floor(np.log10(np.ptp(points) / 2 or 1.0)))
     power = power if abs(power) > 1 else 0
     x, y, z = ((points - middle) / 10.0**power).T
     ax.scatter(x, y, z, s=1.5, color=BLUE, alpha=0.7, depthshade=False, linewidths=0, rasterized=True)
@@ -338,6 +339,7 @@ def cube(ax: SpatialAxes) -> SpatialAxes:
     """Give axes in three dimensions equal sides and few small ticks."""
     ax.set_box_aspect((1, 1, 1), zoom=0.85)  # room for the labels
     ax.tick_params(labelsize="xx-small", pad=-2)
+    ax.tick_params(axis="z", pad=1)  # or the axis crosses the minus signs
     ax.locator_params(nbins=4)
     return ax
 

@@ -1,5 +1,6 @@
 """What a release says of itself is the same in all of its files."""
 
+import ast
 import re
 import tomllib
 from pathlib import Path
@@ -24,9 +25,28 @@ def test_the_conda_recipe_requires_what_the_package_requires():
 
 
 def test_the_version_is_the_same_everywhere():
-    assert f'version: "{li.__version__}"' in text("CITATION.cff") or f"version: {li.__version__}" in text(
-        "CITATION.cff"
-    )
+    """In the package, the citation and the recipe; the newest dated section of the changelog is the version's."""
+    citation = dict(line.split(": ", 1) for line in text("CITATION.cff").splitlines() if re.match(r"[a-z-]+: \S", line))
+    unreleased, (newest, date), *_ = re.findall(r"^## \[(.*?)\](?: - (\S+))?$", text("CHANGELOG.md"), re.M)
+    assert citation["version"] == newest == li.__version__
+    assert citation["date-released"] == date
+    assert unreleased == ("Unreleased", "")
     assert f'version: "{li.__version__}"' in text("docs/conda/recipe.yaml")
-    heads = re.findall(r"^## \[(.*?)\]", text("CHANGELOG.md"), re.M)
-    assert li.__version__ in heads[:2]
+
+
+def test_the_changelog_lists_everything_deprecated():
+    """Every call of `renamed` and `old_calls` in the package; the removal is announced for a later version."""
+    section = text("CHANGELOG.md").partition("### Deprecated\n")[2].partition("\n### ")[0]
+    for path in (ROOT / "lieint_jax").rglob("*.py"):
+        source = path.read_text(encoding="utf-8")
+        if path.name == "_deprecated.py":
+            removal = re.search(r"removed in version ([\d.]+)", source).group(1)
+            assert f"Version {removal} will not accept them" in section
+            continue
+        for function in re.findall(r"@old_calls\(.*?\)\ndef (\w+)", source):
+            assert f"{function}`" in section or f"{function}(" in section, function
+        if path.parent == ROOT / "lieint_jax" / "types":
+            continue  # Abstract…: one sentence for all of them
+        for names in re.findall(r"_renamed\(\s*__name__,\s*(\{.*?\})", source, re.S):
+            for name in ast.literal_eval(names):
+                assert f"{name}`" in section, name

@@ -63,7 +63,7 @@ def test_laws_of_control_act_in_their_windows(short):
 def test_the_report_lists_phases_and_works(short):
     scenario, step, made = short
     text = scenarios.report(scenario, step, made)
-    assert "gave no energy between any two saved times to 6 of 6" in text
+    assert "never raised the energy between two saved times: 6 of 6" in text
     assert "energy less the work of all laws" in text
     lines = [line.split() for line in text.splitlines()]
     c = satellite.course(scenario, step.system, made)

@@ -74,12 +74,9 @@ def _field_on_earth(x: np.ndarray, year: float) -> np.ndarray:
         up += (n + 1) * part * (g * cos + h * sin) * P[key]
         south -= part * (g * cos + h * sin) * dP[key]
         east += m * part * (g * sin - h * cos) * P[key] / st
-    axes = (
-        x / r[:, None],
-        np.stack([ct * np.cos(longitude), ct * np.sin(longitude), -st], axis=1),
-        np.stack([-np.sin(longitude), np.cos(longitude), np.zeros_like(r)], axis=1),
-    )
-    return sum(size[:, None] * axis for size, axis in zip((up, south, east), axes, strict=True))
+    cos, sin, zero = np.cos(longitude), np.sin(longitude), np.zeros_like(r)
+    axes = np.stack([[st * cos, st * sin, ct], [ct * cos, ct * sin, -st], [-sin, cos, zero]])
+    return np.einsum("ak,aik->ki", np.stack([up, south, east]), axes)
 
 
 def _schmidt(ct: np.ndarray, st: np.ndarray) -> tuple[dict, dict]:

@@ -387,12 +387,13 @@ def draw_section(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> 
     left.set_title("surface of section at pericenter:\na dot at every pericenter")
     left.legend(handles=_legend(), frameon=True, loc="upper right")
     names = ("in the plane", "out of the plane: the spin axis leaves its normal")
+    scale = {"vmin": 0, "vmax": found.section.max(), "cmap": "magma"}
     for ax, name, values in zip(maps, names, found.section.T, strict=True):
         x, y, value = (_rows(scenario, grid) for grid in (theta[0], rate[0], values))
         x[:, -1] += np.pi
-        image = ax.pcolormesh(x, y, value, shading="nearest", vmin=0, cmap="magma")
-        ax.figure.colorbar(image, ax=ax)
+        image = ax.pcolormesh(x, y, value, shading="nearest", **scale)
         ax.set_title(f"Lyapunov exponent / n,\n{name}")
+    left.figure.colorbar(image, ax=maps[1], label="Lyapunov exponent / n")
     for ax in axes:
         ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, scenario.greatest_rate))
         ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
@@ -429,7 +430,7 @@ def draw_observed(axes: Any, scenario: Scenario, step: Step, run: Trajectory) ->
     """Plot the largest exponents of the members about each observed state."""
     found, bound = chaos(scenario, step, run), chaos_limit(scenario.around.orbits)
     ax, scatter = axes[0], np.random.default_rng(0)
-    ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not distinct from a regular motion")
+    ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not distinguishable from a regular motion")
     for k, (x, error) in enumerate(zip(found.observed, found.errors, strict=True)):
         color = plots.RED if verdict(x, bound) == "chaotic" else plots.BLUE
         ax.plot(x[1:], k + scatter.uniform(-0.2, 0.2, len(x) - 1), "o", ms=3, color=color, alpha=0.6, lw=0)

@@ -223,7 +223,7 @@ def draw_torus(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> Non
     }
     for ax, (title, (symbol, x)) in zip(axes, panels.items(), strict=True):
         plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)), symbol)
-        ax.set_title(f"{title}:\nthree values N = {scenario.lag} steps from one another, less their mid-range")
+        ax.set_title(f"{title},\nless the middle of its range, at the steps n, n + N, n + 2N; N = {scenario.lag}")
 
 
 @picture(2)

@@ -307,7 +307,9 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     if "bdot" in c.names:
         work = c.works[..., c.names.index("bdot")]
         braked = int(np.sum(np.all(np.diff(work, axis=0) <= 0, axis=0)))
-        lines.append(f"\n  detumbling raised the energy between no two saved times of {braked} of {work.shape[1]}")
+        lines.append(
+            f"\n  detumbling never raised the energy between two saved times: {braked} of {work.shape[1]} starts"
+        )
     done = c.nadir_angle[-1] <= _CAPTURED
     part, error = fraction(done)
     lines.append(

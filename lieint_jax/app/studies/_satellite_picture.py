@@ -17,7 +17,7 @@ _TITLES = (
     "spectrum of all the light",
     "pairs of frequencies",
     "ends of the starts, first session",
-    "the night, from all images of the best end",
+    "whole night, from each image of the best end",
     "estimate less truth",
 )
 
@@ -41,7 +41,7 @@ def _draw_light(ax: Axes, found: SatelliteFit) -> None:
     ax.plot(found.curve.t[seen], found.curve.magnitude[seen], ".", color=plots.INK, ms=3, label="exposures")
     for t in found.minima.t:
         ax.axvline(t, color=plots.GRAY, lw=0.6, zorder=0, label="true minima" if t == found.minima.t[0] else None)
-    ax.set(xlabel="min", ylabel="magnitude, zero point unknown")
+    ax.set(xlabel="t (min)", ylabel="magnitude, zero point unknown")
     top, bottom = found.estimate.fine_light.min(), found.estimate.fine_light.max()
     ax.set_ylim(bottom + 0.1, top - 0.5)
     ax.legend(frameon=False, fontsize="x-small", ncols=3, loc="upper left")
@@ -57,9 +57,9 @@ def _draw_spectrum(ax: Axes, found: SatelliteFit) -> None:
     for peak in (p.frequency for p in found.search.peaks[:7]):
         j, k, _off = find_combination(peak, true, HARMONICS, 1 / found.curve.t[-1])
         height = 100 * np.interp(peak, f, power)
-        ax.annotate(f"({j},{k})", (peak, height), ha="center", va="bottom", fontsize="xx-small")
+        ax.annotate(_pair_name(j, k), (peak, height), ha="center", va="bottom", fontsize="xx-small")
     ax.set(xlabel="frequency (1/min)", ylabel="variance explained (%)", ylim=(0, 115 * power.max()))
-    note = "f precession, g rotation, true\n(j,k): jf + kg, the simplest"
+    note = "f, g: true precession, rotation\n(j, k): the simplest jf + kg"
     ax.text(0.97, 0.95, note, transform=ax.transAxes, ha="right", va="top", fontsize="x-small")
 
 
@@ -69,13 +69,15 @@ def _draw_pairs(ax: Axes, found: SatelliteFit) -> None:
     y = np.arange(len(pairs))[::-1]
     ax.barh(y, left, color=plots.BLUE, height=0.6)
     for height, pair, value in zip(y, pairs, left, strict=True):
-        names = " and ".join(
-            "({},{})".format(*find_combination(f, true, HARMONICS, 1 / found.curve.t[-1])) for f in pair
-        )
+        names = " and ".join(_pair_name(*find_combination(f, true, HARMONICS, 1 / found.curve.t[-1])[:2]) for f in pair)
         ax.text(value + 0.3, height, names, va="center", fontsize="x-small")
     ax.set(xlabel="variance left by a double series of order 2 (%)", xlim=(0, 1.5 * left.max()))
     ax.set_yticks(y, [f"{p[0]:.4f}, {p[1]:.4f}" for p in pairs], fontsize="x-small")
     ax.set_ylabel("frequencies (1/min)")
+
+
+def _pair_name(j: int, k: int) -> str:
+    return f"({j}, {k})".replace("-", "−")
 
 
 def _split_name(name: str) -> tuple[str, str]:
@@ -114,7 +116,12 @@ def _draw_night(ax: Axes, found: SatelliteFit) -> None:
     for space, color in _COLORS.items():
         ax.plot([], [], "o", color=color, ms=5, label=space)
     ax.plot([], [], "o", color=plots.GRAY, mfc="none", ms=5, label="ended elsewhere")
-    ax.set(yscale="log", xlabel="names of the axes", ylabel="χ² above the best (0 drawn at 0.5)", ylim=(0.3, 3e7))
+    ax.set(
+        yscale="log",
+        xlabel="principal axes, by their new names",
+        ylabel="χ² above the best (0 drawn at 0.5)",
+        ylim=(0.3, 3e7),
+    )
     ax.set_xticks(range(len(columns)), columns)
     ax.legend(frameon=False, fontsize="x-small", ncols=2, loc="upper left")
 

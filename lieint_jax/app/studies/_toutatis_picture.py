@@ -63,7 +63,7 @@ def _draw_residuals(ax: Axes, found: SpinFit, kind: int, label: str) -> None:
 def _draw_prediction(ax: Axes, found: SpinFit) -> None:
     """Plot the spread of the members against time, and the angles of predictions from the later fixes."""
     p = found.prediction
-    label = "members from estimate, 5–95 %"
+    label = "members about the estimate, 5–95 %"
     ax.fill_between(p.t, p.spread[0], p.spread[2], color=plots.GRAY, alpha=0.5, lw=0, label=label)
     ax.plot(p.t, p.rms, color=plots.INK, lw=1.2, label="the same, rms")
     fixes = later_fixes()

@@ -217,7 +217,8 @@ def draw(found: LearnedKappas) -> Figure:
     values = jax.vmap(family, (None, 0))
     curves = {name: np.asarray(values(jnp.asarray(w), jnp.asarray(x))) for name, w in kappas.items()}
     plots.series(axes[0, 0], x, curves, "κ").set_xlabel("|ΔtΩ|², nearly |Θ̄|²")
-    axes[0, 0].axvspan(0, (FAST * DT) ** 2, color=plots.GRAY, alpha=0.3, lw=0)
+    axes[0, 0].axvspan(0, (FAST * DT) ** 2, color=plots.GRAY, alpha=0.3, lw=0, label="training range")
+    axes[0, 0].legend()
     t, series = found.series
     plots.log_error(axes[0, 1], t[1:], {k: y[1:] for k, y in series.items()}, "Poisson error")
     return fig

@@ -124,7 +124,12 @@ def text(found: MaterialFit) -> str:
 def draw(found: MaterialFit) -> Figure:
     """Plot observed and fitted strains."""
     fig, axes = plots.figure(1)
-    plots.series(axes[0, 0], found.times, dict(zip(("Cxx", "Cyy", "Czz"), found.fitted.T, strict=False)), "strain C")
+    plots.series(
+        axes[0, 0],
+        found.times,
+        dict(zip(("$C_{xx}$", "$C_{yy}$", "$C_{zz}$"), found.fitted.T, strict=False)),
+        "strain $C$",
+    )
     axes[0, 0].plot(found.times, found.data[:, 0], ".", ms=4, color=plots.PURPLE, label="observed")
     axes[0, 0].plot(found.times, found.data[:, 1:3], ".", ms=4, color=plots.PURPLE)
     axes[0, 0].set_title("observed strain, and that of the fitted constants")

@@ -176,6 +176,6 @@ def text(found: LyapunovSpectrum) -> str:
 def draw(found: LyapunovSpectrum) -> Figure:
     """Plot the exponents against time."""
     fig, axes = plots.figure(1)
-    curves = {f"λ{k + 1}": found.exponents[:, k] for k in range(found.exponents.shape[1])}
+    curves = {f"$\\lambda_{k + 1}$": found.exponents[:, k] for k in range(found.exponents.shape[1])}
     plots.series(axes[0, 0], found.t, curves, "finite-time exponent").axhline(0, lw=0.5, color=plots.GRAY)
     return fig
