@@ -10,7 +10,7 @@ it is installed (`pip install rebound reboundx`).
 The error is |L − L₀| of all bodies, spins included, over the angular momentum of the pair about its own center, as in
 REBOUNDx's issue 172 (github.com/dtamayo/reboundx/issues/172). That reports 0.4 after 200 000 years, fewer than 7·10⁶
 orbits, of the Sun, the Earth and the Moon soon after it formed, 60° inclined, with IAS15. REBOUNDx's `tau` is half the
-lag: then the Earth's rotation slows as here. Its bodies are also flattened by their rotation, those here are spheres.
+lag (docs/pages/howto/tides.md). Its bodies are also flattened by their rotation, those here are spheres.
 """
 
 from __future__ import annotations

@@ -165,13 +165,17 @@ def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLik
     Raises:
         ValueError: masses or radii are not positive, another number is negative, or shapes disagree.
 
+    Other conventions: Δt is Hut's τ, also in REBOUNDx's `tides_constant_time_lag`. Eggleton's dissipation constant is
+    σ = 2GΔt/(3k₂R⁵). REBOUNDx's `tides_spin` sets σ = 4Gτ/(3k₂R⁵), so that its `tau` is Δt/2.
+
     Example:
         >>> import lieint_jax as li
         >>> tide = li.tides.constant_lag(1.0, [1.0, 0.1], [0.3, 0.1], 0.3, [0.01, 0.0])
         >>> tide.potential.count
         2
 
-    Source: Mignard 1979, Moon and Planets 20, (5) and (6); the form with A_k: this package.
+    Source: Mignard 1979, Moon and Planets 20, (5) and (6); the form with A_k: this package; other conventions: Hut 1981,
+    Astron. Astrophys. 99, and Eggleton, Kiseleva & Hut 1998, Astrophys. J. 499, (45).
     """
     bodies = _bodies(G, masses, radii, k2)
     late = _one_each("lags", lags, bodies[1])

@@ -244,6 +244,32 @@ def _rubbing(rng, B):
     return (m, J, G, strength), (q, p, np.zeros(B), np.zeros(B)), dt
 
 
+def _tidal(rng, B):
+    """Tides that lag by times from a billionth of what stops a body in a step to three times that; radii to a third."""
+    (m, J, G), (q, p), dt = _binary(rng, B)
+    apart = np.linalg.norm(q[:, 1, :3] - q[:, 0, :3], axis=1)
+    apart = np.where(apart > 0, apart, 1)
+    R = apart[:, None] * 10 ** rng.uniform(-2, -0.5, (B, 2))
+    friction = 3 * G[:, None] * m[:, ::-1] ** 2 * R**5 / apart[:, None] ** 6
+    stopping = friction * (1 / J.min(2) + (apart**2 * m.sum(1) / m.prod(1))[:, None])
+    lag = 10 ** rng.uniform(-9, 0.5, (B, 2)) / (stopping * np.abs(dt)[:, None])
+    return (m, J, G, R, lag), (q, p, np.zeros(B), np.zeros(B)), dt
+
+
+def _tidal_q(rng, B):
+    """The same with a constant Q, by that lag where tides are slow."""
+    (m, J, G, R, lag), state, dt = _tidal(rng, B)
+    threshold = 10 ** rng.uniform(-3, 1, (B, 2)) / np.abs(dt)[:, None]
+    return (m, J, G, R, 1 / (2 * lag * threshold), threshold), state, dt
+
+
+def _shapes(rng, B):
+    """Two ellipsoids, and gravity to order 4 of their sizes over the distance."""
+    m, J, G, q, p, dt = _bodies(rng, B, 3)
+    axes = np.sqrt(np.maximum(2.5 * (J.sum(2, keepdims=True) - 2 * J) / m[..., None], 0.01 * J / m[..., None]))
+    return (m, axes, G), (q, p), dt
+
+
 def _molecules(rng, B):
     """Two charged bodies with a Lennard-Jones core at their centers, up to as close as 0.7 of its size."""
     m, J, G, q, p, dt = _bodies(rng, B, 3)
@@ -367,6 +393,27 @@ def rubbing(m, J, G, strength):
     return schemes.bodies_energy_momentum(systems.rigid_bodies(m, J, li.potentials.maccullagh(G, m, J), law))
 
 
+def tidal(law):
+    def made(m, J, G, R, *numbers):
+        tide = law(G, m, R, 1.0, *numbers)
+        gravity = li.potentials.maccullagh(G, m, J) + tide.potential
+        return schemes.bodies_energy_momentum(systems.rigid_bodies(m, J, gravity, tide))
+
+    return made
+
+
+def constant_q(G, m, R, k2, Q, threshold):
+    return li.tides.constant_q(G, m, R, k2, Q=Q, threshold=threshold)
+
+
+def ellipsoids(make):
+    def made(m, axes, G):
+        pair = [li.shapes.ellipsoid(a, mass=mass) for a, mass in zip(axes, m, strict=True)]
+        return make(systems.rigid_bodies(pair, pair, li.potentials.mutual_gravity(G, pair, 4)))
+
+    return made
+
+
 def molecules(make):
     """Charges off the centers, by a tenth of the distance at which the cores touch."""
 
@@ -438,6 +485,10 @@ ATTACKS = {  # how cases are made, and the step of one; which invariants: the en
     "kepler_splitting, binary": (_binary, binary(schemes.kepler_splitting), "P"),
     "bodies_energy_momentum, binary": (_binary, binary(schemes.bodies_energy_momentum), "HP"),
     "bodies_energy_momentum, friction": (_rubbing, rubbing, "HP"),
+    "bodies_energy_momentum, constant lag": (_tidal, tidal(li.tides.constant_lag), "HP"),
+    "bodies_energy_momentum, constant Q": (_tidal_q, tidal(constant_q), "HP"),
+    "splitting, mutual gravity": (_shapes, ellipsoids(schemes.splitting), "P"),
+    "bodies_energy_momentum, mutual gravity": (_shapes, ellipsoids(schemes.bodies_energy_momentum), "HP"),
     "splitting, molecules": (_molecules, molecules(schemes.splitting), "P"),
     "bodies_energy_momentum, molecules": (_molecules, molecules(schemes.bodies_energy_momentum), "HP"),
 }
@@ -634,6 +685,9 @@ POSITIVE = {
     _satellite: (0, 1),
     _paced: (0, 2),
     _binary: (0, 1),
+    _tidal: (0, 1, 2, 3),
+    _tidal_q: (0, 1, 2, 3, 4, 5),
+    _shapes: (0, 1),
     _molecules: (0, 1, 4),
 }  # numbers, by default the 1st
 NOT_NEGATIVE = {
@@ -644,6 +698,7 @@ NOT_NEGATIVE = {
     _controlled: (1, 2),
     _kane: (2,),
     _friction: (1,),
+    _tidal: (4,),
 }
 # numbers of a user's function, which may be anything
 OF_FUNCTIONS = {_driven: (1, 2), _motor: (1, 2), _well: (1, 2), _edged: (1, 2)}

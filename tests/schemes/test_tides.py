@@ -125,6 +125,36 @@ def test_the_constant_lag_law_is_mignard_s():
     np.testing.assert_allclose(slope[1], 3 * B.sum() * r / square**4, rtol=1e-13)
 
 
+def eggleton(r, v, omega, A, m, sigma):
+    """The tide's force on the other body: Eggleton, Kiseleva & Hut 1998, (45), as in REBOUNDx's tides_spin.c."""
+    square = r @ r
+    return -4.5 * sigma * (A * m) ** 2 / square**5 * (3 * r * (r @ v) + np.cross(np.cross(r, v) - square * omega, r))
+
+
+def hut(r, v, omega, A, m, tau):
+    """The same: Hut 1981, (8), as in REBOUNDx's tides_constant_time_lag.c, without what does not lag."""
+    square = r @ r
+    along, across = 3 * (r @ v) / square * r, np.cross(omega - np.cross(r, v) / square, r)
+    return 3 * G * A * m**2 * tau / square**4 * (across - along)
+
+
+def test_lags_of_other_conventions_are_as_documented():
+    """Hut's τ is the lag, σ is 2GΔt/(3k₂R⁵), and the tau of REBOUNDx's tides_spin, which sets σ = 4Gτ/(3k₂R⁵), half."""
+    rng, tau = np.random.default_rng(3), 0.07
+    for k in (0, 1):
+        r, v, *omega = rng.normal(size=(4, 3))
+        A, m = K2[k] * RADII[k] ** 5, MASSES[1 - k]
+        for lag, pull in (
+            (tau, hut(r, v, omega[k], A, m, tau)),
+            (tau, eggleton(r, v, omega[k], A, m, 2 * G * tau / (3 * A))),
+            (2 * tau, eggleton(r, v, omega[k], A, m, 4 * G * tau / (3 * A))),
+        ):
+            law = tides.constant_lag(G, MASSES, RADII, np.where(np.arange(2) == k, K2, 0), lag)
+            found = law(*(jnp.array(x) for x in (r, v, *omega)))
+            np.testing.assert_allclose(found[0], pull, rtol=1e-13)
+            np.testing.assert_allclose(found[1 + k], -np.cross(r, pull), rtol=1e-12)
+
+
 def test_the_tidal_potential_of_three_bodies_is_the_sum_over_pairs_and_has_an_exact_discrete_gradient():
     law = tides.constant_lag(2.0, [1.0, 0.5, 0.2], [0.3, 0.2, 0.1], [0.1, 0.2, 0.3], 0.01)
     V, rng = law.potential, np.random.default_rng(1)
