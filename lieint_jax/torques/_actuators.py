@@ -18,6 +18,7 @@ from lieint_jax.torques._arguments import VectorOfTime, cut, not_negative, posit
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._wheels import wheel_axes
 from lieint_jax.types import Law, Rotation, parts, pytree, static
+from lieint_jax.types.shapes import PyTree
 
 
 def wheel_pyramid(tilt: ArrayLike = 0.6154797086703874, wheels: int = 4) -> Array:
@@ -117,7 +118,7 @@ class Torquers(Law):
     field: VectorOfTime
     max_dipole: Array | None
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """The law at the middle of the step."""
         B = middle_axes(rotation, value_at(self.field, rotation.t))
         torque = _control_torque(self.control, rotation.t, rotation.q_mid, rotation.Omega)
@@ -155,7 +156,7 @@ class Unloading(Law):
     bias: Array
     reads: str = static(default="wheels")  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """The law at the middle of the step, with the mean momenta of the wheels."""
         B = middle_axes(rotation, value_at(self.field, rotation.t))
         return _magnetic_torque(-self.gain * ((inner - self.bias) @ self.axes), B, self.max_dipole), inner

@@ -14,6 +14,7 @@ from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut, not_negative, positive
 from lieint_jax.torques._modified_law import ModifiedLaw
 from lieint_jax.types import Law, Rotation, as_law, pytree
+from lieint_jax.types.shapes import PyTree
 
 
 @pytree
@@ -29,18 +30,18 @@ class PDTrace(Law):
         """The quaternion of ΛΛ_dᵀ."""
         return so3.multiply(q, so3.inverse(self.target))
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """−½κk vex(Λ̄Λ_dᵀ) − cω̄, Λ̄ the mean of Λ_n and Λ_{n+1}: ω̄·mean = −ΔU/Δt − c|ω̄|²."""
         a, b = self._error(rotation.q_n), self._error(rotation.q_next)
         pull = -rotation.kappa * self.gain * (a[0] * a[1:] + b[0] * b[1:])
         return pull - self.damping * rotation.omega, inner
 
-    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         """U = ½k tr(1 − Λ_dᵀΛ) = k(1 − cos φ) of the error's angle φ."""
         e = self._error(q)
         return 2 * self.gain * dot(e[1:], e[1:])
 
-    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """−Δt c|ω̄|²."""
         return -rotation.dt * self.damping * dot(rotation.omega, rotation.omega)
 
@@ -76,17 +77,17 @@ class PDQuaternion(Law):
         """e, the quaternion of Λ_dᵀΛ."""
         return so3.multiply(so3.inverse(self.target), q)
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """−κk(e_n + e_{n+1})/(1 + √(1+|h|²)) − cΩ̄, of the vector parts: Ω̄·mean = −ΔU/Δt − c|Ω̄|²."""
         e = self._error(rotation.q_n)[1:] + self._error(rotation.q_next)[1:]
         weight = rotation.kappa * self.gain / (1 + jnp.sqrt(1 + dot(rotation.h, rotation.h)))
         return -weight * e - self.damping * rotation.Omega, inner
 
-    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         """U = 2k(1 − e₀) = 4k sin²(φ/4), φ the error's angle from 0 to 360°."""
         return 2 * self.gain * (1 - self._error(q)[0])
 
-    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """−Δt c|Ω̄|²."""
         return -rotation.dt * self.damping * dot(rotation.Omega, rotation.Omega)
 
@@ -119,11 +120,11 @@ class Saturated(ModifiedLaw):
     law: Law
     limit: Array
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """The law's mean torque, each component within ± the limit."""
         return cut(self.law.mean(rotation, inner)[0], self.limit), inner
 
-    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         """That of the law."""
         return self.law.energy(t, q, inner)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -15,6 +13,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import cross, dot, scale
 from lieint_jax.torques._arguments import not_negative, positive
 from lieint_jax.types import Law, Rotation, pytree, static
+from lieint_jax.types.shapes import PyTree
 
 
 @pytree
@@ -23,7 +22,7 @@ class Viscous(Law):
 
     damping: Array
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """−DΩ̄."""
         D = self.damping if self.damping.ndim else jnp.broadcast_to(self.damping, (3,))
         return -jnp.stack(vec3.apply(vec3.symmetric(D), rotation.Omega)), inner
@@ -55,17 +54,17 @@ class KaneDamper(Law):
     def label(self) -> str:
         return "kane_damper" if self.key == "damper" else self.key
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """−c(ω̄ − ω̄_d) with I_d ω̄_d = π_d + ½Δt c(ω̄ − ω̄_d), the mean momentum of the sphere."""
         slip = (rotation.omega - inner / self.inertia) / (1 + self.damping * rotation.dt / (2 * self.inertia))
         torque = -self.damping * slip
         return torque, inner - rotation.dt * torque
 
-    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         """½|π_d|²/I_d."""
         return dot(inner, inner) / (2 * self.inertia)
 
-    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """−Δt c|ω̄ − ω̄_d|²."""
         slip = rotation.omega - (inner + after) / (2 * self.inertia)
         return -rotation.dt * self.damping * dot(slip, slip)
@@ -74,7 +73,7 @@ class KaneDamper(Law):
         """The momentum of the sphere where it rotates with the body."""
         return self.inertia * now.omega
 
-    def momentum(self, q: Array, inner: Any) -> Array:
+    def momentum(self, q: Array, inner: PyTree) -> Array:
         """π_d."""
         return inner
 

@@ -22,6 +22,7 @@ from lieint_jax.torques._arguments import (
 )
 from lieint_jax.torques._body_axes import end_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, pytree, static
+from lieint_jax.types.shapes import PyTree
 
 _ROUNDINGS = 16  # of the field and the internal field, by which a rod that is dragged along misses the edge of its play
 
@@ -38,7 +39,7 @@ class BDot(Law):
     def label(self) -> str:
         return "bdot"
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """k b × (b × ω̄)."""
         b = value_at(self.field, rotation.t)
         return self.gain * jnp.stack(cross(b, cross(b, rotation.omega))), inner
@@ -56,7 +57,7 @@ class LimitedBDot(Law):
     def label(self) -> str:
         return "bdot"
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """m × B, in the field at the middle of the step and the attitude half-way."""
         B = middle_axes(rotation, value_at(self.field, rotation.t))
         m = cut(self.gain * jnp.stack(cross(rotation.Omega, B)), self.max_dipole)
@@ -102,7 +103,7 @@ class Hysteresis(Law):
     def label(self) -> str:
         return "hysteresis" if self.key == "rod" else self.key
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """κ M̄ e × Λ̄ᵀb_m, with M̄ the mean moment on the straight line from x_n to x_{n+1}."""
         before = dot(self.axis, start_axes(rotation, value_at(self.field, rotation.start)))
         after = dot(self.axis, end_axes(rotation, value_at(self.field, rotation.end)))
@@ -112,7 +113,7 @@ class Hysteresis(Law):
         moment = self._mean_moment(inner, w, after - before)
         return rotation.kappa * moment * jnp.stack(cross(self.axis, B)), w
 
-    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         """wF − Φ − Fx: the stored energy of the rod and its energy in the field."""
         F = self._moment(inner)
         return F * (inner - self._axial_field(t, q)) - self._stored_energy(inner)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax.types import Law, Rotation, pytree, static
+from lieint_jax.types.shapes import PyTree
 
 MEMBERS = ("frame", "potential", "power", "mean", "during", "key")  # what such a class may offer besides a call
 
@@ -40,7 +41,7 @@ class OlderLaw(Law):
     def label(self) -> str:
         return type(self.law).__name__.lower()
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         law, velocity = self._during(rotation.dt, inner), rotation.velocity(self.frame)
         if hasattr(law, "mean"):
             r = rotation
@@ -49,13 +50,13 @@ class OlderLaw(Law):
             torque = law(rotation.t, rotation.q_mid, velocity)
         return torque, None if inner is None else inner - rotation.dt * jnp.asarray(torque)
 
-    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         energy = jnp.zeros((), q.dtype)
         if hasattr(self.law, "potential"):
             energy = energy + self.law.potential(q)
         return energy if inner is None else energy + self.law.inner_energy(inner)
 
-    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         law = self._during(rotation.dt, inner)
         if hasattr(law, "power"):
             return rotation.dt * law.power(rotation.t, rotation.q_n, rotation.velocity(self.frame))
@@ -64,9 +65,9 @@ class OlderLaw(Law):
     def start(self, now: Rotation) -> Array | None:
         return self.law.inner(now.omega) if self.internal else None
 
-    def momentum(self, q: Array, inner: Any) -> Array:
+    def momentum(self, q: Array, inner: PyTree) -> Array:
         return inner if self.internal else jnp.zeros_like(q[1:])
 
-    def _during(self, dt: Array, inner: Any) -> Any:
+    def _during(self, dt: Array, inner: PyTree) -> Any:
         extra = None if inner is None else {self.key: inner}
         return self.law.during(dt, extra) if hasattr(self.law, "during") else self.law

@@ -15,6 +15,7 @@ from lieint_jax._numerics.vec3 import cross
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import not_negative, positive
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+from lieint_jax.types.shapes import PyTree
 
 
 class _Error(NamedTuple):
@@ -97,7 +98,7 @@ class Pointing(Law):
     damping: Array
     inertia: Array | None
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """The law at the middle of the step."""
         error = self.target.error(rotation.t, rotation.q_mid, rotation.Omega, self.inertia is not None)
         wanted = -self.gain * error.vector - self.damping * error.velocity
@@ -150,7 +151,7 @@ class SlidingMode(Law):
     rate: Array
     layer: Array
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """The law at the middle of the step."""
         Omega = rotation.Omega
         error = self.target.error(rotation.t, rotation.q_mid, Omega)

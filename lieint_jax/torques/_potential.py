@@ -18,6 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+from lieint_jax.types.shapes import PyTree
 
 
 class DirectionalPotential(Law):
@@ -40,17 +41,17 @@ class DirectionalPotential(Law):
     def gradient(self, a: Array, b: Array, t: Array) -> Array:
         """D̄ between Γ_n = a and Γ_{n+1} = b, (3,)."""
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """κ Γ̄ × D̄."""
         axis = self.axis(rotation.t)
         a, b = start_axes(rotation, axis), end_axes(rotation, axis)
         return rotation.kappa * jnp.stack(cross((a + b) / 2, self.gradient(a, b, rotation.t))), inner
 
-    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         """V."""
         return self.value(so3.Ad_star(q, self.axis(t)), t)
 
-    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """The change of V with time, half of it at each attitude."""
 
         def gained(q: Array, first: Array, last: Array) -> Array:

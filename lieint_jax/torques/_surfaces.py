@@ -25,6 +25,7 @@ from lieint_jax.torques._arguments import (
 )
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+from lieint_jax.types.shapes import PyTree
 
 
 @pytree
@@ -38,7 +39,7 @@ class SolarPlate(Law):
     specular: Array
     diffuse: Array
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """r × F(Λᵀs)."""
         s = middle_axes(rotation, value_at(self.sun, rotation.t))
         cosine = dot(self.normal, s)
@@ -135,7 +136,7 @@ class SolarPlates(Law):
     specular: Array
     diffuse: Array
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """Σ r_j × F_j(Λᵀs) at the middle of the step."""
         s, n = components(middle_axes(rotation, value_at(self.sun, rotation.t))), self.plates.normal
         cosine = jnp.maximum(dot(n, s), 0)
@@ -195,7 +196,7 @@ class Aerodynamic(Law):
     air: Callable[[Array], tuple[Array, Array]]
     drag: Array
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """Σ r_j × F_j at the middle of the step; each plate moves through the air by Ω̄ × r_j too."""
         density, velocity = evaluate(self.air, rotation.t)
         v = components(middle_axes(rotation, velocity))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
@@ -11,6 +9,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.types import Law, Rotation, pytree
+from lieint_jax.types.shapes import PyTree
 
 
 @pytree
@@ -21,7 +20,7 @@ class Thruster(Law):
     begin: Array
     stop: Array
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """T times the part of the step in which it fires."""
         length = jnp.abs(rotation.dt)
         overlap = jnp.minimum(rotation.t + length / 2, self.stop) - jnp.maximum(rotation.t - length / 2, self.begin)

@@ -16,6 +16,7 @@ from lieint_jax._numerics.vec3 import cross
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut, positive, unit_vector
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+from lieint_jax.types.shapes import PyTree
 
 _SWEEPS = 6  # of the motor's equation for the mean momentum: each gains log₁₀(1/½Δt|∂u/∂h|) digits
 _CHEAP_SWEEPS = 12  # of a motor that evaluates its control law once
@@ -41,17 +42,17 @@ class Wheels(Law):
     def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.max_momentum is None
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """T̄ = −κ Ω̄ × h̄_r − Δh_r/Δt with h_r = Σ g_j h_j: then π + Λh_r is conserved."""
         rate, after = self._drive(rotation, inner)
         mean = (inner + after) / 2 @ self.axes
         return -rotation.kappa * jnp.stack(cross(rotation.Omega, mean)) - rate @ self.axes, after
 
-    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         """Σ h_j²/2I_j."""
         return jnp.sum(inner * inner / self.inertias) / 2
 
-    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """Σ Δh_j σ̄_j with the mean relative speed σ̄_j = h̄_j/I_j − g_j·Ω̄: what the motors do, friction included."""
         speed = (inner + after) / 2 / self.inertias - self.axes @ rotation.Omega
         return jnp.sum((after - inner) * speed)
@@ -64,7 +65,7 @@ class Wheels(Law):
         """I_j(σ_j + g_j·Ω), of the relative speeds σ that the law was made with."""
         return self.inertias * (self.speeds + self.axes @ now.Omega)
 
-    def momentum(self, q: Array, inner: Any) -> Array:
+    def momentum(self, q: Array, inner: PyTree) -> Array:
         """Λh_r."""
         return so3.Ad(q, inner @ self.axes)
 

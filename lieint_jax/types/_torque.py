@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax.types._pytree import callable_pytree, pytree, static
+from lieint_jax.types.shapes import PyTree
 
 
 class Rotation(NamedTuple):
@@ -157,7 +158,7 @@ class Total(Law):
     def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return all(law.symmetric for law in self.laws)
 
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         raise NotImplementedError  # a step adds up the laws
 
 
@@ -202,14 +203,16 @@ def as_law(law: Any, frame: str = "body") -> Law:
     return Function(callable_pytree(law), getattr(law, "frame", frame))
 
 
-def instant(law: Law, t: Array, q: Array, Omega: Array, omega: Array, inner: Any, q_half: Any) -> tuple[Array, Any]:
+def instant(
+    law: Law, t: Array, q: Array, Omega: Array, omega: Array, inner: PyTree, q_half: Any
+) -> tuple[Array, PyTree]:
     """The torque of a law at one instant, in the axes of its frame, and the rate of its internal state.
 
     Args:
         q_half: h ↦ q cay 2h, of the group.
     """
 
-    def advanced(s: Array) -> tuple[Array, Any]:
+    def advanced(s: Array) -> tuple[Array, PyTree]:
         h = s / 2 * Omega
         rotation = Rotation(t, s, q, q_half(h / 2), q_half(h), h, jnp.ones_like(t), Omega, omega)
         return law.mean(rotation, inner)

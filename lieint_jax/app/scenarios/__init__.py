@@ -98,7 +98,7 @@ def build_first(scenario: Common, members: int) -> Step:
     return build(scenario.model_copy(update={"members": 1 if step_axis(scenario) is None else members}))[0]
 
 
-def report(scenario: Common, step: Any, run: Trajectory) -> str:
+def report(scenario: Common, step: Step, run: Trajectory) -> str:
     """The text that reports a run: what is conserved, what was measured, and the remarks of the kind."""
     module = kind(scenario)
     if hasattr(module, "report"):

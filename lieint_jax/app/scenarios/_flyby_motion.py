@@ -13,13 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.typing import ArrayLike
 
 from lieint_jax import _free_body, orbits, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax._numerics import elliptic, vec3
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.scenarios._common import compose_to_order
-from lieint_jax.app.scenarios._runs import map_on_local_devices
+from lieint_jax.app.scenarios._runs import Numbers, map_on_local_devices
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
@@ -42,14 +43,14 @@ class Spin(NamedTuple):
     Both phases are those of the torque-free motion.
     """
 
-    least: Any
-    middle: Any
-    precession: Any
-    rotation: Any
-    longitude: Any
-    latitude: Any
-    phi: Any
-    psi: Any
+    least: Numbers
+    middle: Numbers
+    precession: Numbers
+    rotation: Numbers
+    longitude: Numbers
+    latitude: Numbers
+    phi: Numbers
+    psi: Numbers
 
 
 class Outcome(NamedTuple):
@@ -64,13 +65,13 @@ class Outcome(NamedTuple):
         pole: the direction of π, (3,).
     """
 
-    precession: Any
-    rotation: Any
-    long_axis: Any
-    momentum: Any
-    rate: Any
-    excitation: Any
-    pole: Any
+    precession: Numbers
+    rotation: Numbers
+    long_axis: Numbers
+    momentum: Numbers
+    rate: Numbers
+    excitation: Numbers
+    pole: Numbers
 
 
 @pytree
@@ -156,12 +157,14 @@ def outcome(J: Array, state: State) -> Outcome:
     return Outcome(*found, size, double / size, double * jnp.max(J) / size**2, state.p / size)
 
 
-def step_of(J: Array, orbit: Any, order: int) -> Step:
+def step_of(J: Array, orbit: orbits.Kepler | GivenOrbit, order: int) -> Step:
     """The symplectic step of a body on an orbit."""
     return compose_to_order(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
 
 
-def step_and_state(spin: Spin, orbit: Any, t: Array, order: int, long_axis: bool) -> tuple[Step, State]:
+def step_and_state(
+    spin: Spin, orbit: orbits.Kepler | GivenOrbit, t: Array, order: int, long_axis: bool
+) -> tuple[Step, State]:
     """The step of one member, and its state at the time t, with work 0."""
     state = initial_state(spin, orbit(jnp.zeros_like(t))[0], t, long_axis)
     return step_of(moments(spin), orbit, order), state._replace(t=t, work=jnp.zeros_like(t))
@@ -176,13 +179,13 @@ class Passage(NamedTuple):
     converged: Array
 
 
-def orbit_of(elements: Any) -> orbits.Kepler:
+def orbit_of(elements: Numbers) -> orbits.Kepler:
     """The orbit of elements in the order of `orbits.kepler`."""
     names = ("mu", "semi_major_axis", "eccentricity", "inclination", "node", "periapsis", "periapsis_time")
     return orbits.kepler(**dict(zip(names, elements, strict=False)))
 
 
-def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Passage:
+def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: ArrayLike) -> Passage:
     """The passages of many members, in steps between the times (N + 1,), on all devices."""
     return _passages(order, long_axis)(spins, elements, times)
 
@@ -198,7 +201,7 @@ def _map_over_members(function: Callable[..., Any]) -> Callable[..., Any]:
     return lambda spins, *given: jax.tree.map(np.asarray, mapped(spins, *map(jnp.asarray, given)))
 
 
-def _passage(spin: Spin, orbit: Any, times: Array, order: int, long_axis: bool) -> Passage:
+def _passage(spin: Spin, orbit: orbits.Kepler, times: Array, order: int, long_axis: bool) -> Passage:
     return _integrate_passage(moments(spin), *step_and_state(spin, orbit, times[0], order, long_axis), times)
 
 
@@ -215,18 +218,18 @@ class Slopes(NamedTuple):
         perigee: the derivatives by the distance of the perigee, at constant energy of the orbit.
     """
 
-    least: Any
-    middle: Any
-    precession: Any
-    rotation: Any
-    longitude: Any
-    latitude: Any
-    phi: Any
-    psi: Any
-    perigee: Any
+    least: Numbers
+    middle: Numbers
+    precession: Numbers
+    rotation: Numbers
+    longitude: Numbers
+    latitude: Numbers
+    phi: Numbers
+    psi: Numbers
+    perigee: Numbers
 
 
-def slopes(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Slopes:
+def slopes(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: ArrayLike) -> Slopes:
     """The derivatives of many passages, in forward mode through all steps."""
     return _slopes(order, long_axis)(spins, elements, times)
 
@@ -239,12 +242,10 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         spin = Spin(*given[:-1])
         J = moments(spin)
         near = state_at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
-        free = compose_to_order(
-            schemes.so3_midpoint(RigidBody(J)), order
-        )  # XLA takes minutes over tangents of `solution`
-        state = jax.tree.map(
-            lambda x: x[-1], integrate(free, near, times[0] / _FREE_STEPS, _FREE_STEPS, save_every=_FREE_STEPS).state
-        )
+        # by steps, since XLA compiles tangents of `solution` for minutes
+        free = compose_to_order(schemes.so3_midpoint(RigidBody(J)), order)
+        run = integrate(free, near, times[0] / _FREE_STEPS, _FREE_STEPS, save_every=_FREE_STEPS)
+        state = jax.tree.map(lambda x: x[-1], run.state)
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
         found = _integrate_passage(J, step_of(J, orbit, order), state, times)
         pole_angle = vec3.angle(found.before.pole, found.after.pole)

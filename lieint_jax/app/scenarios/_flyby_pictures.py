@@ -18,7 +18,7 @@ _LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last col
 
 
 @picture(2, 2)
-def draw_map(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_map(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot periods, effective spin rate and rotation of the pole after the passage, over both phases at the perigee."""
     found = study(scenario, step, run)
     x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
@@ -91,7 +91,7 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
 
 
 @picture(3, 2)
-def draw_after(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_after(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the members after the passage: distributions of periods, spin rate and rotation of the pole, and poles."""
     found = study(scenario, step, run)
     x, after, before = change_of_spin(found.before, found.after), found.after, found.before
@@ -135,7 +135,7 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
 
 
 @picture(2)
-def draw_sensitivity(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_sensitivity(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the change of the periods by one standard deviation of each unknown, to first order, over the phases."""
     found = study(scenario, step, run)
     names = {

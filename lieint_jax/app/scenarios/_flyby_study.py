@@ -17,7 +17,7 @@ from lieint_jax.app.scenarios._flyby_keys import Changes, Scenario, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Slopes, Spin
 from lieint_jax.app.scenarios._runs import cached_for_last_run
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Trajectory
+from lieint_jax.types import State, Step, Trajectory
 
 _TRIES = 16  # draws of a member's moments; the first for which the mode exists is used
 _SLOPE_ORDER = 4  # of the differentiated steps: the errors of derivatives are below 5e-4 of the largest
@@ -98,7 +98,7 @@ class Study(NamedTuple):
 
 
 @cached_for_last_run
-def study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
+def study(scenario: Scenario, step: Step, run: Trajectory) -> Study:
     """The study of a run: its members before and after the passage, and the further passages of the report."""
     from tqdm import tqdm
 

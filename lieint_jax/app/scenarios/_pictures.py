@@ -32,7 +32,7 @@ def picture(
     def decorate(draw: Callable[..., None]) -> Callable[[Any, Any, Trajectory], Figure]:
         @plots.style()
         @wraps(draw)
-        def figure_of_run(scenario: Any, step: Any, run: Trajectory) -> Figure:
+        def figure_of_run(scenario: Any, step: Step, run: Trajectory) -> Figure:
             inches: Any = size(scenario) if callable(size) else size
             fig, axes = plots.figure(columns, rows, inches, **options)
             axes = axes.ravel()
@@ -71,7 +71,7 @@ def draw_changes(ax: Any, t: np.ndarray, conserved: Sequence[Conserved], unit: s
 
 
 def draw_balance(
-    axes: Sequence[Any],
+    axes: np.ndarray,
     t: np.ndarray,
     energy: np.ndarray,
     works: np.ndarray,
@@ -106,7 +106,7 @@ def draw_balance(
 
 
 def draw_on_sphere(
-    axes: Sequence[Any],
+    axes: np.ndarray,
     t: np.ndarray,
     path: np.ndarray,
     end: float,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, wraps
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,9 @@ from jax.sharding import Mesh
 from lieint_jax import ensemble
 from lieint_jax._integrate import integrate
 from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types.shapes import PyTree
+
+Numbers: TypeAlias = Any  # a number of one member, or an array of the numbers of all, of JAX or of numpy
 
 LONGEST, POINTS = 200_000, 4_000  # largest numbers of steps of a drawn run and of points of a curve
 
@@ -63,7 +66,7 @@ def over_members(function: Callable[[Any, State], Any], system: Any, run: Trajec
     return jax.tree.map(np.asarray, each(system, jax.tree.map(jnp.asarray, run.state)))
 
 
-def map_on_local_devices(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
+def map_on_local_devices(function: Callable[..., Any], axes: PyTree) -> Callable[..., Any]:
     """Map a function of one member over many, on the devices of this process: only the first process reports."""
     return ensemble.over_members(function, axes, Mesh(np.array(jax.local_devices()), ("members",)))
 

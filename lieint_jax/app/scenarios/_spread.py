@@ -21,11 +21,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from lieint_jax.app.scenarios._runs import nominal_member
+from lieint_jax.app.scenarios._runs import Numbers, nominal_member
 from lieint_jax.types import State, Step
+from lieint_jax.types.shapes import PyTree
 
 Path = tuple[str, ...]
 T = TypeVar("T", bound=BaseModel)
@@ -168,7 +170,7 @@ def _labeled_rows(rows: list[Any]) -> list[tuple[str, Any]]:
     return [(getattr(row, "name", str(k)), row) for k, row in enumerate(rows, 1)]
 
 
-def _as_number(value: Any, field: FieldInfo) -> Number | None:
+def _as_number(value: object, field: FieldInfo) -> Number | None:
     """The value of a key as a number, if it is one, with law and limits from the key's annotation."""
     marks = list(_annotations(field))
     law = next((mark for mark in marks if isinstance(mark, Law)), None)
@@ -178,7 +180,7 @@ def _as_number(value: Any, field: FieldInfo) -> Number | None:
     return Number(np.asarray(value, float), law or ADDITIVE, limits)
 
 
-def _is_real(value: Any) -> bool:
+def _is_real(value: object) -> bool:
     if isinstance(value, list):
         return bool(value) and all(map(_is_real, value))
     return isinstance(value, float)
@@ -212,7 +214,7 @@ class GivenSpread(NamedTuple):
     words: str
 
 
-def requested_spreads(scenario: BaseModel, fixed: Mapping[str, str]) -> dict[Path, GivenSpread]:
+def requested_spreads(scenario: Any, fixed: Mapping[str, str]) -> dict[Path, GivenSpread]:
     """The spreads of numbers that a scenario gives, by the paths of the numbers, without those that are 0.
 
     Args:
@@ -250,7 +252,7 @@ def _entries(table: Mapping[str, Any], path: Path = ()) -> Iterator[tuple[Path, 
             yield (*path, name), value
 
 
-def _parse_spread(path: Path, value: Any, number: Number, percent: bool) -> GivenSpread:
+def _parse_spread(path: Path, value: ArrayLike, number: Number, percent: bool) -> GivenSpread:
     key = _join((_SPREAD, *path))
     sigma = _standard_deviations(key, value, number.shape())
     unit, basis = (" %" if percent else ""), (f" {number.law.basis}" if number.law.basis else "")
@@ -261,7 +263,7 @@ def _parse_spread(path: Path, value: Any, number: Number, percent: bool) -> Give
     return GivenSpread(number, sigma, words)
 
 
-def _standard_deviations(key: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+def _standard_deviations(key: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
     numeric = not isinstance(value, bool | str) and all(isinstance(x, int | float) for x in _flatten(value))
     if not numeric or not all(math.isfinite(x) and x >= 0 for x in _flatten(value)):
         raise ValueError(f"{key}: must be a standard deviation, 0 or above (got {value!r})")
@@ -275,7 +277,7 @@ def _standard_deviations(key: str, value: Any, shape: tuple[int, ...]) -> np.nda
     return np.broadcast_to(sigma, shape)
 
 
-def _flatten(value: Any) -> list[Any]:
+def _flatten(value: object) -> list[Any]:
     return [x for part in value for x in _flatten(part)] if isinstance(value, list) else [value]
 
 
@@ -338,15 +340,15 @@ def _normal(key: Array, name: np.uint32, attempt: int, members: int, shape: tupl
     return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(key, k), shape))(jnp.arange(members))
 
 
-def with_numbers(table: T, values: Mapping[Path, Any]) -> T:
+def with_numbers(table: T, values: Mapping[Path, Numbers]) -> T:
     """A scenario with other values of the numbers at some paths. They may be traced, and are not checked."""
-    inner: dict[str, dict[Path, Any]] = {}
+    inner: dict[str, dict[Path, Numbers]] = {}
     for path, value in values.items():
         inner.setdefault(path[0], {})[path[1:]] = value
     return table.model_copy(update={name: _with_parts(getattr(table, name), parts) for name, parts in inner.items()})
 
 
-def _with_parts(value: Any, parts: Mapping[Path, Any]) -> Any:
+def _with_parts(value: Any, parts: Mapping[Path, Numbers]) -> Any:
     if () in parts:
         return parts[()]
     if isinstance(value, BaseModel):
@@ -360,7 +362,7 @@ def _with_parts(value: Any, parts: Mapping[Path, Any]) -> Any:
 
 def build(
     scenario: Any,
-    noise: Any,
+    noise: PyTree,
     step_of: Callable[[Any], Step],
     state_of: Callable[[Any, Any, Any], State],
     *,
@@ -379,7 +381,7 @@ def build(
     if not own:
         return nominal, _with_shared_time(jax.vmap(partial(state_of, scenario, nominal.system))(noise))
 
-    def member(numbers: Mapping[Path, Any], noise: Any) -> tuple[Step, State]:
+    def member(numbers: Mapping[Path, Numbers], noise: PyTree) -> tuple[Step, State]:
         of_member = with_numbers(scenario, numbers)
         step = step_of(of_member)
         return step, state_of(of_member, step.system, noise)
@@ -398,7 +400,7 @@ def _with_shared_time(states: State) -> State:
     return states if states.t is None else states._replace(t=states.t[0])
 
 
-def _select_member(tree: tuple[dict[Path, np.ndarray], Any], m: int) -> tuple[dict[Path, Any], Any]:
+def _select_member(tree: tuple[dict[Path, np.ndarray], Any], m: int) -> tuple[dict[Path, Numbers], Any]:
     own, noise = tree
     return {path: x[m].tolist() for path, x in own.items()}, jax.tree.map(lambda x: x[m], noise)
 

@@ -7,7 +7,7 @@ member has its own masses and moments: the leaves of the step have the member ax
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, Self, get_args
+from typing import Literal, NamedTuple, Self, get_args
 
 import jax
 import jax.numpy as jnp
@@ -166,7 +166,7 @@ def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Arr
     return jnp.sqrt(-force * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """How periods are measured, which members stay upright, exchanges of energy, and the published impact."""
     found = motion(scenario, step.system, run)
     days, faces = abs(run.t[-1] - run.t[0]) / DAY, faces_primary(found)
@@ -302,7 +302,7 @@ class Impact(NamedTuple):
     kepler_slope: float
 
 
-def impact(scenario: Scenario, step: Any, run: Trajectory) -> Impact:
+def impact(scenario: Scenario, step: Step, run: Trajectory) -> Impact:
     """The change of the initial speed that changes the published period before into that after."""
     first, start = nominal_member(step), nominal_state(run)
     duration = scenario.dt, scenario.steps, scenario.save_every
@@ -326,7 +326,7 @@ def impact(scenario: Scenario, step: Any, run: Trajectory) -> Impact:
     )
 
 
-def _impact_lines(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def _impact_lines(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """The lines of the report on the change of the secondary's speed by the impact."""
     found, published = impact(scenario, step, run), scenario.published
     before, after = published["orbital_period_before_h"], published["orbital_period_h"]
@@ -346,7 +346,7 @@ def _impact_lines(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
 
 
 @picture(2, size=(5.5, 3.8))
-def draw_orbit(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_orbit(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the distance and the secondary's libration: the nominal member, and 90 % of up to `_MAX_DRAWN` members."""
     days, found = _fine_motion(scenario, step, run)
     swing = np.rad2deg(found.libration - _libration_center(found))
@@ -364,7 +364,7 @@ def draw_orbit(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> Non
     axes[0].legend(loc="upper right", ncols=2)
 
 
-def _fine_motion(scenario: Scenario, step: Any, run: Trajectory) -> tuple[np.ndarray, Motion]:
+def _fine_motion(scenario: Scenario, step: Step, run: Trajectory) -> tuple[np.ndarray, Motion]:
     """The times in days and the motion of the first members, in smaller steps than those of the run."""
     steps_of_first, start = jax.tree.map(
         lambda x: jnp.asarray(x)[:_MAX_DRAWN], (step, State(run.state.q[0], run.state.p[0]))
@@ -376,7 +376,7 @@ def _fine_motion(scenario: Scenario, step: Any, run: Trajectory) -> tuple[np.nda
 
 
 @picture(size=(7.2, 4.2))
-def draw_spectrum(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_spectrum(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the spectrum of the nominal secondary's libration over a longer run, and its expected frequencies."""
     first, ax = nominal_member(step), axes[0]
     long = as_ensemble(drawn_trajectory(first, nominal_state(run), scenario.dt, _LONG * scenario.steps))
@@ -398,7 +398,7 @@ def draw_spectrum(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> 
 
 
 @picture(2, size=(5.5, 3.8))
-def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
     left, right = axes
     first, start = nominal_member(step), nominal_state(run)

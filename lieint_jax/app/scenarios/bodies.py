@@ -328,7 +328,7 @@ def _pairs(n: int) -> tuple[Any, Any]:
     return np.triu_indices(n, 1)
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """How periods are measured, and which momenta a field does not conserve."""
     lines = []
     if _orbits(scenario):
@@ -415,7 +415,7 @@ def conserved(_: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserv
 
 
 @picture(3)
-def draw_motion(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_motion(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the nominal bodies' paths about their barycenter, their distances from the first, and the errors."""
     left, middle, right = axes
     first = nominal_member(step.system)

@@ -152,7 +152,7 @@ def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> li
     return found
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """The unit of the changes, and the number of librating members."""
     lines, captured = ["  changes are relative to the largest |energy| of each member"], _captured(scenario, step, run)
     if captured is not None:
@@ -163,7 +163,7 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     return lines
 
 
-def _captured(scenario: Scenario, step: Any, run: Trajectory) -> np.ndarray | None:
+def _captured(scenario: Scenario, step: Step, run: Trajectory) -> np.ndarray | None:
     """Whether each member librates, for the axis of its own body."""
     if not scenario.own_numbers():
         return librating(step.system, run)
@@ -208,7 +208,7 @@ def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
 
 
 @picture(2, spatial=(0,))
-def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_pointing(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from its stable direction."""
     step = for_member(scenario, step)
     body = step.system
@@ -228,7 +228,7 @@ def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> 
 
 
 @picture(size=(6.4, 4.2))
-def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the error of energy less work of the nominal member by both schemes, and how much the energy changes."""
     both = top_schemes(scenario, for_member(scenario, step.system))
     t, found = changes_by_scheme(conserved, scenario, both.values(), nominal_state(run))

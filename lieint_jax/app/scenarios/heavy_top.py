@@ -134,7 +134,7 @@ def quantities(scenario: Any, top: PotentialTop, run: Trajectory) -> list[Quanti
     return [Quantity(name, x, closed_form=float(exact)) for name, x, exact in columns]
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """How to read the table."""
     top = for_member(scenario, step.system)
     if is_lagrange(top):
@@ -235,7 +235,7 @@ def _axis_motion(top: PotentialTop, states: State, axis: Any) -> tuple[Any, Any,
 
 
 @picture(2, spatial=(0,))
-def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_path(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the axis to the center of mass on the sphere, for one revolution about γ at most, and its inclination."""
     step = for_member(scenario, step)
     top, unit = step.system, scenario.time_unit
@@ -254,7 +254,7 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 
 
 @picture(size=(6.4, 4.2))
-def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the largest energy error so far of each scheme, and of Runge–Kutta at the cost of the slower scheme."""
     top, z, dt = for_member(scenario, step.system), nominal_state(run), scenario.dt
     found, peer = _schemes(scenario, top), RungeKutta(top)

@@ -115,7 +115,7 @@ def quantities(scenario: Scenario, body: Euler, run: Trajectory) -> list[Quantit
     ]
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """Whether the spin is stable, and the added mass and inertia of the fluid."""
     body = for_member(scenario, step.system)
     needed = spin_needed(body)
@@ -155,7 +155,7 @@ def tilts(q: Any) -> np.ndarray:
 
 
 @picture(2, spatial=(0, 1))
-def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_path(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the path of the center of the nominal and the last member, and the last one's third axis on the sphere."""
     left, right = axes
     last, name_of_last = (
@@ -184,7 +184,7 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 
 
 @picture(2)
-def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot energy errors of the last member by this scheme and by Runge–Kutta, and the tilts of all members' axes."""
     left, right = axes
     step = for_member(scenario, step, -1)

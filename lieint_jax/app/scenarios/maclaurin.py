@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from lieint_jax import schemes, systems
@@ -83,7 +84,7 @@ def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, 
     a, Omega = spheroid(e)
     axes = np.stack([a * (1 + scenario.bar), a / (1 + scenario.bar), a * np.sqrt(1 - e * e)], axis=1)
 
-    def member(axes: Any, Omega: Any) -> State:
+    def member(axes: ArrayLike, Omega: ArrayLike) -> State:
         return body.state(jnp.diag(axes), angular_velocity=Omega * jnp.array([0.0, 0.0, 1.0]))
 
     step = schemes.additive(body, "incompressible")
@@ -162,7 +163,7 @@ def _complex(rate: complex) -> str:
 
 
 @picture(2)
-def draw_modes(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_modes(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the rates of the bar against the eccentricity, and the growth of the bars of three members."""
     left, right = axes
     e, fine = scenario.eccentricities(), np.linspace(0.02, 0.985, 1000)

@@ -374,7 +374,7 @@ def _percent(x: np.ndarray) -> str:
 
 
 @picture(3, size=(4.6, 5.2))
-def draw_section(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_section(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the surface of section at pericenter, and maps of the exponents in the plane and out of it."""
     found = chaos(scenario, step, run)
     chaotic = found.section[:, 0] > chaos_limit(scenario.orbits)
@@ -391,9 +391,9 @@ def draw_section(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> 
     for ax, name, values in zip(maps, names, found.section.T, strict=True):
         x, y, value = (_rows(scenario, grid) for grid in (theta[0], rate[0], values))
         x[:, -1] += np.pi
-        image = ax.pcolormesh(x, y, value, shading="nearest", **scale)
+        ax.pcolormesh(x, y, value, shading="nearest", **scale)
         ax.set_title(f"Lyapunov exponent / n,\n{name}")
-    left.figure.colorbar(image, ax=maps[1], label="Lyapunov exponent / n")
+    left.figure.colorbar(maps[1].collections[0], ax=maps[1], label="Lyapunov exponent / n")
     for ax in axes:
         ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, scenario.greatest_rate))
         ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
@@ -426,7 +426,7 @@ def _legend() -> list[Any]:
 
 
 @picture(size=lambda scenario: (8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
-def draw_observed(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_observed(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the largest exponents of the members about each observed state."""
     found, bound = chaos(scenario, step, run), chaos_limit(scenario.around.orbits)
     ax, scatter = axes[0], np.random.default_rng(0)

@@ -162,7 +162,7 @@ def _complement(name: str, of_top: Quantity, total: float) -> Quantity:
     return replace(of_top, name=name, values=total - of_top.values, closed_form=total - of_top.closed_form)
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """How to read the table."""
     return [
         heavy_top.CLOSED_FORM,
@@ -171,7 +171,7 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
 
 
 @picture(2, spatial=(0,))
-def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_path(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot a dozen swings of the bob on the sphere, seen from below, and its angle from γ against time."""
     step = for_member(scenario, step)
     bob, unit = step.system, scenario.time_unit
@@ -189,7 +189,7 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 
 
 @picture(2)
-def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot energy and constraint errors of the nominal member by both forms of the midpoint rule."""
     bob = for_member(scenario, step.system)
     both = [schemes.sphere_midpoint(bob, normalized) for normalized in (False, True)]

@@ -33,6 +33,7 @@ from lieint_jax.app.scenarios._runs import cached_for_last_run, drawn_trajectory
 from lieint_jax.app.scenarios._spread import POSITIVE_DETERMINANT, SECOND_MOMENTS, for_member
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types.shapes import PyTree
 
 _TINY = float(np.finfo(float).tiny)
 _LONGEST = 4_000  # largest number of drawn steps, which are all saved, since a delay plot needs each
@@ -152,7 +153,7 @@ def _nominal(scenario: Scenario, body: Any) -> State:
     return body.state(jnp.asarray(scenario.state.deformation), **motion)
 
 
-def _start(scenario: Scenario, body: Any, noise: Any) -> State:
+def _start(scenario: Scenario, body: Any, noise: PyTree) -> State:
     dF, spin = noise
     start = _nominal(scenario, body)
     F, V = start.q + dF, body.velocity(start)
@@ -171,7 +172,7 @@ def conserved(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> lis
     ]
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """The least det F; the energy of the nominal member by the midpoint rule and the published variation."""
     found, least = energies(scenario, step, run), float(np.linalg.det(run.state.q).min())
     lines = [f"  {'least det F':<34}{least:>10.3g}   above 0, or flagged"]
@@ -197,7 +198,7 @@ MIDPOINT = "implicit midpoint rule"
 
 
 @cached_for_last_run
-def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
+def energies(scenario: Scenario, step: Step, run: Trajectory) -> Energies:
     """Integrate by both rules from the nominal state, at most `_LONGEST` steps, all saved."""
     step = for_member(scenario, step)
     body, start, energy = step.system, nominal_state(run), {}
@@ -214,7 +215,7 @@ def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
 
 
 @picture(2, subplot_kw={"projection": "3d"})
-def draw_torus(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_torus(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Draw delay plots as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
     found = energies(scenario, step, run)
     panels = {
@@ -227,7 +228,7 @@ def draw_torus(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> Non
 
 
 @picture(2)
-def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
     found = energies(scenario, step, run)
     size = max(float(abs(H[0])) for H in found.energy.values())

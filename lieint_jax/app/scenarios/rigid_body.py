@@ -139,7 +139,7 @@ def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Qua
     ]
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """The reason for a missing period, and predictions next to observations."""
     body = for_member(scenario, step.system)
     lines = [_prediction_lines(scenario, found) for found in predictions(scenario, body, run)]
@@ -254,7 +254,7 @@ def _prediction_lines(scenario: Scenario, found: Prediction) -> str:
 
 
 @picture(2, size=(4.7, 4.2), gridspec_kw={"width_ratios": [2, 1]})
-def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_path(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Map the direction of the body's z axis in space, of all members at the first observation, and the observed one.
 
     Next to the map of the sky is one of the members' surroundings.
@@ -323,7 +323,7 @@ def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: n
 
 
 @picture(3)
-def draw_invariants(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_invariants(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the energy and Poisson errors of the nominal member against time."""
     step = for_member(scenario, step)
     n, every = drawn_steps(scenario.steps)

@@ -168,7 +168,7 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     return step, states._replace(t=jnp.zeros((), states.p.dtype))
 
 
-def _check_wheels(scenario: Scenario, step: Any) -> None:
+def _check_wheels(scenario: Scenario, step: Step) -> None:
     """Raise ValueError if members have wheels of larger axial inertia than the whole satellite."""
     if scenario.wheels is not None and scenario.own_numbers():
         heavy = int((np.linalg.eigvalsh(np.asarray(step.system.inertia)).min(axis=-1) <= 0).sum())
@@ -287,7 +287,7 @@ def phases(scenario: Scenario, t: np.ndarray) -> list[tuple[str, int, int]]:
     return found
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """The phases, and the work of each law in each of them."""
     c, t = course(scenario, step.system, run), np.asarray(run.t)
     parts = phases(scenario, t)
@@ -341,7 +341,7 @@ def _name_phases(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
 
 
 @picture(3)
-def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_phases(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot rates and angles, and the momenta of the wheels, of the first hundred members; the nominal one in black."""
     c, t = course(scenario, step.system, run), np.asarray(run.t)
     shown = slice(0, 100)
@@ -361,7 +361,7 @@ def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
 
 
 @picture(2)
-def draw_works(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_works(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the work of each law on the nominal member, and how well the works add up to the change of energy."""
     c, t = course(scenario, step.system, run), np.asarray(run.t)
     energy, works = 1e6 * c.energy, 1e6 * c.works
@@ -371,7 +371,7 @@ def draw_works(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> Non
 
 
 @picture(2)
-def draw_capture(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_capture(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot how long each start took to become slow, by its initial rate and fate, and how many are slow or captured."""
     left, right = axes
     c, t = course(scenario, step.system, run), np.asarray(run.t)

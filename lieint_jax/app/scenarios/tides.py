@@ -162,7 +162,7 @@ def double_synchronous(scenario: Scenario, L: float) -> tuple[float, float]:
     return low, 2 * np.pi * np.sqrt(low**3 / GM)
 
 
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
     """The largest errors of the balances over the members; rates of recession and braking; the locked state."""
     found = course(scenario, run)
     J = _moments(scenario)
@@ -210,7 +210,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     return "\n".join(lines)
 
 
-def _energies(scenario: Scenario, step: Any, run: Trajectory) -> np.ndarray:
+def _energies(scenario: Scenario, step: Step, run: Trajectory) -> np.ndarray:
     """H of all members, (times, members)."""
     states = run.state._replace(t=None, work=None)
     if scenario.own_numbers():
@@ -238,7 +238,7 @@ def _circle(scenario: Scenario, found: Course) -> tuple[np.ndarray, np.ndarray]:
 
 
 @picture(3)
-def draw_course(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_course(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the distance, the rotations of the nominal member and the loss, and the balances."""
     found, t = course(scenario, run), np.asarray(run.t)
     plots.series(axes[0], t, {"": found.distance[:, 0]}, "distance (km)", scenario.time_unit)

@@ -176,7 +176,7 @@ def conserved(scenario: Scenario, bodies: RigidBodies, run: Trajectory) -> list[
     ]
 
 
-def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """The temperature; the first peak of the O–O distances and the published one."""
     T, r = series(lambda z: temperature(step.system, z), run), distances(scenario, run)
     later = T[len(T) // 2 :]
@@ -188,7 +188,7 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
 
 
 @picture(2)
-def draw_errors(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_errors(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the errors of H, P and L of the nominal droplet by the splitting and by the energy–momentum scheme."""
     both = [step_of(step.system, name, scenario.order) for name in ("splitting", "bodies_energy_momentum")]
     t, found = changes_by_scheme(conserved, scenario, both, nominal_state(run), _LONGEST)
@@ -200,7 +200,7 @@ def draw_errors(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
 
 
 @picture(3, spatial=(0,))
-def draw_droplet(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
+def draw_droplet(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the nominal droplet at the end, the temperature of the members, and the histogram of O–O distances."""
     left, middle, right = axes
     end, molecule = nominal_state(run, -1), potentials.water(scenario.model)
