@@ -180,10 +180,10 @@ BAD = [
     ),
     (dict(scheme='scheme = "rk4"'), "scheme: .*so3_midpoint"),
     (dict(inertia="inertia = [1.0, 2.0]"), r"inertia: inertia must have shape \(3,\) or \(3, 3\), got \(2,\) \(got"),
-    (dict(scheme="scheme = exact # closed form"), r'not valid TOML: .*; text stands in quotes: scheme = "exact"$'),
+    (dict(scheme="scheme = exact # closed form"), r'not valid TOML: .*; text must be in quotes: scheme = "exact"$'),
     (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia: inertia must be positive definite"),
     (dict(angular_velocity_rad=""), "state: give exactly one of angular_velocity_rad and angular_velocity_deg"),
-    (dict(quaternion=""), "state: give the attitude, by exactly one of quaternion and euler_313_deg"),
+    (dict(quaternion=""), "state: give the attitude by exactly one of quaternion and euler_313_deg"),
     (
         dict(angular_velocity_rad="angular_velocity = [0.01, 1.0, 0.0]"),
         r"state.angular_velocity: unknown key; did you mean angular_velocity_rad or angular_velocity_deg\?",

@@ -6,7 +6,7 @@ import pytest
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import satellite
-from lieint_jax.app.scenarios._satellite_laws import Within
+from lieint_jax.app.scenarios._satellite_laws import WindowedLaw
 from lieint_jax.app.scenarios._spread import stretch_inertia
 from lieint_jax.groups import so3
 from tests.lib.scenario_runs import run
@@ -190,6 +190,6 @@ def test_every_start_of_the_shipped_scenario_is_captured_and_unloaded(tmp_path, 
     assert np.median(c.wheels[-1]) < 0.7 * np.median(c.wheels[pointed])
     bdot = c.works[..., c.names.index("bdot")]
     assert (np.diff(bdot, axis=0) <= 0).all()
-    assert any(isinstance(law, Within) for law in step.system.laws)
+    assert any(isinstance(law, WindowedLaw) for law in step.system.laws)
     for draw in satellite.PICTURES.values():
         assert draw(scenario, step, made).axes

@@ -147,7 +147,7 @@ ERRORS = [
     ("cubesat", {"orbit.perigee_km": 1.0}, r"spread\.orbit\.perigee_km: all members share the orbit, field and air"),
     ("cubesat", {"inertia_percent": 1.0}, r"spread\.inertia_percent: \[spread\] has a key for it"),
     ("maclaurin", {"bar": 0.1}, r"maclaurin: spread: the members are spheroids"),
-    ("apophis", {"hours": 0.1}, r"apophis: spread: the members have the errors"),
+    ("apophis", {"hours": 0.1}, r"apophis: spread: the members are spread by the errors"),
     ("hyperion", {"inertia": 0.1}, r"hyperion: spread: the members are a grid"),
 ]
 

@@ -335,7 +335,7 @@ def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
         days = abs(run.t[-1] - run.t[0]) / DAY
         lines.append(f"  periods: mean rates of longitudes about L over {days:.4g} d, by least squares")
     if any(term.kind == "uniform_field" for term in scenario.potential):
-        lines.append("  a field conserves P across it and L about it only")
+        lines.append("  conserved in a field: P across the field and L about it only")
     return lines
 
 
