@@ -1,4 +1,4 @@
-"""The geomagnetic field of IGRF-13 along an orbit in a low orbit, in numpy: an input of published cases."""
+"""The geomagnetic field of IGRF-13 along a low orbit, in numpy: an input of published cases."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lieint_jax import orbits
 _RADIUS = 6371.2e3  # m, of the coefficients
 _DEGREE = 13
 _TABLE = Path(__file__).with_name("igrf13_2020.csv")
+_ByDegree = dict[tuple[int, int], np.ndarray]
 _PRECESSION = np.deg2rad(2004.19 / 3600) / 36525  # rad per day, by which the pole moves toward x, IAU 2006
 
 
@@ -74,12 +75,12 @@ def _field_on_earth(x: np.ndarray, year: float) -> np.ndarray:
         up += (n + 1) * part * (g * cos + h * sin) * P[key]
         south -= part * (g * cos + h * sin) * dP[key]
         east += m * part * (g * sin - h * cos) * P[key] / st
-    cos, sin, zero = np.cos(longitude), np.sin(longitude), np.zeros_like(r)
-    axes = np.stack([[st * cos, st * sin, ct], [ct * cos, ct * sin, -st], [-sin, cos, zero]])
-    return np.einsum("ak,aik->ki", np.stack([up, south, east]), axes)
+    c, s = np.cos(longitude), np.sin(longitude)
+    to_south, to_east = np.stack([ct * c, ct * s, -st], axis=1), np.stack([-s, c, np.zeros_like(r)], axis=1)
+    return up[:, None] * x / r[:, None] + south[:, None] * to_south + east[:, None] * to_east
 
 
-def _schmidt(ct: np.ndarray, st: np.ndarray) -> tuple[dict, dict]:
+def _schmidt(ct: np.ndarray, st: np.ndarray) -> tuple[_ByDegree, _ByDegree]:
     """The associated Legendre functions of cos θ with Schmidt's norm, and their derivatives by θ, by (n, m)."""
     P, dP = {(0, 0): np.ones_like(ct)}, {(0, 0): np.zeros_like(ct)}
     none = np.zeros_like(ct)
