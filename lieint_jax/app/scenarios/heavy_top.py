@@ -267,7 +267,10 @@ def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
         )
     axes[0].set_xscale("log" if dt > 0 else "linear")
     plots.log_error(axes[0], t, curves, "largest relative energy error so far", scenario.time_unit)
-    axes[0].set_title("Runge–Kutta takes steps of equal cost per unit of time")
+    low, high = axes[0].get_ylim()
+    axes[0].set_ylim(low, high * (high / low) ** 0.45)  # room for the legend
+    axes[0].legend(loc="upper left")
+    axes[0].set_title("Runge–Kutta with steps of the same cost per unit of time")
 
 
 PICTURES = {"path": draw_path, "energy": draw_energy}
