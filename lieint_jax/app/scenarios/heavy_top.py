@@ -269,6 +269,9 @@ def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
         )
     axes[0].set_xscale("log" if dt > 0 else "linear")
     plots.log_error(axes[0], t, curves, "largest relative energy error so far", scenario.time_unit)
+    low, high = axes[0].get_ylim()
+    axes[0].set_ylim(low, high * (high / low) ** 0.45)  # room for the legend
+    axes[0].legend(loc="upper left")
     axes[0].set_title("Runge–Kutta: steps of equal cost per unit of time")
 
 
