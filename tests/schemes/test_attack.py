@@ -607,8 +607,8 @@ def attacked(name, dtype):
     found = {key: np.asarray(value) for key, value in run(given).items()}
     lever, converged = found["lever"], found["converged"]
     # a few times the largest seen: defect 3, 9 of embedded bodies, 55 on the sphere; H 34, 84 of elastic bodies, 160 of
-    # bodies that tides stop in a step, whose loss enlarges the residual, 660 of so3_explicit, which tolerates that drift
-    # of its constant; P 14, 39 of viscous bodies; back 66
+    # bodies that tides stop in a step, whose loss enlarges the residual, 660 of so3_explicit, which tolerates that
+    # drift of its constant; P 14, 39 of viscous bodies; back 66
     lossy = dict.fromkeys(("additive[average]", "additive[average], viscous", *TIDES), 256)
     energy = ({"so3_explicit": 2048} | lossy).get(name, 100)
     defect = 200 if name.startswith("sphere") else 12

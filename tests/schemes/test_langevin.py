@@ -298,8 +298,9 @@ def test_a_droplet_of_water_at_298_kelvin_has_the_averages_of_energy_conserving_
 
     Every axis of motion and rotation must have 298 K within 4 standard errors. Observed: 1.006, 0.998 and 0.997 ±
     0.004; 0.996, 0.996 and 0.996 ± 0.003; V −118.0 ± 0.2 kJ/mol. From there the energy–momentum scheme conserves the
-    energy of each droplet, to 4e-12 of 118, with a spread of 15 among them; if the thermostat had another measure, the averages
-    would move. Observed over 4 ps: 1.02, 1.00, 1.02 ± 0.017; 1.003, 1.005, 1.005 ± 0.009; V higher by 0.3 ± 0.4.
+    energy of each droplet, to 4e-12 of 118, with a spread of 15 among them; if the thermostat had another measure, the
+    averages would move. Observed over 4 ps: 1.02, 1.00, 1.02 ± 0.017; 1.003, 1.005, 1.005 ± 0.009; V higher by 0.3 ±
+    0.4.
     """
     bodies, state = droplet()
     kT = BOLTZMANN * 298
