@@ -36,6 +36,7 @@ def test_figure_2_a_tenth_of_the_step_is_a_hundredth_of_the_error(body, kappa):
     assert run.poisson.max() == pytest.approx(LARGEST[body, kappa] / 100, rel=0.003)
 
 
+@pytest.mark.long
 def test_figures_are_written_with_their_tables(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "free_body_run", free_body_run)
     table = figures.FIGURES[1](tmp_path)

@@ -102,6 +102,7 @@ def test_names_stand_for_every_copy_of_a_number():
     np.testing.assert_array_equal(named.matrix, function.matrix)
 
 
+@pytest.mark.long
 def test_a_state_may_depend_on_the_parameters():
     """Of a body given by its angular velocity: ∂x(t)/∂p = S + Φ ∂x(0)/∂p."""
     step, Omega = li.schemes.splitting(TOP), jnp.array([0.4, 0.9, 0.6])

@@ -125,7 +125,7 @@ def test_nine_laws_balance_over_ten_thousand_steps():
     assert balance(NINE, 10_000)[1] < 1e-13  # observed: 3e-14
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*LAWS, *MORE])
 def test_energy_less_work_of_each_law_is_conserved(name):
     _, error, _ = balance((LAWS | MORE)[name], 1000)

@@ -205,7 +205,7 @@ BOUNDS = {  # a few times what was seen
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", BODIES)
 def test_energy_changes_by_the_work_and_momentum_by_the_impulse(name):
     """Each κ, 16 bodies each, Δt of both signs; by the formulas of each law in matrices."""

@@ -136,7 +136,7 @@ def test_derivatives_of_periods_by_inertia_and_state_agree_with_differences():
         np.testing.assert_allclose(forward, slopes, rtol=0, atol=3e-8 * abs(slopes).max())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("long_axis", [False, True])
 def test_a_state_of_given_periods_has_them(long_axis):
     """Principal moments in any order and a tensor, from a wobble to near the separatrix; there 1.2e-11."""
@@ -177,6 +177,7 @@ def test_periods_that_no_motion_has_are_refused():
         body.state_from_periods(precession=1.0, rotation=20.0, long_axis="long")  # pyright: ignore
 
 
+@pytest.mark.long
 def test_the_periods_of_a_run_are_those_of_each_state():
     """Constant in free motion; of a body with torques they are those of the moment."""
     body = systems.rigid_body(APOPHIS)

@@ -57,6 +57,7 @@ T_END = [
 ]
 
 
+@pytest.mark.long
 def test_nasa_jeod_case_10c_from_its_position_and_velocity():
     """Eight hours of gravity gradient. Position: JEOD's is 1.0e-5 m from Kepler's; attitude: observed 2e-12.
 
