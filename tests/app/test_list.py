@@ -1,5 +1,6 @@
 """`lieint list`: every scenario and study is on it, with its cost; long commands print their expected time."""
 
+import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, study
 from lieint_jax.app.command import list as listing
@@ -15,6 +16,15 @@ def test_the_list_describes_every_scenario_and_study(capsys):
         assert f"  {name:<20}{scenario.title}: {scenario.about}\n" in shown
     assert all(f"\n  {name} " in shown for name in study.studies_by_name())
     assert max(map(len, shown.splitlines())) <= 140
+
+
+def test_the_list_of_a_catalogue_is_the_catalogue(capsys):
+    for name, catalogue in (("schemes", li.schemes.catalogue()), ("systems", li.systems.catalogue())):
+        assert cli.main(["list", name]) == 0
+        shown = capsys.readouterr().out
+        assert shown == f"{catalogue!r}\n"
+        assert [line.split()[0] for line in shown.splitlines()[1:]] == [entry.name for entry in catalogue]
+    assert tuple(listing.CATALOGUES) == ("schemes", "systems")
 
 
 def test_the_list_has_every_measured_cost_and_marks_the_others():

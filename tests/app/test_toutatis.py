@@ -233,10 +233,9 @@ def test_the_study_finds_one_minimum_its_noise_and_the_outliers(found):
     assert abs(lon - 180.2) < sigma[2]
     assert abs(lat + 54.75) < 2 * sigma[3]
     assert (np.abs(np.asarray(found.estimate.derived)[4:6] - [3.0836, 3.235]) < 2 * sigma[4:6]).all()
-    assert (
-        found.mahalanobis_squared["Takahashi et al. 2013"] < 15.5 < found.mahalanobis_squared["Zhao et al. 2015"]
-    )  # 95 % of χ² with 8
-    assert min(off[:2].min() for off in found.prediction.off.values()) > 100  # lost, but so are the members:
+    takahashi, zhao = (found.mahalanobis_squared[name] for name in ("Takahashi et al. 2013", "Zhao et al. 2015"))
+    assert takahashi < 15.5 < zhao  # 95 % of χ² with 8
+    assert min(off[:2].min() for off in found.prediction.fix_angles.values()) > 100  # lost, but so are the members:
     assert (np.percentile(found.prediction.member_fix_angles, 5, axis=0) < 60).all()
     assert found.prediction.rms[-1] > 100
     assert (found.prediction.farther_share > 0.05).all()  # inside their spread
@@ -248,7 +247,7 @@ def test_the_study_finds_one_minimum_its_noise_and_the_outliers(found):
     size = np.abs(c.pulls[:, :8])
     assert 0.62 < (size <= 1).mean() < 0.75  # 70 %, and 96 % within 2σ
     assert 0.93 < (size <= 2).mean() < 0.98
-    assert (c.distance <= 15.507).mean() > 0.88  # 93 %
+    assert (c.mahalanobis_squared <= 15.507).mean() > 0.88  # 93 %
     assert 1 < found.factors[0] < 1.2  # 1.07
     report = toutatis.text(found)
     for words in ("Takahashi", "Zhao", "Hudson & Ostro", "Busch", "random starts", "synthetic"):

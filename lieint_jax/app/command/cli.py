@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 _EPILOG = """examples:
   lieint list                              all scenarios and studies, with their run times
+  lieint list schemes                      what each scheme declares: its systems, conserved quantities, order
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/app/scenarios/toutatis.toml)
   lieint run toutatis --out runs.zarr --members 100000   write to disk during the run; --resume continues it
@@ -158,7 +159,9 @@ def _add_run(commands: Any) -> None:
 
 
 def _add_list(commands: Any) -> None:
-    shown = commands.add_parser("list", help="list scenarios and studies", description="List scenarios and studies.")
+    about = "List the scenarios and studies, or the schemes or systems of the library with their declared properties."
+    shown = commands.add_parser("list", help="list scenarios and studies, schemes or systems", description=about)
+    shown.add_argument("catalogue", nargs="?", choices=("schemes", "systems"), help="by default scenarios and studies")
     shown.set_defaults(command=_list)
 
 
@@ -292,10 +295,10 @@ def _report_waiting(what: str) -> Iterator[None]:
         timer.cancel()
 
 
-def _list(_: argparse.Namespace) -> None:
+def _list(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import list as listing
 
-    print(listing.text())
+    print(listing.text(options.catalogue))
 
 
 def _info(options: argparse.Namespace) -> None:

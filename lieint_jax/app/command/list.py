@@ -1,4 +1,4 @@
-"""The command `list`: the shipped scenarios and studies, with the measured time and memory of each."""
+"""The command `list`: scenarios and studies with their measured time and memory, or a catalogue of the library."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from functools import cache
 from importlib import resources
 from typing import Any, NamedTuple
 
+from lieint_jax import schemes, systems
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import study
 
+CATALOGUES = {"schemes": schemes.catalogue, "systems": systems.catalogue}
 _LONG = 10.0  # seconds: commands that need longer print their expected time before they start
 
 
@@ -44,8 +46,10 @@ def announce(name: str) -> None:
         print(f"expected time on two cores: {first}, and {again} from the second run on", flush=True)
 
 
-def text() -> str:
-    """The list, as text."""
+def text(catalogue: str | None = None) -> str:
+    """The scenarios and studies, or the catalogue of a name of `CATALOGUES`, as text."""
+    if catalogue is not None:
+        return repr(CATALOGUES[catalogue]())
     lines = ["scenarios: lieint run NAME, or your own file"]
     for name in scenarios.scenario_names():
         about, size = describe(scenarios.load(name))
