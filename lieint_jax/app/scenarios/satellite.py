@@ -329,10 +329,11 @@ def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
         (axes[1], c.off, "z axis from the nadir (°)"),
         (axes[2], 1e3 * c.wheels, "momentum of the wheels (mN m s)"),
     ):
-        ax.plot(t, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4)
-        ax.plot(t, values[:, 0], color=plots.INK, lw=1.0)
+        others = ax.plot(t, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4)
+        nominal = ax.plot(t, values[:, 0], color=plots.INK, lw=1.0)
         ax.set(xlabel="t (s)", ylabel=label)
         _shade(ax, scenario, t)
+        ax.legend([nominal[0], others[0]], ["nominal member", "other members"])
     if (c.rate > 0).all():
         axes[0].set_yscale("log")
     works: Mapping[str, np.ndarray] = {name: 1e6 * c.works[:, 0, j] for j, name in enumerate(c.names)}

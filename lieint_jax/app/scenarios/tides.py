@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pydantic import Field
 
@@ -240,7 +241,7 @@ def draw_course(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the distance, the rotations of the nominal member and the loss, and the balances."""
     fig, axes = plots.figure(3)
     found, t = course(scenario, run), np.asarray(run.t)
-    plots.series(axes[0, 0], t, {"": found.distance[:, 0]}, "distance (km)", scenario.time_unit)
+    _draw_distance(axes[0, 0], t, found.distance[:, 0], scenario.time_unit)
     n = np.sqrt(_G * sum(scenario.masses_kg) / found.distance[:, 0] ** 3)
     rates = {"first body": found.spins[:, 0, 0], "second body": found.spins[:, 0, 1], "orbit": n}
     plots.series(axes[0, 1], t, rates, "rate (rad/d)", scenario.time_unit)
@@ -251,6 +252,15 @@ def draw_course(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     plots.log_error(axes[0, 2], t, curves, "relative change", scenario.time_unit)
     fig.suptitle(scenario.title)
     return fig
+
+
+def _draw_distance(ax: Axes, t: np.ndarray, distance: np.ndarray, time_unit: str) -> None:
+    """Plot the distance, or its change in m if that is less than a thousandth."""
+    if np.ptp(distance) > 1e-3 * distance[0]:
+        plots.series(ax, t, {"": distance}, "distance (km)", time_unit)
+    else:
+        label = f"distance, less {distance[0]:.6g} km (m)"
+        plots.series(ax, t, {"": 1e3 * (distance - distance[0])}, label, time_unit)
 
 
 PICTURES = {"course": draw_course}
