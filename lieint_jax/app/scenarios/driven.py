@@ -236,6 +236,7 @@ def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
     curves["H"] = [*found.values()][-1][_ENERGY]
     t, unit = _clock(scenario, run._replace(t=t))
     plots.log_error(axes[0], t, curves, "change over the largest |energy|", unit)
+    axes[0].legend(loc="center right", bbox_to_anchor=(1.0, 0.4))  # between the two schemes
     axes[0].set_title("energy H, on which the orbit works, and energy less work")
 
 

@@ -350,11 +350,12 @@ def draw_phases(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
         (axes[1], c.nadir_angle, "z axis from the nadir (°)"),
         (axes[2], 1e3 * c.wheels, "momentum of the wheels (mN m s)"),
     ):
-        ax.plot(t / _HOUR, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4, rasterized=True)
-        ax.plot(t / _HOUR, values[:, 0], color=plots.INK, lw=1.0)
+        others = ax.plot(t / _HOUR, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4, rasterized=True)
+        nominal = ax.plot(t / _HOUR, values[:, 0], color=plots.INK, lw=1.0)
         ax.set(xlabel="t (h)", ylabel=label)
         _mark_phases(ax, scenario, t)
         _name_phases(ax, scenario, t)
+        ax.legend([nominal[0], others[0]], ["nominal member", "other members"])
     axes[1].set(ylim=(0, 180), yticks=range(0, 181, 30))
     if (c.rate > 0).all():
         axes[0].set_yscale("log")

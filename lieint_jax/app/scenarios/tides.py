@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from matplotlib.axes import Axes
 from pydantic import Field
 
 from lieint_jax import potentials, schemes, systems, tides
@@ -241,7 +242,7 @@ def _circle(scenario: Scenario, found: Course) -> tuple[np.ndarray, np.ndarray]:
 def draw_course(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the distance, the rotations of the nominal member and the loss, and the balances."""
     found, t = course(scenario, run), np.asarray(run.t)
-    plots.series(axes[0], t, {"": found.distance[:, 0]}, "distance (km)", scenario.time_unit)
+    _draw_distance(axes[0], t, found.distance[:, 0], scenario.time_unit)
     n = np.sqrt(_G * sum(scenario.masses_kg) / found.distance[:, 0] ** 3)
     rates = {"first body": found.spins[:, 0, 0], "second body": found.spins[:, 0, 1], "orbit": n}
     plots.series(axes[1], t, rates, "rate (rad/d)", scenario.time_unit)
@@ -249,6 +250,15 @@ def draw_course(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
     H = (_energies(scenario, step, run) + found.lost)[:, 0]
     curves = {"L": L / L[0] - 1, "H with what was lost": H / H[0] - 1}
     plots.log_error(axes[2], t, curves, "relative change", scenario.time_unit)
+
+
+def _draw_distance(ax: Axes, t: np.ndarray, distance: np.ndarray, time_unit: str) -> None:
+    """Plot the distance, or its change in m if that is less than a thousandth."""
+    if np.ptp(distance) > 1e-3 * distance[0]:
+        plots.series(ax, t, {"": distance}, "distance (km)", time_unit)
+    else:
+        label = f"distance, less {distance[0]:.6g} km (m)"
+        plots.series(ax, t, {"": 1e3 * (distance - distance[0])}, label, time_unit)
 
 
 PICTURES = {"course": draw_course}
