@@ -134,6 +134,9 @@ def test_a_key_that_is_none_is_refused():
     for key, message in (([1.0, 2.0, 3.0, 0.5], "must be a key"), ([np.nan] * 4, "finite"), ([1.0] * 8, "shape")):
         with pytest.raises(ValueError, match=message):
             step.check(state._replace(extra=state.extra | {"key": jnp.array(key)}), 0.1)
+    longer = state._replace(extra=state.extra | {"key": jnp.zeros(8)})
+    with pytest.raises(ValueError, match=r"key.* must have shape \(4,\), got \(8,\)"):
+        li.integrate(step, longer, 0.1, 1)  # which tries a step before it checks one
 
 
 @pytest.mark.long
@@ -296,10 +299,11 @@ def member_means(bodies, kT, path):
 def test_a_droplet_of_water_at_298_kelvin_has_the_averages_of_energy_conserving_runs():
     """512 droplets of 5 molecules, friction 10 per ps, steps of 1 fs: 8 ps to forget the start, then 4 ps.
 
-    Every axis of motion and rotation must have 298 K within 4 standard errors. Observed: 1.006, 0.998 and 0.997 ± 0.004;
-    0.996, 0.996 and 0.996 ± 0.003; V −118.0 ± 0.2 kJ/mol. From there the energy–momentum scheme conserves the energy of
-    each droplet, to 4e-12 of 118, with a spread of 15 among them; if the thermostat had another measure, the averages
-    would move. Observed over 4 ps: 1.02, 1.00, 1.02 ± 0.017; 1.003, 1.005, 1.005 ± 0.009; V higher by 0.3 ± 0.4.
+    Every axis of motion and rotation must have 298 K within 4 standard errors. Observed: 1.006, 0.998 and 0.997 ±
+    0.004; 0.996, 0.996 and 0.996 ± 0.003; V −118.0 ± 0.2 kJ/mol. From there the energy–momentum scheme conserves the
+    energy of each droplet, to 4e-12 of 118, with a spread of 15 among them; if the thermostat had another measure, the
+    averages would move. Observed over 4 ps: 1.02, 1.00, 1.02 ± 0.017; 1.003, 1.005, 1.005 ± 0.009; V higher by 0.3 ±
+    0.4.
     """
     bodies, state = droplet()
     kT = BOLTZMANN * 298

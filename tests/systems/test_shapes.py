@@ -260,7 +260,7 @@ def test_inertia_integrals_of_the_moon_of_1999_kw4_are_those_of_gubas():
     moments = shapes._shift_moments(body._about_center(), body.center)
     for order in (2, 3, 4):
         powers = [k for k in itertools.product(range(order + 1), repeat=3) if sum(k) == order]
-        ours = [moments[order][(0,) * l + (1,) * m + (2,) * n] for l, m, n in powers]
+        ours = [moments[order][(0,) * a + (1,) * b + (2,) * c] for a, b, c in powers]
         theirs = np.array([published[k] for k in powers])
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-14 * np.abs(theirs).max())
     squares = np.diag(moments[2])
