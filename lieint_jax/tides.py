@@ -174,8 +174,8 @@ def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLik
         >>> tide.potential.count
         2
 
-    Source: Mignard 1979, Moon and Planets 20, (5) and (6); the form with A_k: this package; other conventions: Hut
-    1981, Astron. Astrophys. 99, and Eggleton, Kiseleva & Hut 1998, Astrophys. J. 499, (45).
+    Source: Mignard 1979, Moon and Planets 20, (5) and (6); the form with A_k: this package. Other conventions: Hut
+    1981, Astron. Astrophys. 99; Eggleton, Kiseleva & Hut 1998, Astrophys. J. 499, (45).
     """
     bodies = _bodies(G, masses, radii, k2)
     late = _one_each("lags", lags, bodies[1])

@@ -184,6 +184,9 @@ class Langevin(Step):
             raise ValueError(
                 f"{self.name} needs a key and counts in state.extra: use step.start(state, key=jax.random.key(0))"
             )
+        shape, found = (random_bits.DIGITS,) if name == _KEY else (), jnp.shape(extra[name])
+        if found != shape:
+            raise ValueError(f'state.extra["{name}"] must have shape {shape}, got {found}; use jax.vmap for batches')
         return extra[name]
 
     def _add_to_extra(self, state: State, **more: Any) -> State:
@@ -194,8 +197,7 @@ class Langevin(Step):
     def check(self, state: State, dt: ArrayLike) -> None:
         """Raise ValueError if a concrete `state` or `dt` is out of range, or the state's key or counts are none."""
         for name in (_KEY, _COUNT, _HEAT, *([_REJECTIONS] if self.metropolis else [])):
-            shape = (random_bits.DIGITS,) if name == _KEY else ()
-            _checks.real_array(f'state.extra["{name}"]', self._extra_entry(state, name), shape)
+            _checks.real_array(f'state.extra["{name}"]', self._extra_entry(state, name))
         key = self._extra_entry(state, _KEY)
         if concrete(key) and not bool(random_bits.are_digits(jnp.asarray(key))):
             raise ValueError(f'state.extra["{_KEY}"] must be a key, as step.start(state, key=…) makes it, got {key}')

@@ -134,6 +134,9 @@ def test_a_bad_key_of_random_numbers_is_refused():
     for key, message in (([1.0, 2.0, 3.0, 0.5], "must be a key"), ([np.nan] * 4, "finite"), ([1.0] * 8, "shape")):
         with pytest.raises(ValueError, match=message):
             step.check(state._replace(extra=state.extra | {"key": jnp.array(key)}), 0.1)
+    longer = state._replace(extra=state.extra | {"key": jnp.zeros(8)})
+    with pytest.raises(ValueError, match=r"key.* must have shape \(4,\), got \(8,\)"):
+        li.integrate(step, longer, 0.1, 1)  # which tries a step before it checks one
 
 
 @pytest.mark.long

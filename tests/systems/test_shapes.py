@@ -79,7 +79,7 @@ def assert_same(a, b, tolerance):
         np.testing.assert_allclose(a.moments(n), b.moments(n), rtol=0, atol=tolerance * float(b.mass) * size**n)
 
 
-def test_solids_have_the_moments_of_quadrature():
+def test_solids_against_quadrature():
     """Means of monomials over the solids, by Gauss' rule in coordinates in which they are polynomials."""
     x, w = np.polynomial.legendre.leggauss(6)
     unit = [
@@ -147,7 +147,7 @@ def test_a_convex_polyhedron_is_its_monte_carlo_sum():
         assert abs(float(value) - samples.mean()) < 4 * samples.std() / np.sqrt(len(r))
 
 
-def test_derivatives_by_the_vertices_agree_with_differences():
+def test_slopes_by_the_vertices():
     """Of all moments along a random direction, against sixth-order differences, forwards and in reverse."""
     at, faces = hull(4)
     rng = np.random.default_rng(5)
@@ -169,7 +169,7 @@ def test_derivatives_by_the_vertices_agree_with_differences():
     assert float(forward) == pytest.approx(differences, rel=1e-9)  # observed 1e-11
 
 
-def test_sums_and_rotations_of_shapes_have_the_moments_of_their_points():
+def test_sums_and_moves():
     """Two halves are the whole; a rotated body's moments are those of its rotated points."""
     whole = shapes.box([4, 2, 1], density=3.0)
     half = shapes.box([2, 2, 1], density=3.0)
@@ -243,7 +243,7 @@ def test_systems_and_potentials_accept_a_shape():
         (lambda: shapes.box([1, 2, 1], mass=0.0), "mass must not be 0"),
     ],
 )
-def test_bad_arguments_of_shapes_raise_errors(make, sentence):
+def test_bad_arguments(make, sentence):
     with pytest.raises(ValueError, match=sentence):
         make()
 
@@ -260,7 +260,7 @@ def test_inertia_integrals_of_the_moon_of_1999_kw4_are_those_of_gubas():
     moments = shapes._shift_moments(body._about_center(), body.center)
     for order in (2, 3, 4):
         powers = [k for k in itertools.product(range(order + 1), repeat=3) if sum(k) == order]
-        ours = [moments[order][(0,) * i + (1,) * j + (2,) * k] for i, j, k in powers]
+        ours = [moments[order][(0,) * a + (1,) * b + (2,) * c] for a, b, c in powers]
         theirs = np.array([published[k] for k in powers])
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-14 * np.abs(theirs).max())
     squares = np.diag(moments[2])
