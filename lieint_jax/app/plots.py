@@ -101,7 +101,7 @@ def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: st
         shown = ~np.ma.getmaskarray(y)
         x = np.asarray(t)[shown]
         places = _marker_indices(ax, x, (k + 0.5) / len(curves)) if len(curves) > 1 and len(x) else []
-        marked = look if len(curves) > 1 else look | {"marker": ""}
+        marked: dict[str, Any] = look if len(curves) > 1 else {**look, "marker": ""}
         ax.plot(x, np.asarray(y)[shown], label=label, markevery=places, **marked)
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
     if len(curves) > 1:
