@@ -388,12 +388,13 @@ def draw_section(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajecto
     left.legend(handles=_legend(), frameon=True, loc="upper right")
     names = ("in the plane", "out of the plane: the spin axis leaves its normal")
     scale = {"vmin": 0, "vmax": found.section.max(), "cmap": "magma"}
+    images = []
     for ax, name, values in zip(maps, names, found.section.T, strict=True):
         x, y, value = (_rows(scenario, grid) for grid in (theta[0], rate[0], values))
         x[:, -1] += np.pi
-        ax.pcolormesh(x, y, value, shading="nearest", **scale)
+        images.append(ax.pcolormesh(x, y, value, shading="nearest", **scale))
         ax.set_title(f"Lyapunov exponent / n,\n{name}")
-    left.figure.colorbar(maps[1].collections[0], ax=maps[1], label="Lyapunov exponent / n")
+    left.figure.colorbar(images[0], ax=maps[1], label="Lyapunov exponent / n")
     for ax in axes:
         ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, scenario.greatest_rate))
         ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
