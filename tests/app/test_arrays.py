@@ -57,7 +57,7 @@ def test_the_command_of_kubernetes_parses():
     yaml = pytest.importorskip("yaml")
     job = yaml.safe_load(code("yaml", "Indexed"))["spec"]
     [container] = job["template"]["spec"]["containers"]
-    parsed = cli._parser().parse_args(container["command"][1:])
+    parsed = cli._parser().parse_args([*container["command"][1:], *container["args"]])
     assert parsed.part == f"auto/{job['completions']}"
     assert parsed.out == "s3://bucket/run.zarr"
 

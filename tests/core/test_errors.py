@@ -67,7 +67,7 @@ SENTENCES = [
         lambda: scenarios.load(
             "toutatis", state=dict(quaternion=ONE.tolist(), euler_313_deg=[0.0] * 3, angular_velocity_rad=[0.0] * 3)
         ),
-        "give the attitude, by exactly one of quaternion and euler_313_deg",
+        "give the attitude by exactly one of quaternion and euler_313_deg",
     ),
     (
         lambda: scenarios.load(
