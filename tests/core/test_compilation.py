@@ -142,6 +142,7 @@ def test_lieint_cache_0_disables_the_cache(no_folder, monkeypatch):
     assert jax.config.jax_compilation_cache_dir is None
 
 
+@pytest.mark.long
 def test_programs_are_loaded_by_the_next_process(tmp_path):
     """Also by one that has compiled something before it asks for the cache."""
     script = """

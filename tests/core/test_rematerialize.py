@@ -64,6 +64,7 @@ def test_stored_values_are_not_computed_again():
         (li.schemes.extrapolate(TOP), TOP.state(angular_velocity=[0.3, 0.2, 1.0]), 7),  # 461
     ],
 )
+@pytest.mark.long
 def test_a_gradient_stores_the_state_of_each_step_only(step, state, most):
     def numbers(steps):
         end = jax.vjp(

@@ -198,6 +198,7 @@ def temporaries(make, num_steps):
     return jax.jit(jax.grad(last)).lower(BODY.inertia, states).compile().memory_analysis().temp_size_in_bytes
 
 
+@pytest.mark.long
 def test_memory_does_not_grow_with_the_number_of_steps():
     assert temporaries(lambda step: step, 40_000) <= temporaries(lambda step: step, 40) + 64
 

@@ -724,6 +724,7 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
     assert same_arrays(path, book / "whole.zarr")
 
 
+@pytest.mark.long
 def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "book.toml").write_text(scenario_files.book(steps="steps = 2000", members="members = 100"))

@@ -216,6 +216,7 @@ def test_gradients_by_a_full_tensor_agree_in_both_modes():
     assert float(by_t) == pytest.approx((end(J, 4.0 + h) - end(J, 4.0 - h)) / (2 * h), rel=1e-7)
 
 
+@pytest.mark.long
 def test_exact_works_at_rest_and_in_single_precision():
     J, state = setting([1, 2, 3], [0, 0, 0])
     assert difference(solve(J, state, 5.0).q, Q) < 3e-16

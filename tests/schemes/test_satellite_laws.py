@@ -155,6 +155,7 @@ def test_air_at_rest_removes_energy_in_every_step():
     np.testing.assert_allclose(H - path.state.work, H[0], rtol=1e-14)
 
 
+@pytest.mark.long
 def test_the_sliding_variable_falls_at_its_rate():
     """ṡ = −k sat(s/φ) along the exact motion, in and out of the boundary layer."""
     law = LAWS["sliding_mode"]

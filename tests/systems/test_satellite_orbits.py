@@ -29,6 +29,7 @@ def test_a_state_gives_the_orbit_that_its_elements_give(a, e):
     np.testing.assert_allclose(traced, orbit(2.0)[0], rtol=0, atol=1e-14)
 
 
+@pytest.mark.long
 def test_a_circle_is_no_special_case_of_a_state():
     """Derivatives by the state at a circle in the xy-plane are those of Clohessy and Wiltshire."""
     r, v, t = jnp.array([1.0, 0, 0]), jnp.array([0, 1.0, 0]), 2.0
@@ -78,6 +79,7 @@ def test_nasa_jeod_case_10c_from_its_position_and_velocity():
     np.testing.assert_allclose(so3.to_matrix(path.state.q[-1]).T, T_END, rtol=0, atol=1e-11)
 
 
+@pytest.mark.long
 def test_a_table_is_a_smooth_orbit_of_order_four():
     errors = []
     for n in (100, 200):

@@ -79,6 +79,7 @@ def assert_same(a, b, tolerance):
         np.testing.assert_allclose(a.moments(n), b.moments(n), rtol=0, atol=tolerance * float(b.mass) * size**n)
 
 
+@pytest.mark.long
 def test_solids_against_quadrature():
     """Means of monomials over the solids, by Gauss' rule in coordinates in which they are polynomials."""
     x, w = np.polynomial.legendre.leggauss(6)
