@@ -1,11 +1,14 @@
-"""A satellite with five laws of torque: what does a step cost, next to a torque-free one and to astrojax's RK4?
+"""A satellite with five laws of torque: what does a step cost, next to a torque-free one, astrojax's RK4 and Basilisk?
 
 Gravity gradient on a circle, a dipole, limited B-dot and drag in a field that changes with time, and three wheels with
 motors; 0.05 a step, work counted. Ours by `ensemble.run`, astrojax's RK4 vmapped and jitted with a time that all bodies
 share and the same equations (attitude, momentum, wheels). CPU time of one core per body and step, the contestants in
 turn in one process; the least and the median of the rounds. Compilation is not counted. The ends are compared.
 
-    python benchmarks/satellite.py [--quick] [--out DIR]
+Basilisk has other laws and one spacecraft a simulation, so it and ours run a second satellite, `lib/spacecraft.py`. It
+is none of our dependencies: name an interpreter that has it (`pip install bsk` in an environment of its own).
+
+    python benchmarks/satellite.py [--basilisk PYTHON] [--quick] [--out DIR]
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from lib import command
+from lib import command, spacecraft
 
 STEPS, ROUNDS, DT = 100, 7, 0.05
 OURS, FREE, RK4 = "ours, five laws", "ours, torque-free", "astrojax RK4, five laws"
@@ -131,14 +134,25 @@ def sections(result: dict[str, Any]) -> list[str]:
         f"Attitudes at t = {STEPS * DT:g}: ours, of order 2, and RK4 differ by {result['difference']:.1e}.",
         "Bars",
         report.table(["of the best", "measured", "bar", ""], bars),
+        "Basilisk",
+        *spacecraft.sections(result["basilisk"]),
     ]
 
 
 def main() -> None:
-    options = command.on_one_core(__doc__)
+    parser = command.parser(__doc__)
+    parser.add_argument("--basilisk", metavar="PYTHON", help="an interpreter that has Basilisk: pip install bsk")
+    options = command.parsed(parser)
+    command.pin()
     from lib import report
 
-    result = command.under_load(lambda: everything(200 if options.quick else 2000))
+    def measured() -> dict[str, Any]:
+        bodies = 200 if options.quick else 2000
+        ours = everything(bodies)
+        found = spacecraft.everything(options.basilisk, bodies, 2 if options.quick else ROUNDS)
+        return ours | {"basilisk": found}
+
+    result = command.under_load(measured)
     report.publish("satellite", sections(result), result, options.out)
 
 
