@@ -205,7 +205,7 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
     )
     step, states = scenarios.build(scenario)
     first, start = _runs.nominal_member(step), jax.tree.map(lambda x: x[0], states)
-    measure = partial(_binary_motion.period, first, start, scenario.dt, scenario.steps, scenario.save_every)
+    measure = partial(_binary_motion.orbital_period, first, start, scenario.dt, scenario.steps, scenario.save_every)
     period, slope = (float(x) for x in measure(jnp.asarray(0.0)))
     mu, v = scenario.G * (5e11 + scenario.secondary.mass()), 0.17329064 - 2.7268e-3
     a = 1 / (2 / 1180.0 - v * v / mu)

@@ -83,11 +83,11 @@ def test_pictures_name_the_laws_and_count_the_captured(short):
     worst = next(line for line in right.get_lines() if line.get_label() == "worst member")
     assert np.max(worst.get_ydata()) < 1e-14
     fates, course = satellite.draw_capture(scenario, step, made).axes
-    captured = int(np.isfinite(satellite.captured_since(np.asarray(made.t), c.off)).sum())
+    captured = int(np.isfinite(satellite.captured_since(np.asarray(made.t), c.nadir_angle)).sum())
     names = [text.get_text() for text in fates.get_legend().get_texts()]
     assert names == [f"captured: {captured} of 6", f"not captured: {6 - captured} of 6"]
     curves = {line.get_label(): line.get_ydata() for line in course.get_lines()}
-    np.testing.assert_allclose(curves["z within 90° of the nadir"], 100 * (c.off <= 90).mean(axis=1))
+    np.testing.assert_allclose(curves["z within 90° of the nadir"], 100 * (c.nadir_angle <= 90).mean(axis=1))
 
 
 def test_the_error_of_a_fraction_is_that_of_drawing_starts():
