@@ -94,7 +94,7 @@ def test_the_shipped_run_shows_the_closed_form():
     for row in rows:
         assert row.nominal == pytest.approx(row.closed_form, rel=1e-11), row.name  # 1e-15, 2e-12, 2e-12, 2e-12
         assert row.spread > 1e-4
-    line = _report.table(scenario, rows)[1].rstrip()
+    line = _report.table_lines(scenario, rows)[1].rstrip()
     assert re.search(r"nutation period \(s\) +0.6822560158 +0.0\d+ +0.6822560158 +-?[\d.]+e(-1\d|\+00)$", line)
 
 
