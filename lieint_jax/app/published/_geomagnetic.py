@@ -55,9 +55,9 @@ def igrf(julian_date: float, t: np.ndarray, positions: np.ndarray, year: float) 
     days = julian_date - orbits.J2000
     angle = np.asarray(orbits.earth_rotation_angle(julian_date)) + orbits.EARTH_RATE * t
     tilt = _PRECESSION * days
-    precess = np.array([[1.0, 0.0, -tilt], [0.0, 1.0, 0.0], [tilt, 0.0, 1.0]])
+    precession = np.array([[1.0, 0.0, -tilt], [0.0, 1.0, 0.0], [tilt, 0.0, 1.0]])
     c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
-    rotate = np.stack([[c, s, zero], [-s, c, zero], [zero, zero, zero + 1]]).transpose(2, 0, 1) @ precess
+    rotate = np.stack([[c, s, zero], [-s, c, zero], [zero, zero, zero + 1]]).transpose(2, 0, 1) @ precession
     field = _field_on_earth(np.einsum("kij,kj->ki", rotate, positions), year)
     return 1e-9 * np.einsum("kji,kj->ki", rotate, field)
 
