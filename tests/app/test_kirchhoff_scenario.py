@@ -28,7 +28,7 @@ def test_kirchhoff_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
     assert max(found.values()) < 4e-14  # floor 5e-15
     assert float(re.search(r"mean speed along the impulse \(/s\) +(\S+)", out)[1]) == 1
     assert float(re.search(r"third axis strays by \(°\) +(\S+)", out)[1]) == 0
-    assert "2.8507, needed to go along the third axis: 1.9785 [Lamb §128]: stable" in out
+    assert "2.8507, needed to move along the third axis: 1.9785 [Lamb §128]: stable" in out
     for name in ("kirchhoff-path.png", "kirchhoff-energy.png"):
         assert Path(name).read_bytes().startswith(b"\x89PNG")
 
