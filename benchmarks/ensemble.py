@@ -183,7 +183,7 @@ def systems(quick: bool, _: int) -> Any:
         ("heavy_top", "asymmetric_top", ("splitting", "top_energy_momentum")),
         ("potential_top", "brun", ("splitting", "top_energy_momentum")),
         ("pendulum", "uniform", ("sphere_midpoint",)),
-        ("pseudo_rigid", "ball", ("additive",)),
+        ("pseudo_rigid_body", "ball", ("additive",)),
         ("euler", "kirchhoff", ("group_midpoint",)),
         ("group_potential", "bottom_heavy", ("group_energy_momentum",)),
     ]
@@ -245,13 +245,13 @@ def torques(quick: bool, _: int) -> Any:
 def _example(module: str, example: str) -> Any:
     import importlib
 
-    return importlib.import_module(f"lieint_jax.systems.{module}").examples()[example]
+    return importlib.import_module(f"lieint_jax.systems._{module}").examples()[example]
 
 
 def _schemes(module: str, system: Any) -> Any:
     import importlib
 
-    return importlib.import_module(f"lieint_jax.schemes.{module}").examples(system)
+    return importlib.import_module(f"lieint_jax.schemes._{module}").examples(system)
 
 
 def against(quick: bool, _: int) -> Any:
