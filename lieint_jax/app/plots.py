@@ -132,11 +132,10 @@ def works(ax: Axes, t: np.ndarray, works: Mapping[str, np.ndarray], unit: str = 
     the greatest.
     """
     peaks = {name: float(np.abs(work).max()) for name, work in works.items()}
-    shown = {name.replace("_", " "): work for name, work in works.items()}
-    if len(works) > len(STYLES):
-        greatest = sorted(peaks, key=lambda name: -peaks[name])[: len(STYLES) - 1]
-        rest = [work for name, work in works.items() if name not in greatest]
-        shown = {name.replace("_", " "): works[name] for name in works if name in greatest}
+    count = len(works) if len(works) <= len(STYLES) else len(STYLES) - 1
+    greatest = sorted(peaks, key=lambda name: -peaks[name])[:count]
+    shown = {name.replace("_", " "): work for name, work in works.items() if name in greatest}
+    if rest := [work for name, work in works.items() if name not in greatest]:
         shown[f"{len(rest)} others"] = np.sum(rest, axis=0)
     series(ax, t, shown, f"work of each law ({unit})" if unit else "work of each law", time_unit)
     acting = [peak for peak in peaks.values() if peak > 0]

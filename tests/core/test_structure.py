@@ -117,13 +117,12 @@ def code_tokens(path):
 
 
 def test_any_stands_for_few_types():
-    """At most 25 in a thousand lines of the library's code (observed: 20); what is a tree of arrays is a PyTree."""
+    """At most 25 in a thousand lines of all code (observed: 23); what is a tree of arrays is a PyTree."""
     count, lines = 0, 0
     for path in FILES:
-        if room_of(path) != "app":
-            tokens = list(code_tokens(path))
-            count += sum(token.string == "Any" for token in tokens)
-            lines += len({line for token in tokens for line in range(token.start[0], token.end[0] + 1)})
+        tokens = list(code_tokens(path))
+        count += sum(token.string == "Any" for token in tokens)
+        lines += len({line for token in tokens for line in range(token.start[0], token.end[0] + 1)})
     assert lines > 15_000
     assert count <= 25 * lines / 1000
 

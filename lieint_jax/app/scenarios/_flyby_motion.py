@@ -211,35 +211,22 @@ def _integrate_passage(J: Array, step: Step, state: State, times: Array) -> Pass
     return Passage(outcome(J, state), outcome(J, last), last.q, jnp.all(run.info.converged))
 
 
-class Slopes(NamedTuple):
-    """Derivatives of (P_φ, P_ψ, 2H/|π|, angle of the pole) after a passage, each (4,), by the parts of `Spin`.
+def slopes(
+    elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: ArrayLike
+) -> dict[str, np.ndarray]:
+    """Derivatives of (P_φ, P_ψ, 2H/|π|, angle of the pole) after many passages, each (members, 4).
 
-    Attributes:
-        perigee: the derivatives by the distance of the perigee, at constant energy of the orbit.
+    They are those by each part of `Spin`, by its name, and by the distance of the "perigee" at constant energy of the
+    orbit, in forward mode through all steps.
     """
-
-    least: Numbers
-    middle: Numbers
-    precession: Numbers
-    rotation: Numbers
-    longitude: Numbers
-    latitude: Numbers
-    phi: Numbers
-    psi: Numbers
-    perigee: Numbers
-
-
-def slopes(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: ArrayLike) -> Slopes:
-    """The derivatives of many passages, in forward mode through all steps."""
     return _slopes(order, long_axis)(spins, elements, times)
 
 
 @cache
-def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
-    def spin_after(given: Slopes, elements: Array, times: Array) -> Array:
+def _slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]:
+    def spin_after(spin: Spin, perigee: Array, elements: Array, times: Array) -> Array:
         mu, a, _, *others = elements
-        orbit = orbit_of((mu, a, 1 - given.perigee / a, *others))
-        spin = Spin(*given[:-1])
+        orbit = orbit_of((mu, a, 1 - perigee / a, *others))
         J = moments(spin)
         near = state_at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
         # by steps, since XLA compiles tangents of `solution` for minutes
@@ -251,8 +238,9 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         pole_angle = vec3.angle(found.before.pole, found.after.pole)
         return jnp.stack([found.after.precession, found.after.rotation, found.after.rate, pole_angle])
 
-    def slopes_of_one(spin: Spin, elements: Array, times: Array) -> Slopes:
+    def slopes_of_member(spin: Spin, elements: Array, times: Array) -> dict[str, Array]:
         perigee = elements[1] * (1 - elements[2])
-        return jax.jacfwd(spin_after)(Slopes(*spin, perigee), elements, times)
+        by_spin, by_perigee = jax.jacfwd(spin_after, argnums=(0, 1))(spin, perigee, elements, times)
+        return by_spin._asdict() | {"perigee": by_perigee}
 
-    return _map_over_members(slopes_of_one)
+    return _map_over_members(slopes_of_member)

@@ -150,9 +150,7 @@ def draw_sensitivity(axes: np.ndarray, scenario: Scenario, step: Step, run: Traj
     }
     sizes = {name: sigma for name, (_, _, sigma) in unknowns(scenario).items() if sigma > 0}
     for ax, k, label in ((axes[0], 0, "change of $P_\\phi$ (h)"), (axes[1], 1, "change of $P_\\psi$ (h)")):
-        shown = [
-            np.maximum(abs(getattr(found.slopes, name)[:, k]) * sizes[name], 1e-12) for name in names if name in sizes
-        ]
+        shown = [np.maximum(abs(found.slopes[name][:, k]) * sizes[name], 1e-12) for name in names if name in sizes]
         ax.boxplot(
             shown,
             orientation="horizontal",

@@ -14,7 +14,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import direction, longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import Changes, Scenario, Variant
-from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Slopes, Spin
+from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
 from lieint_jax.app.scenarios._runs import cached_for_last_run
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step, Trajectory
@@ -79,7 +79,7 @@ class Study(NamedTuple):
         before, after: the spins of the members.
         grid: the spins of the map, φ slowest.
         mapped: the passages of the map.
-        slopes: derivatives at every second value of both phases.
+        slopes: derivatives at every second value of both phases, by name, as `_flyby_motion.slopes` returns them.
         step_error: the largest angle between final attitudes by the steps of the run and by steps half as long.
         arcs: passages of the first members, by the length of the arc in h.
         variants: passages under other assumptions, by their labels.
@@ -90,7 +90,7 @@ class Study(NamedTuple):
     after: Outcome
     grid: Spin
     mapped: Passage
-    slopes: Slopes
+    slopes: dict[str, np.ndarray]
     step_error: float
     arcs: dict[float, Passage]
     variants: dict[str, Passage]
@@ -199,7 +199,7 @@ pole_angles = jax.jit(jax.vmap(vec3.angle))
 
 
 def unknowns(scenario: Scenario) -> dict[str, tuple[str, float, float]]:
-    """By field of `Slopes`: the label of the change in the report, its size, and one standard deviation."""
+    """By name of `Study.slopes`: the label of the change in the report, its size, and one standard deviation."""
     given, degree = scenario.spin, np.deg2rad(1.0)
     sigma = {name: sum(getattr(given, name).sides()) / 2 / scenario.sigmas for name in Changes.model_fields}
     east = sigma["momentum_longitude_deg"] / np.cos(np.deg2rad(given.momentum_latitude_deg.value))

@@ -188,7 +188,7 @@ def _sensitivity(scenario: Scenario, found: Study) -> list[str]:
     ]
     rate = every_second_phase(scenario, found.mapped.after.rate)
     for name, (unit, size, _) in unknowns(scenario).items():
-        x = abs(getattr(found.slopes, name)) * size
+        x = abs(found.slopes[name]) * size
         scaled = (x[:, 0], x[:, 1], x[:, 2] / rate, np.rad2deg(x[:, 3]))
         lines.append(f"  {unit:<28}" + "".join(f"{np.median(v):>11.3g} {v.max():>9.3g}" for v in scaled))
     return lines

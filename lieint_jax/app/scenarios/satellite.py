@@ -355,7 +355,8 @@ def draw_phases(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
         ax.set(xlabel="t (h)", ylabel=label)
         _mark_phases(ax, scenario, t)
         _name_phases(ax, scenario, t)
-        ax.legend([nominal[0], others[0]], ["nominal member", "other members"])
+        if values.shape[1] > 1:
+            ax.legend([nominal[0], others[0]], ["nominal member", "other members"])
     axes[1].set(ylim=(0, 180), yticks=range(0, 181, 30))
     if (c.rate > 0).all():
         axes[0].set_yscale("log")

@@ -124,10 +124,9 @@ class Course(NamedTuple):
 def course(scenario: Scenario, run: Trajectory) -> Course:
     """The measured series of all members."""
     q, p = np.asarray(run.state.q), np.asarray(run.state.p)
-    factors, m, R = (member_values(scenario, name) for name in ("moment_factors", "masses_kg", "radii_km"))
     orbital = np.cross(q[..., :3], p[..., :3])[..., 2].sum(axis=-1)
     distance = np.linalg.norm(q[..., 1, :3] - q[..., 0, :3], axis=-1)
-    return Course(distance, p[..., 5] / (factors * m * R**2), orbital, -np.asarray(run.state.work))
+    return Course(distance, p[..., 5] / _moments(scenario), orbital, -np.asarray(run.state.work))
 
 
 def recession(scenario: Scenario, run: Trajectory) -> np.ndarray:
@@ -136,8 +135,7 @@ def recession(scenario: Scenario, run: Trajectory) -> np.ndarray:
     Its accuracy is limited by the rounding of the spins, which change little in a step: 1e-3 for the Moon.
     """
     found = course(scenario, run)
-    spin = found.spins * member_values(scenario, "moment_factors") * member_values(scenario, "masses_kg")
-    gained = -((spin[-1] - spin[0]) * member_values(scenario, "radii_km") ** 2).sum(axis=-1)
+    gained = -((found.spins[-1] - found.spins[0]) * _moments(scenario)).sum(axis=-1)
     return 2 * member_values(scenario, "distance_km") * gained / found.orbital[0] / (float(run.t[-1]) / _YEAR)
 
 
@@ -189,9 +187,8 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
         "and 2nd": days[-1, :, 1] * _HOUR / period_of_circle,
         "power lost (TW)": power,
     }
-    if (
-        abs(circle / member_values(scenario, "distance_km") - 1) < _SLIGHT
-    ).all():  # otherwise the rate varies too much for a mean
+    growth = abs(circle / member_values(scenario, "distance_km") - 1)
+    if (growth < _SLIGHT).all():  # otherwise the rate varies too much for a mean
         rows |= {
             "distance grows (cm a year)": 1e5 * recession(scenario, run),
             "rotation of the first body slows (ms a century)": (days[-1] - days[0])[:, 0] * 3.6e6 / century,
