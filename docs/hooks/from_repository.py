@@ -17,6 +17,7 @@ TITLES = {
     "driven": "Satellites",
     "satellite": "Satellites with five laws",
     "bodies": "Several bodies",
+    "thermostat": "Free bodies in a heat bath",
     "tides": "Angular momentum under tides",
     "se3": "SE(3)",
     "engines": "Steps for engines",
