@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -212,14 +211,3 @@ def _slices(at: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:
     """The place of a slab that starts at `at`, over the whole of the axes that this does not name."""
     rest = itertools.repeat(0, len(shape) - len(at))
     return tuple(slice(a, a + n) for a, n in zip((*at, *rest), shape, strict=True))
-
-
-@contextlib.contextmanager
-def open_part(root: PartsRoot, k: int, initial: str = "") -> Iterator[PartWriter]:
-    """A `PartWriter`, closed at the end."""
-    with root.storage.lock(f"parts/{k}"):
-        writer = PartWriter(root, k, initial)
-        try:
-            yield writer
-        finally:
-            writer.close()

@@ -162,6 +162,7 @@ class Disk(Storage):
 
     def __init__(self, path: Path) -> None:
         self.address = self._path = path
+        self._locked: Path | None = None  # the folder that this process has locked
 
     def read(self, name: str) -> bytes:
         """See `Storage`."""
@@ -193,7 +194,8 @@ class Disk(Storage):
         """A file of this content on the disk, to be moved to its place; then the entries of the folder are synced."""
         target = self._path / name
         self._make(target.parent)
-        file = target.with_name(f".{target.name}.{os.getpid()}-{os.urandom(4).hex()}.partial")
+        folder = self._locked or target.parent
+        file = folder / f".{target.name}.{os.getpid()}-{os.urandom(4).hex()}.partial"
         try:
             with file.open("xb") as f:
                 f.write(data)
@@ -222,15 +224,20 @@ class Disk(Storage):
 
     @contextlib.contextmanager
     def lock(self, folder: str) -> Iterator[None]:
-        """See `Storage`. The lock is released when the process ends, however it ends."""
+        """See `Storage`. The lock is released when the process ends, however it ends.
+
+        Unfinished files of any folder are in this one meanwhile, so the next process that locks it can remove them.
+        """
         path = self._path / folder
         self._make(path)
         descriptor = lock_folder(path)
         try:
             for left in path.glob(".*.partial"):  # of a process that was killed
                 left.unlink(missing_ok=True)
+            self._locked = path
             yield
         finally:
+            self._locked = None
             os.close(descriptor)
 
     def arrays(self) -> Any:

@@ -31,7 +31,7 @@ from lieint_jax.ensemble._job import (
 )
 from lieint_jax.ensemble._layout import Layout, Numbers, Place
 from lieint_jax.ensemble._loop import Carry, Range, Saved, step_dtype
-from lieint_jax.ensemble._part_writer import join, open_part, skeleton
+from lieint_jax.ensemble._part_writer import PartWriter, join, skeleton
 from lieint_jax.ensemble._parts import PartsRoot, Split, read_root
 from lieint_jax.ensemble._reading import open_complete, read_part
 from lieint_jax.ensemble._storage import Storage, address, open_storage
@@ -163,16 +163,18 @@ def run_part_into_store(
         raise ValueError(
             f"{storage.address} exists and is not overwritten; resume continues it, or choose another store"
         )
+    if found is not None:
+        _same_run(storage, found, described, split)  # before anything is written into the store of another run
     files = _skeleton(whole, options, described, split, storage.is_remote)
-    if found is None:
-        storage.create(_store.ROOT, files[_store.ROOT])
-        found = read_root(storage)
-    root = _same_run(storage, found, described, split)
-    join(storage, root, files)
-    layout = _layout.layout_of(place, engine.job.members, alone=whole.members == 1)
-    with open_part(root, k, _identity.digest_of_states(engine.job.initial)) as writer:
-        if not writer.progress["complete"]:
-            integrate(layout, StoreOutput(engine.job, layout, writer))
+    with storage.lock(f"parts/{k}"):
+        if found is None:
+            storage.create(_store.ROOT, files[_store.ROOT])
+        root = _same_run(storage, found or read_root(storage), described, split)
+        join(storage, root, files)
+        layout = _layout.layout_of(place, engine.job.members, alone=whole.members == 1)
+        with contextlib.closing(PartWriter(root, k, _identity.digest_of_states(engine.job.initial))) as writer:
+            if not writer.progress["complete"]:
+                integrate(layout, StoreOutput(engine.job, layout, writer))
     return read_part(root, k)
 
 

@@ -250,6 +250,23 @@ def test_two_processes_do_not_write_one_part_of_a_folder(tmp_path):
         run(tmp_path / "run.zarr", (0, 2))
 
 
+def test_an_unfinished_file_of_a_killed_part_is_removed_when_the_part_starts_again(tmp_path, monkeypatch):
+    """A kill runs no `finally`, so here nothing is removed in the first process."""
+
+    def crash(_):
+        raise Crash
+
+    (tmp_path / "q/c/10").mkdir(parents=True)
+    storage, killed_part = _storage.Disk(tmp_path), _storage.Disk(tmp_path)
+    with monkeypatch.context() as patched, contextlib.suppress(Crash), killed_part.lock("parts/0"):
+        patched.setattr(os, "fsync", crash)
+        patched.setattr(Path, "unlink", lambda *_, **__: None)
+        killed_part.put("q/c/10/1", b"half of a chunk")
+    assert len(list(tmp_path.rglob("*.partial"))) == 1
+    with storage.lock("parts/0"):
+        assert not list(tmp_path.rglob("*.partial"))
+
+
 def test_a_creator_that_is_killed_leaves_a_store_that_the_next_part_completes(place, monkeypatch):
     mortal = Mortal(monkeypatch, _storage.open_storage(place))
     mortal.left = 5
@@ -436,15 +453,19 @@ def part_process(case, place, k, count, environment=None):
 
 
 def kill_parts(case, place, environment, count=8, kills=10):
-    """Start parts in random order, end two at a time at random moments, until all are complete; the number of kills."""
-    rng, unfinished, ended = np.random.default_rng(5), set(range(count)), 0
+    """Start parts in random order, end two at a time at random moments, until all are complete; the number of kills.
+
+    The moments are earlier where this machine is so fast that a part has ended by itself.
+    """
+    rng, unfinished, ended, latest = np.random.default_rng(5), set(range(count)), 0, 7.0
     while unfinished:
         chosen = rng.choice(sorted(unfinished), min(2, len(unfinished)), replace=False).tolist()
         running = {k: part_process(case, place, k, count, environment) for k in chosen}
         if ended < kills:
-            time.sleep(rng.uniform(2.0, 7.0))
+            time.sleep(rng.uniform(0.3 * latest, latest))
             for process in running.values():
-                ended += process.poll() is None
+                alive = process.poll() is None
+                ended, latest = ended + alive, latest if alive else 0.8 * latest
                 process.send_signal(signal.SIGKILL)
         for k, process in running.items():
             error = process.communicate(timeout=300)[1].decode()
