@@ -7,6 +7,7 @@ dies at a random time, in the middle of a request too: then the request took eff
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ import numpy as np
 
 import lieint_jax as li
 from lieint_jax.ensemble import _identity, _job, _run, _store_output, archives
-from lieint_jax.ensemble._part_writer import join, open_part
+from lieint_jax.ensemble._part_writer import PartWriter, join
 from lieint_jax.ensemble._parts import PartsRoot, read_root
 from lieint_jax.ensemble._storage import Bucket, Url, address
 from lieint_jax.ensemble._store import Commit, Part
@@ -235,7 +236,7 @@ class _Life:
         try:
             root = self.simulation.root(self.storage)
             join(self.storage, root, self.simulation.files)
-            with open_part(root, self.k) as writer:
+            with contextlib.closing(PartWriter(root, self.k)) as writer:
                 self._compute(root, writer)
         except Dead:
             self._note_commits()
