@@ -28,8 +28,8 @@ from lieint_jax._numerics import power_series, vec3
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.select import where
 from lieint_jax.groups import so3
-from lieint_jax.groups._basis import ideals
-from lieint_jax.groups._closed_form import squared_eigenvalue
+from lieint_jax.groups.bases import ideals
+from lieint_jax.groups.closed_forms import squared_eigenvalue
 from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
 from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupElement, PyTree, Scalar
 

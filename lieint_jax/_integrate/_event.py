@@ -24,7 +24,7 @@ from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted, start_time
 from lieint_jax.types import clock as time_of
-from lieint_jax.types._record import record
+from lieint_jax.types.record import record
 
 _RIGHT_TO = {4: 3e-4, 8: 1e-9}  # an event's time, in Δt, by the bytes of a number
 

@@ -17,7 +17,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, System, Trajectory, time_derivative
-from lieint_jax.types._members import axes
+from lieint_jax.types.members import axes
 
 
 def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> State:

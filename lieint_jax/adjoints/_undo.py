@@ -27,8 +27,8 @@ from jax.typing import ArrayLike
 from lieint_jax._integrate import Progress, advance, counted, march, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._numbers import repeat
-from lieint_jax.diagnostics._order import distance
-from lieint_jax.schemes._compose import Composition
+from lieint_jax.diagnostics.tangent import distance
+from lieint_jax.schemes import Composition
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import PyTree
 

@@ -16,10 +16,11 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
-from lieint_jax.diagnostics._order import fitted_order, shown_reversibility, units
+from lieint_jax.diagnostics._order import fitted_order, shown_reversibility
 from lieint_jax.diagnostics._series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics._symplectic import defect_matrix
 from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
+from lieint_jax.diagnostics.tangent import units
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, start_time
 from lieint_jax.types.shapes import Scalar

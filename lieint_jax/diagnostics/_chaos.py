@@ -26,7 +26,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate import Event, advance, events, saves, uniform_clock
 from lieint_jax._xla import compiled
-from lieint_jax.diagnostics._order import units
+from lieint_jax.diagnostics.tangent import orthonormalize, units
 from lieint_jax.types import State, Step, StepInfo, checked_step, promoted
 from lieint_jax.types.shapes import PhaseVector, PyTree, TangentVectors
 
@@ -153,11 +153,11 @@ def _lyapunov(
         (state, frame, info, n), growth = carry
         batch = n // every * batches // rounds
         (state, T, info, n), _ = lax.scan(interval, (state, unit * frame, info, n), None, length=every)
-        frame, gain = orthonormal(T / unit)
+        frame, gain = orthonormalize(T / unit)
         growth = growth.at[batch].add(gain)
         return ((state, frame, info, n), growth), None
 
-    begin = (state, orthonormal(frame / unit)[0], StepInfo.fresh(state.p), zero)
+    begin = (state, orthonormalize(frame / unit)[0], StepInfo.fresh(state.p), zero)
     growth = jnp.zeros((batches, frame.shape[1]), frame.dtype)
     ((_, _, info, _), growth), _ = lax.scan(orthonormal_interval, (begin, growth), None, length=rounds)
     between = jnp.abs(dt) * every
@@ -197,17 +197,6 @@ def standard_error(series: Array) -> Array:
     return jnp.sqrt(jnp.max(jnp.stack([variances[0], *corrected]), axis=0))
 
 
-def orthonormal(W: TangentVectors) -> tuple[Array, Array]:
-    """The orthonormal factor Q of W = QR, and the logarithms of R's diagonal, by Gram and Schmidt (modified)."""
-    rest, Q, growth = [W[:, j] for j in range(W.shape[1])], [], []
-    while rest:
-        length = jnp.sqrt(jnp.sum(rest[0] * rest[0]))
-        q = rest[0] / length
-        rest = [w - jnp.sum(q * w) * q for w in rest[1:]]
-        Q, growth = [*Q, q], [*growth, jnp.log(length)]
-    return jnp.stack(Q, axis=1), jnp.stack(growth)
-
-
 @old_calls()
 def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: ArrayLike | None = None) -> Megno:
     """MEGNO of a run, which distinguishes chaotic from regular motion in a shorter run than Lyapunov exponents do.
@@ -243,13 +232,13 @@ def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: 
     def step_once(carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, W, Y, mean, info, n = carry
         state, last, T = advance_vector(state, n, unit * W)
-        W, gain = orthonormal(T / unit)
+        W, gain = orthonormalize(T / unit)
         k = (n + 1).astype(Y.dtype)
         Y = Y * (n / k) + 2 * gain[0]
         return (state, W, Y, mean + (Y - mean) / k, info.merge(last), n + 1), None
 
     zero = jnp.zeros((), vector.dtype)
-    first = orthonormal(vector[:, None] / unit)[0]
+    first = orthonormalize(vector[:, None] / unit)[0]
     begin = (state, first, zero, zero, StepInfo.fresh(state.p), jnp.zeros((), int))
     (_, _, Y, mean, info, _), _ = lax.scan(step_once, begin, None, length=num_steps)
     return Megno(Y, mean, info)

@@ -23,8 +23,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax.diagnostics._order import size
-from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.diagnostics.tangent import size, value_and_jacobian
 from lieint_jax.groups import so3
 from lieint_jax.types import (
     AbstractElasticBody,
@@ -154,7 +153,7 @@ def conditions(step: Step, state: State, dt: Any) -> Conditions:
         )
     step.check(state, dt)
     system = step.system
-    end, _, L = pushed(system.phase_space, lambda z: step(z, dt), state)
+    end, _, L = value_and_jacobian(system.phase_space, lambda z: step(z, dt), state)
     if isinstance(system, AbstractEmbeddedBody):
         found = _embedded(system, state, end)
     elif isinstance(system, AbstractElasticBody):

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.diagnostics._order import units
+from lieint_jax.diagnostics.tangent import units
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import AbstractDrivenTop, State, System, promoted

@@ -27,10 +27,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import vec3
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.free_bodies import FreeFlight
-from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting
-from lieint_jax.schemes._so3_midpoint import SO3Midpoint
-from lieint_jax.schemes._splitting import Splitting
+from lieint_jax.schemes import FreeFlight, GyrostatSplitting, SO3Midpoint, Splitting
 from lieint_jax.types import (
     AbstractDrivenSystem,
     AbstractGyrostat,

@@ -15,8 +15,9 @@ from lieint_jax._checks import as_array, concrete
 from lieint_jax._numerics import collocation
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
-from lieint_jax.types import PhaseSpace, State, Step, System, clock, time_derivative
-from lieint_jax.types.shapes import PhaseVector, Scalar
+from lieint_jax.diagnostics.tangent import distance
+from lieint_jax.types import State, Step, System, clock, time_derivative
+from lieint_jax.types.shapes import Scalar
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -107,31 +108,6 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
 @partial(compiled, once=True)
 def _distance(step: Step, a: State, b: State) -> Scalar:
     return distance(a, b, step.system.phase_space)
-
-
-def distance(a: State, b: State, space: PhaseSpace | None = None) -> Scalar:
-    """The largest difference of two states, in q, and in p over the largest component of p: dimensionless.
-
-    If a phase space with its own units is given, differences are in these units.
-    """
-    if space is not None and getattr(space, "units", None):
-        return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, b))))
-    return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p)) / size(b.p))
-
-
-def size(p: Array) -> Scalar:
-    """The largest component of a momentum, 1 for zero: the unit of errors of momenta."""
-    largest = jnp.max(jnp.abs(p))
-    return jnp.where(largest > 0, largest, 1)
-
-
-def units(space: PhaseSpace, state: State) -> tuple[PhaseVector, PhaseVector]:
-    """The units of δq and of δp, (d,) each, in which tangent vectors are dimensionless: 1 and `size`, or its own."""
-    own = getattr(space, "units", None)
-    if own is not None:
-        return own(state)
-    one = jnp.ones(space.dim // 2, state.p.dtype)
-    return one, one * size(state.p)
 
 
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:

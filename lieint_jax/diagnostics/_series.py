@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from lieint_jax import _checks
 from lieint_jax.types import System, Trajectory, energy_less_work
-from lieint_jax.types._members import Axis, map_over_run
+from lieint_jax.types.members import Axis, map_over_run
 from lieint_jax.types.shapes import DelayPlot, InvariantSeries, MomentumSeries, TimeSeries
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TypeVar
 
-import jax
 import jax.numpy as jnp
-from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax.types import PhaseSpace, State, Step
+from lieint_jax.diagnostics.tangent import value_and_jacobian
+from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PhaseMatrix, Scalar
 
 _Aux = TypeVar("_Aux")
@@ -26,31 +24,7 @@ def linearization(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
         L_n, (2d, 2d). Rows and columns are the phase space's own coordinates: (δθ, δπ) on T*G, with δq = δθ q.
     """
     step.check(state, dt)
-    return pushed(step.system.phase_space, lambda z: step(z, dt), state)[2]
-
-
-# Dimensions above which the columns of a derivative are taken one by one: XLA fuses a batch of them so that each
-# element is computed again for each of its uses. With 64 molecules, and with three bodies by `nystrom`, a certificate
-# took many minutes.
-_LARGE = 24
-
-
-def pushed(
-    space: PhaseSpace, function: Callable[[State], tuple[State, _Aux]], state: State
-) -> tuple[State, _Aux, Array]:
-    """end, aux = function(state), and the derivative of end, (2d, 2d), in the coordinates of the phase space."""
-
-    def push(delta: Array) -> tuple[State, tuple[State, _Aux]]:
-        end, aux = function(space.perturb(state, delta))
-        return end, (end, aux)
-
-    start = jnp.zeros(space.dim, state.p.dtype)
-    if space.dim > _LARGE:
-        _, along, (end, aux) = jax.linearize(push, start, has_aux=True)
-        columns = jax.lax.map(lambda delta: space.trivialize(end, along(delta)), jnp.eye(space.dim, dtype=start.dtype))
-        return end, aux, columns.T
-    tangents, (end, aux) = jax.jacfwd(push, has_aux=True)(start)
-    return end, aux, jax.vmap(lambda tangent: space.trivialize(end, tangent), in_axes=-1, out_axes=-1)(tangents)
+    return value_and_jacobian(step.system.phase_space, lambda z: step(z, dt), state)[2]
 
 
 def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Scalar:
@@ -69,5 +43,5 @@ def defect_matrix(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
     """Lᵀω(z₁)L − ω(z₀), shape (2d, 2d)."""
     step.check(state, dt)
     space = step.system.phase_space
-    end, _, L = pushed(space, lambda z: step(z, dt), state)
+    end, _, L = value_and_jacobian(space, lambda z: step(z, dt), state)
     return L.T @ space.omega(end) @ L - space.omega(state)

@@ -14,8 +14,9 @@ from jax import Array
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
-from lieint_jax.diagnostics._order import shown_reversibility, units
+from lieint_jax.diagnostics._order import shown_reversibility
 from lieint_jax.diagnostics._symplectic import defect_matrix
+from lieint_jax.diagnostics.tangent import units
 from lieint_jax.types import State, Step, Trajectory
 
 _BLOCKS = 20  # of a run, for the standard error of a mean

@@ -17,11 +17,12 @@ import jax
 import numpy as np
 
 from lieint_jax.ensemble._store import store_name
-from lieint_jax.groups._matrix import MatrixGroup
+from lieint_jax.groups import MatrixGroup
 from lieint_jax.types import Step
 
 _PACKAGE = __name__.partition(".")[0]
 _RENAMED = {  # since version 0.2
+    "Linear": "LinearPotential",
     "ManyFreeBodies": "FreeBodies",
     "Quadratic": "QuadraticPotential",
     "SpinUp": "SpinUpMotor",

@@ -42,7 +42,7 @@ from lieint_jax.ensemble._storage import Url, address
 from lieint_jax.ensemble._store import leaves_by_name
 from lieint_jax.ensemble._store_output import StoreOptions, run_into_store, run_part_into_store, split_into_parts
 from lieint_jax.types import PhaseSpace, State, Step, Trajectory, checked_step, promoted
-from lieint_jax.types._members import member_axis
+from lieint_jax.types.members import member_axis
 
 Result = Trajectory | Summary
 _MAX_NAMED = 5  # failed members in a report

@@ -36,7 +36,7 @@ from lieint_jax.ensemble._parts import PartsRoot, Split, read_root
 from lieint_jax.ensemble._reading import open_complete, read_part
 from lieint_jax.ensemble._storage import Storage, address, open_storage
 from lieint_jax.ensemble._store import leaves_by_name, state_from_leaves, store_name
-from lieint_jax.types import StepInfo, _labeled
+from lieint_jax.types import StepInfo, labeled
 
 Pending = Any  # saved rows by block, or the series of a reduction by name
 _RESIDUAL = "largest residual of a step since the entry before"
@@ -432,7 +432,7 @@ class _Axes:
 
     def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> _store.Column:
         """The description of an array of one leaf of the states along `axes`."""
-        dims, _ = _labeled.state_axes(store_name(name), leaf.shape[1:])
+        dims, _ = labeled.state_axes(store_name(name), leaf.shape[1:])
         return self.column({**axes, **{dim: (n, n) for dim, n in zip(dims, leaf.shape[1:], strict=True)}}, **attributes)
 
 
@@ -484,7 +484,7 @@ def _labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
     found: dict[str, tuple[_store.Column, np.ndarray]] = {}
     for name, leaf in leaves_by_name(job.states).items():
         system = getattr(job.step, "system", None)
-        for dim, labels in _labeled.state_axes(store_name(name), leaf.shape[1:], system)[1].items():
+        for dim, labels in labeled.state_axes(store_name(name), leaf.shape[1:], system)[1].items():
             values = np.asarray(labels)
             if values.dtype.kind == "U":
                 values = values.astype(np.dtypes.StringDType())

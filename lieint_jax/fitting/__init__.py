@@ -10,9 +10,16 @@ from lieint_jax.fitting._bounds import Bound, free, inertia, inertia_ratios, int
 from lieint_jax.fitting._fit import covariance, fit
 from lieint_jax.fitting._member_by_member import member_by_member
 from lieint_jax.fitting._outcome import Fit
-from lieint_jax.fitting._robust import student_t, student_t_curvature, student_t_noise_error, student_t_weights
+from lieint_jax.fitting._robust import (
+    DEGREES_OF_FREEDOM,
+    student_t,
+    student_t_curvature,
+    student_t_noise_error,
+    student_t_weights,
+)
 
 __all__ = [
+    "DEGREES_OF_FREEDOM",
     "Bound",
     "Fit",
     "covariance",

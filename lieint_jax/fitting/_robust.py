@@ -17,12 +17,12 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-FREEDOM = 4.0
+DEGREES_OF_FREEDOM = 4.0
 _SMALL = 1e-8  # |e|²/(νσ²) below which log(1 + u)/u is 1 − u/2 to round-off
 
 
 def student_t(
-    errors: Array, noise: Array | float, least: Array | float, freedom: Array | float = FREEDOM
+    errors: Array, noise: Array | float, least: Array | float, freedom: Array | float = DEGREES_OF_FREEDOM
 ) -> tuple[Array, Array]:
     """Residuals for a fit robust to outliers: half their sum of squares is the negative log-likelihood of Student's t.
 
@@ -45,7 +45,7 @@ def student_t(
     return errors / noise * shortening[..., None], jnp.broadcast_to(level, u.shape)
 
 
-def student_t_weights(errors: Array, noise: Array | float, freedom: Array | float = FREEDOM) -> Array:
+def student_t_weights(errors: Array, noise: Array | float, freedom: Array | float = DEGREES_OF_FREEDOM) -> Array:
     """The weights (ν + d)/(ν + |e|²/σ²) of the vectors e in the equivalent weighted least squares, (...).
 
     Arguments as in `student_t`. The weights are at most 1 + d/ν, about 1 where |e|² is dσ², and small for an outlier.
@@ -53,7 +53,7 @@ def student_t_weights(errors: Array, noise: Array | float, freedom: Array | floa
     return (freedom + errors.shape[-1]) / (freedom + jnp.sum(errors * errors, axis=-1) / jnp.square(noise))
 
 
-def student_t_curvature(errors: Array, noise: Array | float, freedom: Array | float = FREEDOM) -> Array:
+def student_t_curvature(errors: Array, noise: Array | float, freedom: Array | float = DEGREES_OF_FREEDOM) -> Array:
     """The second derivative of the negative log-likelihood by each vector of errors e, (..., d, d).
 
     w/σ² (1 − 2eeᵀ/(νσ² + |e|²)) with the weight w. With J the derivative of e by parameters, Σ Jᵀ(…)J is their
@@ -66,6 +66,6 @@ def student_t_curvature(errors: Array, noise: Array | float, freedom: Array | fl
     return factor[..., None, None] * (jnp.eye(errors.shape[-1]) - 2 * outer)
 
 
-def student_t_noise_error(vectors: int, d: int, freedom: float = FREEDOM) -> float:
+def student_t_noise_error(vectors: int, d: int, freedom: float = DEGREES_OF_FREEDOM) -> float:
     """The standard error of log σ from a number of vectors of d components, by the information 2dν/(ν + d + 2)."""
     return (2 * d * freedom / (freedom + d + 2) * vectors) ** -0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lieint_jax.groups._basis import null, round_entries
+from lieint_jax.groups.bases import null, round_entries
 
 _TOLERANCE = 1e-9
 

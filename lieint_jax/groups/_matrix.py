@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._xla import materialized
-from lieint_jax.groups import _basis, _casimirs, _closed_form
+from lieint_jax.groups import _casimirs, bases, closed_forms
 from lieint_jax.types.shapes import AlgebraVector, DualVector, Flag, MomentumMap, PyTree, Scalar, SquareMatrix
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # the largest groups that are unrolled by default, see `_numerics.small_linalg`
@@ -46,11 +46,11 @@ class MatrixGroup:
     """
 
     def __init__(self, basis: np.ndarray, name: str, unrolled: bool | None = None) -> None:
-        self.basis, self.name = _basis.freeze(basis), name
+        self.basis, self.name = bases.freeze(basis), name
         small = self.dim <= _UNROLLED_DIM and self.size <= _UNROLLED_SIZE
         self.unrolled = small if unrolled is None else unrolled
-        self._dual, self.structure = (_basis.freeze(x) for x in _basis.dual_and_structure(self.basis))
-        self.identity = _basis.freeze(np.eye(self.basis.shape[1]))
+        self._dual, self.structure = (bases.freeze(x) for x in bases.dual_and_structure(self.basis))
+        self.identity = bases.freeze(np.eye(self.basis.shape[1]))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MatrixGroup) and self._key == other._key
@@ -120,7 +120,7 @@ class MatrixGroup:
         if closed is None or not self.unrolled:
             return la.at_each(lambda s: self.multiply(q, self.exp_near(s * xi)), s)
         x = closed.square(self._vector(xi)) * s * s
-        c = [s**m * _closed_form.evaluated(series, x) for m, series in enumerate(closed.series(_EXPONENTIAL))]
+        c = [s**m * closed_forms.evaluated(series, x) for m, series in enumerate(closed.series(_EXPONENTIAL))]
         powers, X = [q], self.hat(xi)
         while len(powers) < len(c):
             powers += materialized([_product(powers[-1], X)])
@@ -160,7 +160,7 @@ class MatrixGroup:
         """True if the Cayley map lands in this group, that is, if X³ is in the algebra for every X of the algebra."""
         rng = np.random.default_rng(0)
         X = np.tensordot(rng.normal(size=(2 * self.dim**2 + 8, self.dim)), self.basis, 1)
-        return bool(self._outside(X @ X @ X) <= _basis.TOLERANCE * np.abs(X).max() ** 3)
+        return bool(self._outside(X @ X @ X) <= bases.TOLERANCE * np.abs(X).max() ** 3)
 
     def defect(self, q: SquareMatrix) -> Scalar:
         """The distance of q from the group: the largest violation of the equations that all elements satisfy.
@@ -263,7 +263,7 @@ class MatrixGroup:
             return _sum_and_difference(*_taylor(X))
         x = la.materialized([self._closed.square(xi)])[0]
         series = self._closed.series(_EXPONENTIAL)
-        return self._series_and_inverse(X, la.materialized([_closed_form.evaluated(c, x) for c in series]))
+        return self._series_and_inverse(X, la.materialized([closed_forms.evaluated(c, x) for c in series]))
 
     def cayley_both(self, xi: la.Vector) -> tuple[la.Matrix, la.Matrix]:
         """cay ξ and cay(−ξ): by the closed form if there is one."""
@@ -292,7 +292,7 @@ class MatrixGroup:
         if closed is None or not self.unrolled:
             return self.coadjoint(*self.exp_both(xi), mu)
         x = la.materialized([closed.square(xi)])[0]
-        *lower, top = la.materialized([_closed_form.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
+        *lower, top = la.materialized([closed_forms.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
         value = la.scaled(top, mu)
         for k in reversed(range(len(lower))):
             value = la.plus((lower[k], mu), la.matvec(self.ad_star_matrix(value), xi))
@@ -328,24 +328,24 @@ class MatrixGroup:
     # Building blocks of these, on unrolled vectors for small groups and on arrays for large ones
 
     @cached_property
-    def _closed(self) -> _closed_form.ClosedForm | None:
-        return _closed_form.find(self.basis, _POWERS)
+    def _closed(self) -> closed_forms.ClosedForm | None:
+        return closed_forms.find(self.basis, _POWERS)
 
     @cached_property
     def _casimirs(self) -> tuple[np.ndarray, np.ndarray]:
         return _casimirs.linear(self.structure), _casimirs.quadratic(self.structure)
 
     @cached_property
-    def _closed_ad(self) -> _closed_form.ClosedForm | None:
-        return _closed_form.find(self.structure.transpose(0, 2, 1), _POWERS)
+    def _closed_ad(self) -> closed_forms.ClosedForm | None:
+        return closed_forms.find(self.structure.transpose(0, 2, 1), _POWERS)
 
     @cached_property
     def _ad(self) -> np.ndarray:
-        return _basis.freeze(self.structure.transpose(2, 1, 0))
+        return bases.freeze(self.structure.transpose(2, 1, 0))
 
     @cached_property
     def _ad_star(self) -> np.ndarray:
-        return _basis.freeze(self.structure.transpose(1, 0, 2))
+        return bases.freeze(self.structure.transpose(1, 0, 2))
 
     @cached_property
     def _free(self) -> np.ndarray:
@@ -358,26 +358,26 @@ class MatrixGroup:
     @cached_property
     def _form(self) -> tuple[np.ndarray, np.ndarray] | None:
         """S and S⁻¹ of an invertible bilinear form with EᵀS + SE = 0 for every E, or None if none is known."""
-        forms = _basis.invariant_forms(self.basis)
+        forms = bases.invariant_forms(self.basis)
         candidates = [self.identity, *(forms if len(forms) == 1 else [])]
         for S in candidates:
             S = S / np.abs(S).max()
             error = np.abs(self.basis.transpose(0, 2, 1) @ S + S @ self.basis).max()
-            if error < _basis.TOLERANCE and np.linalg.cond(S) < 1e3:
-                return _basis.round_entries(S), _basis.round_entries(np.linalg.inv(S))
+            if error < bases.TOLERANCE and np.linalg.cond(S) < 1e3:
+                return bases.round_entries(S), bases.round_entries(np.linalg.inv(S))
         return None
 
     @cached_property
     def _constraints(self) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray], bool]:
         """The complement of the span of all q − 1, invariant forms on vectors and on covectors, whether det q = 1."""
-        span = _basis.algebra(self.basis)
-        complement = _basis.null(span.reshape(len(span), -1)).reshape(-1, *self.basis.shape[1:])
-        forms = _basis.invariant_forms(self.basis), _basis.invariant_forms(self.basis.transpose(0, 2, 1))
+        span = bases.algebra(self.basis)
+        complement = bases.null(span.reshape(len(span), -1)).reshape(-1, *self.basis.shape[1:])
+        forms = bases.invariant_forms(self.basis), bases.invariant_forms(self.basis.transpose(0, 2, 1))
         return complement, *forms, self._traceless
 
     @cached_property
     def _traceless(self) -> bool:
-        return bool(np.abs(np.trace(self.basis, axis1=1, axis2=2)).max() < _basis.TOLERANCE)
+        return bool(np.abs(np.trace(self.basis, axis1=1, axis2=2)).max() < bases.TOLERANCE)
 
     def _outside(self, M: np.ndarray) -> float:
         """The largest distance of the matrices M from the algebra."""

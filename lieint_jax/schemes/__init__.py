@@ -71,6 +71,8 @@ from lieint_jax.schemes._log_hamiltonian import LogHamiltonian, log_hamiltonian
 from lieint_jax.schemes._nystrom import Nystrom, nystrom
 from lieint_jax.schemes._preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes._reversible_control import ReversibleControl, reversible_control
+from lieint_jax.schemes._shared.free_bodies import FreeFlight
+from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_alpha import SO3Alpha, so3_alpha
 from lieint_jax.schemes._so3_explicit import SO3Explicit, so3_explicit
@@ -91,10 +93,12 @@ __all__ = [
     "DampedMidpoint",
     "Exact",
     "Extrapolated",
+    "FreeFlight",
     "Gauss",
     "GroupAlpha",
     "GroupEnergyMomentum",
     "GroupMidpoint",
+    "GyrostatSplitting",
     "KeplerSplitting",
     "Langevin",
     "LogHamiltonian",

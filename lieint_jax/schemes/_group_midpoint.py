@@ -14,7 +14,7 @@ where ad*(Π)ξ = ad*_ξ Π and H is the derivative of τ (5.28). F′ is (Δt/2
 A right-invariant metric is a left-invariant one for q⁻¹, whose body momentum is −π and whose spatial momentum is −Π. So
 the same equation, with −½Δt π_n for ½Δt Π_n, gives q_{n+1} = τ(Θ)⁻¹ q_n and π_{n+1} = Ad*_τ(Θ) π_n.
 
-On SE(3) and similar groups Ad*_τ and τ are computed in closed form (`groups._closed_form`).
+On SE(3) and similar groups Ad*_τ and τ are computed in closed form (`groups.closed_forms`).
 """
 
 from __future__ import annotations

@@ -48,7 +48,13 @@ from lieint_jax.systems._euler import Euler, RightEuler, euler, kirchhoff, manak
 from lieint_jax.systems._gravity_gradient import GravityGradient, gravity_gradient
 from lieint_jax.systems._group_potential import DrivenGroupPotential, GroupPotential, group_potential
 from lieint_jax.systems._gyrostat import Gyrostat, gyrostat
-from lieint_jax.systems._heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
+from lieint_jax.systems._heavy_top import (
+    LagrangeMotion,
+    LinearPotential,
+    heavy_top,
+    kovalevskaya_integral,
+    lagrange_motion,
+)
 from lieint_jax.systems._incompressible_body import IncompressibleBody, incompressible_body
 from lieint_jax.systems._pendulum import Pendulum, pendulum
 from lieint_jax.systems._potential_top import PotentialTop, QuadraticPotential, clebsch_integral, potential_top
@@ -82,6 +88,7 @@ __all__ = [
     "Gyrostat",
     "IncompressibleBody",
     "LagrangeMotion",
+    "LinearPotential",
     "Pendulum",
     "PotentialTop",
     "PseudoRigidBody",

@@ -15,7 +15,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import vec3
 from lieint_jax._xla import unfused
 from lieint_jax.groups import so3
-from lieint_jax.systems._heavy_top import Linear
+from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody, spatial_torque
 from lieint_jax.systems._shared.properties import SystemProperties
@@ -178,7 +178,7 @@ def examples() -> dict[str, tuple[System, State, float]]:
     """A top whose vertical moves, one whose field changes its strength, and one without an axis."""
     J, attitude = [1.0, 2.0, 2.5], so3.exp(jnp.array([0.7, 0.5, -0.2]))
     tops = {
-        "moving_axis": driven_top(J, Linear(jnp.array([0.5, 0.4, 1.0])), _swing),
+        "moving_axis": driven_top(J, LinearPotential(jnp.array([0.5, 0.4, 1.0])), _swing),
         "changing_strength": driven_top(J, _pulse),
         "two_wells": driven_top(J, _wells, None),
     }

@@ -18,7 +18,7 @@ from lieint_jax.types.shapes import Scalar, Time, Vector3
 
 
 @pytree
-class Linear(PotentialWithGradient):
+class LinearPotential(PotentialWithGradient):
     """Ṽ(Γ) = E·Γ: uniform gravity, E the weight times the center of mass in the body."""
 
     weight: Array
@@ -58,7 +58,7 @@ def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0
         1270.0
     """
     like = _checks.inertia(inertia)
-    return potential_top(inertia, Linear(_checks.real_array("weight", weight, (3,), like=like)), axis)
+    return potential_top(inertia, LinearPotential(_checks.real_array("weight", weight, (3,), like=like)), axis)
 
 
 def lagrange() -> tuple[PotentialTop, State]:
@@ -90,7 +90,7 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
 
     Source: Whittaker, Analytical Dynamics, §71–72.
     """
-    assert isinstance(top.potential, Linear)
+    assert isinstance(top.potential, LinearPotential)
     J, size = vec3.symmetric(top.inertia), jnp.sqrt(vec3.dot(top._axis, top._axis))
     E = top.potential.weight[2]
     Pi = top.body_momentum(state)
@@ -128,7 +128,7 @@ def kovalevskaya() -> tuple[PotentialTop, State]:
 def kovalevskaya_integral(top: PotentialTop, state: State) -> Scalar:
     """|(Ω₁ + iΩ₂)² − E₁(Γ₁ + iΓ₂)/J₃|², constant for J₁ = J₂ = 2J₃ and E = (E₁, 0, 0)."""
     Omega, Gamma = top.angular_velocity(state), top.Gamma(state)
-    assert isinstance(top.potential, Linear)
+    assert isinstance(top.potential, LinearPotential)
     c = top.potential.weight[0] / vec3.symmetric(top.inertia)[2]
     real = Omega[0] ** 2 - Omega[1] ** 2 - c * Gamma[0]
     imaginary = 2 * Omega[0] * Omega[1] - c * Gamma[1]

@@ -16,8 +16,8 @@ from lieint_jax._numerics.vec3 import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
+from lieint_jax.systems._shared.older_laws import MEMBERS, OlderLaw
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.torques._older import MEMBERS, OlderLaw
 from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, clock, instant, pytree
 from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Time, Vector3
 

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax.types import _labeled
-from lieint_jax.types._members import Axis, map_over_run
-from lieint_jax.types._record import record
+from lieint_jax.types import labeled
+from lieint_jax.types.members import Axis, map_over_run
+from lieint_jax.types.record import record
 from lieint_jax.types.shapes import Flag, PyTree, Scalar, Time
 
 
@@ -39,7 +39,7 @@ class State(NamedTuple):
     extra: dict[str, Array] | None = None
 
     def __repr__(self) -> str:
-        return _labeled.fields(self)
+        return labeled.fields(self)
 
 
 @record
@@ -57,7 +57,7 @@ class StepInfo(NamedTuple):
     converged: Array
 
     def __repr__(self) -> str:
-        return _labeled.fields(self)
+        return labeled.fields(self)
 
     def merge(self, other: StepInfo) -> StepInfo:
         """The report of both: the larger residual, and whether both converged."""
@@ -84,7 +84,7 @@ class Trajectory(NamedTuple):
     info: StepInfo
 
     def __repr__(self) -> str:
-        return _labeled.trajectory(self)
+        return labeled.trajectory(self)
 
     def to_xarray(self, system: Any = None, units: Mapping[str, str] | None = None, system_axis: Axis = "auto") -> Any:
         """The trajectory as an `xarray.Dataset`, with the dimensions `time`, and `member` for a batch.
@@ -105,7 +105,7 @@ class Trajectory(NamedTuple):
                 the run are (member, time).
             ImportError: xarray is not installed.
         """
-        return _labeled.dataset(self, system, units or {}, system_axis)
+        return labeled.dataset(self, system, units or {}, system_axis)
 
     def periods(self, body: Any, system_axis: Axis = "auto") -> Any:
         """The mean periods of precession and rotation of a tumbling body along a run, and its mode.
@@ -136,7 +136,7 @@ class Trajectory(NamedTuple):
         Raises:
             ValueError: q does not hold quaternions.
         """
-        return _labeled.rotations(self)
+        return labeled.rotations(self)
 
 
 def counts_work(state: State) -> bool:

@@ -10,7 +10,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics
-from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step, StepInfo, pytree
 
@@ -44,7 +44,7 @@ class Euler(Step):
 @jax.jit
 def _linearized(step, state, dt):
     """The state after a step, and its `linearization`, which comes with it."""
-    end, _, L = pushed(step.system.phase_space, lambda z: step(z, dt), state)
+    end, _, L = value_and_jacobian(step.system.phase_space, lambda z: step(z, dt), state)
     return end, L
 
 

@@ -9,8 +9,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
-from lieint_jax.diagnostics._order import distance
-from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.diagnostics.tangent import distance, value_and_jacobian
 
 TOP = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
 STATE = TOP.state(angular_velocity=[0.3, 0.5, 0.8])
@@ -72,7 +71,7 @@ def test_steps_between_given_times_conserve_what_the_step_conserves(scheme):
     one_by_one = functools.reduce(lambda z, h: step(z, h)[0], np.diff(GRADED), STATE)
     assert distance(last(path), one_by_one) < 2e-15
     space = TOP.phase_space
-    end, _, L = pushed(space, lambda z: (last(li.integrate(step, z, times=GRADED)), None), STATE)
+    end, _, L = value_and_jacobian(space, lambda z: (last(li.integrate(step, z, times=GRADED)), None), STATE)
     defect = jnp.abs(L.T @ space.omega(end) @ L - space.omega(STATE)).max()
     seen = li.integrate(step, STATE, times=GRADED, save_at=[0.4, 1.3])
     H = jax.vmap(TOP.energy)(seen.state)

@@ -88,6 +88,13 @@ def test_imports_point_down(path):
             assert top in CORE | own or top in sys.stdlib_module_names, f"{path} is core and imports {name}"
 
 
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_private_modules_are_imported_by_their_own_room_only(path):
+    for name in imports(path):
+        room, *inside = name.split(".")[1:] or [""]
+        assert room == room_of(path) or not any(part.startswith("_") for part in inside), f"{path} imports {name}"
+
+
 def test_no_import_goes_in_a_circle():
     """Within the rooms too: modules can be put in an order in which each imports only those before it."""
     import graphlib

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.diagnostics.tangent import value_and_jacobian
 
 
 def there_and_back(step, state, dt):
@@ -12,7 +12,7 @@ def there_and_back(step, state, dt):
     space = step.system.phase_space
 
     def one(z, h):
-        end, _, L = pushed(space, lambda y: step(y, h), z)
+        end, _, L = value_and_jacobian(space, lambda y: step(y, h), z)
         return end, (end, L)
 
     back, (ends, Ls) = jax.lax.scan(one, state, jnp.stack([jnp.asarray(dt, state.p.dtype), -dt]))

@@ -13,7 +13,7 @@ import pytest
 from paper import KAPPAS, ONE, H, cay, hat, omega_inverse, rot, skew
 
 import lieint_jax as li
-from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.groups import so3
 
 DT = 0.3
@@ -36,7 +36,7 @@ ATTITUDE = np.array([0.3, 0.8, -0.4, 0.5]) / np.sqrt(1.14)
 def _step(step):
     """A step of DT, its report and linearization, both attitudes; the derivatives of `force` in a turn and in Θ̄."""
     state = step.system.state(ATTITUDE, angular_velocity=[0.7, -0.4, 0.5])
-    after, info, L = pushed(step.system.phase_space, lambda z: step(z, DT), state)
+    after, info, L = value_and_jacobian(step.system.phase_space, lambda z: step(z, DT), state)
     Q = [so3.to_matrix(z.q) for z in (state, after)]
     bar = DT / 2 * sum(step.system.angular_velocity(z) for z in (state, after))
     slopes = jax.jacfwd(

@@ -10,7 +10,7 @@ import pytest
 import lieint_jax as li
 from lieint_jax import _discover, groups, maps
 from lieint_jax._numerics import newton
-from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.types import State, Step, StepInfo, pytree
 
 MATRIX = _discover.modules_with_examples(groups)["matrix"]
@@ -71,7 +71,7 @@ def one_step():
     @functools.partial(jax.jit, compiler_options=QUICK)
     def everything(turn):
         state = system.state(g.exp(turn), velocity=[0.5, -0.4, 0.6])
-        after, (info, theta), L = pushed(system.phase_space, lambda z: step.report(z, DT), state)
+        after, (info, theta), L = value_and_jacobian(system.phase_space, lambda z: step.report(z, DT), state)
         eye = jnp.eye(3)
         columns = lambda q: jax.vmap(g.Ad, (None, 1), 1)(q, eye)  # noqa: E731
         ad_star = lambda mu: jax.vmap(g.ad_star, (1, None), 1)(eye, mu)  # noqa: E731

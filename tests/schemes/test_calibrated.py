@@ -12,7 +12,7 @@ from linearized import there_and_back
 
 import lieint_jax as li
 from lieint_jax import _free_body, diagnostics, ensemble
-from lieint_jax.diagnostics._order import distance
+from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.groups import so3
 from lieint_jax.schemes import calibrated, preprocessed
 from lieint_jax.systems import RigidBody

@@ -10,7 +10,8 @@ import pytest
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, schemes, systems
 from lieint_jax._numerics import collocation
-from lieint_jax.diagnostics._order import distance, flow
+from lieint_jax.diagnostics import flow
+from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.schemes._extrapolate import _extrapolation, _fractions, weights
 from lieint_jax.schemes.charts import body_axes
 from lieint_jax.schemes.charts.canonical import canonical_chart

@@ -20,7 +20,7 @@ from lieint_jax.diagnostics import (
     reversibility,
     symplectic_defect,
 )
-from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.types import State
 
@@ -164,7 +164,7 @@ def one_step(name, tau):
 
     @functools.partial(jax.jit, compiler_options=QUICK)
     def everything(state):
-        after, info, L = pushed(system.phase_space, lambda z: step(z, dt), state)
+        after, info, L = value_and_jacobian(system.phase_space, lambda z: step(z, dt), state)
         Pi0, Pi1 = system.body_momentum(state), system.body_momentum(after)
         Theta = dt * jnp.linalg.solve(system.metric, (Pi0 + Pi1) / 2)
         h = TAUS[tau](g, Theta)

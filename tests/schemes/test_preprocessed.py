@@ -15,7 +15,7 @@ from paper import hat
 import lieint_jax as li
 from lieint_jax import diagnostics
 from lieint_jax._integrate import steps
-from lieint_jax.diagnostics._order import distance
+from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.groups import so3
 from lieint_jax.schemes import preprocessed, so3_midpoint
 from lieint_jax.schemes._shared import clock_coefficients

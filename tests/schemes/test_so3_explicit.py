@@ -11,7 +11,7 @@ from linearized import there_and_back
 
 import lieint_jax as li
 from lieint_jax import diagnostics, ensemble
-from lieint_jax.diagnostics._order import distance
+from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.schemes import so3_explicit, so3_midpoint
 from lieint_jax.systems import RigidBody
 

@@ -11,12 +11,12 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import diagnostics
-from lieint_jax.diagnostics._order import distance as _distance
+from lieint_jax.diagnostics.tangent import distance as _distance
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes import compose, exact, splitting, top_energy_momentum
 from lieint_jax.schemes._top_energy_momentum import discrete_gradient
-from lieint_jax.systems._heavy_top import Linear, asymmetric, kovalevskaya, kovalevskaya_integral, lagrange
+from lieint_jax.systems._heavy_top import LinearPotential, asymmetric, kovalevskaya, kovalevskaya_integral, lagrange
 from lieint_jax.systems._potential_top import QuadraticPotential, brun, clebsch_integral, examples
 from lieint_jax.types import State, gradient
 
@@ -415,6 +415,6 @@ def test_bad_arguments_of_tops_raise_errors():
 def test_declared_gradients_of_potentials_agree_with_autodiff():
     """It is what autodiff finds; observed: 1e-16."""
     Gamma, S = jnp.array([0.3, -0.5, 0.9]), jnp.array([[1.1, 0.2, 0.1], [0.2, 1.8, -0.3], [0.1, -0.3, 2.2]])
-    for potential in (Linear(Gamma[::-1]), QuadraticPotential(S), QuadraticPotential(jnp.diag(S))):
+    for potential in (LinearPotential(Gamma[::-1]), QuadraticPotential(S), QuadraticPotential(jnp.diag(S))):
         np.testing.assert_allclose(gradient(potential, Gamma), jax.grad(potential)(Gamma), rtol=0, atol=5e-16)
     np.testing.assert_array_equal(gradient(lambda Gamma, t: t * Gamma[1], Gamma, jnp.array(2.0)), [0, 2, 0])

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import lieint_jax as li
 from lieint_jax import State, _discover, schemes, torques
 from lieint_jax._integrate import steps
-from lieint_jax.diagnostics._order import distance
+from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes import torqued_midpoint

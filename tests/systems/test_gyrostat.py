@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 import lieint_jax as li
 from lieint_jax import State, schemes, systems
 from lieint_jax._integrate import steps
-from lieint_jax.diagnostics._symplectic import defect_matrix, pushed
+from lieint_jax.diagnostics._symplectic import defect_matrix
+from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
 
 KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
@@ -354,7 +355,9 @@ def growth(J, spin, wheel):
     gyrostat = systems.Gyrostat(J, wheel * jnp.array([0.0, 0.0, 1.0]))
     Pi = J * jnp.array([0.0, 0.0, 1.0]) * spin + gyrostat.rotor
     state = State(jnp.array([1.0, 0.0, 0.0, 0.0]), Pi)
-    end, _, L = pushed(gyrostat.phase_space, lambda z: schemes.SO3Midpoint(gyrostat, kappa_cayley, 4)(z, dt), state)
+    end, _, L = value_and_jacobian(
+        gyrostat.phase_space, lambda z: schemes.SO3Midpoint(gyrostat, kappa_cayley, 4)(z, dt), state
+    )
     return li.groups.so3.to_matrix(end.q).T @ L[:3, :3]
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax._integrate import interpolate
-from lieint_jax.systems._heavy_top import Linear
+from lieint_jax.systems import LinearPotential
 from lieint_jax.types import Trajectory
 
 MAX_ROTATION = 2.6  # rad between saved states: interpolation then has an error of 0.3° (tumbling bodies)
@@ -42,5 +42,5 @@ def interpolate_at(system: Any, run: Trajectory, times: np.ndarray) -> Trajector
 def top_axis(system: Any) -> np.ndarray | None:
     """The axis (3,) of a heavy top in the body, from the fixed point to the center of mass; None for other systems."""
     potential = getattr(system, "potential", None)
-    weight = np.asarray(potential.weight) if isinstance(potential, Linear) else np.zeros(3)
+    weight = np.asarray(potential.weight) if isinstance(potential, LinearPotential) else np.zeros(3)
     return weight / np.linalg.norm(weight) if weight.any() else None

@@ -19,7 +19,7 @@ from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
 from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Trajectory, counts_work, energy_less_work, labels
-from lieint_jax.types._members import map_over_run
+from lieint_jax.types.members import map_over_run
 
 _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the next, where `POINTS` allows it
 

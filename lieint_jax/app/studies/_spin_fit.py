@@ -15,6 +15,7 @@ from lieint_jax.app.studies._pulls import squared_distances
 from lieint_jax.app.studies._radar import errors, path, path_of_fits
 from lieint_jax.app.studies._tumbling import direction, mean_periods, model, rotate
 from lieint_jax.fitting import (
+    DEGREES_OF_FREEDOM,
     Fit,
     fit,
     free,
@@ -24,7 +25,6 @@ from lieint_jax.fitting import (
     student_t_curvature,
     student_t_noise_error,
 )
-from lieint_jax.fitting._robust import FREEDOM
 from lieint_jax.groups import so3
 from lieint_jax.types.shapes import PyTree
 
@@ -167,7 +167,7 @@ def synthetic_data(truth: Estimate, unravel: Unravel, data: dict[str, Array], se
     rng = np.random.default_rng(seed)
     found = path(unravel(truth.x), data)
     shape = (2, sets, len(found), 3)
-    drawn = rng.normal(size=shape) / np.sqrt(rng.chisquare(FREEDOM, (*shape[:3], 1)) / FREEDOM)
+    drawn = rng.normal(size=shape) / np.sqrt(rng.chisquare(DEGREES_OF_FREEDOM, (*shape[:3], 1)) / DEGREES_OF_FREEDOM)
     rotations, changes = jnp.asarray(drawn) * truth.noise[:, None, None, None]
 
     seen = jax.vmap(jax.vmap(rotate), (0, None))(rotations, found[:, :4])

@@ -8,8 +8,7 @@ from lieint_jax.app.studies import _flyby
 from lieint_jax.app.studies._pulls import ELLIPSOID, chance_errors, shares
 from lieint_jax.app.studies._radar import FITTED, STATES, dates, later_fixes
 from lieint_jax.app.studies._toutatis_result import SpinFit
-from lieint_jax.fitting import student_t_noise_error
-from lieint_jax.fitting._robust import FREEDOM
+from lieint_jax.fitting import DEGREES_OF_FREEDOM, student_t_noise_error
 
 NAMES = (
     "precession period (d)",
@@ -49,7 +48,7 @@ def _head(found: SpinFit) -> list[str]:
         f"  fixes: {found.scenario.source('takahashi')}, without errors: attitudes have one weight, and so have rates",
         f"  {found.fit.outcome}; {100 * found.share_at_minimum:.0f} % of {random} random starts end there",
         f"  noise, fitted: attitudes {noise[0]:.2f} ± {noise[0] * error:.2f}°, rates {noise[1]:.2f} ± "
-        f"{noise[1] * error:.2f} °/d (scales of Student's t, {FREEDOM:g} degrees of freedom)",
+        f"{noise[1] * error:.2f} °/d (scales of Student's t, {DEGREES_OF_FREEDOM:g} degrees of freedom)",
         f"  with normal errors instead: {normal[0]:.2f}°, {normal[1]:.2f} °/d, and the values below change by up to "
         f"{moved:.1f} σ",
     ]

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from lieint_jax import diagnostics, maps, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
-from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.fitting import Fit, fit
 from lieint_jax.types import State
 
@@ -144,7 +144,7 @@ def defects(kappa: Callable[[Array], Array], states: State, dt: ArrayLike) -> tu
     space = step.system.phase_space
 
     def defect(state: State) -> tuple[Array, Array]:
-        end, info, L = pushed(space, lambda z: step(z, dt), state)
+        end, info, L = value_and_jacobian(space, lambda z: step(z, dt), state)
         return L.T @ space.omega(end) @ L - space.omega(state), info.converged
 
     matrices, converged = jax.vmap(defect)(states)

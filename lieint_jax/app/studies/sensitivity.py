@@ -20,14 +20,11 @@ import numpy as np
 from jax import Array, lax
 from matplotlib.figure import Figure
 
-from lieint_jax import diagnostics, schemes
+from lieint_jax import _discover, diagnostics, schemes, systems
 from lieint_jax._integrate import saves
 from lieint_jax.app import plots
 from lieint_jax.diagnostics import flow
-from lieint_jax.diagnostics._chaos import orthonormal
-from lieint_jax.diagnostics._order import units
-from lieint_jax.diagnostics._symplectic import pushed
-from lieint_jax.systems._heavy_top import asymmetric
+from lieint_jax.diagnostics.tangent import orthonormalize, units, value_and_jacobian
 from lieint_jax.types import State, Step, System
 
 _BLOCKS = 10
@@ -86,8 +83,8 @@ def reference(system: System, state: State, t: float, pieces: int) -> Array:
 
     def step_once(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
         state, frame, sums = carry
-        end, _, L = pushed(space, lambda z: (flow(system, z, t / pieces, 2), None), state)
-        frame, growth = orthonormal(L @ (unit * frame) / unit)
+        end, _, L = value_and_jacobian(space, lambda z: (flow(system, z, t / pieces, 2), None), state)
+        frame, growth = orthonormalize(L @ (unit * frame) / unit)
         return (end, frame, sums + growth), None
 
     start = (state, jnp.eye(space.dim), jnp.zeros(space.dim))
@@ -123,7 +120,7 @@ def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
     """Compute the exponents of an asymmetric heavy top by Strang splitting; `quick` runs for a fifth of the time."""
     from tqdm import tqdm  # where it is used: the package imports in a moment
 
-    top, state = asymmetric()
+    top, state, _ = _discover.modules_with_examples(systems)["heavy_top"].examples()["asymmetric_top"]
     dt, steps = 0.05, 4000 if quick else 20_000
     step = schemes.splitting(top)
     fine, short = 0.005, 20.0

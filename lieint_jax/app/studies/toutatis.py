@@ -44,8 +44,7 @@ from lieint_jax.app.studies._toutatis_picture import draw
 from lieint_jax.app.studies._toutatis_report import text
 from lieint_jax.app.studies._toutatis_result import Prediction, SpinFit
 from lieint_jax.app.studies._tumbling import model, rotation_between
-from lieint_jax.fitting import Fit, student_t_weights
-from lieint_jax.fitting._robust import FREEDOM
+from lieint_jax.fitting import DEGREES_OF_FREEDOM, Fit, student_t_weights
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 
@@ -105,7 +104,7 @@ def radar_data() -> dict[str, Array]:
     return {
         "begin": jnp.asarray(fixes.q[MIDDLE]),
         "epoch": jnp.asarray(-middle),
-        "freedom": jnp.asarray(FREEDOM),
+        "freedom": jnp.asarray(DEGREES_OF_FREEDOM),
         "q": jnp.asarray(fixes.q[:FITTED]),
         "rate": jnp.asarray(fixes.angular_velocity_deg[:FITTED]),
         "t": jnp.asarray(fixes.t[:FITTED] - middle),
@@ -132,7 +131,7 @@ def _fit_from_many_starts(
     scatter = {"attitude": 10.0, "inertia": 0.15, "rate": 5.0}
     random = {name: p + scatter[name] * rng.normal(size=(starts - 3, p.size)) for name, p in given[1].items()}
     chosen = jax.tree.map(lambda a, b, more: jnp.concatenate([jnp.stack([a, b, a]), more]), given[0], given[1], random)
-    many = repeat(data, starts) | {"freedom": jnp.full(starts, FREEDOM).at[2].set(_NORMAL)}
+    many = repeat(data, starts) | {"freedom": jnp.full(starts, DEGREES_OF_FREEDOM).at[2].set(_NORMAL)}
     return fit_spins(chosen | {"noise": jnp.full((starts, 2), 8.0)}, many, progress), many
 
 

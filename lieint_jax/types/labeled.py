@@ -13,8 +13,8 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import concrete
-from lieint_jax.types._members import Axis, Run, axes, map_over_run
 from lieint_jax.types._torque import labels as laws_of
+from lieint_jax.types.members import Axis, Run, axes, map_over_run
 from lieint_jax.types.shapes import PyTree
 
 _SHORT = 16  # the most numbers that a description shows

@@ -1,0 +1,74 @@
+"""Tangent vectors in the coordinates of a phase space: their units, Jacobians of maps, frames; distances of states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from lieint_jax.types import PhaseSpace, State
+from lieint_jax.types.shapes import PhaseVector, Scalar, TangentVectors
+
+_Aux = TypeVar("_Aux")
+
+# Dimensions above which the columns of a derivative are taken one by one: XLA fuses a batch of them so that each
+# element is computed again for each of its uses. With 64 molecules, and with three bodies by `nystrom`, a certificate
+# took many minutes.
+_LARGE = 24
+
+
+def value_and_jacobian(
+    space: PhaseSpace, function: Callable[[State], tuple[State, _Aux]], state: State
+) -> tuple[State, _Aux, Array]:
+    """end, aux = function(state), and the derivative of end, (2d, 2d), in the coordinates of the phase space."""
+
+    def push(delta: Array) -> tuple[State, tuple[State, _Aux]]:
+        end, aux = function(space.perturb(state, delta))
+        return end, (end, aux)
+
+    start = jnp.zeros(space.dim, state.p.dtype)
+    if space.dim > _LARGE:
+        _, along, (end, aux) = jax.linearize(push, start, has_aux=True)
+        columns = jax.lax.map(lambda delta: space.trivialize(end, along(delta)), jnp.eye(space.dim, dtype=start.dtype))
+        return end, aux, columns.T
+    tangents, (end, aux) = jax.jacfwd(push, has_aux=True)(start)
+    return end, aux, jax.vmap(lambda tangent: space.trivialize(end, tangent), in_axes=-1, out_axes=-1)(tangents)
+
+
+def distance(a: State, b: State, space: PhaseSpace | None = None) -> Scalar:
+    """The largest difference of two states, in q, and in p over the largest component of p: dimensionless.
+
+    If a phase space with its own units is given, differences are in these units.
+    """
+    if space is not None and getattr(space, "units", None):
+        return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, b))))
+    return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p)) / size(b.p))
+
+
+def size(p: Array) -> Scalar:
+    """The largest component of a momentum, 1 for zero: the unit of errors of momenta."""
+    largest = jnp.max(jnp.abs(p))
+    return jnp.where(largest > 0, largest, 1)
+
+
+def units(space: PhaseSpace, state: State) -> tuple[PhaseVector, PhaseVector]:
+    """The units of δq and of δp, (d,) each, in which tangent vectors are dimensionless: 1 and `size`, or its own."""
+    own = getattr(space, "units", None)
+    if own is not None:
+        return own(state)
+    one = jnp.ones(space.dim // 2, state.p.dtype)
+    return one, one * size(state.p)
+
+
+def orthonormalize(W: TangentVectors) -> tuple[Array, Array]:
+    """The orthonormal factor Q of W = QR, and the logarithms of R's diagonal, by Gram and Schmidt (modified)."""
+    rest, Q, growth = [W[:, j] for j in range(W.shape[1])], [], []
+    while rest:
+        length = jnp.sqrt(jnp.sum(rest[0] * rest[0]))
+        q = rest[0] / length
+        rest = [w - jnp.sum(q * w) * q for w in rest[1:]]
+        Q, growth = [*Q, q], [*growth, jnp.log(length)]
+    return jnp.stack(Q, axis=1), jnp.stack(growth)
