@@ -263,7 +263,7 @@ def against(quick: bool, _: int) -> Any:
     J, dt, notes = measure.INERTIA, measure.DT, []
     step = free_steps()["so3_midpoint, symplectic κ"]
     makers: list[tuple[str, Callable[[], Any]]] = [
-        ("ours", partial(measure.ours, "ours, symplectic κ", step, dt, True, 9e7)),
+        ("ours", partial(measure.ours, "ours, symplectic κ", step, dt, pace=9e7)),
         ("diffrax", partial(peers.tsit5, J, dt, wide=True)),
         ("diffrax", partial(peers.dopri8, J, dt, wide=True)),
         ("MuJoCo", partial(peers.mujoco_rk4, J, dt)),

@@ -1,22 +1,11 @@
 """How many body-steps a second, how accurate, how conserving, against C++ of the same scheme and what one would use?
 
-Free rigid bodies of inertia (1, 2, 3), random attitudes, body velocities random in the unit ball, dt = 0.05. Everything
-runs in one process pinned to one core (as Linux can); "all cores" is a second process without the pin, with the batch
-split over one XLA host device per core. Contestants are called in turn; a rate is that of the best call, the median
-beside it. "Wide vectors" are `ensemble.compiler_options()`: g++ uses the full vector width by default, XLA does not.
+Free rigid bodies of inertia (1, 2, 3), random attitudes, body velocities random in the unit ball, dt = 0.05. Ours are
+whole calls of `ensemble.run`, in one row a custom `jax.vmap`. Everything runs in one process pinned to one core (as
+Linux can); "all cores" is a second process without the pin. Contestants are called in turn; a rate is that of the best
+call, with the median next to it.
 
     python benchmarks/free_rigid_body.py [--quick] [--out DIR]
-
-From a printout (the whole is results/free_rigid_body.md), millions of body-steps a second:
-
-|                                   |   dtype |  best | median | ÷ C++ newton | ÷ C++ scalar | ours ÷ it | compile s |
-| --------------------------------- | ------: | ----: | -----: | -----------: | -----------: | --------: | --------: |
-| C++ symplectic, newton form       | float64 |   158 |    157 |            1 |        0.895 |     0.555 |       0.0 |
-| C++ symplectic, scalar form       | float64 |   177 |    175 |         1.12 |            1 |     0.497 |       0.0 |
-| ours, symplectic κ                | float64 |  87.9 |   86.3 |        0.555 |        0.497 |         1 |       0.5 |
-| ours, symplectic κ, wide vectors  | float64 |   129 |    128 |        0.812 |        0.727 |     0.684 |       0.4 |
-| diffrax Tsit5, vmapped            | float64 |  5.71 |   5.63 |       0.0361 |       0.0323 |      15.4 |       1.2 |
-| MuJoCo RK4, rollout               | float64 | 0.249 |  0.248 |      0.00157 |      0.00141 |       353 |       0.0 |
 """
 
 from __future__ import annotations
@@ -53,9 +42,8 @@ def on_one_core(quick: bool, out: Path) -> None:
 
 
 def on_all_cores(cores: list[int], quick: bool) -> list[dict[str, object]]:
-    """The rates of our scheme with one XLA host device per core."""
+    """The rates of our scheme on all cores."""
     os.sched_setaffinity(0, cores)
-    os.environ["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={len(cores)}"
     from lib import measure
 
     return measure.our_rates(measure.QUICK if quick else measure.Sizes())

@@ -71,7 +71,6 @@ def measure(batch: int, rounds: int, points: int) -> dict[str, Any]:
     body = li.systems.pseudo_rigid_body(np.full(3, INERTIA), li.systems.mooney_rivlin(LAM, MU))
     solvers = [
         ours(body, "symplectic"),
-        ours(body, "symplectic", wide=True),
         ours(body, "average"),
         diffrax_solver(body, "Tsit5", None, DT),
         diffrax_solver(body, "Kvaerno5", 1e-6, DT),
@@ -158,38 +157,19 @@ def curve(name: str, solvers: list[Solver], exact: np.ndarray) -> dict[str, Any]
     return {"name": name, "milliseconds": cost, "errors": errors}
 
 
-def ours(body: Any, rule: Any, wide: bool = False, dt: float = DT, order: int = 2) -> Solver:
-    """Our step, composed beyond order 2, vmapped, in a compiled loop like that of `ensemble.run`."""
-    import jax
-
+def ours(body: Any, rule: Any, dt: float = DT, order: int = 2) -> Solver:
+    """Our step, composed beyond order 2, by whole calls of `ensemble.run`."""
     import lieint_jax as li
 
-    step, run = li.schemes.additive(body, rule), _our_loop(wide)
+    step = li.schemes.additive(body, rule)
     if order > 2:
         step = li.schemes.compose(step, order)
 
     def advance(F: np.ndarray, P: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        end, good = run(step, li.State(jax.numpy.asarray(F), jax.numpy.asarray(P)), dt, round(t / dt))
-        return np.asarray(end.q), np.asarray(end.p), np.asarray(good)
+        run = li.ensemble.run(step, li.State(F, P), dt, round(t / dt), progress=False)
+        return np.asarray(run.state.q[-1]), np.asarray(run.state.p[-1]), np.asarray(run.info.converged[-1])
 
-    return Solver(f"ours, {rule}" + (", wide vectors" if wide else ""), advance)
-
-
-@cache
-def _our_loop(wide: bool) -> Any:
-    """(step, states, dt, n) ↦ the states after n steps, and whether all converged: compiled once per batch size."""
-    import jax
-
-    from lieint_jax.ensemble import compiler_options
-
-    def run(step: Any, states: Any, dt: Any, n: Any) -> Any:
-        def body(_: Any, carry: Any) -> Any:
-            states, info = jax.vmap(lambda z: step(z, dt))(carry[0])
-            return states, carry[1] & info.converged
-
-        return jax.lax.fori_loop(0, n, body, (states, jax.numpy.ones(len(states.q), bool)))
-
-    return jax.jit(run, compiler_options=compiler_options() if wide else {})
+    return Solver(f"ours, {rule}", advance)
 
 
 def diffrax_solver(body: Any, name: str, tolerance: float | None, dt: float) -> Solver:

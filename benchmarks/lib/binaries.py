@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 from lib import peers, taylor
 from lib.contest import Contestant, race
-from lib.measure import BATCH, WATCHED, States, by_ensemble
+from lib.measure import BATCH, WATCHED, States, ours
 from lib.precision import Curve, Sizes, flowed, growing, points_of, records
 from lib.taylor import cross, dot, rotate
 from scipy.integrate import solve_ivp
@@ -164,7 +164,7 @@ def of_ours(alone: bool) -> list[Curve]:
     turns = make.preprocessed(system.free, 10)
 
     def curve(name: str, step: li.Step, first: int, points: int, factor: float = 2**0.5) -> Curve:
-        made = partial(looped, name, step) if alone else partial(by_ensemble, name, step)
+        made = partial(looped, name, step) if alone else partial(ours, name, step)
         return Curve(name, "ours", made, growing(first, points, factor))
 
     return [
@@ -271,7 +271,7 @@ def growth_with_systems(counts: Sequence[int], seconds: float) -> list[dict[str,
         states = li.State(jnp.asarray(q), jnp.asarray(p))
         info = li.StepInfo(jnp.zeros(count), jnp.ones(count, bool))
         record = _cost((step, states, info, 0.01), seconds)
-        contestant = by_ensemble("", step, 0.01)
+        contestant = ours("", step, 0.01)
         steps = max(4, round(seconds / record["seconds"]))
         [timing] = race([contestant], q, p, [steps], 3)
         found.append({"systems": count, **record, "ensemble_seconds": min(timing.later) / steps})

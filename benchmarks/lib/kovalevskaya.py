@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from lib import measure, peers
 from lib.contest import Contestant
-from lib.measure import WATCHED, WIDE
+from lib.measure import WATCHED
 
 import lieint_jax as li
 from lieint_jax.systems._heavy_top import kovalevskaya, kovalevskaya_integral
 
 _DT, _SAVES = 0.01, 200  # step size of the energy-momentum scheme; saved states of a run
-_ENERGY_MOMENTUM = "ours, energy-momentum, cayley κ" + WIDE
+_ENERGY_MOMENTUM = "ours, energy-momentum, cayley κ"
 
 
 def at_equal_cost(rates: list[dict[str, Any]], end: float) -> list[dict[str, Any]]:
@@ -44,8 +44,8 @@ def _methods() -> dict[str, Callable[[float], Contestant]]:
     make = li.schemes
     steps = {
         _ENERGY_MOMENTUM: make.top_energy_momentum(top),
-        "ours, splitting" + WIDE: make.splitting(top),
-        "ours, splitting, order 4" + WIDE: make.compose(make.splitting(top), 4),
+        "ours, splitting": make.splitting(top),
+        "ours, splitting, order 4": make.compose(make.splitting(top), 4),
     }
     inertia, weight = top.inertia.tolist(), top.potential.weight.tolist()
     return {name: partial(_ours, name, step) for name, step in steps.items()} | {
@@ -55,7 +55,7 @@ def _methods() -> dict[str, Callable[[float], Contestant]]:
 
 
 def _ours(name: str, step: li.Step, dt: float) -> Contestant:
-    return measure.ours(name, step, dt, wide=True)
+    return measure.ours(name, step, dt)
 
 
 def _drifts(contestant: Contestant, dt: float, end: float) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from lib import cpp, peers
 from lib.contest import Contestant, Timing, race, steps_lasting
 
@@ -74,44 +73,14 @@ def body(dtype: str = "float64") -> RigidBody:
     return li.systems.rigid_body(np.asarray(INERTIA, dtype))
 
 
-def midpoint(kappa: Kappa, dtype: str = "float64", wide: bool = False) -> Contestant:
+def midpoint(kappa: Kappa, dtype: str = "float64") -> Contestant:
     """The paper's scheme at dt = DT."""
     step = li.schemes.so3_midpoint(body(dtype), kappa)
     pace = {"symplectic": 9e7, "cayley": 4e7}.get(kappa.name, 2e7)
-    return ours(f"ours, {kappa.name} κ" + (WIDE if wide else ""), step, DT, wide, pace)
+    return ours(f"ours, {kappa.name} κ", step, DT, pace=pace)
 
 
-def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7, t: float | None = None) -> Contestant:
-    """A step as a contestant: `integrate`, vmapped and jitted, with the batch split over all devices.
-
-    With `t` given, runs start at that time, which all bodies share.
-    """
-    dtype = str(jax.tree.leaves(step.system)[0].dtype)
-    split = NamedSharding(Mesh(np.array(jax.devices()), ("bodies",)), PartitionSpec("bodies"))
-
-    @partial(jax.jit, static_argnums=1, compiler_options=compiler_options() if wide else {})
-    def run(states: li.State, n: int) -> tuple[li.State, li.StepInfo]:
-        start = None if t is None else jnp.asarray(t, dtype)
-        trajectory = jax.vmap(lambda z: li.integrate(step, z._replace(t=start), dt, n, save_every=n))(states)
-        return jax.tree.map(lambda leaf: leaf[:, -1], (trajectory.state, trajectory.info))
-
-    def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, li.StepInfo]:
-        info = li.StepInfo(jnp.zeros(len(q), dtype), jnp.ones(len(q), bool))
-        return jax.device_put((_state(q, p, dtype), info), split)
-
-    def advance(states: tuple[li.State, li.StepInfo], num_steps: int) -> tuple[li.State, li.StepInfo]:
-        return jax.block_until_ready(run(states[0], num_steps))
-
-    def read(states: tuple[li.State, li.StepInfo]) -> tuple[np.ndarray, np.ndarray]:
-        return np.asarray(states[0].q), np.asarray(states[0].p)
-
-    def info(states: tuple[li.State, li.StepInfo]) -> tuple[float, bool]:
-        return float(states[1].residual.max()), bool(states[1].converged.all())
-
-    return Contestant(name, dtype, pace, load, advance, read, info)
-
-
-def by_ensemble(
+def ours(
     name: str,
     step: li.Step,
     dt: float,
@@ -123,22 +92,43 @@ def by_ensemble(
 
     With `times`, number of steps ↦ step boundaries, those are taken in place of steps of dt.
     """
+    dtype = str(jax.tree.leaves(step.system)[0].dtype)
 
     def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, Any]:
-        return start(li.State(jnp.asarray(q), jnp.asarray(p))), None
+        return start(_state(q, p, dtype)), None
 
     def advance(states: tuple[li.State, Any], num_steps: int) -> tuple[li.State, Any]:
         given: dict[str, Any] = {"dt": dt, "num_steps": num_steps} if times is None else {"times": times(num_steps)}
         run = ensemble.run(step, states[0], **given, progress=False)
         return jax.tree.map(lambda x: x[-1], (run.state, run.info))
 
-    def read(states: tuple[li.State, Any]) -> tuple[np.ndarray, np.ndarray]:
-        return np.asarray(states[0].q), np.asarray(states[0].p)
+    return Contestant(name, dtype, pace, load, advance, _read, _info)
 
-    def info(states: tuple[li.State, Any]) -> tuple[float, bool]:
-        return float(np.max(states[1].residual)), bool(np.all(states[1].converged))
 
-    return Contestant(name, "float64", pace, load, advance, read, info)
+def vmapped(name: str, step: li.Step, dt: float, pace: float = 1e7) -> Contestant:
+    """A step in a custom program, `jax.jit` of a vmapped `integrate`, which XLA compiles for each number of steps."""
+    dtype = str(jax.tree.leaves(step.system)[0].dtype)
+
+    @partial(jax.jit, static_argnums=1, compiler_options=compiler_options())
+    def run(states: li.State, n: int) -> tuple[li.State, li.StepInfo]:
+        trajectory = jax.vmap(lambda z: li.integrate(step, z, dt, n, save_every=n))(states)
+        return jax.tree.map(lambda leaf: leaf[:, -1], (trajectory.state, trajectory.info))
+
+    def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, Any]:
+        return _state(q, p, dtype), None
+
+    def advance(states: tuple[li.State, Any], num_steps: int) -> tuple[li.State, Any]:
+        return jax.block_until_ready(run(states[0], num_steps))
+
+    return Contestant(name, dtype, pace, load, advance, _read, _info)
+
+
+def _read(states: tuple[li.State, Any]) -> States:
+    return np.asarray(states[0].q), np.asarray(states[0].p)
+
+
+def _info(states: tuple[li.State, Any]) -> tuple[float, bool]:
+    return float(np.max(states[1].residual)), bool(np.all(states[1].converged))
 
 
 def contestants(missing: list[str]) -> list[Contestant]:
@@ -148,8 +138,9 @@ def contestants(missing: list[str]) -> list[Contestant]:
         for form in ("newton", "scalar"):
             makers.append(("C++", partial(cpp.symplectic, form, INERTIA, DT, dtype)))
         for kappa in KAPPAS:
-            for wide in (False, True):
-                makers.append(("ours", partial(midpoint, kappa, dtype, wide)))
+            makers.append(("ours", partial(midpoint, kappa, dtype)))
+        custom = li.schemes.so3_midpoint(body(dtype), kappa_symplectic)
+        makers.append(("ours", partial(vmapped, "ours, symplectic κ, custom jax.vmap", custom, DT, 9e7)))
         for peer in (peers.tsit5, peers.dopri8):
             makers.append(("diffrax", partial(peer, INERTIA, DT, dtype)))
     makers.append(("MuJoCo", partial(peers.mujoco_rk4, INERTIA, DT)))
@@ -178,7 +169,7 @@ def everything(sizes: Sizes) -> dict[str, Any]:
     return {
         "machine": machine(),
         "rates": [r for b in sizes.batches for r in rates(entries if b == BATCH else same_scheme, b, sizes)],
-        "quality": [quality(c, exact, sizes, body()) for c in entries if WIDE not in c.name],
+        "quality": [quality(c, exact, sizes, body()) for c in entries],
         "agreement": agreement(same_scheme),
         "reference_doubt": doubt,
         "notes": notes,
@@ -202,10 +193,9 @@ def _version(package: str) -> str | None:
 
 
 def our_rates(sizes: Sizes) -> list[dict[str, Any]]:
-    """Rates of our symplectic step alone, for batches that divide evenly among the devices."""
-    entries = [midpoint(kappa_symplectic, dtype, wide) for dtype in DTYPES for wide in (False, True)]
-    devices = len(jax.devices())
-    return [r for b in sizes.batches if b >= devices for r in rates(entries, b - b % devices, sizes)]
+    """Rates of our symplectic step alone."""
+    entries = [midpoint(kappa_symplectic, dtype) for dtype in DTYPES]
+    return [r for b in sizes.batches for r in rates(entries, b, sizes)]
 
 
 def rates(

@@ -46,8 +46,8 @@ Ours = Callable[..., Curve]  # (name, kind, step, counts) ↦ curve
 
 
 def ours(name: str, kind: str, step: li.Step, counts: Sequence[int], **how: Any) -> Curve:
-    """A curve of ours through `ensemble.run`, `how` as in `measure.by_ensemble`."""
-    return Curve(name, kind, partial(measure.by_ensemble, name, step, **how), counts, rough=kind == ROUGH)
+    """A curve of ours through `ensemble.run`, `how` as in `measure.ours`."""
+    return Curve(name, kind, partial(measure.ours, name, step, **how), counts, rough=kind == ROUGH)
 
 
 # stages, or order, or (stages, sweeps), or (order, increments), and the number of steps to begin with, in units
@@ -105,7 +105,7 @@ def free_body_soon() -> Problem:
     base = make.so3_midpoint(body)
 
     def curve(name: str, kind: str, step: li.Step, counts: Sequence[int]) -> Curve:
-        return Curve(name, kind, partial(measure.ours, name, step, wide=True), counts)
+        return Curve(name, kind, partial(measure.vmapped, name, step), counts)
 
     mine = [
         curve("κ symplectic", ORDER_2, base, growing(50, 3, 4)),

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from lib import measure, peers, precision, taylor, tops
 from lib.contest import Contestant
-from lib.measure import BATCH, DT, INERTIA, WATCHED, by_ensemble
+from lib.measure import BATCH, DT, INERTIA, WATCHED
 from lib.precision import TOLERANCES, Curve, flowed, growing, points_of
 from scipy.integrate import solve_ivp
 
@@ -53,7 +53,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
     """All contestants at dt = DT; a note on each one whose package is not installed is appended to `missing`."""
     top, body = (li.schemes.splitting(system) for system in (tops.top(), satellite()))
     makers: list[tuple[str, Callable[[], Contestant]]] = [
-        ("ours", partial(by_ensemble, name, step, DT, start, pace))
+        ("ours", partial(measure.ours, name, step, DT, start, pace))
         for name, step, start, pace in (
             (TOP, top, lambda z: z, 4e7),
             (SHARED, body, shared, 3e7),
@@ -74,7 +74,7 @@ def curves() -> list[Curve]:
     steps += [(f"splitting, order {n}", make.compose(splitting, n), growing(180, 8)) for n in (4, 6, 8)]
     steps += [("energy-momentum, order 4", make.compose(kept, 4), growing(240, 5))]
     ours = [
-        Curve(name, "ours", partial(measure.ours, name, step, wide=True, t=0.0), counts) for name, step, counts in steps
+        Curve(name, "ours", partial(measure.ours, name, step, start=shared), counts) for name, step, counts in steps
     ]
     tsit5, dopri8 = (peers.diffrax_of(name, body, whole=True) for name in ("Tsit5", "Dopri8"))
     return [

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from lib import cpp, kovalevskaya, measure, peers, precision
 from lib.contest import Contestant
-from lib.measure import BATCH, DT, END, INERTIA, KAPPAS, WATCHED, WIDE
+from lib.measure import BATCH, DT, END, INERTIA, KAPPAS, WATCHED
 from lib.precision import Curve, Problem, growing
 
 import lieint_jax as li
@@ -41,8 +41,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
         ("C++", partial(cpp.top, scheme, INERTIA, WEIGHT, DT)) for scheme in ("splitting", "energy_momentum")
     ]
     for name, (step, pace) in schemes().items():
-        for wide in (False, True):
-            makers.append(("ours", partial(measure.ours, f"ours, {name}{WIDE * wide}", step, DT, wide, pace)))
+        makers.append(("ours", partial(measure.ours, f"ours, {name}", step, DT, pace=pace)))
     for peer in (peers.tsit5, peers.dopri8):
         makers.append(("diffrax", partial(peer, INERTIA, DT, weight=WEIGHT)))
     makers.append(("MuJoCo", partial(peers.mujoco_rk4, INERTIA, DT, WEIGHT)))
@@ -58,8 +57,8 @@ def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
     pairs = [
         [c for c in entries if c.name in names]
         for names in (
-            ("C++ splitting", "ours, splitting", "ours, splitting" + WIDE),
-            ("C++ energy-momentum", "ours, energy-momentum, cayley κ", "ours, energy-momentum, cayley κ" + WIDE),
+            ("C++ splitting", "ours, splitting"),
+            ("C++ energy-momentum", "ours, energy-momentum, cayley κ"),
         )
     ]
     rates = measure.rates(entries, BATCH, sizes)
@@ -68,7 +67,7 @@ def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
         "accuracy": precision.measured(accuracy(), points, notes),
         "rates": rates,
         "equal_cost": kovalevskaya.at_equal_cost(rates, sizes.drift_steps / 10),
-        "quality": [measure.quality(c, exact, sizes, top()) for c in entries if WIDE not in c.name],
+        "quality": [measure.quality(c, exact, sizes, top()) for c in entries],
         "agreement": [r for same in pairs for r in measure.agreement(same, ("float64",))],
         "reference_doubt": doubt,
         "notes": notes,
@@ -99,4 +98,4 @@ def accuracy() -> Problem:
 
 
 def _ours(name: str, kind: str, step: li.Step, counts: Sequence[int]) -> Curve:
-    return Curve(name, kind, partial(measure.ours, name, step, wide=True), counts)
+    return Curve(name, kind, partial(measure.ours, name, step), counts)
