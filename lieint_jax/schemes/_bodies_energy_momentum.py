@@ -18,13 +18,14 @@ which is never negative. The forces balance at x̄, so P and L are still conserv
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import ArrayLike
+from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import vec3
@@ -90,7 +91,7 @@ class BodiesEnergyMomentum(Step):
 
     Attributes:
         system: bodies in a potential, with dissipation or without.
-        iterations: the most iterations of a step.
+        iterations: the most iterations of a step in float64.
     """
 
     system: AbstractRigidBodies | AbstractDissipativeBodies
@@ -104,7 +105,7 @@ class BodiesEnergyMomentum(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
-        ends, change = _solve(equation, self.iterations)
+        ends, change = _solve(equation, _iterations_at_precision(self.iterations, state.p.dtype))
         force, lost = equation.force(ends), equation.dissipation(ends)[1]
         good = change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)
         good &= jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
@@ -138,7 +139,10 @@ def bodies_energy_momentum(
     Args:
         system: `systems.rigid_bodies(...)`. A plain function as its potential is evaluated at the positions and
             attitudes relative to the first body; it must be smooth also for matrices near rotations.
-        iterations: the most iterations of a step; a near-collision that needs more reports `converged=False`.
+        iterations: the most iterations of a step in float64, and for fewer digits in proportion: a near-collision that
+            needs more reports `converged=False`. The default requires each iteration to halve the error on average. A
+            larger number accepts slower convergence, which may end at another solution of the equations than the one
+            that begins at Δt = 0.
 
     Raises:
         ValueError: the system is not of bodies in a potential, the potential is not invariant under rigid motions of
@@ -218,6 +222,11 @@ class _Equation(NamedTuple):
         return _Ends(
             self.dt / bodies.masses[:, None] * p[:, :3], jax.vmap(half_turn)(bodies.inertias, q[:, 3:], p[:, 3:])
         )
+
+
+def _iterations_at_precision(iterations: int, dtype: DTypeLike) -> int:
+    """The iterations that need the same contraction for full precision as `iterations` do in float64."""
+    return math.ceil(iterations * math.log(jnp.finfo(dtype).eps) / math.log(jnp.finfo(jnp.float64).eps))
 
 
 def _solve(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:

@@ -406,9 +406,12 @@ def constant_q(G, m, R, k2, Q, threshold):
     return li.tides.constant_q(G, m, R, k2, Q=Q, threshold=threshold)
 
 
-def ellipsoids(m, axes, G):
-    pair = [li.shapes.ellipsoid(a, mass=mass) for a, mass in zip(axes, m, strict=True)]
-    return schemes.splitting(systems.rigid_bodies(pair, pair, li.potentials.mutual_gravity(G, pair, 4)))
+def ellipsoids(make):
+    def made(m, axes, G):
+        pair = [li.shapes.ellipsoid(a, mass=mass) for a, mass in zip(axes, m, strict=True)]
+        return make(systems.rigid_bodies(pair, pair, li.potentials.mutual_gravity(G, pair, 4)))
+
+    return made
 
 
 def molecules(make):
@@ -484,7 +487,8 @@ ATTACKS = {  # how cases are made, and the step of one; which invariants: the en
     "bodies_energy_momentum, friction": (_rubbing, rubbing, "HP"),
     "bodies_energy_momentum, constant lag": (_tidal, tidal(li.tides.constant_lag), "HP"),
     "bodies_energy_momentum, constant Q": (_tidal_q, tidal(constant_q), "HP"),
-    "splitting, mutual gravity": (_shapes, ellipsoids, "P"),
+    "splitting, mutual gravity": (_shapes, ellipsoids(schemes.splitting), "P"),
+    "bodies_energy_momentum, mutual gravity": (_shapes, ellipsoids(schemes.bodies_energy_momentum), "HP"),
     "splitting, molecules": (_molecules, molecules(schemes.splitting), "P"),
     "bodies_energy_momentum, molecules": (_molecules, molecules(schemes.bodies_energy_momentum), "HP"),
 }
