@@ -209,7 +209,8 @@ def constant_q(
 
     Example:
         >>> import lieint_jax as li
-        >>> tide = li.tides.constant_q(1.0, [1.0, 0.1], [0.3, 0.1], [0.3, 0.0], Q=100.0, threshold=0.01)
+        >>> masses, radii, k2 = [1.0, 0.1], [0.3, 0.1], [0.3, 0.0]
+        >>> tide = li.tides.constant_q(1.0, masses, radii, k2, Q=100.0, threshold=0.01)
         >>> float(tide.lags[0])
         0.5
 

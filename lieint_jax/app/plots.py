@@ -98,6 +98,15 @@ def caption(fig: Figure, text: str) -> None:
     fig.supxlabel(textwrap.fill(text, characters), fontsize=matplotlib.rcParams["legend.fontsize"])
 
 
+def legend_below(axes: np.ndarray) -> None:
+    """Replace the legends of several panels by one below the figure, so that it covers no curve."""
+    shown = {label: handle for ax in axes.flat for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    for ax in axes.flat:
+        if ax.get_legend():
+            ax.get_legend().remove()
+    axes.flat[0].figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=2)
+
+
 def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
     """Plot at most eight curves against time, each in its own color, dashes and marker. Masked values are left out."""
     _check_number(curves)

@@ -148,7 +148,8 @@ def equilibrium(
     Example:
         >>> import lieint_jax as li
         >>> satellite = li.systems.gravity_gradient([1.0, 2.0, 2.5], li.orbits.kepler(1.0, 1.0, 0.0))
-        >>> found = li.equilibrium(satellite, satellite.state(angular_velocity=[0.1, 0.0, 0.9], t=0.0))
+        >>> guess = satellite.state(angular_velocity=[0.1, 0.0, 0.9], t=0.0)
+        >>> found = li.equilibrium(satellite, guess)
         >>> round(float(satellite.angular_velocity(found.state)[2]), 6)
         1.0
 

@@ -175,7 +175,8 @@ def group_potential(
 
     Example:
         >>> from lieint_jax import groups
-        >>> weight = group_potential(groups.special_euclidean(2), [1.0, 2.0, 2.0], lambda q: 9.81 * 2.0 * q[1, 2])
+        >>> plane = groups.special_euclidean(2)
+        >>> weight = group_potential(plane, [1.0, 2.0, 2.0], lambda q: 9.81 * 2.0 * q[1, 2])
         >>> weight.force(weight.state(velocity=[0.0, 0.0, 0.0]).q).tolist()
         [-0.0, -0.0, -19.62]
     """

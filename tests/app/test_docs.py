@@ -1,5 +1,6 @@
 """The pages of the site are true: their Python runs and prints what they show, their commands and scenarios parse."""
 
+import ast
 import contextlib
 import io
 import re
@@ -41,6 +42,16 @@ def test_the_python_of_a_page_runs_and_prints_the_shown_output(name, tmp_path, m
             if next_language == "text":
                 assert words(printed.getvalue()) == words(shown)
     assert jax.config.jax_enable_x64
+
+
+@pytest.mark.parametrize("name", PYTHON)
+def test_the_python_of_a_page_can_be_pasted_at_the_prompt(name):
+    """Before Python 3.13 the prompt needs a blank line between a compound statement and the next one."""
+    for language, code in PYTHON[name]:
+        if language == "python":
+            lines, statements = code.splitlines(), ast.parse(code).body
+            compound = [x for x in statements[:-1] if isinstance(x, ast.For | ast.While | ast.With | ast.If | ast.Try)]
+            assert not [lines[x.lineno - 1] for x in compound if lines[x.end_lineno].strip()]
 
 
 def test_outputs_are_compared_by_their_words_and_rounded_numbers():

@@ -60,7 +60,7 @@ def test_the_moon_recedes_as_measured():
 
 @pytest.mark.long
 def test_pluto_and_charon_end_locked():
-    """Observed 1e-6 off in the periods, which still fall, and 4e-13 in the energy with what was lost."""
+    """Observed 1e-6 off in the periods, which still fall, and 4e-13 in the energy plus the energy lost."""
     scenario = scenarios.load("pluto_charon")
     step, found = run(scenario, num_steps=scenario.steps, save_every=scenario.save_every)
     seen = tides.course(scenario, found)

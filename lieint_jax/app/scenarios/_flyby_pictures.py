@@ -25,7 +25,7 @@ def draw_map(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) 
     shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
     before = found.mapped.before
     panels = (
-        ("effective spin rate $2H/|L|$ over that before", x.rate, "PuOr_r", (0.5, 0.6, 0.75, 1, 1.25, 1.5, 2), True),
+        ("effective spin rate $2H/|L|$ over that before", x.rate, "PuOr_r", (0.5, 0.75, 1, 1.25, 1.5, 2), True),
         (
             f"precession period $P_\\phi$ (h); before {before.precession[0]:.2f}",
             after.precession,
@@ -114,13 +114,13 @@ def draw_after(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory
     fig = axes[0].figure
     axes[5].remove()
     _draw_poles(fig.add_subplot(2, 3, 6, projection="polar"), before, after)
-    fig.suptitle(f"{scenario.title}: {len(after.rate)} members, phases uniform")
+    fig.suptitle(f"{scenario.title}: {len(after.rate)} members, uniform phases; the highest 1 % not shown")
 
 
 def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     """Plot the poles on the sky about the nearer pole of the ecliptic."""
     side = np.sign(before.pole[0, 2]) or 1.0
-    for outcome, color, label in ((after, plots.RED, "after"), (before, plots.BLUE, "before")):
+    for outcome, color, label in ((after, plots.WINE, "after"), (before, plots.GREEN, "before")):
         longitude, latitude = longitude_latitude(outcome.pole)
         ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=color, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=color, label=label)
@@ -149,10 +149,13 @@ def draw_sensitivity(axes: np.ndarray, scenario: Scenario, step: Step, run: Traj
         "latitude": "pole's latitude",
     }
     sizes = {name: sigma for name, (_, _, sigma) in unknowns(scenario).items() if sigma > 0}
-    for ax, k, label in ((axes[0], 0, "change of $P_\\phi$ (h)"), (axes[1], 1, "change of $P_\\psi$ (h)")):
-        shown = [np.maximum(abs(found.slopes[name][:, k]) * sizes[name], 1e-12) for name in names if name in sizes]
+    for ax, k, label in (
+        (axes[0], 0, "change of $P_\\phi$ after the passage (h)"),
+        (axes[1], 1, "change of $P_\\psi$ after the passage (h)"),
+    ):
+        changes = [abs(found.slopes[name][:, k]) * sizes[name] for name in names if name in sizes]
         ax.boxplot(
-            shown,
+            [x[x > 0] for x in changes],  # a logarithmic axis has no zero
             orientation="horizontal",
             whis=(5, 95),
             showfliers=False,
@@ -161,6 +164,9 @@ def draw_sensitivity(axes: np.ndarray, scenario: Scenario, step: Step, run: Traj
         )
         ax.invert_yaxis()
         ax.set_xscale("log")
-        ax.set_xlabel(f"{label}, 1 sigma of the unknown")
+        ax.set_xlabel(label)
     axes[1].set_yticklabels([])
-    axes[0].figure.suptitle("To first order, over all phases: 5 %, quartiles and 95 %")
+    axes[0].figure.suptitle(
+        f"{scenario.title}: effect of one standard deviation of each unknown\n"
+        "to first order, over all phases: median, quartiles, 5 % and 95 %"
+    )

@@ -183,9 +183,11 @@ def _misfit(x: Quantity, published: Published) -> str:
         found.append(f"The nominal member differs from the published value by {by}{sign}.")
     if x.spread > published.error:
         low, middle, high = np.percentile(x.values, (16, 50, 84))
+        ratio = f"{x.spread / published.error:.2g}"
+        size = "as large as" if ratio == "1" else f"{ratio} times"
         found.append(
-            f"The members' spread is {x.spread / published.error:.2g} times the published error and follows from "
-            f"their assumed deviations: the median is {middle:.4f}, and 68 % of them lie from {low:.4f} to {high:.4f}."
+            f"The members' spread is {size} the published error and follows from their "
+            f"assumed deviations: the median is {middle:.4f}, and 68 % of them lie from {low:.4f} to {high:.4f}."
         )
     return " ".join([*found, published.remark] if found else [])
 

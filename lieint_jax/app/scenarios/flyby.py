@@ -142,7 +142,7 @@ def _expectations(scenario: Scenario, found: Study) -> list[str]:
     lines = ["\n  published expectations, and the members of the run"] if scenario.expected else []
     for expected in scenario.expected:
         lines += [f"  {expected.claim}  ({scenario.source(expected.source)})"]
-        lines += textwrap.wrap(ours[expected.quantity], 112, initial_indent="    here: ", subsequent_indent="    ")
+        lines += textwrap.wrap(ours[expected.quantity], 116, initial_indent="    here: ", subsequent_indent="    ")
     return lines
 
 

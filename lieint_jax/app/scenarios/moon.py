@@ -384,8 +384,7 @@ def draw_section(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajecto
     for m in np.flatnonzero(~chaotic):
         left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=_COLORS[m % len(_COLORS)])
     left.set_ylabel("spin rate θ̇ / n")
-    left.set_title("surface of section at pericenter:\na dot at every pericenter")
-    left.legend(handles=_legend(), frameon=True, loc="upper right")
+    left.set_title("surface of section at pericenter; gray: chaotic\nmotions, colors: regular motions, one each")
     names = ("in the plane", "out of the plane: the spin axis leaves its normal")
     scale = {"vmin": 0, "vmax": found.section.max(), "cmap": "magma"}
     images = []
@@ -415,17 +414,6 @@ def section(scenario: Scenario, state: State) -> tuple[np.ndarray, np.ndarray]:
     return np.where(theta > np.pi - _ROUND_OFF, 0.0, theta), p[..., 2] / scenario.inertia[2]
 
 
-def _legend() -> list[Any]:
-    """The legend of the section."""
-    from matplotlib.lines import Line2D
-
-    dot = {"marker": "o", "ls": "", "ms": 4}
-    return [
-        Line2D([], [], color=plots.GRAY, label="chaotic motions", **dot),
-        Line2D([], [], color=_COLORS[0], label="regular motions, a color each", **dot),
-    ]
-
-
 @picture(size=lambda scenario: (8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
 def draw_observed(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the largest exponents of the members about each observed state."""
@@ -442,7 +430,9 @@ def draw_observed(axes: np.ndarray, scenario: Scenario, step: Step, run: Traject
     names = [f"{given.date}\n{given.reading}" for given in scenario.observed]
     ax.set_yticks(range(len(names)), names, fontsize="x-small")
     ax.invert_yaxis()
-    ax.set(xlabel="largest Lyapunov exponent / n", xlim=(0, None), title="the observed states")
+    n = f"the mean motion n = 2π / {scenario.period:g} {scenario.period_unit}"
+    ax.set(xlabel=f"largest Lyapunov exponent / n, with {n}", ylabel="date of the state; its principal axes")
+    ax.set(xlim=(0, None), title="the observed states, and members about each")
     ax.legend(loc="lower right")
 
 

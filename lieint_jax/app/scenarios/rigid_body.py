@@ -278,7 +278,7 @@ def draw_path(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory)
     if seen:
         plots.sky_points(ax, observed, "observed then", center, color=plots.RED, marker="x", s=60, lw=1.6, zorder=4)
         plots.caption(ax.figure, _observation_in_words(scenario, seen[0], path[-1], members))
-    legend = ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
+    legend = ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, borderpad=0.9)
     legend.legend_handles[1].set_sizes([12])  # the members' dots would be too small in the legend
     ax.set(xlabel="longitude in the axes of space", ylabel="latitude")
     ax.set_title(f"(a) the whole sky, {span}", loc="left")

@@ -169,7 +169,7 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
     P = np.asarray(run.state.p)[..., :3]
     H = _energies(scenario, step, run) + found.lost
     sizes = {
-        "energy H with what was lost": abs(H - H[0]).max() / abs(H[0]).max(),
+        "energy H plus the energy lost": abs(H - H[0]).max() / abs(H[0]).max(),
         "linear momentum P, over that of a body": abs(P.sum(axis=2)).max() / abs(P).max(),
         "angular momentum L": abs(L - L[0]).max() / abs(L[0]).max(),
     }
@@ -241,11 +241,11 @@ def draw_course(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
     found, t = course(scenario, run), np.asarray(run.t)
     _draw_distance(axes[0], t, found.distance[:, 0], scenario.time_unit)
     n = np.sqrt(_G * sum(scenario.masses_kg) / found.distance[:, 0] ** 3)
-    rates = {"first body": found.spins[:, 0, 0], "second body": found.spins[:, 0, 1], "orbit": n}
-    plots.series(axes[1], t, rates, "rate (rad/d)", scenario.time_unit)
+    rates = {"rotation, first body": found.spins[:, 0, 0], "rotation, second body": found.spins[:, 0, 1], "orbit": n}
+    plots.series(axes[1], t, rates, "angular rate (rad/d)", scenario.time_unit)
     L = (found.orbital + (_moments(scenario) * found.spins).sum(axis=-1))[:, 0]
     H = (_energies(scenario, step, run) + found.lost)[:, 0]
-    curves = {"L": L / L[0] - 1, "H with what was lost": H / H[0] - 1}
+    curves = {"angular momentum L": L / L[0] - 1, "energy H plus the energy lost": H / H[0] - 1}
     plots.log_error(axes[2], t, curves, "relative change", scenario.time_unit)
 
 

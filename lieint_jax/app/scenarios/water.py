@@ -187,7 +187,7 @@ def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     return lines
 
 
-@picture(2)
+@picture(2, sharey=True)
 def draw_errors(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the errors of H, P and L of the nominal droplet by the splitting and by the energy–momentum scheme."""
     both = [step_of(step.system, name, scenario.order) for name in ("splitting", "bodies_energy_momentum")]
@@ -196,7 +196,11 @@ def draw_errors(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
         axes, found.values(), ("splitting, symplectic", "energy–momentum scheme"), strict=True
     ):
         plots.log_error(ax, t, errors, "relative change", "ps")
-        ax.set(title=title, ylim=(1e-17, 1))
+        ax.set_title(title)
+    largest = max(float(x.max()) for errors in found.values() for x in errors.values())
+    axes[0].set_ylim(1e-17, max(10 * largest, 1e-13))
+    axes[1].set_ylabel("")
+    plots.legend_below(axes)
 
 
 @picture(3, spatial=(0,))
