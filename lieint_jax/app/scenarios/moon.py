@@ -385,7 +385,7 @@ def draw_section(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajecto
         left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=_COLORS[m % len(_COLORS)])
     left.set_ylabel("spin rate θ̇ / n")
     left.set_title("surface of section at pericenter:\na dot at every pericenter")
-    left.legend(handles=_legend(), frameon=True, loc="upper right")
+    left.legend(handles=_legend(), frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.11), ncols=2)
     names = ("in the plane", "out of the plane: the spin axis leaves its normal")
     scale = {"vmin": 0, "vmax": found.section.max(), "cmap": "magma"}
     images = []
