@@ -56,8 +56,13 @@ def _draw_spectrum(ax: Axes, found: SatelliteFit) -> None:
         ax.annotate(f"{name} ", (value, 0.94), xycoords=("data", "axes fraction"), ha="right", fontsize="small")
     for peak in (p.frequency for p in found.search.peaks[:7]):
         j, k, _off = find_combination(peak, true, HARMONICS, 1 / found.curve.t[-1])
-        height = 100 * np.interp(peak, f, power)
-        ax.annotate(_pair_name(j, k), (peak, height), ha="center", va="bottom", fontsize="xx-small")
+        step = f[1] - f[0]
+        top = (peak, 100 * power[np.abs(f - peak) < 1.5 * step].max())
+        near_line = np.abs(peak - true).min() < 0.03 * np.ptp(f)  # there the label is drawn to the right of the line
+        x, side = (3, "left") if near_line else (0, "center")
+        ax.annotate(
+            _pair_name(j, k), top, (x, 2), textcoords="offset points", ha=side, va="bottom", fontsize="xx-small"
+        )
     ax.set(xlabel="frequency (1/min)", ylabel="variance explained (%)", ylim=(0, 115 * power.max()))
     note = "f, g: true precession, rotation\n(j, k): the simplest jf + kg"
     ax.text(0.97, 0.95, note, transform=ax.transAxes, ha="right", va="top", fontsize="x-small")
