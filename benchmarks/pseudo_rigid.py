@@ -159,6 +159,8 @@ def curve(name: str, solvers: list[Solver], exact: np.ndarray) -> dict[str, Any]
 
 def ours(body: Any, rule: Any, dt: float = DT, order: int = 2) -> Solver:
     """Our step, composed beyond order 2, by whole calls of `ensemble.run`."""
+    import jax
+
     import lieint_jax as li
 
     step = li.schemes.additive(body, rule)
@@ -166,7 +168,9 @@ def ours(body: Any, rule: Any, dt: float = DT, order: int = 2) -> Solver:
         step = li.schemes.compose(step, order)
 
     def advance(F: np.ndarray, P: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        run = li.ensemble.run(step, li.State(F, P), dt, round(t / dt), progress=False)
+        run = li.ensemble.run(
+            step, li.State(jax.numpy.asarray(F), jax.numpy.asarray(P)), dt, round(t / dt), progress=False
+        )
         return np.asarray(run.state.q[-1]), np.asarray(run.state.p[-1]), np.asarray(run.info.converged[-1])
 
     return Solver(f"ours, {rule}", advance)
