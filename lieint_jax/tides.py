@@ -191,7 +191,7 @@ def constant_q(
     The law of `constant_lag` with the lag Δt_k = 1/(2Q√(σ_k² + σ₀²)), σ_k = |v − ω_k × r|/r: a friction whose size does
     not depend on the speed, but for rates below the threshold σ₀. There the lag is 1/(2Qσ₀), so that bodies that show
     each other one face are at rest relative to one another and the law is smooth. As the law is −A_k u_k with A_k ≥ 0
-    for any lag, linear and angular momentum and the energy with what was lost are conserved as well. On a circular
+    for any lag, linear and angular momentum and the energy plus the energy lost are conserved as well. On a circular
     orbit in the plane of the equator ȧ = ±3 (k₂/Q)(m/M)(R/a)⁵ na, to (σ₀/σ)²/2 of it.
 
     On an eccentric orbit one bulge that lags by a constant angle is a convention: only a constant lag in time follows

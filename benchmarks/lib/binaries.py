@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 from lib import peers, taylor
 from lib.contest import Contestant, race
-from lib.measure import BATCH, WATCHED, States, ours
+from lib.measure import BATCH, WATCHED, States, ours, read_states, solve_info
 from lib.precision import Curve, Sizes, flowed, growing, points_of, records
 from lib.taylor import cross, dot, rotate
 from scipy.integrate import solve_ivp
@@ -73,13 +73,7 @@ def looped(name: str, step: li.Step, dt: float) -> Contestant:
     def advance(states: tuple[li.State, li.StepInfo], num_steps: int) -> tuple[li.State, li.StepInfo]:
         return jax.block_until_ready(_loop(step, *states, dt, num_steps))
 
-    def read(states: tuple[li.State, li.StepInfo]) -> tuple[np.ndarray, np.ndarray]:
-        return np.asarray(states[0].q), np.asarray(states[0].p)
-
-    def info(states: tuple[li.State, li.StepInfo]) -> tuple[float, bool]:
-        return float(states[1].residual.max()), bool(states[1].converged.all())
-
-    return Contestant(name, "float64", 1e5, load, advance, read, info)
+    return Contestant(name, "float64", 1e5, load, advance, read_states, solve_info)
 
 
 @partial(jax.jit, compiler_options=compiler_options())

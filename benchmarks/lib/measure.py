@@ -102,7 +102,7 @@ def ours(
         run = ensemble.run(step, states[0], **given, progress=False)
         return jax.tree.map(lambda x: x[-1], (run.state, run.info))
 
-    return Contestant(name, dtype, pace, load, advance, _read, _info)
+    return Contestant(name, dtype, pace, load, advance, read_states, solve_info)
 
 
 def vmapped(name: str, step: li.Step, dt: float, pace: float = 1e7) -> Contestant:
@@ -120,14 +120,16 @@ def vmapped(name: str, step: li.Step, dt: float, pace: float = 1e7) -> Contestan
     def advance(states: tuple[li.State, Any], num_steps: int) -> tuple[li.State, Any]:
         return jax.block_until_ready(run(states[0], num_steps))
 
-    return Contestant(name, dtype, pace, load, advance, _read, _info)
+    return Contestant(name, dtype, pace, load, advance, read_states, solve_info)
 
 
-def _read(states: tuple[li.State, Any]) -> States:
+def read_states(states: tuple[li.State, Any]) -> States:
+    """Configurations and momenta."""
     return np.asarray(states[0].q), np.asarray(states[0].p)
 
 
-def _info(states: tuple[li.State, Any]) -> tuple[float, bool]:
+def solve_info(states: tuple[li.State, Any]) -> tuple[float, bool]:
+    """The largest residual so far, and whether all steps converged."""
     return float(np.max(states[1].residual)), bool(np.all(states[1].converged))
 
 

@@ -100,12 +100,15 @@ def _agreement(result: dict[str, Any]) -> str:
 
 def _bars(result: dict[str, Any]) -> str:
     double = [r for r in result["rates"] if r["bodies"] == BATCH]
-    ours, custom, newton, tsit5 = (rate(double, name) for name in (OURS, CUSTOM, NEWTON, TSIT5))
+    ours, custom, newton, scalar, tsit5 = (rate(double, name) for name in (OURS, CUSTOM, NEWTON, SCALAR, TSIT5))
     [quality] = [r for r in result["quality"] if (r["name"], r["dtype"]) == (OURS, "float64")]
     at_least = [
         ("rate ÷ C++ newton form", ours / newton, 1.3),
         ("rate ÷ C++ newton form, custom jax.vmap", custom / newton, 0.45),
+        ("rate ÷ C++ scalar form", ours / scalar, 0.45),
+        ("rate ÷ C++ scalar form, custom jax.vmap", custom / scalar, 0.45),
         ("rate ÷ diffrax Tsit5 vmapped", ours / tsit5, 15.0),
+        ("rate ÷ diffrax Tsit5 vmapped, custom jax.vmap", custom / tsit5, 15.0),
     ]
     at_most = [
         (f"energy drift over {quality['steps']} steps", quality["energy_drift"], 5e-13),

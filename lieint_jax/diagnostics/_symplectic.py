@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PhaseMatrix, Scalar
-
-_Aux = TypeVar("_Aux")
 
 
 def linearization(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:

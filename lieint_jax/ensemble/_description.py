@@ -21,7 +21,8 @@ from lieint_jax.groups import MatrixGroup
 from lieint_jax.types import Step
 
 _PACKAGE = __name__.partition(".")[0]
-_RENAMED = {  # since version 0.2
+_MOVED = {f"{_PACKAGE}.torques._older.OlderLaw": f"{_PACKAGE}.systems._shared.older_laws.OlderLaw"}  # since 0.3.0
+_RENAMED = {  # since version 0.2 or 0.3.0
     "Linear": "LinearPotential",
     "ManyFreeBodies": "FreeBodies",
     "Quadratic": "QuadraticPotential",
@@ -115,7 +116,7 @@ def _find_object(name: str, own: Mapping[str, object]) -> Any:
     """The object of a name: one of `own`, or one of this package."""
     if name in own:
         return own[name]
-    for candidate in (name, *_names_of_0_2(name)):
+    for candidate in (name, *_present_names(name)):
         module, _, attribute = candidate.rpartition(".")
         found = _import_own(candidate) or getattr(_import_own(module), attribute, None)
         if found is not None and _is_ours(found):
@@ -123,11 +124,14 @@ def _find_object(name: str, own: Mapping[str, object]) -> Any:
     raise UnknownNameError(f"{name!r} does not belong to this package: pass it as own={{{name!r}: …}}")
 
 
-def _names_of_0_2(name: str) -> Iterator[str]:
-    """The present names of an object that version 0.2 stored under this name."""
+def _present_names(name: str) -> Iterator[str]:
+    """The names that an object may have now which version 0.2 or 0.3.0 stored under this name."""
+    if name in _MOVED:
+        yield _MOVED[name]
     module, _, attribute = name.rpartition(".")
     attribute = _RENAMED.get(attribute, attribute)
     room, _, file = module.rpartition(".")
+    yield f"{module}.{attribute}"
     yield f"{room}._{file}.{attribute}"
     yield f"{room}._shared.{file.lstrip('_')}.{attribute}"
     yield f"{_PACKAGE}.app{module.removeprefix(_PACKAGE)}.{attribute}"

@@ -17,6 +17,7 @@ import lieint_jax as li
 from lieint_jax.app.command import cli, files
 from lieint_jax.ensemble._description import describe, make
 from lieint_jax.systems._pseudo_rigid_body import examples as pseudo_rigid_bodies
+from lieint_jax.systems._shared.older_laws import OlderLaw
 
 DATA = Path(__file__).parents[1] / "data"
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -86,6 +87,19 @@ def test_a_custom_function_is_requested_by_its_name():
         make(description["system"], arrays, {})
     again = make(description["system"], arrays, {name: my_wells})
     assert jax.tree.structure(again) == jax.tree.structure(top)
+
+
+@pytest.mark.parametrize(
+    ("stored", "present"),
+    [
+        ("lieint_jax.systems.heavy_top.Linear", li.systems.LinearPotential),  # by version 0.2
+        ("lieint_jax.systems._heavy_top.Linear", li.systems.LinearPotential),  # by 0.3.0, as all below
+        ("lieint_jax.torques._older.OlderLaw", OlderLaw),
+        ("lieint_jax.schemes._shared.free_bodies.FreeFlight", li.schemes.FreeFlight),
+    ],
+)
+def test_names_that_earlier_versions_stored_are_found(stored, present):
+    assert make({"name": stored}, {}, {}) is present
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def linearized(moments, dt):
         after, _ = schemes.splitting(satellite)(z, dt)
         return after._replace(q=so3.multiply(back, after.q), p=so3.Ad(back, after.p), t=z.t), None
 
-    return diagnostics._symplectic.value_and_jacobian(satellite.phase_space, step, state)[2]
+    return diagnostics.tangent.value_and_jacobian(satellite.phase_space, step, state)[2]
 
 
 def power_sums(squares):
