@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import vec3
+from lieint_jax._xla import materialized
 from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.types import Group, State, pytree, static
 from lieint_jax.types.shapes import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
@@ -34,7 +35,9 @@ class CotangentGroup:
     def perturb(self, state: State, delta: PhaseVector) -> State:
         """The state displaced by δ = (δθ, δπ), shape (2d,): (exp(δθ) q, π + δπ)."""
         d = self.group.dim
-        return state._replace(q=self.group.multiply(self.group.exp(delta[:d]), state.q), p=state.p + delta[d:])
+        q = self.group.multiply(self.group.exp(delta[:d]), state.q)
+        q = jnp.stack(materialized(q.ravel())).reshape(q.shape)  # a step from here would compute it again and again
+        return state._replace(q=q, p=state.p + delta[d:])
 
     def displacement(self, start: State, end: State) -> PhaseVector:
         """The δ, shape (2d,), with perturb(start, δ) = end, of the least δθ."""

@@ -1,11 +1,14 @@
 """All hints that the package gives to XLA beyond the formulas.
 
 A scheme consists of the equations of one body, and the machine code of ensembles (`native`) needs nothing more. XLA,
-which runs single bodies, gradients and accelerators, handles the same equations well with four exceptions.
+which runs single bodies, gradients and accelerators, handles the same equations well with these exceptions.
 
 `materialized`: On a CPU, XLA's fusion computes a shared subexpression again in each of its consumers. This is expensive
     where a long computation has a few results with many uses: without `materialized`, gradients of a batch by `exact`
     are 9 times as slow, and tangent vectors of a batch of tops 16 times. It is not used where it gains less than 20 %.
+`materialized_arrays`, `with_materialized_derivatives`: The same for whole arrays, at the end of each step: for the
+    results of `Step.tangent`, and for derivatives in forward mode through a step, which without it are 5 to 20 times as
+    slow in a batch.
 `unfused`: The same for data that all members of a batch share, such as the position on an orbit.
 `rematerialized`, with `saved` and `scan_stages`: The gradient of a long loop stores the intermediate values of its
     body, about a hundred arrays over the steps, written one number at a time. Computing a step again in the backward
@@ -20,7 +23,17 @@ which runs single bodies, gradients and accelerators, handles the same equations
 
 from lieint_jax._xla._compile import compiled
 from lieint_jax._xla._forward_mode import forward_mode
-from lieint_jax._xla._materialize import materialized, unfused
+from lieint_jax._xla._materialize import materialized, materialized_arrays, unfused, with_materialized_derivatives
 from lieint_jax._xla._rematerialize import rematerialized, saved, scan_stages
 
-__all__ = ["compiled", "forward_mode", "materialized", "rematerialized", "saved", "scan_stages", "unfused"]
+__all__ = [
+    "compiled",
+    "forward_mode",
+    "materialized",
+    "materialized_arrays",
+    "rematerialized",
+    "saved",
+    "scan_stages",
+    "unfused",
+    "with_materialized_derivatives",
+]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from jax import lax
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
 
 from lieint_jax._xla._compile import Tree
 
@@ -13,11 +15,45 @@ def materialized(numbers: Tree) -> Tree:
     XLA on CPUs has no barrier that persists until fusion, but it does not duplicate expensive operations such as
     division. So each number is divided by a 1 that is unknown at compile time and computed from the first number.
     """
-    first = numbers[0] / (1 + 0 * lax.stop_gradient(numbers[0]))
-    one = 1 + 0 * lax.stop_gradient(first)
+    first = numbers[0] / _unknown_one(numbers[0])
+    one = _unknown_one(first)
     return (first, *(x / one for x in numbers[1:]))
 
 
 def unfused(x: Tree) -> Tree:
     """The same array, which XLA computes before the operations that use it."""
     return lax.optimization_barrier(x)
+
+
+def materialized_arrays(tree: Tree) -> Tree:
+    """The same arrays of real numbers, each computed once and stored in memory; others are returned as they are."""
+    return jax.tree.map(lambda x: x / _unknown_one(x) if _is_real(x) else x, tree)
+
+
+def with_materialized_derivatives(tree: Tree) -> Tree:
+    """The same arrays, which are materialized together with their tangents where forward mode differentiates them.
+
+    XLA computes the tangent of a long function again for each of its results. Without a derivative this costs nothing.
+    """
+    return jax.tree.map(lambda x: _identity(x) if _is_real(x) else x, tree)
+
+
+@jax.custom_jvp
+def _identity(x: Array) -> Array:
+    return x
+
+
+@_identity.defjvp
+def _identity_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    (x,), (slope,) = primals, tangents
+    one = _unknown_one(x)
+    return x / one, slope / one
+
+
+def _unknown_one(x: Array) -> Array:
+    """1 in the shape of x, which the compiler cannot know, since x may be NaN."""
+    return 1 + 0 * lax.stop_gradient(x)
+
+
+def _is_real(x: Array) -> bool:
+    return jnp.issubdtype(jnp.result_type(x), jnp.floating)

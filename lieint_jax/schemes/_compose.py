@@ -29,12 +29,12 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._xla import rematerialized
+from lieint_jax._xla import materialized, rematerialized
 from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, System, clock, counts_work, pytree, static
-from lieint_jax.types.shapes import PyTree, TangentVectors
+from lieint_jax.types.shapes import TangentVectors
 
 _Carried = TypeVar("_Carried")
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
@@ -80,11 +80,10 @@ class Composition(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if self.own_time or not counts_work(state):
-            return self._compose_stages(state, self._sizes(state, dt), self.step.substep)
+            return self._compose_stages(state, (self._sizes(state, dt),), self.step.substep)
 
-        def substep_to(state: State, size_and_end: tuple[Array, Array]) -> tuple[State, StepInfo]:
+        def substep_to(state: State, h: Array, end: Array) -> tuple[State, StepInfo]:
             """A sub-step that ends at a given time to the last bit, as in a `RoundedClock`, so that no work is lost."""
-            h, end = size_and_end
             return self.step.substep(state, h + lax.stop_gradient(end - clock(state) - h))
 
         parts = np.append(np.cumsum(self.gammas)[:-1], 1)
@@ -99,7 +98,7 @@ class Composition(Step):
             end, info, T = self.step.tangent(pair[0], h, pair[1])
             return (end, T), info
 
-        (end, T), info = self._compose_stages((state, T), self._sizes(state, dt), substep_tangent)
+        (end, T), info = self._compose_stages((state, T), (self._sizes(state, dt),), substep_tangent)
         return end, info, T
 
     def _sizes(self, state: State, dt: ArrayLike) -> Array:
@@ -107,14 +106,16 @@ class Composition(Step):
         return jnp.asarray(self.gammas, state.p.dtype) * dt
 
     def _compose_stages(
-        self, start: _Carried, sub_steps: PyTree, stage: Callable[[_Carried, PyTree], tuple[_Carried, StepInfo]]
+        self, start: _Carried, sub_steps: tuple[Array, ...], stage: Callable[..., tuple[_Carried, StepInfo]]
     ) -> tuple[_Carried, StepInfo]:
-        """`start` through `stage` with each of the sub-steps, and the merged report."""
+        """`start` through `stage` with the numbers of each sub-step, and the merged report."""
 
         @rematerialized
-        def substep(carry: tuple[_Carried, StepInfo], h: PyTree) -> tuple[tuple[_Carried, StepInfo], None]:
+        def substep(
+            carry: tuple[_Carried, StepInfo], numbers: tuple[Array, ...]
+        ) -> tuple[tuple[_Carried, StepInfo], None]:
             z, worst = carry
-            z, info = stage(z, h)
+            z, info = stage(z, *materialized(numbers))  # a number that is read from an array keeps XLA from vectorizing
             return (z, worst.merge(info)), None
 
         return lax.scan(substep, (start, StepInfo.fresh(jax.tree.leaves(start)[0])), sub_steps)[0]

@@ -95,15 +95,14 @@ class SO3Midpoint(Step):
         if self.kappa.solve_by != "scalar" or not isinstance(body, AbstractFreeBody):
             return super().tangent(state, dt, T)
         J, a = scaled(body, state, dt)
-        a = materialized(a)
-        h, info = half_turn(J, jnp.stack(a), self.kappa, self.iterations)
+        h, info = half_turn(J, a, self.kappa, self.iterations)
         h = materialized(h)
 
         def propagate(tangent: Array) -> Array:
             theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
             da = materialized(scaled(body, state._replace(p=jnp.stack(p)), dt)[1])
-            turn = materialized(so3.Ad(state.q, materialized(half_turn_derivative(J, a, h, da))))
-            return jnp.stack([*add(theta, turn), *tangent[3:]])
+            dh = materialized(half_turn_derivative(J, a, h, da))
+            return jnp.stack([*add(theta, so3.Ad(state.q, dh)), *tangent[3:]])
 
         return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(propagate, -1, -1)(jnp.asarray(T))
 

@@ -22,7 +22,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._xla import materialized
 from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.schemes._exact import exact
@@ -123,11 +122,9 @@ class Splitting(Step):
             theta, pi = jnp.split(tangent, 2)
             moved = group.spatial_tangent(state.q, theta)
             slope = jax.jvp(lambda q: _force(self.system, state._replace(q=q)), (state.q,), (moved,))[1]
-            return jnp.stack([*theta, *materialized(pi + 0.5 * dt * slope)])
+            return jnp.concatenate([theta, pi + 0.5 * dt * slope])
 
-        end = self._kick(state, dt)
-        end = end._replace(p=jnp.stack(materialized(end.p)))
-        return end, jax.vmap(kick_derivative, -1, -1)(jnp.asarray(T))
+        return self._kick(state, dt), jax.vmap(kick_derivative, -1, -1)(jnp.asarray(T))
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
         return kick(self.system, state, 0.5 * dt)

@@ -15,7 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete, real_array, step_size
-from lieint_jax._xla import compiled
+from lieint_jax._xla import compiled, materialized_arrays, with_materialized_derivatives
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
 from lieint_jax.types.shapes import Flag, PyTree, Time
@@ -50,6 +50,30 @@ def _on_time(method: Callable[..., _Report]) -> Callable[..., _Report]:
         return end._replace(t=t), *report
 
     return timed
+
+
+def _with_one_derivative(method: Callable[..., _Report]) -> Callable[..., _Report]:
+    """A method (step, state, dt) whose tangents XLA computes once, not again for each number of the new state."""
+
+    @functools.wraps(method)
+    def bounded(step: Step, state: State, dt: Array) -> _Report:
+        end, *report = method(step, state, dt)
+        q, p = with_materialized_derivatives((end.q, end.p))
+        return end._replace(q=q, p=p), *report
+
+    return bounded
+
+
+def _computed_once(tangent: Callable[..., _Report]) -> Callable[..., _Report]:
+    """A method `tangent` whose results XLA computes once, not again in each computation that uses them."""
+
+    @functools.wraps(tangent)
+    def bounded(step: Step, state: State, dt: Array, T: Array) -> _Report:
+        end, info, T = tangent(step, state, dt, T)
+        q, p, T = materialized_arrays((end.q, end.p, T))
+        return end._replace(q=q, p=p), info, T
+
+    return bounded
 
 
 def _finite_or_flagged(method: Callable[..., _Report]) -> Callable[..., _Report]:
@@ -87,12 +111,12 @@ class Step(abc.ABC):
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         if "__call__" in vars(cls):
-            cls.substep = _in_one_type(_on_time(cls.__call__))
+            cls.substep = _in_one_type(_with_one_derivative(_on_time(cls.__call__)))
             cls.__call__ = _finite_or_flagged(cls.substep)
         if "prepare" in vars(cls):
             cls.prepare = _in_one_type(cls.prepare)
         if "tangent" in vars(cls):
-            cls.tangent = _finite_or_flagged(_in_one_type(_on_time(cls.tangent)))
+            cls.tangent = _finite_or_flagged(_in_one_type(_computed_once(_on_time(cls.tangent))))
 
     @property
     @abc.abstractmethod

@@ -159,9 +159,9 @@ def test_one_vector_is_the_first_of_many_and_megno_grows_with_it():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["heavy top", "tumbling top", "Hyperion in its plane"])
-def test_standard_errors_of_exponents_are_the_scatter_of_64_starts(name):
-    """Mean errors over the scatter: 0.80, 1.13 and 0.75; by 16 batches they were 0.55, 0.88 and 0.56 of it."""
-    near = 1e-3 * jnp.arange(64)
+def test_standard_errors_of_exponents_are_the_scatter_of_2048_starts(name):
+    """Mean errors over the scatter: 0.83, 0.91 and 0.77. Of only 64 of these starts they are 0.5 to 1.25 by chance."""
+    near = 0.064 / 2048 * jnp.arange(2048)
     top = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
     tumbling, middle = TOP.angular_velocity(TUMBLING), jnp.array([1.0, 0.0, 0.0])
 
@@ -184,7 +184,7 @@ def test_standard_errors_of_exponents_are_the_scatter_of_64_starts(name):
 
     exponents, errors = found(near)
     ratio = float(errors.mean() / exponents.std(ddof=1))
-    assert 0.7 < ratio < 2
+    assert 0.7 < ratio < 1.2
 
 
 @pytest.mark.parametrize(("memory", "ratio"), [(0.0, 1.2), (1.0, 1.09), (4.0, 0.9), (6.25, 0.84)])

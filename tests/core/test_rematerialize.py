@@ -10,7 +10,7 @@ from jax import lax
 
 import lieint_jax as li
 from lieint_jax._numerics import newton
-from lieint_jax._xla import rematerialized, saved, scan_stages
+from lieint_jax._xla import materialized_arrays, rematerialized, saved, scan_stages, with_materialized_derivatives
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 TOP = li.systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
@@ -55,6 +55,17 @@ def test_stored_values_are_not_computed_again():
         return str(jax.make_jaxpr(jax.grad(lambda x: dear(dear(x))))(0.3)).count("atan ")
 
     assert gradient(saved) < gradient(lambda x: x)
+
+
+@pytest.mark.parametrize("materialize", [materialized_arrays, with_materialized_derivatives])
+def test_materialized_arrays_have_the_same_values_and_derivatives_of_any_order(materialize):
+    def cube(mark, x):
+        return jnp.sum(mark({"x": x, "count": jnp.arange(2)})["x"] ** 3)
+
+    x = jnp.array([0.3, -1.2, 0.0])
+    for way in (lambda f: f, jax.grad, jax.jacfwd, jax.hessian, lambda f: jax.jacrev(jax.jacfwd(f))):
+        marked, plain = (way(partial(cube, mark))(x) for mark in (materialize, lambda tree: tree))
+        np.testing.assert_array_equal(marked, plain)
 
 
 @pytest.mark.parametrize(
