@@ -279,7 +279,7 @@ _CYLINDER = np.array([[1 / 8, 1 / 24, 1 / 48], [1 / 24, 1 / 8, 1 / 48], [1 / 48,
 
 def _lengths(name: str, value: ArrayLike) -> Array:
     a = _checks.real_array(name, value, (3,))
-    if concrete(a) and not bool(jnp.all(a > 0)):
+    if concrete(a) and not bool(np.all(np.asarray(a) > 0)):
         raise ValueError(f"{name} must be positive, got {np.asarray(a)}")
     return a
 

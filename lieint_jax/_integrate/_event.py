@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -103,7 +104,7 @@ def events(
     first = jnp.asarray(condition(state))
     if first.shape != () or not jnp.issubdtype(first.dtype, jnp.floating):
         raise ValueError(f"condition must have a real scalar value, got shape {first.shape} and dtype {first.dtype}")
-    if concrete(first) and not bool(jnp.isfinite(first)):
+    if concrete(first) and not bool(np.isfinite(np.asarray(first))):
         raise ValueError(f"condition must be finite at the start, got {float(first)}")
     _checks.time_resolution(start_time(step, state), dt, max_steps)
     clock, _ = clock_of(step, state, dtype, dt, max_steps, None)

@@ -60,7 +60,7 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
         if wanted.size and not first <= float(wanted.min()) <= float(wanted.max()) <= last:
             raise ValueError(f"times must lie in the trajectory, from {first} to {last}, got {wanted}")
     found, gaps = _states_and_gaps(system, trajectory._replace(t=t), wanted)
-    if concrete(gaps) and wanted.size and not float(jnp.max(gaps)) < 1:
+    if concrete(gaps) and wanted.size and not float(np.max(gaps)) < 1:
         k = int(np.argmax(gaps))
         raise ValueError(
             f"the saved states about t = {float(wanted[k]):.6g} are too far apart to interpolate: their derivatives do "

@@ -36,8 +36,8 @@ def digits(key: Array, dtype: Any) -> Array:
 
 
 def are_digits(x: Array) -> Array:
-    """Whether these are whole numbers from 0 to below 2¹⁶, a bool."""
-    return jnp.all((x >= 0) & (x < 2**16) & (x == jnp.floor(x)))
+    """Whether these are whole numbers from 0 to below 2¹⁶, a bool; x may be a NumPy array."""
+    return ((x >= 0) & (x < 2**16) & (x % 1 == 0)).all()
 
 
 def key_of(digits: Array) -> Key:

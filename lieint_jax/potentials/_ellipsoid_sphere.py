@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -84,6 +85,6 @@ def ellipsoid_sphere(G: ArrayLike, masses: ArrayLike, semi_axes: ArrayLike) -> E
     """
     m, a = _checks.real_array("masses", masses, (2,)), _checks.real_array("semi_axes", semi_axes, (3,))
     for name, given in (("masses", m), ("semi_axes", a)):
-        if concrete(given) and not bool(jnp.all(given > 0)):
+        if concrete(given) and not bool(np.all(np.asarray(given) > 0)):
             raise ValueError(f"{name} must be positive, got {given}")
     return EllipsoidSphere(_checks.real_array("G", G, ()), m, a)

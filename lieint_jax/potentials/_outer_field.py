@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -107,7 +108,7 @@ def uniform_field(field: ArrayLike, weights: Any, points: Any = None) -> Uniform
         ValueError: the field is 0, or shapes disagree.
     """
     g = _checks.real_array("field", field, (3,))
-    if _checks.concrete(g) and not bool(jnp.any(g != 0)):
+    if _checks.concrete(g) and not bool(np.any(np.asarray(g))):
         raise ValueError("field must not be 0")
     groups, at, (w,) = group_sites({"weights": weights}, points)
     order = jnp.argsort(jnp.array([i for group in groups for i in group]))

@@ -207,9 +207,9 @@ def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
         ValueError: shapes disagree, a well is negative, or a size is not positive.
     """
     groups, at, (epsilon, sigma) = group_sites({"wells": wells, "sizes": sizes}, points)
-    if concrete(epsilon) and not all(bool(jnp.all(x >= 0)) for x in epsilon):
+    if concrete(epsilon) and not all(bool(np.all(np.asarray(x) >= 0)) for x in epsilon):
         raise ValueError(f"wells must be ≥ 0, got {[np.asarray(x) for x in epsilon]}")
-    if concrete(sigma) and not all(bool(jnp.all(x > 0)) for x in sigma):
+    if concrete(sigma) and not all(bool(np.all(np.asarray(x) > 0)) for x in sigma):
         raise ValueError(f"sizes must be > 0, got {[np.asarray(x) for x in sigma]}")
     return LennardJones(epsilon, sigma, at, groups)
 
@@ -261,6 +261,6 @@ def _inverse_distance(
     if concrete(length) and not float(length) >= 0:
         raise ValueError(f"softening must be a length ≥ 0, got {float(length)}")
     groups, at, (c,) = group_sites({name: strengths}, points)
-    if gravity and concrete(c) and not all(bool(jnp.all(m >= 0)) for m in c):
+    if gravity and concrete(c) and not all(bool(np.all(np.asarray(m) >= 0)) for m in c):
         raise ValueError(f"masses must be ≥ 0, got {[np.asarray(m) for m in c]}")
     return InverseDistance(constant, c, at, length, groups, gravity)

@@ -91,6 +91,6 @@ def springs(bodies: Any, points: ArrayLike, stiffness: ArrayLike, lengths: Array
         for name, given in (("stiffness", stiffness), ("lengths", lengths))
     )
     for name, x in (("stiffness", each), ("lengths", slack)):
-        if concrete(x) and not bool(jnp.all(x >= 0)):
+        if concrete(x) and not bool(np.all(np.asarray(x) >= 0)):
             raise ValueError(f"{name} must be ≥ 0, got {np.asarray(x)}")
     return Springs(at, each, slack, tuple((int(i), int(j)) for i, j in pairs))

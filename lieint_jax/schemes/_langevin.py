@@ -199,7 +199,7 @@ class Langevin(Step):
         for name in (_KEY, _COUNT, _HEAT, *([_REJECTIONS] if self.metropolis else [])):
             _checks.real_array(f'state.extra["{name}"]', self._extra_entry(state, name))
         key = self._extra_entry(state, _KEY)
-        if concrete(key) and not bool(random_bits.are_digits(jnp.asarray(key))):
+        if concrete(key) and not bool(random_bits.are_digits(np.asarray(key))):
             raise ValueError(f'state.extra["{_KEY}"] must be a key, as step.start(state, key=…) makes it, got {key}')
         super().check(state, dt)
 
