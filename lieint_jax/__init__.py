@@ -4,7 +4,7 @@ A system and a scheme make a step; a step makes everything else.
 
     import jax, lieint_jax as li
 
-    jax.config.update("jax_enable_x64", True)  # float64 is your choice
+    jax.config.update("jax_enable_x64", True)  # float64
 
     body = li.systems.rigid_body(inertia=[1.0, 2.0, 3.0])
     step = li.schemes.so3_midpoint(body, kappa=li.maps.kappa_symplectic)

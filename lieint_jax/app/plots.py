@@ -38,6 +38,7 @@ STYLES: tuple[dict[str, Any], ...] = tuple(
 SpatialAxes: TypeAlias = Any  # matplotlib's Axes3D, some of whose declared types are wrong
 _MARKED = 8  # markers on each curve of `series`
 _COMPARABLE = 30  # works with peaks of such a ratio are drawn on a linear axis
+_LAYOUTS = 4  # drawings after which a constrained layout has settled: each moves the panels less
 _NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
 
@@ -82,8 +83,13 @@ def save(fig: Figure, path: Path) -> list[Path]:
         path: path of the PNG; the PDF is written next to it.
     """
     with style():
+        for _ in range(_LAYOUTS):
+            fig.draw_without_rendering()
+        layout = fig.get_layout_engine()
+        fig.set_layout_engine("none")  # or it would move the panels again, in each file by another amount
         fig.savefig(path)
         fig.savefig(files(path)[1], metadata={"CreationDate": None})  # the same bytes every time
+        fig.set_layout_engine(layout)
     return files(path)
 
 
@@ -162,6 +168,7 @@ def paths(ax: Axes, curves: Mapping[str, np.ndarray], plane: tuple[int, int] = (
     for (label, x), look in zip(curves.items(), STYLES, strict=False):
         ax.plot(x[:, i], x[:, j], label=label, **look, markevery=[len(x) - 1])
     ax.set(xlabel="xyz"[i], ylabel="xyz"[j], aspect="equal")
+    ax.locator_params(nbins=5)  # labels of five digits do not touch
     return ax
 
 

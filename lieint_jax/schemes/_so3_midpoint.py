@@ -128,8 +128,8 @@ class SO3Midpoint(Step):
         if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
             return f"{self.name}: {SLENDER}"
         return (
-            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the turn in a step, rad; the branch of "
-            f"this κ {self.kappa.branch}. Use a smaller dt{more}"
+            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the rotation in a step, rad; the branch "
+            f"of this κ {self.kappa.branch}. Use a smaller dt{more}"
         )
 
 

@@ -39,6 +39,21 @@ def over_heyoka(label):
     return float(row.split("|")[5])
 
 
+def over_peer(problem, family, column):
+    """A ratio to heyoka of the table of families of a problem; columns 3 and 6 are for errors of 1e-6 and 1e-9."""
+    text = (RESULTS / "work_precision.md").read_text(encoding="utf-8")
+    section = re.search(rf"^{problem}, [^\n]*milliseconds per 1000 members(.*?)\n[^|\n]", text, re.M | re.S)[1]
+    row = next(line for line in section.splitlines() if line.startswith(f"| {family} "))
+    return float(row.split("|")[1 + column])
+
+
+def table(name, label):
+    """The cells of the first row that begins with a label: numbers, or text."""
+    text = (RESULTS / f"{name}.md").read_text(encoding="utf-8")
+    row = next(line for line in text.splitlines() if line.startswith(f"| {label} "))
+    return [float(x) if re.fullmatch(r"[-\d.e]+", x) else x for x in map(str.strip, row.split("|")[1:-1])]
+
+
 def quoted():
     """(page, text around the numbers, the measured numbers in its order)."""
     ours, explicit = rate("so3_midpoint, symplectic κ"), rate("so3_explicit")
@@ -52,7 +67,7 @@ def quoted():
     }
     cpp = over_cpp()
     return [
-        ("README.md", r"One core steps (\d+) million tumbling bodies a second", [ours / 1e6]),
+        ("README.md", r"One core computes (\d+) million steps of tumbling bodies a second", [ours / 1e6]),
         ("README.md", r"\((\d+) million by `so3_explicit`\)", [explicit / 1e6]),
         ("README.md", r"(\d+) times as many as diffrax's Tsit5", [ours / peers()["diffrax Tsit5, vmapped"]]),
         ("README.md", r"C\+\+ of the same schemes|and ([\d.]+) to", [cpp["so3_midpoint, symplectic κ"]]),
@@ -63,7 +78,12 @@ def quoted():
             [best["heavy top", "1e-06"], best["heavy top", "1e-09"], best["Didymos and Dimorphos", "1e-06"]],
         ),
         ("README.md", r"needs ([\d.]+) MiB", [undone["MiB"]]),
-        ("README.md", r"and ([\d.]+) times the forward run", [undone["seconds"] / forward["seconds"]]),
+        ("README.md", r"and ([\d.]+) times the time of the forward run", [undone["seconds"] / forward["seconds"]]),
+        (
+            "docs/pages/index.md",
+            r"which need (\d+) and (\d+) times as long",
+            [table("free_rigid_body", "diffrax Tsit5, vmapped")[6], table("free_rigid_body", "MuJoCo RK4, rollout")[6]],
+        ),
         (
             "docs/pages/speed.md",
             r"`so3_midpoint`, symplectic κ \| (\d+) \| (\d+) \(Newton form\) \| ([\d.]+)",
@@ -89,6 +109,35 @@ def quoted():
             r"`extrapolate\(bodies, 14\)` \| – \| ([\d.]+) \| ([\d.]+)",
             [best["Didymos and Dimorphos", "1e-06"], best["Didymos and Dimorphos", "1e-09"]],
         ),
+        ("docs/pages/speed.md", r"attitude costs ([\d.]+) times as much", [table("ensemble", "of the attitude")[3]]),
+        (
+            "docs/pages/speed.md",
+            r"flyby of the Earth \| `extrapolate` \| – \| ([\d.]+) \| ([\d.]+)",
+            [over_peer("flyby", "best of ours", k) for k in (3, 6)],
+        ),
+        (
+            "docs/pages/speed.md",
+            r"diffrax's Dopri8 \| – \| ([\d.]+) \| ([\d.]+) \| \| \| astrojax's RK4 \| – \| ([\d.]+)",
+            [
+                *(over_peer("gravity gradient", "diffrax", k) for k in (3, 6)),
+                over_peer("gravity gradient", "astrojax", 3),
+            ],
+        ),
+        (
+            "docs/pages/speed.md",
+            r"needs ([\d.]+) of heyoka's time for an error of 1e-6, and ([\d.]+) for 1e-9",
+            [over_peer("free body", "closed form", k) for k in (3, 6)],
+        ),
+        (
+            "docs/pages/speed.md",
+            r"`preprocessed\(body, 10\)` needs ([\d.]+) and ([\d.]+) of it",
+            [over_peer("free body", "preprocessed", k) for k in (3, 6)],
+        ),
+        (
+            "docs/pages/limits.md",
+            r"need ([\d.]+) of heyoka's time for an error of 1e-6, and ([\d.]+) for 1e-9",
+            [over_peer("free body", "closed form", k) for k in (3, 6)],
+        ),
         ("docs/pages/speed.md", r"The first `ensemble.run` costs ([\d.]+) to", [min(first)]),
         (
             "docs/pages/speed.md",
@@ -106,3 +155,103 @@ def test_pages_quote_the_measured_numbers(where, pattern, measured):
     for text, value in zip(found.groups(), measured, strict=True):
         digits = len(text.partition(".")[2])
         assert abs(float(text) - value) <= 1.001 * 10**-digits, (text, value)
+
+
+def number(text):
+    """The value of a number as pages print it, and one unit of its last digit."""
+    mantissa, _, exponent = text.partition("e")
+    unit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+    return float(text), unit
+
+
+def test_the_page_for_engines_quotes_its_table():
+    """Its rows of viscosities 0 and 0.3, to within the last digit that the page prints."""
+    measured = {}
+    for line in (RESULTS / "engines.md").read_text(encoding="utf-8").splitlines():
+        cells = [x.strip() for x in line.strip("|").split("|")]
+        if len(cells) == 7 and re.match(r"[\d.]+$", cells[0]):
+            measured[float(cells[0]), cells[1]] = [float(x) for x in cells[2:6]]
+    rows, viscosity = 0, None
+    for line in (ROOT / "docs" / "pages" / "engines.md").read_text(encoding="utf-8").splitlines():
+        cells = [x.strip().replace("`", "") for x in line.strip().strip("|").split("|")]
+        if len(cells) != 6 or not re.search("MuJoCo|, C$", cells[1]):
+            continue
+        viscosity = float(cells[0]) if cells[0] else viscosity
+        for text, value in zip(cells[2:], measured[viscosity, cells[1]], strict=True):
+            printed, unit = number(text)
+            assert abs(printed - value) <= 0.501 * unit, (viscosity, cells[1], text, value)
+        rows += 1
+    assert rows == 8
+
+
+def step_columns():
+    """(section and first cell of a row of `which_scheme.md`, its numbers of ns a step, those of seconds)."""
+    free, top = "rigid_body.asymmetric", "heavy_top.asymmetric_top"
+    splitting = "splitting[so3_midpoint[symplectic]]"
+    return [
+        ("The free rigid body", "`so3_explicit(", [f"{free}, so3_explicit"], ("rigid_body", "so3_explicit")),
+        (
+            "The free rigid body",
+            "`so3_midpoint(",
+            [f"{free}, so3_midpoint[cayley]"],
+            ("rigid_body", "so3_midpoint[cayley]"),
+        ),
+        ("The free rigid body", "`calibrated(", [f"{free}, calibrated"], ("rigid_body", "calibrated")),
+        ("The free rigid body", "`preprocessed(", [f"{free}, preprocessed[4]"], ("rigid_body", "preprocessed[4]")),
+        ("The free rigid body", "`exact(", [f"{free}, exact"], ("rigid_body", "exact")),
+        (
+            "Tops and satellites",
+            "`splitting(",
+            [f"{top}, {splitting}", f"potential_top.brun, {splitting}"],
+            ("potential_top", splitting),
+        ),
+        (
+            "Tops and satellites",
+            "`top_energy_momentum(",
+            [f"{top}, top_energy_momentum[cayley]", "potential_top.brun, top_energy_momentum[cayley]"],
+            ("potential_top", "top_energy_momentum[cayley]"),
+        ),
+        (
+            "Elastic bodies",
+            '`additive(body, "average"',
+            ["pseudo_rigid.ball, additive[average]"],
+            ("pseudo_rigid", "additive[average]"),
+        ),
+        (
+            "Any matrix group",
+            "`systems.euler",
+            ["euler.kirchhoff, group_midpoint[exponential]"],
+            ("euler", "group_midpoint[exponential]"),
+        ),
+        (
+            "Any matrix group",
+            "`systems.group_potential",
+            ["group_potential.bottom_heavy, group_energy_momentum"],
+            ("group_potential", "group_energy_momentum"),
+        ),
+        (
+            "The spherical pendulum",
+            "`sphere_midpoint(pendulum)",
+            ["pendulum.uniform, sphere_midpoint[plain]"],
+            ("pendulum", "sphere_midpoint[plain]"),
+        ),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("section", "row", "rates", "call"), step_columns(), ids=lambda x: x if isinstance(x, str) else ""
+)
+def test_the_page_which_scheme_quotes_times_of_steps_and_of_first_calls(section, row, rates, call):
+    text = (ROOT / "docs" / "pages" / "which_scheme.md").read_text(encoding="utf-8")
+    part = text.partition(f"## {section}\n")[2].partition("\n## ")[0]
+    lines = [re.split(r"(?<!\\)\|", line)[1:-1] for line in part.splitlines() if line.startswith("|")]
+    names = [x.strip() for x in lines[0]]
+    cells = next(line for line in lines if line[0].strip().startswith(row))
+    printed = re.findall(r"(\d[\d.]*)(?: \(|,|$)", cells[names.index("step, ns")].strip())
+    measured = [1000 / table("ensemble", rate)[1] for rate in rates]
+    assert len(printed) == len(measured)
+    compiled = (RESULTS / "compile.md").read_text(encoding="utf-8")
+    first = float(re.search(rf"^\| {re.escape(call[0])} +\| +{re.escape(call[1])} \| +([\d.]+)", compiled, re.M)[1])
+    printed.append(re.match(r"[\d.]+", cells[names.index("first call, s")].strip())[0])
+    for text, value in zip(printed, [*measured, first], strict=True):
+        assert abs(float(text) - value) <= 0.501 * number(text)[1] + 1e-9, (row, text, value)

@@ -232,3 +232,59 @@ def test_labels_of_the_ticks_of_study_gyro_do_not_overlap():
     assert [text.get_text() for text in fig.axes[0].get_legend().get_texts()] == ["x", "y", "z", "readings"]
     inside = np.linalg.norm((estimates - truth)[:, 3:5] / 5e-4, axis=1) <= np.sqrt(5.991)  # χ² of 95 %
     assert f"{inside.sum()} of 20 inside" in fig.axes[1].get_legend().get_texts()[-1].get_text()
+
+
+@plots.style()
+def map_with_a_legend_and_a_caption():
+    fig, axes = plots.figure(2, size=(4.7, 4.2), width_ratios=[2, 1])
+    axes[0, 0].remove()
+    wide = plots.sky(fig.add_subplot(1, 2, 1, projection="mollweide"))
+    wide.plot([0, 1], [0, 0.5], label="a path")
+    wide.set_title("(a) the whole sky", loc="left")
+    wide.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, borderpad=0.9)
+    axes[0, 1].plot([0, 1], [0, 1])
+    axes[0, 1].set(aspect="equal", xlabel="east (°)", ylabel="north (°)")
+    plots.caption(fig, "A caption of so many words that it needs at least two lines below such a figure. " * 2)
+    return fig
+
+
+def places_of_the_files(fig, path, monkeypatch, write):
+    """The places of the first panel in the PNG and in the PDF."""
+    places, original = [], fig.savefig
+
+    def recorded(*args, **options):
+        original(*args, **options)
+        places.append(fig.axes[0].get_position().bounds)
+
+    monkeypatch.setattr(fig, "savefig", recorded)
+    write(fig, path)
+    return places
+
+
+def write_at_once(fig, path):
+    with plots.style():
+        fig.savefig(path)
+        fig.savefig(path.with_suffix(".pdf"))
+
+
+def test_the_png_and_the_pdf_have_the_same_layout(tmp_path, monkeypatch):
+    """The refutation: without `plots.save` the panels of the PDF are elsewhere, by 0.01 of the figure."""
+    for write, same in ((plots.save, True), (write_at_once, False)):
+        fig = map_with_a_legend_and_a_caption()
+        png, pdf = places_of_the_files(fig, tmp_path / "picture.png", monkeypatch, write)
+        assert (png == pdf) == same
+        assert same or np.abs(np.subtract(png, pdf)).max() > 3e-3
+
+
+def test_five_digits_stand_at_an_axis_without_a_factor_and_do_not_touch():
+    with plots.style():
+        fig, axes = plots.figure(3)
+        angle = np.linspace(0, 7, 100)
+        circle = 16000 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        ax = plots.paths(axes[0, 0], {"Beta": circle})
+        fig.draw_without_rendering()
+        assert ax.xaxis.get_offset_text().get_text() == ""
+        shown = [text for text in ax.get_xticklabels() if abs(text.get_position()[0]) <= 16000]
+        assert "10000" in "".join(text.get_text() for text in shown)
+        boxes = [text.get_window_extent() for text in shown]
+        assert all(a.x1 < b.x0 for a, b in itertools.pairwise(boxes))

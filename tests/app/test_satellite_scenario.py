@@ -194,3 +194,9 @@ def test_every_start_of_the_shipped_scenario_is_captured_and_unloaded(tmp_path, 
     assert any(isinstance(law, WindowedLaw) for law in step.system.laws)
     for draw in satellite.PICTURES.values():
         assert draw(scenario, step, made).axes
+
+
+def test_a_percentage_has_two_digits_of_its_error():
+    assert satellite._percent(1.0, 0.0601) == "(100.0 ± 6.0) %"
+    assert satellite._percent(0.9731, 0.0016) == "(97.31 ± 0.16) %"
+    assert satellite._percent(0.5, 0.25) == "(50 ± 25) %"

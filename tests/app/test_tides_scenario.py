@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 import lieint_jax as li
-from lieint_jax.app import scenarios
+from lieint_jax.app import plots, scenarios
 from lieint_jax.app.scenarios import tides
 
 
@@ -68,3 +68,30 @@ def test_pluto_and_charon_end_locked():
     assert ends[0] == pytest.approx(scenario.published.period_d.value, rel=2e-4)  # that of our masses is 1e-4 longer
     assert ends[1] == pytest.approx(ends[0], rel=1e-5)
     assert "locked at" in tides.report(scenario, step, found)
+
+
+def test_pictures_show_small_changes_relative_to_themselves_and_large_ones_as_they_are():
+    """Lines of the Moon's rates would be flat: they change by 2e-10 of themselves in a year."""
+    t = np.linspace(0.0, 10.0, 11)
+    flat = {"rotation, Earth": 6.3 - 1e-9 * t, "rotation, Moon": np.full(11, 0.2), "orbit": 0.2 - 1e-11 * t}
+    _, axes = plots.figure(4)
+    small, large, near, far = axes[0]
+    tides._draw_rates(small, t, flat)
+    assert small.get_ylabel() == "relative change"
+    assert small.lines[0].get_ydata()[-1] == pytest.approx(-1e-8 / 6.3, rel=1e-6)
+    assert small.lines[1].get_ydata().tolist() == [0.0] * 11
+    tides._draw_rates(large, t, flat | {"rotation, Earth": 6.3 - 0.1 * t})
+    assert large.get_ylabel() == "angular rate (rad/d)"
+    assert large.lines[0].get_ydata()[-1] == pytest.approx(5.3)
+    tides._draw_distance(near, t, 384400 + 1e-5 * t, 553738.8)
+    assert near.get_ylabel() == "growth from 384400 km (cm)"
+    assert near.lines[0].get_ydata()[-1] == pytest.approx(10.0, rel=1e-4)
+    assert len(near.lines) == 1  # the locked state is far outside of this panel
+    tides._draw_distance(far, t, 16000 + 360 * t, 19596.0)
+    assert far.lines[1].get_ydata() == [19596.0, 19596.0]
+
+
+def test_the_names_of_both_bodies_are_keys_of_the_file():
+    assert scenarios.load("moon_tides").names == ["Earth", "Moon"]
+    with pytest.raises(ValueError, match="names"):
+        scenarios.load("moon_tides", names=["Earth"])

@@ -15,6 +15,7 @@ from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.types import Step, Trajectory
 
 _LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last color shows all larger values
+_MARGIN = 10.0  # ° from the edge of a map, where the axis would cross a label of a contour
 
 
 @picture(2, 2)
@@ -81,6 +82,7 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
         outline = [withStroke(linewidth=2, foreground="white")]
         for text in ax.clabel(lines, fontsize="x-small", fmt="%g"):
             text.set_path_effects(outline)
+            text.set_visible(all(_MARGIN < x < 360 - _MARGIN for x in text.get_position()))
     if long_axis.any():
         mode = full_circle(long_axis.astype(float))
         hatched = ax.contourf(phi, psi, mode, [0.5, 1.5], hatches=["///"], colors="none")
@@ -114,13 +116,15 @@ def draw_after(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory
     fig = axes[0].figure
     axes[5].remove()
     _draw_poles(fig.add_subplot(2, 3, 6, projection="polar"), before, after)
-    fig.suptitle(f"{scenario.title}: {len(after.rate)} members, uniform phases; the highest 1 % not shown")
+    count = f"{len(after.rate):,}".replace(",", "\u202f")
+    rest = "the highest 1 % of each histogram not shown"
+    fig.suptitle(f"{scenario.title}: {count} members, uniform phases; {rest}")
 
 
 def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     """Plot the poles on the sky about the nearer pole of the ecliptic."""
     side = np.sign(before.pole[0, 2]) or 1.0
-    for outcome, color, label in ((after, plots.WINE, "after"), (before, plots.GREEN, "before")):
+    for outcome, color, label in ((before, plots.GREEN, "before"), (after, plots.WINE, "after")):
         longitude, latitude = longitude_latitude(outcome.pole)
         ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=color, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=color, label=label)
@@ -128,10 +132,9 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))
     ax.set_rlabel_position(22.5)
     ax.tick_params(labelsize="x-small")
-    ax.set_title(
-        f"direction of $L$: longitude, and ° from\nthe {'north' if side > 0 else 'south'} pole of the ecliptic",
-    )
-    ax.legend(loc="lower left", bbox_to_anchor=(-0.3, -0.12))
+    pole = "north" if side > 0 else "south"
+    ax.set_xlabel(f"direction of $L$: longitude, and ° from the {pole} pole of the ecliptic", labelpad=8)
+    ax.legend(loc="upper left", bbox_to_anchor=(-0.3, 1.1))
 
 
 @picture(2)
@@ -139,10 +142,10 @@ def draw_sensitivity(axes: np.ndarray, scenario: Scenario, step: Step, run: Traj
     """Plot the change of the periods by one standard deviation of each unknown, to first order, over the phases."""
     found = study(scenario, step, run)
     names = {
-        "phi": "φ, uniform",
-        "psi": "ψ, uniform",
-        "least": "moment I₁/I₃",
-        "middle": "moment I₂/I₃",
+        "phi": "$\\phi$, uniform",
+        "psi": "$\\psi$, uniform",
+        "least": "moment $I_1/I_3$",
+        "middle": "moment $I_2/I_3$",
         "precession": "$P_\\phi$ before",
         "rotation": "$P_\\psi$ before",
         "longitude": "pole's longitude",

@@ -426,9 +426,7 @@ def draw_motion(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
     t = np.asarray(run.t) / seconds
     shown = dict(zip(names, np.moveaxis(x, 1, 0)[:_MAX_SHOWN], strict=False))
     plots.paths(left, shown).set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycenter")
-    low, high = left.get_ylim()
-    left.set_ylim(low, high + 0.3 * (high - low))  # room for the legend
-    left.legend(loc="upper center", ncols=min(len(shown), 3))
+    left.legend(loc="upper left", bbox_to_anchor=(1, 1))
     if len(names) > 1:
         curves = dict(zip(names[1:_MAX_SHOWN], distances[:, : len(names) - 1].T, strict=False))
         plots.series(middle, t, curves, f"distance from {names[0]} (m)", unit)

@@ -314,9 +314,15 @@ def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     part, error = fraction(done)
     lines.append(
         f"  at the end within {_CAPTURED:g}° of the nadir: {done.sum()} of {done.size}, "
-        f"({100 * part:.2f} ± {100 * error:.2f}) % of all starts"
+        f"{_percent(part, error)} of all starts"
     )
     return lines
+
+
+def _percent(part: float, error: float) -> str:
+    """A part and its error in per cent, with two digits of the error."""
+    decimals = max(0, 1 - int(np.floor(np.log10(100 * error))))
+    return f"({100 * part:.{decimals}f} ± {100 * error:.{decimals}f}) %"
 
 
 def _short(name: str) -> str:
@@ -392,7 +398,7 @@ def draw_capture(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajecto
     for handle in legend.legend_handles:
         handle.set_sizes([20])
     part, error = fraction(captured)
-    left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: ({100 * part:.2f} ± {100 * error:.2f}) %")
+    left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: {_percent(part, error)}")
 
     curves = {f"slower than {_SLOW:g} °/s": c.rate < _SLOW}
     curves |= {f"z within {limit:g}° of the nadir": c.nadir_angle <= limit for limit in (90.0, _CAPTURED, 1.0)}

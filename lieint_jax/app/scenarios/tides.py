@@ -20,11 +20,13 @@ from lieint_jax.app.scenarios._spread import draw_members, member_values, with_n
 from lieint_jax.types import State, Step, Trajectory
 
 Pair = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
+Names = Annotated[list[str], Field(min_length=2, max_length=2)]
 NonNegativePair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 
 _DAY, _HOUR, _YEAR = 86400.0, 1 / 24, 365.25  # s; d; d
 _G = 6.6743e-20 * _DAY**2  # km³/(kg d²)
 _TERAWATT = 1e6 / _DAY**3 / 1e12  # of kg km²/d³
+_CONSTANT = 1e-3  # pictures show the change of what changes by less, relative to itself
 _SLIGHT = 1e-2  # relative change of the distance below which a mean rate is reported
 STEP_AXIS = 0  # every member has its own lags
 
@@ -45,6 +47,8 @@ class Scenario(Common):
 
     system: Literal["tides"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["d"] = "d"  # pyright: ignore[reportIncompatibleVariableOverride]
+    names: Names = ["first body", "second body"]
+    """The names of the bodies in pictures."""
     masses_kg: Pair
     """In kg."""
     radii_km: Pair
@@ -193,8 +197,9 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
             "distance grows (cm a year)": 1e5 * recession(scenario, run),
             "rotation of the first body slows (ms a century)": (days[-1] - days[0])[:, 0] * 3.6e6 / century,
         }
-    lines.append("\nnominal member, and the standard deviation of all:")
-    lines += [f"  {name:<54}{x[0]:>16.9g} ± {x.std():.2g}" for name, x in rows.items()]
+    several = len(power) > 1
+    lines.append("\nnominal member" + (", and the standard deviation of all:" if several else ":"))
+    lines += [f"  {name:<54}{x[0]:>16.9g}" + (f" ± {x.std():.2g}" if several else "") for name, x in rows.items()]
     a, period = double_synchronous(scenario, float(L[0, 0]))
     lines.append(f"  {'closed form: both locked at (km)':<54}{a:>16.9g}")
     lines.append(f"  {'with the period (d)':<54}{period:>16.9g}")
@@ -237,25 +242,36 @@ def _circle(scenario: Scenario, found: Course) -> tuple[np.ndarray, np.ndarray]:
 
 @picture(3)
 def draw_course(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the distance, the rotations of the nominal member and the loss, and the balances."""
+    """Plot the distance and the angular rates of the nominal member, and its balances."""
     found, t = course(scenario, run), np.asarray(run.t)
-    _draw_distance(axes[0], t, found.distance[:, 0], scenario.time_unit)
-    n = np.sqrt(_G * sum(scenario.masses_kg) / found.distance[:, 0] ** 3)
-    rates = {"rotation, first body": found.spins[:, 0, 0], "rotation, second body": found.spins[:, 0, 1], "orbit": n}
-    plots.series(axes[1], t, rates, "angular rate (rad/d)", scenario.time_unit)
     L = (found.orbital + (_moments(scenario) * found.spins).sum(axis=-1))[:, 0]
+    _draw_distance(axes[0], t, found.distance[:, 0], double_synchronous(scenario, float(L[0]))[0])
+    n = np.sqrt(_G * sum(scenario.masses_kg) / found.distance[:, 0] ** 3)
+    spins = {f"rotation, {name}": found.spins[:, 0, k] for k, name in enumerate(scenario.names)}
+    _draw_rates(axes[1], t, spins | {"orbit": n})
     H = (_energies(scenario, step, run) + found.lost)[:, 0]
     curves = {"angular momentum L": L / L[0] - 1, "energy H plus the energy lost": H / H[0] - 1}
     plots.log_error(axes[2], t, curves, "relative change", scenario.time_unit)
+    for ax, title in zip(axes, ("distance of the centers", "angular rates", "balances"), strict=True):
+        ax.set_title(title)
 
 
-def _draw_distance(ax: Axes, t: np.ndarray, distance: np.ndarray, time_unit: str) -> None:
-    """Plot the distance, or its change in m if that is less than a thousandth."""
-    if np.ptp(distance) > 1e-3 * distance[0]:
-        plots.series(ax, t, {"": distance}, "distance (km)", time_unit)
+def _draw_distance(ax: Axes, t: np.ndarray, distance: np.ndarray, locked: float) -> None:
+    """Plot the distance and that of the locked state, or only the growth in cm if it is less than a thousandth."""
+    if np.ptp(distance) <= _CONSTANT * distance[0]:
+        plots.series(ax, t, {"": 1e5 * (distance - distance[0])}, f"growth from {distance[0]:g} km (cm)", "d")
+        return
+    plots.series(ax, t, {"": distance}, "distance (km)", "d")
+    ax.axhline(locked, color=plots.RED, lw=0.7, ls="--", zorder=3, label="both locked, closed form")
+    ax.legend(loc="center right")
+
+
+def _draw_rates(ax: Axes, t: np.ndarray, rates: dict[str, np.ndarray]) -> None:
+    """Plot angular rates, or their relative changes if all are less than a thousandth."""
+    if all(np.ptp(rate) <= _CONSTANT * rate[0] for rate in rates.values()):
+        plots.series(ax, t, {name: rate / rate[0] - 1 for name, rate in rates.items()}, "relative change", "d")
     else:
-        label = f"distance, less {distance[0]:.6g} km (m)"
-        plots.series(ax, t, {"": 1e3 * (distance - distance[0])}, label, time_unit)
+        plots.series(ax, t, rates, "angular rate (rad/d)", "d")
 
 
 PICTURES = {"course": draw_course}
