@@ -126,7 +126,8 @@ def render(data: dict[str, Any], bodies: int) -> str:
         ratio = row["rates"][TANGENT] / row["rates"][JVP]
         lines.append(f"\n{row['step']}: {ratio:.1f}, {'held' if ratio >= BAR else 'MISSED'}")
     lines.append(
-        "\nThe jvp of a composition computes the expensive coordinates of the phase space once in five stages."
+        "\nThe bar was set when jvp of the single steps computed 2.1 and 1.6 million a second: jvp is 7 times as fast "
+        "now, and the closed form a tenth slower. Of a composition, XLA does not vectorize the jvp of its loop."
     )
     return "\n".join(lines)
 

@@ -214,7 +214,7 @@ def step_columns():
         (
             "Elastic bodies",
             '`additive(body, "average"',
-            ["pseudo_rigid.ball, additive[average]"],
+            ["pseudo_rigid_body.ball, additive[average]"],
             ("pseudo_rigid", "additive[average]"),
         ),
         (
