@@ -35,7 +35,7 @@ def digits(key: Array, dtype: Any) -> Array:
     return jnp.stack(parts).astype(dtype)
 
 
-def are_digits(x: Array) -> Array:
+def are_digits(x: Array | np.ndarray) -> Array | np.bool_:
     """Whether these are whole numbers from 0 to below 2¹⁶, a bool; x may be a NumPy array."""
     return ((x >= 0) & (x < 2**16) & (x % 1 == 0)).all()
 
