@@ -12,7 +12,8 @@ import lieint_jax as li
 from lieint_jax import diagnostics
 
 EXAMPLES = dict(systems())
-HALVES = {"heavy_top.lagrange": 3, "pseudo_rigid.ball": 5}  # fast ones: steps of their own size, halved so often
+# fast motions: steps of their own size, halved so often
+HALVES = {"heavy_top.lagrange": 3, "pseudo_rigid_body.ball": 5, "pseudo_rigid_body.dough": 5}
 
 
 def sampled(name, h):
