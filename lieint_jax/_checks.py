@@ -117,6 +117,22 @@ def real_array(
     return as_array(np.asarray(array), real) if concrete(array) else array.astype(real)
 
 
+def positive(name: str, value: Input, *shapes: Sequence[int]) -> Array:
+    """`value` as a real number, or as an array of one of `shapes`, positive where it is concrete."""
+    number = real_array(name, value, *(shapes or ((),)))
+    if concrete(number) and not np.min(np.asarray(number)) > 0:
+        raise ValueError(f"{name} must be positive, got {np.asarray(number)}")
+    return number
+
+
+def not_negative(name: str, value: Input, *shapes: Sequence[int]) -> Array:
+    """`value` as a real number, or as an array of one of `shapes`, not negative where it is concrete."""
+    number = real_array(name, value, *(shapes or ((),)))
+    if concrete(number) and np.min(np.asarray(number)) < 0:
+        raise ValueError(f"{name} must not be negative, got {np.asarray(number)}")
+    return number
+
+
 def step_size(dt: Input) -> Input:
     """`dt`, checked to be a real scalar; a Python integer as a float."""
     if isinstance(dt, int) and not isinstance(dt, bool):

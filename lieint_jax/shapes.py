@@ -138,7 +138,7 @@ def ellipsoid(semi_axes: ArrayLike, *, mass: ArrayLike | None = None, density: A
         >>> ellipsoid([3.0, 2.0, 1.0], mass=5.0).inertia.tolist()
         [5.0, 10.0, 13.0]
     """
-    a = _lengths("semi_axes", semi_axes)
+    a = _checks.positive("semi_axes", semi_axes, (3,))
     return _solid(4 / 3 * math.pi * jnp.prod(a), a * a / 5, (a * a, _ELLIPSOID), mass, density)
 
 
@@ -153,7 +153,7 @@ def box(edges: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike |
         >>> box([3.0, 2.0, 1.0], mass=12.0).inertia.tolist()
         [5.0, 10.0, 13.0]
     """
-    a = _lengths("edges", edges)
+    a = _checks.positive("edges", edges, (3,))
     return _solid(jnp.prod(a), a * a / 12, (a * a, _BOX), mass, density)
 
 
@@ -172,7 +172,7 @@ def cylinder(
         [7.0, 7.0, 8.0]
     """
     R, H = _checks.real_array("radius", radius, ()), _checks.real_array("height", height, ())
-    a = _lengths("radius and height", jnp.stack([R, R, H]))
+    a = _checks.positive("radius and height", jnp.stack([R, R, H]), (3,))
     squares = a * a * jnp.array([1 / 4, 1 / 4, 1 / 12], a.dtype)
     return _solid(math.pi * R * R * H, squares, (a * a, _CYLINDER), mass, density)
 
@@ -275,13 +275,6 @@ _TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 _ELLIPSOID = (np.ones((3, 3)) + 2 * np.eye(3)) / 35
 _BOX = np.full((3, 3), 1 / 144) + np.eye(3) * (1 / 80 - 1 / 144)
 _CYLINDER = np.array([[1 / 8, 1 / 24, 1 / 48], [1 / 24, 1 / 8, 1 / 48], [1 / 48, 1 / 48, 1 / 80]])
-
-
-def _lengths(name: str, value: ArrayLike) -> Array:
-    a = _checks.real_array(name, value, (3,))
-    if concrete(a) and not bool(np.all(np.asarray(a) > 0)):
-        raise ValueError(f"{name} must be positive, got {np.asarray(a)}")
-    return a
 
 
 def _mass(volume: Array, mass: ArrayLike | None, density: ArrayLike | None) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, positive
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.types import callable_pytree, pytree
 
@@ -234,14 +234,6 @@ def atmosphere(
         positive("scale_height", scale_height),
         _checks.real_array("rate", rate, ()),
     )
-
-
-def positive(name: str, value: ArrayLike) -> Array:
-    """A positive number."""
-    number = _checks.real_array(name, value, ())
-    if concrete(number) and not float(number) > 0:
-        raise ValueError(f"{name} must be positive, got {float(number)}")
-    return number
 
 
 def above_ground(orbit: Any, radius: Array) -> None:

@@ -8,12 +8,10 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.elliptic import carlson_rf_rd
 from lieint_jax.potentials._potential import Potential
@@ -83,8 +81,5 @@ def ellipsoid_sphere(G: ArrayLike, masses: ArrayLike, semi_axes: ArrayLike) -> E
     Source: Dirichlet's integral, Chandrasekhar 1969, Ellipsoidal Figures of Equilibrium, ch. 3; Carlson's forms, DLMF
     19.16.
     """
-    m, a = _checks.real_array("masses", masses, (2,)), _checks.real_array("semi_axes", semi_axes, (3,))
-    for name, given in (("masses", m), ("semi_axes", a)):
-        if concrete(given) and not bool(np.all(np.asarray(given) > 0)):
-            raise ValueError(f"{name} must be positive, got {given}")
+    m, a = _checks.positive("masses", masses, (2,)), _checks.positive("semi_axes", semi_axes, (3,))
     return EllipsoidSphere(_checks.real_array("G", G, ()), m, a)

@@ -1,4 +1,4 @@
-"""Arguments of laws of torque: vectors that may depend on time, limits, numbers that must not be negative."""
+"""Arguments of laws of torque: vectors that may depend on time, limits, unit vectors."""
 
 from __future__ import annotations
 
@@ -42,22 +42,6 @@ def cut(vector: Array, limit: Array) -> Array:
     vector = jnp.asarray(vector)
     limit = jnp.broadcast_to(limit, vector.shape).astype(vector.dtype)
     return lax.clamp(-limit, vector, limit)
-
-
-def not_negative(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
-    """A real number, or an array of one of the shapes, none of it negative."""
-    number = _checks.real_array(name, value, *(shapes or ((),)))
-    if concrete(number) and np.min(np.asarray(number)) < 0:
-        raise ValueError(f"{name} must not be negative, got {np.asarray(number)}")
-    return number
-
-
-def positive(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
-    """A real number, or an array of one of the shapes, all of it positive."""
-    number = _checks.real_array(name, value, *(shapes or ((),)))
-    if concrete(number) and not np.min(np.asarray(number)) > 0:
-        raise ValueError(f"{name} must be positive, got {np.asarray(number)}")
-    return number
 
 
 def unit_vector(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:

@@ -8,10 +8,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, not_negative, positive
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import cross, dot, scale
-from lieint_jax.torques._arguments import not_negative, positive
 from lieint_jax.types import Law, Rotation, pytree, static
 from lieint_jax.types.shapes import PyTree
 

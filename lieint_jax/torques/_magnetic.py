@@ -9,17 +9,10 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
+from lieint_jax._checks import not_negative, positive
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import (
-    VectorOfTime,
-    cut,
-    not_negative,
-    positive,
-    unit_vector,
-    value_at,
-    vector_of_time,
-)
+from lieint_jax.torques._arguments import VectorOfTime, cut, unit_vector, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, pytree, static
 from lieint_jax.types.shapes import PyTree

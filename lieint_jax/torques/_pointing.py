@@ -10,10 +10,10 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._checks import not_negative, positive
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import cross
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import not_negative, positive
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
 

@@ -11,18 +11,10 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, not_negative, positive
 from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.vec3 import Vector, add, components, cross, dot, scale
-from lieint_jax.torques._arguments import (
-    VectorOfTime,
-    evaluate,
-    not_negative,
-    positive,
-    unit_vector,
-    value_at,
-    vector_of_time,
-)
+from lieint_jax.torques._arguments import VectorOfTime, evaluate, unit_vector, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
