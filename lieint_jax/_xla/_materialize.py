@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._xla._compile import Tree
@@ -26,16 +25,16 @@ def unfused(x: Tree) -> Tree:
 
 
 def materialized_arrays(tree: Tree) -> Tree:
-    """The same arrays of real numbers, each computed once and stored in memory; others are returned as they are."""
-    return jax.tree.map(lambda x: x / _unknown_one(x) if _is_real(x) else x, tree)
+    """The same arrays of real numbers, each computed once and stored in memory."""
+    return jax.tree.map(lambda x: x / _unknown_one(x), tree)
 
 
 def with_materialized_derivatives(tree: Tree) -> Tree:
-    """The same arrays, which are materialized together with their tangents where forward mode differentiates them.
+    """The same arrays of real numbers, materialized together with their tangents where forward mode differentiates.
 
     XLA computes the tangent of a long function again for each of its results. Without a derivative this costs nothing.
     """
-    return jax.tree.map(lambda x: _identity(x) if _is_real(x) else x, tree)
+    return jax.tree.map(_identity, tree)
 
 
 @jax.custom_jvp
@@ -53,7 +52,3 @@ def _identity_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array,
 def _unknown_one(x: Array) -> Array:
     """1 in the shape of x, which the compiler cannot know, since x may be NaN."""
     return 1 + 0 * lax.stop_gradient(x)
-
-
-def _is_real(x: Array) -> bool:
-    return jnp.issubdtype(jnp.result_type(x), jnp.floating)

@@ -60,7 +60,7 @@ def test_stored_values_are_not_computed_again():
 @pytest.mark.parametrize("materialize", [materialized_arrays, with_materialized_derivatives])
 def test_materialized_arrays_have_the_same_values_and_derivatives_of_any_order(materialize):
     def cube(mark, x):
-        return jnp.sum(mark({"x": x, "count": jnp.arange(2)})["x"] ** 3)
+        return jnp.sum(mark({"x": x})["x"] ** 3)
 
     x = jnp.array([0.3, -1.2, 0.0])
     for way in (lambda f: f, jax.grad, jax.jacfwd, jax.hessian, lambda f: jax.jacrev(jax.jacfwd(f))):
