@@ -102,7 +102,7 @@ def others() -> list[dict[str, Any]]:
     import lieint_jax as li
 
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
-    states = jax.vmap(lambda w: body.state(angular_velocity=w))(jnp.eye(3) + 0.1)
+    states = jax.vmap(lambda w: body.state(angular_velocity=w))(jnp.eye(4, 3) + 0.1)
     one = jax.tree.map(lambda x: x[0], states)
     step, solution = li.schemes.so3_midpoint(body), jax.jit(jax.vmap(body.solution, (0, None)))
 

@@ -151,10 +151,10 @@ class Langevin(Step):
         if state.p.ndim == 1:
             p, gained = self._thermalize_body(state.q, bodies.inertia, state.p, noise, self.friction, dt)
         else:
-            p, gained = self._all_bathed(bodies, state, noise.reshape(-1, 6), dt)
+            p, gained = self._thermalize_bodies(bodies, state, noise.reshape(-1, 6), dt)
         return self._add_to_extra(state._replace(p=p), **{_HEAT: gained})
 
-    def _all_bathed(self, bodies: Any, state: State, noise: Array, dt: Array) -> tuple[Array, Array]:
+    def _thermalize_bodies(self, bodies: Any, state: State, noise: Array, dt: Array) -> tuple[Array, Array]:
         """The momenta of several bodies after friction and noise, and the kinetic energy gained."""
         masses = bodies.masses[:, None] * jnp.ones_like(state.p[:, :3])
         rates = (self.friction[:3], self.friction[3:]) if self.friction.shape == (6,) else (self.friction,) * 2
@@ -272,7 +272,7 @@ def langevin(system: Any, temperature: ArrayLike, friction: ArrayLike, metropoli
         True
 
     Source: Leimkuhler & Matthews 2013, Appl. Math. Res. Express; for rigid bodies Davidchack, Handel & Tretyakov 2009,
-    J. Chem. Phys. 130; Metropolised: Bou-Rabee & Owhadi 2010, SIAM J. Numer. Anal. 48.
+    J. Chem. Phys. 130; Metropolized: Bou-Rabee & Owhadi 2010, SIAM J. Numer. Anal. 48.
     """
     if not isinstance(system, _SYSTEMS):
         raise ValueError(

@@ -126,12 +126,13 @@ def _member_shapes(states: PyTree, leading: int) -> PyTree:
 
 def _fits(system: PyTree, one: PyTree) -> bool:
     """Whether a system has the shapes of a single one: it accepts this state, and its energy is a scalar."""
-
-    def energy(system: PyTree, state: PyTree) -> Array:
-        system.check(state)
-        return system.energy(state)
-
     try:
-        return jax.eval_shape(energy, system, one).shape == ()
+        return jax.eval_shape(_checked_energy, system, one).shape == ()
     except (TypeError, ValueError, IndexError):
         return False
+
+
+@jax.jit  # never compiled: JAX remembers the shapes of a jitted function
+def _checked_energy(system: PyTree, state: PyTree) -> Array:
+    system.check(state)
+    return system.energy(state)

@@ -215,7 +215,7 @@ def step_columns():
             "Elastic bodies",
             '`additive(body, "average"',
             ["pseudo_rigid_body.ball, additive[average]"],
-            ("pseudo_rigid", "additive[average]"),
+            ("pseudo_rigid_body", "additive[average]"),
         ),
         (
             "Any matrix group",
