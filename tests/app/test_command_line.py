@@ -46,6 +46,7 @@ def toutatis(tmp_path_factory):
     return folder, out.getvalue()
 
 
+@pytest.mark.long
 def test_toutatis_reaches_the_radar_epoch_and_meets_the_independent_prediction(toutatis):
     """An integration at rtol 1e-12 by another package gave (115.52, 81.96, 110.69)° and 8.60° from the radar fix."""
     _, out = toutatis
@@ -57,6 +58,7 @@ def test_toutatis_reaches_the_radar_epoch_and_meets_the_independent_prediction(t
     assert float(re.search(r"own error: ([\d.]+)°", out)[1]) < 0.04
 
 
+@pytest.mark.long
 def test_the_report_of_toutatis_states_its_assumptions_and_sources(toutatis):
     _, out = toutatis
     for text in ("an assumption", "7.4 ± 0.03", "5.38 ± 0.03", "180.2", "-54.75", "arXiv 1504.02024"):
@@ -66,6 +68,7 @@ def test_the_report_of_toutatis_states_its_assumptions_and_sources(toutatis):
     assert "exact to round-off" in out
 
 
+@pytest.mark.long
 def test_toutatis_writes_results_and_pictures(toutatis):
     folder, _ = toutatis
     run, metadata = files.load(folder / "toutatis.npz")

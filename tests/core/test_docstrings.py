@@ -8,13 +8,16 @@ import pytest
 
 import lieint_jax as li
 
+EXPENSIVE = ("normal_modes", "equilibrium", "langevin")
+
 
 def examples():
     for info in pkgutil.walk_packages(li.__path__, "lieint_jax."):
         module = importlib.import_module(info.name)
         for test in doctest.DocTestFinder(exclude_empty=True).find(module, info.name):
             if test.examples:
-                yield pytest.param(test, id=test.name.removeprefix("lieint_jax."))
+                name = test.name.removeprefix("lieint_jax.")
+                yield pytest.param(test, id=name, marks=[pytest.mark.long] * name.endswith(EXPENSIVE))
 
 
 @pytest.mark.parametrize("example", list(examples()))

@@ -148,7 +148,7 @@ SLOPES = [
 ]
 
 
-CASES = [pytest.param(*case, marks=[pytest.mark.long] * (k in (3, 4, 6, 7, 9, 10))) for k, case in enumerate(SLOPES)]
+CASES = [pytest.param(*case, marks=[pytest.mark.long] * (k not in (0, 1, 2, 5, 8))) for k, case in enumerate(SLOPES)]
 
 
 @pytest.mark.parametrize(("own", "other", "rows"), CASES, ids=lambda x: getattr(x, "__name__", ""))

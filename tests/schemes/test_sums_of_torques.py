@@ -4,8 +4,6 @@ The laws are nine at once on an orbit of eccentricity 0.1: gravity gradient, a d
 rod, drag, a damper inside, sunlight, a controller and wheels that reach their limit of momentum.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -72,10 +70,17 @@ def start(law, works=True):
     return body, body.state(Q, angular_velocity=OMEGA, works=works, work=0.0)
 
 
-@functools.partial(jax.jit, static_argnums=2)
 def run(step, state, num_steps, dt=0.05):
-    path = li.integrate(step, state, dt, num_steps)
-    return path, jax.vmap(step.system.energy)(path.state), jax.vmap(step.system.momentum)(path.state)
+    """As an ensemble of one: nine laws compile in half of the time that XLA needs."""
+    states = jax.tree.map(lambda x: x[None], state._replace(t=None))._replace(t=state.t)
+    ensemble = li.ensemble.run(step, states, dt, num_steps, save_every=1, progress=False)
+    path = ensemble._replace(**jax.tree.map(lambda x: x[:, 0], {"state": ensemble.state, "info": ensemble.info}))
+    return path, *energies_and_momenta(step.system, path.state)
+
+
+@jax.jit
+def energies_and_momenta(system, states):
+    return jax.vmap(system.energy)(states), jax.vmap(system.momentum)(states)
 
 
 def balance(law, num_steps):
