@@ -133,6 +133,22 @@ def test_the_reference_flow_agrees_with_25_digits():
     np.testing.assert_allclose(ours, [float(x) for x in exact], rtol=0, atol=5e-15)  # floor 1e-15
 
 
+@pytest.mark.parametrize(
+    ("energy", "verdict"),
+    [
+        (0.0, "conserved bit for bit"),
+        (3e-13, "conserved to round-off, 12.5 digits"),
+        (2e-12, "conserved to one rounding per step, 11.7 digits"),
+        (3e-12, "not conserved, 11.5 digits"),
+    ],
+)
+def test_verdicts_distinguish_random_rounding_from_one_rounding_per_step(energy, verdict):
+    """After 10 000 steps 16 ε√n is 3.6e-13, and nε is 2.2e-12."""
+    exact = dict.fromkeys(diagnostics.Certificate._fields, 0.0) | {"precision": "float64", "num_steps": 10_000}
+    line = str(diagnostics.Certificate(**exact | {"energy": energy})).splitlines()[1]
+    assert line.endswith("   " + verdict)
+
+
 def test_order_of_explicit_euler_and_its_certificate_shows_every_loss():
     certificate = diagnostics.certify(Euler(BODY), STATE, 0.05, 100)
     assert certificate.order == pytest.approx(1, abs=0.1)
