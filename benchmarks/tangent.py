@@ -65,7 +65,7 @@ def ways(step: Any) -> dict[str, Callable[..., Any]]:
 
     space = step.system.phase_space
 
-    def carried(z: Any, T: Any) -> Any:
+    def closed_form(z: Any, T: Any) -> Any:
         end, _, T = step.tangent(z, DT, T)
         return end, T
 
@@ -82,9 +82,9 @@ def ways(step: Any) -> dict[str, Callable[..., Any]]:
 
     return {
         PLAIN: lambda z, T: (step(z, DT)[0], T),
-        TANGENT: carried,
+        TANGENT: closed_form,
         JVP: jvp,
-        "tangent, 6 vectors": carried,
+        "tangent, 6 vectors": closed_form,
         "jacfwd, 6 vectors": jacfwd,
     }
 

@@ -69,5 +69,15 @@ def old_calls(**renamed_arguments: str) -> Callable[[_F], _F]:
     return decorate
 
 
+def renamed_attribute(old: str, new: str) -> Any:
+    """The property by which a class still has an attribute under its old name."""
+
+    def value(instance: object) -> object:
+        _warn(f"{type(instance).__name__}.{old} is now {new}; the old name")
+        return getattr(instance, new)
+
+    return property(value)
+
+
 def _warn(what: str) -> None:
     warnings.warn(f"{what} will not be accepted from version 0.4 on", DeprecationWarning, stacklevel=3)

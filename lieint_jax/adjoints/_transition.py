@@ -296,7 +296,7 @@ def _entries(run: _Run, values: PyTree, dt: Array, num_saves: int, save_every: i
         if tangents.dim == dim:
             end, info, T = step.tangent(state, h, T)
         else:
-            end, info, T = tangents.carried(lambda z: step(z, h), state, T)
+            end, info, T = tangents.push_forward(lambda z: step(z, h), state, T)
         if p.size:
             slope = tangents.slope(lambda p: make_run(p)[0](state, h)[0], p)
             T = T.at[:, dim:].add(slope)
@@ -329,7 +329,7 @@ class _Tangents:
         self._space = space
         self.dim = space.dim + self._extra(like).size
 
-    def carried(self, function: Callable[[State], PyTree], state: State, T: Array) -> tuple[State, PyTree, Array]:
+    def push_forward(self, function: Callable[[State], PyTree], state: State, T: Array) -> tuple[State, PyTree, Array]:
         """end, aux = function(state), and the derivative of end times T, (dim, k)."""
 
         def perturbed_end(delta: Array) -> tuple[State, tuple[State, PyTree]]:

@@ -34,7 +34,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
     motor: Callable[[Array], Array]
 
     @property
-    def carried(self) -> dict[str, Array]:
+    def initial_extra(self) -> dict[str, Array]:
         """The rotor's momentum, which is zero at rest."""
         return {"rotor": jnp.zeros(3, self.inertia.dtype)}
 

@@ -42,7 +42,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         return self.laws[0].frame if len(self.laws) == 1 else "body"
 
     @property
-    def carried(self) -> dict[str, Array] | None:
+    def initial_extra(self) -> dict[str, Array] | None:
         """The internal states of the laws at rest, by their keys; None if there are none."""
         zero = jnp.zeros((), self.inertia.dtype)
         q, rest = jnp.asarray(so3.identity, zero.dtype), jnp.zeros(3, zero.dtype)
@@ -116,8 +116,8 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         clock(state)
         for law in self.laws:
             inner = self.inner(state, law)
-            if law.key is not None and self.carried is not None:
-                _checks.real_array(f'state.extra["{law.key}"]', inner, self.carried[law.key].shape)
+            if law.key is not None and self.initial_extra is not None:
+                _checks.real_array(f'state.extra["{law.key}"]', inner, self.initial_extra[law.key].shape)
         if concrete(self, state) and not np.all(np.isfinite(torque := _torque_at(self, state))):
             velocity = _velocity(self, state)
             raise ValueError(
@@ -232,7 +232,7 @@ def _check_torque(body: TorquedBody) -> None:
         def value(t: Array, q: Array, omega: Array, law: Law = law) -> Array:
             now = Rotation(t, t, q, q, q, omega, t, omega, omega)
             key = law.key or law.reads
-            return law.mean(now, None if key is None else (body.carried or {})[key])[0]
+            return law.mean(now, None if key is None else (body.initial_extra or {})[key])[0]
 
         try:
             found = jax.eval_shape(value, number, q, vector)

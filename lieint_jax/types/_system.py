@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._deprecated import renamed_attribute
 from lieint_jax.types._group import PhaseSpace
 from lieint_jax.types._state import State, counted_work
 from lieint_jax.types.shapes import MomentumMap, Scalar
@@ -38,9 +39,11 @@ class System(abc.ABC):
         """Raise ValueError if a concrete `state` is not one of this system."""
 
     @property
-    def carried(self) -> dict[str, Array] | None:
+    def initial_extra(self) -> dict[str, Array] | None:
         """The arrays that the states of this system have in `extra`, at rest; None if there are none."""
         return None
+
+    carried = renamed_attribute("carried", "initial_extra")
 
 
 def time_derivative(system: System, state: State) -> State:

@@ -39,7 +39,7 @@ def stored(system, q, p, t, work=None):
     return StoredRun("a body", "s", system, li.Trajectory(t, state, info), False)
 
 
-def moved(path, arguments=()):
+def animate(path, arguments=()):
     return cli.main(["animate", str(path), *map(str, arguments)])
 
 
@@ -145,7 +145,7 @@ def test_a_path_is_drawn_between_saved_states_and_ends_are_marked():
 @pytest.mark.long
 def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
     out = tmp_path / "turn.gif"
-    assert moved(store, ["--out", out, "--seconds", 0.5, "--fps", 10, "--member", 1]) == 0
+    assert animate(store, ["--out", out, "--seconds", 0.5, "--fps", 10, "--member", 1]) == 0
     told = capsys.readouterr().out
     assert f"Rigid body, {store.name}, member 1: t = 0 … t = " in told  # neither the scheme's name nor a unit "1"
     assert "5 frames" in told
@@ -158,7 +158,7 @@ def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
             film.seek(k)
             pictures.append(np.asarray(film.convert("RGB"), int))
     assert all(np.abs(a - b).max() > 100 for a, b in itertools.pairwise(pictures))
-    assert moved(store, ["--out", out]) == 2
+    assert animate(store, ["--out", out]) == 2
     assert f"{out} exists and is not overwritten; --force" in capsys.readouterr().err
 
 
@@ -176,7 +176,7 @@ class Links(html.parser.HTMLParser):
 def test_an_animated_page_needs_no_other_file(store, tmp_path):
     pytest.importorskip("plotly")
     out = tmp_path / "turn.html"
-    assert moved(store, ["--out", out, "--seconds", 0.5, "--fps", 10]) == 0
+    assert animate(store, ["--out", out, "--seconds", 0.5, "--fps", 10]) == 0
     text, links = out.read_text(encoding="utf-8"), Links()
     links.feed(text)
     assert not links.found
@@ -202,7 +202,7 @@ def test_an_animated_page_needs_no_other_file(store, tmp_path):
 )
 def test_bad_requests_are_refused_with_a_sentence(store, tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
-    assert moved(store, arguments) == 2
+    assert animate(store, arguments) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -210,10 +210,10 @@ def test_bad_requests_are_refused_with_a_sentence(store, tmp_path, monkeypatch, 
 
 def test_missing_packages_for_animations_are_named(store, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    assert moved(store, ["--out", tmp_path / "turn.html"]) == 2
+    assert animate(store, ["--out", tmp_path / "turn.html"]) == 2
     assert 'pip install "lieint_jax[animate]"' in capsys.readouterr().err
     monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", lambda: False)
-    assert moved(store, ["--out", tmp_path / "turn.mp4"]) == 2
+    assert animate(store, ["--out", tmp_path / "turn.mp4"]) == 2
     assert "ffmpeg, which is not installed: install it" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 

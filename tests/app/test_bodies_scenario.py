@@ -237,12 +237,14 @@ def test_the_states_of_sn263_are_those_of_its_elements():
     alpha, gamma, beta = scenario.bodies
     G, M, day = 6.67430e-11, alpha.mass(), 86400.0
 
-    def at(mu, period, *elements, **angles):
+    def position_and_velocity(mu, period, *elements, **angles):
         a = (mu * (period / 2 / np.pi) ** 2) ** (1 / 3)
         return [np.asarray(y) for y in orbits.kepler(mu, a, *elements, **angles)(0.0)]
 
-    inner = at(G * (M + gamma.mass()), 0.686 * day, 0.016)
-    outer = at(G * (M + gamma.mass() + beta.mass()), 6.225 * day, 0.015, np.deg2rad(14), periapsis=np.pi)
+    inner = position_and_velocity(G * (M + gamma.mass()), 0.686 * day, 0.016)
+    outer = position_and_velocity(
+        G * (M + gamma.mass() + beta.mass()), 6.225 * day, 0.015, np.deg2rad(14), periapsis=np.pi
+    )
     share = gamma.mass() / (M + gamma.mass())
     for found, y in ((gamma, inner), (beta, [b + share * a for a, b in zip(inner, outer, strict=True)])):
         np.testing.assert_allclose(found.position_m, y[0], rtol=0, atol=6e-4)

@@ -58,11 +58,11 @@ def test_lagrange_s_top_agrees_with_quadrature_in_30_digits_and_with_the_flow(ca
         u1, u2, u3 = (mpmath.findroot(speed, guess) for guess in guesses)
 
         def integral(f):
-            def at(s):
+            def integrand(s):
                 u = u1 + (u2 - u1) * mpmath.sin(s) ** 2
                 return 4 * f(u) / mpmath.sqrt(alpha * (u3 - u))
 
-            return mpmath.quad(at, mpmath.linspace(0, mpmath.pi / 2, 9))
+            return mpmath.quad(integrand, mpmath.linspace(0, mpmath.pi / 2, 9))
 
         period, turned = integral(lambda u: 1), integral(lambda u: (b - c * u) / (1 - u * u))
         assert abs(number(found.nutation_period) / period - 1) < 3e-15

@@ -35,14 +35,16 @@ def test_the_version_is_the_same_everywhere():
 
 
 def test_the_changelog_lists_everything_deprecated():
-    """Every call of `renamed` and `old_calls` in the package; the removal is announced for a later version."""
-    section = text("CHANGELOG.md").partition("### Deprecated\n")[2].partition("\n### ")[0]
+    """Everything that the package renames or still accepts; the removal is announced for a later version."""
+    section = "".join(re.findall(r"### Deprecated\n(.*?)(?=\n##)", text("CHANGELOG.md"), re.S))
     for path in (ROOT / "lieint_jax").rglob("*.py"):
         source = path.read_text(encoding="utf-8")
         if path.name == "_deprecated.py":
             removal = re.search(r"removed in version ([\d.]+)", source).group(1)
             assert f"Version {removal} will not accept them" in section
             continue
+        for name in re.findall(r'renamed_attribute\("(\w+)"', source):
+            assert f".{name}`" in section, name
         for function in re.findall(r"@old_calls\(.*?\)\ndef (\w+)", source):
             assert f"{function}`" in section or f"{function}(" in section, function
         if path.parent == ROOT / "lieint_jax" / "types":

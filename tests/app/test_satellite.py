@@ -252,7 +252,7 @@ def test_minima_of_the_light_are_minima_and_their_times_have_derivatives():
     rate = jnp.rad2deg(SCENE.body.angular_velocity(SCENE.state))
     params = {"attitude": jnp.zeros(3), "inertia": SCENE.body.inertia[:2], "rate": rate}
 
-    def found(params):
+    def minima_of(params):
         body, state = model(params, SCENE.state.q)
         return _minima.minima(body, state, SCENE.facets, SCENE.sky, 40.0, 20)
 
@@ -264,9 +264,9 @@ def test_minima_of_the_light_are_minima_and_their_times_have_derivatives():
     np.testing.assert_allclose(m.t, there, rtol=0, atol=2e-3)  # all of them, and no other: the grid's step is 1e-3
     assert np.abs(m.slope).max() < 1e-13  # mag/min; seen: 1e-15
     assert m.rise.min() > 0
-    derivative = jax.jit(jax.jacfwd(lambda p: found(p).t))(params)["rate"]
+    derivative = jax.jit(jax.jacfwd(lambda p: minima_of(p).t))(params)["rate"]
     h, axis = 1e-5, jnp.array([0.0, 1.0, 0.0])
-    more, less = (jax.jit(found)(params | {"rate": rate + s * h * axis}).t for s in (1, -1))
+    more, less = (jax.jit(minima_of)(params | {"rate": rate + s * h * axis}).t for s in (1, -1))
     count = len(m.t)
     np.testing.assert_allclose(derivative[:count, 1], ((more - less) / (2 * h))[:count], rtol=0, atol=1e-6)
 

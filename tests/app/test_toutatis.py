@@ -165,17 +165,17 @@ def test_the_change_of_spin_in_a_flyby_agrees_with_scipy():
 
 
 @pytest.fixture(scope="module")
-def found():
+def study():
     """The study at its default size."""
     return toutatis.run(progress=False)
 
 
 @pytest.mark.long
-def test_the_estimate_agrees_with_scipy(found):
+def test_the_estimate_agrees_with_scipy(study):
     """The same likelihood through DOP853 and BFGS by differences."""
     data = toutatis.radar_data()
-    assert found.fit.starts is not None
-    params = jax.tree.map(lambda leaf: leaf[1], found.fit.starts.params)
+    assert study.fit.starts is not None
+    params = jax.tree.map(lambda leaf: leaf[1], study.fit.starts.params)
     noise = np.asarray(params.pop("noise"))
     x, unravel = ravel_pytree(params)
     seen, t = body_to_space(data["q"]), np.asarray(data["t"])
@@ -191,7 +191,7 @@ def test_the_estimate_agrees_with_scipy(found):
     away = best + np.array([0.3, -0.3, 0.3, 0.02, -0.02, 0.3, 0.3, -0.3, 0.1, -0.1])
     theirs = minimize(loss, away, method="BFGS", options={"gtol": 1e-4})
     assert loss(best) <= theirs.fun + 1e-6
-    sigma = np.append(np.sqrt(np.diagonal(found.estimate.covariance)), [0.15, 0.15])
+    sigma = np.append(np.sqrt(np.diagonal(study.estimate.covariance)), [0.15, 0.15])
     np.testing.assert_array_less(np.abs(theirs.x - best) / sigma, 5e-3)
 
 
@@ -216,40 +216,40 @@ def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
 
 
 @pytest.mark.long
-def test_the_study_finds_one_minimum_its_noise_and_the_outliers(found):
-    assert found.fit.success
-    assert found.share_at_minimum == 1  # all random starts end in the minimum
-    noise = np.asarray(found.estimate.noise)
+def test_the_study_finds_one_minimum_its_noise_and_the_outliers(study):
+    assert study.fit.success
+    assert study.share_at_minimum == 1  # all random starts end in the minimum
+    noise = np.asarray(study.estimate.noise)
     np.testing.assert_allclose(noise, [3.02, 4.01], rtol=0, atol=0.02)
-    assert list(np.flatnonzero(found.outlier[1])) == [5, 12]  # 12-07 and 12-14, found by the fit
-    assert list(np.flatnonzero(found.outlier[0])) == [2, 5]  # 12-04 and 12-07
-    assert found.weights[1, [5, 12]].max() < 0.06
-    (precession, first), (rotation, second) = found.periods
+    assert list(np.flatnonzero(study.outlier[1])) == [5, 12]  # 12-07 and 12-14, found by the fit
+    assert list(np.flatnonzero(study.outlier[0])) == [2, 5]  # 12-04 and 12-07
+    assert study.weights[1, [5, 12]].max() < 0.06
+    (precession, first), (rotation, second) = study.periods
     assert abs(precession - 7.40) < np.hypot(first, 0.03)  # published (Zhao et al. 2015), and not fitted
     assert abs(rotation - 5.38) < np.hypot(second, 0.03)
     assert max(first, second) < 0.05
-    lon, lat = np.asarray(found.estimate.derived)[2:4]
-    sigma = np.sqrt(np.diagonal(found.estimate.derived_covariance))
+    lon, lat = np.asarray(study.estimate.derived)[2:4]
+    sigma = np.sqrt(np.diagonal(study.estimate.derived_covariance))
     assert abs(lon - 180.2) < sigma[2]
     assert abs(lat + 54.75) < 2 * sigma[3]
-    assert (np.abs(np.asarray(found.estimate.derived)[4:6] - [3.0836, 3.235]) < 2 * sigma[4:6]).all()
-    takahashi, zhao = (found.mahalanobis_squared[name] for name in ("Takahashi et al. 2013", "Zhao et al. 2015"))
+    assert (np.abs(np.asarray(study.estimate.derived)[4:6] - [3.0836, 3.235]) < 2 * sigma[4:6]).all()
+    takahashi, zhao = (study.mahalanobis_squared[name] for name in ("Takahashi et al. 2013", "Zhao et al. 2015"))
     assert takahashi < 15.5 < zhao  # 95 % of χ² with 8
-    assert min(off[:2].min() for off in found.prediction.fix_angles.values()) > 100  # lost, but so are the members:
-    assert (np.percentile(found.prediction.member_fix_angles, 5, axis=0) < 60).all()
-    assert found.prediction.rms[-1] > 100
-    assert (found.prediction.farther_share > 0.05).all()  # inside their spread
-    assert found.prediction.pole[17:].max() < 3
-    np.testing.assert_allclose(found.prediction.energy[-3:], found.prediction.energy[0], rtol=0.06)
-    assert 0.02 < np.abs(found.flyby.rates).max() < 0.2  # published: 0.08 °/d
-    c = found.coverage
+    assert min(off[:2].min() for off in study.prediction.fix_angles.values()) > 100  # lost, but so are the members:
+    assert (np.percentile(study.prediction.member_fix_angles, 5, axis=0) < 60).all()
+    assert study.prediction.rms[-1] > 100
+    assert (study.prediction.farther_share > 0.05).all()  # inside their spread
+    assert study.prediction.pole[17:].max() < 3
+    np.testing.assert_allclose(study.prediction.energy[-3:], study.prediction.energy[0], rtol=0.06)
+    assert 0.02 < np.abs(study.flyby.rates).max() < 0.2  # published: 0.08 °/d
+    c = study.coverage
     assert c.success.all()
     size = np.abs(c.pulls[:, :8])
     assert 0.62 < (size <= 1).mean() < 0.75  # 70 %, and 96 % within 2σ
     assert 0.93 < (size <= 2).mean() < 0.98
     assert (c.mahalanobis_squared <= 15.507).mean() > 0.88  # 93 %
-    assert 1 < found.factors[0] < 1.2  # 1.07
-    report = toutatis.text(found)
+    assert 1 < study.factors[0] < 1.2  # 1.07
+    report = toutatis.text(study)
     for words in ("Takahashi", "Zhao", "Hudson & Ostro", "Busch", "random starts", "synthetic"):
         assert words in report
-    assert len(toutatis.draw(found).axes) == 6
+    assert len(toutatis.draw(study).axes) == 6

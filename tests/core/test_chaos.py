@@ -103,14 +103,14 @@ def test_growth_agrees_with_the_variational_equations_of_another_formulation(sys
 
 
 @functools.cache
-def of(name):
+def exponents_and_megno(name):
     step, state = REGULAR[name]
     return diagnostics.lyapunov(step, state, 0.05, 40_000, every=20), diagnostics.megno(step, state, 0.05, 40_000)
 
 
 @pytest.mark.parametrize("name", ["free", pytest.param("Lagrange", marks=pytest.mark.long)])
 def test_exponents_of_a_regular_motion_go_to_zero_and_megno_to_two(name):
-    found, quality = of(name)
+    found, quality = exponents_and_megno(name)
     bound = 3 * np.log(2000) / 2000
     assert jnp.abs(found.exponents).max() < bound
     assert jnp.abs(found.exponents).max() > 1e-4  # shear is seen
@@ -178,10 +178,10 @@ def test_standard_errors_of_exponents_are_the_scatter_of_2048_starts(name):
 
     @jax.jit
     @jax.vmap
-    def found(x):
+    def exponents_and_errors(x):
         return diagnostics.lyapunov(schemes.splitting(system), start(x), dt, steps, every=20, vectors=vectors)[:2]
 
-    exponents, errors = found(near)
+    exponents, errors = exponents_and_errors(near)
     ratio = float(errors.mean() / exponents.std(ddof=1))
     assert 0.7 < ratio < 1.2
 
@@ -203,7 +203,7 @@ def test_the_standard_error_of_a_series_whose_error_is_known(memory, ratio):
 
 def test_the_errors_of_exponents_are_those_of_their_batches():
     """64 batches of 31 or 32 rounds; here the plain formula, window by window."""
-    found = of("free")[0]
+    found = exponents_and_megno("free")[0]
     lengths = np.bincount(np.arange(2000) * 64 // 2000)
     rates = np.asarray(found.growth) / lengths[:, None]  # one unit of time each round
     off, V = rates - rates.mean(axis=0), {}

@@ -157,11 +157,11 @@ def crossings(dtype):
     step, start = jax.tree.map(lambda x: x.astype(dtype), (SPINNING, SPIN))
     values = jax.vmap(lambda c: jnp.stack([f(c) for f in CONDITIONS]))
 
-    def found(k):
+    def event_of(k):
         condition = jax.tree_util.Partial(lambda k, z: values(z.q[:1] - 0.3)[0, k], k)
         return li.event(step, start, jnp.asarray(0.5, dtype), condition, max_steps=10)
 
-    return jax.jit(jax.vmap(found))(jnp.arange(len(CONDITIONS)))
+    return jax.jit(jax.vmap(event_of))(jnp.arange(len(CONDITIONS)))
 
 
 @pytest.mark.slow

@@ -379,16 +379,16 @@ def test_observations_at_irregular_times_are_fitted_as_first_written():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     step, t = li.schemes.so3_midpoint(body), jnp.array([0.7, 1.9, 3.3, 6.1])
 
-    def seen(w):
+    def observed(w):
         return li.observe(step, body.state(angular_velocity=w), 0.05, t)[0].q
 
     truth = jnp.array([0.2, 0.1, 1.0])
-    data = seen(truth)
-    found = li.fit(lambda w: (seen(w) - data).ravel(), jnp.array([0.25, 0.05, 1.05]), progress=False)
+    data = observed(truth)
+    found = li.fit(lambda w: (observed(w) - data).ravel(), jnp.array([0.25, 0.05, 1.05]), progress=False)
     assert found.success
     np.testing.assert_allclose(found.params, truth, rtol=0, atol=1e-9)
     np.testing.assert_allclose(
-        li.fitting.covariance(lambda w: (seen(w) - data).ravel(), found.params), found.covariance
+        li.fitting.covariance(lambda w: (observed(w) - data).ravel(), found.params), found.covariance
     )
 
 

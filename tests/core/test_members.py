@@ -79,13 +79,13 @@ def test_contradictions_and_what_is_not_an_axis_are_refused():
             energy_error(system, run, system_axis=axis)
 
 
-def one(k=0, members=5):
+def systems_and_run(k=0, members=5):
     bodies, run, *_ = batch(members)
     return bodies, Trajectory(run.t, *jax.tree.map(lambda x: x[:, k], (run.state, run.info)))
 
 
 def test_the_run_of_one_body_with_the_systems_of_all_is_refused():
-    bodies, run = one()
+    bodies, run = systems_and_run()
     for measure in (run.to_xarray, lambda system: energy_error(system, run)):
         with pytest.raises(ValueError, match="the run is of one body, but the system has a member axis of 5"):
             measure(bodies)
@@ -94,7 +94,7 @@ def test_the_run_of_one_body_with_the_systems_of_all_is_refused():
     with pytest.raises(ValueError, match=r"inertia of one system is \(3,\).*got shape \(5, 3\)"):
         li.interpolate(bodies, run, [1.0])
     with pytest.raises(ValueError, match=r"got shape \(3, 3\), not symmetric"):
-        li.interpolate(one(members=3)[0], run, [1.0])
+        li.interpolate(systems_and_run(members=3)[0], run, [1.0])
 
 
 def test_interpolate_takes_one_member():

@@ -179,7 +179,7 @@ def test_indices_of_any_kind_are_those_of_jax(mode, dtype):
     inside = np.abs(k) % 3
     update = (10 * normal(2, 2, seed=4)).astype(dtype)
 
-    def of(index, x, long, update):
+    def indexed(index, x, long, update):
         fills = {"fill_value": 1} if mode == "fill" else {}
         inside_only = mode == "promise_in_bounds"  # then a window of 2 × 2 must fit: else JAX may do anything
         found = {
@@ -205,7 +205,7 @@ def test_indices_of_any_kind_are_those_of_jax(mode, dtype):
         promised = mode == "promise_in_bounds"
         known = np.array([1, 2] if promised else [-11, 3])
         computed, common = (inside, shared % 3) if promised else (k, shared)
-        return [of(index, x, long, update) for index in (known, computed, common)]
+        return [indexed(index, x, long, update) for index in (known, computed, common)]
 
     check_against_jax(function, (x, long, k, inside, update), [np.array([2, 7])], rtol=1e-15)
 
@@ -237,15 +237,15 @@ def test_loops_of_a_known_length_are_those_of_jax():
     series = jnp.array(np.random.default_rng(5).normal(size=(200, 2)))
 
     def loop(known, shared, own, flags, x, length, reverse):
-        def one(carry, row):
+        def stage(carry, row):
             a, n, flag = carry
             known, shared, own, on = row
             a = jnp.where(flag ^ on, 0.9 * a + known * shared, a - 0.3 * own)
             return (a, n + 1, ~flag), a.sum()
 
         xs = (known[:length], shared[:length], own[:length], flags[:length])
-        after, sums = lax.scan(one, (x, 0, True), xs, reverse=reverse)
-        rolled, _ = lax.scan(lambda c, row: (one(c, row)[0], None), (x, 0, True), xs, reverse=reverse)
+        after, sums = lax.scan(stage, (x, 0, True), xs, reverse=reverse)
+        rolled, _ = lax.scan(lambda c, row: (stage(c, row)[0], None), (x, 0, True), xs, reverse=reverse)
         return rolled if length > 9 else (after, sums, rolled)
 
     def function(own, flags, x, shared):
@@ -380,14 +380,14 @@ def test_shared_tables_are_read_by_any_index():
     whole = np.arange(1000)
 
     def function(x, k, table, whole, n):
-        def one(c, row):
+        def stage(c, row):
             return c * 0.5 + row, None
 
         return {
             "shared": (table[n], whole[n + 1], table[299 + 0 * n]),
             "own": (table[k], table.at[k].get(mode="fill"), table.at[k].get(mode="clip"), whole.at[n].get(mode="fill")),
-            "scan": lax.scan(one, x, table)[0],
-            "reverse": lax.scan(one, x, table, reverse=True)[0],
+            "scan": lax.scan(stage, x, table)[0],
+            "reverse": lax.scan(stage, x, table, reverse=True)[0],
             "loop": lax.fori_loop(0, n, lambda m, c: c + table[m], x),
         }
 
@@ -403,7 +403,7 @@ def _step(x, rate):
 def _orbiting(x, e, steps):
     """Steps with a position on an orbit, by a loop that ends by a test, and stages that share more than that."""
 
-    def one(n, x):
+    def step_once(n, x):
         M = 0.1 * n
         E = lax.while_loop(
             lambda c: abs(c[0] - e * jnp.sin(c[0]) - M) > 1e-12,
@@ -427,7 +427,7 @@ def _orbiting(x, e, steps):
         y = lax.fori_loop(0, 40, sweep, y)
         return jnp.where(y > 3, y - 3, y) + 1e-3 * weight
 
-    return lax.fori_loop(0, steps, one, x)
+    return lax.fori_loop(0, steps, step_once, x)
 
 
 def test_what_members_share_in_a_loop_is_computed_once():

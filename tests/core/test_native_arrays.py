@@ -61,16 +61,16 @@ def test_the_width_counts_simultaneous_values_and_those_carried_by_loops():
     def chain(x, n):
         return jnp.prod(x)
 
-    def held(x, n):
+    def wide(x, n):
         return jnp.prod(x) * jnp.sin(x)
 
     def loop(x, n):
         return lax.fori_loop(0, n, lambda k, c: (c[0] + c[1], c[1] * c[0], c[2]), (x[0], x[1], 2.0))[0]
 
-    chain, held, loop = (Flattened(f, kinds, examples) for f in (chain, held, loop))
+    chain, wide, loop = (Flattened(f, kinds, examples) for f in (chain, wide, loop))
     assert chain.width == 2 * 3  # two factors and their product, in float64
-    assert 2 * 8 <= held.width <= 2 * 18  # eight results at the end
-    assert chain.carried == held.carried == 0
+    assert 2 * 8 <= wide.width <= 2 * 18  # eight results at the end
+    assert chain.carried == wide.carried == 0
     assert loop.carried == 2  # 2.0 is a constant, and the counter is shared
 
 
@@ -80,14 +80,14 @@ def compared(step, state, dt):
     states = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], n, 0), state)
     states = states._replace(p=states.p * (1 + 0.1 * rng.normal(size=states.p.shape)))
 
-    def one(state, step, dt):
+    def step_once(state, step, dt):
         after, info = step(state, dt)
         return after, info
 
     kinds, arguments = ("carry", "shared", "shared"), (states, step, np.asarray(dt))
-    flat = jax.jit(Flattened(one, kinds, (state, step, arguments[2])))(*arguments)
-    expected = jax.jit(jax.vmap(one, (0, None, None)))(*arguments)
-    native = Kernel(one, kinds, (state, step, arguments[2]))(arguments, n)
+    flat = jax.jit(Flattened(step_once, kinds, (state, step, arguments[2])))(*arguments)
+    expected = jax.jit(jax.vmap(step_once, (0, None, None)))(*arguments)
+    native = Kernel(step_once, kinds, (state, step, arguments[2]))(arguments, n)
     native = native[0], jax.tree.map(lambda x: x[0], native[1])
     for found in (flat, native):
         assert np.array_equal(found[1].converged, expected[1].converged)

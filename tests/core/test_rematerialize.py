@@ -89,16 +89,16 @@ def test_a_gradient_stores_the_state_of_each_step_only(step, state, most):
 def of_stages(z, way):
     """Five steps of three stages."""
 
-    def one(z, x):
+    def stage(z, x):
         return jnp.sin(z * x), None
 
-    step = rematerialized(lambda z, _: (way(one, z, jnp.array([0.3, 0.7, 1.1])), None))
+    step = rematerialized(lambda z, _: (way(stage, z, jnp.array([0.3, 0.7, 1.1])), None))
     return lax.scan(step, z, None, length=5)[0]
 
 
 def test_carries_are_found_without_running_the_stages():
-    def plain(one, z, each):
-        return lax.scan(rematerialized(one), z, each)[0]
+    def plain(stage, z, each):
+        return lax.scan(rematerialized(stage), z, each)[0]
 
     few, more = (jax.grad(partial(of_stages, way=way)) for way in (scan_stages, plain))
     loops = [jax.jit(f).lower(0.4).as_text().count("while(") for f in (few, more)]

@@ -56,10 +56,10 @@ def setting(name):
 def agree(name):
     loss, at, along = setting(name)
 
-    def moved(t):
+    def loss_along(t):
         return loss(plain, *jax.tree.map(lambda x, d: x + t * d, at, along))
 
-    forward = jax.jit(lambda: jax.jvp(moved, (0.0,), (1.0,))[1])()
+    forward = jax.jit(lambda: jax.jvp(loss_along, (0.0,), (1.0,))[1])()
     gradients = [
         jax.jit(jax.grad(lambda *x, run=run: loss(run, *x), argnums=(0, 1, 2)))(*at)
         for run in (plain, by_reversal, by_checkpoints)
@@ -74,7 +74,7 @@ def agree(name):
         )
         assert abs(slope - forward) <= 1e-9 * scale
     h = 1e-3
-    at_ = jax.jit(jax.vmap(moved))(jnp.array([-2 * h, -h, h, 2 * h]))
+    at_ = jax.jit(jax.vmap(loss_along))(jnp.array([-2 * h, -h, h, 2 * h]))
     difference = (at_[0] - 8 * at_[1] + 8 * at_[2] - at_[3]) / (12 * h)
     assert abs(difference - forward) <= 1e-7 * scale
 

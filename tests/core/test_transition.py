@@ -92,10 +92,10 @@ def test_names_stand_for_every_copy_of_a_number():
     step, values = li.schemes.splitting(TOP), {"inertia": TOP.inertia, "potential.weight": TOP.potential.weight}
     named = li.transition(step, SPINNING, DT, STEPS, parameters=list(values))
 
-    def made(p):
+    def make_step(p):
         return li.schemes.splitting(li.systems.heavy_top(p["inertia"], p["potential.weight"]))
 
-    function = li.transition(made, SPINNING, DT, STEPS, parameters=values)
+    function = li.transition(make_step, SPINNING, DT, STEPS, parameters=values)
     assert set(named.by_parameters) == set(values)
     for name in values:
         np.testing.assert_allclose(named.by_parameters[name], function.by_parameters[name], rtol=0, atol=1e-13)

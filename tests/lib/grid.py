@@ -27,7 +27,7 @@ def examples(system):
 
 
 @functools.cache
-def made():
+def cases():
     """(module of the scheme, id, step, state, dt) of every system with every scheme that accepts it.
 
     Every worker collects them, so here no motion is compared: that compiles two vector fields a pair.
@@ -42,9 +42,9 @@ def made():
 
 def steps():
     """(id, step, state, dt) of every system with every scheme that takes it, the state as the scheme starts it."""
-    return [found for _, *found in made()]
+    return [found for _, *found in cases()]
 
 
 def schemes():
     """The modules of the schemes that have a step of some system."""
-    return {module for module, *_ in made()}
+    return {module for module, *_ in cases()}

@@ -8,7 +8,7 @@ from lieint_jax.native import Kernel
 MEMBERS = 13  # not a multiple of the members in a vector
 
 
-def one(x):
+def member_shape(x):
     """The shape of one member's part of an array."""
     return jax.ShapeDtypeStruct(np.shape(x)[1:], np.asarray(x).dtype)
 
@@ -16,7 +16,7 @@ def one(x):
 def compiled(function, member, shared=(), *, lanes=8):
     """`function(*member, *shared)` as machine code: (member, shared, threads) ↦ its results, axis of members first."""
     kinds = ["member"] * len(member) + ["shared"] * len(shared)
-    kernel = Kernel(function, kinds, (*jax.tree.map(one, tuple(member)), *shared), lanes)
+    kernel = Kernel(function, kinds, (*jax.tree.map(member_shape, tuple(member)), *shared), lanes)
 
     def call(member, shared=shared, threads=1):
         found = kernel((*member, *shared), len(jax.tree.leaves(member)[0]), threads=threads)

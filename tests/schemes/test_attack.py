@@ -394,12 +394,12 @@ def rubbing(m, J, G, strength):
 
 
 def tidal(law):
-    def made(m, J, G, R, *numbers):
+    def make_step(m, J, G, R, *numbers):
         tide = law(G, m, R, 1.0, *numbers)
         gravity = li.potentials.maccullagh(G, m, J) + tide.potential
         return schemes.bodies_energy_momentum(systems.rigid_bodies(m, J, gravity, tide))
 
-    return made
+    return make_step
 
 
 def constant_q(G, m, R, k2, Q, threshold):
@@ -407,23 +407,23 @@ def constant_q(G, m, R, k2, Q, threshold):
 
 
 def ellipsoids(make):
-    def made(m, axes, G):
+    def make_step(m, axes, G):
         pair = [li.shapes.ellipsoid(a, mass=mass) for a, mass in zip(axes, m, strict=True)]
         return make(systems.rigid_bodies(pair, pair, li.potentials.mutual_gravity(G, pair, 4)))
 
-    return made
+    return make_step
 
 
 def molecules(make):
     """Charges off the centers, by a tenth of the distance at which the cores touch."""
 
-    def made(m, J, constant, well, sigma):
+    def make_step(m, J, constant, well, sigma):
         at = 0.1 * sigma * jnp.array([[[1.0, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 0, 0]]], m.dtype)
         charged = li.potentials.point_charges(constant, jnp.array([[1.0, -1], [0.5, -1]], m.dtype), at)
         cores = li.potentials.lennard_jones(jnp.stack([well, well]), jnp.stack([sigma, sigma]))
         return make(systems.rigid_bodies(m, J, charged + cores))
 
-    return made
+    return make_step
 
 
 def friction(J, alpha):
@@ -494,14 +494,15 @@ ATTACKS = {  # how cases are made, and the step of one; which invariants: the en
 }
 
 
-def started(step, q, p, t=None, work=None, carried=None):
+def started(step, q, p, t=None, work=None, inner=None):
     """The state of these parts, as the step starts it; what it carries has the name that the system gives it.
 
     The parts of a thermostat are q, p, the digits of a key and the number of the step.
     """
     if isinstance(step, schemes.Langevin):
         return State(q, p, extra={"key": t, "step": work, "heat": 0 * work, "rejections": 0 * work})
-    return step.start(State(q, p, t, work, None if carried is None else dict.fromkeys(step.system.carried, carried)))
+    extra = None if inner is None else dict.fromkeys(step.system.initial_extra, inner)
+    return step.start(State(q, p, t, work, extra))
 
 
 def outcome(make, numbers, parts, dt):
@@ -519,7 +520,7 @@ def outcome(make, numbers, parts, dt):
         scale += jnp.max(numbers[0])  # W near its minimum is a small sum of terms of the size of λ and μ
     braking = jnp.maximum(*(friction_number(system, x, dt) for x in (state, after)))
     rough = jnp.maximum(1, braking / 100)
-    levers = [rough * largest(x.q) * largest((x.p, x.extra if system.carried else None)) for x in (state, after)]
+    levers = [rough * largest(x.q) * largest((x.p, x.extra if system.initial_extra else None)) for x in (state, after)]
     bulk = jnp.maximum(1, largest(p))
     if isinstance(system, AbstractIncompressibleBody):
         bulk = largest(after.q) ** 3  # the terms of det F

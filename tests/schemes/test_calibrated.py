@@ -22,7 +22,7 @@ J123 = jnp.array([1.0, 2.0, 3.0])
 FULL = turned([1.0, 2.0, 3.0])
 
 
-def at(Pi):
+def state_with(Pi):
     return State(jnp.asarray(Q), so3.Ad(jnp.asarray(Q), Pi))
 
 
@@ -39,25 +39,25 @@ def momenta(members=200):
 def against_the_flow(J, Pi, dts):
     """Of every Π and step size: whether it converged, and the angle from the exact flow."""
 
-    def one(Pi, dt):
-        (state, info), true = calibrated(RigidBody(J))(at(Pi), dt), RigidBody(J).solution(at(Pi), dt)
+    def compared(Pi, dt):
+        (state, info), true = calibrated(RigidBody(J))(state_with(Pi), dt), RigidBody(J).solution(state_with(Pi), dt)
         return info.converged, so3.angle(state.q, true.q)
 
-    return jax.lax.map(lambda dt: jax.vmap(one, (0, None))(Pi, dt), dts)
+    return jax.lax.map(lambda dt: jax.vmap(compared, (0, None))(Pi, dt), dts)
 
 
 def _both(J, Pi, dt):
-    return calibrated(RigidBody(J))(at(Pi), dt)[0].q, RigidBody(J).solution(at(Pi), dt).q
+    return calibrated(RigidBody(J))(state_with(Pi), dt)[0].q, RigidBody(J).solution(state_with(Pi), dt).q
 
 
 @jax.jit
 def both_derivatives(J, Pi, dt):
     """In J, Π and dt, of every Π and dt: of the step and of the exact flow, (cases, 4, 7) each."""
 
-    def one(Pi, dt):
+    def derivatives(Pi, dt):
         return jax.jacfwd(lambda x: _both(x[:3], x[3:6], x[6]))(jnp.concatenate([J, Pi, dt[None]]))
 
-    return jax.lax.map(lambda case: one(*case), (Pi, dt))
+    return jax.lax.map(lambda case: derivatives(*case), (Pi, dt))
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_gradients_go_through_the_constants():
 @pytest.mark.long
 def test_an_ensemble_prepares_every_member():
     body = RigidBody(J123)
-    states = jax.vmap(at)(momenta(20) * jnp.linspace(0.1, 1, 20)[:, None])
+    states = jax.vmap(state_with)(momenta(20) * jnp.linspace(0.1, 1, 20)[:, None])
     run = ensemble.run(calibrated(body), states, 0.5, 80, progress=False)
     assert run.info.converged.all()
     true = jax.vmap(body.solution, (0, None))(states, 40.0)

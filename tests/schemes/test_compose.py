@@ -249,10 +249,10 @@ def test_a_tangent_vector_goes_through_what_sub_steps_carry_from_one_to_the_next
 
     @jax.jit
     @jax.vmap
-    def moved(delta):
+    def displacement(delta):
         return space.displacement(start, step(space.perturb(start, delta), 0.4)[0])
 
-    ends = np.asarray(moved(np.array([T[:, 0], T[:, 1], 0 * T[:, 0]])))
+    ends = np.asarray(displacement(np.array([T[:, 0], T[:, 1], 0 * T[:, 0]])))
     tangent = jax.jit(lambda: step.tangent(start, 0.4, T)[2])()
     np.testing.assert_allclose(tangent.T, ends[:2] - ends[2], rtol=0, atol=1e-15)
 

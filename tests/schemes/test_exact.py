@@ -154,13 +154,13 @@ def walk(body, state, sizes, again):
     """Steps of these sizes, from `state` and again from it where `again` says so: energies, units and flags."""
     step = exact(body)
 
-    def one(now, case):
+    def step_once(now, case):
         size, restart = case
         now = jax.tree.map(lambda start, here: jnp.where(restart, start, here), state, now)
         now, info = step(now, size)
         return now, (now, body.energy(now) - body.energy(state), so3.defect(now.q), info.converged)
 
-    return jax.lax.scan(one, state, (sizes, again))[1]
+    return jax.lax.scan(step_once, state, (sizes, again))[1]
 
 
 @pytest.mark.long
@@ -192,12 +192,12 @@ def test_the_angular_velocity_stays_on_poinsot_s_invariable_plane():
 
     @jax.jit
     def motion(state, times):
-        def at(t):
+        def invariants(t):
             now = body.solution(state, t)
             Omega = body.angular_velocity(now)
             return so3.Ad(now.q, Omega) @ state.p - 2 * body.energy(state), jnp.linalg.norm(Omega * body.inertia)
 
-        return jax.vmap(at)(times)
+        return jax.vmap(invariants)(times)
 
     height, norm = motion(state, np.linspace(-100.0, 100.0, 200))
     assert height.shape == (200,)

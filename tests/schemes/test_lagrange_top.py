@@ -21,7 +21,7 @@ flow = jax.jit(diagnostics.flow, static_argnums=3)
 
 
 @jax.jit
-def seen(top, state):
+def measured(top, state):
     """Γ₃, Ω, Π₃, γ·π, the energy, and the axis in space."""
     Pi, axis = top.body_momentum(state), so3.Ad(state.q, jnp.array([0.0, 0.0, 1.0]))
     return top.Gamma(state)[2], top.angular_velocity(state), Pi[2], top.momentum(state)[0], top.energy(state), axis
@@ -36,7 +36,7 @@ def nutation(top, state):
 
     u̇² = f(u) = (a − βu)(1 − u²) − (b − cu)², a cubic: Goldstein, Classical Mechanics, 5.7.
     """
-    _, _, spin, height, energy, _ = jax.device_get(seen(top, state))
+    _, _, spin, height, energy, _ = jax.device_get(measured(top, state))
     beta = 2 * WEIGHT / A
     a = 2 * (energy - spin**2 / (2 * C)) / A
     b, c = height / A, spin / A
@@ -49,7 +49,7 @@ def test_the_closed_form_of_nutation_and_precession_agrees_with_quadrature():
     """With u = Γ₃ between its two bounds, u̇² = β(u − u₁)(u₂ − u)(u₃ − u) and the precession is (b − cu)/(1 − u²)."""
     top = top_of()
     state = moving(np.array([A, A, C]), [0.5, 0.3, 20.0])
-    _, _, spin, height, energy, _ = jax.device_get(seen(top, state))
+    _, _, spin, height, energy, _ = jax.device_get(measured(top, state))
     beta, b, c = 2 * WEIGHT / A, height / A, spin / A
     a = 2 * (energy - spin**2 / (2 * C)) / A
     u1, u2, u3 = sorted(np.roots([beta, -a - c * c, 2 * b * c - beta, a - b * b]).real)
@@ -75,15 +75,15 @@ def test_a_released_top_nutates_with_the_closed_form_s_period_and_amplitude():
     """Released with nothing but spin, the axis falls to the other root in half a period and is back after a whole."""
     top, state = jax.jit(lagrange)()
     low, high, period = nutation(top, state)
-    u0 = float(seen(top, state)[0])
+    u0 = float(measured(top, state)[0])
     assert u0 == pytest.approx(high, abs=1e-13)
     assert low < high - 5e-3
     end = flow(top, state, period / 2, 200)
-    assert float(seen(top, end)[0]) == pytest.approx(low, abs=2e-13)
+    assert float(measured(top, end)[0]) == pytest.approx(low, abs=2e-13)
     for step, order in ((top_energy_momentum(top), 2), (splitting(top), 2), (compose(splitting(top), 4), 4)):
         errors = []
         for n in (40, 80):
-            u, Omega, *_ = jax.device_get(seen(top, after(step, state, period / n, n)[0]))
+            u, Omega, *_ = jax.device_get(measured(top, after(step, state, period / n, n)[0]))
             errors.append(abs(u - u0) + np.abs(Omega[:2]).max())
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
         assert errors[1] < 0.05
@@ -108,11 +108,11 @@ def test_steady_precession_is_possible_at_both_rates(fast):
 
     state, axis = motion(rate)
     end = flow(top, state, t, 200)
-    assert np.abs(seen(top, end)[-1] - np.asarray(axis)).max() < 2e-12
+    assert np.abs(measured(top, end)[-1] - np.asarray(axis)).max() < 2e-12
     for step in (top_energy_momentum(top), splitting(top)):
         errors = []
         for n in (200, 400):
-            errors.append(np.abs(seen(top, after(step, state, t / n, n)[0])[-1] - np.asarray(axis)).max())
+            errors.append(np.abs(measured(top, after(step, state, t / n, n)[0])[-1] - np.asarray(axis)).max())
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.1)
 
 

@@ -88,7 +88,7 @@ def order_and_error(name, step, states, dt):
 
 
 def cases():
-    for scheme, name, step, state, dt in grid.made():
+    for scheme, name, step, state, dt in grid.cases():
         marks = () if QUICK.match(name) else pytest.mark.long
         yield pytest.param(scheme, name, step, state, dt, id=name, marks=marks)
 

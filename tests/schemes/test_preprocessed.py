@@ -55,7 +55,7 @@ def measured(step, state):
 
 
 @functools.cache
-def of(name, order):
+def measured_of(name, order):
     body = BODIES[name]
     return measured(preprocessed(body, order), moving(body.inertia))
 
@@ -64,7 +64,7 @@ def of(name, order):
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
 @pytest.mark.parametrize("name", BODIES)
 def test_preprocessed_steps_have_their_order_against_the_exact_flow(name, order):
-    out = of(name, order)
+    out = measured_of(name, order)
     assert np.log2(out["errors"][0] / out["errors"][1]) == pytest.approx(order, abs=0.15 if order < 8 else 0.4)
     assert out["errors"][1] < 1e-2 * out["error of order 2"]
 
@@ -73,7 +73,7 @@ def test_preprocessed_steps_have_their_order_against_the_exact_flow(name, order)
 @pytest.mark.parametrize("order", [4, 6])
 @pytest.mark.parametrize("name", BODIES)
 def test_energy_momentum_and_symmetry_are_exact(name, order):
-    out = of(name, order)
+    out = measured_of(name, order)
     assert out["converged"].all()
     assert np.abs(out["energy"]).max() < 1e-14  # floor 3e-15
     assert np.abs(out["momentum"]).max() == 0

@@ -21,14 +21,14 @@ GRID = [pytest.param(step, state, dt, id=name) for name, step, state, dt in step
 
 
 @jax.jit
-def carried(step, state, dt):
+def pushed_forward(step, state, dt):
     """By the step's own `tangent`, by that of any step, and the step."""
     T = jnp.eye(step.system.phase_space.dim)
     return step.tangent(state, dt, T), li.Step.tangent(step, state, dt, T), step(state, dt)
 
 
 def check(step, state, dt):
-    own, generic, plain = jax.device_get(carried(step, state, dt))
+    own, generic, plain = jax.device_get(pushed_forward(step, state, dt))
     size = np.abs(generic[2]).max()
     np.testing.assert_allclose(own[2], generic[2], rtol=0, atol=1e-14 * size)  # observed 7e-16
     for a, b in zip(jax.tree.leaves(own[:1]), jax.tree.leaves(plain[:1]), strict=True):

@@ -89,7 +89,7 @@ def run(step, state, dt, num_steps=1000, save_every=1):
     return jax.device_get(_run(step, state, dt, num_steps, save_every))
 
 
-def at(trajectory, n):
+def state_after(trajectory, n):
     return jax.tree.map(lambda x: x[n], trajectory.state)
 
 
@@ -142,10 +142,10 @@ def test_steps_of_tops_are_of_second_order_and_reversible(name, kappas):
     state = start(top)
     end = flow(top, state, 3.2, 32)
     for step in (top_energy_momentum(top, kappas["cayley"]), splitting(top)):
-        errors = [float(distance(at(run(step, state, 3.2 / n)[0], n), end)) for n in (64, 128)]
+        errors = [float(distance(state_after(run(step, state, 3.2 / n)[0], n), end)) for n in (64, 128)]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
-        there = at(run(step, state, 0.1)[0], 1)
-        assert float(distance(at(run(step, there, -0.1)[0], 1), state)) < 1e-15
+        there = state_after(run(step, state, 0.1)[0], 1)
+        assert float(distance(state_after(run(step, there, -0.1)[0], 1), state)) < 1e-15
 
 
 @pytest.mark.parametrize("kappa", KAPPAS)
@@ -222,7 +222,7 @@ def test_compositions_raise_the_order_and_conserve_what_the_base_conserves():
         step = compose(base, 4)
         assert step.method == "suzuki"  # steps of tops do not commute
         runs = {n: run(step, state, 3.2 / n, 32) for n in (16, 32)}
-        errors = [float(distance(at(trajectory, n), end)) for n, (trajectory, *_) in runs.items()]
+        errors = [float(distance(state_after(trajectory, n), end)) for n, (trajectory, *_) in runs.items()]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.15)
         _, _, (energy, momentum, _) = runs[32]
         assert (np.abs(energy).max() < 3e-14) == (base.name != splitting(top).name)
@@ -237,7 +237,7 @@ def test_a_custom_drift_lowers_the_error_of_a_fast_top():
     end = flow(top, state, 20.0, 100)
     errors = {}
     for name, step in {"symplectic": splitting(top), "exact": splitting(top, exact(top.free))}.items():
-        errors[name] = float(so3.angle(at(run(step, state, 0.25)[0], 80).q, end.q))
+        errors[name] = float(so3.angle(state_after(run(step, state, 0.25)[0], 80).q, end.q))
         assert float(defect(step, state, 0.25)) < 5e-15
     assert errors["exact"] < 1e-2 * errors["symplectic"]
 

@@ -440,7 +440,7 @@ def gains(name, row, dt, start, num_steps):
     body = DISSIPATIVE[name]
     step = torqued_midpoint(body, chosen(row))
 
-    def one(carry, _):
+    def step_once(carry, _):
         state, energy, most, work, count = carry
         end, info = step(state, dt)
         end = jax.tree.map(functools.partial(jnp.where, info.converged), end, state)
@@ -450,7 +450,7 @@ def gains(name, row, dt, start, num_steps):
 
     lowest = jnp.array(-jnp.inf)
     carry = (start, body.energy(start), lowest, lowest, jnp.zeros((), int))
-    _, energy, most, work, count = jax.lax.scan(one, carry, None, length=num_steps)[0]
+    _, energy, most, work, count = jax.lax.scan(step_once, carry, None, length=num_steps)[0]
     return most / body.energy(start), work, count, energy / body.energy(start)
 
 
@@ -559,7 +559,7 @@ def scaled_push(x, t, q, omega):
     return x[0] * push(x[1] * t, q, x[2] * omega)
 
 
-def of(function, x):
+def with_numbers(function, x):
     return jax.tree_util.Partial(function, x)
 
 
@@ -568,7 +568,7 @@ def near(target, angles):
 
 
 MADE = {  # how a system is made of an inertia and of parameters, and which ones
-    "push": (lambda J, x: torqued_body(J, of(scaled_push, x), "space"), [1.1, 0.9, 1.2]),
+    "push": (lambda J, x: torqued_body(J, with_numbers(scaled_push, x), "space"), [1.1, 0.9, 1.2]),
     "viscous": (lambda J, x: torqued_body(J, torques.viscous(x.reshape(3, 3) + x.reshape(3, 3).T)), D.ravel() / 2),
     "pd_trace": (
         lambda J, x: torqued_body(J, torques.pd_trace(x[0], x[1], near(TARGET, x[2:]))),
@@ -578,14 +578,22 @@ MADE = {  # how a system is made of an inertia and of parameters, and which ones
         lambda J, x: torqued_body(J, torques.pd_quaternion(x[0], x[1], near(TARGET, x[2:]))),
         [0.7, 0.2, 0.1, -0.2, 0.3],
     ),
-    "bdot": (lambda J, x: torqued_body(J, torques.bdot(x[0], of(turning_field, x[1:]))), [0.3, 1.0, 1.2, 0.4]),
+    "bdot": (
+        lambda J, x: torqued_body(J, torques.bdot(x[0], with_numbers(turning_field, x[1:]))),
+        [0.3, 1.0, 1.2, 0.4],
+    ),
     "kane_damper": (lambda J, x: torqued_body(J, torques.kane_damper(x[0], x[1])), [0.4, 0.3]),
     "thruster": (lambda J, x: torqued_body(J, torques.thruster(x[:3], x[3], x[4])), [0.3, -0.5, 0.2, 0.33, 0.91]),
     "solar_plate": (
         lambda J, x: torqued_body(
             J,
             torques.solar_plate(
-                x[0], so3.Ad(so3.exp(x[1:4]), NORMAL), x[4:7], of(turning_sun, x[7]), specular=x[8], diffuse=x[9]
+                x[0],
+                so3.Ad(so3.exp(x[1:4]), NORMAL),
+                x[4:7],
+                with_numbers(turning_sun, x[7]),
+                specular=x[8],
+                diffuse=x[9],
             ),
         ),
         [0.4, 0.1, -0.2, 0.1, *ARM, 0.7, 0.6, 0.3],
@@ -752,7 +760,7 @@ def until(x, t, q, omega):
 @pytest.mark.long
 def test_a_torque_that_becomes_nan_is_flagged_and_at_the_start_refused():
     start = moving(J)._replace(t=jnp.array(0.0))
-    steps_to = {x: torqued_midpoint(torqued_body(J, of(until, jnp.array(x)))) for x in (0.35, -0.1)}
+    steps_to = {x: torqued_midpoint(torqued_body(J, with_numbers(until, jnp.array(x)))) for x in (0.35, -0.1)}
     run = li.integrate(steps_to[0.35], start, 0.1, 6)
     np.testing.assert_array_equal(run.info.converged, [1, 1, 1, 1, 0, 0, 0])
     with pytest.raises(ValueError, match=r"the torque must be finite, got \[nan nan nan\] at t = 0.* fix the law"):

@@ -205,13 +205,13 @@ def test_the_energy_momentum_scheme_conserves_its_invariants_at_any_steps():
 def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
     """With respect to the momentum, the strength of the potential or the exponent of σ, and dt."""
 
-    def made(number):
+    def make_step(number):
         if name == "reversible_control":
             return schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, number))
         return schemes.log_hamiltonian(systems.potential_top(J, coulomb, number * jnp.array([0.0, 0.0, NEAR])))
 
     def loss(x, by):
-        step = made(x[3])
+        step = make_step(x[3])
         start = step.start(START._replace(p=START.p + x[:3]))
         run = (
             li.reversible(step, start, x[4], 40, save_every=20)

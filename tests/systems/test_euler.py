@@ -35,12 +35,12 @@ def test_casimirs_are_constant_on_coadjoint_orbits(name):
     invariant, rng = CASIMIRS[name], np.random.default_rng(0)
 
     @functools.partial(jax.jit, compiler_options=QUICK)
-    def moved(xi, mu):
+    def transported(xi, mu):
         after = g.Ad_star(g.exp_near(xi), mu)
         return after, g.casimirs(after), g.casimirs(mu)
 
     for xi, mu in rng.normal(size=(4, 2, g.dim)) / 2:
-        after, *casimirs = (np.array(x) for x in moved(xi, mu))
+        after, *casimirs = (np.array(x) for x in transported(xi, mu))
         np.testing.assert_allclose(invariant(after), invariant(mu), rtol=0, atol=1e-14)
         np.testing.assert_allclose(*casimirs, rtol=0, atol=1e-14)
         assert casimirs[0].size

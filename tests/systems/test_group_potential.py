@@ -134,12 +134,12 @@ def test_splitting_finds_the_drift_of_products(made):
     step = li.schemes.splitting(system)
 
     @jax.jit
-    def one(dt):
+    def errors(dt):
         after, _, form, back = there_and_back(step, state, dt)
         exact = flow(system, state, dt, 1)
         return form, jnp.abs(back.q - state.q).max(), jnp.abs(after.q - exact.q).max(), jnp.abs(after.p - exact.p).max()
 
-    coarse, fine = (np.asarray(one(h)) for h in (0.1, 0.05))
+    coarse, fine = (np.asarray(errors(h)) for h in (0.1, 0.05))
     assert max(coarse[0], fine[0]) < 3e-15
     assert coarse[1] < 2e-15
     np.testing.assert_allclose(np.log2(coarse[2:] / fine[2:]), 3, rtol=0, atol=0.15)

@@ -114,11 +114,11 @@ def test_a_gyrostat_without_rotor_momentum_is_the_free_body():
 def defects(step, state, dts, rotors):
     """The largest symplectic defect, of every step size with every rotor."""
 
-    def one(dt, rotor):
+    def defect(dt, rotor):
         made = dataclasses.replace(step, system=systems.Gyrostat(step.system.inertia, rotor))
         return jnp.max(jnp.abs(defect_matrix(made, state, dt)))
 
-    return jax.vmap(lambda dt: jax.vmap(lambda rotor: one(dt, rotor))(rotors))(dts)
+    return jax.vmap(lambda dt: jax.vmap(lambda rotor: defect(dt, rotor))(rotors))(dts)
 
 
 DTS = np.array([0.05, 0.025, 0.0125, -0.1])

@@ -43,7 +43,7 @@ def exact(mu, a, e, inclination, node, periapsis, time, t):
 
 
 @jax.jit
-def found(elements, t):
+def position_and_velocity(elements, t):
     return jnp.concatenate(orbits.Kepler(*elements)(t))
 
 
@@ -59,7 +59,7 @@ def test_positions_and_velocities_agree_with_40_digits(e, a):
         elements = (1.7, a, e, *ANGLES, 0.25)
         with mp.workdps(40):
             wanted = exact(*map(mp.mpf, map(float, elements)), mp.mpf(float(t)))
-            ours = np.asarray(found(tuple(map(jnp.asarray, elements)), t))
+            ours = np.asarray(position_and_velocity(tuple(map(jnp.asarray, elements)), t))
             error = [float(x - mp.mpf(float(y))) for x, y in zip(wanted, ours, strict=True)]
         for part in (slice(3), slice(3, 6)):
             assert np.linalg.norm(error[part]) < 1e-13 * np.linalg.norm(ours[part])
@@ -70,7 +70,9 @@ def test_positions_and_velocities_agree_with_40_digits(e, a):
 def test_derivatives_by_every_element_and_time_agree_with_differences(e, a):
     """Forward and reverse, against differences in 60 digits; two times, near periapsis and far from it."""
     elements = (1.7, a, e, *ANGLES, 0.25)
-    forward, reverse = (jax.jit(d(lambda x: found(tuple(x[:7]), x[7]))) for d in (jax.jacfwd, jax.jacrev))
+    forward, reverse = (
+        jax.jit(d(lambda x: position_and_velocity(tuple(x[:7]), x[7]))) for d in (jax.jacfwd, jax.jacrev)
+    )
     for t in (0.3, -6.0):
         x = np.array([*elements, t])
         J = np.asarray(forward(x))

@@ -48,7 +48,7 @@ def run(step, state, dt=0.1):
     return jax.device_get(_run(step, jax.tree.map(np.asarray, state), dt))
 
 
-def at(trajectory, n):
+def state_after(trajectory, n):
     return jax.tree.map(lambda x: x[n], trajectory.state)
 
 
@@ -89,7 +89,7 @@ def test_1_6_as_printed_does_not_conserve_energy():
     """∇H(½(z_n + z_n)), an explicit gradient, for ∇H(½(z_n + z_{n+1})): of first order, and energy is lost."""
     m, dt, grad = 1.5, 0.1, -2 * AXIS
 
-    def one(q, pi, printed):
+    def step_by_root(q, pi, printed):
         def residual(x):
             q1, pi1 = x[:3], x[3:]
             r, p = (q + q1) / 2, pi if printed else (pi + pi1) / 2
@@ -103,11 +103,11 @@ def test_1_6_as_printed_does_not_conserve_energy():
     for printed in (False, True):
         q, pi = start()[:2]
         for _ in range(20):
-            q, pi = one(q, pi, printed)
+            q, pi = step_by_root(q, pi, printed)
         lost = abs(float(energy(State(q, pi))) - float(energy(start())))
         assert (lost < 1e-12) != printed
         if not printed:
-            np.testing.assert_allclose(at(ours, 20)[:2], [q, pi], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(state_after(ours, 20)[:2], [q, pi], rtol=0, atol=1e-12)
 
 
 # Claims 4 and 5: the midpoint rule in spherical coordinates about γ, a local Darboux chart ----------------------------
@@ -232,10 +232,10 @@ def test_second_order_against_the_flow_and_reversible():
     exact = jax.device_get(jax.jit(lambda z: flow(bob, z, 0.8, 16))(start()))
     for normalized in (False, True):
         step = li.schemes.sphere_midpoint(bob, normalized)
-        errors = [np.abs(at(run(step, start(), 0.8 / n)[0], n).q - exact.q).max() for n in (16, 32)]
+        errors = [np.abs(state_after(run(step, start(), 0.8 / n)[0], n).q - exact.q).max() for n in (16, 32)]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.03)
-        there = at(run(step, start(), 0.1)[0], 1)
-        np.testing.assert_allclose(at(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
+        there = state_after(run(step, start(), 0.1)[0], 1)
+        np.testing.assert_allclose(state_after(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
 
 
 @pytest.mark.paper("1.1: (1.4)", "the form of T*S²", "phase_spaces.py")

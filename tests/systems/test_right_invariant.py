@@ -19,7 +19,7 @@ NAMES = [pytest.param(name, marks=[pytest.mark.long] * (name != "SE(2)")) for na
 _once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
-def made(name, turn=0.4):
+def system_and_state(name, turn=0.4):
     group, metric, velocity = CATALOGUE[name]
     system = li.systems.euler(group, metric, invariance="right")
     q = jax.jit(group.exp)(turn * jnp.sin(jnp.arange(1.0, group.dim + 1)))
@@ -31,7 +31,7 @@ def made(name, turn=0.4):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
 def test_energy_and_body_momentum_are_conserved_and_the_order_is_two(name):
-    system, state = made(name)
+    system, state = system_and_state(name)
     step = li.schemes.group_midpoint(system)
     found = certify(step, state, 0.1, 40)
     assert found.converged
@@ -47,7 +47,7 @@ def test_energy_and_body_momentum_are_conserved_and_the_order_is_two(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_vector_field_is_hamiltonian(name):
     """i_X ω = dH on the phase space, and Π and H are constant along X; the mirror of (5.20)."""
-    system, state = made(name)
+    system, state = system_and_state(name)
     space = system.phase_space
 
     @jax.jit
@@ -66,7 +66,7 @@ def test_the_vector_field_is_hamiltonian(name):
 
 def test_a_step_follows_the_vector_field():
     """By the central difference of two steps: a step of −Δt would keep Π and the energy too."""
-    system, state = made("Aff(1)")
+    system, state = system_and_state("Aff(1)")
     step, h = li.schemes.group_midpoint(system), 1e-3
     ahead, behind = (_once(step, state, dt)[0] for dt in (h, -h))
     field = system.vector_field(state)
@@ -80,7 +80,7 @@ def test_a_step_follows_the_vector_field():
 def test_inversion_maps_a_right_invariant_flow_to_a_left_invariant_one(name):
     """q ↦ q⁻¹ makes a right-invariant motion a left-invariant one, with spatial momentum −Π; steps too."""
     group, metric, _ = CATALOGUE[name]
-    system, state = made(name)
+    system, state = system_and_state(name)
     mirror = li.systems.euler(group, metric)
     image = lambda z: li.State(group.inverse(z.q), -group.Ad_star(z.q, z.p))  # noqa: E731
     there = jax.jit(image)(state)
@@ -96,7 +96,7 @@ def test_inversion_maps_a_right_invariant_flow_to_a_left_invariant_one(name):
 @pytest.mark.long
 def test_symplectic_with_the_arcsine_map_and_not_with_the_exponential():
     """Inversion is a symplectic map of T*G: the form is kept exactly where the left-invariant step keeps it."""
-    system, state = made("SL(2)")
+    system, state = system_and_state("SL(2)")
     kept, lost = (
         certify(li.schemes.group_midpoint(system, tau), state, 0.2, 4) for tau in (li.maps.arcsine, li.maps.exponential)
     )
@@ -108,7 +108,7 @@ def test_symplectic_with_the_arcsine_map_and_not_with_the_exponential():
 @pytest.mark.long
 def test_the_poisson_error_is_that_of_the_whole_form():
     """(5.36) is of steps with π constant: here the product alone, and the recursion refused."""
-    system, state = made("SL(2)")
+    system, state = system_and_state("SL(2)")
     step = li.schemes.group_midpoint(system, li.maps.arcsine)
     error = jax.jit(lambda z: poisson_error(step, z, 0.2, 3))(state)
     assert error.shape == (4, 6, 6)
@@ -120,7 +120,7 @@ def test_the_poisson_error_is_that_of_the_whole_form():
 @pytest.mark.long
 def test_a_step_that_lost_the_digits_of_its_momentum_is_flagged():
     """On SL(2) Ad_q grows along a motion, and Π = Ad*_q π comes to be a small difference of large terms."""
-    system, state = made("SL(2)")
+    system, state = system_and_state("SL(2)")
     run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(
         li.schemes.group_midpoint(system), state, 0.1, 600, save_every=60
     )
@@ -133,7 +133,7 @@ def test_a_step_that_lost_the_digits_of_its_momentum_is_flagged():
 
 @pytest.mark.long
 def test_derivatives_by_the_metric_agree_with_differences_and_steps_vmap():
-    system, state = made("SL(2)")
+    system, state = system_and_state("SL(2)")
     energy = lambda m, dt: li.schemes.group_midpoint(li.systems.RightEuler(m, system.group))(state, dt)[0].p[0]  # noqa: E731
     slope = jax.jit(jax.grad(energy))(system.metric, 0.3)
     e = 1e-5 * np.eye(3)
@@ -144,7 +144,7 @@ def test_derivatives_by_the_metric_agree_with_differences_and_steps_vmap():
 
 
 def test_bad_arguments_of_euler_raise_errors():
-    system, state = made("SO(3)")
+    system, state = system_and_state("SO(3)")
     with pytest.raises(ValueError, match=r"invariance must be 'left' or 'right', got 'both'"):
         li.systems.euler(groups.so3, [1.0, 2.0, 3.0], "both")
     with pytest.raises(ValueError, match=r"so3_midpoint integrates free rigid bodies .*got RightEuler"):

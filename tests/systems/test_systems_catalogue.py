@@ -25,7 +25,7 @@ def with_work(system, state):
     return state._replace(t=time, work=jnp.zeros(())) if works else state
 
 
-def moved(system, state):
+def perturbed(system, state):
     """A state of no symmetry near an example."""
     space = system.phase_space
     return space.perturb(state, 0.1 * jnp.sin(1.0 + jnp.arange(space.dim)))
@@ -53,7 +53,7 @@ def test_every_system_has_an_entry_with_a_source():
 def test_what_is_declared_conserved_has_no_derivative_along_the_motion(name, key):
     """dF·X = 0 at a state without symmetry, for the energy, the momentum map and the Casimirs."""
     system, state, _ = EXAMPLES[name][key]
-    entry, state = ENTRIES[name], with_work(system, moved(system, state))
+    entry, state = ENTRIES[name], with_work(system, perturbed(system, state))
 
     @jax.jit
     def rates(system, state):

@@ -128,10 +128,10 @@ def _difference(
     dtype = jnp.result_type(*numbers, *([] if numbers else [float]))
     delta = 0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim, dtype=dtype))
     state = space.perturb(jax.tree.map(lambda x: x.astype(dtype), space.origin), delta)
-    carried = jax.tree.map(
-        lambda x: x + jnp.cos(phase + 1.3 * jnp.arange(x.size, dtype=dtype)).reshape(x.shape), system.carried
+    extra = jax.tree.map(
+        lambda x: x + jnp.cos(phase + 1.3 * jnp.arange(x.size, dtype=dtype)).reshape(x.shape), system.initial_extra
     )
-    state = state._replace(t=jnp.asarray(phase, dtype), extra=carried)
+    state = state._replace(t=jnp.asarray(phase, dtype), extra=extra)
     own, scheme = system.vector_field(state), vector_field(data, state)
     pairs = zip(*(jax.tree.leaves((rate.q, rate.p, rate.extra)) for rate in (own, scheme)), strict=True)
     return jnp.max(jnp.stack([_relative(*pair) for pair in pairs])), jnp.sqrt(jnp.finfo(dtype).eps)
