@@ -57,10 +57,10 @@ def old_calls(**renamed_arguments: str) -> Callable[[_F], _F]:
             positional, more = args[: len(by_position)], args[len(by_position) :]
             named = dict(zip(by_keyword, more, strict=False))
             if more and len(named) == len(more):
-                _warn(f"{function.__name__}: pass {', '.join(named)} by name; by position")
+                warn_of_removal(f"{function.__name__}: pass {', '.join(named)} by name; by position")
                 args, kwargs = positional, named | kwargs
             for old in renamed_arguments.keys() & kwargs.keys():
-                _warn(f"{function.__name__}: {old} is now {renamed_arguments[old]}; the old name")
+                warn_of_removal(f"{function.__name__}: {old} is now {renamed_arguments[old]}; the old name")
                 kwargs[renamed_arguments[old]] = kwargs.pop(old)
             return function(*args, **kwargs)
 
@@ -73,11 +73,12 @@ def renamed_attribute(old: str, new: str) -> Any:
     """The property by which a class still has an attribute under its old name."""
 
     def value(instance: object) -> object:
-        _warn(f"{type(instance).__name__}.{old} is now {new}; the old name")
+        warn_of_removal(f"{type(instance).__name__}.{old} is now {new}; the old name")
         return getattr(instance, new)
 
     return property(value)
 
 
-def _warn(what: str) -> None:
+def warn_of_removal(what: str) -> None:
+    """Warn, in a function that an old name or call reaches directly, that it will not be accepted any more."""
     warnings.warn(f"{what} will not be accepted from version 0.4 on", DeprecationWarning, stacklevel=3)

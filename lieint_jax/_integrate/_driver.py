@@ -43,7 +43,7 @@ class Progress(NamedTuple):
     @classmethod
     def begin(cls, state: State, seen: Tree = None) -> Progress:
         """A run before its first step."""
-        return cls(state, StepInfo.fresh(state.p), seen)
+        return cls(state, StepInfo.empty(state.p), seen)
 
 
 def advance(

@@ -183,7 +183,7 @@ def _padded_trajectory(
 ) -> Trajectory:
     """`trajectory` for any number of saves up to `most`; the entries after them are undefined."""
     interval = _interval(prepared(step, state, clock), clock, save_every)
-    rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.fresh(state.p)))
+    rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.empty(state.p)))
 
     def padded_interval(k: Array, carry: PyTree) -> PyTree:
         moved, rows = carry
@@ -223,7 +223,7 @@ def _at_output_times(
     own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
     nodes = lax.cummax(own)
     rests = save_at - clock.time(nodes)
-    whole, fresh = prepared(step, state, clock), StepInfo.fresh(state.p)
+    whole, fresh = prepared(step, state, clock), StepInfo.empty(state.p)
     outputs = jnp.zeros(num_steps + count, bool).at[nodes + jnp.arange(count)].set(True)
     buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), (state, fresh))
 
@@ -247,7 +247,7 @@ def _at_output_times(
 
 def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
     """The trajectory of an initial state, the states and reports after it, and the times of all; None: the states'."""
-    first = (state, StepInfo.fresh(state.p))
+    first = (state, StepInfo.empty(state.p))
     states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
     return Trajectory(states.t if t is None else t, states, info)
 

@@ -304,7 +304,7 @@ def _entries(run: _Run, values: PyTree, dt: Array, num_saves: int, save_every: i
 
     def interval(carry: tuple[State, Array, Array], _: None) -> tuple[PyTree, PyTree]:
         state, T, n = carry
-        fresh = StepInfo.fresh(state.p)
+        fresh = StepInfo.empty(state.p)
         (state, T, info, n), _ = lax.scan(step_once, (state, T, fresh, n), None, length=save_every)
         return (state, T, n), ((state, info), T)
 

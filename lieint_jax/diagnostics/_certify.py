@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
-from lieint_jax.diagnostics._order import fitted_order, shown_reversibility
+from lieint_jax.diagnostics._order import fitted_order, reversibility_of_run
 from lieint_jax.diagnostics._series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics._symplectic import defect_matrix
 from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
@@ -151,7 +151,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         symplectic_defect=coarse,
         symplectic_order=math.inf if rounding else power,
         order=fitted_order(step, state, dt, _SPAN, most),
-        reversibility=float(shown_reversibility(step, state, h, most)),
+        reversibility=float(reversibility_of_run(step, state, h, most)),
         residual=float(run.info.residual.max()),
         converged=bool(run.info.converged.all()),
         work=state.work is not None,

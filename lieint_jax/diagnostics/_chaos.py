@@ -157,7 +157,7 @@ def _lyapunov(
         growth = growth.at[batch].add(gain)
         return ((state, frame, info, n), growth), None
 
-    begin = (state, orthonormalize(frame / unit)[0], StepInfo.fresh(state.p), zero)
+    begin = (state, orthonormalize(frame / unit)[0], StepInfo.empty(state.p), zero)
     growth = jnp.zeros((batches, frame.shape[1]), frame.dtype)
     ((_, _, info, _), growth), _ = lax.scan(orthonormal_interval, (begin, growth), None, length=rounds)
     between = jnp.abs(dt) * every
@@ -239,7 +239,7 @@ def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: 
 
     zero = jnp.zeros((), vector.dtype)
     first = orthonormalize(vector[:, None] / unit)[0]
-    begin = (state, first, zero, zero, StepInfo.fresh(state.p), jnp.zeros((), int))
+    begin = (state, first, zero, zero, StepInfo.empty(state.p), jnp.zeros((), int))
     (_, _, Y, mean, info, _), _ = lax.scan(step_once, begin, None, length=num_steps)
     return Megno(Y, mean, info)
 

@@ -112,10 +112,10 @@ def _distance(step: Step, a: State, b: State) -> Scalar:
 
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
-    return shown_reversibility(*_measure.checked(step, state, dt, 1), 1)
+    return reversibility_of_run(*_measure.checked(step, state, dt, 1), 1)
 
 
-def shown_reversibility(step: Step, state: State, dt: Array, most: int) -> Scalar:
+def reversibility_of_run(step: Step, state: State, dt: Array, most: int) -> Scalar:
     """`reversibility` of checked arguments, by the program of runs of up to `most` steps."""
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))

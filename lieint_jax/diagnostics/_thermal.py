@@ -14,7 +14,7 @@ from jax import Array
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
-from lieint_jax.diagnostics._order import shown_reversibility
+from lieint_jax.diagnostics._order import reversibility_of_run
 from lieint_jax.diagnostics._symplectic import defect_matrix
 from lieint_jax.diagnostics.tangent import units
 from lieint_jax.types import State, Step, Trajectory
@@ -95,7 +95,7 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
     eps = float(jnp.finfo(h.dtype).eps)
     exact = sizes[0] <= 64 * eps * (abs(float(less[0])) + kT) or sizes[1] == 0
     slope, slope_error = _slope(less, float(dt))
-    form, back = float(_form_defect(quiet, state, h)), float(shown_reversibility(quiet, state, h, 1))
+    form, back = float(_form_defect(quiet, state, h)), float(reversibility_of_run(quiet, state, h, 1))
     floor = 32 * eps * step.system.phase_space.dim
     accepted = not step.metropolis or (form <= floor and back <= floor)
     rejected = _extra_series(run, "rejections") if step.metropolis else np.zeros(1)

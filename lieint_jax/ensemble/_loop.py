@@ -128,7 +128,7 @@ class Interval(NamedTuple):
 
     def __call__(self, carry: Carry, step: Step, plain: Step | None, origin: Origin, span: Span) -> tuple[Carry, Saved]:
         info, change = carry.info, carry.change
-        empty = StepInfo.fresh(info.residual), None if change is None else Range.empty(change.total)
+        empty = StepInfo.empty(info.residual), None if change is None else Range.empty(change.total)
         info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), empty, (info, change))
 
         def advance_once(state: State, n: Array) -> tuple[State, StepInfo]:

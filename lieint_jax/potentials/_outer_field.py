@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import group_sites, places
+from lieint_jax.potentials._site_groups import group_sites, site_positions
 from lieint_jax.types import callable_pytree, pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
@@ -89,7 +89,8 @@ class OuterField(Potential):
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
         terms = zip(self.strengths, self.points, self.groups, strict=True)
         return reduce(
-            jnp.add, (jnp.sum(w * jax.vmap(jax.vmap(self.phi))(places(s, bodies, x, R))) for w, s, bodies in terms)
+            jnp.add,
+            (jnp.sum(w * jax.vmap(jax.vmap(self.phi))(site_positions(s, bodies, x, R))) for w, s, bodies in terms),
         )
 
 

@@ -49,7 +49,7 @@ def _rows(name: str, given: Any) -> list[Array]:
     return [jnp.atleast_1d(_checks.real_array(name, c)) for c in given]
 
 
-def places(points: Array, bodies: tuple[int, ...], x: Positions, R: Rotations) -> Array:
+def site_positions(points: Array, bodies: tuple[int, ...], x: Positions, R: Rotations) -> Array:
     """The positions in space of the points of a group, (bodies, n, 3), of all positions x and rotations R."""
     if bodies != tuple(range(x.shape[0])):
         x, R = x[np.array(bodies)], R[np.array(bodies)]

@@ -18,7 +18,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import group_sites, places
+from lieint_jax.potentials._site_groups import group_sites, site_positions
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
@@ -50,7 +50,7 @@ class _SitePairs(Potential):
 
     def invariants(self, x: Positions, R: Rotations) -> tuple[Array, ...]:
         """The squared distances u of every block of pairs; 1 within a body."""
-        at = [places(s, bodies, x, R) for s, bodies in zip(self.points, self.groups, strict=True)]
+        at = [site_positions(s, bodies, x, R) for s, bodies in zip(self.points, self.groups, strict=True)]
         return tuple(self._distances(at, g, h) for g, h in self._blocks())
 
     def value(self, invariants: tuple[Array, ...]) -> Scalar:

@@ -118,7 +118,7 @@ class Composition(Step):
             z, info = stage(z, *materialized(numbers))  # a number that is read from an array keeps XLA from vectorizing
             return (z, worst.merge(info)), None
 
-        return lax.scan(substep, (start, StepInfo.fresh(jax.tree.leaves(start)[0])), sub_steps)[0]
+        return lax.scan(substep, (start, StepInfo.empty(jax.tree.leaves(start)[0])), sub_steps)[0]
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)

@@ -28,8 +28,8 @@ from lieint_jax.schemes._group_midpoint import GEODESICS
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
     as_vector,
-    bend,
     coadjoint,
+    force_jacobian,
     guess,
     newton_matrix,
     size_unit,
@@ -106,7 +106,7 @@ class GroupAlpha(Step):
             if not isinstance(self.system, AbstractMechanicalSystem):
                 return newton_matrix(equation, theta, F)
             return newton_matrix(
-                equation, theta, F, bend(m, self.system, configuration(theta), 2 * alpha * (1 - alpha) * s)
+                equation, theta, F, force_jacobian(m, self.system, configuration(theta), 2 * alpha * (1 - alpha) * s)
             )
 
         size, start = size_unit(m, a), guess(group, m, a)

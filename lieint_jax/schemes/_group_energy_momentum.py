@@ -28,9 +28,9 @@ from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
     as_vector,
-    bend,
     body_velocity_field,
     coadjoint,
+    force_jacobian,
     guess,
     newton_matrix,
     size_unit,
@@ -95,7 +95,7 @@ class GroupEnergyMomentum(Step):
             return equation.residual(theta, coadjoint(tau, group, theta, kicked))
 
         def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
-            return newton_matrix(equation, theta, F, bend(m, self.system, configurations(theta, 0.5), s / 2))
+            return newton_matrix(equation, theta, F, force_jacobian(m, self.system, configurations(theta, 0.5), s / 2))
 
         size = size_unit(m, la.map_entries(jnp.maximum, la.map_entries(jnp.abs, a), la.map_entries(jnp.abs, pull)))
         start = guess(group, m, la.plus(a, (0.5, pull)))

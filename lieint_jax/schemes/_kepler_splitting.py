@@ -77,7 +77,7 @@ class KeplerSplitting(Step):
             return (state, info.merge(last)), None
 
         # A first kick of 0, so that the long program of a drift is compiled once.
-        return scan_stages(stage, (state, StepInfo.fresh(state.p)), (drifts, kicks))
+        return scan_stages(stage, (state, StepInfo.empty(state.p)), (drifts, kicks))
 
     def _force(self, q: Array) -> Array:
         """The forces and torques of V₂, (2, 6): those of V without Kepler's attraction."""

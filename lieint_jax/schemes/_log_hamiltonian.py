@@ -94,7 +94,7 @@ class LogHamiltonian(Step):
             return (state, off, before.merge(info)), None
 
         zero = jnp.zeros_like(state.p[0])
-        state, off, info = scan_stages(stage, (state, zero, StepInfo.fresh(zero)), jnp.array([1.0, 0.0], zero.dtype))
+        state, off, info = scan_stages(stage, (state, zero, StepInfo.empty(zero)), jnp.array([1.0, 0.0], zero.dtype))
         return state, info._replace(converged=info.converged & (jnp.abs(off) <= _OFF))
 
     def _drift(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:

@@ -86,7 +86,7 @@ class Nystrom(Step):
 
         # A first kick of 0, if it is not there, so that the long program of a drift is compiled once.
         first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
-        state, info = scan_stages(stage, (state, StepInfo.fresh(state.p)), (drifts, first))
+        state, info = scan_stages(stage, (state, StepInfo.empty(state.p)), (drifts, first))
         if kick_last:
             return kick(self.system, state, kicks[-1]), info
         # The potential has not been evaluated since the last drift

@@ -110,7 +110,7 @@ class SO3Midpoint(Step):
         """The step of the gyrostat with the mean rotor momentum h̄_r, with the change of h_r and the motor's work."""
         rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
         mean = rotor + 0.5 * change
-        end, info = dataclasses.replace(self, system=system.holding(mean))(state, dt)
+        end, info = dataclasses.replace(self, system=system.with_rotor(mean))(state, dt)
         end = end._replace(extra=(state.extra or {}) | {"rotor": rotor + change})
         if state.work is None:
             return end, info

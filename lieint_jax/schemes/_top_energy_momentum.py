@@ -200,7 +200,7 @@ class _Field(NamedTuple):
             self.potential, jnp.stack(self.Gamma), jnp.stack(_rotated_axis(h, self.Gamma)), *self.at
         )
 
-    def bend(self, h: Vector) -> vec3.Matrix:
+    def force_jacobian(self, h: Vector) -> vec3.Matrix:
         """The columns Γ × S(Γ × eᵢ), with S = 2∂D̄/∂Γ_{n+1} up to O(ΔΓ²)."""
         at = jnp.stack(add(self.Gamma, scale(2, _rotated_axis(h, self.Gamma)))) / 3
         S = vec3.symmetric(jax.hessian(self.potential)(at, *self.at))
@@ -268,7 +268,7 @@ class _Equation(NamedTuple):
             w = _moment(h, Gamma, F)
             d = dot(Gamma, F) - dot(h, w)
             if not _is_linear(field.potential):
-                K = vec3.combine(K, field.bend(h), -s * k * k)
+                K = vec3.combine(K, field.force_jacobian(h), -s * k * k)
             K = [[K[i][j] - (d if i == j else 0) + Gamma[i] * F[j] + h[i] * w[j] for j in range(3)] for i in range(3)]
         return K
 

@@ -66,7 +66,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
         """
         h = _checks.real_array("rotor", rotor, (3,), like=self.inertia)
         motion = {"body_momentum": body_momentum, "spatial_momentum": spatial_momentum}
-        made = self.holding(h).state(attitude, angular_velocity=angular_velocity, **motion)
+        made = self.with_rotor(h).state(attitude, angular_velocity=angular_velocity, **motion)
         return timed(made, t, work)._replace(extra={"rotor": h.astype(made.p.dtype)})
 
     def rotor(self, state: State) -> Vector3:
@@ -82,17 +82,17 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
         """τ(t), the torque of the motor on the rotor, in the body, shape (3,); −τ acts on the body."""
         return jnp.asarray(self.motor(t), jnp.result_type(t))
 
-    def holding(self, rotor: Vector3) -> Gyrostat:
+    def with_rotor(self, rotor: Vector3) -> Gyrostat:
         """The gyrostat with the constant rotor momentum `rotor`: this one, frozen at one time."""
         return Gyrostat(self.inertia, rotor)
 
     def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
-        return self.holding(self.rotor(state)).angular_velocity(state)
+        return self.with_rotor(self.rotor(state)).angular_velocity(state)
 
     def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r); energy less work is conserved."""
-        return self.holding(self.rotor(state)).energy(state)
+        return self.with_rotor(self.rotor(state)).energy(state)
 
     def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space: π itself, of body and rotor together, shape (3,)."""
@@ -100,7 +100,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
 
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (½ q Ω, 0), ẇork = −Ω·τ, ḣ_r = τ; 0 for other entries of `extra`."""
-        turning, torque = self.holding(self.rotor(state)).vector_field(state), self.torque(clock(state))
+        turning, torque = self.with_rotor(self.rotor(state)).vector_field(state), self.torque(clock(state))
         still = jax.tree.map(jnp.zeros_like, state.extra)
         work = -vec3.dot(self.angular_velocity(state), torque)
         return turning._replace(work=work, extra=still | {"rotor": torque})
@@ -108,7 +108,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or the motor has no value at its time."""
         h = _checks.real_array('state.extra["rotor"]', self.rotor(state), (3,))
-        self.holding(h).check(state)
+        self.with_rotor(h).check(state)
         check_timed(state)
         _checks.real_array(f"the motor's torque at t = {state.t}", self.torque(clock(state)), (3,))
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._deprecated import renamed_attribute
 from lieint_jax.types._group import Group
 from lieint_jax.types._state import State
 from lieint_jax.types._system import System
@@ -67,8 +68,10 @@ class AbstractDrivenGyrostat(System):
         """τ, the torque of the motor on the rotor at time t, in the body, (3,)."""
 
     @abc.abstractmethod
-    def holding(self, rotor: Vector3, /) -> AbstractGyrostat:
+    def with_rotor(self, rotor: Vector3, /) -> AbstractGyrostat:
         """The gyrostat whose rotor has the constant momentum `rotor`, (3,)."""
+
+    holding = renamed_attribute("holding", "with_rotor")
 
 
 class AbstractEmbeddedBody(System):

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._deprecated import warn_of_removal
 from lieint_jax.types import labeled
 from lieint_jax.types.members import Axis, map_over_run
 from lieint_jax.types.record import record
@@ -64,9 +65,15 @@ class StepInfo(NamedTuple):
         return StepInfo(jnp.maximum(self.residual, other.residual), self.converged & other.converged)
 
     @classmethod
-    def fresh(cls, like: Array) -> StepInfo:
+    def empty(cls, like: Array) -> StepInfo:
         """The report of no step yet, a scalar of the dtype of `like`."""
         return cls(jnp.zeros((), like.dtype), jnp.ones((), bool))
+
+    @classmethod
+    def fresh(cls, like: Array) -> StepInfo:
+        """The old name of `empty`."""
+        warn_of_removal("StepInfo.fresh is now StepInfo.empty; the old name")
+        return cls.empty(like)
 
 
 @record

@@ -56,3 +56,10 @@ def test_an_old_attribute_has_the_value_of_the_new_one():
         carried = body.carried
     assert carried.keys() == body.initial_extra.keys() == {"damper"}
     assert not jnp.any(carried["damper"])
+    [(gyrostat, _, _)] = li.systems._driven_gyrostat.examples().values()
+    with pytest.warns(DeprecationWarning, match="DrivenGyrostat.holding is now with_rotor"):
+        frozen = gyrostat.holding(jnp.array([0.0, 0.0, 1.0]))
+    assert frozen.rotor[2] == 1
+    with pytest.warns(DeprecationWarning, match="StepInfo.fresh is now StepInfo.empty"):
+        info = li.StepInfo.fresh(jnp.zeros(3))
+    assert (float(info.residual), bool(info.converged)) == (0, True)

@@ -19,10 +19,10 @@ class Rests(Step):
     order, symmetric, name = 2, True, "rests"
 
     def __call__(self, state, dt):
-        return state, StepInfo.fresh(state.p)
+        return state, StepInfo.empty(state.p)
 
     def tangent(self, state, dt, T):
-        return state, StepInfo.fresh(state.p), T
+        return state, StepInfo.empty(state.p), T
 
 
 @pytree
@@ -58,7 +58,7 @@ class Leapfrog(Step):
         kick = dt / 2 * self.system.stiffness
         p = state.p - kick * state.q
         q = state.q + dt * p
-        return state._replace(q=q, p=p - kick * q), StepInfo.fresh(state.p)
+        return state._replace(q=q, p=p - kick * q), StepInfo.empty(state.p)
 
 
 def leapfrog(stiffness, dt):

@@ -114,7 +114,7 @@ class KickAndDrift(li.Step):
     def __call__(self, state, dt):
         p = state.p + dt * self.system.force(state.q)
         Omega = so3.Ad_star(state.q, p) / self.system.inertia
-        return state._replace(q=so3.multiply(state.q, so3.exp(dt * Omega)), p=p), li.StepInfo.fresh(p)
+        return state._replace(q=so3.multiply(state.q, so3.exp(dt * Omega)), p=p), li.StepInfo.empty(p)
 
 
 def test_4_22_is_the_symmetry_of_the_second_derivative_of_the_potential():

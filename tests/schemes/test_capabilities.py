@@ -272,7 +272,7 @@ class NotAPytree:
     """What somebody writes at first: a class with a `__call__`."""
 
     def __call__(self, state, dt):
-        return state, types.StepInfo.fresh(state.p)
+        return state, types.StepInfo.empty(state.p)
 
 
 @pytest.mark.parametrize("thing", [NotAPytree(), lambda state, dt: (state, None), "so3_midpoint", BODY])

@@ -238,7 +238,7 @@ class Lagging(Step):
 
     def __call__(self, state, dt):
         p = state.p - dt * self.system.stiffness * state.extra["before"]
-        return state._replace(q=state.q + dt * p, p=p, extra={"before": state.q}), StepInfo.fresh(p)
+        return state._replace(q=state.q + dt * p, p=p, extra={"before": state.q}), StepInfo.empty(p)
 
 
 def test_a_tangent_vector_goes_through_what_sub_steps_carry_from_one_to_the_next():

@@ -87,7 +87,7 @@ def check_motion(
 
     Tracers, and a vector field that is not finite at these states, are accepted: they cannot be compared.
     """
-    difference = other_motion(vector_field, data, system)
+    difference = vector_field_mismatch(vector_field, data, system)
     if difference:
         raise ValueError(
             f"{scheme} integrates {noun}; {type(system).__name__}.vector_field differs from their equations of motion "
@@ -95,7 +95,7 @@ def check_motion(
         )
 
 
-def other_motion(vector_field: Callable[[_Data, State], State], data: _Data, system: System) -> float:
+def vector_field_mismatch(vector_field: Callable[[_Data, State], State], data: _Data, system: System) -> float:
     """The relative difference of the vector field of a system from `vector_field(data, ·)`; 0 if within rounding.
 
     It is also 0 for tracers and for a vector field that is not finite where they are compared, and for systems of this

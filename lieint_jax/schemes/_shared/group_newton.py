@@ -178,7 +178,7 @@ def newton_matrix(equation: Equation, theta: la.Vector, F: la.Vector, *bends: la
     return la.combination((1.0, m), *((-1.0, A) for A in (turned, *bends)))
 
 
-def bend(m: la.Matrix, system: AbstractMechanicalSystem, where: Array, factor: ArrayLike) -> la.Matrix:
+def force_jacobian(m: la.Matrix, system: AbstractMechanicalSystem, where: Array, factor: ArrayLike) -> la.Matrix:
     """factor D², with D² the derivative of the body force along the group at `where`, held fixed; of the form of m."""
     group, where = system.group, lax.stop_gradient(where)
     zero = jnp.zeros(group.dim, where.dtype)

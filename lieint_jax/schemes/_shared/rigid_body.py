@@ -38,7 +38,7 @@ def rigid_motion(body: RotatingBody, state: State) -> State:
 
 def _driven_motion(system: AbstractDrivenGyrostat, state: State) -> State:
     """The vector field of the gyrostat with the present rotor momentum, and ḣ_r = τ(t)."""
-    turning = rigid_motion(system.holding(system.rotor(state)), state)
+    turning = rigid_motion(system.with_rotor(system.rotor(state)), state)
     return turning._replace(extra={"rotor": system.torque(clock(state))})
 
 

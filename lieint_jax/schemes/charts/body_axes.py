@@ -17,7 +17,7 @@ from jax import Array
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.accepts import other_motion
+from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.types import (
     AbstractDrivenTop,
@@ -194,7 +194,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
             return False
         return isinstance(
             system, AbstractTop | AbstractDrivenTop | AbstractFreeBody | AbstractGyrostat
-        ) and not other_motion(motion, system, system)
+        ) and not vector_field_mismatch(motion, system, system)
 
     def unknowns(self, system: OneBody, state: State) -> BodyAxesState:
         """The unknowns of a step from this state."""

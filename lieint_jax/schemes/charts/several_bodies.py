@@ -15,7 +15,7 @@ from jax import Array
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import add, dot, scale
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.accepts import other_motion
+from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts import body_axes
 from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.schemes.charts.body_axes import BodyAxesState, spinning
@@ -83,7 +83,7 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
 
     def supports(self, system: System) -> bool:
         """Whether a system is of several bodies with these equations of motion."""
-        return isinstance(system, AbstractRigidBodies) and not other_motion(motion, system, system)
+        return isinstance(system, AbstractRigidBodies) and not vector_field_mismatch(motion, system, system)
 
     def unknowns(self, system: AbstractRigidBodies, state: State) -> Array:
         """The unknowns of all bodies in one array, (N, 13)."""
