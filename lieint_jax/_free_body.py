@@ -129,7 +129,7 @@ def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Ar
     scale, G, e, rest = _units(inertia, Pi)
     still = rest | (jnp.asarray(t) == 0)
     if inertia.ndim == 1:
-        moments, turns = _ascending(scale * inertia)
+        moments, turns = _ascending_moments(scale * inertia)
         e = _permute(e, turns, 1)
     else:
         moments, V = _eigh(scale * inertia)
@@ -163,7 +163,7 @@ class Periods(NamedTuple):
 def periods(inertia: Inertia, Pi: Vector3) -> Periods:
     """The mean periods of a free body of body momentum Π, (3,); `inertia` as in `attitude`."""
     if inertia.ndim == 1:
-        moments, turns = _ascending(inertia)
+        moments, turns = _ascending_moments(inertia)
         x, y, z = _permute(vec3.components(Pi), turns, 1)
     else:
         moments, V = _eigh(inertia)
@@ -255,7 +255,7 @@ def _units(inertia: Inertia, Pi: Vector3) -> tuple[Array, Array, Vector, Array]:
 def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
     """Λ⁻¹Λ(τ) in body axes, as a quaternion times a positive number, and its rounding errors."""
     if inertia.ndim == 1:
-        moments, turns = _ascending(inertia)
+        moments, turns = _ascending_moments(inertia)
         w, v, accuracy = _ascending_increment(moments, _permute(e, turns, 1), tau)
         return (w, *_permute(v, turns, -1)), accuracy
     moments, V = _eigh(inertia)
@@ -268,7 +268,7 @@ def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accurac
     return (w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))), accuracy
 
 
-def _ascending(J: Array) -> tuple[Vector, _Turns]:
+def _ascending_moments(J: Array) -> tuple[Vector, _Turns]:
     """The moments J in ascending order, and the quarter turns that permute the axes so.
 
     Component by component: a gather by `argsort` would end XLA's loop over a batch before and after it.

@@ -83,7 +83,7 @@ class Job(NamedTuple):
     part: range | None = None
     make_states: MakeStates | None = None
 
-    def repeated(self, members: int, make_states: MakeStates) -> Job:
+    def with_members(self, members: int, make_states: MakeStates) -> Job:
         """The job of a run of so many members, which describes its arrays, from that of the first of them."""
 
         def repeat(x: Numbers) -> np.ndarray:

@@ -212,7 +212,7 @@ class PartsRoot:
         chosen = [name for name in names if ("time" in self.metas[name]["dimension_names"]) == (row is not None)]
         return [f for name in chosen for f in _integrity.chunk_files(name, self.metas[name], only=only)]
 
-    def recorded(self, k: int, state: PartState) -> Iterator[tuple[str, int]]:
+    def published_files(self, k: int, state: PartState) -> Iterator[tuple[str, int]]:
         """The published files of part k and their checksums."""
         rows = math.ceil(state.progress["entries"] / self.attributes["time_chunk"])
         groups = [(self.files(k, row), state.arrays[ROWS][row]) for row in range(rows)]
@@ -228,7 +228,7 @@ class PartsRoot:
         those of the state, for which a request transfers four bytes.
         """
         try:
-            expected = dict(self.recorded(k, state))
+            expected = dict(self.published_files(k, state))
         except (KeyError, IndexError, ValueError):
             yield f"{self.state_file(k)} does not fit the arrays of the store"
             return

@@ -214,7 +214,7 @@ def _describe_whole(make_job: partial[Job], step: Step, made: MadeStates) -> Job
     """The description of a run in parts whose states a function makes; only the first member's are made."""
     first = _make_members(make_job, step, made, range(1))
     step, _, _ = promoted(checked_step(step), first.initial)
-    return first.repeated(made.members, made.function)._replace(step=step)
+    return first.with_members(made.members, made.function)._replace(step=step)
 
 
 def _make_job(

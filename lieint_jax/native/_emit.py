@@ -538,7 +538,7 @@ class _Writer:
                 chosen = self.add(
                     f"select {mask} {going}, {kind} {self.value(after, True)}, {kind} {self.names[inside]}"
                 )
-                following.append(self.widened(chosen) if inside.dtype.kind == "b" else chosen)
+                following.append(self.as_mask(chosen) if inside.dtype.kind == "b" else chosen)
             else:
                 following.append(self.into_phi(after, inside))
         going = self.add(f"sext {mask} {going} to {self.mask_type}") if masked else ""
@@ -586,12 +586,12 @@ class _Writer:
     def phi_type(self, carry: Number) -> str:
         return self.mask_type if carry.dtype.kind == "b" and self.varies(carry) else self.type_of(carry)
 
-    def widened(self, name: str) -> str:
+    def as_mask(self, name: str) -> str:
         return self.add(f"sext <{self.lanes} x i1> {name} to {self.mask_type}")
 
     def into_phi(self, x: Number, carry: Number) -> str:
         value = self.value(x, self.varies(carry))
-        return self.widened(value) if carry.dtype.kind == "b" and self.varies(carry) else value
+        return self.as_mask(value) if carry.dtype.kind == "b" and self.varies(carry) else value
 
     def out_of_phi(self, phi: str, carry: Number) -> str:
         if carry.dtype.kind == "b" and self.varies(carry):

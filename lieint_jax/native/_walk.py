@@ -178,7 +178,7 @@ class Walk:
         self,
         starts: list[np.ndarray],
         test: Callable[[list[np.ndarray]], Number],
-        following: Callable[[list[np.ndarray]], list[np.ndarray]],
+        next_carry: Callable[[list[np.ndarray]], list[np.ndarray]],
     ) -> list[np.ndarray]:
         """A loop that carries arrays."""
         shapes = [x.shape for x in starts]
@@ -190,7 +190,7 @@ class Walk:
         def flat(arrays: list[np.ndarray]) -> list[Number]:
             return [x for array in arrays for x in array.flat]
 
-        found = self.builder.loop(flat(starts), lambda c: test(joined(c)), lambda c: flat(following(joined(c))))
+        found = self.builder.loop(flat(starts), lambda c: test(joined(c)), lambda c: flat(next_carry(joined(c))))
         return joined(found)
 
 
@@ -207,7 +207,7 @@ def _while(walk: Walk, inputs: list[np.ndarray], parameters: Parameters) -> list
     def test(carry: list[np.ndarray]) -> Number:
         return _sum(walk, "or", list(tests(carry).flat), np.dtype(bool))
 
-    def following(carry: list[np.ndarray]) -> list[np.ndarray]:
+    def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
         after = walk.jaxpr(parameters["body_jaxpr"], [*of_body, *carry])
         which = tests(carry)
         return (
@@ -216,7 +216,7 @@ def _while(walk: Walk, inputs: list[np.ndarray], parameters: Parameters) -> list
             else [_select_entries(walk, which, *pair) for pair in zip(after, carry, strict=True)]
         )
 
-    return walk.loop_over_arrays(starts, test, following)
+    return walk.loop_over_arrays(starts, test, next_carry)
 
 
 def _select_entries(walk: Walk, which: np.ndarray, after: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -248,7 +248,7 @@ def _scan(walk: Walk, inputs: list[np.ndarray], parameters: Parameters) -> list[
         return [*carry, *(_stack(*column, axis=0) for column in zip(*rows, strict=True))]
     zero, one, end = map(walk.index, (0, 1, length))
 
-    def following(carry: list[np.ndarray]) -> list[np.ndarray]:
+    def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
         k = carry[0].item()
         at = walk.number("sub", walk.index(length - 1), k) if parameters["reverse"] else k
         rows = [_row(walk, x, at) for x in series]
@@ -256,7 +256,7 @@ def _scan(walk: Walk, inputs: list[np.ndarray], parameters: Parameters) -> list[
         return [array_of([walk.number("add", k, one)], ()), *after]
 
     return walk.loop_over_arrays(
-        [array_of([zero], ()), *starts], lambda c: walk.number("lt", c[0].item(), end), following
+        [array_of([zero], ()), *starts], lambda c: walk.number("lt", c[0].item(), end), next_carry
     )[1:]
 
 

@@ -307,10 +307,10 @@ def _atan(x: Number) -> Number:
     one, zero = x.like(1.0), x.like(0.0)
     size = where(size > 2.0**60, 2.0**60, size)  # arctan is π/2 there
     small, great = where(steep, one, size), where(steep, size, one)
-    return _copy_sign(_angle((small, zero), (great, zero), steep, _never(x)), x)
+    return _copy_sign(_angle((small, zero), (great, zero), steep, _no_lane(x)), x)
 
 
-def _never(x: Number) -> Number:
+def _no_lane(x: Number) -> Number:
     return Number(x.builder, ir.Constant(with_element(x.value.type, BIT), None))
 
 
@@ -328,7 +328,7 @@ def _arc(y: Pair, x: Pair, negative: Number) -> Number:
 
 
 def _asin(x: Number) -> Number:
-    return _copy_sign(_arc((absolute(x), x.like(0.0)), _leg(x), _never(x)), x)
+    return _copy_sign(_arc((absolute(x), x.like(0.0)), _leg(x), _no_lane(x)), x)
 
 
 def _acos(x: Number) -> Number:

@@ -199,10 +199,10 @@ class _Equation(NamedTuple):
         """The residual, and the derivative of its rotational part by y without that of the forces, (N, 3, 3)."""
         force, (q, p) = self.force(ends), self.state[:2]
         move = self.dt / self.system.masses[:, None] * (p[:, :3] + self.dt / 2 * force[:, :3])
-        F, K = jax.vmap(self._turning)(self.system.inertias, q[:, 3:], p[:, 3:], force[:, 3:], ends.turn)
+        F, K = jax.vmap(self._rotation_equation)(self.system.inertias, q[:, 3:], p[:, 3:], force[:, 3:], ends.turn)
         return _Ends(ends.move - move, F), K
 
-    def _turning(self, J: Array, q: Array, spin: Array, tau: Array, y: Array) -> tuple[Array, Array]:
+    def _rotation_equation(self, J: Array, q: Array, spin: Array, tau: Array, y: Array) -> tuple[Array, Array]:
         """Jy + y × Jy − a − (T − y × T) with a = ½ΔtΠ, T = ¼Δt²Λᵀτ̄, all over tr J; and its derivative by y."""
         S, r = vec3.unit_trace(J)
         Jy, T = apply(S, y), so3.Ad_star(q, (0.25 * r * self.dt * self.dt) * tau)

@@ -132,10 +132,10 @@ def _extrapolation(
     last = np.append(np.diff(of) > 0, True)
     later = jax.tree.map(lambda x: x[1:], moments)
     rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), later, [x[of] for x in w])
-    return lax.scan(step_once, (origin, first(h[0]), _nothing(origin)), rows)[0][2]
+    return lax.scan(step_once, (origin, first(h[0]), _zero_sums(origin)), rows)[0][2]
 
 
-def _nothing(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:
+def _zero_sums(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:
     zero = jax.tree.map(jnp.zeros_like, like)
     return zero, zero
 

@@ -28,7 +28,7 @@ from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
-from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting, turning
+from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting, gyrostat_splitting
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._shared.se3_free_body import FreeMotion, is_free_motion
@@ -184,7 +184,7 @@ def splitting(
     if not isinstance(drift, Step) or not drift.symmetric or drift.own_time:
         raise ValueError(f"drift must be a symmetric step of system.free, got {getattr(drift, 'name', drift)!r}")
     if isinstance(system, AbstractGyrostat):
-        return turning(system, drift)
+        return gyrostat_splitting(system, drift)
     scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
     check_motion(scheme, "that motion with kicks", kicked_motion, (system, drift.system), system)
     few = not (isinstance(drift.system, AbstractFreeBodies) and len(drift.system.masses) >= _MANY)

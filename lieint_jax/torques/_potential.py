@@ -54,11 +54,11 @@ class DirectionalPotential(Law):
     def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """The change of V with time, half of it at each attitude."""
 
-        def gained(q: Array, first: Array, last: Array) -> Array:
+        def change_in_time(q: Array, first: Array, last: Array) -> Array:
             return self.energy(last, q, None) - self.energy(first, q, None)
 
         t = rotation
-        return gained(t.q_n, t.start, t.t) + gained(t.q_next, t.t, t.end)
+        return change_in_time(t.q_n, t.start, t.t) + change_in_time(t.q_next, t.t, t.end)
 
 
 @pytree

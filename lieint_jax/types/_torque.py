@@ -212,7 +212,7 @@ def instant(
         q_half: h ↦ q cay 2h, of the group.
     """
 
-    def advanced(s: Array) -> tuple[Array, PyTree]:
+    def mean_over(s: Array) -> tuple[Array, PyTree]:
         h = s / 2 * Omega
         rotation = Rotation(t, s, q, q_half(h / 2), q_half(h), h, jnp.ones_like(t), Omega, omega)
         return law.mean(rotation, inner)
@@ -224,5 +224,5 @@ def instant(
     if rate is not None:
         return law.mean(now, inner)[0], rate
     zero = jnp.zeros((), q.dtype)
-    (torque, _), (_, rate) = jax.jvp(advanced, (zero,), (zero + 1,))
+    (torque, _), (_, rate) = jax.jvp(mean_over, (zero,), (zero + 1,))
     return torque, rate

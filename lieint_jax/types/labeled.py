@@ -34,10 +34,10 @@ _TEXTS = {
 }
 
 
-def described(value: PyTree) -> str:
+def short_text(value: PyTree) -> str:
     """A number or a short array to six digits; the type and the shape of a longer array or a tracer."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}: {described(inner)}" for name, inner in value.items()) + "}"
+        return "{" + ", ".join(f"{name}: {short_text(inner)}" for name, inner in value.items()) + "}"
     if not hasattr(value, "shape"):
         return repr(value)
     if not concrete(value) or value.size > _SHORT:
@@ -47,7 +47,7 @@ def described(value: PyTree) -> str:
 
 def fields(value: PyTree) -> str:
     """A named tuple in one line, without its fields that are None."""
-    shown = [f"{name}={described(x)}" for name, x in zip(value._fields, value, strict=True) if x is not None]
+    shown = [f"{name}={short_text(x)}" for name, x in zip(value._fields, value, strict=True) if x is not None]
     return f"{type(value).__name__}({', '.join(shown)})"
 
 

@@ -336,4 +336,4 @@ def test_every_member_librates_about_the_axis_of_its_own_body():
         driven.librating(_spread.for_member(scenario, step.system, m), scenarios.select_member(made, m))
         for m in range(3)
     ]
-    assert driven._captured(scenario, step, made).tolist() == [bool(x[0]) for x in each]
+    assert driven._is_librating(scenario, step, made).tolist() == [bool(x[0]) for x in each]

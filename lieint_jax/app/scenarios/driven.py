@@ -154,7 +154,10 @@ def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> li
 
 def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """The unit of the changes, and the number of librating members."""
-    lines, captured = ["  changes are relative to the largest |energy| of each member"], _captured(scenario, step, run)
+    lines, captured = (
+        ["  changes are relative to the largest |energy| of each member"],
+        _is_librating(scenario, step, run),
+    )
     if captured is not None:
         lines.append(
             f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia never crosses "
@@ -163,7 +166,7 @@ def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     return lines
 
 
-def _captured(scenario: Scenario, step: Step, run: Trajectory) -> np.ndarray | None:
+def _is_librating(scenario: Scenario, step: Step, run: Trajectory) -> np.ndarray | None:
     """Whether each member librates, for the axis of its own body."""
     if not scenario.own_numbers():
         return librating(step.system, run)

@@ -21,11 +21,11 @@ from lieint_jax.types.shapes import Inertia, Poses, Quaternion, Vector3
 def free_motion(bodies: AbstractFreeBodies | AbstractRigidBodies, state: State) -> Poses:
     """q̇ of bodies, (N, 7): ẋ = p/m and Λ̇ = ΛΩ̂."""
 
-    def turning(J: Inertia, q: Quaternion, spin: Vector3) -> Quaternion:
+    def attitude_rate(J: Inertia, q: Quaternion, spin: Vector3) -> Quaternion:
         return so3.tangent(q, jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin))))
 
-    turned = jax.vmap(turning)(bodies.inertias, state.q[:, 3:], state.p[:, 3:])
-    return jnp.concatenate([state.p[:, :3] / bodies.masses[:, None], turned], axis=1)
+    rates = jax.vmap(attitude_rate)(bodies.inertias, state.q[:, 3:], state.p[:, 3:])
+    return jnp.concatenate([state.p[:, :3] / bodies.masses[:, None], rates], axis=1)
 
 
 def _motion(bodies: AbstractFreeBodies, state: State) -> State:
@@ -73,12 +73,12 @@ class FreeFlight(Step):
         return "free_flight" if self.commuting else f"free_flight[{self.turn.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        turned, info = self._rotate_all(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
+        attitudes, info = self._rotate_all(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
         x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
         together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))
-        return state._replace(q=jnp.concatenate([x, turned], axis=1)), together
+        return state._replace(q=jnp.concatenate([x, attitudes], axis=1)), together
 
-    def _rotate_all(self, inertias: Array, turning: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
+    def _rotate_all(self, inertias: Array, states: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
         """The quaternions (N, 4) after a time, and the reports."""
 
         def rotate_body(J: Inertia, body: State) -> tuple[Array, StepInfo]:
@@ -87,7 +87,7 @@ class FreeFlight(Step):
             end, info = own.substep(body, dt)
             return end.q, info
 
-        return jax.vmap(rotate_body)(inertias, turning)
+        return jax.vmap(rotate_body)(inertias, states)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

@@ -65,7 +65,7 @@ class GyrostatSplitting(Step):
         return lax.stop_gradient(jnp.abs(dt) * vec3.max_abs(_velocity(self.system)))
 
 
-def turning(system: AbstractGyrostat, drift: Step) -> GyrostatSplitting:
+def gyrostat_splitting(system: AbstractGyrostat, drift: Step) -> GyrostatSplitting:
     """The step rotation – drift – rotation; ValueError if `drift` is a step of another body."""
     scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
     check_motion(scheme, "that motion with rotations of the rotor", _motion, (system, drift.system), system)

@@ -49,7 +49,7 @@ class Moment(NamedTuple):
     axis: Array
 
 
-def turning(state: State) -> BodyAxesState:
+def body_axes_state(state: State) -> BodyAxesState:
     """The unknowns of a body whose q is its attitude."""
     Pi = so3.Ad_star(state.q, state.p)
     return BodyAxesState(vec3.components(state.q), vec3.components(Pi), state.work)
@@ -70,11 +70,11 @@ def advance_body(state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
 
 def _to_unit(q: tuple[Array, ...], dq: tuple[Array, ...]) -> tuple[Array, ...]:
     """The increments of q to (q + dq) / |q + dq|."""
-    r = _shrinking(q, dq)
+    r = _length_correction(q, dq)
     return tuple(d + r * (x + d) for x, d in zip(q, dq, strict=True))
 
 
-def _shrinking(q: tuple[Array, ...], dq: tuple[Array, ...]) -> Array:
+def _length_correction(q: tuple[Array, ...], dq: tuple[Array, ...]) -> Array:
     """1 / |q + dq| − 1."""
     excess = so3.defect(jnp.stack(q)) + sum(d * (2 * x + d) for x, d in zip(q, dq, strict=True))
     s = jnp.sqrt(1 + excess)
@@ -89,9 +89,9 @@ def spinning(
     inverse: vec3.Symmetric, rotor: Array | None, q: tuple[Array, ...], Pi: vec3.Vector
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """q̇ and Π̇ without a torque."""
-    turning = Pi if rotor is None else subtract(Pi, rotor)
-    Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, apply(inverse, turning))
-    return quat_times_vec(q, apply(tuple(x / 2 for x in inverse), turning)), Pi_dot
+    J_Omega = Pi if rotor is None else subtract(Pi, rotor)
+    Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, apply(inverse, J_Omega))
+    return quat_times_vec(q, apply(tuple(x / 2 for x in inverse), J_Omega)), Pi_dot
 
 
 def gyroscopic(inverse: vec3.Symmetric, Pi: vec3.Vector) -> tuple[Array, Array, Array]:
@@ -198,7 +198,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
 
     def unknowns(self, system: OneBody, state: State) -> BodyAxesState:
         """The unknowns of a step from this state."""
-        z = turning(state)
+        z = body_axes_state(state)
         return z._replace(q=turned_up(system.axis, z.q)) if isinstance(system, AbstractTop) else z
 
     def advance(self, system: OneBody, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:

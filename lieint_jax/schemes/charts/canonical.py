@@ -180,7 +180,7 @@ class OneBody(CanonicalChart):
         rotor = system.rotor if isinstance(system, AbstractGyrostat) else None
 
         def field(z: Coordinates, t: Moment) -> Coordinates:
-            q_dot, p_dot = _turning(rotor, inverse, z.q, z.p)
+            q_dot, p_dot = _rotation_rates(rotor, inverse, z.q, z.p)
             if _is_forced(system):
                 p_dot = tuple(map(jnp.add, p_dot, self._kick(system, z, t)))
             return Coordinates(q_dot, p_dot)
@@ -244,7 +244,7 @@ class ManyBodies(CanonicalChart):
 
         def field(z: Coordinates, _: Moment) -> Coordinates:
             P, q = z.p[:3], z.q[3:]
-            q_dot, p_dot = _turning(None, inverse, q, z.p[3:])
+            q_dot, p_dot = _rotation_rates(None, inverse, q, z.p[3:])
             rates = (*(jnp.zeros_like(y) for y in P), *p_dot)
             if _is_forced(system):
                 pull = several_bodies.forces(system, z.q[:3], _unit(q))
@@ -322,7 +322,7 @@ def _unit(q: Components) -> _Quaternion:
     return r * w, r * x, r * y, r * z
 
 
-def _turning(rotor: Array | None, inverse: vec3.Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
+def _rotation_rates(rotor: Array | None, inverse: vec3.Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
     """½qΩ and ½pΩ."""
     half = _half_rate(rotor, inverse, q, p)
     return quat_times_vec(q, half), quat_times_vec(p, half)

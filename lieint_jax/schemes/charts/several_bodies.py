@@ -87,7 +87,7 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
 
     def unknowns(self, system: AbstractRigidBodies, state: State) -> Array:
         """The unknowns of all bodies in one array, (N, 13)."""
-        turning = jax.vmap(body_axes.turning)(_turning_part(state))
+        turning = jax.vmap(body_axes.body_axes_state)(_turning_part(state))
         return _pack(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
 
     def advance(self, system: AbstractRigidBodies, state: State, z: Array, delta: Array) -> State:
