@@ -17,8 +17,9 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._bodies_energy_momentum import _Ends, _Equation
 from lieint_jax.schemes._kepler_splitting import kepler_flow
 from lieint_jax.systems._rigid_bodies import examples
+from lieint_jax.types import AbstractRigidBodies
 
-EXAMPLES = examples()
+EXAMPLES = {name: case for name, case in examples().items() if isinstance(case[0], AbstractRigidBodies)}
 BINARY, START, DT = EXAMPLES["binary"]
 SPLITTING = schemes.splitting(BINARY)
 KEEPING = schemes.bodies_energy_momentum(BINARY)
