@@ -154,10 +154,8 @@ def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> li
 
 def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     """The unit of the changes, and the number of librating members."""
-    lines, captured = (
-        ["  changes are relative to the largest |energy| of each member"],
-        _is_librating(scenario, step, run),
-    )
+    lines = ["  changes are relative to the largest |energy| of each member"]
+    captured = _is_librating(scenario, step, run)
     if captured is not None:
         lines.append(
             f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia never crosses "
