@@ -37,6 +37,31 @@ _USES = 3  # corrections with each matrix of `chords`; 2 or more
 _FEW = 4  # corrections of which every solve that comes to round-off is steady
 _CHORD = 0.25  # the ratio of the lengths of two such corrections that the theorem for them grants
 _Unknown = TypeVar("_Unknown")  # an array, or a tuple or list of its components
+_Report = TypeVar("_Report")
+
+
+def implicit_root(
+    residual: Callable[[PyTree], PyTree],
+    guess: _Unknown,
+    solve: Callable[[Callable[[_Unknown], _Unknown], _Unknown], tuple[_Unknown, _Report]],
+    tangent_solve: Callable[[Callable[[PyTree], PyTree], PyTree], PyTree],
+    save: bool = True,
+) -> tuple[_Unknown, _Report]:
+    """`lax.custom_root` of a solver that gives a root and a report; reverse mode of a loop does not solve again.
+
+    Args:
+        residual: x ↦ F(x).
+        guess: the first iterate.
+        solve: (F, guess) ↦ the root, and what is to be known of the solution, without a derivative.
+        tangent_solve: (F'(x), y) ↦ the solution of F'(x) v = y, with F'(x) given as a function.
+        save: False lets reverse mode compute the root again.
+    """
+
+    def solve_and_save(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, _Report]:
+        x, report = solve(function, x)
+        return saved(x) if save else x, report
+
+    return lax.custom_root(residual, guess, solve_and_save, tangent_solve, has_aux=True)
 
 
 def root(
@@ -86,11 +111,10 @@ def root(
                 x, pace, _ = improve(x, pace)
         else:
             x, pace = lax.fori_loop(0, iterations, lambda _, carry: improve(*carry)[:2], (x, pace))
-        if done is not None or not unroll:  # corrections written out take less time than what XLA makes of a kept root
-            x = saved(x)
         return x, (function(x), pace.growth)
 
-    x, (F, growth) = lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+    loop = done is not None or not unroll  # corrections written out take less time than what XLA makes of a saved root
+    x, (F, growth) = implicit_root(residual, guess, solve, _tangent_solve, save=loop)
     return x, F, _steady(growth)
 
 
@@ -174,11 +198,10 @@ def chords(
             jnp.zeros((), bool),
         )
         x, pace, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], body, start)
-        x = saved(x)
         return x, (function(x), pace.growth)
 
     traced_once = jax.jit(residual)  # its equations are many, and used five times
-    x, (F, growth) = lax.custom_root(traced_once, guess, solve, _tangent_solve, has_aux=True)
+    x, (F, growth) = implicit_root(traced_once, guess, solve, _tangent_solve)
     return x, F, _steady(growth)
 
 

@@ -10,7 +10,7 @@ which runs single bodies, gradients and accelerators, handles the same equations
     results of `Step.tangent`, and for derivatives in forward mode through a step, which without it are 5 to 20 times as
     slow in a batch.
 `unfused`: The same for data that all members of a batch share, such as the position on an orbit.
-`rematerialized`, with `saved` and `scan_stages`: The gradient of a long loop stores the intermediate values of its
+`rematerialized`, with `saved`: The gradient of a long loop stores the intermediate values of its
     body, about a hundred arrays over the steps, written one number at a time. Computing a step again in the backward
     pass is faster, compiles in half of the time and needs hardly any memory. Values that are expensive to compute
     again, such as a root, are saved.
@@ -24,7 +24,7 @@ which runs single bodies, gradients and accelerators, handles the same equations
 from lieint_jax._xla._compile import compiled
 from lieint_jax._xla._forward_mode import forward_mode
 from lieint_jax._xla._materialize import materialized, materialized_arrays, unfused, with_materialized_derivatives
-from lieint_jax._xla._rematerialize import rematerialized, saved, scan_stages
+from lieint_jax._xla._rematerialize import rematerialized, saved
 
 __all__ = [
     "compiled",
@@ -33,7 +33,6 @@ __all__ = [
     "materialized_arrays",
     "rematerialized",
     "saved",
-    "scan_stages",
     "unfused",
     "with_materialized_derivatives",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._xla._compile import Tree
@@ -25,8 +26,8 @@ def unfused(x: Tree) -> Tree:
 
 
 def materialized_arrays(tree: Tree) -> Tree:
-    """The same arrays of real numbers, each computed once and stored in memory."""
-    return jax.tree.map(lambda x: x / _unknown_one(x), tree)
+    """The same arrays, those of real numbers each computed once and stored in memory."""
+    return jax.tree.map(lambda x: x / _unknown_one(x) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)
 
 
 def with_materialized_derivatives(tree: Tree) -> Tree:

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
-from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 
 from lieint_jax._xla._compile import Tree
@@ -19,21 +18,11 @@ from lieint_jax._xla._compile import Tree
 _SAVED = "lieint_jax"
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
 _Tree = TypeVar("_Tree")
-_Carry = TypeVar("_Carry")
 
 
 def rematerialized(function: _Function) -> _Function:
     """The body of a loop, of which reverse mode stores only the arguments and the values that are `saved`."""
     return jax.checkpoint(function, prevent_cse=False, policy=_is_saved)  # pyright: ignore[reportReturnType]
-
-
-def scan_stages(function: Callable[[_Carry, Tree], tuple[_Carry, None]], carry: _Carry, stages: Tree) -> _Carry:
-    """The last carry of a `lax.scan` over the stages of a step, each `rematerialized`, their carries `saved`.
-
-    Otherwise reverse mode of a loop over steps would compute the stages of a step twice more, first for the carries.
-    """
-    body = rematerialized(function)
-    return saved(lax.scan(lambda carry, stage: body(saved(carry), stage), carry, stages)[0])
 
 
 def saved(tree: _Tree) -> _Tree:

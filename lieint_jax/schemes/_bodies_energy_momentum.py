@@ -28,9 +28,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import newton, vec3
 from lieint_jax._numerics.vec3 import add, apply, cross, subtract
-from lieint_jax._xla import saved
 from lieint_jax.groups import so3
 from lieint_jax.potentials import invariant_form, torques
 from lieint_jax.schemes._shared.accepts import AcceptedSystems, check_motion
@@ -247,7 +246,7 @@ def _solve(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
 
         far = jnp.full_like(guess.move[0, 0], jnp.finfo(guess.move.dtype).max)
         ends, change, _, _ = lax.while_loop(is_unfinished, improve, (start, far / 2, far, jnp.zeros((), int)))
-        return saved(ends), change
+        return ends, change
 
     def tangent_solve(linear: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
         K = lax.stop_gradient(equation.linearized(guess)[1])  # near that of the ends, which are not known here
@@ -263,7 +262,7 @@ def _solve(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
 
         return lax.custom_linear_solve(linear, b, solver(K), solver(jnp.swapaxes(K, 1, 2)))
 
-    ends, change = lax.custom_root(equation.residual, guess, solve, tangent_solve, has_aux=True)
+    ends, change = newton.implicit_root(equation.residual, guess, solve, tangent_solve)
     return ends, lax.stop_gradient(change)
 
 

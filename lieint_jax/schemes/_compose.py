@@ -29,7 +29,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._xla import materialized, rematerialized
+from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
@@ -110,15 +110,14 @@ class Composition(Step):
     ) -> tuple[_Carried, StepInfo]:
         """`start` through `stage` with the numbers of each sub-step, and the merged report."""
 
-        @rematerialized
         def substep(
             carry: tuple[_Carried, StepInfo], numbers: tuple[Array, ...]
         ) -> tuple[tuple[_Carried, StepInfo], None]:
             z, worst = carry
-            z, info = stage(z, *materialized(numbers))  # a number that is read from an array keeps XLA from vectorizing
+            z, info = stage(z, *numbers)
             return (z, worst.merge(info)), None
 
-        return lax.scan(substep, (start, StepInfo.empty(jax.tree.leaves(start)[0])), sub_steps)[0]
+        return scan_stages(substep, (start, StepInfo.empty(jax.tree.leaves(start)[0])), sub_steps)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)

@@ -22,7 +22,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._xla import rematerialized
+from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes.charts._chart import PlainState
@@ -108,7 +108,6 @@ def _extrapolation(
     def state_at(now: _Unknowns) -> _Unknowns:
         return jax.tree.map(jnp.add, start, now) if increments else now
 
-    @rematerialized
     def leapfrog(h: Array, before: _Unknowns, now: _Unknowns, moment: PyTree) -> _Unknowns:
         return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(state_at(now), moment))
 
@@ -132,7 +131,7 @@ def _extrapolation(
     last = np.append(np.diff(of) > 0, True)
     later = jax.tree.map(lambda x: x[1:], moments)
     rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), later, [x[of] for x in w])
-    return lax.scan(step_once, (origin, first(h[0]), _zero_sums(origin)), rows)[0][2]
+    return scan_stages(step_once, (origin, first(h[0]), _zero_sums(origin)), rows)[2]
 
 
 def _zero_sums(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:

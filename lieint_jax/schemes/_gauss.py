@@ -21,8 +21,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import collocation
-from lieint_jax._xla import saved
+from lieint_jax._numerics import collocation, newton
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
@@ -224,10 +223,9 @@ def _solve(equation: _Equation, sweeps: int | None) -> tuple[Coordinates, Array]
 
     def solve(_: Callable[[Coordinates], Coordinates], k: Coordinates) -> tuple[Coordinates, Array]:
         if sweeps is None:
-            k, change = _iterate(equation, k)
-            return saved(k), change
+            return _iterate(equation, k)
         last = lax.fori_loop(0, max(0, sweeps - taken - 1), lambda _, k: equation.sweep(k), k)
-        k = saved(equation.sweep(last))
+        k = equation.sweep(last)
         return k, equation.change(k, last)
 
     def tangent_solve(linear: Callable[[Coordinates], Coordinates], b: Coordinates) -> Coordinates:
@@ -239,7 +237,7 @@ def _solve(equation: _Equation, sweeps: int | None) -> tuple[Coordinates, Array]
         x = lax.custom_linear_solve(lambda v: ravel_pytree(linear(components(v)))[0], flat, refine_solve, refine_solve)
         return components(x)
 
-    return lax.custom_root(equation.residual, guess, solve, tangent_solve, has_aux=True)
+    return newton.implicit_root(equation.residual, guess, solve, tangent_solve)
 
 
 _Carry = tuple[Coordinates, Array, Array, Array]  # k, its last change, the one before, the number of sweeps

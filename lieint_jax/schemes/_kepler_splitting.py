@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, vec3
 from lieint_jax._numerics.power_series import stumpff
-from lieint_jax._xla import scan_stages
+from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.schemes._bodies_energy_momentum import BODIES
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._nystrom import Stages, mirror

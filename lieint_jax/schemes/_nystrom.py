@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._xla import scan_stages
+from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
 from lieint_jax.schemes._shared.accepts import check_motion, hint

@@ -37,7 +37,6 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import add, cross, dot, subtract
-from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.schemes._shared.half_turn import ITERATIONS, bias, half_turn, scaled
@@ -96,12 +95,11 @@ class SO3Midpoint(Step):
             return super().tangent(state, dt, T)
         J, a = scaled(body, state, dt)
         h, info = half_turn(J, a, self.kappa, self.iterations)
-        h = materialized(h)
 
         def propagate(tangent: Array) -> Array:
             theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
-            da = materialized(scaled(body, state._replace(p=jnp.stack(p)), dt)[1])
-            dh = materialized(half_turn_derivative(J, a, h, da))
+            da = scaled(body, state._replace(p=jnp.stack(p)), dt)[1]
+            dh = half_turn_derivative(J, a, h, da)
             return jnp.stack([*add(theta, so3.Ad(state.q, dh)), *tangent[3:]])
 
         return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(propagate, -1, -1)(jnp.asarray(T))

@@ -10,7 +10,8 @@ from jax import lax
 
 import lieint_jax as li
 from lieint_jax._numerics import newton
-from lieint_jax._xla import materialized_arrays, rematerialized, saved, scan_stages, with_materialized_derivatives
+from lieint_jax._numerics.stages import scan_stages
+from lieint_jax._xla import materialized_arrays, rematerialized, saved, with_materialized_derivatives
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 TOP = li.systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])

@@ -11,7 +11,7 @@ import pytest
 from grid import examples, schemes, steps, systems
 
 import lieint_jax as li
-from lieint_jax import _discover, maps
+from lieint_jax import _discover, _xla, maps
 from lieint_jax.types import Step
 
 ROOT = Path(li.__file__).parent
@@ -189,6 +189,17 @@ def test_schemes_import_no_system_and_systems_no_scheme():
     for room, forbidden in (("schemes", "systems"), ("systems", "schemes")):
         for path in (ROOT / room).glob("*.py"):
             assert not [name for name in imports(path) if name.startswith(f"lieint_jax.{forbidden}")]
+
+
+def test_schemes_give_no_hints_to_a_compiler():
+    """They hold the equations of one body, and `compiled` runs a whole function of theirs."""
+    for path in (ROOT / "schemes").rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        names = {alias.name for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) for alias in n.names}
+        hints = {name for name in _xla.__all__ if name != "compiled"} | {"_xla", "checkpoint_name"}
+        assert not names & hints, path
+        words = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
+        assert not words & {"checkpoint", "remat", "optimization_barrier"}, path
 
 
 @pytest.mark.parametrize("package", [li.groups, li.systems, li.schemes], ids=lambda p: p.__name__)

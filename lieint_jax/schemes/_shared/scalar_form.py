@@ -85,5 +85,5 @@ def half_turn_derivative(J: Symmetric, a: Vector, h: Vector, da: Vector) -> Vect
     m, A, K = dot(a, h), vec3.hat(a), dense(J)
     K = [[K[i][j] - A[i][j] - h[i] * a[j] - (m if i == j else 0) for j in range(3)] for i in range(3)]
     right = add(da, add(cross(da, h), scale(dot(da, h), h)))
-    dh = vec3.solve(K, right)
+    dh = vec3.solve(K, right, divide=True)
     return scale(2 / (1 + dot(h, h)), add(dh, cross(h, dh)))
