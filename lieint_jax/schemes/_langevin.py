@@ -25,6 +25,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import random_bits, vec3
+from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.groups import so3
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
@@ -123,9 +124,18 @@ class Langevin(Step):
 
     def _baoab(self, state: State, dt: Array, key: random_bits.Key) -> tuple[State, StepInfo]:
         noise = random_bits.normal(key, 0, state.p.size, state.p.dtype)
-        state, before = self.drift.substep(self._kick(state, 0.5 * dt), 0.5 * dt)
-        state, after = self.drift.substep(self._thermalize(state, dt, noise), 0.5 * dt)
-        return self._kick(state, 0.5 * dt), before.merge(after)
+
+        def stage(carry: tuple[State, StepInfo], first: Array) -> tuple[tuple[State, StepInfo], None]:
+            """A, and O if this is the first A, so that its long program is compiled once."""
+            state, before = carry
+            state, info = self.drift.substep(state, 0.5 * dt)
+            thermal = self._thermalize(state, dt, noise)
+            state = jax.tree.map(lambda x, y: jnp.where(first, x, y), thermal, state)
+            return (state, before.merge(info)), None
+
+        start = self._kick(state, 0.5 * dt), StepInfo.empty(state.p)
+        state, info = scan_stages(stage, start, jnp.array([True, False]))
+        return self._kick(state, 0.5 * dt), info
 
     def _metropolis(self, state: State, dt: Array, key: random_bits.Key) -> tuple[State, StepInfo]:
         many, dtype = state.p.size, state.p.dtype
