@@ -3,7 +3,8 @@
 For each kind of system and every scheme, the first example that the scheme takes, float64, one core, no program kept
 from before: seconds of the first call of `jax.jit` of `integrate` (tracing and compiling, then 16 steps) and of the
 second one, each the shorter of two, and the lines of the program that XLA compiles; the same for the gradient of a sum
-over the end with respect to the state, through the scan. Last, calls that people wait for elsewhere.
+over the end with respect to the state, through the scan; then first and second calls of both by `li.jit`. Last, calls
+that people wait for elsewhere.
 
     python benchmarks/compile.py [--quick] [--out DIR] [--only NAME …]
 
@@ -12,6 +13,7 @@ over the end with respect to the state, through the scan. Last, calls that peopl
 
 from __future__ import annotations
 
+import functools
 import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -58,8 +60,16 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
                 def loss(p: Any, z: Any = start, run: Any = run) -> Any:
                     return sum(jnp.sum(x**2) for x in run(z._replace(p=p))[:2])
 
-                forward, reverse = of_program(run, start), of_program(jax.grad(loss), start.p)
-                yield {"system": name, "scheme": scheme, "step": step.name, "forward": forward, "reverse": reverse}
+                gradient = jax.grad(loss)
+                yield {
+                    "system": name,
+                    "scheme": scheme,
+                    "step": step.name,
+                    "forward": of_program(run, start),
+                    "reverse": of_program(gradient, start.p),
+                    "quick forward": waited(functools.partial(li.jit(run), start)),
+                    "quick reverse": waited(functools.partial(li.jit(gradient), start.p)),
+                }
 
 
 def accepted_steps(scheme: Any, examples: Iterable[tuple[Any, Any, float]]) -> Iterator[tuple[Any, Any, float]]:
@@ -118,13 +128,15 @@ def render(data: dict[str, Any]) -> list[str]:
     """The tables and the bars."""
     before, after = data["load"]
     head = ["system", "step", "forward: first", "second", "lines", "reverse: first", "second", "lines"]
-    cells = [
-        [r["system"], r["step"], *(x for way in ("forward", "reverse") for x in _cells(r[way]))] for r in data["rows"]
-    ]
+    head += ["`li.jit`, forward: first", "second", "reverse: first", "second"]
+    ways = ("forward", "reverse", "quick forward", "quick reverse")
+    cells = [[r["system"], r["step"], *(x for way in ways for x in _cells(r[way]))] for r in data["rows"]]
     everyday = [r for r in data["rows"] if r["system"] in _FIRST and r["scheme"] in _EVERYDAY]
     bars = [
         _bar("forward", data["rows"], "forward", FORWARD),
         _bar("reverse", data["rows"], "reverse", REVERSE),
+        _bar("forward by `li.jit`", data["rows"], "quick forward", FORWARD),
+        _bar("reverse by `li.jit`", data["rows"], "quick reverse", REVERSE),
         _bar("forward, the common schemes of free bodies and tops", everyday, "forward", COMMON),
     ]
     others = [[r["call"], f"{r['first']:.2f}", f"{1e3 * r['second']:.1f} ms"] for r in data["others"]]
@@ -138,7 +150,8 @@ def render(data: dict[str, Any]) -> list[str]:
 
 
 def _cells(waited: dict[str, float]) -> list[str]:
-    return [f"{waited['first']:.2f}", f"{waited['second']:.4f}", f"{waited['lines']:.0f}"]
+    times = [f"{waited['first']:.2f}", f"{waited['second']:.4f}"]
+    return [*times, f"{waited['lines']:.0f}"] if "lines" in waited else times
 
 
 def _bar(name: str, rows: list[dict[str, Any]], way: str, bar: float) -> list[str]:

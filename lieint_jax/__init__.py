@@ -26,7 +26,7 @@ A system and a scheme make a step; a step makes everything else.
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
-| `cache_programs` | compiled programs on disk, for a quick start of the next process |
+| `jit`, `cache_programs` | `jax.jit` that compiles sooner; compiled programs on disk for the next process |
 
 By default `integrate` saves every step, and `ensemble.run` only the last one: `save_every` changes that.
 Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in the axes of space. Any consistent units may
@@ -56,6 +56,7 @@ from lieint_jax._cache import cache_programs
 from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax._integrate import Event, event, integrate, interpolate
 from lieint_jax._version import __version__
+from lieint_jax._xla import jit
 from lieint_jax.adjoints import observe, reversible, transition
 from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
@@ -80,6 +81,7 @@ __all__ = [
     "groups",
     "integrate",
     "interpolate",
+    "jit",
     "maps",
     "normal_modes",
     "observe",

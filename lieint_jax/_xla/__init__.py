@@ -18,10 +18,11 @@ which runs single bodies, gradients and accelerators, handles the same equations
     a long one in reverse mode, and none in reverse mode if it is a `while_loop`. So it is always differentiated in
     forward mode.
 
-`compiled` is `jax.jit` with options that halve the compile time of the package's own programs.
+`compiled` is `jax.jit` with options that halve the compile time of the package's own programs; `jit` is the same for
+those of users.
 """
 
-from lieint_jax._xla._compile import compiled
+from lieint_jax._xla._compile import compiled, jit
 from lieint_jax._xla._forward_mode import forward_mode
 from lieint_jax._xla._materialize import materialized, materialized_arrays, unfused, with_materialized_derivatives
 from lieint_jax._xla._rematerialize import rematerialized, saved
@@ -29,6 +30,7 @@ from lieint_jax._xla._rematerialize import rematerialized, saved
 __all__ = [
     "compiled",
     "forward_mode",
+    "jit",
     "materialized",
     "materialized_arrays",
     "rematerialized",

@@ -17,6 +17,34 @@ _ONCE = {**_QUICKLY, "xla_backend_optimization_level": 0}
 _refused: set[str] = set()  # options that this XLA does not have
 
 
+def jit(function: _Function, static_argnums: int | tuple[int, ...] = ()) -> _Function:
+    """`jax.jit` with options of XLA that suit the loops of this package: the first call takes half of the time.
+
+    Meant for the outermost function, such as the gradient of a loss that runs `integrate`. On a CPU XLA's older
+    emitters compile gradients in 0.5 to 0.7 of the time, and the results run as fast; values are the same to round-off.
+    On a GPU, and inside jit, grad and other transformations, it is `jax.jit`.
+
+    Args:
+        function: a function of arrays.
+        static_argnums: the positions of arguments that are compiled in, as in `jax.jit`.
+
+    Returns:
+        The compiled function, of the same arguments.
+
+    Example:
+        >>> import jax, lieint_jax as li
+        >>> def energy_after(dt):
+        ...     body = li.systems.rigid_body([1.0, 2.0, 3.0])
+        ...     state = body.state(angular_velocity=[0.2, 0.0, 1.0])
+        ...     run = li.integrate(li.schemes.so3_midpoint(body), state, dt, 10, save_every=10)
+        ...     return body.energy(jax.tree.map(lambda x: x[-1], run.state))
+        >>> gradient = li.jit(jax.grad(energy_after))
+        >>> bool(abs(gradient(0.1)) < 1e-5)  # energy is conserved for any dt
+        True
+    """
+    return compiled(function, static_argnums)
+
+
 def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), once: bool = False) -> _Function:
     """`jax.jit` of a function, with options that make compilation faster.
 
@@ -33,16 +61,16 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
     quick = jax.jit(function, static_argnums=static_argnums, compiler_options=options)
 
     @functools.wraps(function)
-    def call(*arguments: Tree) -> Tree:
+    def call(*arguments: Tree, **named: Tree) -> Tree:
         if not _refused.isdisjoint(options) or jax.default_backend() != "cpu" or not outermost():
-            return plain(*arguments)
+            return plain(*arguments, **named)
         try:
-            return quick(*arguments)
+            return quick(*arguments, **named)
         except jax.errors.JaxRuntimeError as error:
             unknown = {name for name in options if f"No such compile option: '{name}'" in str(error)}
             if not unknown:
                 raise
             _refused.update(unknown)
-            return plain(*arguments)
+            return plain(*arguments, **named)
 
     return cast("_Function", call)
