@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import lieint_jax as li
@@ -102,6 +104,37 @@ def test_first_calls_compile_few_programs():
     counts = {name: int(count) for name, count in (line.rsplit(" ", 1) for line in shown.splitlines())}
     assert counts.keys() == MOST.keys()
     assert {name: count for name, count in counts.items() if count > MOST[name]} == {}
+
+
+def run_and_scale(p, factor=1.0, count=4):
+    step, state, dt = a_step()
+    return factor * jnp.sum(li.integrate(step, state._replace(p=p), dt, count, save_every=count).state.q ** 3)
+
+
+def test_li_jit_gives_the_values_of_jax_jit_and_serves_inside_transformations():
+    p, ours, theirs = a_step()[1].p, li.jit(run_and_scale, static_argnums=2), jax.jit(run_and_scale, static_argnums=2)
+    assert float(ours(p, 2.0, 5)) == pytest.approx(float(theirs(p, 2.0, 5)), rel=1e-15)
+    assert float(ours(p, factor=3.0)) == pytest.approx(float(theirs(p, factor=3.0)), rel=1e-15)
+    slope = jax.jit(jax.grad(run_and_scale))(p)
+    for gradient in (li.jit(jax.grad(run_and_scale)), jax.grad(li.jit(run_and_scale)), jax.jit(jax.grad(ours))):
+        np.testing.assert_allclose(gradient(p), slope, rtol=1e-13)
+    assert ours.__name__ == "run_and_scale"
+
+
+def test_li_jit_compiles_by_the_older_emitters_of_a_cpu_and_without_options_elsewhere(monkeypatch):
+    given = []
+
+    def recorded(function, compiler_options=None, **named):
+        def call(*_, **__):
+            given.append(compiler_options)
+
+        return call
+
+    monkeypatch.setattr(jax, "jit", recorded)
+    li.jit(run_and_scale)(1.0)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    li.jit(run_and_scale)(1.0)
+    assert given == [{"xla_cpu_use_fusion_emitters": False}, None]
 
 
 @pytest.mark.long

@@ -152,7 +152,8 @@ def test_dir_lists_the_public_names_only():
 
 
 CONTRACT = """
-State Step StepInfo Trajectory Event pytree static integrate interpolate event systems.rigid_body systems.heavy_top
+State Step StepInfo Trajectory Event pytree static integrate interpolate event jit cache_programs
+systems.rigid_body systems.heavy_top
 systems.potential_top orbits.graded_times
 systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
 systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat systems.torqued_body
