@@ -21,7 +21,7 @@ def jit(function: _Function, static_argnums: int | tuple[int, ...] = ()) -> _Fun
     """`jax.jit` with options of XLA that suit the loops of this package: the first call takes half of the time.
 
     Meant for the outermost function, such as the gradient of a loss that runs `integrate`. On a CPU XLA's older
-    emitters compile gradients in 0.5 to 0.7 of the time, and the results run as fast; values are the same to round-off.
+    emitters compile gradients in about 0.6 of the time, and the results run as fast; values are the same to round-off.
     On a GPU, and inside jit, grad and other transformations, it is `jax.jit`.
 
     Args:

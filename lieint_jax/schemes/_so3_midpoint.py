@@ -28,10 +28,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -102,7 +101,8 @@ class SO3Midpoint(Step):
             dh = half_turn_derivative(J, a, h, da)
             return jnp.stack([*add(theta, so3.Ad(state.q, dh)), *tangent[3:]])
 
-        return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(propagate, -1, -1)(jnp.asarray(T))
+        T = lax.map(propagate, jnp.asarray(T).T).T
+        return state._replace(q=so3.cayley_increment(state.q, h)), info, T
 
     def _driven_step(self, system: AbstractDrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
         """The step of the gyrostat with the mean rotor momentum h̄_r, with the change of h_r and the motor's work."""
