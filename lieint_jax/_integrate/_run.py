@@ -27,7 +27,7 @@ from lieint_jax._integrate._clock import (
     outputs,
     refuse_times,
 )
-from lieint_jax._integrate._driver import Progress, advance, march, prepared, scan
+from lieint_jax._integrate._driver import Progress, Repeat, advance, counted, march, prepared, scan, scanned
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 from lieint_jax.types.shapes import PyTree
@@ -51,8 +51,8 @@ def integrate(
     """The trajectory of `num_steps` steps of size `dt`, or of steps from one of the `times` to the next.
 
     It is a `lax.scan`, which can be jitted, vmapped over states, and differentiated in forward and reverse mode. A call
-    outside of jit on a CPU is compiled once per structure of the step and per `save_every`, whatever the numbers in the
-    step, for up to 4096 saved states of one body; again for up to 16384, and so on.
+    outside of jit on a CPU is compiled once per structure of the step, whatever the numbers in the step, for up to 4096
+    saved states of one body; again for up to 16384, and so on; and once more for all `save_every` > 1.
 
     The state at an output time between two steps comes from a shorter step from the last node before. So it has every
     invariant of the step, and its error is that of the trajectory plus one of higher order, that of a single step. The
@@ -96,8 +96,8 @@ def integrate(
                 "li.observe(step, state, dt, times), which has the same derivatives at any times"
             )
     first = dt if dt is not None else clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
-    may_try = save_at is None and save_every == 1 and adjoint is None
-    trial = _trial(step, state, clock, num_steps) if may_try else None
+    may_try = save_at is None and adjoint is None
+    trial = _trial(step, state, clock, num_steps, save_every) if may_try else None
     if trial is None or not trial.info.converged[1]:
         _check_first(step, state, first, isinstance(clock, GridClock))
     _checks.time_resolution(start_time(step, state), first, num_steps)
@@ -108,7 +108,7 @@ def integrate(
         if adjoint is not None:
             later = adjoint.run(step, state, clock, num_saves, save_every)
             return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
-        if trial is None or len(trial.t) != num_saves + 1:
+        if trial is None or num_steps > _SHORT:
             rows = rows_for(state, num_saves)
             trial = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
         return trajectory(step, state, clock, num_saves, save_every) if trial is None else jax.device_put(trial)
@@ -137,13 +137,17 @@ def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None
         raise StepError(f"{failed}{more_times(step, state, size) if given else ''}") from None
 
 
-def _trial(step: Step, state: State, clock: Clock, num_steps: int) -> Trajectory | None:
+def _trial(step: Step, state: State, clock: Clock, num_steps: int, save_every: int) -> Trajectory | None:
     """The run itself if it is short, otherwise its first step by the same program; None if that is impossible."""
-    rows = rows_for(state, num_steps)
+    save_every = _checks.count("save_every", save_every, 1)
+    num_saves = saves(num_steps, save_every)
+    rows = rows_for(state, num_saves)
     if not (rows and num_steps) or step.approximate or not _stands_alone(step, state, clock):
         return None
     step.system.check(state)
-    return of_any_length(step, state, clock, num_steps if num_steps <= _SHORT else 1, rows, 1)
+    if num_steps <= _SHORT:
+        return of_any_length(step, state, clock, num_saves, rows, save_every)
+    return of_any_length(step, state, clock, 1, rows, 1, saves_all=save_every == 1)
 
 
 def _stands_alone(*arguments: PyTree) -> bool:
@@ -163,26 +167,32 @@ def rows_for(state: State, num_saves: int) -> int:
 
 
 def of_any_length(
-    step: Step, state: State, clock: Clock, num_saves: int, most: int, save_every: int
+    step: Step, state: State, clock: Clock, num_saves: int, most: int, save_every: int, saves_all: bool | None = None
 ) -> Trajectory | None:
     """The trajectory with `num_saves` saved states after the first, on the host, by one program for all up to `most`.
 
-    None unless all is concrete: a loop of unknown length has no derivative in reverse mode.
+    None unless all is concrete: a loop of unknown length has no derivative in reverse mode. `saves_all` chooses the
+    program for save_every = 1, or that for any; by default the first if it serves.
     """
     if not _stands_alone(step, state, clock):
         return None
-    found = _padded_trajectory(step, state, clock, num_saves, most, save_every)
+    saves_all = save_every == 1 if saves_all is None else saves_all
+    found = _padded_trajectory(step, state, clock, num_saves, save_every, most, saves_all)
     if not _checks.concrete(found):  # a function of the step closes over a tracer
         return None
     return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
 
 
-@partial(compiled, static_argnums=(4, 5))
+@partial(compiled, static_argnums=(5, 6))
 def _padded_trajectory(
-    step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: int, save_every: int
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int, saves_all: bool
 ) -> Trajectory:
-    """`trajectory` for any number of saves up to `most`; the entries after them are undefined."""
-    interval = _interval(prepared(step, state, clock), clock, save_every)
+    """`trajectory` for any number of saves up to `most`, and any `save_every` unless `saves_all`.
+
+    The entries after the saves are undefined.
+    """
+    save_every, repeat = (1, scanned) if saves_all else (save_every, counted)
+    interval = _interval(prepared(step, state, clock), clock, save_every, repeat)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.empty(state.p)))
 
     def padded_interval(k: Array, carry: PyTree) -> PyTree:
@@ -201,12 +211,14 @@ def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_ever
     return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
 
 
-def _interval(step: Step, clock: Clock, save_every: int) -> Callable[[PyTree, None], tuple[PyTree, PyTree]]:
+def _interval(
+    step: Step, clock: Clock, save_every: ArrayLike, repeat: Repeat = scanned
+) -> Callable[[PyTree, None], tuple[PyTree, PyTree]]:
     """The steps from one saved state to the next: (state, n) ↦ (state, n), (state, report)."""
 
     def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, n = carry
-        end = march(partial(advance, step, clock), n, save_every, Progress.begin(state))
+        end = march(partial(advance, step, clock), n, save_every, Progress.begin(state), repeat=repeat)
         return (end.state, n + save_every), (end.state, end.info)
 
     return interval

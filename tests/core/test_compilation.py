@@ -83,9 +83,10 @@ show("run", li.integrate(step, state, 0.05, 1000))
 show("longer run", li.integrate(step, state, 0.04, 2000))
 show("save_every", li.integrate(step, state, 0.04, 2000, 10))
 show("longer, save_every", li.integrate(step, state, 0.04, 3000, 10))
+show("another save_every", li.integrate(step, state, 0.04, 3000, 30))
 show("certificate", li.diagnostics.certify(step, state, 0.05, 1000))
 """
-MOST = {  # programs: the run also tries its first step; save_every tries it apart; a certificate has four measurements
+MOST = {  # programs: a run also tries its first step; any save_every > 1 has one; a certificate has four measurements
     "import": 0,
     "body": 0,
     "step": 0,
@@ -93,8 +94,9 @@ MOST = {  # programs: the run also tries its first step; save_every tries it apa
     "another state": 0,
     "run": 1,
     "longer run": 0,
-    "save_every": 2,
+    "save_every": 1,
     "longer, save_every": 0,
+    "another save_every": 0,
     "certificate": 4,
 }
 
