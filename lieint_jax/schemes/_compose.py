@@ -117,7 +117,7 @@ class Composition(Step):
             z, info = stage(z, *numbers)
             return (z, worst.merge(info)), None
 
-        return scan_stages(substep, (start, StepInfo.empty(jax.tree.leaves(start)[0])), sub_steps)
+        return scan_stages(substep, (start, StepInfo.empty(jax.tree.leaves(start)[0])), sub_steps, store=False)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)

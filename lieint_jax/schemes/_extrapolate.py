@@ -131,7 +131,7 @@ def _extrapolation(
     last = np.append(np.diff(of) > 0, True)
     later = jax.tree.map(lambda x: x[1:], moments)
     rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), later, [x[of] for x in w])
-    return scan_stages(step_once, (origin, first(h[0]), _zero_sums(origin)), rows)[2]
+    return scan_stages(step_once, (origin, first(h[0]), _zero_sums(origin)), rows, store=False)[2]
 
 
 def _zero_sums(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:
