@@ -102,16 +102,17 @@ def real_array(
         array = as_array(value, None if like is None or hasattr(value, "dtype") else like.dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
-    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+    floating = jnp.issubdtype(array.dtype, jnp.floating)
+    if not (floating or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ValueError(f"{name} must hold real numbers, got dtype {array.dtype}")
-    if jnp.issubdtype(array.dtype, jnp.floating) and jnp.finfo(array.dtype).bits < 32:
+    if floating and array.dtype.itemsize < 4:
         raise ValueError(f"{name} must be float32 or float64, got {array.dtype}, which has too few digits for a step")
     if shapes and array.shape not in [tuple(shape) for shape in shapes]:
         allowed = " or ".join(str(tuple(shape)) for shape in shapes)
         raise ValueError(f"{name} must have shape {allowed}, got {array.shape}; use jax.vmap for batches")
     if finite and concrete(array) and not np.all(np.isfinite(array)):
         raise ValueError(f"{name} must be finite, got {np.asarray(array)}")
-    if jnp.issubdtype(array.dtype, jnp.floating):
+    if floating:
         return array
     real = jnp.result_type(float)
     return as_array(np.asarray(array), real) if concrete(array) else array.astype(real)

@@ -96,14 +96,15 @@ def integrate(
                 "li.observe(step, state, dt, times), which has the same derivatives at any times"
             )
     first = dt if dt is not None else clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
-    may_try = save_at is None and adjoint is None
-    trial = _trial(step, state, clock, num_steps, save_every) if may_try else None
+    trial, num_saves = None, 0
+    if save_at is None:
+        save_every = _checks.count("save_every", save_every, 1)
+        num_saves = saves(num_steps, save_every)
+        trial = None if adjoint is not None else _trial(step, state, clock, num_steps, num_saves, save_every)
     if trial is None or not trial.info.converged[1]:
         _check_first(step, state, first, isinstance(clock, GridClock))
     _checks.time_resolution(start_time(step, state), first, num_steps)
     if save_at is None:
-        save_every = _checks.count("save_every", save_every, 1)
-        num_saves = saves(num_steps, save_every)
         _check_size(state, num_saves + 1)
         if adjoint is not None:
             later = adjoint.run(step, state, clock, num_saves, save_every)
@@ -137,10 +138,10 @@ def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None
         raise StepError(f"{failed}{more_times(step, state, size) if given else ''}") from None
 
 
-def _trial(step: Step, state: State, clock: Clock, num_steps: int, save_every: int) -> Trajectory | None:
+def _trial(
+    step: Step, state: State, clock: Clock, num_steps: int, num_saves: int, save_every: int
+) -> Trajectory | None:
     """The run itself if it is short, otherwise its first step by the same program; None if that is impossible."""
-    save_every = _checks.count("save_every", save_every, 1)
-    num_saves = saves(num_steps, save_every)
     rows = rows_for(state, num_saves)
     if not (rows and num_steps) or step.approximate or not _stands_alone(step, state, clock):
         return None

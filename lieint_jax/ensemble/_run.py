@@ -504,20 +504,14 @@ def _check_reduction(job: Job) -> None:
         raise ValueError(f"reduce must be a function of two arguments, (step, state) ↦ scalar: {error}") from None
     except ValueError:  # a function without a signature
         pass
-    found: list[object] = []
-    jax.eval_shape(lambda step, state: found.append(job.reduction(step, state)), step, state)  # pyright: ignore
-    [value] = found
-    array = isinstance(value, Array | np.ndarray | np.generic)
-    if not ((array or isinstance(value, float)) and _is_real_scalar(value)):
-        shown = f"{value.dtype} of shape {value.shape}" if array else repr(value)
+    value = jax.eval_shape(job.reduction, step, state)  # traces a function once, and not in each call of `run`
+    scalar = isinstance(value, jax.ShapeDtypeStruct) and value.shape == ()
+    if not (scalar and jnp.issubdtype(value.dtype, jnp.floating)):
+        shown = f"{value.dtype} of shape {value.shape}" if isinstance(value, jax.ShapeDtypeStruct) else repr(value)
         raise ValueError(
             f"reduce must return a real floating-point scalar, got {shown}; return one component of a vector or "
             "its norm, and 1.0 * x for an integer x"
         )
-
-
-def _is_real_scalar(value: _layout.Numbers | np.generic | float) -> bool:
-    return np.shape(value) == () and jnp.issubdtype(jnp.result_type(value), jnp.floating)
 
 
 def _check_start(quantity: np.ndarray, first: int) -> None:

@@ -121,9 +121,9 @@ class Code:
             np.empty((members, *x.shape) if n < self._carried else (rows, members, *x.shape), x.dtype)
             for n, x in enumerate(self._results)
         ]
-        shared = [] if self._shared is None else self._shared(inputs, rows)
-        pointers = [x.ctypes.data for x in (*inputs, *outputs, *shared)]
-        self._over_blocks(members, rows, (ctypes.c_void_p * len(pointers))(*pointers), threads)
+        given = _addresses(inputs)
+        shared = [] if self._shared is None else self._shared(given, rows)
+        self._over_blocks(members, rows, _pointers(given + _addresses([*outputs, *shared])), threads)
         return outputs
 
     def _over_blocks(self, members: int, rows: int, pointers: Any, threads: int) -> None:
@@ -155,16 +155,23 @@ class SharedNumbers:
         self._most = max(map(len, parts.numbers.values()))
         self.count = 0
 
-    def __call__(self, inputs: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """The numbers, each in 8 bytes; and two counts, of the room and of the numbers."""
+    def __call__(self, given: list[int], rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """The numbers, each in 8 bytes, from the addresses of the inputs; and two counts, of the room and of them."""
         while True:  # two passes at most: the first call finds out how many there are
             tape = np.empty(max(self.count, self._most))
             counts = np.array([len(tape), 0])
-            pointers = [x.ctypes.data for x in (*inputs, tape, counts)]
-            self._run(0, 1, 1, rows, (ctypes.c_void_p * len(pointers))(*pointers))
+            self._run(0, 1, 1, rows, _pointers(given + _addresses([tape, counts])))
             self.count = int(counts[1])
             if self.count <= len(tape):
                 return tape, counts
+
+
+def _addresses(arrays: Sequence[np.ndarray]) -> list[int]:
+    return [x.ctypes.data for x in arrays]
+
+
+def _pointers(addresses: list[int]) -> Any:
+    return (ctypes.c_void_p * len(addresses))(*addresses)
 
 
 @functools.cache

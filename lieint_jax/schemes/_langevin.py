@@ -126,7 +126,7 @@ class Langevin(Step):
         noise = random_bits.normal(key, 0, state.p.size, state.p.dtype)
 
         def stage(carry: tuple[State, StepInfo], first: Array) -> tuple[tuple[State, StepInfo], None]:
-            """A, and O if this is the first A, so that its long program is compiled once."""
+            """A, then O if this is the first A; as a loop over both A, so that their long program is compiled once."""
             state, before = carry
             state, info = self.drift.substep(state, 0.5 * dt)
             thermal = self._thermalize(state, dt, noise)

@@ -263,7 +263,7 @@ def start_time(step: Step, state: State) -> Time | None:
 
 
 def _is_real(leaf: ArrayLike) -> bool:
-    return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
+    return jnp.issubdtype(leaf.dtype if hasattr(leaf, "dtype") else type(leaf), jnp.floating)  # pyright: ignore
 
 
 @partial(compiled, once=True)
