@@ -219,7 +219,8 @@ def constant_q(
     bodies = _bodies(G, masses, radii, k2)
     quality, slow = _one_each("Q", Q, bodies[1]), _one_each("threshold", threshold, bodies[1])
     for name, x in (("Q", quality), ("threshold", slow)):
-        _check_positive(name, x, "; a body without a tide has k2 = 0")
+        if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
+            raise ValueError(f"{name} must be positive, got {np.asarray(x)}; a body without a tide has k2 = 0")
     return LaggingTides(*bodies, 1 / (2 * quality * slow), 1 / slow)
 
 
@@ -228,18 +229,11 @@ def _bodies(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike) ->
     m = _checks.real_array("masses", masses)
     if m.ndim != 1 or m.size < 2:
         raise ValueError(f"masses must have shape (N,), N ≥ 2, got {m.shape}")
-    g, R = _checks.real_array("G", G, ()), _checks.real_array("radii", radii, (m.size,))
-    for name, x in (("G", g), ("masses", m), ("radii", R)):
-        _check_positive(name, x)
+    g, m = _checks.positive("G", G), _checks.positive("masses", m, m.shape)
+    R = _checks.positive("radii", radii, m.shape)
     love = _one_each("k2", k2, m)
     _check_not_negative("k2", love)
     return g, m, R, love
-
-
-def _check_positive(name: str, x: Array, advice: str = "") -> None:
-    """Raise ValueError if a concrete number is not positive."""
-    if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
-        raise ValueError(f"{name} must be positive, got {np.asarray(x)}{advice}")
 
 
 def _check_not_negative(name: str, x: Array) -> None:

@@ -124,9 +124,7 @@ def pendulum(
         >>> float(swing.energy(state))
         0.5
     """
-    m = _checks.real_array("mass", mass, ())
-    if concrete(m) and not np.asarray(m) > 0:
-        raise ValueError(f"mass must be positive, got {m}")
+    m = _checks.positive("mass", mass)
     if callable(gravity):
         _checks.function("gravity", gravity, "γ·q", (), jnp.zeros((), m.dtype))
     else:

@@ -373,8 +373,7 @@ def rigid_bodies(
     m = _checks.real_array("masses", _checks.of_shapes("mass", masses))
     if m.ndim != 1 or not m.size:
         raise ValueError(f"masses must have shape (N,), got {m.shape}")
-    if concrete(m) and not bool(np.all(np.asarray(m) > 0)):
-        raise ValueError(f"masses must be positive, got {np.asarray(m)}")
+    m = _checks.positive("masses", m, m.shape)
     J = _checks.real_array("inertias", _checks.of_shapes("inertia", inertias))
     if J.shape not in ((m.size, 3), (m.size, 3, 3)):
         raise ValueError(
