@@ -101,7 +101,7 @@ def test_constants_are_those_of_the_trajectory_and_the_preprocessed_ones_approac
         clock = jax.vmap(lambda Pi, dt: jnp.stack(_free_body.clock(body.inertia, Pi, dt)[:2]))
         along = jax.vmap(lambda t: body.body_momentum(body.solution(state, t)))(jnp.array([0, 1.7, 9, -4]))
         exact = clock(jnp.stack([body.body_momentum(state)] * 2), jnp.array(steps))
-        series = jnp.stack([jnp.stack(preprocessed(body, 6)._clock(state, dt)) for dt in steps])
+        series = jnp.stack([jnp.stack(preprocessed(body, 6)._clock(state, dt)[:2]) for dt in steps])
         return clock(along, jnp.full(4, 0.8)), exact, series
 
     later, exact, series = (np.asarray(x) for x in constants(state))
