@@ -26,7 +26,7 @@ def text(found: SatelliteFit) -> str:
 
 def _head(found: SatelliteFit) -> list[str]:
     c = found.curve
-    phase = np.rad2deg(np.arccos((c.sun * c.observer).sum(axis=1)))
+    phase = np.rad2deg(np.arccos(np.clip((c.sun * c.observer).sum(axis=1), -1, 1)))
     first = (c.t < found.session).sum()
     return [
         f"{found.title}: all of it simulated",
