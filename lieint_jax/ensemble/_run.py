@@ -41,6 +41,7 @@ from lieint_jax.ensemble._progress import Bar, CallLength, Interrupts
 from lieint_jax.ensemble._storage import Url, address
 from lieint_jax.ensemble._store import leaves_by_name
 from lieint_jax.ensemble._store_output import StoreOptions, run_into_store, run_part_into_store, split_into_parts
+from lieint_jax.native import make_once
 from lieint_jax.types import PhaseSpace, State, Step, Trajectory, checked_step, promoted
 from lieint_jax.types.members import member_axis
 
@@ -495,23 +496,31 @@ def _check_job(job: Job, first: int) -> None:
 
 def _check_reduction(job: Job) -> None:
     """Raise ValueError unless the reduced quantity is a real scalar function of a step and a state."""
-    if job.reduction is None:
-        return
-    step, state = job.member(0)
+    if job.reduction is not None:
+        make_once(_check_result, job.reduction, (), job.member(0))
+
+
+def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, State]) -> None:
     try:
-        inspect.signature(job.reduction).bind(step, state)
+        inspect.signature(reduction).bind(*arguments)
     except TypeError as error:
         raise ValueError(f"reduce must be a function of two arguments, (step, state) ↦ scalar: {error}") from None
     except ValueError:  # a function without a signature
         pass
-    value = jax.eval_shape(job.reduction, step, state)  # traces a function once, and not in each call of `run`
-    scalar = isinstance(value, jax.ShapeDtypeStruct) and value.shape == ()
-    if not (scalar and jnp.issubdtype(value.dtype, jnp.floating)):
-        shown = f"{value.dtype} of shape {value.shape}" if isinstance(value, jax.ShapeDtypeStruct) else repr(value)
+    found: list[object] = []
+    jax.eval_shape(lambda step, state: found.append(reduction(step, state)), *arguments)  # pyright: ignore
+    [value] = found
+    array = isinstance(value, Array | np.ndarray | np.generic)
+    if not ((array or isinstance(value, float)) and _is_real_scalar(value)):
+        shown = f"{value.dtype} of shape {value.shape}" if array else repr(value)
         raise ValueError(
             f"reduce must return a real floating-point scalar, got {shown}; return one component of a vector or "
             "its norm, and 1.0 * x for an integer x"
         )
+
+
+def _is_real_scalar(value: _layout.Numbers | np.generic | float) -> bool:
+    return np.shape(value) == () and jnp.issubdtype(jnp.result_type(value), jnp.floating)
 
 
 def _check_start(quantity: np.ndarray, first: int) -> None:

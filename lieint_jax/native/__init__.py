@@ -8,6 +8,7 @@ For an accelerator XLA compiles it with an array of all members for each number 
 
 from lieint_jax.native._arrays import Flattened, flatten
 from lieint_jax.native._kernel import Kernel, kernel
+from lieint_jax.native._traced import make_once
 from lieint_jax.native._walk import UnsupportedError
 
-__all__ = ["Flattened", "Kernel", "UnsupportedError", "flatten", "kernel"]
+__all__ = ["Flattened", "Kernel", "UnsupportedError", "flatten", "kernel", "make_once"]

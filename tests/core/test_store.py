@@ -441,7 +441,7 @@ def shifted(step, z, by=1.0):
 def test_a_reduced_quantity_must_be_a_real_scalar():
     for reduce, message in (
         (lambda step, z: jnp.sum(z.q > 0), r"real floating-point scalar, got int\d+ of shape \(\)"),
-        (lambda step, z: 2, r"got int\d+ of shape \(\)"),
+        (lambda step, z: 2, "got 2;"),
         (lambda step, z: z.q, r"got float64 of shape \(4,\)"),
         (lambda step, z: z.q[0] + 0j, r"got complex128 of shape \(\)"),
         (lambda step, z: z.q[0] > 0, "got bool of shape"),

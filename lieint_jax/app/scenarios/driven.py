@@ -145,10 +145,11 @@ def conserved(scenario: Scenario, body: GravityGradient, run: Trajectory) -> lis
 def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> list[Quantity]:
     """The angles (°, ≤ 90) of the axes of least and greatest inertia from the vertical and the normal of the orbit."""
     found = []
-    for which, (axis, cosine) in _cosines(body, run).items():
-        angles = np.rad2deg(np.arccos(np.clip(abs(cosine), 0, 1)))
-        for name, x in (("mean", angles.mean(axis=0)), ("largest", angles.max(axis=0))):
-            found.append(Quantity(f"{which} inertia's axis from the {axis}, {name} (°)", x, ".3f"))
+    for which, (name, axis, fixed) in _directions(body, run).items():
+        sine, cosine = np.linalg.norm(np.cross(axis, fixed), axis=-1), abs((axis * fixed).sum(axis=-1))
+        angles = np.rad2deg(np.arctan2(sine, cosine))
+        for kind, x in (("mean", angles.mean(axis=0)), ("largest", angles.max(axis=0))):
+            found.append(Quantity(f"{which} inertia's axis from the {name}, {kind} (°)", x, ".3f"))
     return found
 
 
@@ -174,19 +175,19 @@ def _is_librating(scenario: Scenario, step: Step, run: Trajectory) -> np.ndarray
 
 def librating(body: GravityGradient, run: Trajectory) -> np.ndarray | None:
     """Whether each member's axis of least inertia never crosses the horizon; None if there is no such axis."""
-    cosines = _cosines(body, run)
-    if "least" not in cosines:
+    directions = _directions(body, run)
+    if "least" not in directions:
         return None
-    _, cosine = cosines["least"]
+    _, axis, fixed = directions["least"]
+    cosine = (axis * fixed).sum(axis=-1)
     return (cosine * np.sign(cosine[0]) > 0).all(axis=0)
 
 
-def _cosines(body: GravityGradient, run: Trajectory) -> dict[str, tuple[str, np.ndarray]]:
-    """By body axis: the name of an axis of the orbit, and the cosine of the angle between both, (times, members)."""
+def _directions(body: GravityGradient, run: Trajectory) -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
+    """By body axis: the name of the orbit's axis; the body's axis (times, members, 3), the orbit's (times, 1, 3)."""
     R = np.asarray(_matrices(body.orbit, jnp.asarray(run.t)))
     return {
-        which: (name, np.einsum("tmi,ti->tm", series(_space_axis, run, e), R[:, :, k]))
-        for which, (e, name, k) in _principal(body).items()
+        which: (name, series(_space_axis, run, e), R[:, None, :, k]) for which, (e, name, k) in _principal(body).items()
     }
 
 
