@@ -1,14 +1,15 @@
 """One step of one body as a program of numbers, compiled for the members of an ensemble.
 
-A jaxpr is walked (`_walk`) into a program of single numbers with real loops (`_program`). On a CPU LLVM compiles it
-with a vector of members for each number (`_emit`, `_machine`), and threads run it over blocks of members (`_kernel`).
-A separate program first computes what all members share in a step, such as the position on an orbit (`_stream`).
-For an accelerator XLA compiles it with an array of all members for each number (`_arrays`).
+A jaxpr is walked (`_walk`; what each primitive adds is in `_primitives`) into a program of single numbers with real
+loops (`_program`). On a CPU LLVM compiles it with a vector of members for each number (`_emit`, `_machine`), and
+threads run it over blocks of members (`_kernel`). A separate program first computes what all members share in a step,
+such as the position on an orbit (`_stream`). For an accelerator XLA compiles it with an array of all members for each
+number (`_arrays`).
 """
 
 from lieint_jax.native._arrays import Flattened, flatten
 from lieint_jax.native._kernel import Kernel, kernel
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._traced import make_once
-from lieint_jax.native._walk import UnsupportedError
 
 __all__ = ["Flattened", "Kernel", "UnsupportedError", "flatten", "kernel", "make_once"]

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
 from lieint_jax.native._traced import Traced, Tree, make_once
-from lieint_jax.native._walk import UnsupportedError
 
 
 def flatten(function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]) -> Flattened:

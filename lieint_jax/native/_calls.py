@@ -6,7 +6,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from lieint_jax.native._walk import UnsupportedError
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native.functions import FUNCTIONS, sincos
 
 _FLOATS: dict[str, Any] = {"double": ir.DoubleType(), "float": ir.FloatType()}

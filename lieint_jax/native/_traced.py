@@ -12,8 +12,9 @@ from jax.core import ShapedArray
 from jax.extend.core import JaxprEqn
 from jax.typing import ArrayLike
 
+from lieint_jax.native._primitives.abstract_walk import Table, UnsupportedError, array_of
 from lieint_jax.native._program import Builder, Number, Program
-from lieint_jax.native._walk import Table, UnsupportedError, Walk, array_of, shapes_of
+from lieint_jax.native._walk import Walk, shapes_of
 
 _Compiled = TypeVar("_Compiled")
 Tree = Any  # a tree of arrays, of shapes, or of the kinds of arguments

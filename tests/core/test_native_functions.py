@@ -11,8 +11,7 @@ pytest.importorskip("llvmlite")
 
 from native_calls import DOUBLE, FLOAT, INPUTS, NativeLoops
 
-from lieint_jax.native import functions
-from lieint_jax.native.functions import FUNCTIONS
+from lieint_jax.native.functions import FUNCTIONS, coefficients
 
 # In ulp; after each, the largest error among 100 000 to 600 000 points. A subnormal result is rounded twice.
 BOUNDS = {
@@ -249,8 +248,8 @@ def test_coefficients_are_chebyshev_fits():
             "CBRT": (mpmath.cbrt, 1, 8),
         }
         for name, (function, start, end) in fits.items():
-            coefficients = getattr(functions, name)
+            found = getattr(coefficients, name)
             with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
                 ends = [start + tiny, end + tiny]  # so that no node is 0
-                fitted = mpmath.chebyfit(function, ends, len(coefficients))
-            assert coefficients == tuple(float(c) for c in fitted[::-1]), name
+                fitted = mpmath.chebyfit(function, ends, len(found))
+            assert found == tuple(float(c) for c in fitted[::-1]), name

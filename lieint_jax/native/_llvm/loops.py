@@ -1,0 +1,174 @@
+"""Loops and branches, in which each member of a vector goes its own way, and the tape of shared numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from lieint_jax.native._calls import Functions
+from lieint_jax.native._llvm.operations import Operations
+from lieint_jax.native._program import Block, Branch, Loop, Number, Program
+from lieint_jax.native._traced import Leaf
+
+
+class Tape(NamedTuple):
+    """Numbers that one program writes and another reads, in the common order of their loops.
+
+    Attributes:
+        numbers: the numbers, by the body of the loop that computes them.
+        writes: True if this program writes them.
+    """
+
+    numbers: dict[Block, list[Number]]
+    writes: bool
+
+
+class Loops(Operations):
+    """Text with the loops and branches of a program.
+
+    Args:
+        program, lanes, leaves, functions: see `Operations`.
+        tape: the numbers that the program writes for another, or reads.
+    """
+
+    def __init__(self, program: Program, lanes: int, leaves: Sequence[Leaf], functions: Functions, tape: Tape | None):
+        super().__init__(program, lanes, leaves, functions)
+        self.tape, self.tape_pointer, self.capacity = tape, "", ""
+        self.wide = "i64" if any(leaf.dtype == np.float64 for leaf in leaves) else "i32"
+
+    def block(self, block: Block) -> None:
+        for item in block.items:
+            if isinstance(item, Loop):
+                self.loop(item)
+            elif isinstance(item, Branch):
+                self.branch(item)
+            elif item in self.program.live and item not in self.absorbed and item not in self.names:
+                self.names[item] = self.operation(item)
+
+    def loop(self, loop: Loop) -> None:
+        carried = self.program.needed_positions(loop.carries)
+        if not carried:
+            return
+        masked = self.varies(loop.test)
+        starts = [self.into_phi(loop.starts[k], loop.carries[k]) for k in carried]
+        before, head, body, exit_ = self.label, *(self.new_label(x) for x in ("loop.head", "loop.body", "loop.exit"))
+        self.jump(head)
+        self.begin(head)
+        place = len(self.lines)
+        phis = [self.new() for _ in carried]
+        mask = f"<{self.lanes} x i1>"
+        active = self.new() if masked else ""
+        mask_phi = self.new() if masked else ""
+        if masked:
+            self.lines.append(f"  {active} = trunc {self.mask_type} {mask_phi} to {mask}")
+        for k, phi in zip(carried, phis, strict=True):
+            self.names[loop.carries[k]] = self.names[loop.results[k]] = self.out_of_phi(phi, loop.carries[k])
+        self.block(loop.head)
+        if masked:
+            going = self.add(f"and {mask} {active}, {self.value(loop.test, True)}")
+            test = self.call("i1", f"llvm.vector.reduce.or.v{self.lanes}i1", [(mask, going)])
+        else:
+            going, test = "", self.value(loop.test, False)
+        self.lines.append(f"  br i1 {test}, label %{body}, label %{exit_}")
+        self.begin(body)
+        self.body(loop.body)
+        following = []
+        for k in carried:
+            inside, after = loop.carries[k], loop.following[k]
+            if masked and self.varies(inside):
+                kind = self.type_of(inside)
+                chosen = self.add(
+                    f"select {mask} {going}, {kind} {self.value(after, True)}, {kind} {self.names[inside]}"
+                )
+                following.append(self.as_mask(chosen) if inside.dtype.kind == "b" else chosen)
+            else:
+                following.append(self.into_phi(after, inside))
+        going = self.add(f"sext {mask} {going} to {self.mask_type}") if masked else ""
+        end = self.label
+        self.jump(head)
+        text = []
+        if masked:
+            text.append(
+                f"  {mask_phi} = phi {self.mask_type} [ splat ({self.wide} -1), %{before} ], [ {going}, %{end} ]"
+            )
+        for k, phi, start, after in zip(carried, phis, starts, following, strict=True):
+            kind = self.phi_type(loop.carries[k])
+            text.append(f"  {phi} = phi {kind} [ {start}, %{before} ], [ {after}, %{end} ]")
+        self.lines[place:place] = text
+        self.begin(exit_)
+
+    def body(self, block: Block) -> None:
+        """The body of a loop, with the numbers that are read from the tape or written to it."""
+        shared = self.tape.numbers.get(block, []) if self.tape is not None else []
+        if self.tape is None or not shared:
+            self.block(block)
+            return
+        start = self.add("load i64, ptr %cursor")
+        end = self.add(f"add i64 {start}, {len(shared)}")
+        self.lines.append(f"  store i64 {end}, ptr %cursor")
+        if self.tape.writes:
+            self.block(block)
+            fits = self.add(f"icmp sle i64 {end}, {self.capacity}")
+            start = self.add(f"select i1 {fits}, i64 {start}, i64 0")
+        for k, x in enumerate(shared):
+            at = self.add(f"getelementptr i64, ptr {self.tape_pointer}, i64 {start}")
+            at = self.add(f"getelementptr i64, ptr {at}, i64 {k}")
+            if self.tape.writes:
+                self.lines.append(f"  store {self.scalar(x.dtype)} {self.value(x, False)}, ptr {at}")
+            else:
+                self.names[x] = self.add(f"load {self.scalar(x.dtype)}, ptr {at}")
+        if not self.tape.writes:
+            self.block(block)
+
+    @property
+    def mask_type(self) -> str:
+        """The type of the members' booleans that a loop carries: integers as wide as a number."""
+        return f"<{self.lanes} x {self.wide}>"
+
+    def phi_type(self, carry: Number) -> str:
+        return self.mask_type if carry.dtype.kind == "b" and self.varies(carry) else self.type_of(carry)
+
+    def as_mask(self, name: str) -> str:
+        return self.add(f"sext <{self.lanes} x i1> {name} to {self.mask_type}")
+
+    def into_phi(self, x: Number, carry: Number) -> str:
+        value = self.value(x, self.varies(carry))
+        return self.as_mask(value) if carry.dtype.kind == "b" and self.varies(carry) else value
+
+    def out_of_phi(self, phi: str, carry: Number) -> str:
+        if carry.dtype.kind == "b" and self.varies(carry):
+            return self.add(f"trunc {self.mask_type} {phi} to <{self.lanes} x i1>")
+        return phi
+
+    def branch(self, branch: Branch) -> None:
+        live = self.program.needed_positions(branch.results)
+        if not live:
+            return
+        test = branch.test
+        if self.varies(test):
+            for side in branch.blocks:
+                self.block(side)
+            chosen = self.value(test)
+            for k in live:
+                kind = self.type(branch.results[k].dtype, True)
+                yes, no = (self.value(values[k], True) for values in branch.values)
+                self.names[branch.results[k]] = self.add(
+                    f"select {self.type(bool, True)} {chosen}, {kind} {yes}, {kind} {no}"
+                )
+            return
+        labels = [self.new_label(x) for x in ("yes", "no", "after")]
+        self.lines.append(f"  br i1 {self.value(test, False)}, label %{labels[0]}, label %{labels[1]}")
+        ends = []
+        for label, side, values in zip(labels, branch.blocks, branch.values, strict=False):
+            self.begin(label)
+            self.block(side)
+            found = [self.value(values[k], self.varies(branch.results[k])) for k in live]
+            ends.append((found, self.label))
+            self.jump(labels[2])
+        self.begin(labels[2])
+        (yes, end), (no, other) = ends
+        for n, k in enumerate(live):
+            kind = self.type_of(branch.results[k])
+            self.names[branch.results[k]] = self.add(f"phi {kind} [ {yes[n]}, %{end} ], [ {no[n]}, %{other} ]")

@@ -1,0 +1,82 @@
+"""Entries of arrays: loads and stores, for one value or a vector of members."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jax.typing import DTypeLike
+
+from lieint_jax.native._llvm.text import Text
+from lieint_jax.native._program import Program
+from lieint_jax.native._traced import Leaf
+
+
+class Memory(Text):
+    """Text with access to arrays, whose layout is NumPy's.
+
+    Args:
+        program, lanes: see `Text`.
+        leaves: the arrays that the program reads.
+    """
+
+    def __init__(self, program: Program, lanes: int, leaves: Sequence[Leaf]):
+        super().__init__(program, lanes)
+        self.leaves = leaves
+        self.inputs: list[str] = []  # pointers to them
+        self.index = ""  # the indices of the block's members
+
+    def pointer(self, slot: int) -> str:
+        at = self.add(f"getelementptr ptr, ptr %pointers, i64 {slot}")
+        return self.add(f"load ptr, ptr {at}")
+
+    def load(self, pointer: str, dtype: DTypeLike, index: str) -> str:
+        stored = "i8" if np.dtype(dtype).kind == "b" else self.scalar(dtype)
+        at = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {index}")
+        found = self.add(f"load {stored}, ptr {at}")
+        return self.add(f"trunc i8 {found} to i1") if np.dtype(dtype).kind == "b" else found
+
+    def member_index(self) -> str:
+        """The indices of the block's members, a vector; none is beyond the last member."""
+        first = self.splat(self.add(f"mul i64 %block, {self.lanes}"), np.int64)
+        last = self.splat(self.add("sub i64 %members, 1"), np.int64)
+        kind = f"<{self.lanes} x i64>"
+        each = ", ".join(f"i64 {k}" for k in range(self.lanes))
+        index = self.add(f"add {kind} {first}, <{each}>")
+        return self.intrinsic("smin", np.int64, True, index, last)
+
+    def entry_pointers(self, pointer: str, dtype: DTypeLike, size: int, entry: int, row: str | None = None) -> str:
+        """Pointers to an entry of each member of the block."""
+        kind = f"<{self.lanes} x i64>"
+        stored = "i8" if np.dtype(dtype).kind == "b" else self.scalar(dtype)
+        index = self.index
+        if size != 1:
+            index = self.add(f"mul {kind} {index}, splat (i64 {size})")
+        if row is not None:
+            start = self.add(f"mul i64 {row}, %members")
+            start = self.add(f"mul i64 {start}, {size}")
+            pointer = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {start}")
+        if entry:
+            pointer = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {entry}")
+        return self.add(f"getelementptr {stored}, ptr {pointer}, {kind} {index}")
+
+    def gather(self, pointer: str, leaf: Leaf, entry: int) -> str:
+        at = self.entry_pointers(pointer, leaf.dtype, leaf.size, entry)
+        return self.gather_at(at, leaf.dtype)
+
+    def gather_at(self, at: str, dtype: DTypeLike) -> str:
+        stored = np.dtype(np.int8) if np.dtype(dtype).kind == "b" else np.dtype(dtype)
+        kind, n = self.type(stored, True), self.lanes
+        name = f"llvm.masked.gather.{self.suffix(stored, True)}.v{n}p0"
+        mask = f"<{n} x i1>", "splat (i1 true)"
+        found = self.call(kind, name, [(f"<{n} x ptr>", at), mask, (kind, "poison")])
+        return self.add(f"trunc {kind} {found} to <{n} x i1>") if np.dtype(dtype).kind == "b" else found
+
+    def scatter(self, value: str, dtype: DTypeLike, at: str) -> None:
+        stored = np.dtype(np.int8) if np.dtype(dtype).kind == "b" else np.dtype(dtype)
+        kind, n = self.type(stored, True), self.lanes
+        if np.dtype(dtype).kind == "b":
+            value = self.add(f"zext <{n} x i1> {value} to {kind}")
+        name = f"llvm.masked.scatter.{self.suffix(stored, True)}.v{n}p0"
+        self.declared[f"declare void @{name}({kind}, <{n} x ptr>, <{n} x i1>)"] = None
+        self.lines.append(f"  call void @{name}({kind} {value}, <{n} x ptr> {at}, <{n} x i1> splat (i1 true))")

@@ -1,0 +1,236 @@
+"""Operations on numbers, each of them one instruction or a call."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from lieint_jax.native._calls import Functions
+from lieint_jax.native._llvm.memory import Memory
+from lieint_jax.native._llvm.text import literal
+from lieint_jax.native._program import Block, Number, Program, blocks_of, numbers_of
+from lieint_jax.native._traced import Leaf
+
+_ARITHMETIC = {"add": ("fadd", "add"), "sub": ("fsub", "sub"), "mul": ("fmul", "mul"), "div": ("fdiv", "sdiv")}
+_ORDERED = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
+_SIGNED = {"eq": "eq", "ne": "ne", "lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge"}
+_INTRINSICS = {
+    "abs": "fabs",
+    "ceil": "ceil",
+    "floor": "floor",
+    "max": "maximum",
+    "min": "minimum",
+    "round_away": "round",
+    "round_even": "roundeven",
+    "sqrt": "sqrt",
+}
+_BITS = {"and": "and", "or": "or", "xor": "xor", "shift_left": "shl", "shift_right_logical": "lshr"} | {
+    "shift_right_arithmetic": "ashr"
+}
+
+
+class Operations(Memory):
+    """Text with the operations of a program.
+
+    Args:
+        program, lanes, leaves: see `Memory`.
+        functions: collects the elementary functions that it calls.
+    """
+
+    def __init__(self, program: Program, lanes: int, leaves: Sequence[Leaf], functions: Functions):
+        super().__init__(program, lanes, leaves)
+        self.functions = functions
+        self.fused, self.absorbed = _fusions(program)
+
+    def operation(self, x: Number) -> str:
+        vector = self.varies(x)
+        if x in self.fused:
+            product, other, sign = self.fused[x]
+            a, b = (self.value(y, vector) for y in product.inputs)
+            c = self.value(other, vector)
+            kind = self.type(x.dtype, vector)
+            if sign == "product":
+                a = self.add(f"fneg {kind} {a}")
+            elif sign == "other":
+                c = self.add(f"fneg {kind} {c}")
+            return self.intrinsic("fma", x.dtype, vector, a, b, c)
+        method = getattr(self, f"op_{x.op}", None)
+        if method is not None:
+            return method(x, vector)
+        values = [self.value(y, vector) for y in x.inputs]
+        kind = self.type(x.inputs[0].dtype, vector)
+        real = x.inputs[0].dtype.kind == "f"
+        if x.op in _ARITHMETIC:
+            name = "udiv" if x.op == "div" and x.dtype.kind == "u" else _ARITHMETIC[x.op][not real]
+            return self.add(f"{name} {kind} {values[0]}, {values[1]}")
+        if x.op in _ORDERED:
+            compare = f"fcmp {_ORDERED[x.op]}" if real else f"icmp {self.predicate(x)}"
+            return self.add(f"{compare} {kind} {values[0]}, {values[1]}")
+        if x.op in _BITS:
+            return self.add(f"{_BITS[x.op]} {kind} {values[0]}, {values[1]}")
+        if x.op in _INTRINSICS and real:
+            return self.intrinsic(_INTRINSICS[x.op], x.dtype, vector, *values)
+        name = self.functions.name(x.op, self.scalar(x.dtype), self.lanes if vector else 0, len(values))
+        return self.call(kind, name, [(kind, value) for value in values])
+
+    def predicate(self, x: Number) -> str:
+        found = _SIGNED[x.op]
+        return found.replace("s", "u", 1) if x.inputs[0].dtype.kind in "ub" and found[0] == "s" else found
+
+    def op_neg(self, x: Number, vector: bool) -> str:
+        kind, value = self.type(x.dtype, vector), self.value(x.inputs[0], vector)
+        if x.dtype.kind == "f":
+            return self.add(f"fneg {kind} {value}")
+        return self.add(f"sub {kind} {'zeroinitializer' if vector else '0'}, {value}")
+
+    def op_abs(self, x: Number, vector: bool) -> str:
+        value = self.value(x.inputs[0], vector)
+        if x.dtype.kind == "f":
+            return self.intrinsic("fabs", x.dtype, vector, value)
+        kind = self.type(x.dtype, vector)
+        name = f"llvm.abs.{self.suffix(x.dtype, vector)}"
+        return self.call(kind, name, [(kind, value), ("i1", "false")])
+
+    def op_max(self, x: Number, vector: bool) -> str:
+        values = [self.value(y, vector) for y in x.inputs]
+        name = {"f": {"max": "maximum", "min": "minimum"}, "i": {"max": "smax", "min": "smin"}}
+        name |= {"u": {"max": "umax", "min": "umin"}, "b": {"max": "umax", "min": "umin"}}
+        return self.intrinsic(name[x.dtype.kind][x.op], x.dtype, vector, *values)
+
+    op_min = op_max
+
+    def op_not(self, x: Number, vector: bool) -> str:
+        kind = self.type(x.dtype, vector)
+        ones = "true" if x.dtype.kind == "b" else "-1"
+        ones = f"splat ({self.scalar(x.dtype)} {ones})" if vector else ones
+        return self.add(f"xor {kind} {self.value(x.inputs[0], vector)}, {ones}")
+
+    def op_select(self, x: Number, vector: bool) -> str:
+        test, on_true, on_false = x.inputs
+        kind = self.type(x.dtype, vector)
+        tested = self.varies(test)
+        return self.add(
+            f"select {self.type(bool, tested)} {self.value(test, tested)}, {kind} {self.value(on_true, vector)}, "
+            f"{kind} {self.value(on_false, vector)}"
+        )
+
+    def op_convert(self, x: Number, vector: bool) -> str:
+        [y] = x.inputs
+        a, b, value = self.type(y.dtype, vector), self.type(x.dtype, vector), self.value(y, vector)
+        before, after = y.dtype, x.dtype
+        if after.kind == "b":
+            zero = "zeroinitializer" if vector else ("0.0" if before.kind == "f" else "0")
+            return self.add(f"{'fcmp une' if before.kind == 'f' else 'icmp ne'} {a} {value}, {zero}")
+        if before.kind == "f" and after.kind == "f":
+            return self.add(f"{'fpext' if after.itemsize > before.itemsize else 'fptrunc'} {a} {value} to {b}")
+        if before.kind == "f":
+            how = "fptosi" if after.kind == "i" else "fptoui"
+            name = f"llvm.{how}.sat.{self.suffix(after, vector)}.{self.suffix(before, vector)}"
+            return self.call(b, name, [(a, value)])
+        if after.kind == "f":
+            return self.add(f"{'sitofp' if before.kind == 'i' else 'uitofp'} {a} {value} to {b}")
+        if before.kind == "b" or after.itemsize > before.itemsize:
+            return self.add(f"{'sext' if before.kind == 'i' else 'zext'} {a} {value} to {b}")
+        return value if a == b else self.add(f"trunc {a} {value} to {b}")
+
+    def op_sin(self, x: Number, vector: bool) -> str:
+        """The sine or cosine; if both are needed, one call computes both."""
+        scalar, kind = self.scalar(x.dtype), self.type(x.dtype, vector)
+        lanes, [angle] = self.lanes if vector else 0, x.inputs
+        other = (
+            x.block.by_operation.get(("cos" if x.op == "sin" else "sin", x.inputs, x.dtype, None)) if x.block else None
+        )
+        if other is None or other not in self.program.live:
+            return self.call(kind, self.functions.name(x.op, scalar, lanes, 1), [(kind, self.value(angle, vector))])
+        pair = f"{{ {kind}, {kind} }}"
+        both = self.call(pair, self.functions.name("sincos", scalar, lanes, 1), [(kind, self.value(angle, vector))])
+        sine, cosine = (self.add(f"extractvalue {pair} {both}, {k}") for k in (0, 1))
+        self.names[other] = cosine if x.op == "sin" else sine
+        return sine if x.op == "sin" else cosine
+
+    op_cos = op_sin
+
+    def op_rem(self, x: Number, vector: bool) -> str:
+        kind, values = self.type(x.dtype, vector), [self.value(y, vector) for y in x.inputs]
+        name = {"f": "frem", "i": "srem", "u": "urem"}[x.dtype.kind]
+        return self.add(f"{name} {kind} {values[0]}, {values[1]}")
+
+    def op_values(self, x: Number, vector: bool) -> str:
+        if x.data not in self.globals:
+            dtype, values = np.dtype(x.data[0]), np.frombuffer(x.data[1], x.data[0])
+            scalar = "i8" if dtype.kind == "b" else self.scalar(dtype)
+            entries = ", ".join(f"{scalar} {literal(v) if dtype.kind != 'b' else int(v)}" for v in values)
+            name = f"@values{len(self.globals)}"
+            self.globals[x.data] = f"{name} = private constant [{len(values)} x {scalar}] [{entries}]"
+        return self.read(self.globals[x.data].split(" ")[0], x, vector)
+
+    def op_table(self, x: Number, vector: bool) -> str:
+        return self.read(self.inputs[x.data], x, vector)
+
+    def read(self, pointer: str, x: Number, vector: bool) -> str:
+        """The entry of an array in memory whose index is the input of x."""
+        if not vector:
+            return self.load(pointer, x.dtype, self.value(x.inputs[0], False))
+        stored = "i8" if x.dtype.kind == "b" else self.scalar(x.dtype)
+        at = self.add(f"getelementptr {stored}, ptr {pointer}, <{self.lanes} x i64> {self.value(x.inputs[0], True)}")
+        return self.gather_at(at, x.dtype)
+
+    def op_array(self, x: Number, vector: bool) -> str:
+        kind, name = self.type(np.int8 if x.dtype.kind == "b" else x.dtype, vector), self.new()
+        self.front.append(f"  {name} = alloca [{len(x.inputs)} x {kind}], align 64")
+        for k, y in enumerate(x.inputs):
+            value = self.value(y, vector)
+            if x.dtype.kind == "b":
+                value = self.add(f"zext {self.type(bool, vector)} {value} to {kind}")
+            at = self.add(f"getelementptr {kind}, ptr {name}, i64 {k}")
+            self.lines.append(f"  store {kind} {value}, ptr {at}")
+        return name
+
+    def op_entry(self, x: Number, vector: bool) -> str:
+        index, array = x.inputs
+        if not self.varies(index):
+            stored, vector = np.int8 if x.dtype.kind == "b" else x.dtype, self.varies(array)
+            kind = self.type(stored, vector)
+            at = self.add(f"getelementptr {kind}, ptr {self.names[array]}, i64 {self.value(index, False)}")
+            found = self.add(f"load {kind}, ptr {at}")
+            return found if x.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, vector)}")
+        kind, found = self.type(x.dtype, True), self.value(array.inputs[0], True)
+        for k, y in enumerate(array.inputs[1:], 1):
+            here = self.add(f"icmp eq <{self.lanes} x i64> {self.value(index, True)}, splat (i64 {k})")
+            found = self.add(f"select <{self.lanes} x i1> {here}, {kind} {self.value(y, True)}, {kind} {found}")
+        return found
+
+
+def _fusions(program: Program) -> tuple[dict[Number, tuple[Number, Number, str]], set[Number]]:
+    """The sums that are fused with a product, as (product, other term, which of them is negative), and the products."""
+    uses: Counter[Number] = Counter([*program.outputs, *program.written])
+    items: list[Number] = []
+
+    def visit(block: Block) -> None:
+        for item in block.items:
+            if isinstance(item, Number):
+                if item in program.live and item not in program.given:
+                    uses.update(item.inputs)
+                    items.append(item)
+            else:
+                uses.update(numbers_of(item))
+                for inner in blocks_of(item):
+                    visit(inner)
+
+    visit(program.block)
+    fused: dict[Number, tuple[Number, Number, str]] = {}
+    absorbed: set[Number] = set()
+    for x in items:
+        if x.op not in ("add", "sub") or x.dtype.kind != "f":
+            continue
+        for n in (1, 0):
+            product = x.inputs[n]
+            alone = uses[product] == 1 and product.block is x.block and product not in absorbed
+            if product.op == "mul" and alone and (product in program.varying) == (x in program.varying):
+                sign = "" if x.op == "add" else ("other", "product")[n]
+                fused[x] = (product, x.inputs[1 - n], sign)
+                absorbed.add(product)
+                break
+    return fused, absorbed

@@ -1,0 +1,107 @@
+"""Numbers and arrays of numbers, in which the formulas of primitives are written."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NoReturn
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.typing import ArrayLike, DTypeLike
+
+from lieint_jax.native._program import Builder, Number
+
+Parameters = Mapping[str, Any]  # of a primitive
+LARGEST = 10_000  # the most entries of an array
+
+
+class UnsupportedError(Exception):
+    """A function cannot be a program of numbers; the message names the unsupported operation."""
+
+
+class Table:
+    """An array in memory whose entries a program reads by a computed index, such as the times of all steps."""
+
+    def __init__(self, data: int, dtype: DTypeLike, shape: tuple[int, ...]):
+        self.data, self.dtype, self.shape = data, np.dtype(dtype), shape
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise UnsupportedError(f"{name} of a long array")
+
+
+def array_of(numbers: Sequence[object], shape: Sequence[int]) -> np.ndarray:
+    """Numbers as an array."""
+    found = np.empty(len(numbers), object)
+    for k, x in enumerate(numbers):
+        found[k] = x
+    return found.reshape(shape)
+
+
+def names(words: str) -> list[str]:
+    """The words of a text, one per primitive."""
+    return words.split()
+
+
+class AbstractWalk(abc.ABC):
+    """What the formulas of primitives use of a walk through a jaxpr.
+
+    Args:
+        builder: the program so far.
+    """
+
+    def __init__(self, builder: Builder):
+        self.builder = builder
+
+    @abc.abstractmethod
+    def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The results of a jaxpr, as arrays of numbers."""
+
+    def constant_array(self, x: ArrayLike, dtype: DTypeLike) -> np.ndarray:
+        """An array of constants."""
+        if jax.numpy.issubdtype(dtype, jax.dtypes.prng_key):
+            raise UnsupportedError("random keys")
+        x = np.asarray(x, dtype)
+        if x.size > LARGEST:
+            raise UnsupportedError(f"an array of {x.size} entries")
+        return array_of([self.builder.constant(value) for value in x.flat], x.shape)
+
+    def number(self, op: str, *inputs: Number, dtype: DTypeLike | None = None, data: object = None) -> Number:
+        """The result of an operation on numbers."""
+        return self.builder.number(op, *inputs, dtype=dtype, data=data)
+
+    def index(self, k: int) -> Number:
+        """A constant index."""
+        return self.builder.constant(k, np.int64)
+
+    def clip_index(self, index: Number, last: int) -> Number:
+        """An index from 0 to `last`, an int64."""
+        index = self.number("convert", index, dtype=np.int64)
+        return self.number("min", self.number("max", index, self.index(0)), self.index(last))
+
+    def select(self, test: Number, on_true: Any, on_false: Any) -> Any:
+        """Numbers or arrays, by a boolean."""
+        if isinstance(on_true, Number):
+            return self.number("select", test, on_true, on_false, dtype=on_true.dtype)
+        pairs = zip(on_true.flat, on_false.flat, strict=True)
+        return array_of([self.select(test, x, y) for x, y in pairs], on_true.shape)
+
+    def loop_over_arrays(
+        self,
+        starts: list[np.ndarray],
+        test: Callable[[list[np.ndarray]], Number],
+        next_carry: Callable[[list[np.ndarray]], list[np.ndarray]],
+    ) -> list[np.ndarray]:
+        """A loop that carries arrays."""
+        shapes = [x.shape for x in starts]
+
+        def joined(numbers: list[Number]) -> list[np.ndarray]:
+            left = iter(numbers)
+            return [array_of([next(left) for _ in range(int(np.prod(shape)))], shape) for shape in shapes]
+
+        def flat(arrays: list[np.ndarray]) -> list[Number]:
+            return [x for array in arrays for x in array.flat]
+
+        found = self.builder.loop(flat(starts), lambda c: test(joined(c)), lambda c: flat(next_carry(joined(c))))
+        return joined(found)

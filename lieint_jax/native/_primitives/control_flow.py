@@ -1,0 +1,152 @@
+"""Loops and branches. Loops stay loops, unless they are short."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr
+
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, names
+from lieint_jax.native._primitives.indexing import row_of
+from lieint_jax.native._primitives.moves import MOVES, stack
+from lieint_jax.native._primitives.reductions import reduce_terms
+from lieint_jax.native._program import Number
+
+_UNROLLED = 4  # the longest counted loop that is unrolled in any case
+_UNROLLED_NUMBERS = 400  # the most numbers of a longer unrolled loop, in all iterations together
+
+
+def _while(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
+    n, m = parameters["cond_nconsts"], parameters["body_nconsts"]
+    of_test, of_body, starts = inputs[:n], inputs[n : n + m], inputs[n + m :]
+
+    def tests(carry: list[np.ndarray]) -> np.ndarray:
+        return walk.jaxpr(parameters["cond_jaxpr"], [*of_test, *carry])[0]
+
+    def test(carry: list[np.ndarray]) -> Number:
+        return reduce_terms(walk, "or", list(tests(carry).flat), np.dtype(bool))
+
+    def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
+        after = walk.jaxpr(parameters["body_jaxpr"], [*of_body, *carry])
+        which = tests(carry)
+        if not which.ndim:
+            return after
+        return [_select_entries(walk, which, *pair) for pair in zip(after, carry, strict=True)]
+
+    return walk.loop_over_arrays(starts, test, next_carry)
+
+
+def _select_entries(walk: AbstractWalk, which: np.ndarray, after: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """The values carried by a loop that has a test for each entry of the leading axes."""
+    found = np.empty(after.shape, object)
+    for index in np.ndindex(after.shape):
+        test: Any = which[index[: which.ndim]]
+        found[index] = walk.select(test, after[index], before[index])
+    return found
+
+
+def _scan(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
+    length, closed = parameters["length"], parameters["jaxpr"]
+    n, m = parameters["num_consts"], parameters["num_consts"] + parameters["num_carry"]
+    consts, starts, series = inputs[:n], inputs[n:m], inputs[m:]
+    order = range(length)[::-1] if parameters["reverse"] else range(length)
+    stacked = len(closed.out_avals) > len(starts)
+    if stacked or length <= _UNROLLED or length * _size(closed.jaxpr) <= _UNROLLED_NUMBERS:
+        carry, rows = starts, []
+        for k in order:
+            found = walk.jaxpr(closed, [*consts, *carry, *(x[k] for x in map(_arrays, series))])
+            carry = found[: len(starts)]
+            rows.append(found[len(starts) :])
+        if not stacked:
+            return carry
+        if not length:
+            return [*carry, *(array_of([], (0, *x.shape)) for x in closed.out_avals[len(starts) :])]
+        rows = rows[::-1] if parameters["reverse"] else rows
+        return [*carry, *(stack(*column, axis=0) for column in zip(*rows, strict=True))]
+    zero, one, end = map(walk.index, (0, 1, length))
+
+    def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
+        k = carry[0].item()
+        at = walk.number("sub", walk.index(length - 1), k) if parameters["reverse"] else k
+        rows = [row_of(walk, x, at) for x in series]
+        after = walk.jaxpr(closed, [*consts, *carry[1:], *rows])
+        return [array_of([walk.number("add", k, one)], ()), *after]
+
+    return walk.loop_over_arrays(
+        [array_of([zero], ()), *starts], lambda c: walk.number("lt", c[0].item(), end), next_carry
+    )[1:]
+
+
+def _arrays(x: np.ndarray) -> np.ndarray:
+    return x if x.ndim > 1 else array_of([array_of([y], ()) for y in x.flat], x.shape)
+
+
+def _cond(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
+    index, operands = inputs[0].item(), inputs[1:]
+    return _branches(walk, index, parameters["branches"], operands)
+
+
+def _branches(
+    walk: AbstractWalk, index: Number, branches: Sequence[ClosedJaxpr], operands: list[np.ndarray]
+) -> list[np.ndarray]:
+    """The results of the branch of number `index`."""
+    if len(branches) == 1:
+        return walk.jaxpr(branches[0], operands)
+    shapes = [x.shape for x in branches[0].out_avals]
+    if index.dtype == bool:
+        test = walk.number("not", index)
+    else:
+        test = walk.number("le", index, walk.builder.constant(0, index.dtype))
+    rest = index if index.dtype == bool else walk.number("sub", index, walk.builder.constant(1, index.dtype))
+
+    def first() -> list[Number]:
+        return [x for array in walk.jaxpr(branches[0], operands) for x in array.flat]
+
+    def others() -> list[Number]:
+        return [x for array in _branches(walk, rest, branches[1:], operands) for x in array.flat]
+
+    left = iter(walk.builder.branch(test, (first, others)))
+    return [array_of([next(left) for _ in range(int(np.prod(shape)))], shape) for shape in shapes]
+
+
+def _linear_solve(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
+    lengths = parameters["const_lengths"]
+    first = sum(lengths[:2])
+    return walk.jaxpr(parameters["jaxprs"].solve, [*inputs[first : first + lengths.solve], *inputs[sum(lengths) :]])
+
+
+def _size(jaxpr: Any) -> int:
+    """About the number of operations of a jaxpr."""
+    found = 0
+    for equation in jaxpr.eqns:
+        inner = [x for x in jax.tree.leaves(equation.params, is_leaf=_is_jaxpr) if _is_jaxpr(x)]
+        repeats = equation.params.get("length", 1) if equation.primitive.name == "scan" else 1
+        found += sum(repeats * _size(getattr(x, "jaxpr", x)) for x in inner)
+        if equation.primitive.name not in MOVES and not inner:
+            found += sum(int(np.prod(x.aval.shape)) for x in equation.outvars)
+    return found
+
+
+def _is_jaxpr(x: object) -> bool:
+    return isinstance(x, ClosedJaxpr | Jaxpr)
+
+
+def _call(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
+    inner = next(parameters[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call") if key in parameters)
+    return walk.jaxpr(inner, inputs)
+
+
+_CALLS = names(
+    "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call jit pjit "
+    "remat remat2"
+)
+CONTROL_FLOW: dict[str, Callable[..., list[np.ndarray]]] = dict.fromkeys(_CALLS, _call) | {
+    "while": _while,
+    "scan": _scan,
+    "cond": _cond,
+    "custom_linear_solve": _linear_solve,
+    "optimization_barrier": lambda walk, inputs, parameters: inputs,
+}

@@ -1,0 +1,200 @@
+"""Entries at indices that the program computes: selected by comparisons, or read from memory if there are many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jax.core import ShapedArray
+
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, Table, UnsupportedError, array_of
+from lieint_jax.native._primitives.reductions import reduce_terms
+from lieint_jax.native._program import Number
+
+Window = tuple[list[Number], Number, np.ndarray]  # its first index, whether it is written, its numbers
+_SELECTED = 8  # the most numbers from which one is selected by comparing indices; longer arrays are read from memory
+
+
+def row_of(walk: AbstractWalk, x: np.ndarray | Table, k: Number) -> np.ndarray:
+    """x[k] of an array of numbers at an index that the program computes."""
+    if isinstance(x, Table):
+        return array_of([walk.number("table", k, dtype=x.dtype, data=x.data)], ())
+    columns = x.reshape(len(x), -1).T
+    return array_of([_entry(walk, list(column), k) for column in columns], x.shape[1:])
+
+
+def _entry(walk: AbstractWalk, column: list[Number], k: Number) -> Number:
+    """An entry of a long column of numbers: if they are constants, they are data of the program."""
+    if all(x is column[0] for x in column):
+        return column[0]
+    if all(x.is_constant for x in column):
+        values = np.array([x.data for x in column], column[0].dtype)
+        return walk.number("values", k, dtype=values.dtype, data=(values.dtype.str, values.tobytes()))
+    array = walk.number("array", *column, dtype=column[0].dtype)
+    return walk.number("entry", k, array, dtype=column[0].dtype)
+
+
+def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Number]) -> Number:
+    """x[index], where each index is in bounds, and may be a number that the program computes."""
+    if not len(index):
+        return x.item()
+    k, rest = index[0], index[1:]
+    if k.is_constant:
+        return _entry_at(walk, x[int(k.data)], rest) if len(rest) else x[int(k.data)]
+    found = [_entry_at(walk, x[n], rest) if len(rest) else x[n] for n in range(len(x))]
+    if len(found) > _SELECTED:
+        return _entry(walk, found, k)
+    chosen = found[0]
+    for n in range(1, len(found)):
+        chosen = walk.select(walk.number("eq", k, walk.builder.constant(n, k.dtype)), found[n], chosen)
+    return chosen
+
+
+def _offset(walk: AbstractWalk, start: Number, offset: int) -> Number:
+    return walk.number("add", start, walk.index(offset))
+
+
+def _dynamic_slice(
+    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
+) -> np.ndarray:
+    x, sizes = inputs[0], parameters["slice_sizes"]
+    starts = [walk.clip_index(k.item(), n - m) for k, n, m in zip(inputs[1:], x.shape, sizes, strict=True)]
+    found = np.empty(sizes, object)
+    for index in np.ndindex(*sizes):
+        found[index] = _entry_at(walk, x, [_offset(walk, s, k) for s, k in zip(starts, index, strict=True)])
+    return found
+
+
+def _dynamic_update_slice(
+    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
+) -> np.ndarray:
+    x, update = inputs[:2]
+    pairs = zip(inputs[2:], x.shape, update.shape, strict=True)
+    starts = [walk.clip_index(k.item(), n - m) for k, n, m in pairs]
+    return _write_windows(walk, x, [(starts, walk.builder.constant(True), update)], lambda old, new: new)
+
+
+def _write_windows(
+    walk: AbstractWalk, x: np.ndarray, updates: Sequence[Window], combine: Callable[[Number, Number], Number]
+) -> np.ndarray:
+    """x with windows (their first index, whether they are written, their numbers) written into it."""
+    found = np.array(x, object)
+    for starts, inside, update in updates:
+        for index in np.ndindex(update.shape):
+            at = [_offset(walk, s, k) for s, k in zip(starts, index, strict=True)]
+            for place in np.ndindex(x.shape):
+                same = [walk.number("eq", k, walk.builder.constant(n, k.dtype)) for k, n in zip(at, place, strict=True)]
+                here = reduce_terms(walk, "and", [*same, inside], np.dtype(bool))
+                before, new = found[place], update[index]
+                found[place] = walk.select(here, combine(before, new), before)  # pyright: ignore[reportArgumentType]
+    return found
+
+
+def _window(
+    walk: AbstractWalk,
+    shape: Sequence[int],
+    sizes: Sequence[int],
+    index: Sequence[Number],
+    axes: Sequence[int],
+    batch: dict[int, int],
+    mode: str,
+) -> tuple[list[Number], Number]:
+    """The first index of a window of an array, moved inside, and whether it was inside before (or counts as inside).
+
+    Args:
+        walk: the walk.
+        shape, sizes: of the array, and of the window.
+        index, axes: numbers, and the axes that they are indices of.
+        batch: the indices of other axes, which are known.
+        mode: the name of a `jax.lax.GatherScatterMode`.
+    """
+    if mode not in ("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS"):
+        raise UnsupportedError(f"indices of mode {mode}")
+    starts, inside = [walk.index(batch.get(n, 0)) for n in range(len(shape))], walk.builder.constant(True)
+    for n, k in zip(axes, index, strict=True):
+        starts[n] = walk.clip_index(k, shape[n] - sizes[n])
+        if mode == "FILL_OR_DROP":
+            same = walk.number("eq", walk.number("convert", k, dtype=np.int64), starts[n])
+            inside = walk.number("and", inside, same)
+    return starts, inside
+
+
+def _fill(walk: AbstractWalk, inside: Number, found: Number, parameters: Parameters) -> Number:
+    """The entry of a gather if it is inside, else the fill value."""
+    value, dtype = parameters["fill_value"], found.dtype
+    if value is None:
+        value = {"f": np.nan, "b": True}.get(dtype.kind)
+    if value is None:
+        value = np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max
+    return walk.select(inside, found, walk.builder.constant(value, dtype))
+
+
+def _gather(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
+    x, indices = inputs
+    numbers, sizes, mode = parameters["dimension_numbers"], parameters["slice_sizes"], parameters["mode"].name
+    offset_dims, batching = numbers.offset_dims, numbers.operand_batching_dims
+    window_axes = [n for n in range(x.ndim) if n not in (*numbers.collapsed_slice_dims, *batching)]
+    found = np.empty(out.shape, object)
+    for place in np.ndindex(out.shape):
+        batch = [k for n, k in enumerate(place) if n not in offset_dims]
+        known = {n: batch[m] for n, m in zip(batching, numbers.start_indices_batching_dims, strict=True)}
+        index = list(indices[tuple(batch)])
+        at, inside = _window(walk, x.shape, sizes, index, numbers.start_index_map, known, mode)
+        for n, m in zip(window_axes, offset_dims, strict=True):
+            at[n] = _offset(walk, at[n], place[m])
+        found[place] = _fill(walk, inside, _entry_at(walk, x, at), parameters)
+    return found
+
+
+def _scatter(combine: str | None) -> Callable[..., np.ndarray]:
+    def scatter(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
+        x, indices, updates = inputs
+        numbers, mode = parameters["dimension_numbers"], parameters["mode"].name
+        batching, axes = numbers.operand_batching_dims, numbers.scatter_dims_to_operand_dims
+        batch_axes = [n for n in range(updates.ndim) if n not in numbers.update_window_dims]
+        single = sorted((*numbers.inserted_window_dims, *batching))
+        windows = []
+        for batch in np.ndindex(*(updates.shape[n] for n in batch_axes)):
+            chosen: list[Any] = [slice(None)] * updates.ndim
+            for n, k in zip(batch_axes, batch, strict=True):
+                chosen[n] = k
+            part = np.expand_dims(updates[tuple(chosen)], tuple(single))
+            known = {n: batch[m] for n, m in zip(batching, numbers.scatter_indices_batching_dims, strict=True)}
+            windows.append((*_window(walk, x.shape, part.shape, list(indices[batch]), axes, known, mode), part))
+        return _write_windows(walk, x, windows, lambda a, b: b if combine is None else walk.number(combine, a, b))
+
+    return scatter
+
+
+def _iota(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
+    n = out.shape[parameters["dimension"]]
+    sizes = [n if k == parameters["dimension"] else 1 for k in range(len(out.shape))]
+    return walk.constant_array(np.broadcast_to(np.arange(n).reshape(sizes), out.shape), out.dtype)
+
+
+def look_up(
+    walk: AbstractWalk, name: str, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
+) -> np.ndarray:
+    """An entry of a table."""
+    table = inputs[0]
+    one = name == "dynamic_slice" or (name == "gather" and inputs[1].size == 1)
+    if not (one and isinstance(table, Table) and np.prod(out.shape) == 1 and len(table.shape) == 1):
+        raise UnsupportedError(f"{name} of a long array")
+    mode = parameters["mode"].name if name == "gather" else "CLIP"
+    [index], inside = _window(walk, table.shape, (1,), list(inputs[1].flat), (0,), {}, mode)
+    found = walk.number("table", index, dtype=table.dtype, data=table.data)
+    return array_of([found if name != "gather" else _fill(walk, inside, found, parameters)], out.shape)
+
+
+INDEXING: dict[str, Callable[..., np.ndarray]] = {
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update_slice,
+    "gather": _gather,
+    "iota": _iota,
+    "scatter": _scatter(None),
+    "scatter-add": _scatter("add"),
+    "scatter-max": _scatter("max"),
+    "scatter-min": _scatter("min"),
+    "scatter-mul": _scatter("mul"),
+}

@@ -1,0 +1,126 @@
+"""Sums, products and extremes along axes. A sum is taken in the order of its terms, so its bits are always the same."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jax.core import ShapedArray
+
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of
+from lieint_jax.native._program import Number
+
+
+def _reduction(op: str) -> Callable[..., np.ndarray]:
+    def reduce(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
+        x, axes = inputs[0], parameters["axes"]
+        rest = [n for n in range(x.ndim) if n not in axes]
+        rows = x.transpose(*rest, *axes).reshape(int(np.prod(out.shape)), int(np.prod([x.shape[n] for n in axes])))
+        return array_of([reduce_terms(walk, op, list(row), np.dtype(out.dtype)) for row in rows], out.shape)
+
+    return reduce
+
+
+def _empty_reduction(op: str, dtype: np.dtype) -> Any:
+    """The result of a reduction of no terms."""
+    if op in ("max", "min"):
+        ends = (-np.inf, np.inf) if dtype.kind == "f" else (False, True)
+        low, high = (np.iinfo(dtype).min, np.iinfo(dtype).max) if dtype.kind in "iu" else ends
+        return low if op == "max" else high
+    return {"add": 0, "mul": 1, "and": np.array(-1).astype(dtype), "or": 0, "xor": 0}[op]
+
+
+def reduce_terms(walk: AbstractWalk, op: str, terms: list[Number], dtype: np.dtype) -> Number:
+    """x₁ ∘ x₂ ∘ …, from the left; of no terms, what a reduction by this operation starts from."""
+    if not terms:
+        return walk.builder.constant(_empty_reduction(op, dtype), dtype)
+    return functools.reduce(lambda x, y: walk.number(op, x, y), terms)
+
+
+def _cumulative(op: str) -> Callable[..., np.ndarray]:
+    def cumulate(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
+        x = np.moveaxis(inputs[0], parameters["axis"], 0)
+        found = np.empty(x.shape, object)
+        order = range(len(x))[::-1] if parameters["reverse"] else range(len(x))
+        for index in np.ndindex(x.shape[1:]):
+            total = None
+            for k in order:
+                term = x[k, *index]
+                total = found[k, *index] = term if total is None else walk.number(op, total, term)
+        return np.moveaxis(found, 0, parameters["axis"])
+
+    return cumulate
+
+
+def _product(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
+    a, b = inputs
+    (a_sum, b_sum), (a_each, b_each) = parameters["dimension_numbers"]
+    left, right = _as_matrices(a, a_each, a_sum), _as_matrices(b, b_each, b_sum)
+    dtype = np.dtype(out.dtype)
+
+    def as_result(x: Number) -> Number:
+        return walk.number("convert", x, dtype=dtype)
+
+    entries = [
+        reduce_terms(
+            walk,
+            "add",
+            [walk.number("mul", as_result(x), as_result(y)) for x, y in zip(row, column, strict=True)],
+            dtype,
+        )
+        for rows, columns in zip(left, right, strict=True)
+        for row in rows
+        for column in columns
+    ]
+    return array_of(entries, out.shape)
+
+
+def _as_matrices(x: np.ndarray, each: Sequence[int], summed: Sequence[int]) -> np.ndarray:
+    """The axes of a factor as (those of both, its own, those to sum over)."""
+    own = [n for n in range(x.ndim) if n not in (*each, *summed)]
+    sizes = [int(np.prod([x.shape[n] for n in axes])) for axes in (each, own, summed)]
+    return x.transpose(*each, *own, *summed).reshape(sizes)
+
+
+def _extreme(by: str) -> Callable[..., np.ndarray]:
+    def index_of(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
+        [axis] = parameters["axes"]
+        rows = np.moveaxis(inputs[0], axis, -1).reshape(-1, inputs[0].shape[axis])
+        found = []
+        for row in rows:
+            best, at = row[0], walk.builder.constant(0, out.dtype)
+            for k in range(1, len(row)):
+                better = walk.number("or", walk.number(by, row[k], best), _first_nan(walk, row[k], best))
+                at = walk.select(better, walk.builder.constant(k, out.dtype), at)
+                best = walk.select(better, row[k], best)
+            found.append(at)
+        return array_of(found, out.shape)
+
+    return index_of
+
+
+def _first_nan(walk: AbstractWalk, x: Number, before: Number) -> Number:
+    """Whether x is NaN, and the number before is not."""
+    if x.dtype.kind != "f":
+        return walk.builder.constant(False)
+    return walk.number("and", walk.number("ne", x, x), walk.number("eq", before, before))
+
+
+REDUCTIONS: dict[str, Callable[..., np.ndarray]] = {
+    "argmax": _extreme("gt"),
+    "argmin": _extreme("lt"),
+    "cummax": _cumulative("max"),
+    "cummin": _cumulative("min"),
+    "cumprod": _cumulative("mul"),
+    "cumsum": _cumulative("add"),
+    "dot_general": _product,
+    "reduce_and": _reduction("and"),
+    "reduce_max": _reduction("max"),
+    "reduce_min": _reduction("min"),
+    "reduce_or": _reduction("or"),
+    "reduce_prod": _reduction("mul"),
+    "reduce_sum": _reduction("add"),
+    "reduce_xor": _reduction("xor"),
+}

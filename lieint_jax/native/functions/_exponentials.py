@@ -1,0 +1,141 @@
+"""Exponentials and hyperbolic functions."""
+
+import math
+from collections.abc import Callable
+
+from lieint_jax.native._number import (
+    Number,
+    Pair,
+    absolute,
+    add,
+    divide,
+    fast_two_sum,
+    fma,
+    multiply,
+    polynomial,
+    two_product,
+    two_sum,
+    where,
+)
+from lieint_jax.native.functions._floats import LN2, ONE, SHIFT, choose, copy_sign, unshift
+from lieint_jax.native.functions.coefficients import EXP, EXP_CUBIC
+
+
+def reduce_exponent(x: Number, low: Number | None = None) -> tuple[Pair, Number]:
+    """(r, k): x = k ln 2 + r with |r| ≤ ½ ln 2, k in the low bits of an integer."""
+    shifted = fma(x, 1 / math.log(2), SHIFT)
+    k = unshift(shifted)
+    first = fma(-k, LN2[0], x)
+    r = fma(-k, LN2[1], first)
+    rest = fma(-k, LN2[1], first - r)
+    return (r, rest) if low is None else two_sum(r, rest + low), shifted.bits()
+
+
+def scale(x: Number, k: Number) -> Number:
+    """x 2^k, rounded once, k in the low bits of an integer."""
+    half = k >> 1
+    return x * ((half << 52) + ONE).double() * (((k - half) << 52) + ONE).double()
+
+
+def clamp(x: Number, least: float, greatest: float) -> Number:
+    """The nearest number from `least` to `greatest`; NaN stays."""
+    return where(x > greatest, greatest, where(x < least, least, x))
+
+
+def _exp(x: Number) -> Number:
+    (r, rest), k = reduce_exponent(clamp(x, -746.0, 710.0))
+    head, tail = fast_two_sum(x.like(1.0), r)
+    return scale(head + (tail + fma(r * r, polynomial(r, EXP), rest)), k)
+
+
+def exp_fraction(r: Pair) -> Pair:
+    """exp(r) − 1 for |r| ≤ ½ ln 2 and a little, with a relative error near 2⁻⁶²."""
+    half = 0.5 * r[0]
+    square, square_low = two_product(half, r[0])
+    head, tail = fast_two_sum(r[0], square)
+    cubic = fma(r[0] * (square + square), polynomial(r[0], EXP_CUBIC), fma(r[1], r[0], r[1]))
+    return fast_two_sum(head, tail + (square_low + cubic))
+
+
+def one_plus(x: Pair) -> Pair:
+    """1 + x for |x| < 1."""
+    head, tail = fast_two_sum(x[0].like(1.0), x[0])
+    return fast_two_sum(head, tail + x[1])
+
+
+def _exp_pair(x: Number) -> Pair:
+    """exp(x) as a pair, for |x| ≤ 700."""
+    r, k = reduce_exponent(x)
+    power = ((k << 52) + ONE).double()
+    head, tail = one_plus(exp_fraction(r))
+    return head * power, tail * power
+
+
+def _expm1_pair(x: Number) -> Pair:
+    """exp(x) − 1 as a pair, for |x| ≤ 60."""
+    r, k = reduce_exponent(x)
+    power = ((k << 52) + ONE).double()
+    head, tail = exp_fraction(r)
+    return add(two_sum(power, -1.0), (head * power, tail * power))
+
+
+def _exp2(x: Number) -> Number:
+    x = clamp(x, -1076.0, 1025.0)
+    shifted = x + SHIFT
+    r = multiply((x - unshift(shifted), x.like(0.0)), (x.like(LN2[0]), x.like(LN2[1])))
+    head, tail = one_plus(exp_fraction(r))
+    return scale(head + tail, shifted.bits())
+
+
+def _expm1(x: Number) -> Number:
+    head, tail = _expm1_pair(clamp(x, -50.0, 50.0))
+    return where(absolute(x) < 2.0**-54, x, where(x > 50.0, _exp(x), head + tail))
+
+
+def _half_exp(x: Number) -> Number:
+    """exp(x)/2, which is finite a little longer than exp(x)."""
+    r, k = reduce_exponent(clamp(x, -50.0, 712.0))
+    head, tail = one_plus(exp_fraction(r))
+    return scale(head + tail, k - 1)
+
+
+def _sinh(x: Number) -> Number:
+    """(E + E/(1 + E))/2, E = exp|x| − 1."""
+    size = absolute(x)
+    minus_one = _expm1_pair(clamp(size, 0.0, 50.0))
+    head, tail = add(minus_one, divide(minus_one, one_plus_any(minus_one)))
+    middle = 0.5 * head + 0.5 * tail
+    return copy_sign(where(size < 2.0**-28, size, where(size > 50.0, _half_exp(size), middle)), x)
+
+
+def one_plus_any(x: Pair) -> Pair:
+    """1 + x."""
+    return add((x[0].like(1.0), x[0].like(0.0)), x)
+
+
+def _cosh(x: Number) -> Number:
+    size = absolute(x)
+    power = _exp_pair(clamp(size, 0.0, 50.0))
+    head, tail = add(power, divide((size.like(1.0), size.like(0.0)), power))
+    return where(size > 50.0, _half_exp(size), 0.5 * head + 0.5 * tail)
+
+
+def _tanh(x: Number) -> Number:
+    """E/(E + 2), E = exp(2|x|) − 1."""
+    size = absolute(x)
+    minus_one = _expm1_pair(2.0 * clamp(size, 0.0, 25.0))
+    head, tail = divide(minus_one, add((size.like(2.0), size.like(0.0)), minus_one))
+    return copy_sign(where(size < 2.0**-28, size, head + tail), x)
+
+
+def _logistic(x: Number) -> Number:
+    """1/(1 + exp(−x)); for negative x, exp(x)/(1 + exp(x))."""
+    power = _exp_pair(clamp(-absolute(x), -700.0, 0.0))
+    one = (x.like(1.0), x.like(0.0))
+    head, tail = divide(choose(x < 0.0, power, one), add(one, power))
+    return where(x < -690.0, _exp(x), head + tail)
+
+
+EXPONENTIALS: dict[str, Callable] = {
+    "exp": _exp, "exp2": _exp2, "expm1": _expm1, "sinh": _sinh, "cosh": _cosh, "tanh": _tanh, "logistic": _logistic,
+}  # fmt: skip

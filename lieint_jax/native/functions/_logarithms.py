@@ -1,0 +1,131 @@
+"""Logarithms and inverse hyperbolic functions."""
+
+from collections.abc import Callable
+
+from lieint_jax.native._number import (
+    Number,
+    Pair,
+    absolute,
+    add,
+    divide,
+    fast_two_sum,
+    fma,
+    multiply,
+    polynomial,
+    root,
+    two_product,
+    two_sum,
+    where,
+)
+from lieint_jax.native.functions._exponentials import one_plus_any
+from lieint_jax.native.functions._floats import INF, LN2_42_BITS, NAN, copy_sign
+from lieint_jax.native.functions.coefficients import LOG, LOG_FIFTH
+
+
+def _mantissa(x: Number) -> tuple[Number, Number, Number]:
+    """(m, k, e): x = m 2^k with √½ ≤ m < √2, for positive finite normal x; e = (k + 1024) 2⁵² as an integer."""
+    bits = x.bits()
+    exponent = (bits - 0x3FE6A09E667F3BCD + (1024 << 52)) & ~((1 << 52) - 1)
+    m = (bits - exponent + (1024 << 52)).double()
+    k = ((exponent >> 52) | (1075 << 52)).double() - (2.0**52 + 1024)
+    return m, k, exponent
+
+
+def normalize(x: Number) -> tuple[Number, Number]:
+    """(x 2⁵⁴, −54) for subnormal x, else (x, 0)."""
+    tiny = x < 2.0**-1022
+    return where(tiny, x * 2.0**54, x), where(tiny, x.like(-54.0), 0.0)
+
+
+def _log_limits(x: Number, log: Number) -> Number:
+    """log x where x is positive and finite, else IEEE's values."""
+    log = where(x < INF, log, x)
+    return where(x.equals(0.0), -INF, where(x < 0.0, NAN, log))
+
+
+def _log(x: Number) -> Number:
+    """k ln 2 + f − f²/2 + s (f²/2 + s² P(s²)), f = m − 1, s = f/(2 + f); the first three terms without an error."""
+    normal, shift = normalize(x)
+    m, k, _ = _mantissa(normal)
+    k = k + shift
+    f = m - 1.0
+    s = f / (m + 1.0)
+    half = 0.5 * f
+    parabola, parabola_low = two_product(half, f)
+    square = s * s
+    series = s * (parabola + square * polynomial(square, LOG))
+    head, tail = fast_two_sum(k * LN2_42_BITS[0], f)
+    head, rest = fast_two_sum(head, -parabola)
+    log = head + (rest + (tail + fma(k, LN2_42_BITS[1], series - parabola_low)))
+    return _log_limits(x, log)
+
+
+def log_pair(x: Pair, k_more: Number | float = 0.0) -> Pair:
+    """log x + k ln 2 as a pair with a relative error near 2⁻⁶⁶, for positive finite normal x."""
+    m, k, exponent = _mantissa(x[0])
+    power = ((2047 << 52) - exponent).double()
+    low = where(x[0] < 2.0**900, x[1] * power, 0.0)
+    f = fast_two_sum(m - 1.0, low)
+    zero = f[0].like(0.0)
+    s = divide(f, add((zero + 2.0, zero), f))
+    square = multiply(s, s)
+    fifth = square[0] * polynomial(square[0], LOG_FIFTH)
+    third = two_sum(f[0].like(2 / 3), fifth)
+    series = multiply(multiply(square, s), (third[0], third[1] + 3.700743415417188e-17))
+    log = add((s[0] + s[0], s[1] + s[1]), series)
+    k = k + k_more
+    return add((k * LN2_42_BITS[0], k * LN2_42_BITS[1]), log)
+
+
+def _log1p_pair(x: Pair) -> Pair:
+    head, tail = two_sum(x[0], 1.0)
+    return log_pair(fast_two_sum(head, tail + x[1]))
+
+
+def _log1p(x: Number) -> Number:
+    head, tail = _log1p_pair((x, x.like(0.0)))
+    return where(absolute(x) < 2.0**-54, x, _log_limits(x + 1.0, head + tail))
+
+
+def _asinh(x: Number) -> Number:
+    """log(1 + a + a²/(1 + √(1 + a²))); log a + ln 2 for large a."""
+    size = absolute(x)
+    large = size > 2.0**30
+    a = where(large, 1.0, size)
+    zero = a.like(0.0)
+    square = two_product(a, a)
+    hypotenuse = root(one_plus_any(square))
+    more = add((a, zero), divide(square, one_plus_any(hypotenuse)))
+    one_more = add((a.like(1.0), zero), more)
+    argument = where(large, size, one_more[0]), where(large, 0.0, one_more[1])
+    head, tail = log_pair(argument, where(large, a.like(1.0), 0.0))
+    result = where(size < 2.0**-28, size, where(size < INF, head + tail, size))
+    return copy_sign(result, x)
+
+
+def _acosh(x: Number) -> Number:
+    """log(1 + t + √(t (t + 2))), t = x − 1; log x + ln 2 for large x."""
+    large = x > 2.0**30
+    zero = x.like(0.0)
+    t = two_sum(where(large, 1.0, x), -1.0)
+    more = add(t, root(multiply(t, add((zero + 2.0, zero), t))))
+    one_more = add((zero + 1.0, zero), more)
+    argument = where(large, x, one_more[0]), where(large, 0.0, one_more[1])
+    head, tail = log_pair(argument, where(large, x.like(1.0), 0.0))
+    return where(x < 1.0, NAN, where(x < INF, head + tail, x))
+
+
+def _atanh(x: Number) -> Number:
+    """log(1 + 2a/(1 − a))/2, a = |x|."""
+    size = absolute(x)
+    zero = x.like(0.0)
+    head, tail = _log1p_pair(divide((2.0 * size, zero), two_sum(zero + 1.0, -size)))
+    result = where(
+        size < 2.0**-28, size, where(size < 1.0, 0.5 * (head + tail), where(size.equals(1.0), x.like(INF), NAN))
+    )
+    return copy_sign(result, x)
+
+
+LOGARITHMS: dict[str, Callable] = {
+    "log": _log, "log1p": _log1p, "asinh": _asinh, "acosh": _acosh, "atanh": _atanh,
+}  # fmt: skip
