@@ -142,14 +142,14 @@ def _job(step: Any, state: Any, dt: float) -> Any:
     import jax
     import jax.numpy as jnp
 
-    from lieint_jax.ensemble import _run
+    from lieint_jax.ensemble import _make_job
     from lieint_jax.ensemble._job import Job
     from lieint_jax.types import checked_step, promoted
 
     states = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *jnp.shape(x))), step.start(state))
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _run._split_time(step, states)
-    clock, planned_steps = _run._make_clock(step, states, t0, dtype, dt, 100, None)
+    states, t0 = _make_job._split_time(step, states)
+    clock, planned_steps = _make_job._make_clock(step, states, t0, dtype, dt, 100, None)
     return Job(
         step,
         states,
@@ -157,7 +157,7 @@ def _job(step: Any, state: Any, dt: float) -> Any:
         dt,
         clock,
         planned_steps,
-        *_run._entries_by_count(clock, planned_steps, None, dtype),
+        *_make_job._entries_by_count(clock, planned_steps, None, dtype),
         None,
         None,
     )

@@ -56,17 +56,17 @@ def on_paper(rate: float) -> dict[str, Any]:
     from lib import measure  # float64
 
     import lieint_jax as li
-    from lieint_jax.ensemble import _made_states, _run, _store_output
+    from lieint_jax.ensemble import _made_states, _make_job
 
     del measure
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     one = jax.vmap(lambda w: body.state(angular_velocity=w))(np.ones((1, 3)))
-    small = _run._make_job(
+    small = _make_job.checked_job(
         li.schemes.so3_midpoint(body), one, 0.05, STEPS, SAVE_EVERY, None, None, "x.zarr", None, None
     )
     states = jax.tree.map(lambda x: np.broadcast_to(np.asarray(x), (MEMBERS, *x.shape[1:])), small.states)
     job = small._replace(states=states)
-    split = _store_output.split_into_parts(job, WORKERS, True)
+    split = _make_job.split_into_parts(job, WORKERS, True)
     part = job.restricted(split.part(0))
     rows, chunks = part.bucket_rows(split.chunk), len(split.chunks(0))
     commits = math.ceil((job.num_saves + 1) / rows)

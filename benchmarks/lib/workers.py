@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import lieint_jax as li
-from lieint_jax.ensemble import _identity, _job, _run, _store_output, archives
+from lieint_jax.ensemble import _identity, _into_store, _job, _make_job, _store_options, archives
 from lieint_jax.ensemble._part_writer import PartWriter, join
 from lieint_jax.ensemble._parts import PartsRoot, read_root
 from lieint_jax.ensemble._storage import Bucket, Url, address
@@ -167,13 +167,13 @@ class Simulation:
         q, p = np.tile([1.0, 0, 0, 0], (count, 1)), np.random.default_rng(0).normal(size=(count, 3))
         step, states = li.schemes.so3_midpoint(body), li.State(jnp.array(q), jnp.array(p))
         steps = model.entries - 1
-        self.job = _run._make_job(step, states, 0.05, steps, 1, None, None, "x.zarr", None, None)
-        options = _store_output.StoreOptions(f"memory://simulation/{name}.zarr")
+        self.job = _make_job.checked_job(step, states, 0.05, steps, 1, None, None, "x.zarr", None, None)
+        options = _store_options.StoreOptions(f"memory://simulation/{name}.zarr")
         self.url = address(str(options.path))
         described = _identity.description(self.job, "native")
-        split = _store_output.split_into_parts(self.job, model.workers, False)
+        split = _make_job.split_into_parts(self.job, model.workers, False)
         with mock.patch.object(_job.Job, "bucket_rows", return_value=model.rows):
-            self.files = _store_output._skeleton(self.job, options, described, split, True)
+            self.files = _into_store._skeleton(self.job, options, described, split, True)
         self.created = 0
 
     def run(self) -> list[Outcome]:

@@ -17,7 +17,7 @@ from lieint_jax.ensemble._over_members import over_members
 from lieint_jax.ensemble._part_of_task import part_of_task, part_of_text
 from lieint_jax.ensemble._reading import open_run as open  # noqa: A004
 from lieint_jax.ensemble._run import run
-from lieint_jax.ensemble._store_output import StoreOptions
+from lieint_jax.ensemble._store_options import StoreOptions
 
 __all__ = [
     "StoreOptions",

@@ -18,8 +18,10 @@ from lieint_jax.types import State, Step, Trajectory
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
 _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save interval has more
-OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
-CHUNKS_OF_BUFFER = _BUFFER_BYTES // OBJECT_BYTES  # so many such chunks fill the buffer
+_OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
+CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
+MAX_NAMED = 5  # members in a message
+_CHUNKS_OF_BUFFER = _BUFFER_BYTES // _OBJECT_BYTES  # so many such chunks fill the buffer
 
 
 class Summary(NamedTuple):
@@ -185,7 +187,7 @@ class Job(NamedTuple):
 
 
 class Output(Protocol):
-    """The destination of a run's saved rows: memory (`_run`) or disk (`_store_output`)."""
+    """The destination of a run's saved rows: memory (`_memory_output`) or disk (`_store_output`)."""
 
     @property
     def defers_interrupts(self) -> bool:
@@ -244,9 +246,20 @@ def rows_of_call(across: int, members: int, row: int, interval: int, entries: in
         entries: the entries of the run.
         remote: whether a chunk is an object in object storage.
     """
-    most_bytes, most_work = (OBJECT_BYTES, _OBJECT_WORK) if remote else (_CHUNK_BYTES, _CHUNK_WORK)
+    most_bytes, most_work = (_OBJECT_BYTES, _OBJECT_WORK) if remote else (_CHUNK_BYTES, _CHUNK_WORK)
     enough = min(most_bytes // (across * row), _BUFFER_BYTES // (members * row))
     return int(max(1, min(enough, most_work // (members * interval), entries)))
+
+
+def chunk_members(members: int, count: int, row: int, entries: int, remote: bool) -> int:
+    """The most members in a chunk of a run of `count` parts, of which a saved row has `row` bytes for each member.
+
+    Where a chunk is an object in a bucket it has members enough that it can become as large as it should: a part holds
+    the rows of all of its members in memory, which limits the number of rows.
+    """
+    if not remote:
+        return CHUNK_MEMBERS
+    return max(CHUNK_MEMBERS, members // (count * _CHUNKS_OF_BUFFER), _OBJECT_BYTES // (row * entries))
 
 
 def local_rows(saved: list[Saved], number: int) -> list[Saved]:
@@ -292,3 +305,9 @@ def reduce_rows(rows: Saved, job: Job) -> dict[str, np.ndarray]:
 
 def _ends(members: range) -> tuple[int, int]:
     return members.start, members.stop
+
+
+def list_members(which: np.ndarray) -> str:
+    """The number of some members and the numbers of the first of them, for messages."""
+    more = ", …" if which.size > MAX_NAMED else ""
+    return f"{which.size} member(s): {', '.join(map(str, which[:MAX_NAMED]))}{more}"

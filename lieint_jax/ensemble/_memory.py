@@ -8,11 +8,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.ensemble._job import rows_of_call
+from lieint_jax.ensemble._job import chunk_members, rows_of_call
 from lieint_jax.ensemble._made_states import MakeStates, made_states
 from lieint_jax.ensemble._part_of_task import checked_part
 from lieint_jax.ensemble._storage import Url, address
-from lieint_jax.ensemble._store_output import SLAB, StoreOptions, chunk_members
+from lieint_jax.ensemble._store_options import StoreOptions
+from lieint_jax.ensemble._store_output import SLAB
 from lieint_jax.types import State
 
 _STATES = 6  # copies of a part's states: of the carries, of a checkpoint, and while they are made and checked

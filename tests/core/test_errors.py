@@ -19,7 +19,7 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
 from lieint_jax.app.command import info as info_command
 from lieint_jax.app.command import run as run_command
-from lieint_jax.ensemble import _identity, _layout, _run, _store, processes
+from lieint_jax.ensemble import _execute, _identity, _layout, _store, processes
 from lieint_jax.fitting import _bounds
 from lieint_jax.types import State, StepInfo, Trajectory
 
@@ -190,7 +190,7 @@ def test_a_mesh_over_processes_must_be_even_and_have_this_one(monkeypatch, owner
 
 
 def test_an_interrupted_run_in_memory_suggests_a_store(monkeypatch):
-    monkeypatch.setattr(_run.CallLength, "measure", lambda *_: True)
+    monkeypatch.setattr(_execute.CallLength, "measure", lambda *_: True)
     states = jax.tree.map(lambda x: x[None], STATE)
     with pytest.raises(KeyboardInterrupt, match="stopped after 6 of 6 steps; a run with a store can be resumed"):
         li.ensemble.run(li.schemes.so3_midpoint(BODY), states, 0.1, 6, progress=False)

@@ -18,7 +18,7 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.app.command import run as run_command
 from lieint_jax.app.scenarios import rigid_body
-from lieint_jax.ensemble import _made_states, _parts, _store_output
+from lieint_jax.ensemble import _into_store, _made_states, _parts, _store_output
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -210,7 +210,7 @@ def test_a_part_is_refused_if_its_own_members_do_not_fit_the_memory(monkeypatch)
 
 def test_a_store_needs_the_memory_of_two_buffers_of_rows(tmp_path, monkeypatch):
     """One is filled while the other is written; rows are joined along time a few chunks at once."""
-    monkeypatch.setattr(_store_output, "CHUNK_MEMBERS", 1000)
+    monkeypatch.setattr(_into_store, "CHUNK_MEMBERS", 1000)
     monkeypatch.setattr(_store_output, "SLAB", 2)
     stores.commit_every(monkeypatch, 64)
     members = 8000

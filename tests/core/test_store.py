@@ -28,7 +28,7 @@ from stores import Crash, assert_same
 import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
-from lieint_jax.ensemble import _engine, _identity, _integrity, _job, _layout, _run, _store
+from lieint_jax.ensemble import _engine, _execute, _identity, _integrity, _job, _layout, _run, _store
 
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)
@@ -260,7 +260,7 @@ def no_loop(monkeypatch):
     def refuse(*_):
         raise Begun
 
-    monkeypatch.setattr(_run, "CompiledLoop", refuse)
+    monkeypatch.setattr(_execute, "CompiledLoop", refuse)
 
 
 @pytest.mark.long
