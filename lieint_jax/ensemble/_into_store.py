@@ -10,7 +10,7 @@ from typing import Any
 
 import jax
 
-from lieint_jax.ensemble import _identity, _layout, _opening, _store
+from lieint_jax.ensemble import _identity, _layout, _store
 from lieint_jax.ensemble._columns import (
     Axes,
     attributes_of,
@@ -26,6 +26,7 @@ from lieint_jax.ensemble._engine import Engine
 from lieint_jax.ensemble._integrity import Table
 from lieint_jax.ensemble._job import CHUNK_MEMBERS, Job
 from lieint_jax.ensemble._layout import Layout, Place
+from lieint_jax.ensemble._open_store import check_store
 from lieint_jax.ensemble._part_writer import PartWriter, join, skeleton
 from lieint_jax.ensemble._parts import PartsRoot, Split, read_root
 from lieint_jax.ensemble._reading import open_complete, read_part
@@ -57,7 +58,7 @@ def run_into_store(
         _identity.warn_of_no_resume(described)
         _layout.fail_together(mesh, lambda: leader and _create(path, job, options, attributes))
     else:
-        _layout.fail_together(mesh, lambda: _refuse_parts(path, _opening.check_store(path)))
+        _layout.fail_together(mesh, lambda: _refuse_parts(path, check_store(path)))
     with contextlib.ExitStack() as stack:
         writer = _layout.fail_together(mesh, lambda: stack.enter_context(_store.open_writer(path, leader)))
         if exists:

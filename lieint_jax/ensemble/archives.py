@@ -4,19 +4,11 @@ The application reads its files through these names. A file that cannot be read 
 whose message is one sentence that names the file.
 """
 
-from lieint_jax.ensemble._opening import (
-    SUFFIXES,
-    TIME,
-    Archive,
-    UnreadableError,
-    check_system,
-    open_archive,
-    read_trajectory,
-    wrap_errors,
-)
-from lieint_jax.ensemble._reading import load_store, system_from_store
+from lieint_jax.ensemble._open_archive import TIME, Archive, open_archive, read_trajectory
+from lieint_jax.ensemble._reading import check_system, load_store, system_from_store
 from lieint_jax.ensemble._storage import Address, Url, address, open_storage
 from lieint_jax.ensemble._store import leaves_by_name
+from lieint_jax.ensemble._untrusted import SUFFIXES, UnreadableError, wrap_errors
 
 __all__ = [
     "SUFFIXES",
