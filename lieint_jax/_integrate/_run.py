@@ -96,30 +96,43 @@ def integrate(
                 "li.observe(step, state, dt, times), which has the same derivatives at any times"
             )
     first = dt if dt is not None else clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
-    trial, num_saves = None, 0
-    if save_at is None:
-        save_every = _checks.count("save_every", save_every, 1)
-        num_saves = saves(num_steps, save_every)
-        trial = None if adjoint is not None else _trial(step, state, clock, num_steps, num_saves, save_every)
-    if trial is None or not trial.info.converged[1]:
-        _check_first(step, state, first, isinstance(clock, GridClock))
     _checks.time_resolution(start_time(step, state), first, num_steps)
     if save_at is None:
-        _check_size(state, num_saves + 1)
-        if adjoint is not None:
-            later = adjoint.run(step, state, clock, num_saves, save_every)
-            return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
-        if trial is None or num_steps > _SHORT:
-            rows = rows_for(state, num_saves)
-            trial = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
-        return trajectory(step, state, clock, num_saves, save_every) if trial is None else jax.device_put(trial)
+        save_every = _checks.count("save_every", save_every, 1)
+        return _after_every(save_every, step, state, clock, num_steps, first, adjoint)
     if save_every != 1:
         raise ValueError("give save_every or save_at, not both")
     refuse_times(step, "save_at")
     assert not isinstance(clock, StateClock)
     wanted = outputs(save_at, clock, num_steps, dtype)
+    _check_first(step, state, clock, first)
     _check_size(state, wanted.size + 1)
     return _at_output_times(step, state, clock, wanted, num_steps)
+
+
+def _after_every(
+    save_every: int,
+    step: Step,
+    state: State,
+    clock: Clock,
+    num_steps: int,
+    first: ArrayLike,
+    adjoint: Adjoint | None,
+) -> Trajectory:
+    """The trajectory saved after every `save_every` steps, the first of them of size `first`."""
+    num_saves = saves(num_steps, save_every)
+    _check_size(state, num_saves + 1)
+    if adjoint is not None:
+        _check_first(step, state, clock, first)
+        later = adjoint.run(step, state, clock, num_saves, save_every)
+        return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+    run = _trial(step, state, clock, num_steps, num_saves, save_every)
+    if run is None or not run.info.converged[1]:
+        _check_first(step, state, clock, first)
+    if run is None or num_steps > _SHORT:
+        rows = rows_for(state, num_saves)
+        run = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
+    return trajectory(step, state, clock, num_saves, save_every) if run is None else jax.device_put(run)
 
 
 def _check_size(state: State, entries: int) -> None:
@@ -130,12 +143,13 @@ def _check_size(state: State, entries: int) -> None:
         _checks.fits_memory(entries, size, advice, copies=2)  # the start is joined to the rest
 
 
-def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None:
-    """`Step.check` of the first step, whose size comes from `times` if `given`."""
+def _check_first(step: Step, state: State, clock: Clock, size: ArrayLike) -> None:
+    """`Step.check` of the first step, of this size."""
     try:
         step.check(state, size)
     except StepError as failed:
-        raise StepError(f"{failed}{more_times(step, state, size) if given else ''}") from None
+        more = more_times(step, state, size) if isinstance(clock, GridClock) else ""
+        raise StepError(f"{failed}{more}") from None
 
 
 def _trial(
