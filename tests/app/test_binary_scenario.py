@@ -72,7 +72,7 @@ BAD = [
         dict(primary=dict(density_kg_m3=1.0)),
         "primary: give mass_kg and moments_kg_m2, or semi_axes_m",
     ),
-    (dict(secondary=dict(moments_kg_m2=[1.0, 1.0, -3.0])), "secondary: .*positive"),
+    (dict(secondary=dict(moments_kg_m2=[1.0, 1.0, -3.0])), r"secondary\.moments_kg_m2: .*positive"),
     (dict(secondary=dict(angular_velocity_deg=[0.0, 0.0, 1.0])), "angular_velocity_rad or angular_velocity_deg"),
     (dict(secondary=dict(mass=1.0)), "secondary.mass: unknown key; did you mean mass_kg"),
     (dict(published=dict(period=dict(value=1.0, source="thomas"))), "published.period"),

@@ -89,7 +89,7 @@ def test_the_periods_of_toutatis_over_800_days_are_those_of_its_state(members):
     step, states = scenarios.build(scenario)
     run = ensemble.run(step, states, scenario.dt, scenario.steps, save_every=scenario.save_every, progress=False)
     assert run.t[-1] >= 800
-    precession, rotation = rigid_body.mean_periods(step.system, run)
+    precession, rotation = rigid_body.measured_periods(step.system, run)
     assert precession[0] == pytest.approx(7.3998, abs=2e-4)
     assert rotation[0] == pytest.approx(5.3804, abs=2e-4)
     rows = {row.name: row for row in rigid_body.quantities(scenario, step.system, run)}
@@ -116,7 +116,7 @@ def test_measured_periods_of_symmetric_bodies_are_the_closed_form():
             state = body.state(angular_velocity=rate)
             states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
             run = ensemble.run(li.schemes.so3_midpoint(body), states, 0.01, 20_000, save_every=100, progress=False)
-            precession, rotation = rigid_body.mean_periods(body, run)
+            precession, rotation = rigid_body.measured_periods(body, run)
             np.testing.assert_allclose(precession, 2 * np.pi / (angle / J[0]), rtol=1e-3)
             np.testing.assert_allclose(rotation, 2 * np.pi / abs(0.9 * (J[2] - J[0]) / J[0]), rtol=1e-3)
 

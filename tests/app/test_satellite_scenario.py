@@ -159,7 +159,10 @@ BAD = [
     ({"wheels": {"number": 2, "inertia_kg_m2": 1e-6, "max_torque": 1.0, "max_momentum": 1.0}}, "number"),
     ({"detumbling": {"window": [2.0, 1.0], "gain": 1.0}}, "detumbling: window must be"),
     ({"detumbling": {"window": [0.0, 2e4], "gain": 1.0}}, "windows must not overlap"),
-    ({"rods": {"axes": [[1.0, 1, 0]], "saturation": 1.0, "slope": 1.0, "coercivity": 0.0}}, "unit vectors"),
+    (
+        {"rods": {"axes": [[1.0, 1, 0]], "saturation": 1.0, "slope": 1.0, "coercivity": 0.0}},
+        r"rods\.axes\.0: must be a unit vector",
+    ),
     ({"spread": {"inertia": -1.0}}, "spread.inertia: .*greater than or equal to 0"),
 ]
 

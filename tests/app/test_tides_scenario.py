@@ -54,7 +54,7 @@ def test_the_moon_recedes_as_measured():
     assert rate[1] != rate[0]
     text = tides.report(scenario, step, found)
     assert "distance grows" in text
-    assert "[llr]" in text
+    assert "Williams & Boggs" in text
     tides.draw_course(scenario, step, found)
 
 

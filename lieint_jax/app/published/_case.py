@@ -39,9 +39,9 @@ class Case:
         source: repository, file and commit, or paper.
         scheme: the scheme, with its step size, that computes the numbers here.
         published: quantity ↦ the numbers as published.
-        digits: quantity ↦ half a unit of their last digit, where they are rounded.
         limit: the error that limits the agreement.
         compute: function of no argument that returns quantity ↦ our numbers.
+        digits: half a unit of the last printed digit, 0 if the numbers are printed in full.
     """
 
     code: str
@@ -50,12 +50,12 @@ class Case:
     published: Mapping[str, ArrayLike]
     limit: str
     compute: Callable[[], Mapping[str, ArrayLike]]
-    digits: Mapping[str, float]
+    digits: float = 0.0
 
     def compare(self) -> list[Comparison]:
         """Compute all quantities, and compare each with the published numbers."""
         ours = self.compute()
         return [
-            Comparison(name, np.asarray(value, float), np.asarray(ours[name], float), self.digits.get(name, 0.0))
+            Comparison(name, np.asarray(value, float), np.asarray(ours[name], float), self.digits)
             for name, value in self.published.items()
         ]

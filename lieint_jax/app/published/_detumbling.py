@@ -96,5 +96,4 @@ def magnetic_detumbling() -> Case:
         published=dict(zip(names, numbers, strict=True)),
         limit="the noise of the sensors there, and an orbit without air and without tesseral gravity here",
         compute=compute,
-        digits={},
     )

@@ -57,27 +57,29 @@ _PITCHING = {  # RUN_10D, on the same orbit
 
 def jeod_gravity_gradient() -> Case:
     """JEOD's RUN_10C, which is NESC check case 10C."""
-    return Case(
-        code="NASA JEOD, gravity gradient on an ellipse, 8 h (NESC check case 10C)",
-        source=f"nasa/jeod, {_HEAD}/RUN_10C/log_state_ASCII.csv @6550cf4",
-        scheme="extrapolate(satellite, 14), Δt = 60 s; orbits.from_state",
-        published=_flatten(_AT_REST),
-        limit="JEOD's orbit, which differs from Kepler's by 1e-5 m after 8 h, and its steps of the attitude",
-        compute=lambda: _compute(-0.001122059109806593),
-        digits={},
+    return _jeod(
+        "NASA JEOD, gravity gradient on an ellipse, 8 h (NESC check case 10C)",
+        "RUN_10C",
+        _AT_REST,
+        "JEOD's orbit, which differs from Kepler's by 1e-5 m after 8 h, and its steps of the attitude",
+        pitch_rate=-0.001122059109806593,
     )
 
 
 def jeod_pitching() -> Case:
     """JEOD's RUN_10D: the same satellite with a pitch rate of 0.01 °/s."""
+    name = "NASA JEOD, the same with an initial pitch rate, 8 h (NESC check case 10D)"
+    return _jeod(name, "RUN_10D", _PITCHING, "JEOD's own steps", pitch_rate=-0.00094752618460716)
+
+
+def _jeod(code: str, run: str, published: dict, limit: str, *, pitch_rate: float) -> Case:
     return Case(
-        code="NASA JEOD, the same with an initial pitch rate, 8 h (NESC check case 10D)",
-        source=f"nasa/jeod, {_HEAD}/RUN_10D/log_state_ASCII.csv @6550cf4",
+        code=code,
+        source=f"nasa/jeod, {_HEAD}/{run}/log_state_ASCII.csv @6550cf4",
         scheme="extrapolate(satellite, 14), Δt = 60 s; orbits.from_state",
-        published=_flatten(_PITCHING),
-        limit="JEOD's own steps",
-        compute=lambda: _compute(-0.00094752618460716),
-        digits={},
+        published=_flatten(published),
+        limit=limit,
+        compute=lambda: _compute(pitch_rate),
     )
 
 

@@ -35,5 +35,4 @@ def multibody_heavy_top() -> Case:
         },
         limit="the other code's steps of 2e-6 s at order 2, whose error is 1.2e-6",
         compute=compute,
-        digits={},
     )

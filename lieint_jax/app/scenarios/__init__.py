@@ -7,13 +7,13 @@ observations to compare with the results. `scenario_names` lists the shipped one
 | name | |
 |---|---|
 | `Scenario` | a pydantic model of its keys, a subclass of `_common.Common` |
-| `build(scenario, numbers=None)` | the step, and the initial states of all members or of some; member 0 is nominal |
+| `build(scenario, indices=None)` | the step, and the initial states of all members or of some; member 0 is nominal |
 | `conserved(scenario, system, run)` | what the motion conserves, as a list of `_report.Conserved` |
 | `quantities(scenario, system, run)` | what is measured, as a list of `_report.Quantity` |
 | `remarks(scenario, step, run)` | further lines of the report |
 | `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names; see `_pictures.picture` |
 | `STEP_AXIS` | 0 where every member has its own system: the leaves of the step have the member axis, and `build` |
-| | has no `numbers`; None where all share one, also where `[spread]` names numbers |
+| | has no `indices`; None where all share one, also where `[spread]` names numbers |
 | `CERTIFIED` | False where `lieint run` prints no certificate: control and friction conserve the energy balance only |
 
 Only the first two and `PICTURES` are required. A kind with another form of report has `report(scenario, step, run)`.
@@ -67,9 +67,9 @@ def build(scenario: Common) -> tuple[Step, State]:
     return kind(scenario).build(scenario)
 
 
-def states_of(scenario: Common, numbers: np.ndarray) -> State:
-    """The initial states of the members with these numbers, for a kind whose members share one step."""
-    return kind(scenario).build(scenario, numbers)[1]
+def states_of(scenario: Common, indices: np.ndarray) -> State:
+    """The initial states of the members with these indices, for a kind whose members share one step."""
+    return kind(scenario).build(scenario, indices)[1]
 
 
 def shapes_of_states(scenario: Common) -> State:

@@ -36,7 +36,7 @@ class Motion(NamedTuple):
         spin_1, spin_2: the longitudes of the x axes of the two bodies.
         libration: the angle of the secondary's x axis from the line of centers, in its own equator.
         out_of_plane: the angle of the line of centers from the secondary's equator.
-        obliquity_1, obliquity_2: the angles of the z axes of the two bodies from the normal of the orbit.
+        obliquity_2: the angle of the secondary's z axis from the normal of the orbit.
         inclination: the angle of the normal of the orbit from L.
         node: the longitude of the normal of the orbit.
     """
@@ -47,7 +47,6 @@ class Motion(NamedTuple):
     spin_2: np.ndarray
     libration: np.ndarray
     out_of_plane: np.ndarray
-    obliquity_1: np.ndarray
     obliquity_2: np.ndarray
     inclination: np.ndarray
     node: np.ndarray
@@ -115,9 +114,8 @@ def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Arr
         spin_2=about_up(x[1]),
         libration=-jnp.arctan2(Gamma[1], Gamma[0]),  # pyright: ignore[reportArgumentType]
         out_of_plane=jnp.arcsin(Gamma[2] / jnp.sqrt(vec3.dot(d, d))),  # pyright: ignore[reportArgumentType]
-        obliquity_1=_angle_between(z[0], normal),
-        obliquity_2=_angle_between(z[1], normal),
-        inclination=_angle_between(up, normal),
+        obliquity_2=vec3.angle(z[1], normal),  # pyright: ignore[reportArgumentType]
+        inclination=vec3.angle(up, normal),  # pyright: ignore[reportArgumentType]
         node=about_up(normal),
     )
     orbital = vec3.dot(normal, up) / vec3.dot(d, d)
@@ -128,12 +126,6 @@ def longitude(up: Array, a: Array) -> Any:
     """The angle of `a` about the unit vector `up`."""
     e1, e2 = frame(up)
     return jnp.arctan2(vec3.dot(e2, a), vec3.dot(e1, a))
-
-
-def _angle_between(a: Array, b: Array) -> Any:
-    """The angle between two vectors, accurate for small ones too."""
-    c = jnp.stack(vec3.cross(a, b))
-    return jnp.arctan2(jnp.sqrt(vec3.dot(c, c)), vec3.dot(a, b))
 
 
 def energies(system: RigidBodies, state: State) -> Energies:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
 from lieint_jax import _checks, maps, schemes
 from lieint_jax.app.scenarios._common import (
@@ -18,6 +18,7 @@ from lieint_jax.app.scenarios._common import (
     NumberSpread,
     Quadruple,
     Triple,
+    checked,
     compose_to_order,
 )
 from lieint_jax.app.scenarios._spread import INERTIA
@@ -54,7 +55,7 @@ class Spread(AttitudeSpread, NumberSpread):
 class BodyScenario(Common):
     """The keys of every scenario of a rigid body."""
 
-    inertia: Annotated[list[Any], INERTIA]
+    inertia: Annotated[list[Any], INERTIA, checked(_checks.inertia)]
     """Principal moments (3) or a tensor in body axes (3 × 3)."""
     state: InitialState
     spread: Spread = Spread()
@@ -63,12 +64,6 @@ class BodyScenario(Common):
         "state.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg",
         "observation.*": "it is an observed value",
     }
-
-    @field_validator("inertia")
-    @classmethod
-    def _check_inertia(cls, value: list[Any]) -> list[Any]:
-        _checks.inertia(value)
-        return value
 
     def spreads(self) -> dict[str, tuple[float, str]]:
         return {"attitude": (self.spread.attitude_deg, "°"), "angular velocity": self.spread.with_unit(self.time_unit)}

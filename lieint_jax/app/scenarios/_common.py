@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from lieint_jax import _checks, schemes
 from lieint_jax._numerics import random_bits
@@ -17,11 +17,37 @@ from lieint_jax.app.scenarios import _spread
 from lieint_jax.types import Step
 
 HOUR, DAY = 3600.0, 86400.0  # seconds
+TINY = float(np.finfo(float).tiny)  # in place of a divisor that is 0
 
+
+def checked(check: Callable[[Any], object]) -> AfterValidator:
+    """The validator of a key: `check` raises ValueError for a bad value, and what it returns is not used."""
+
+    def validate(value: Any) -> Any:
+        check(value)
+        return value
+
+    return AfterValidator(validate)
+
+
+def _check_not_zero(value: list[float]) -> None:
+    if not any(value):
+        raise ValueError("must not be zero")
+
+
+def _check_unit(value: list[float]) -> None:
+    if abs(np.linalg.norm(value) - 1) > _checks.UNIT_TOLERANCE:
+        raise ValueError("must be a unit vector; divide it by its norm")
+
+
+PositiveFloat = Annotated[float, Field(gt=0)]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+PositiveTriple = Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
+Direction = Annotated[Triple, checked(_check_not_zero)]
+UnitVector = Annotated[Triple, checked(_check_unit)]
+Moments = Annotated[Triple, checked(_checks.inertia)]
 Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
 NonNegative = Annotated[float, Field(ge=0)]
-PositiveFloat = Annotated[float, Field(gt=0)]
 PositiveInt = Annotated[int, Field(gt=0, le=10**12)]
 Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
 
@@ -227,16 +253,16 @@ def _sources(tree: Any) -> list[str]:
     return [name for value in tree for name in _sources(value)] if isinstance(tree, list) else []
 
 
-def member_indices(scenario: Common, numbers: np.ndarray | None) -> np.ndarray:
+def member_indices(scenario: Common, indices: np.ndarray | None) -> np.ndarray:
     """The indices of the members that `build` returns; None selects all."""
-    return np.arange(scenario.members) if numbers is None else numbers
+    return np.arange(scenario.members) if indices is None else indices
 
 
-def deviates(scenario: Common, numbers: np.ndarray | None = None) -> Array:
+def deviates(scenario: Common, indices: np.ndarray | None = None) -> Array:
     """Standard normal deviates of two vectors of each member, (m, 2, 3); those of the nominal member are 0."""
-    numbers, key = member_indices(scenario, numbers), jax.random.key(scenario.seed)
-    normal = random_bits.normal_rows(key, (2, scenario.members, 3), numbers, axis=1)
-    return jnp.swapaxes(jnp.where((numbers == 0)[:, None], 0.0, normal), 0, 1)
+    indices, key = member_indices(scenario, indices), jax.random.key(scenario.seed)
+    normal = random_bits.normal_rows(key, (2, scenario.members, 3), indices, axis=1)
+    return jnp.swapaxes(jnp.where((indices == 0)[:, None], 0.0, normal), 0, 1)
 
 
 def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:

@@ -11,11 +11,10 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from lieint_jax import orbits
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import HOUR, Common, PositiveFloat, PositiveInt, Table, Text
+from lieint_jax.app.scenarios._common import HOUR, Common, PositiveFloat, PositiveInt, Published, Table, Text
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit
 from lieint_jax.groups import so3
 
-_EARTH_RADIUS = 6378.1366  # equatorial, km, IERS Conventions 2010
 _OBLIQUITY = np.deg2rad(23.4392911)  # of the ecliptic at J2000, IAU 1976
 
 Mode = Literal["short_axis", "long_axis"]
@@ -83,10 +82,10 @@ class Orbit(Table):
 
     @model_validator(mode="after")
     def _check_perigee(self) -> Self:
-        if abs(self.gm_km3_s2 / orbits.EARTH_GM - 1) < 0.01 and self.perigee_km <= _EARTH_RADIUS:
+        if abs(self.gm_km3_s2 / orbits.EARTH_GM - 1) < 0.01 and self.perigee_km <= orbits.EARTH_RADIUS:
             raise ValueError(
-                f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {_EARTH_RADIUS:.0f} km: give the "
-                "distance from its center"
+                f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {orbits.EARTH_RADIUS:.0f} km: "
+                "give the distance from its center"
             )
         return self
 
@@ -104,7 +103,7 @@ class Orbit(Table):
         return datetime.fromisoformat(self.perigee_utc) + timedelta(hours=hours)
 
 
-class Changes(Table):
+class SpinValues(Table):
     """Values of the tumbling; a variant may replace any of them."""
 
     least_moment: Measured | None = None
@@ -121,7 +120,7 @@ class Changes(Table):
     """Of the angular momentum, ecliptic, in degrees."""
 
 
-class Tumbling(Changes):
+class Tumbling(SpinValues):
     """The tumbling before the passage."""
 
     mode: Mode
@@ -151,9 +150,9 @@ class Tumbling(Changes):
         if not motion.mode_exists(jnp.asarray([least, middle, 1.0]), jnp.asarray(ratio), self.long_axis):
             raise ValueError(f"no {self.mode} mode of these moments has periods of the ratio {ratio:g}")
 
-    def with_changes(self, changes: Changes) -> Tumbling:
+    def with_changes(self, changes: SpinValues) -> Tumbling:
         """The tumbling with the given changes."""
-        given = {name: getattr(changes, name) for name in Changes.model_fields}
+        given = {name: getattr(changes, name) for name in SpinValues.model_fields}
         return self.model_copy(update={name: x for name, x in given.items() if x is not None})
 
     @property
@@ -170,7 +169,7 @@ class Tumbling(Changes):
         return 0 if self.long_axis else 180
 
 
-class Variant(Changes):
+class Variant(SpinValues):
     """A variant of the scenario with other assumptions."""
 
     label: Text
@@ -188,8 +187,8 @@ class Phases(Table):
     """The number of values of ψ."""
 
 
-class Known(Table):
-    """A published number."""
+class Known(Published):
+    """A published number, in the unit of the quantity's name."""
 
     quantity: Literal[
         "perigee_distance_km",
@@ -200,12 +199,6 @@ class Known(Table):
         "energy_ratio",
     ]
     """Which quantity it is."""
-    value: float
-    """In the unit of the quantity's name."""
-    error: PositiveFloat | None = None
-    """As published."""
-    source: str
-    """A key of the table sources."""
 
 
 def _renamed(quantity: Any) -> Any:

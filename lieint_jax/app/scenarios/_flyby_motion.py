@@ -126,7 +126,7 @@ def state_at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
     unit = _free_body.momentum_of_ratio(J, spin.rotation / spin.precession, long_axis)
     size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / spin.precession
     pole = direction(spin.longitude, spin.latitude)
-    in_body = _orthonormal_frame(normalize(momentum_on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
+    in_body = _orthonormal_frame(_normalize(momentum_on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
     x, y, z = _orthonormal_frame(pole, toward)
     across = jnp.cos(spin.phi) * y + jnp.sin(spin.phi) * z
     axis_in_space = jnp.stack([x, across, jnp.stack(vec3.cross(x, across))])
@@ -141,11 +141,11 @@ def initial_state(spin: Spin, toward: Array, t: Array, long_axis: bool) -> State
 
 def _orthonormal_frame(along: Array, near: Array) -> Array:
     """The unit vector `along`, the direction of `near` across it, and their cross product: rows of a rotation."""
-    across = normalize(near - vec3.dot(near, along) * along)
+    across = _normalize(near - vec3.dot(near, along) * along)
     return jnp.stack([along, across, jnp.stack(vec3.cross(along, across))])
 
 
-def normalize(v: Array) -> Array:
+def _normalize(v: Array) -> Array:
     return v / jnp.sqrt(vec3.dot(v, v))
 
 
@@ -192,17 +192,17 @@ def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Sp
 
 @cache
 def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
-    return _map_over_members(lambda spin, elements, times: _passage(spin, orbit_of(elements), times, order, long_axis))
+    def passage(spin: Spin, elements: Array, times: Array) -> Passage:
+        start = step_and_state(spin, orbit_of(elements), times[0], order, long_axis)
+        return _integrate_passage(moments(spin), *start, times)
+
+    return _map_over_members(passage)
 
 
 def _map_over_members(function: Callable[..., Any]) -> Callable[..., Any]:
     """Map a function (spin, elements, times) of one member over many, on all devices, for arrays of the host."""
     mapped = map_on_local_devices(function, (0, None, None))
     return lambda spins, *given: jax.tree.map(np.asarray, mapped(spins, *map(jnp.asarray, given)))
-
-
-def _passage(spin: Spin, orbit: orbits.Kepler, times: Array, order: int, long_axis: bool) -> Passage:
-    return _integrate_passage(moments(spin), *step_and_state(spin, orbit, times[0], order, long_axis), times)
 
 
 def _integrate_passage(J: Array, step: Step, state: State, times: Array) -> Passage:

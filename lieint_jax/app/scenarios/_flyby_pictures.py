@@ -43,9 +43,9 @@ def draw_map(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) 
         ),
         ("rotation of the pole (°)", x.pole_angle, "magma", (5, 10, 15, 20, 25, 30), False),
     )
-    for ax, (title, values, colors, levels, middle) in zip(axes, panels, strict=True):
+    for ax, (title, values, colors, levels, is_ratio) in zip(axes, panels, strict=True):
         maps = values.reshape(shape), after.long_axis.reshape(shape)
-        _draw_phases(ax, *maps, scenario.spin.same_passage_deg, colors, levels, middle)
+        _draw_phases(ax, *maps, scenario.spin.same_passage_deg, colors, levels, is_ratio)
         ax.set_title(title)
     for ax in axes[2:]:
         ax.set_xlabel("precession phase $\\phi$ at the perigee (°)")
@@ -54,7 +54,7 @@ def draw_map(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) 
     axes[0].figure.suptitle(f"{scenario.title}: nominal body, every phase; hatched: a long-axis mode after the passage")
 
 
-def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: str, levels: Any, middle: bool) -> None:
+def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: str, levels: Any, is_ratio: bool) -> None:
     """Plot a map over φ and ψ, both to 360°: its second half is the first, with ψ + 180° and φ + `same_deg`."""
     from matplotlib.patheffects import withStroke
 
@@ -66,7 +66,7 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
 
     phi, psi = np.linspace(0, 360, n + 1), np.linspace(0, 360, 2 * m + 1)
     options: dict[str, Any] = {"cmap": colors, "shading": "gouraud", "rasterized": True}
-    if middle:
+    if is_ratio:
         from matplotlib.colors import LogNorm
 
         most = max(abs(np.log(values)).max(), np.log(1.2))
@@ -74,7 +74,7 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
     image = ax.pcolormesh(phi, psi, full_circle(values), **options)
     bar = ax.figure.colorbar(image, ax=ax, extend="max" if values.max() == _LONGEST else "neither")
     shown = [level for level in levels if values.min() < level < values.max()]
-    if middle:
+    if is_ratio:
         bar.set_ticks(shown, labels=[f"{level:g}" for level in shown])
         bar.ax.minorticks_off()
     if shown:

@@ -13,7 +13,7 @@ from jax import Array
 from lieint_jax._numerics import vec3
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import direction, longitude_latitude
-from lieint_jax.app.scenarios._flyby_keys import Changes, Scenario, Variant
+from lieint_jax.app.scenarios._flyby_keys import Scenario, SpinValues, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
 from lieint_jax.app.scenarios._runs import cached_for_last_run
 from lieint_jax.groups import so3
@@ -30,7 +30,7 @@ def members(scenario: Scenario) -> tuple[Spin, np.ndarray]:
     A member is the same in ensembles of every size.
     """
     spin, seed = scenario.spin, jax.random.key(scenario.seed)
-    known = np.array([[x.value, *x.sides()] for x in (getattr(spin, name) for name in Changes.model_fields)])
+    known = np.array([[x.value, *x.sides()] for x in (getattr(spin, name) for name in SpinValues.model_fields)])
     known[:, 1:] /= scenario.sigmas
     phases = np.deg2rad([spin.precession_phase_deg, spin.rotation_phase_deg])
     spins, good = _draw_member(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
@@ -45,7 +45,7 @@ def members(scenario: Scenario) -> tuple[Spin, np.ndarray]:
 def _draw_member(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) -> tuple[Spin, Array]:
     """The k-th member, and whether the mode exists for each of its draws, (_TRIES,).
 
-    `known` has a row for each key of `Changes`: value, standard deviations below and above.
+    `known` has a row for each key of `SpinValues`: value, standard deviations below and above.
     """
     key = jax.random.fold_in(seed, k)
     noise = jnp.where(k == 0, 0.0, jax.random.normal(key, (_TRIES, 6)))
@@ -136,7 +136,7 @@ _angles = jax.jit(jax.vmap(so3.angle))
 
 def phases(scenario: Scenario) -> Spin:
     """The nominal spin at the phases of the map, φ slowest."""
-    given = [getattr(scenario.spin, name).value for name in Changes.model_fields]
+    given = [getattr(scenario.spin, name).value for name in SpinValues.model_fields]
     n, m = scenario.map.precession_phases, scenario.map.rotation_phases
     phi, psi = np.meshgrid(2 * np.pi * np.arange(n) / n, np.pi * np.arange(m) / m, indexing="ij")
     same = [np.full(phi.size, x) for x in (*given[:4], *np.deg2rad(given[4:]))]
@@ -201,7 +201,7 @@ pole_angles = jax.jit(jax.vmap(vec3.angle))
 def unknowns(scenario: Scenario) -> dict[str, tuple[str, float, float]]:
     """By name of `Study.slopes`: the label of the change in the report, its size, and one standard deviation."""
     given, degree = scenario.spin, np.deg2rad(1.0)
-    sigma = {name: sum(getattr(given, name).sides()) / 2 / scenario.sigmas for name in Changes.model_fields}
+    sigma = {name: sum(getattr(given, name).sides()) / 2 / scenario.sigmas for name in SpinValues.model_fields}
     east = sigma["momentum_longitude_deg"] / np.cos(np.deg2rad(given.momentum_latitude_deg.value))
     return {
         "phi": ("1° of φ", degree, np.pi / np.sqrt(3)),

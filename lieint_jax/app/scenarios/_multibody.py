@@ -11,17 +11,19 @@ import numpy as np
 from jax import Array
 from pydantic import model_validator
 
-from lieint_jax import _checks, schemes
+from lieint_jax import schemes
 from lieint_jax.app.scenarios._common import (
     AttitudeSpread,
     GivenRate,
+    Moments,
     NonNegative,
     PositiveFloat,
+    PositiveTriple,
     Triple,
     array,
     compose_to_order,
 )
-from lieint_jax.app.scenarios._spread import INERTIA, draw_members, same_side_of, with_numbers
+from lieint_jax.app.scenarios._spread import INERTIA, draw_members, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step
@@ -50,9 +52,9 @@ class ExtendedBody(GivenRate):
 
     mass_kg: PositiveFloat | None = None
     """In kg."""
-    moments_kg_m2: Annotated[Triple, INERTIA] | None = None
+    moments_kg_m2: Annotated[Moments, INERTIA] | None = None
     """Principal moments about the center of mass, in kg m²."""
-    semi_axes_m: Annotated[Triple, same_side_of(0)] | None = None
+    semi_axes_m: PositiveTriple | None = None
     """Semi-axes of an ellipsoid along the principal axes, in m."""
     density_kg_m3: PositiveFloat | None = None
     """Of the ellipsoid, in kg/m³."""
@@ -65,10 +67,6 @@ class ExtendedBody(GivenRate):
         given = [x is not None for x in (self.mass_kg, self.moments_kg_m2, self.semi_axes_m, self.density_kg_m3)]
         if given not in ([True, True, False, False], [True, False, True, False], [False, False, True, True]):
             raise ValueError("give mass_kg and moments_kg_m2, or semi_axes_m and one of density_kg_m3 and mass_kg")
-        if min(self.semi_axes_m or [1.0]) <= 0:
-            raise ValueError("semi_axes_m must be positive")
-        if self.moments_kg_m2 is not None:
-            _checks.inertia(self.moments_kg_m2)
         return self
 
     def attitude(self) -> Array:

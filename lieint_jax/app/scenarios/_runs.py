@@ -71,6 +71,11 @@ def map_on_local_devices(function: Callable[..., Any], axes: PyTree) -> Callable
     return ensemble.over_members(function, axes, Mesh(np.array(jax.local_devices()), ("members",)))
 
 
+def angles_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The angles between vectors (…, 3), in degrees, accurate for small ones too."""
+    return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
 def standard_deviation(x: np.ndarray) -> np.ndarray:
     """The standard deviation over the members, the first axis; 0 for a single member."""
     return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from lieint_jax import _checks, orbits, torques
-from lieint_jax.app.scenarios._common import NonNegative, PositiveFloat, Table, Triple
+from lieint_jax import orbits, torques
+from lieint_jax.app.scenarios._common import NonNegative, PositiveFloat, PositiveTriple, Table, Triple, UnitVector
 from lieint_jax.app.scenarios._spread import DIRECTION
 from lieint_jax.types import Law, Rotation, pytree, static
 
@@ -48,7 +48,7 @@ class Orbit(Table):
 class Drag(Table):
     """The air on the six faces of a box."""
 
-    box_m: Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
+    box_m: PositiveTriple
     """The lengths of its edges along the body axes."""
     center_m: Triple = [0.0, 0.0, 0.0]
     """The middle of the box, from the center of mass, in body axes."""
@@ -64,7 +64,7 @@ class Drag(Table):
 class Rods(Table):
     """Rods of soft magnetic material, one along each axis."""
 
-    axes: Annotated[list[Triple], Field(min_length=1), DIRECTION]
+    axes: Annotated[list[UnitVector], Field(min_length=1), DIRECTION]
     """Unit vectors in the body."""
     saturation: PositiveFloat
     """The greatest moment of a rod, in A m²."""
@@ -72,13 +72,6 @@ class Rods(Table):
     """The field over which the moment rises, in tesla: M = saturation × tanh(w/slope)."""
     coercivity: NonNegative
     """The half-width of the hysteresis loop, in tesla."""
-
-    @field_validator("axes")
-    @classmethod
-    def _check_axes(cls, value: list[list[float]]) -> list[list[float]]:
-        if np.max(abs(np.linalg.norm(value, axis=1) - 1)) > _checks.UNIT_TOLERANCE:
-            raise ValueError("must be unit vectors; divide each by its norm")
-        return value
 
 
 class Wheels(Table):

@@ -37,7 +37,7 @@ _STREAM = 2**31 - 1  # of random numbers; kinds use the smaller numbers of membe
 _TRIES = 16  # draws of a number until a file could have it
 
 
-class Law(NamedTuple):
+class DeviationLaw(NamedTuple):
     """How a member's value follows from the nominal one; the annotation of a key in a model.
 
     Attributes:
@@ -63,7 +63,7 @@ class Number(NamedTuple):
     """
 
     value: np.ndarray
-    law: Law
+    law: DeviationLaw
     limits: tuple[Any, ...]
 
     def shape(self) -> tuple[int, ...]:
@@ -126,27 +126,23 @@ def _is_same_side(limit: float, value: np.ndarray, x: np.ndarray) -> np.ndarray:
     return (np.sign(x - limit) == np.sign(value - limit)).all(axis=components)
 
 
-_MOMENTS = "of the second moments of mass along the body axes"  # of their logarithms: see the page on covariance
-ADDITIVE = Law(np.add, _allow_all)
-INERTIA = Law(
-    partial(_apply_along_axes, jax.jit(jax.vmap(stretch_inertia, (None, 0)))),
-    _is_positive_definite,
-    _MOMENTS,
-    by_axis=True,
-)
-SECOND_MOMENTS = Law(
-    partial(_apply_along_axes, jax.jit(jax.vmap(_scale_second_moments, (None, 0)))),
-    _is_positive_definite,
-    _MOMENTS,
-    by_axis=True,
-)
-DIRECTION = Law(_deviate_direction, _allow_all, "of each component, before normalization")
-POSITIVE_DETERMINANT = Law(np.add, lambda _, x: np.linalg.det(x) > 0)
+def _along_axes(function: Callable[..., Any]) -> DeviationLaw:
+    """Deviations of the logarithms of the second moments of mass: see the page on covariance."""
+    mapped = partial(_apply_along_axes, jax.jit(jax.vmap(function, (None, 0))))
+    return DeviationLaw(
+        mapped, _is_positive_definite, "of the second moments of mass along the body axes", by_axis=True
+    )
 
 
-def same_side_of(limit: float) -> Law:
+ADDITIVE = DeviationLaw(np.add, _allow_all)
+INERTIA, SECOND_MOMENTS = _along_axes(stretch_inertia), _along_axes(_scale_second_moments)
+DIRECTION = DeviationLaw(_deviate_direction, _allow_all, "of each component, before normalization")
+POSITIVE_DETERMINANT = DeviationLaw(np.add, lambda _, x: np.linalg.det(x) > 0)
+
+
+def same_side_of(limit: float) -> DeviationLaw:
     """Values of members stay on the side of the limit on which the nominal value is, above, below or equal."""
-    return Law(np.add, partial(_is_same_side, limit))
+    return DeviationLaw(np.add, partial(_is_same_side, limit))
 
 
 def numbers(table: BaseModel, path: Path = ()) -> dict[Path, Number]:
@@ -173,7 +169,7 @@ def _labeled_rows(rows: list[Any]) -> list[tuple[str, Any]]:
 def _as_number(value: object, field: FieldInfo) -> Number | None:
     """The value of a key as a number, if it is one, with law and limits from the key's annotation."""
     marks = list(_annotations(field))
-    law = next((mark for mark in marks if isinstance(mark, Law)), None)
+    law = next((mark for mark in marks if isinstance(mark, DeviationLaw)), None)
     if value is None or (law is None and not _is_real(value)):
         return None
     limits = tuple(mark for mark in marks if type(mark) in _TESTS)

@@ -24,6 +24,7 @@ from lieint_jax.app.scenarios._binary_motion import continue_angle, longitude, m
 from lieint_jax.app.scenarios._common import (
     DAY,
     HOUR,
+    TINY,
     Common,
     NonNegative,
     NumberSpread,
@@ -56,7 +57,6 @@ STEP_AXIS = 0  # every member has its own system
 
 _MAX_PAIRS = 6  # pairs whose distances are reported one by one
 _MAX_SHOWN = 8  # bodies and pairs in a picture and in the report's periods
-_TINY = float(np.finfo(float).tiny)
 
 
 class Spread(BodySpread):
@@ -68,7 +68,7 @@ class Spread(BodySpread):
     """Of each component of the velocity, in m/s."""
 
 
-Measured = Literal["orbital_period_h", "apsidal_precession_deg_d", "rotation_period_h"]
+PublishedKey = Literal["orbital_period_h", "apsidal_precession_deg_d", "rotation_period_h"]
 
 
 class Body(ExtendedBody):
@@ -83,7 +83,7 @@ class Body(ExtendedBody):
     quaternion: Quadruple | None = None
     """Attitude (w, x, y, z), body to space, of unit length, instead of euler_313_deg."""
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
-    published: dict[Measured, Published] = {}
+    published: dict[PublishedKey, Published] = {}
     """Orbital period about the first body and rotation period in hours, precession of the apsides in degrees a day."""
 
     @model_validator(mode="after")
@@ -246,18 +246,16 @@ def _member(scenario: Scenario, noise: Array) -> tuple[Step, State]:
     given = scenario.bodies
     m, J, attitudes, rates = member_bodies(given, noise)
     bodies = systems.rigid_bodies(m, J, _potential(scenario, m, J))
-    x = jnp.asarray([b.position_m for b in given]) + _column([b.spread.position_m for b in given]) * noise[:, 4]
-    v = jnp.asarray([b.velocity_m_s for b in given]) + _column([b.spread.velocity_m_s for b in given]) * noise[:, 5]
+    sigma_x = jnp.asarray([[b.spread.position_m] for b in given])
+    sigma_v = jnp.asarray([[b.spread.velocity_m_s] for b in given])
+    x = jnp.asarray([b.position_m for b in given]) + sigma_x * noise[:, 4]
+    v = jnp.asarray([b.velocity_m_s for b in given]) + sigma_v * noise[:, 5]
     if scenario.barycentric:
         x, v = (y - jnp.sum(m[:, None] * y, axis=0) / jnp.sum(m) for y in (x, v))
     state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
     term = scenario.attraction()
     order = scenario.order or ORDERS[scenario.scheme][0]
     return step_of(bodies, scenario.scheme, order, term and term.gravity()), state
-
-
-def _column(values: list[float]) -> Array:
-    return jnp.asarray(values)[:, None]
 
 
 def _potential(scenario: Scenario, m: Array, J: Array) -> Potential:
@@ -312,7 +310,7 @@ def motion(_: Scenario, system: RigidBodies, run: Trajectory) -> Motion:
 def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, Array]:
     """The motion at one time, longitudes in (−π, π], and the rates of the longitudes."""
     x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
-    i, j = _pairs(x.shape[0])
+    i, j = np.triu_indices(x.shape[0], 1)
     L = system.free.momentum(state)[3:]
     up = L / jnp.sqrt(vec3.dot(L, L))
 
@@ -322,10 +320,6 @@ def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, Array]:
     longitudes, rates = jax.vmap(angle)(x[1:] - x[0], v[1:] - v[0])
     rotation_rate = jnp.sqrt(jnp.sum(system.angular_velocities(state) ** 2, axis=1))
     return Motion(jnp.sqrt(jnp.sum((x[j] - x[i]) ** 2, axis=1)), longitudes, rotation_rate), rates  # pyright: ignore[reportArgumentType]
-
-
-def _pairs(n: int) -> tuple[Any, Any]:
-    return np.triu_indices(n, 1)
 
 
 def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
@@ -352,7 +346,7 @@ def quantities(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list
         for k in range(1, min(len(scenario.bodies), _MAX_SHOWN)):
             rows += _orbit(scenario, k, np.asarray(run.t), found)
     for k, body in enumerate(scenario.bodies[:_MAX_SHOWN]):
-        hours = 2 * np.pi / np.maximum(found.rotation_rate[..., k].mean(axis=0), _TINY) / HOUR
+        hours = 2 * np.pi / np.maximum(found.rotation_rate[..., k].mean(axis=0), TINY) / HOUR
         rows.append(
             _row(f"{body.name}: rotation period, mean rate (h)", hours, body.published.get("rotation_period_h"))
         )
@@ -372,7 +366,7 @@ def _distances(names: list[str], distances: np.ndarray) -> list[Quantity]:
             _row("  greatest (m)", distances.max(axis=(0, 2))),
         ]
     rows = []
-    for k, (i, j) in enumerate(zip(*_pairs(len(names)), strict=True)):
+    for k, (i, j) in enumerate(zip(*np.triu_indices(len(names), 1), strict=True)):
         rows.append(_row(f"{names[i]}–{names[j]}: least distance (m)", distances[..., k].min(axis=0)))
         rows.append(_row("  greatest (m)", distances[..., k].max(axis=0)))
     return rows
@@ -406,9 +400,9 @@ def conserved(_: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserv
         return system.kinetic_energy(state), system.energy(state), system.momentum(state), each
 
     K, H, Phi, each = over_members(invariants, system, run)
-    linear, angular = (np.maximum(length(x).max(axis=(0, 2)), _TINY) for x in (each[..., :3], each[..., 3:]))
+    linear, angular = (np.maximum(length(x).max(axis=(0, 2)), TINY) for x in (each[..., :3], each[..., 3:]))
     return [
-        Conserved("energy H, over the greatest kinetic energy", H, np.maximum(K.max(axis=0), _TINY)),
+        Conserved("energy H, over the greatest kinetic energy", H, np.maximum(K.max(axis=0), TINY)),
         Conserved("linear momentum P, over the greatest |p|", Phi[..., :3], linear, norm=length),
         Conserved("angular momentum L, over the greatest |x × p + π|", Phi[..., 3:], angular, norm=length),
     ]

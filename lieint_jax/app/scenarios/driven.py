@@ -18,7 +18,7 @@ from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_m
 from lieint_jax.app.scenarios._common import PositiveFloat, Table, deviates, radians
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import drawn_trajectory, nominal_state, select_member, series
+from lieint_jax.app.scenarios._runs import angles_deg, drawn_trajectory, nominal_state, select_member, series
 from lieint_jax.app.scenarios._spread import for_member, same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
@@ -103,9 +103,9 @@ class Scenario(TopScenario):
         return self
 
 
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, which share their time."""
-    return _spread.build(scenario, deviates(scenario, numbers), _step, _start)
+    return _spread.build(scenario, deviates(scenario, indices), _step, _start)
 
 
 def _step(scenario: Scenario) -> Step:
@@ -146,8 +146,8 @@ def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> li
     """The angles (°, ≤ 90) of the axes of least and greatest inertia from the vertical and the normal of the orbit."""
     found = []
     for which, (name, axis, fixed) in _directions(body, run).items():
-        sine, cosine = np.linalg.norm(np.cross(axis, fixed), axis=-1), abs((axis * fixed).sum(axis=-1))
-        angles = np.rad2deg(np.arctan2(sine, cosine))
+        angles = angles_deg(axis, fixed)
+        angles = np.minimum(angles, 180 - angles)
         for kind, x in (("mean", angles.mean(axis=0)), ("largest", angles.max(axis=0))):
             found.append(Quantity(f"{which} inertia's axis from the {name}, {kind} (°)", x, ".3f"))
     return found
@@ -216,8 +216,9 @@ def draw_pointing(axes: np.ndarray, scenario: Scenario, step: Step, run: Traject
     body = step.system
     found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
     which, (axis, stable, k) = next(iter(found.items()))
-    long = drawn_trajectory(step, nominal_state(run), _dt(scenario), scenario.steps)
-    R = np.asarray(jax.vmap(lambda t: orbit_axes(body.orbit, t)[0])(jnp.asarray(long.t)))
+    assert scenario.dt is not None  # which every validated scenario has
+    long = drawn_trajectory(step, nominal_state(run), scenario.dt, scenario.steps)
+    R = np.asarray(_matrices(body.orbit, jnp.asarray(long.t)))
     path = np.einsum("tij,ti->tj", R, axis_in_space(long.state.q, axis))
     ends = axis_in_space(run.state.q[-1], axis) @ np.asarray(orbit_axes(body.orbit, jnp.asarray(run.t[-1]))[0])
     pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
@@ -240,12 +241,6 @@ def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
     plots.log_error(axes[0], t, curves, "change over the largest |energy|", unit)
     axes[0].legend(loc="center right", bbox_to_anchor=(1.0, 0.4))  # between the two schemes
     axes[0].set_title("energy H, on which the orbit works, and energy less work")
-
-
-def _dt(scenario: Scenario) -> float:
-    """The step size, which every validated scenario has."""
-    assert scenario.dt is not None
-    return scenario.dt
 
 
 def _clock(scenario: Scenario, run: Trajectory) -> tuple[np.ndarray, str]:

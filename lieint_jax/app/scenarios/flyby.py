@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import HOUR, Published
+from lieint_jax.app.scenarios._common import HOUR
 from lieint_jax.app.scenarios._flyby_keys import Scenario
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
@@ -74,8 +74,7 @@ def facts(scenario: Scenario, before: Outcome) -> list[Quantity]:
     )
 
     def quantity(name: str, values: np.ndarray | float, key: str = "") -> Quantity:
-        given = [k for k in scenario.published if k.quantity == key]
-        published = [Published(value=k.value, error=k.error, source=k.source) for k in given]
+        published = [known for known in scenario.published if known.quantity == key]
         return Quantity(name, np.atleast_1d(values), published=published)
 
     return [

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
 from lieint_jax import diagnostics, schemes, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_matrix, initial_state, top_schemes
-from lieint_jax.app.scenarios._common import Triple, check_order, deviates
+from lieint_jax.app.scenarios._common import Direction, Triple, check_order, checked, deviates
 from lieint_jax.app.scenarios._pictures import draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta, cost
@@ -35,13 +35,18 @@ _STENCIL = 6  # saved states through which an angle and its rate are interpolate
 _HALVINGS = 50  # of the interval between two saved states that contains an extreme
 
 
+def _check_weight(weight: list[float]) -> None:
+    if not any(weight):
+        raise ValueError("must not be zero; a body without weight is a rigid_body")
+
+
 class Scenario(TopScenario):
     """The keys of a scenario of this kind."""
 
     system: Literal["heavy_top"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    weight: Triple
+    weight: Annotated[Triple, checked(_check_weight)]
     """The weight times the vector to the center of mass, in body axes: an energy."""
-    axis: Triple = [0.0, 0.0, 1.0]
+    axis: Direction = [0.0, 0.0, 1.0]
     """The direction in space along which the potential energy grows: upwards."""
     scheme: Literal["nystrom", "top_energy_momentum", "splitting"] = "top_energy_momentum"  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -51,17 +56,10 @@ class Scenario(TopScenario):
             check_order("nystrom", self.order, _NYSTROM)
         return self
 
-    @field_validator("weight", "axis")
-    @classmethod
-    def _check_direction(cls, value: list[float]) -> list[float]:
-        if not any(value):
-            raise ValueError("must not be zero; a body without weight is a rigid_body")
-        return value
 
-
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states."""
-    return _spread.build(scenario, deviates(scenario, numbers), _step, initial_state)
+    return _spread.build(scenario, deviates(scenario, indices), _step, initial_state)
 
 
 def _step(scenario: Scenario) -> Step:
@@ -90,23 +88,15 @@ def conserved(scenario: Scenario, top: PotentialTop, run: Trajectory) -> list[Co
     momentum = np.linalg.norm(np.asarray(run.state.p[0]), axis=-1) * np.linalg.norm(np.asarray(top.axis))
     found = [
         Conserved("energy, relative", series(PotentialTop.energy, run, top), kinetic + size),
-        Conserved("γ·π, relative to |π|", series(_vertical_momentum, run, top), momentum),
+        Conserved("γ·π, relative to |π|", series(PotentialTop.momentum, run, top)[..., 0], momentum),
     ]
     J, E = inertia_matrix(top), _weight(top)
     if is_lagrange(top):
-        found.append(Conserved("Π₃, relative to |π|", series(_third_momentum, run, top), momentum))
+        found.append(Conserved("Π₃, relative to |π|", series(PotentialTop.body_momentum, run, top)[..., 2], momentum))
     if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], rtol=1e-12, atol=0) and not E[1:].any():
         K = series(kovalevskaya_integral, run, top)
         found.append(Conserved("Kovalevskaya's integral, relative", K, np.maximum(abs(K[0]), (size / J[2, 2]) ** 2)))
     return found
-
-
-def _vertical_momentum(top: PotentialTop, state: State) -> Any:
-    return top.momentum(state)[0]
-
-
-def _third_momentum(top: PotentialTop, state: State) -> Any:
-    return top.body_momentum(state)[2]
 
 
 def _weight(top: PotentialTop) -> np.ndarray:

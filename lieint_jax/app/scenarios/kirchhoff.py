@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field
 
 from lieint_jax import maps, schemes
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._common import (
+    TINY,
     Common,
     GivenRate,
     NonNegative,
     NumberSpread,
-    PositiveFloat,
+    PositiveTriple,
     RateSpread,
     Triple,
     compose_to_order,
@@ -27,14 +27,10 @@ from lieint_jax.app.scenarios._common import (
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta
-from lieint_jax.app.scenarios._runs import drawn_trajectory, member_state, nominal_state, series
+from lieint_jax.app.scenarios._runs import angles_deg, drawn_trajectory, member_state, nominal_state, series
 from lieint_jax.app.scenarios._spread import for_member
 from lieint_jax.systems import Euler, kirchhoff
 from lieint_jax.types import State, Step, Trajectory
-
-_TINY = float(np.finfo(float).tiny)
-
-PositiveTriple = Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
 
 
 class InitialState(GivenRate):
@@ -70,11 +66,11 @@ class Scenario(Common):
         return {"angular velocity": self.spread.with_unit(self.time_unit), "velocity": (self.spread.velocity, "")}
 
 
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
-    numbers, key = member_indices(scenario, numbers), jax.random.key(scenario.seed)
-    noise = random_bits.normal_rows(key, (scenario.members, 6), numbers)
-    noise = jnp.where((numbers == 0)[:, None], 0.0, noise)
+    indices, key = member_indices(scenario, indices), jax.random.key(scenario.seed)
+    noise = random_bits.normal_rows(key, (scenario.members, 6), indices)
+    noise = jnp.where((indices == 0)[:, None], 0.0, noise)
     return _spread.build(scenario, noise, _step, _start, traced=False)
 
 
@@ -98,8 +94,8 @@ def conserved(scenario: Scenario, body: Euler, run: Trajectory) -> list[Conserve
     return [
         Conserved("energy", H, H[0], "round-off"),
         Conserved("spatial momentum π", p, abs(p[0]).max(), "bit for bit"),
-        Conserved("Π·P", Pi_P, np.maximum(angular * linear, _TINY), "round-off"),
-        Conserved("|P|²", P_P, np.maximum(linear**2, _TINY), "round-off"),
+        Conserved("Π·P", Pi_P, np.maximum(angular * linear, TINY), "round-off"),
+        Conserved("|P|²", P_P, np.maximum(linear**2, TINY), "round-off"),
     ]
 
 
@@ -108,7 +104,7 @@ def quantities(scenario: Scenario, body: Euler, run: Trajectory) -> list[Quantit
     q, p, t = np.asarray(run.state.q), np.asarray(run.state.p), np.asarray(run.t)
     P = p[0, :, 3:]
     distance = np.einsum("mi,mi->m", q[-1, :, :3, 3] - q[0, :, :3, 3], P)
-    speed = distance / np.maximum(np.linalg.norm(P, axis=1), _TINY) / (t[-1] - t[0])
+    speed = distance / np.maximum(np.linalg.norm(P, axis=1), TINY) / (t[-1] - t[0])
     return [
         Quantity(f"mean speed along the impulse (/{scenario.time_unit})", speed),
         Quantity("third axis strays by (°)", tilts(q).max(axis=0)),
@@ -150,8 +146,7 @@ def spin_needed(body: Euler) -> float | None:
 def tilts(q: Any) -> np.ndarray:
     """The angle in degrees of the third axis from its initial direction, for motions (times, …, 4, 4)."""
     axis = np.asarray(q)[..., :3, 2]
-    across, along = np.cross(axis, axis[0]), np.sum(axis * axis[0], axis=-1)
-    return np.rad2deg(np.arctan2(np.linalg.norm(across, axis=-1), along))
+    return angles_deg(axis, axis[0])
 
 
 @picture(2, spatial=(0, 1))

@@ -77,10 +77,10 @@ def bar_modes(e: Any) -> np.ndarray:
     return np.stack([Omega + root, Omega - root], axis=-1)
 
 
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the spheroids with a small bar, each in its rotation."""
     body = systems.incompressible_body(np.full(3, 0.2), systems.self_gravity(1.0, 1.0, 1.0))
-    e = scenario.eccentricities()[member_indices(scenario, numbers)]
+    e = scenario.eccentricities()[member_indices(scenario, indices)]
     a, Omega = spheroid(e)
     axes = np.stack([a * (1 + scenario.bar), a / (1 + scenario.bar), a * np.sqrt(1 - e * e)], axis=1)
 

@@ -15,18 +15,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._common import (
     Common,
+    Direction,
+    Moments,
     NonNegative,
     PositiveFloat,
     PositiveInt,
     Table,
     Text,
     Triple,
+    checked,
     member_indices,
 )
 from lieint_jax.app.scenarios._pictures import picture
@@ -63,7 +66,7 @@ class Observed(Table):
     """The date of the observation."""
     reading: str
     """A short name of the assumption on the principal axes."""
-    inertia: Triple
+    inertia: Moments
     """Principal moments about the axes a, b, c."""
     eccentricity: Eccentricity
     """Of the orbit then."""
@@ -71,25 +74,12 @@ class Observed(Table):
     """Of the moon then, in degrees."""
     euler_313_deg: Triple
     """Attitude R_z(α) R_x(β) R_z(γ), axes a, b, c to space, in degrees; in space x is toward pericenter, z normal."""
-    spin_axis: Triple
+    spin_axis: Direction
     """The direction of the angular velocity, components along a, b, c; of any length."""
     spin_rate: PositiveFloat
     """The size of the angular velocity, in mean motions."""
     source: str
     """A key of the table sources."""
-
-    @field_validator("inertia")
-    @classmethod
-    def _check_inertia(cls, value: list[float]) -> list[float]:
-        _checks.inertia(value)
-        return value
-
-    @field_validator("spin_axis")
-    @classmethod
-    def _check_direction(cls, value: list[float]) -> list[float]:
-        if not any(value):
-            raise ValueError("must not be zero")
-        return value
 
 
 class Ensemble(Table):
@@ -109,6 +99,11 @@ class Ensemble(Table):
     """Standard deviation of the spin rate, in mean motions."""
 
 
+def _check_in_order(moments: list[float]) -> None:
+    if not moments[0] < moments[1] <= moments[2]:
+        raise ValueError("must be three moments in order, the first the least")
+
+
 class Scenario(Common):
     """The keys of a scenario of this kind."""
 
@@ -119,7 +114,7 @@ class Scenario(Common):
     """Of the orbit, in period_unit: for times in reports."""
     period_unit: str = "d"
     """The name of that unit."""
-    inertia: Triple
+    inertia: Annotated[Moments, checked(_check_in_order)]
     """Principal moments of the planar motions, the axes of the least and the greatest first and last."""
     eccentricity: Eccentricity
     """Of the orbit of the planar motions."""
@@ -145,14 +140,6 @@ class Scenario(Common):
     no_spread: ClassVar[str] = (
         "the members are a grid of planar starts; members about observed states are spread by the table around"
     )
-
-    @field_validator("inertia")
-    @classmethod
-    def _check_moments(cls, value: list[float]) -> list[float]:
-        _checks.inertia(value)
-        if not value[0] < value[1] <= value[2]:
-            raise ValueError("must be three moments in order, the first the least")
-        return value
 
     @model_validator(mode="after")
     def _check_steps_per_orbit(self) -> Self:
@@ -181,10 +168,10 @@ class Scenario(Common):
         )
 
 
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the planar starts, which share their time."""
     step = _step(scenario.inertia, scenario.eccentricity)
-    number = member_indices(scenario, numbers)
+    number = member_indices(scenario, indices)
     rates = max(scenario.members // scenario.angles, 2)
     theta = np.pi / scenario.angles * (number % scenario.angles)
     rate = scenario.greatest_rate / (rates - 1) * (number // scenario.angles)

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import AliasChoices, Field, field_validator, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
-from lieint_jax import _checks, schemes, systems
+from lieint_jax import schemes, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread, heavy_top
 from lieint_jax.app.scenarios._common import (
@@ -19,6 +19,7 @@ from lieint_jax.app.scenarios._common import (
     PositiveFloat,
     Table,
     Triple,
+    UnitVector,
     compose_to_order,
     deviates,
 )
@@ -37,15 +38,10 @@ _FINE = 4  # steps of the drawn path per step of the scenario, so that it reache
 class InitialState(Table):
     """The nominal state: a unit vector, and a velocity, whose component along the vector is removed."""
 
-    direction: Annotated[Triple, DIRECTION]
+    direction: Annotated[UnitVector, DIRECTION]
     """A unit vector in space, from the pivot to the bob."""
     velocity: Triple
     """Of the direction, per time_unit: for a pendulum of length 1 the bob's velocity."""
-
-    @field_validator("direction")
-    @classmethod
-    def _check_unit(cls, value: list[float]) -> list[float]:
-        return _unit_vector(value)
 
 
 class Spread(NumberSpread):
@@ -65,7 +61,7 @@ class Scenario(Common):
     """In a unit of mass."""
     gravity: Annotated[float, same_side_of(0)]
     """The acceleration of gravity over the pendulum's length, per time_unit squared."""
-    axis: Annotated[Triple, DIRECTION] = [0.0, 0.0, -1.0]
+    axis: Annotated[UnitVector, DIRECTION] = [0.0, 0.0, -1.0]
     """The direction of gravity in space, a unit vector: downwards."""
     scheme: Literal["sphere_midpoint"] = "sphere_midpoint"
     normalized: bool = Field(default=False, validation_alias=AliasChoices("normalized", "normalised"))
@@ -74,11 +70,6 @@ class Scenario(Common):
     """Of accuracy; above 2 by composition."""
     state: InitialState
     spread: Spread = Spread()
-
-    @field_validator("axis")
-    @classmethod
-    def _check_unit(cls, value: list[float]) -> list[float]:
-        return _unit_vector(value)
 
     @model_validator(mode="after")
     def _check_gravity(self) -> Scenario:
@@ -90,15 +81,9 @@ class Scenario(Common):
         return {"direction": (self.spread.direction_deg, "°"), "velocity": (self.spread.velocity, "")}
 
 
-def _unit_vector(value: list[float]) -> list[float]:
-    if abs(np.linalg.norm(value) - 1) > _checks.UNIT_TOLERANCE:
-        raise ValueError("must be a unit vector; divide it by its norm")
-    return value
-
-
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
-    return _spread.build(scenario, deviates(scenario, numbers), _step, _start)
+    return _spread.build(scenario, deviates(scenario, indices), _step, _start)
 
 
 def _step(scenario: Scenario) -> Step:
@@ -115,18 +100,14 @@ def _start(scenario: Scenario, bob: Pendulum, noise: Any) -> State:
 
 def conserved(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Conserved]:
     """Energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π, which are 0."""
-    H, gamma_pi, defect = (series(f, run, bob) for f in (Pendulum.energy, _vertical_momentum, _defect))
+    H, gamma_pi, defect = (series(f, run, bob) for f in (Pendulum.energy, Pendulum.momentum, _defect))
     depth = abs(float(bob.potential(bob.axis)))
     kinetic = H[0] + depth  # its largest value, at the lowest point
     return [
         Conserved("energy, relative", H, kinetic + depth, ROUND_OFF),
-        Conserved("γ·π, relative", gamma_pi, np.sqrt(2 * float(bob.mass) * kinetic), ROUND_OFF),
+        Conserved("γ·π, relative", gamma_pi[..., 0], np.sqrt(2 * float(bob.mass) * kinetic), ROUND_OFF),
         Conserved("constraints |q| = 1, q·π = 0", defect, promise=ROUND_OFF, initial=0.0),
     ]
-
-
-def _vertical_momentum(bob: Pendulum, state: State) -> Any:
-    return bob.momentum(state)[0]
 
 
 def _defect(bob: Pendulum, state: State) -> Any:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from lieint_jax import _checks, diagnostics, schemes, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._common import (
+    TINY,
     Common,
     NonNegative,
     NumberSpread,
@@ -25,6 +27,7 @@ from lieint_jax.app.scenarios._common import (
     RateSpread,
     Table,
     Triple,
+    checked,
     member_indices,
 )
 from lieint_jax.app.scenarios._pictures import picture
@@ -35,7 +38,6 @@ from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State, Step, Trajectory
 from lieint_jax.types.shapes import PyTree
 
-_TINY = float(np.finfo(float).tiny)
 _LONGEST = 4_000  # largest number of drawn steps, which are all saved, since a delay plot needs each
 
 Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
@@ -51,22 +53,20 @@ class Material(Table):
     """Lamé's μ times the body's volume: an energy."""
 
 
+def _check_determinant(matrix: list[list[float]]) -> None:
+    if not np.linalg.det(matrix) > 0:
+        raise ValueError("must have a positive determinant")
+
+
 class InitialState(Rate):
     """The nominal state: F, and one of angular velocity in space, velocity and momentum."""
 
-    deformation: Annotated[Matrix, POSITIVE_DETERMINANT] = np.eye(3).tolist()
+    deformation: Annotated[Matrix, POSITIVE_DETERMINANT, checked(_check_determinant)] = np.eye(3).tolist()
     """F, 3 × 3, without unit; by default undeformed, axes along those of space."""
     velocity: Matrix | None = None
     """The time derivative of F, per time_unit."""
     momentum: Matrix | None = None
     """P, of F: velocity times the second moments of mass."""
-
-    @field_validator("deformation")
-    @classmethod
-    def _check_determinant(cls, value: Any) -> Any:
-        if not np.linalg.det(value) > 0:
-            raise ValueError("must have a positive determinant")
-        return value
 
     @model_validator(mode="after")
     def _check_motion(self) -> Self:
@@ -91,7 +91,7 @@ class Scenario(Common):
     """The keys of a scenario of this kind."""
 
     system: Literal["pseudo_rigid"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    inertia: Annotated[list[Any], SECOND_MOMENTS]
+    inertia: Annotated[list[Any], SECOND_MOMENTS, checked(partial(_checks.positive_definite, "inertia"))]
     """E, the second moments of mass, principal (3) or a tensor in body axes (3 × 3)."""
     material: Material
     scheme: Literal["additive"] = "additive"
@@ -106,12 +106,6 @@ class Scenario(Common):
 
     fixed: ClassVar[dict[str, str]] = Common.fixed | {"alpha": "it is a number of the scheme"}
 
-    @field_validator("inertia")
-    @classmethod
-    def _check_inertia(cls, value: list[Any]) -> list[Any]:
-        _checks.positive_definite("inertia", value)
-        return value
-
     @model_validator(mode="after")
     def _check_alpha(self) -> Self:
         if self.alpha != 0.5 and self.rule != "symplectic":
@@ -124,13 +118,13 @@ class Scenario(Common):
         return {"F": (self.spread.deformation, ""), "angular velocity": self.spread.with_unit(self.time_unit)}
 
 
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
     for_F, for_spin = jax.random.split(jax.random.key(scenario.seed))
-    numbers, members = member_indices(scenario, numbers), scenario.members
-    first = jnp.asarray(numbers == 0)
-    dF = scenario.spread.deformation * random_bits.normal_rows(for_F, (members, 3, 3), numbers)
-    spin = scenario.spread.rate() * random_bits.normal_rows(for_spin, (members, 3), numbers)
+    indices, members = member_indices(scenario, indices), scenario.members
+    first = jnp.asarray(indices == 0)
+    dF = scenario.spread.deformation * random_bits.normal_rows(for_F, (members, 3, 3), indices)
+    spin = scenario.spread.rate() * random_bits.normal_rows(for_spin, (members, 3), indices)
     dF, spin = jnp.where(first[:, None, None], 0.0, dF), jnp.where(first[:, None], 0.0, spin)
     step, states = _spread.build(scenario, (dF, spin), _step, _start)
     start = _nominal(scenario, for_member(scenario, step.system))
@@ -164,10 +158,10 @@ def _start(scenario: Scenario, body: Any, noise: PyTree) -> State:
 def conserved(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Conserved]:
     """Energy and momentum, relative to the member's initial |H| and |Φ|."""
     H, Phi = series(PseudoRigidBody.energy, run, body), series(PseudoRigidBody.momentum, run, body)
-    size = np.maximum(np.linalg.norm(Phi[0], axis=-1), _TINY)
+    size = np.maximum(np.linalg.norm(Phi[0], axis=-1), TINY)
     promised = "bounded, not conserved" if scenario.rule == "symplectic" else ROUND_OFF
     return [
-        Conserved("energy, relative", H, np.maximum(abs(H[0]), _TINY), promised),
+        Conserved("energy, relative", H, np.maximum(abs(H[0]), TINY), promised),
         Conserved("momentum rot[PFᵀ], relative", Phi, size, ROUND_OFF),
     ]
 

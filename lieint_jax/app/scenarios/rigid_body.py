@@ -23,10 +23,10 @@ from lieint_jax.app.scenarios._body import (
     is_long_axis_mode,
     longitude_latitude,
 )
-from lieint_jax.app.scenarios._common import Published, Text, check_order, compose_to_order, deviates
+from lieint_jax.app.scenarios._common import TINY, Published, Text, check_order, compose_to_order, deviates
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import Quantity
-from lieint_jax.app.scenarios._runs import drawn_steps, drawn_trajectory, nominal_state
+from lieint_jax.app.scenarios._runs import angles_deg, drawn_steps, drawn_trajectory, nominal_state
 from lieint_jax.app.scenarios._spread import for_member
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
@@ -36,7 +36,6 @@ from lieint_jax.types import State, Step, Trajectory
 Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
 
 _SUBSCRIPTS = "₁₂₃"
-_TINY = float(np.finfo(float).tiny)
 
 
 class Observation(InitialState):
@@ -96,9 +95,9 @@ class Scenario(BodyScenario):
         return self
 
 
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states."""
-    return _spread.build(scenario, deviates(scenario, numbers), _step, initial_state)
+    return _spread.build(scenario, deviates(scenario, indices), _step, initial_state)
 
 
 def _step(scenario: Scenario) -> Step:
@@ -125,7 +124,7 @@ def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Qua
     """Mean periods of the tumbling and the direction of the angular momentum, with their published values."""
     p = np.asarray(run.state.p)[0]
     longitude, latitude = longitude_latitude(p / np.linalg.norm(p, axis=1, keepdims=True))
-    precession, rotation = mean_periods(body, run)
+    precession, rotation = measured_periods(body, run)
     unit, published = scenario.time_unit, {**scenario.published}
 
     def quantity(name: str, values: np.ndarray, key: Any) -> Quantity:
@@ -149,7 +148,7 @@ def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
     return lines
 
 
-def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def measured_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Mean precession and rotation periods of a tumbling free body, one of each per member.
 
     The body tumbles about its axis of least inertia if |Π|² < 2H J₂, else about that of greatest inertia (Poinsot). The
@@ -169,7 +168,7 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
         long = is_long_axis_mode(moments, Pi[0])
         e = R @ axes[:, 0 if long else 2]
         Pi = Pi[:, [1, 2, 0]] if long else Pi
-        across = np.stack(frame(jnp.asarray(pi / np.maximum(np.linalg.norm(pi), np.finfo(float).tiny))))
+        across = np.stack(frame(jnp.asarray(pi / np.maximum(np.linalg.norm(pi), TINY))))
         rate = np.sqrt(square) / moments[0]
         too_coarse = rate * abs(run.t[1] - run.t[0]) > 2.5
         phi, psi = (np.unwrap(np.arctan2(y, x)) for x, y in (across @ e.T, Pi[:, :2].T))
@@ -295,7 +294,7 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
 
     def from_end(x: np.ndarray) -> np.ndarray:
         offset, angle = x @ across, np.arccos(np.clip(x @ end, -1, 1))
-        return np.rad2deg((offset * (angle / np.maximum(np.linalg.norm(offset, axis=1), _TINY))[:, None]).T)
+        return np.rad2deg((offset * (angle / np.maximum(np.linalg.norm(offset, axis=1), TINY))[:, None]).T)
 
     shown = np.concatenate([from_end(members), from_end(observed)], axis=1)
     half = 1.15 * max(abs(shown).max(), 1.0)
@@ -311,14 +310,10 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
 def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: np.ndarray, members: np.ndarray) -> str:
     """The caption of `draw_path`: the source of the cross, and its distance from the predicted axes."""
     [observed] = axis_in_space(seen.attitude()[None], Z)
-
-    def degrees(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), a @ b))
-
-    spread = np.sqrt(np.mean(degrees(members, nominal_axis) ** 2))
+    spread = np.sqrt(np.mean(angles_deg(members, nominal_axis) ** 2))
     return (
         f"Cross: axis z of the attitude observed by {seen.label} ({scenario.source(seen.source)}), "
-        f"{degrees(observed, nominal_axis):.1f}° from the nominal prediction; members scatter by {spread:.1f}° rms"
+        f"{angles_deg(observed, nominal_axis):.1f}° from the nominal prediction; members scatter by {spread:.1f}° rms"
     )
 
 

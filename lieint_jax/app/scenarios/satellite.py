@@ -15,10 +15,10 @@ from lieint_jax import schemes, systems, torques
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._body import inertia_matrix
-from lieint_jax.app.scenarios._common import NonNegative, PositiveFloat, Triple, deviates
+from lieint_jax.app.scenarios._common import HOUR, NonNegative, PositiveFloat, Triple, deviates
 from lieint_jax.app.scenarios._pictures import draw_balance, picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import cached_for_last_run, over_members
+from lieint_jax.app.scenarios._runs import angles_deg, cached_for_last_run, over_members
 from lieint_jax.app.scenarios._satellite_laws import (
     Control,
     Detumbling,
@@ -41,7 +41,6 @@ STEP_AXIS = 0  # every member has its own inertia and dipole
 CERTIFIED = False  # control and friction conserve only the energy balance, which the report has
 _CAPTURED = 10.0  # degrees from the nadir
 _SLOW = 0.5  # °/s: detumbled
-_HOUR = 3600.0  # s
 _FEW = 500  # members that are drawn as larger dots
 
 
@@ -221,8 +220,7 @@ def course(scenario: Scenario, body: TorquedBody, run: Trajectory) -> Course:
     rate, z, h, works, energy = over_members(measure, body, run)
     frames = jax.vmap(scenario.environment().frame)(jnp.asarray(run.t))
     down = np.asarray(jax.vmap(so3.Ad, (0, None))(frames, jnp.array([0.0, 0.0, 1.0])))[:, None]
-    angle = np.arctan2(np.linalg.norm(np.cross(z, down), axis=-1), np.sum(z * down, axis=-1))
-    return Course(np.rad2deg(rate), np.rad2deg(angle), h, works, energy, labels(body))
+    return Course(np.rad2deg(rate), angles_deg(z, down), h, works, energy, labels(body))
 
 
 def conserved(scenario: Scenario, body: TorquedBody, run: Trajectory) -> list[Conserved]:
@@ -333,13 +331,13 @@ def _short(name: str) -> str:
 def _mark_phases(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
     """Mark the edges of the phases on an axis in hours."""
     for _, first, _ in phases(scenario, t)[1:]:
-        ax.axvline(t[first] / _HOUR, color="gray", lw=0.6, ls=":", zorder=1)
+        ax.axvline(t[first] / HOUR, color="gray", lw=0.6, ls=":", zorder=1)
 
 
 def _name_phases(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
     """Write the names of the phases above an axis in hours."""
     for name, first, last in phases(scenario, t):
-        middle = (t[first] + t[last]) / 2 / _HOUR
+        middle = (t[first] + t[last]) / 2 / HOUR
         text = name.replace(" and ", "\nand ")
         ax.annotate(
             text, (middle, 1.0), (0, 4), ("data", "axes fraction"), "offset points", ha="center", va="bottom", size=7.5
@@ -356,8 +354,8 @@ def draw_phases(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
         (axes[1], c.nadir_angle, "z axis from the nadir (°)"),
         (axes[2], 1e3 * c.wheels, "momentum of the wheels (mN m s)"),
     ):
-        others = ax.plot(t / _HOUR, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4, rasterized=True)
-        nominal = ax.plot(t / _HOUR, values[:, 0], color=plots.INK, lw=1.0)
+        others = ax.plot(t / HOUR, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4, rasterized=True)
+        nominal = ax.plot(t / HOUR, values[:, 0], color=plots.INK, lw=1.0)
         ax.set(xlabel="t (h)", ylabel=label)
         _mark_phases(ax, scenario, t)
         _name_phases(ax, scenario, t)
@@ -373,7 +371,7 @@ def draw_works(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory
     """Plot the work of each law on the nominal member, and how well the works add up to the change of energy."""
     c, t = course(scenario, step.system, run), np.asarray(run.t)
     energy, works = 1e6 * c.energy, 1e6 * c.works
-    draw_balance(axes, t / _HOUR, energy, works, c.names, unit="µJ", time_unit="h")
+    draw_balance(axes, t / HOUR, energy, works, c.names, unit="µJ", time_unit="h")
     for ax in axes:
         _mark_phases(ax, scenario, t)
 
@@ -385,7 +383,7 @@ def draw_capture(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajecto
     c, t = course(scenario, step.system, run), np.asarray(run.t)
     captured, slow = np.isfinite(captured_since(t, c.nadir_angle)), crossing(t, c.rate)
     never = int(np.isnan(slow).sum())
-    hours = np.where(np.isnan(slow), t[-1], slow) / _HOUR
+    hours = np.where(np.isnan(slow), t[-1], slow) / HOUR
     for fate, chosen, look in (
         ("captured", captured, {"color": plots.BLUE, "marker": ".", "s": 12 if captured.size <= _FEW else 3}),
         ("not captured", ~captured, {"color": plots.RED, "marker": "x", "s": 16, "linewidths": 0.8}),
@@ -402,7 +400,7 @@ def draw_capture(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajecto
 
     curves = {f"slower than {_SLOW:g} °/s": c.rate < _SLOW}
     curves |= {f"z within {limit:g}° of the nadir": c.nadir_angle <= limit for limit in (90.0, _CAPTURED, 1.0)}
-    plots.series(right, t / _HOUR, {name: 100 * x.mean(axis=1) for name, x in curves.items()}, "of all starts (%)", "h")
+    plots.series(right, t / HOUR, {name: 100 * x.mean(axis=1) for name, x in curves.items()}, "of all starts (%)", "h")
     right.set_ylim(0, 102)
     right.legend(loc="center right")
     _mark_phases(right, scenario, t)

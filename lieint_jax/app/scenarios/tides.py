@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +13,9 @@ from pydantic import Field
 
 from lieint_jax import potentials, schemes, systems, tides
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Common, NonNegative, NumberSpread, PositiveFloat, Published, Table
+from lieint_jax.app.scenarios._common import DAY, Common, NonNegative, NumberSpread, PositiveFloat, Published, Table
 from lieint_jax.app.scenarios._pictures import picture
-from lieint_jax.app.scenarios._runs import over_members, series
+from lieint_jax.app.scenarios._runs import over_members, standard_deviation
 from lieint_jax.app.scenarios._spread import draw_members, member_values, with_numbers
 from lieint_jax.types import State, Step, Trajectory
 
@@ -23,15 +23,15 @@ Pair = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
 Names = Annotated[list[str], Field(min_length=2, max_length=2)]
 NonNegativePair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 
-_DAY, _HOUR, _YEAR = 86400.0, 1 / 24, 365.25  # s; d; d
-_G = 6.6743e-20 * _DAY**2  # km³/(kg d²)
-_TERAWATT = 1e6 / _DAY**3 / 1e12  # of kg km²/d³
+_HOUR, _YEAR = 1 / 24, 365.25  # d
+_G = 6.6743e-20 * DAY**2  # km³/(kg d²)
+_TERAWATT = 1e6 / DAY**3 / 1e12  # of kg km²/d³
 _CONSTANT = 1e-3  # pictures show the change of what changes by less, relative to itself
 _SLIGHT = 1e-2  # relative change of the distance below which a mean rate is reported
 STEP_AXIS = 0  # every member has its own lags
 
 
-class Measured(Table):
+class PublishedValues(Table):
     """Published values to compare with."""
 
     recession_cm: Published | None = None
@@ -67,7 +67,7 @@ class Scenario(Common):
     """Sidereal, in hours, in the sense of the orbit."""
     spread: NumberSpread = NumberSpread()
     """Standard deviations of numbers by their paths, such as `love_numbers`."""
-    published: Measured | None = None
+    published: PublishedValues | None = None
 
     fixed: ClassVar[dict[str, str]] = Common.fixed | {"lag_spread": "it is a standard deviation itself"}
 
@@ -90,7 +90,7 @@ def build(scenario: Scenario) -> tuple[Step, State]:
 def _step(scenario: Scenario, factor: Array) -> Step:
     masses, radii = (jnp.asarray(x) for x in (scenario.masses_kg, scenario.radii_km))
     J = jnp.repeat((jnp.asarray(scenario.moment_factors) * masses * radii**2)[:, None], 3, axis=1)
-    lags = factor * jnp.asarray(scenario.lags_s) / _DAY
+    lags = factor * jnp.asarray(scenario.lags_s) / DAY
     law = tides.constant_lag(_G, masses, radii, jnp.asarray(scenario.love_numbers), lags)
     gravity = potentials.point_masses(_G, masses)
     return schemes.bodies_energy_momentum(systems.rigid_bodies(masses, J, gravity, law))
@@ -153,16 +153,11 @@ def double_synchronous(scenario: Scenario, L: float) -> tuple[float, float]:
     GM, mu, J = _G * m.sum(), m.prod() / m.sum(), (factors * m * R**2).sum()
     least = np.sqrt(3 * J / mu)
 
-    def momentum(a: float) -> float:
-        return mu * np.sqrt(GM * a) + J * np.sqrt(GM / a**3)
-
-    if momentum(least) > L:
+    if mu * np.sqrt(GM * least) + J * np.sqrt(GM / least**3) > L:
         return np.nan, np.nan
-    low, high = least, max((L / mu) ** 2 / GM, least)
-    for _ in range(200):
-        middle = (low + high) / 2
-        low, high = (middle, high) if momentum(middle) < L else (low, middle)
-    return low, 2 * np.pi * np.sqrt(low**3 / GM)
+    roots = np.roots([mu, -L / np.sqrt(GM), 0, 0, J])  # of the equation for √a, times a^(3/2)
+    a = float(roots.real.max() ** 2)
+    return a, 2 * np.pi * np.sqrt(a**3 / GM)
 
 
 def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
@@ -171,7 +166,7 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
     J = _moments(scenario)
     L = found.orbital + (J * found.spins).sum(axis=-1)
     P = np.asarray(run.state.p)[..., :3]
-    H = _energies(scenario, step, run) + found.lost
+    H = _energies(step, run) + found.lost
     sizes = {
         "energy H plus the energy lost": abs(H - H[0]).max() / abs(H[0]).max(),
         "linear momentum P, over that of a body": abs(P.sum(axis=2)).max() / abs(P).max(),
@@ -199,7 +194,10 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
         }
     several = len(power) > 1
     lines.append("\nnominal member" + (", and the standard deviation of all:" if several else ":"))
-    lines += [f"  {name:<54}{x[0]:>16.9g}" + (f" ± {x.std():.2g}" if several else "") for name, x in rows.items()]
+    lines += [
+        f"  {name:<54}{x[0]:>16.9g}" + (f" ± {standard_deviation(x):.2g}" if several else "")
+        for name, x in rows.items()
+    ]
     a, period = double_synchronous(scenario, float(L[0, 0]))
     lines.append(f"  {'closed form: both locked at (km)':<54}{a:>16.9g}")
     lines.append(f"  {'with the period (d)':<54}{period:>16.9g}")
@@ -209,17 +207,16 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
         if known is not None:
             error = f" ± {known.error:g}" if known.error else ""
             remark = f"; {known.remark}" if known.remark else ""
-            lines.append(f"  {f'published: {name}':<54}{known.value:>16.9g}{error} [{known.source}{remark}]")
+            lines.append(
+                f"  {f'published: {name}':<54}{known.value:>16.9g}{error} ({scenario.source(known.source)}{remark})"
+            )
     return "\n".join(lines)
 
 
-def _energies(scenario: Scenario, step: Step, run: Trajectory) -> np.ndarray:
+def _energies(step: Step, run: Trajectory) -> np.ndarray:
     """H of all members, (times, members)."""
     states = run.state._replace(t=None, work=None)
-    if scenario.own_numbers():
-        return over_members(lambda bodies, z: bodies.energy(z), step.system, run._replace(state=states))
-    bodies: Any = jax.tree.map(lambda x: x[0], step.system)  # members differ in numbers that do not enter H
-    return series(bodies.energy, run._replace(state=states))
+    return over_members(lambda bodies, z: bodies.energy(z), step.system, run._replace(state=states))
 
 
 def _moments(scenario: Scenario) -> np.ndarray:
@@ -249,7 +246,7 @@ def draw_course(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajector
     n = np.sqrt(_G * sum(scenario.masses_kg) / found.distance[:, 0] ** 3)
     spins = {f"rotation, {name}": found.spins[:, 0, k] for k, name in enumerate(scenario.names)}
     _draw_rates(axes[1], t, spins | {"orbit": n})
-    H = (_energies(scenario, step, run) + found.lost)[:, 0]
+    H = (_energies(step, run) + found.lost)[:, 0]
     curves = {"angular momentum L": L / L[0] - 1, "energy H plus the energy lost": H / H[0] - 1}
     plots.log_error(axes[2], t, curves, "relative change", scenario.time_unit)
     for ax, title in zip(axes, ("distance of the centers", "angular rates", "balances"), strict=True):

@@ -40,7 +40,7 @@ class Settling(Table):
     """The number of steps of the splitting, with dt."""
 
 
-class Measured(Table):
+class PublishedValues(Table):
     """Published values to compare with."""
 
     first_peak_nm: Published
@@ -62,7 +62,7 @@ class Scenario(Common):
     settling: Settling
     spread: NumberSpread = NumberSpread()
     """Standard deviations of how a droplet is made by their paths, such as `settling.temperature_kelvin`."""
-    published: Measured | None = None
+    published: PublishedValues | None = None
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:
@@ -75,12 +75,12 @@ class Scenario(Common):
         return "; ".join(filter(None, (made, super().assumption())))
 
 
-def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
+def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of droplets, once they have settled."""
     bodies = _bodies(scenario)
-    numbers = member_indices(scenario, numbers)
-    keys = random_bits.split_rows(jax.random.key(scenario.seed), scenario.members, numbers)
-    own = {path: values[numbers] for path, values in draw_members(scenario).items()}
+    indices = member_indices(scenario, indices)
+    keys = random_bits.split_rows(jax.random.key(scenario.seed), scenario.members, indices)
+    own = {path: values[indices] for path, values in draw_members(scenario).items()}
     member = jax.vmap(lambda key, own: _droplet(with_numbers(scenario, own), bodies, key))
     starts = jax.jit(member)(keys, own)
     return step_of(bodies, scenario.scheme, scenario.order), starts

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from lieint_jax import schemes
 from lieint_jax._integrate import Event, events
@@ -38,16 +37,11 @@ class Minima(NamedTuple):
     rise: np.ndarray
 
 
-def light(facets: Facets, sky: dict[str, float], q: Array, t: ArrayLike) -> Array:
-    """The magnitude at an attitude and a time."""
-    return magnitude(facets, q, *directions(sky, jnp.asarray(t)))
-
-
 def slope(body: RigidBody, facets: Facets, sky: dict[str, float], state: State) -> Array:
     """The time derivative of the magnitude along the motion."""
     t = jnp.asarray(state.t)
     moving = so3.tangent(state.q, body.angular_velocity(state)), jnp.ones_like(t)
-    return jax.jvp(lambda q, t: light(facets, sky, q, t), (state.q, t), moving)[1]
+    return jax.jvp(lambda q, t: magnitude(facets, q, *directions(sky, t)), (state.q, t), moving)[1]
 
 
 def minima(body: RigidBody, state: State, facets: Facets, sky: dict[str, float], until: float, count: int) -> Event:

@@ -114,11 +114,11 @@ def closed_form(scene: Scene, t: ArrayLike) -> tuple[Array, Array]:
 
 @jax.jit
 def _closed_form(facets: Facets, sky: dict[str, float], body: RigidBody, state: State, t: Array) -> tuple[Array, Array]:
-    def attitude_and_spin(t: Array) -> tuple[Array, Array]:
+    def attitude_and_light(t: Array) -> tuple[Array, Array]:
         q = body.solution(state, t).q
         return q, magnitude(facets, q, *directions(sky, t))
 
-    return jax.vmap(attitude_and_spin)(t)
+    return jax.vmap(attitude_and_light)(t)
 
 
 def observe(scene: Scene, sets: int = 1) -> tuple[Lightcurve, np.ndarray]:

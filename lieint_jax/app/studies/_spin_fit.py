@@ -13,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 
 from lieint_jax.app.studies._pulls import squared_distances
 from lieint_jax.app.studies._radar import errors, path, path_of_fits
-from lieint_jax.app.studies._tumbling import direction, mean_periods, model, rotate
+from lieint_jax.app.studies._tumbling import longitude_latitude, mean_periods, model, rotate
 from lieint_jax.fitting import (
     DEGREES_OF_FREEDOM,
     Fit,
@@ -82,7 +82,9 @@ def derived_quantities(params: dict[str, Array], begin: Array, at_epoch: Array) 
     """
     body, state = model(params, begin)
     euler = jnp.rad2deg(so3.to_euler_313(at_epoch[:4])) % 360
-    return jnp.concatenate([mean_periods(body, state), direction(state.p), params["inertia"], euler, at_epoch[4:]])
+    return jnp.concatenate(
+        [mean_periods(body, state), longitude_latitude(state.p), params["inertia"], euler, at_epoch[4:]]
+    )
 
 
 def estimates(params: dict[str, Array], data: dict[str, Array]) -> Estimate:

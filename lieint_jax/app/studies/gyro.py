@@ -23,7 +23,6 @@ from lieint_jax.app import plots
 from lieint_jax.app.studies._pulls import ELLIPSOID, squared_distances
 from lieint_jax.fitting import Fit, fit, free, inertia_ratios
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
 
 TRUTH = {
     "bias": jnp.array([0.02, -0.01, 0.015]),  # rad/s
@@ -73,8 +72,7 @@ def exact_rates(params: dict[str, Array]) -> Array:
     body = _body(params)
     start = body.state(angular_velocity=params["rate"])
     t = _EVERY * jnp.arange(1, _READINGS + 1)
-    states = jax.vmap(body.solution, (None, 0), State(0, None))(start, t)  # pyright: ignore[reportArgumentType]
-    return jax.vmap(body.angular_velocity, (State(0, None),))(states) + params["bias"]  # pyright: ignore[reportArgumentType]
+    return jax.vmap(lambda t: body.angular_velocity(body.solution(start, t)))(t) + params["bias"]
 
 
 def residuals(params: dict[str, Array], data: Array) -> tuple[Array, Array]:
