@@ -10,7 +10,7 @@
 | `top_energy_momentum` | tops, satellites: any potential | energy (less work), γ·π | 2 |
 | `splitting` | tops, satellites, gyrostats, groups with a potential, several bodies | form, momenta | 2 |
 | `gauss` | free and elastic bodies, gyrostats, tops, satellites, several bodies | form, momenta | 2s with s stages |
-| `extrapolate` | any system | nothing beyond its accuracy: for short, accurate runs | 4 to 20 |
+| `extrapolate` | any system | nothing exactly: for short, accurate runs | 4 to 20 |
 | `log_hamiltonian` | tops | form; variable step size | 2 |
 | `reversible_control` | any step | what that step conserves, except the form; variable step size | 2 |
 | `bodies_energy_momentum` | several bodies, with tides too | energy (less work), both momenta | 2 |
@@ -23,7 +23,7 @@
 | `group_midpoint` | geodesics of any matrix group | energy, momentum; the form where the map is symplectic | 2 |
 | `group_energy_momentum` | any matrix group with a potential | energy, momentum | 2 |
 | `so3_alpha`, `group_alpha` | the paper's families, for study | momentum; energy: see there | 2 for α = ½, else 1 |
-| `compose` | any symmetric step | what that step conserves | 4 to 10 |
+| `compose` | any symmetric step of order 2 | what that step conserves | 4 to 10 |
 
 A scheme raises ValueError for a system whose equations it does not integrate. `lieint check SYSTEM` measures what each
 conserves; `catalogue()` lists what they declare, with their names in the literature and sources.

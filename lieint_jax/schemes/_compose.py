@@ -159,7 +159,7 @@ def compose(step: Step, order: int, method: str | None = None) -> Composition:
 
 PROPERTIES = SchemeProperties(
     name="compose",
-    systems="any symmetric step",
+    systems="any symmetric step of order 2",
     conserves=("what the step conserves",),
     order=4,
     symmetric=True,
