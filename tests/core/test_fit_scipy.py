@@ -91,7 +91,8 @@ def top(params):
 
 def orbit(params):
     """50 positions on 1.6 revolutions of a Kepler orbit."""
-    path = li.orbits.kepler(1.0, *(params[k] for k in ("a", "e", "i", "node", "periapsis", "time")))
+    angles = {"node": params["node"], "periapsis": params["periapsis"]}
+    path = li.orbits.kepler(1.0, params["a"], params["e"], params["i"], **angles, periapsis_time=params["time"])
     return jax.vmap(lambda t: path(t)[0])(jnp.linspace(0.0, 10.0, 50)), True
 
 
