@@ -132,7 +132,7 @@ def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Ar
         moments, turns = _ascending_moments(scale * inertia)
         e = _permute(e, turns, 1)
     else:
-        moments, V = _eigh(scale * inertia)
+        moments, V = principal_axes(scale * inertia)
         e = tuple(dot(V[:, k], e) for k in range(3))
     s, d, on_branch = _ascending_clock(moments, e, where(still, 1e-3, G * t))
     return where(still, 1, s), where(still, 0, scale * d), still | on_branch
@@ -166,7 +166,7 @@ def periods(inertia: Inertia, Pi: Vector3) -> Periods:
         moments, turns = _ascending_moments(inertia)
         x, y, z = _permute(vec3.components(Pi), turns, 1)
     else:
-        moments, V = _eigh(inertia)
+        moments, V = principal_axes(inertia)
         x, y, z = (dot(V[:, k], Pi) for k in range(3))
     A, B, C = moments
     above = x * x * (C / A - 1) + y * y * (C / B - 1)  # 2HC − L²
@@ -237,11 +237,6 @@ def _less_third(m1: Array, nu: Array, K: Array) -> Array:
     return where(far, 1 - jnp.pi / (2 * K * jnp.sqrt(1 + nu)), part)
 
 
-def principal_axes(inertia: Array) -> tuple[Array, Array]:
-    """The moments of a tensor (3, 3) in ascending order, and their axes as columns."""
-    return _eigh(inertia)
-
-
 def _units(inertia: Inertia, Pi: Vector3) -> tuple[Array, Array, Vector, Array]:
     """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
     scale = 1 / vec3.trace(vec3.symmetric(inertia))
@@ -258,7 +253,7 @@ def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accurac
         moments, turns = _ascending_moments(inertia)
         w, v, accuracy = _ascending_increment(moments, _permute(e, turns, 1), tau)
         return (w, *_permute(v, turns, -1)), accuracy
-    moments, V = _eigh(inertia)
+    moments, V = principal_axes(inertia)
     a, b = (vec3.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
     a = _unit(a)
     overlap = dot(a, b)
@@ -296,14 +291,16 @@ def _unit(v: Vector) -> Vector:
 
 
 @jax.custom_jvp
-def _eigh(J: Array) -> tuple[Array, Array]:
-    """Moments in ascending order, and eigenvectors as columns."""
-    return tuple(jnp.linalg.eigh(J))
+def principal_axes(inertia: Array) -> tuple[Array, Array]:
+    """The moments of a tensor (3, 3) in ascending order, and their axes as columns."""
+    return tuple(jnp.linalg.eigh(inertia))
 
 
-@_eigh.defjvp
-def _eigh_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    w, V = _eigh(*primals)
+@principal_axes.defjvp
+def _principal_axes_jvp(
+    primals: tuple[Array], tangents: tuple[Array]
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    w, V = principal_axes(*primals)
     M = V.T @ tangents[0] @ V
     M = (M + M.T) / 2
     gap = w[None, :] - w[:, None]

@@ -13,8 +13,30 @@ from lieint_jax.types import Group, State, pytree, static
 from lieint_jax.types.shapes import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
 
 
+class _ByPerturbation:
+    """A phase space in which a displacement is the δ of `perturb`."""
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement."""
+        return self.perturb(start, displacement)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class _ByEntries:
+    """A phase space in which a displacement is the differences of all entries of q and p."""
+
+    def displacement(self, start: State, end: State) -> Array:
+        """The differences of all entries, shape (n,)."""
+        return jnp.concatenate([(end.q - start.q).ravel(), (end.p - start.p).ravel()])
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement."""
+        n = start.q.size
+        q = start.q + displacement[:n].reshape(start.q.shape)
+        return start._replace(q=q, p=start.p + displacement[n:].reshape(start.p.shape))
+
+
 @pytree
-class CotangentGroup:
+class CotangentGroup(_ByPerturbation):
     """T*G in the spatial (right) trivialization: a state is (q, π), a tangent vector (δθ, δπ) ∈ 𝔤 × 𝔤*.
 
     δq = δθ q, so on SO(3) δΛ = δθ̂Λ as in (2.8); δπ is the plain variation of the spatial momentum.
@@ -44,10 +66,6 @@ class CotangentGroup:
         turn = self.group.log(self.group.multiply(end.q, self.group.inverse(start.q)))
         return jnp.concatenate([turn, end.p - start.p])
 
-    def displaced(self, start: State, displacement: Array) -> State:
-        """The end of a displacement."""
-        return self.perturb(start, displacement)
-
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (2d,), of a tangent vector given in the coordinates of `State`."""
         return jnp.concatenate([self.group.spatial_velocity(state.q, tangent.q), tangent.p])
@@ -65,7 +83,7 @@ class CotangentGroup:
 
 
 @pytree
-class EmbeddedRotations:
+class EmbeddedRotations(_ByEntries):
     """L(3) × ℝ³ around T*SO(3): a state is (Λ, π), Λ of shape (3, 3); a tangent vector is (δθ, δπ) as on T*SO(3).
 
     L(3) × ℝ³ has no symplectic form. So tangent vectors are projected to those of T*SO(3), and the form is (2.9). What
@@ -88,14 +106,6 @@ class EmbeddedRotations:
         turned = jax.vmap(lambda column: so3.Ad(turn, column), 1, 1)(state.q)
         return state._replace(q=turned, p=state.p + delta[3:])
 
-    def displacement(self, start: State, end: State) -> Array:
-        """The differences of all entries, shape (n,)."""
-        return _entries(end) - _entries(start)
-
-    def displaced(self, start: State, displacement: Array) -> State:
-        """The end of a displacement."""
-        return _add_entries(start, displacement)
-
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], without the other components of δΛ."""
         velocity = [vec3.solve(vec3.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
@@ -113,7 +123,7 @@ class EmbeddedRotations:
 
 
 @pytree
-class CotangentMatrices:
+class CotangentMatrices(_ByEntries):
     """T*GL⁺(3) = GL⁺(3) × L(3), canonical: a state is (F, P), a tangent vector (δF, δP), row by row (6.1)."""
 
     @property
@@ -130,14 +140,6 @@ class CotangentMatrices:
         """(F + δF, P + δP) for δ = (δF, δP), shape (18,)."""
         return state._replace(q=state.q + delta[:9].reshape(3, 3), p=state.p + delta[9:].reshape(3, 3))
 
-    def displacement(self, start: State, end: State) -> Array:
-        """The differences of all entries, shape (n,)."""
-        return _entries(end) - _entries(start)
-
-    def displaced(self, start: State, displacement: Array) -> State:
-        """The end of a displacement."""
-        return _add_entries(start, displacement)
-
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δF, δP), shape (18,)."""
         return jnp.concatenate([tangent.q.ravel(), tangent.p.ravel()])
@@ -153,7 +155,7 @@ class CotangentMatrices:
 
 
 @pytree
-class CotangentUnimodular:
+class CotangentUnimodular(_ByPerturbation):
     """T*SL(3) as pairs (F, P) with det F = 1 and tr(PE⁻¹F⁻¹) = 0, the velocities PE⁻¹ being those of constant volume.
 
     Its coordinates are those of `CotangentGroup(SL(3))`: δF = δθ̂F, and δπ of π_i = ⟨P, e_i F⟩ for a basis e_i of
@@ -200,10 +202,6 @@ class CotangentUnimodular:
         turn = self.group.log(self.group.multiply(end.q, self.group.inverse(start.q)))
         return jnp.concatenate([turn, self.spatial_momentum(end) - self.spatial_momentum(start)])
 
-    def displaced(self, start: State, displacement: Array) -> State:
-        """The end of a displacement."""
-        return self.perturb(start, displacement)
-
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (16,), of a tangent vector (δF, δP)."""
         change = jnp.tensordot(self._basis(state), tangent.p @ state.q.T + state.p @ tangent.q.T, 2)
@@ -222,7 +220,7 @@ class CotangentUnimodular:
 
 
 @pytree
-class CotangentMotions:
+class CotangentMotions(_ByPerturbation):
     """(T*ℝ³ × T*SO(3))ᴺ, the phase space of N rigid bodies: q (N, 7), position and quaternion, and p (N, 6).
 
     Tangent vectors are (δx, δθ) of every body, then (δp, δπ) of every body, with δq = δθ q as on T*SO(3).
@@ -257,10 +255,6 @@ class CotangentMotions:
         turn = jax.vmap(lambda a, b: so3.log(so3.multiply(b, so3.inverse(a))))(start.q[:, 3:], end.q[:, 3:])
         along_q = _join_bodies(end.q[:, :3] - start.q[:, :3], turn)
         return jnp.concatenate([along_q.ravel(), (end.p - start.p).ravel()])
-
-    def displaced(self, start: State, displacement: Array) -> State:
-        """The end of a displacement."""
-        return self.perturb(start, displacement)
 
     def units(self, state: State) -> tuple[Array, Array]:
         """The units in which differences are measured, from a state: of δx and δθ, and of δp and δπ, (6N,) each."""
@@ -300,7 +294,7 @@ def _or_one(x: Array) -> Array:
 
 
 @pytree
-class CotangentSphere:
+class CotangentSphere(_ByEntries):
     """T*S²: a state is (q, π) with |q| = 1 and q·π = 0 (1.3), π = m q × q̇; a tangent vector has four coordinates.
 
     The coordinates refer to an orthonormal, right-handed frame e₁, e₂, q: δq = a₁e₁ + a₂e₂ and
@@ -323,13 +317,9 @@ class CotangentSphere:
         turn = so3.exp(delta[0] * e2 - delta[1] * e1)
         return state._replace(q=so3.Ad(turn, state.q), p=so3.Ad(turn, state.p + delta[2] * e1 + delta[3] * e2))
 
-    def displacement(self, start: State, end: State) -> Array:
-        """The differences of all components, shape (6,)."""
-        return _entries(end) - _entries(start)
-
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement, projected on T*S²."""
-        end = _add_entries(start, displacement)
+        end = super().displaced(start, displacement)
         q = end.q / jnp.sqrt(vec3.dot(end.q, end.q))
         return end._replace(q=q, p=end.p - vec3.dot(q, end.p) * q)
 
@@ -386,17 +376,6 @@ class SphericalChart:
         out, along = jnp.cos(phi) * e1 + jnp.sin(phi) * e2, jnp.cos(phi) * e2 - jnp.sin(phi) * e1
         c, s = jnp.cos(theta), jnp.sin(theta)
         return c * self.axis + s * out, c * out - s * self.axis, along
-
-
-def _entries(state: State) -> Array:
-    return jnp.concatenate([state.q.ravel(), state.p.ravel()])
-
-
-def _add_entries(state: State, entries: Array) -> State:
-    n = state.q.size
-    return state._replace(
-        q=state.q + entries[:n].reshape(state.q.shape), p=state.p + entries[n:].reshape(state.p.shape)
-    )
 
 
 def frame(q: Vector3) -> tuple[Vector3, Vector3]:

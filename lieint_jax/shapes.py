@@ -196,9 +196,7 @@ def sites(masses: ArrayLike, points: ArrayLike) -> Shape:
     if m.ndim != 1 or not m.size:
         raise ValueError(f"masses must have shape (n,), got {m.shape}")
     at = _checks.real_array("points", points, (m.size, 3))
-    mass = jnp.sum(m)
-    if concrete(mass) and not float(mass) > 0:
-        raise ValueError(f"the total mass must be positive, got {float(mass)}")
+    mass = _checks.positive("the total mass", jnp.sum(m))
     center = jnp.sum(m[:, None] * at, axis=0) / mass
     r = at - center
     pairs = (r[:, :, None] * r[:, None, :]).reshape(-1, 9)

@@ -74,10 +74,6 @@ class TidalPotential(Potential):
 
     coefficients: Array
 
-    def __call__(self, x: Array, R: Array) -> Array:
-        """V."""
-        return self.value(self.invariants(x, R))
-
     @property
     def count(self) -> int:
         """N, of N(N − 1)/2 pairs."""

@@ -27,6 +27,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.typing import DTypeLike
 
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics import vec3
@@ -36,8 +37,36 @@ from lieint_jax.types.shapes import PyTree
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
 _FEW = 4  # corrections of which every solve that comes to round-off is steady
 _CHORD = 0.25  # the ratio of the lengths of two such corrections that the theorem for them grants
+_STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _Unknown = TypeVar("_Unknown")  # an array, or a tuple or list of its components
 _Report = TypeVar("_Report")
+
+
+def iterate_until_stalled(
+    improve: Callable[[_Unknown], tuple[_Unknown, Array]], x: _Unknown, dtype: DTypeLike, most: int, enough: float
+) -> tuple[_Unknown, Array]:
+    """Iterations until x no longer changes, at most `most`, and the last relative change.
+
+    Args:
+        improve: x ↦ the next x, and its relative change.
+        x: the first iterate.
+        dtype: that of the changes.
+        most: the most iterations.
+        enough: the change, in eps, at which they end; below 2¹⁶ eps they also end when it no longer falls.
+    """
+    eps = float(jnp.finfo(dtype).eps)
+
+    def is_unfinished(carry: tuple[_Unknown, Array, Array, Array]) -> Array:
+        _, change, before, n = carry
+        return (n < most) & (change > enough * eps) & ((change > _STALLED * eps) | (change < before))
+
+    def iterate(carry: tuple[_Unknown, Array, Array, Array]) -> tuple[_Unknown, Array, Array, Array]:
+        x, before, _, n = carry
+        x, change = improve(x)
+        return x, change, before, n + 1
+
+    far = jnp.full((), jnp.finfo(dtype).max, dtype)
+    return lax.while_loop(is_unfinished, iterate, (x, far / 2, far, jnp.zeros((), int)))[:2]
 
 
 def implicit_root(

@@ -18,12 +18,10 @@ from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import fitted_order, reversibility_of_run
 from lieint_jax.diagnostics._series import constraint_error, energy_error, momentum_error
-from lieint_jax.diagnostics._symplectic import defect_matrix
+from lieint_jax.diagnostics._symplectic import dimensionless_defect
 from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
-from lieint_jax.diagnostics.tangent import units
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, start_time
-from lieint_jax.types.shapes import Scalar
 
 _SPAN = 8  # the number of steps of size dt over which the order is measured
 
@@ -135,7 +133,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
     run = _measure.run(step, state, h, num_steps, most)
     seen = jax.device_get(_measure_invariants(step.system, run))
     form = _on_arrays(step)
-    coarse, fine = (float(_form_defect(form, state, x)) for x in (h, _checks.as_array(np.asarray(h) / 2)))
+    coarse, fine = (float(dimensionless_defect(form, state, x)) for x in (h, _checks.as_array(np.asarray(h) / 2)))
     floor = 32 * float(jnp.finfo(h.dtype).eps) * max(1, step.system.phase_space.dim / 6)
     power = math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf
     rounding = power < 1 and coarse < 10 * floor  # which does not fall with dt
@@ -218,14 +216,6 @@ def _on_arrays(step: Step) -> Step:
 
 def _fields(step: object) -> set[str]:
     return {field.name for field in dataclasses.fields(step)} if dataclasses.is_dataclass(step) else set()
-
-
-@partial(compiled, once=True)
-def _form_defect(step: Step, state: State, dt: Array) -> Scalar:
-    """The symplectic defect with δq and δp in units of the state, such as max|π|, so that it is dimensionless."""
-    of_q, of_p = units(step.system.phase_space, state)
-    unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))
-    return jnp.max(jnp.abs(unit[:, None] * defect_matrix(step, state, dt) * unit))
 
 
 def _clock_error(states: State, dt: float) -> float:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax.numpy as jnp
+from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax.diagnostics.tangent import value_and_jacobian
+from lieint_jax._xla import compiled
+from lieint_jax.diagnostics.tangent import units, value_and_jacobian
 from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PhaseMatrix, Scalar
 
@@ -33,6 +37,14 @@ def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Scalar:
         A scalar in the units of the state: the (δθ, δθ) block is a momentum, the (δθ, δπ) blocks are numbers.
     """
     return jnp.max(jnp.abs(defect_matrix(step, state, dt)))
+
+
+@partial(compiled, once=True)
+def dimensionless_defect(step: Step, state: State, dt: Array) -> Scalar:
+    """The symplectic defect with δq and δp in units of the state, such as max|π|."""
+    of_q, of_p = units(step.system.phase_space, state)
+    unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))
+    return jnp.max(jnp.abs(unit[:, None] * defect_matrix(step, state, dt) * unit))
 
 
 def defect_matrix(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:

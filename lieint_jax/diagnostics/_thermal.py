@@ -15,8 +15,7 @@ from lieint_jax import _checks
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import reversibility_of_run
-from lieint_jax.diagnostics._symplectic import defect_matrix
-from lieint_jax.diagnostics.tangent import units
+from lieint_jax.diagnostics._symplectic import dimensionless_defect
 from lieint_jax.types import State, Step, Trajectory
 
 _BLOCKS = 20  # of a run, for the standard error of a mean
@@ -95,7 +94,7 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
     eps = float(jnp.finfo(h.dtype).eps)
     exact = sizes[0] <= 64 * eps * (abs(float(less[0])) + kT) or sizes[1] == 0
     slope, slope_error = _slope(less, float(dt))
-    form, back = float(_form_defect(quiet, state, h)), float(reversibility_of_run(quiet, state, h, 1))
+    form, back = float(dimensionless_defect(quiet, state, h)), float(reversibility_of_run(quiet, state, h, 1))
     floor = 32 * eps * step.system.phase_space.dim
     accepted = not step.metropolis or (form <= floor and back <= floor)
     rejected = _extra_series(run, "rejections") if step.metropolis else np.zeros(1)
@@ -135,13 +134,6 @@ def _energies(system: Any, states: State) -> Array:
 def _largest_change(step: Step, states: State, h: Array) -> Array:
     """max|ΔH| in a step, from each of these states."""
     return jnp.max(jnp.abs(jax.vmap(lambda z: step.system.energy(step(z, h)[0]) - step.system.energy(z))(states)))
-
-
-@partial(compiled, once=True)
-def _form_defect(step: Step, state: State, h: Array) -> Array:
-    of_q, of_p = units(step.system.phase_space, state)
-    unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))
-    return jnp.max(jnp.abs(unit[:, None] * defect_matrix(step, state, h) * unit))
 
 
 def _slope(x: np.ndarray, dt: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +24,7 @@ import numpy as np
 
 from lieint_jax.ensemble import _integrity
 from lieint_jax.ensemble._integrity import CHECKPOINT, CHECKSUMS, Table
-from lieint_jax.ensemble._storage import Address, lock_folder, open_storage, sync
+from lieint_jax.ensemble._storage import Address, Disk, lock_folder, open_storage, sync
 from lieint_jax.types import State, StepInfo, Trajectory
 
 FORMAT = 3  # the format number of new stores; version 0.2 wrote 2
@@ -496,25 +496,9 @@ def _write_root(path: Path, root: Table, metas: Mapping[str, Table]) -> None:
             shown[name] = metas[name]
     root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
     root["attributes"] = attributes | {"checksum": _integrity.checksum(root)}
-    file = path / f"{ROOT}.partial"
-    with file.open("w", encoding="utf-8") as f:
-        f.write(json.dumps(root, indent=1))
-        f.flush()
-        os.fsync(f.fileno())
-    file.rename(path / ROOT)
-    sync(path)
+    Disk(path).put(ROOT, json.dumps(root, indent=1).encode())
 
 
 def _results(metas: Mapping[str, Table]) -> list[str]:
     """The arrays of a store for readers: all but the checkpoint and the checksums."""
     return [name for name in metas if name != CHECKSUMS and not name.startswith(f"{CHECKPOINT}/")]
-
-
-@contextlib.contextmanager
-def open_writer(path: Path, leader: bool) -> Iterator[Writer]:
-    """A `Writer` of the store at `path`, closed at the end."""
-    writer = Writer(path, leader)
-    try:
-        yield writer
-    finally:
-        writer.close()

@@ -99,9 +99,7 @@ def casimirs(mu: Vector3) -> MomentumMap:
 
 def hat(xi: Vector3) -> Matrix3:
     """ξ̂, the skew matrix with ξ̂ h = ξ × h (2.1)."""
-    x, y, z = vec3.components(xi)
-    o = jnp.zeros_like(x)
-    return jnp.stack([jnp.stack(row) for row in ((o, -z, y), (z, o, -x), (-y, x, o))])
+    return jnp.stack([jnp.stack(row) for row in vec3.hat(vec3.components(xi))])
 
 
 def vee(M: Matrix3) -> Vector3:

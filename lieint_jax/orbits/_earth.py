@@ -224,9 +224,7 @@ def atmosphere(
     """
     R = positive("radius", radius)
     above_ground(orbit, R)
-    h0 = _checks.real_array("height", height, ())
-    if concrete(h0) and float(h0) < 0:
-        raise ValueError(f"height must not be negative, got {float(h0)}")
+    h0 = _checks.not_negative("height", height)
     return Air(
         callable_pytree(orbit),
         positive("density", density),

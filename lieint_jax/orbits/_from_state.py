@@ -81,10 +81,7 @@ class KeplerFromState:
             return self._on_ellipse(t) if float(alpha) > 0 else self._on_hyperbola(t)
         return lax.cond(alpha > 0, self._on_ellipse, self._on_hyperbola, jnp.asarray(t))
 
-    def acceleration(self, position: Array) -> Array:
-        """−μr/|r|³ at a position, (3,)."""
-        square = dot(position, position)
-        return position * (-self.mu / (square * jnp.sqrt(square)))
+    acceleration = Kepler.acceleration
 
     @property
     def _inverse_axis(self) -> Array:

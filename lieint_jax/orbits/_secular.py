@@ -106,9 +106,7 @@ def secular_j2(
     )
     if concrete(orbit) and not float(orbit.eccentricity) < 1:
         raise ValueError(f"secular rates are those of an ellipse, got eccentricity = {float(orbit.eccentricity):g}")
-    R, j2 = _checks.real_array("radius", radius, ()), _checks.real_array("J2", J2, ())
-    if concrete(R) and not float(R) > 0:
-        raise ValueError(f"radius must be positive, got {float(R)}")
+    R, j2 = _checks.positive("radius", radius), _checks.real_array("J2", J2, ())
     if concrete(orbit, R):
         lowest = float(orbit.semi_major_axis * (1 - orbit.eccentricity))
         if lowest < float(R):

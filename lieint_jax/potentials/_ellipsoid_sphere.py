@@ -39,9 +39,6 @@ class EllipsoidSphere(Potential):
     def count(self) -> int:
         return 2
 
-    def __call__(self, x: Positions, R: Rotations) -> Scalar:
-        return self.value(self.invariants(x, R))
-
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """Γ, the position of the sphere in the axes of the ellipsoid, (3,)."""
         return jnp.sum(R[0] * (x[1] - x[0])[:, None], axis=0)

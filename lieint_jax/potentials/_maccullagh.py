@@ -33,9 +33,6 @@ class MacCullagh(Potential):
     def count(self) -> int:
         return self.masses.shape[0]
 
-    def __call__(self, x: Positions, R: Rotations) -> Scalar:
-        return self.value(self.invariants(x, R))
-
     def force(self, x: Positions, R: Rotations) -> PoseMomenta:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as autodiff of V."""
         (i, j), m, trace = self._pairs, self.masses, self._traces

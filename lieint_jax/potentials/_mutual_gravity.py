@@ -52,9 +52,6 @@ class MutualGravity(Potential):
     def count(self) -> int:
         return self.masses.shape[0]
 
-    def __call__(self, x: Array, R: Array) -> Array:
-        return self.value(self.invariants(x, R))
-
     def invariants(self, x: Array, R: Array) -> Array:
         """r², Γ_i and Γ_j of each of k pairs, (7k,); to order 4 also C, (16k,)."""
         i, j = self._pairs

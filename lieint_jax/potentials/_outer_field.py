@@ -43,9 +43,6 @@ class UniformField(Potential):
         along = jnp.outer(self.field, self.field) / jnp.sum(self.field**2)
         return jax.scipy.linalg.block_diag(jnp.eye(3) - along, along)
 
-    def __call__(self, x: Positions, R: Rotations) -> Scalar:
-        return self.value(self.invariants(x, R))
-
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """g·(w_i x_i + Λ_i d_i), (N,)."""
         moments = self.weights[:, None] * x + jnp.sum(R * self.moments[:, None, :], axis=2)

@@ -23,12 +23,12 @@ class Potential:
     few bodies with unit quaternions q in unrolled scalars, with torques in body axes (see `MacCullagh`).
 
     It may define `invariants(x, R)`, functions quadratic in (x, R), (k,), or a tuple of such arrays, with V as their
-    function `value`, and `discrete_gradient(I0, I1)`. By these the energy–momentum scheme conserves energy, and those
-    components of P and L that generate symmetries of the invariants.
+    function `value`, in place of `__call__`, and `discrete_gradient(I0, I1)`. By these the energy–momentum scheme
+    conserves energy, and those components of P and L that generate symmetries of the invariants.
     """
 
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
-        raise NotImplementedError
+        return self.value(self.invariants(x, R))  # pyright: ignore[reportAttributeAccessIssue]
 
     @property
     def count(self) -> int | None:

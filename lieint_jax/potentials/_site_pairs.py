@@ -45,9 +45,6 @@ class _SitePairs(Potential):
     def count(self) -> int:
         return sum(map(len, self.groups))
 
-    def __call__(self, x: Positions, R: Rotations) -> Scalar:
-        return self.value(self.invariants(x, R))
-
     def invariants(self, x: Positions, R: Rotations) -> tuple[Array, ...]:
         """The squared distances u of every block of pairs; 1 within a body."""
         at = [site_positions(s, bodies, x, R) for s, bodies in zip(self.points, self.groups, strict=True)]

@@ -32,9 +32,6 @@ class Springs(Potential):
     lengths: Array
     bodies: tuple[tuple[int, int], ...] = static()
 
-    def __call__(self, x: Positions, R: Rotations) -> Scalar:
-        return self.value(self.invariants(x, R))
-
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """The squared length of each spring, (k,)."""
         if max(map(max, self.bodies)) >= x.shape[0]:

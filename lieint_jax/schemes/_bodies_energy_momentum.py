@@ -47,7 +47,6 @@ from lieint_jax.types import (
     static,
 )
 
-_STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 
 
@@ -231,22 +230,14 @@ def _iterations_at_precision(iterations: int, dtype: DTypeLike) -> int:
 def _solve(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
     """The ends of a step, and the last relative change of an iteration."""
     guess = equation.guess()
-    eps = float(jnp.finfo(guess.move.dtype).eps)
 
     def solve(residual: Callable[[_Ends], _Ends], start: _Ends) -> tuple[_Ends, Array]:
-        def is_unfinished(carry: tuple[_Ends, Array, Array, Array]) -> Array:
-            _, change, before, k = carry
-            return (k < iterations) & (change > 2 * eps) & ((change > _STALLED * eps) | (change < before))
-
-        def improve(carry: tuple[_Ends, Array, Array, Array]) -> tuple[_Ends, Array, Array, Array]:
-            ends, change, _, k = carry
+        def improve(ends: _Ends) -> tuple[_Ends, Array]:
             F, K = equation.linearized(ends)
             step = _correction(K, F)
-            return _Ends(ends.move - step.move, ends.turn - step.turn), _relative(step, ends), change, k + 1
+            return _Ends(ends.move - step.move, ends.turn - step.turn), _relative(step, ends)
 
-        far = jnp.full_like(guess.move[0, 0], jnp.finfo(guess.move.dtype).max)
-        ends, change, _, _ = lax.while_loop(is_unfinished, improve, (start, far / 2, far, jnp.zeros((), int)))
-        return ends, change
+        return newton.iterate_until_stalled(improve, start, guess.move.dtype, iterations, 2)
 
     def tangent_solve(linear: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
         K = lax.stop_gradient(equation.linearized(guess)[1])  # near that of the ends, which are not known here

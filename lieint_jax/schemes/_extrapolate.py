@@ -40,7 +40,6 @@ from lieint_jax.types import (
 )
 from lieint_jax.types.shapes import PyTree
 
-# the first that supports a system
 _CHARTS = {
     "one body": BODY_AXES,
     "several bodies": SEVERAL_BODIES,
@@ -130,13 +129,9 @@ def _extrapolation(
     of = np.repeat(np.arange(len(numbers)), np.array(numbers) - 1)
     last = np.append(np.diff(of) > 0, True)
     later = jax.tree.map(lambda x: x[1:], moments)
+    zero = jax.tree.map(jnp.zeros_like, origin)
     rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), later, [x[of] for x in w])
-    return scan_stages(step_once, (origin, first(h[0]), _zero_sums(origin)), rows, store=False)[2]
-
-
-def _zero_sums(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:
-    zero = jax.tree.map(jnp.zeros_like, like)
-    return zero, zero
+    return scan_stages(step_once, (origin, first(h[0]), (zero, zero)), rows, store=False)[2]
 
 
 def _accumulate(

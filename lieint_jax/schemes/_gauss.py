@@ -42,7 +42,6 @@ from lieint_jax.types import (
 
 _MOST = 100  # sweeps
 _NODES = 4  # of the guess of a step with more, and its sweeps: each gains an order
-_STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
 _KINDS = (
@@ -240,26 +239,14 @@ def _solve(equation: _Equation, sweeps: int | None) -> tuple[Coordinates, Array]
     return newton.implicit_root(equation.residual, guess, solve, tangent_solve)
 
 
-_Carry = tuple[Coordinates, Array, Array, Array]  # k, its last change, the one before, the number of sweeps
-
-
 def _iterate(equation: _Equation, k: Coordinates) -> tuple[Coordinates, Array]:
     """The k_i after sweeps until they no longer change."""
-    eps = float(jnp.finfo(equation.dt.dtype).eps)
 
-    def is_unfinished(carry: _Carry) -> Array:
-        _, change, before, n = carry
-        falls = (change > _STALLED * eps) | (change < before)
-        return (n < _MOST) & (change > 4 * eps) & falls
-
-    def improve(carry: _Carry) -> _Carry:
-        k, change, _, n = carry
+    def improve(k: Coordinates) -> tuple[Coordinates, Array]:
         new = equation.sweep(k)
-        return new, equation.change(new, k), change, n + 1
+        return new, equation.change(new, k)
 
-    far = jnp.full((), jnp.finfo(equation.dt.dtype).max, equation.dt.dtype)
-    begin = (k, far / 2, far, jnp.zeros((), int))
-    return lax.while_loop(is_unfinished, improve, begin)[:2]
+    return newton.iterate_until_stalled(improve, k, equation.dt.dtype, _MOST, 4)
 
 
 PROPERTIES = SchemeProperties(

@@ -165,7 +165,7 @@ def _solve(kappa: Kappa, alpha: Array, J: Symmetric, a: Vector, iterations: int)
 
     def matrix(y: Vector) -> vec3.Matrix:
         """J + κ(b(ŷJ − (Jy)^) − c â) + 8κ′(y × w)⊗y."""
-        bent = vec3.combine(vec3.scale_matrix(b, gyroscopic(J, y)), _hat(a), -c)
+        bent = vec3.combine(vec3.scale_matrix(b, gyroscopic(J, y)), vec3.hat(a), -c)
         if kappa.constant:
             return vec3.combine(dense(J), bent)
         k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
@@ -198,8 +198,3 @@ def _digits_left(state: State) -> Array:
     cofactors = jnp.stack([jnp.stack(cross(q[i], q[(i + 1) % 3])) for i in range(3)])
     condition = jnp.max(jnp.abs(cofactors)) * jnp.max(jnp.abs(q)) / jnp.abs(vec3.det(q))
     return eps * condition <= attitude_error_limit(q.dtype)
-
-
-def _hat(v: Vector) -> vec3.Matrix:
-    zero = jnp.zeros_like(v[0])
-    return ((zero, -v[2], v[1]), (v[2], zero, -v[0]), (-v[1], v[0], zero))

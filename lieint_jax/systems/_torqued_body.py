@@ -19,7 +19,7 @@ from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.older_laws import MEMBERS, OlderLaw
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, clock, instant, pytree
-from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Time, Vector3
+from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 _WORKS = "works"
 
@@ -148,15 +148,10 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
             if law.key is not None:
                 rates[law.key] = rate
             impulse = impulse + (torque if law.frame == "space" else so3.Ad(state.q, torque))
-            at, tangents = (t, state.q, inner), (jnp.ones_like(t), q_dot, rate)
-            gain = jax.jvp(law.energy, at, tangents)[1] if law.key is not None else _gain(law, t, state.q, q_dot)
+            own = None if law.key is None else inner  # a law that reads another's state has none of its own
+            gain = jax.jvp(law.energy, (t, state.q, own), (jnp.ones_like(t), q_dot, rate))[1]
             powers.append(dot(omega if law.frame == "space" else Omega, torque) + gain)
         return impulse, rates, jnp.stack(powers)
-
-
-def _gain(law: Law, t: Time, q: Quaternion, q_dot: Quaternion) -> Array:
-    """The rate of the energy of a law without an internal state."""
-    return jax.jvp(lambda t, q: law.energy(t, q, None), (t, q), (jnp.ones_like(t), q_dot))[1]
 
 
 @compiled

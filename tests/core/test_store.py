@@ -507,7 +507,8 @@ def test_an_error_of_one_process_ends_all(monkeypatch):
 
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     run(tmp_path / "run.zarr")
-    with _store.open_writer(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
+    writer = contextlib.closing(_store.Writer(tmp_path / "run.zarr", True))
+    with writer, pytest.raises(ValueError, match="another run is writing"):
         run(tmp_path / "run.zarr", resume=True)
 
 

@@ -59,8 +59,8 @@ def advance_body(state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
     """The state whose unknowns are z, after their increments. π gets its own increment, for the last digits."""
     dq = _to_unit(z.q, delta.q)
     (w, *u), (dw, *du) = z.q, dq
-    across = _across(add(u, du), du, add(z.Pi, delta.Pi))
-    end, part = across[:3], across[3:]
+    Pi = add(z.Pi, delta.Pi)
+    end, part = cross(add(u, du), Pi), cross(du, Pi)
     half = add(add(scale(dw, end), scale(w, part)), add(cross(du, end), cross(u, part)))
     turn = scale(2, half)  # by q + dq less by q
     p = state.p + jnp.stack(add(so3.Ad(state.q, jnp.stack(delta.Pi)), turn))
@@ -79,10 +79,6 @@ def _length_correction(q: tuple[Array, ...], dq: tuple[Array, ...]) -> Array:
     excess = so3.defect(jnp.stack(q)) + sum(d * (2 * x + d) for x, d in zip(q, dq, strict=True))
     s = jnp.sqrt(1 + excess)
     return -excess / (s * (1 + s))
-
-
-def _across(u: vec3.Vector, du: vec3.Vector, Pi: vec3.Vector) -> tuple[Array, ...]:
-    return *cross(u, Pi), *cross(du, Pi)
 
 
 def spinning(

@@ -209,10 +209,6 @@ class OneBody(CanonicalChart):
         momenta = _components(so3.Ad_star(upright(system.axis)[0], jnp.stack(delta.quadratures.momenta)))
         return Increments(z, delta.quadratures._replace(momenta=momenta))
 
-    def momenta(self, z: Coordinates) -> Components:
-        """π = ½ Im(p q̄) of coordinates."""
-        return _half_product(z.p, z.q)
-
     def _kick(self, system: Any, z: Coordinates, t: Moment) -> Components:
         """The contribution of a potential to ṗ: −∂V/∂q."""
         if _stands(system):
@@ -266,10 +262,6 @@ class ManyBodies(CanonicalChart):
 
         return pull_and_torque
 
-    def momenta(self, z: Coordinates) -> Components:
-        """The linear momenta, and π = ½ Im(p q̄)."""
-        return (*z.p[:3], *_half_product(z.p[3:], z.q[3:]))
-
 
 class Matrices(CanonicalChart):
     """T*GL⁺(3), which is flat: the entries of F and P."""
@@ -308,12 +300,6 @@ def _is_forced(system: Any) -> bool:
 
 def _matrix(components: Components) -> Array:
     return jnp.stack(components).reshape(3, 3)
-
-
-def _half_product(p: Components, q: Components) -> Components:
-    """½ Im(p q̄)."""
-    (w, *v), (first, *rest) = q, p
-    return scale(0.5, add(subtract(scale(w, rest), scale(first, v)), cross(v, rest)))
 
 
 def _unit(q: Components) -> _Quaternion:

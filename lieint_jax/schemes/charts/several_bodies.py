@@ -34,7 +34,7 @@ def forces(system: AbstractRigidBodies, x: vec3.Vector, q: Components) -> Compon
     """The forces on the bodies, and the torques in their axes: six numbers. Quaternions are of unit length."""
     found = system.force(jnp.stack([*x, *q], axis=-1))
     pull = tuple(jnp.moveaxis(found, -1, 0))
-    return (*pull[:3], *_times_transposed(_rotation(q), pull[3:]))
+    return (*pull[:3], *(dot(axis, pull[3:]) for axis in vec3.transpose(so3.matrix_of(*q))))
 
 
 class Moving(NamedTuple):
@@ -62,16 +62,8 @@ def motion(system: AbstractRigidBodies, state: State) -> State:
 
 def _state(z: Array) -> State:
     x, P, turning = _parts(z)
-    spin = [dot(row, turning.Pi) for row in _rotation(turning.q)]
+    spin = [dot(row, turning.Pi) for row in so3.matrix_of(*turning.q)]
     return State(jnp.stack([*x, *turning.q], axis=-1), jnp.stack([*P, *spin], axis=-1))
-
-
-def _rotation(q: Components) -> vec3.Matrix:
-    return so3.matrix_of(*q)
-
-
-def _times_transposed(R: vec3.Matrix, v: vec3.Vector) -> vec3.Vector:
-    return tuple(dot(axis, v) for axis in vec3.transpose(R))
 
 
 def _turning_part(state: State) -> State:

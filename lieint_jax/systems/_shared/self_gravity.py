@@ -19,7 +19,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import Symmetric
 from lieint_jax.types import StoredEnergy, pytree
@@ -99,9 +98,5 @@ def self_gravity(G: ArrayLike, mass: ArrayLike, radius: ArrayLike) -> SelfGravit
         >>> round(float(W(jnp.eye(3))), 12)
         -0.6
     """
-    values = [_checks.real_array(name, x, ()) for name, x in (("G", G), ("mass", mass), ("radius", radius))]
-    for name, value in zip(("G", "mass", "radius"), values, strict=True):
-        if concrete(value) and not value > 0:
-            raise ValueError(f"{name} must be positive, got {value}")
-    G, mass, radius = values
+    G, mass, radius = (_checks.positive(name, x) for name, x in (("G", G), ("mass", mass), ("radius", radius)))
     return SelfGravity(0.6 * G * mass * mass / radius)

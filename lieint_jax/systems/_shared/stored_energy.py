@@ -20,7 +20,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, vec3
 from lieint_jax._numerics.vec3 import Symmetric
 from lieint_jax.types import StoredEnergy, autodiff_gradient, callable_pytree, pytree, static
@@ -188,8 +187,4 @@ def as_stored_energy(energy: StoredEnergy | Callable[[Array], Array]) -> StoredE
 
 
 def _moduli(lam: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
-    moduli = _checks.real_array("lam", lam, ()), _checks.real_array("mu", mu, ())
-    for name, value in zip(("lam", "mu"), moduli, strict=True):
-        if concrete(value) and not value > 0:
-            raise ValueError(f"{name} must be positive, got {value}")
-    return moduli
+    return _checks.positive("lam", lam), _checks.positive("mu", mu)
