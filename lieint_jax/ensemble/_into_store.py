@@ -60,8 +60,9 @@ def run_into_store(
     else:
         _layout.fail_together(mesh, lambda: _refuse_parts(path, check_store(path)))
     with contextlib.ExitStack() as stack:
-        writer = _layout.fail_together(mesh, lambda: _store.Writer(path, leader))
-        stack.callback(writer.close)
+        writer = _layout.fail_together(
+            mesh, lambda: stack.enter_context(contextlib.closing(_store.Writer(path, leader)))
+        )
         if exists:
             _layout.fail_together(mesh, lambda: _identity.check_same(path, writer.attributes, described))
         if leader:
