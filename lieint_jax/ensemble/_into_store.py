@@ -52,8 +52,7 @@ def run_into_store(
     attributes = attributes_of(job, options, described, chunk, job.buffer_rows(chunk))
     _identity.check_processes(mesh, described, store=path.name, resume=resume)
     exists = bool(_layout.all_reduce_max(mesh, os.path.exists(path))[0])
-    if exists and not resume:
-        raise ValueError(f"{path} exists and is not overwritten; resume continues it, or choose another store")
+    _refuse_overwriting(path, exists, resume)
     if not exists:
         _identity.warn_of_no_resume(described)
         _layout.fail_together(mesh, lambda: leader and _create(path, job, options, attributes))
@@ -65,14 +64,17 @@ def run_into_store(
         )
         if exists:
             _layout.fail_together(mesh, lambda: _identity.check_same(path, writer.attributes, described))
-        if leader:
-            _store.clean(path)
+        _layout.fail_together(mesh, lambda: leader and _store.clean(path))
         layout = _layout.layout_of(place, job.members, writer.attributes["member_chunk"])
-        _layout.barrier(mesh)
         _layout.fail_together(mesh, lambda: _store.check(path))
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
     return open_complete(path)
+
+
+def _refuse_overwriting(store: object, exists: bool, resume: bool) -> None:
+    if exists and not resume:
+        raise ValueError(f"{store} exists and is not overwritten; resume continues it, or choose another store")
 
 
 def _refuse_parts(path: Path, attributes: Table) -> None:
@@ -109,10 +111,7 @@ def run_part_into_store(
     check_json(options.attributes)
     described = _identity.description(whole, engine.name, options.attributes.get("scenario"))
     found = read_root(storage)
-    if found is not None and not resume:
-        raise ValueError(
-            f"{storage.address} exists and is not overwritten; resume continues it, or choose another store"
-        )
+    _refuse_overwriting(storage.address, found is not None, resume)
     if found is not None:
         _same_run(storage, found, described, split)  # before anything is written into the store of another run
     files = _skeleton(whole, options, described, split, storage.is_remote)

@@ -2,6 +2,7 @@
 
 import contextlib
 import filecmp
+import itertools
 import os
 import re
 import resource
@@ -510,6 +511,25 @@ def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     writer = contextlib.closing(_store.Writer(tmp_path / "run.zarr", True))
     with writer, pytest.raises(ValueError, match="another run is writing"):
         run(tmp_path / "run.zarr", resume=True)
+
+
+@pytest.mark.parametrize("step", range(5), ids=["check", "open", "compare", "clean", "check again"])
+def test_a_run_releases_its_store_where_another_process_fails(tmp_path, monkeypatch, step):
+    """Another process reports a failure after one of the steps that processes take together to resume a store."""
+    path, steps, fail_together = tmp_path / "run.zarr", itertools.count(), _layout.fail_together
+    run(path, num_steps=5)
+
+    def another_fails(mesh, action):
+        result = fail_together(mesh, action)
+        if next(steps) == step:
+            raise ValueError("process 1 of this run has failed")
+        return result
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_layout, "fail_together", another_fails)
+        with pytest.raises(ValueError, match="process 1 of this run has failed"):
+            run(path, num_steps=5, resume=True)
+    assert run(path, num_steps=5, resume=True).info.converged[...].all()
 
 
 @contextlib.contextmanager
