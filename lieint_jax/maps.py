@@ -33,6 +33,12 @@ from lieint_jax.groups.closed_forms import squared_eigenvalue
 from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
 from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupElement, PyTree, Scalar
 
+__all__ = [
+    "KAPPAS", "Kappa", "Map", "Tau", "arcsine", "arcsine_forms", "as_kappa", "as_tau", "axis_residual", "cayley",
+    "cayley_lands", "derivative", "examples", "exponential", "is_symplectic", "kappa_cayley", "kappa_exponential",
+    "kappa_symplectic", "scaled_cayley", "symplectic_residual",
+]  # fmt: skip
+
 # Scalings κ of SO(3) --------------------------------------------------------------------------------------------------
 
 

@@ -12,6 +12,11 @@ from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.types import Group, State, pytree, static
 from lieint_jax.types.shapes import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
 
+__all__ = [
+    "CotangentGroup", "CotangentMatrices", "CotangentMotions", "CotangentSphere", "CotangentUnimodular",
+    "EmbeddedRotations", "SphericalChart", "frame",
+]  # fmt: skip
+
 
 class _ByPerturbation:
     """A phase space in which a displacement is the δ of `perturb`."""

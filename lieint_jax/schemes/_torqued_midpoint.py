@@ -59,9 +59,9 @@ def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
     rotating = rigid_motion(body, state)
     Omega, t = so3.body_velocity(state.q, rotating.q), clock(state)
     omega, impulse, rates = so3.Ad(state.q, Omega), jnp.zeros_like(state.p), {}
+    q_half = functools.partial(so3.cayley_increment, state.q)
     for law in body.laws:
-        inner = _inner(state, law)
-        torque, rate = instant(law, t, state.q, Omega, omega, inner, lambda h: so3.cayley_increment(state.q, h))
+        torque, rate = instant(law, t, state.q, Omega, omega=omega, inner=_inner(state, law), q_half=q_half)
         impulse = impulse + (torque if law.frame == "space" else so3.Ad(state.q, torque))
         if law.key is not None:
             rates[law.key] = rate

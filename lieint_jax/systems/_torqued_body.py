@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -133,8 +134,8 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         """The torque of a law at a state, in the axes of its frame, and the rate of its internal state."""
         Omega = self.angular_velocity(state)
         omega, inner = so3.Ad(state.q, Omega), self.inner(state, law)
-        half = lambda h: so3.cayley_increment(state.q, h)  # noqa: E731
-        torque, rate = instant(law, clock(state), state.q, Omega, omega, inner, half)
+        q_half = partial(so3.cayley_increment, state.q)
+        torque, rate = instant(law, clock(state), state.q, Omega, omega=omega, inner=inner, q_half=q_half)
         return jnp.asarray(torque).astype(state.p.dtype), rate
 
     def _rates(self, state: State) -> tuple[Array, dict[str, Array], Array]:

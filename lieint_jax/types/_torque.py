@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._deprecated import old_calls
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types.shapes import PyTree
 
@@ -203,8 +204,9 @@ def as_law(law: Any, frame: str = "body") -> Law:
     return Function(callable_pytree(law), getattr(law, "frame", frame))
 
 
+@old_calls()
 def instant(
-    law: Law, t: Array, q: Array, Omega: Array, omega: Array, inner: PyTree, q_half: Any
+    law: Law, t: Array, q: Array, Omega: Array, *, omega: Array, inner: PyTree, q_half: Any
 ) -> tuple[Array, PyTree]:
     """The torque of a law at one instant, in the axes of its frame, and the rate of its internal state.
 

@@ -1,6 +1,7 @@
 """The house rules: imports point down, the core needs only jax and numpy, examples everywhere, no x64 at import."""
 
 import ast
+import inspect
 import subprocess
 import sys
 import tokenize
@@ -142,13 +143,15 @@ def test_a_function_is_short_enough_to_be_seen_whole():
                 assert node.end_lineno - node.lineno < 120, f"{path}: {node.name}"
 
 
+PUBLIC_MODULES = [li, *filter(inspect.ismodule, (getattr(li, name) for name in dir(li)))]
+
+
 def test_dir_lists_the_public_names_only():
     assert dir(li) == sorted(li.__all__)
     assert not [name for name in dir(li) if name.startswith("_") and name != "__version__"]
     assert all(hasattr(li, name) for name in dir(li))
-    rooms = (li.ensemble, li.adjoints, li.fitting, li.schemes, li.systems, li.groups, li.diagnostics)
-    for room in (*rooms, li.potentials):
-        assert all(hasattr(room, name) for name in room.__all__)
+    for module in PUBLIC_MODULES:
+        assert all(hasattr(module, name) for name in module.__all__)
 
 
 CONTRACT = """
@@ -184,6 +187,17 @@ def test_every_name_of_the_contract_exists(name):
     found = li
     for part in name.split("."):
         found = getattr(found, part)
+
+
+@pytest.mark.parametrize("module", PUBLIC_MODULES, ids=lambda module: module.__name__)
+def test_arguments_after_the_fourth_are_passed_by_name(module):
+    by_position = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    many = {"constant_lag": 5}  # the columns of a table of bodies, and G
+    for key in module.__all__:
+        function = getattr(module, key)
+        if inspect.isfunction(function):
+            parameters = inspect.signature(function).parameters.values()
+            assert sum(parameter.kind in by_position for parameter in parameters) <= many.get(key, 4), key
 
 
 def test_schemes_import_no_system_and_systems_no_scheme():
