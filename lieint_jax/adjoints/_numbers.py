@@ -37,9 +37,11 @@ def repeat(
     arguments = (count, carry, closed)
     try:
         by_numbers = Flattened(repeat_with_arrays, ("shared",) * 3, arguments)
+        if by_numbers.length <= _LONGEST:
+            return by_numbers(*arguments)
     except UnsupportedError:
-        return repeat_with_arrays(*arguments)
-    return by_numbers(*arguments) if by_numbers.length <= _LONGEST else repeat_with_arrays(*arguments)
+        pass
+    return repeat_with_arrays(*arguments)
 
 
 def _explicit_arrays(function: Callable[..., PyTree], *example: PyTree) -> tuple[Callable[..., PyTree], list[Array]]:

@@ -58,18 +58,22 @@ class Start(NamedTuple):
 
 def engine_of(job: Job, mesh: Mesh) -> Engine:
     """The engine of a run: machine code on a CPU, flat arrays elsewhere, XLA's plain loop where neither is possible."""
+    on_cpu = mesh.devices.flat[0].platform == "cpu"
     try:
-        return NativeEngine(job) if mesh.devices.flat[0].platform == "cpu" else FlatEngine(job)
+        return NativeEngine(job) if on_cpu else FlatEngine(job)
     except ImportError as error:
-        _warn_once(str(error))
+        _warn_once("ensembles", str(error))
     except UnsupportedError as reason:
-        _log.debug("%s runs in XLA's plain loop, since it is not a program of numbers: %s", job.step.name, reason)
+        if on_cpu:
+            _warn_once(job.step.name, str(reason))
+        else:
+            _log.debug("%s runs in XLA's plain loop: %s", job.step.name, reason)
     return XlaEngine(job)
 
 
 @functools.cache
-def _warn_once(reason: str) -> None:
-    _log.warning("ensembles run by XLA, which is slower than machine code: %s", reason)
+def _warn_once(what: str, reason: str) -> None:
+    _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
 
 
 class Engine(abc.ABC):

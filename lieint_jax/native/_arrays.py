@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lieint_jax.native._primitives.abstract_walk import UnsupportedError
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
 from lieint_jax.native._traced import Traced, Tree, make_once
 
@@ -48,6 +48,7 @@ class Flattened:
         self.width, self.carried = width(self._traced.program), count_carried(self._traced.program)
         _check(self._traced.program.block, self._traced.program)
 
+    @unsupported_if_it_fails()
     def __call__(self, *arguments: Tree) -> Tree:
         """The results, each with the leading axis (members,) if any argument has it."""
         traced = self._traced
@@ -197,7 +198,9 @@ _SAME_NAMES = (
     "log log1p logistic lt max min mul ne neg pow rem shift_left shift_right_arithmetic shift_right_logical sin sinh "
     "sqrt sub tan tanh"
 )
-_OPERATIONS: dict[str, Callable[..., Array]] = {name: getattr(lax, name) for name in _SAME_NAMES.split()} | {
+_OPERATIONS: dict[str, Callable[..., Array]] = {
+    name: getattr(lax, name) for name in _SAME_NAMES.split() if hasattr(lax, name)
+} | {
     "and": lax.bitwise_and,
     "not": lax.bitwise_not,
     "or": lax.bitwise_or,

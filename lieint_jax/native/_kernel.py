@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from lieint_jax.native._primitives.abstract_walk import unsupported_if_it_fails
 from lieint_jax.native._program import Program
 from lieint_jax.native._stream import Stream, split
 from lieint_jax.native._traced import Leaf, Operation, Traced, Tree, leaves_before_rows, make_once
@@ -90,6 +91,7 @@ class Code:
         lanes: members in a vector; by default it follows from the machine.
     """
 
+    @unsupported_if_it_fails()
     def __init__(
         self, program: Program, leaves: Sequence[Leaf], results: Sequence[jax.ShapeDtypeStruct], lanes: int = 0
     ):

@@ -12,7 +12,7 @@ from jax.core import ShapedArray
 from jax.extend.core import JaxprEqn
 from jax.typing import ArrayLike
 
-from lieint_jax.native._primitives.abstract_walk import Table, UnsupportedError, array_of
+from lieint_jax.native._primitives.abstract_walk import Table, UnsupportedError, array_of, unsupported_if_it_fails
 from lieint_jax.native._program import Builder, Number, Program
 from lieint_jax.native._walk import Walk, shapes_of
 
@@ -78,7 +78,8 @@ class Traced:
             long = kind == "shared" and x.size > _LONGEST_SHARED and len(x.shape) == 1
             arguments.append(self._argument("table" if long else kind, x))
         self.given = len(self.leaves)
-        outputs = Walk(self._builder, self._compute_before).jaxpr(closed, arguments)
+        with unsupported_if_it_fails():
+            outputs = Walk(self._builder, self._compute_before).jaxpr(closed, arguments)
         self.program = self._program([x for array in outputs for x in array.flat])
         self.length = self._builder.length
         varying = [any(x in self.program.varying for x in array.flat) for array in outputs]

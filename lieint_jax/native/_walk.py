@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
@@ -67,8 +68,11 @@ class Walk(AbstractWalk):
         out = shapes_of(equation.outvars)
         if any(np.prod(x.shape) > LARGEST for x in out):
             raise UnsupportedError(f"an array of shape {out[0].shape}")
+        expanded = None if name in CONTROL_FLOW else _expand(equation)
+        if expanded is not None:
+            return self.jaxpr(expanded, inputs)
         if name in CONTROL_FLOW:
-            return CONTROL_FLOW[name](self, inputs, parameters)
+            return CONTROL_FLOW[name](self, inputs, parameters, out)
         if any(isinstance(x, Table) for x in inputs):
             return [look_up(self, name, inputs, parameters, out[0])]
         if name in MOVES:
@@ -84,5 +88,13 @@ class Walk(AbstractWalk):
             return [array_of([ELEMENTWISE[name](self, row, parameters, dtype) for row in rows], arrays[0].shape)]
         results = self._compute_before(equation, inputs)
         if results is None:
-            raise UnsupportedError(name)
+            raise UnsupportedError(f"{name} has no formula in machine code")
         return results
+
+
+def _expand(equation: JaxprEqn) -> ClosedJaxpr | None:
+    """The operations of which a composite primitive consists, such as `custom_root` of JAX ≥ 0.12; None for others."""
+    primitive, operands = equation.primitive, shapes_of(equation.invars)
+    if not primitive.is_high(*operands, **equation.params):
+        return None
+    return jax.make_jaxpr(lambda *x: primitive.to_lojax(*x, **equation.params))(*operands)

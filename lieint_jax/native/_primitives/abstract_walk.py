@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 import jax
@@ -19,6 +20,20 @@ LARGEST = 10_000  # the most entries of an array
 
 class UnsupportedError(Exception):
     """A function cannot be a program of numbers; the message names the unsupported operation."""
+
+
+@contextlib.contextmanager
+def unsupported_if_it_fails() -> Iterator[None]:
+    """Any failure of code that reads what JAX wrote, and of code that writes LLVM's, becomes an `UnsupportedError`.
+
+    Neither of the two is a stable interface; what a later release changes there may cost speed, but ends no run.
+    """
+    try:
+        yield
+    except (ImportError, UnsupportedError):
+        raise
+    except Exception as failure:
+        raise UnsupportedError(f"{type(failure).__name__}: {failure}") from failure
 
 
 class Table:
@@ -61,7 +76,7 @@ class AbstractWalk(abc.ABC):
     def constant_array(self, x: ArrayLike, dtype: DTypeLike) -> np.ndarray:
         """An array of constants."""
         if jax.numpy.issubdtype(dtype, jax.dtypes.prng_key):
-            raise UnsupportedError("random keys")
+            raise UnsupportedError("random keys have no formula in machine code")
         x = np.asarray(x, dtype)
         if x.size > LARGEST:
             raise UnsupportedError(f"an array of {x.size} entries")

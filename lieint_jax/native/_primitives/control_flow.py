@@ -1,12 +1,18 @@
-"""Loops and branches. Loops stay loops, unless they are short."""
+"""Loops, branches and calls. Loops stay loops, unless they are short.
+
+JAX's releases differ in the parameters of these primitives. So constants, carries and rows are told apart by the number
+and the shapes of operands and results, and the function of a call is the only jaxpr among its parameters.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, names
@@ -19,24 +25,32 @@ _UNROLLED = 4  # the longest counted loop that is unrolled in any case
 _UNROLLED_NUMBERS = 400  # the most numbers of a longer unrolled loop, in all iterations together
 
 
-def _while(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
-    n, m = parameters["cond_nconsts"], parameters["body_nconsts"]
-    of_test, of_body, starts = inputs[:n], inputs[n : n + m], inputs[n + m :]
+def _while(
+    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
+) -> list[np.ndarray]:
+    cond, body = parameters["cond_jaxpr"], parameters["body_jaxpr"]
+    of_test, of_body, starts = _split(inputs, len(cond.in_avals) - len(out), len(body.in_avals) - len(out))
 
     def tests(carry: list[np.ndarray]) -> np.ndarray:
-        return walk.jaxpr(parameters["cond_jaxpr"], [*of_test, *carry])[0]
+        return walk.jaxpr(cond, [*of_test, *carry])[0]
 
     def test(carry: list[np.ndarray]) -> Number:
         return reduce_terms(walk, "or", list(tests(carry).flat), np.dtype(bool))
 
     def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
-        after = walk.jaxpr(parameters["body_jaxpr"], [*of_body, *carry])
+        after = walk.jaxpr(body, [*of_body, *carry])
         which = tests(carry)
         if not which.ndim:
             return after
         return [_select_entries(walk, which, *pair) for pair in zip(after, carry, strict=True)]
 
     return walk.loop_over_arrays(starts, test, next_carry)
+
+
+def _split(inputs: list[np.ndarray], *lengths: int) -> list[list[np.ndarray]]:
+    """Parts of these lengths, and the rest."""
+    ends = [0, *itertools.accumulate(lengths), len(inputs)]
+    return [inputs[start:end] for start, end in itertools.pairwise(ends)]
 
 
 def _select_entries(walk: AbstractWalk, which: np.ndarray, after: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -48,10 +62,13 @@ def _select_entries(walk: AbstractWalk, which: np.ndarray, after: np.ndarray, be
     return found
 
 
-def _scan(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
+def _scan(
+    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
+) -> list[np.ndarray]:
     length, closed = parameters["length"], parameters["jaxpr"]
-    n, m = parameters["num_consts"], parameters["num_consts"] + parameters["num_carry"]
-    consts, starts, series = inputs[:n], inputs[n:m], inputs[m:]
+    carried = sum(map(_have_one_rank, out, closed.out_avals))  # rows have an axis more outside of the loop
+    fixed = sum(map(_have_one_rank, inputs, closed.in_avals))
+    consts, starts, series = _split(inputs, fixed - carried, carried)
     order = range(length)[::-1] if parameters["reverse"] else range(length)
     stacked = len(closed.out_avals) > len(starts)
     if stacked or length <= _UNROLLED or length * _size(closed.jaxpr) <= _UNROLLED_NUMBERS:
@@ -80,11 +97,17 @@ def _scan(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) 
     )[1:]
 
 
+def _have_one_rank(x: Any, y: Any) -> bool:
+    return len(x.shape) == len(y.shape)
+
+
 def _arrays(x: np.ndarray) -> np.ndarray:
     return x if x.ndim > 1 else array_of([array_of([y], ()) for y in x.flat], x.shape)
 
 
-def _cond(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
+def _cond(
+    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
+) -> list[np.ndarray]:
     index, operands = inputs[0].item(), inputs[1:]
     return _branches(walk, index, parameters["branches"], operands)
 
@@ -112,17 +135,20 @@ def _branches(
     return [array_of([next(left) for _ in range(int(np.prod(shape)))], shape) for shape in shapes]
 
 
-def _linear_solve(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
-    lengths = parameters["const_lengths"]
-    first = sum(lengths[:2])
-    return walk.jaxpr(parameters["jaxprs"].solve, [*inputs[first : first + lengths.solve], *inputs[sum(lengths) :]])
+def _linear_solve(
+    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
+) -> list[np.ndarray]:
+    matvec, vecmat, solve, transpose_solve = parameters["jaxprs"]  # functions of constants and a vector
+    lengths = [len(f.in_avals) - len(matvec.out_avals) if f else 0 for f in (matvec, vecmat, solve, transpose_solve)]
+    _, _, consts, _, right_side = _split(inputs, *lengths)
+    return walk.jaxpr(solve, [*consts, *right_side])
 
 
 def _size(jaxpr: Any) -> int:
     """About the number of operations of a jaxpr."""
     found = 0
     for equation in jaxpr.eqns:
-        inner = [x for x in jax.tree.leaves(equation.params, is_leaf=_is_jaxpr) if _is_jaxpr(x)]
+        inner = _jaxprs(equation.params)
         repeats = equation.params.get("length", 1) if equation.primitive.name == "scan" else 1
         found += sum(repeats * _size(getattr(x, "jaxpr", x)) for x in inner)
         if equation.primitive.name not in MOVES and not inner:
@@ -130,23 +156,28 @@ def _size(jaxpr: Any) -> int:
     return found
 
 
-def _is_jaxpr(x: object) -> bool:
-    return isinstance(x, ClosedJaxpr | Jaxpr)
+def _jaxprs(parameters: Parameters) -> list[Any]:
+    def is_jaxpr(x: object) -> bool:
+        return isinstance(x, ClosedJaxpr | Jaxpr)
+
+    return [x for x in jax.tree.leaves(dict(parameters), is_leaf=is_jaxpr) if is_jaxpr(x)]
 
 
-def _call(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
-    inner = next(parameters[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call") if key in parameters)
+def _call(
+    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
+) -> list[np.ndarray]:
+    [inner] = _jaxprs(parameters)
     return walk.jaxpr(inner, inputs)
 
 
 _CALLS = names(
-    "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call jit pjit "
-    "remat remat2"
+    "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call eval_jaxpr "
+    "jit pjit remat remat2"
 )
 CONTROL_FLOW: dict[str, Callable[..., list[np.ndarray]]] = dict.fromkeys(_CALLS, _call) | {
     "while": _while,
     "scan": _scan,
     "cond": _cond,
     "custom_linear_solve": _linear_solve,
-    "optimization_barrier": lambda walk, inputs, parameters: inputs,
+    "optimization_barrier": lambda walk, inputs, parameters, out: inputs,
 }
