@@ -21,8 +21,9 @@ def jit(function: _Function, static_argnums: int | tuple[int, ...] = ()) -> _Fun
     """`jax.jit` with options of XLA that suit the loops of this package: the first call takes half of the time.
 
     Meant for the outermost function, such as the gradient of a loss that runs `integrate`. On a CPU XLA's older
-    emitters compile gradients in about 0.6 of the time, and the results run as fast; values are the same to round-off.
-    On a GPU, and inside jit, grad and other transformations, it is `jax.jit`.
+    emitters, which jaxlib has up to 0.10, compile gradients in about 0.6 of the time, and the results run as fast;
+    values are the same to round-off. With a later jaxlib, on a GPU, and inside jit, grad and other transformations, it
+    is `jax.jit`.
 
     Args:
         function: a function of arrays.
@@ -48,29 +49,34 @@ def jit(function: _Function, static_argnums: int | tuple[int, ...] = ()) -> _Fun
 def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), once: bool = False) -> _Function:
     """`jax.jit` of a function, with options that make compilation faster.
 
-    On CPUs XLA's older emitters compile in half of the time, and loops over steps run as fast; an XLA without them
-    compiles as usual. XLA accepts such options for whole programs only, and JAX does not differentiate programs with
-    options: inside jit, grad and other transformations there are none.
+    On CPUs XLA's older emitters compile in half of the time, and loops over steps run as fast; an XLA without them, as
+    in jaxlib beyond 0.10, compiles as usual. XLA accepts such options for whole programs only, and JAX does not
+    differentiate programs with options: inside jit, grad and other transformations there are none.
 
     Args:
         function, static_argnums: as in `jax.jit`.
         once: True if a call is faster than its compilation, as that of a check: then LLVM's optimizations are off too.
     """
+    wanted = _ONCE if once else _QUICKLY
     plain = jax.jit(function, static_argnums=static_argnums, inline=True)
-    options = _ONCE if once else _QUICKLY
-    quick = jax.jit(function, static_argnums=static_argnums, compiler_options=options)
+
+    @functools.cache
+    def quick(*names: str) -> _Function:
+        options = {name: wanted[name] for name in names}
+        return cast("_Function", jax.jit(function, static_argnums=static_argnums, compiler_options=options))
 
     @functools.wraps(function)
     def call(*arguments: Tree, **named: Tree) -> Tree:
-        if not _refused.isdisjoint(options) or jax.default_backend() != "cpu" or not outermost():
+        options = [name for name in wanted if name not in _refused]
+        if not options or jax.default_backend() != "cpu" or not outermost():
             return plain(*arguments, **named)
         try:
-            return quick(*arguments, **named)
+            return quick(*options)(*arguments, **named)
         except jax.errors.JaxRuntimeError as error:
             unknown = {name for name in options if f"No such compile option: '{name}'" in str(error)}
             if not unknown:
                 raise
             _refused.update(unknown)
-            return plain(*arguments, **named)
+            return call(*arguments, **named)
 
     return cast("_Function", call)

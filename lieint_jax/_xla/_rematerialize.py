@@ -30,7 +30,9 @@ def saved(tree: _Tree) -> _Tree:
     return jax.tree.map(lambda x: checkpoint_name(x, _SAVED), tree)
 
 
-def _is_saved(primitive: object, *_: object, name: object = None, call_jaxpr: object = None, **__: object) -> bool:
+def _is_saved(primitive: object, *_: object, **parameters: Any) -> bool:
     """True if the results of an operation are saved; a `custom_root` with a saved root is one operation here."""
-    inside: Any = getattr(call_jaxpr, "jaxpr", call_jaxpr)
-    return name == _SAVED or (inside is not None and any(eqn.params.get("name") == _SAVED for eqn in inside.eqns))
+    composite = getattr(parameters.get("_prim"), "params", {})  # what `custom_root` is in JAX ≥ 0.12
+    inside = [getattr(x, "jaxpr", x) for x in (*parameters.values(), *composite.values())]
+    equations = [equation for x in inside for equation in getattr(x, "eqns", ())]
+    return _SAVED in (parameters.get("name"), *(equation.params.get("name") for equation in equations))

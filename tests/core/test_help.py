@@ -2,6 +2,7 @@
 
 import pydoc
 import re
+import sys
 
 import pytest
 
@@ -33,7 +34,8 @@ def test_help_shows_no_methods_of_tuples(topic):
     assert "__add__" not in text
     assert "__getitem__" not in text
     assert "_replace" in text
-    assert len(text.splitlines()) <= 800  # observed: 719, of which 100 for each class would be methods of tuples
+    most = 800 if sys.version_info < (3, 13) else 900  # pydoc of 3.13 gives each argument of a long call a line
+    assert len(text.splitlines()) <= most  # observed: 788 and 884; methods of tuples would be 100 more for each class
 
 
 def test_the_list_of_schemes_names_no_other():

@@ -14,7 +14,10 @@ pytest.importorskip("llvmlite")
 
 from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled
 
-from lieint_jax.native import Kernel, _machine
+from lieint_jax import ensemble, schemes, systems
+from lieint_jax.native import Kernel, _emit, _machine
+from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
+from lieint_jax.native._primitives.elementwise import ELEMENTWISE
 
 SPECIAL = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.5, -2.5]  # XLA takes subnormal numbers for 0
 TYPES = [np.int32, np.int64, np.uint32, np.uint8, np.int8, np.uint64, np.int16, np.uint16]
@@ -356,6 +359,64 @@ def test_solves_and_calls_are_those_of_jax():
         }
 
     check_against_jax(function, [normal(3)], rtol=1e-13)
+
+
+READ = {  # the parameters of control flow that the walk reads: releases of JAX differ in the others
+    "scan": {"jaxpr", "length", "reverse"},
+    "while": {"cond_jaxpr", "body_jaxpr"},
+    "cond": {"branches"},
+    "custom_linear_solve": {"jaxprs"},
+}
+
+
+def test_constants_carries_and_rows_are_recognized_by_number_and_shape(monkeypatch):
+    def read_only(handler, names):
+        return lambda walk, inputs, parameters, out: handler(walk, inputs, {k: parameters[k] for k in names}, out)
+
+    for name, names in READ.items():
+        monkeypatch.setitem(CONTROL_FLOW, name, read_only(CONTROL_FLOW[name], names))
+
+    def function(x, k, scale):
+        def step(carry, row):
+            y, total = carry
+            return (y * scale + row.sum(), total + x), y.sum() + row[0]
+
+        rows = jnp.outer(jnp.arange(6.0), x)
+        solved = lax.custom_linear_solve(lambda v: scale * v, x, lambda _, b: b / scale, lambda _, b: b / scale)
+        return {
+            "scan": lax.scan(step, (x, x), rows),
+            "no carry": lax.scan(lambda _, row: (None, row * scale), None, rows)[1],
+            "no rows": lax.scan(lambda y, _: (y * scale + x, None), x, None, 6)[0],
+            "while": lax.while_loop(lambda c: c[1] < k, lambda c: (c[0] * scale + x, c[1] + 1), (x, 0)),
+            "nothing": lax.while_loop(lambda _: False, lambda _: (), ()),
+            "cond": lax.cond(k > 2, lambda y: y + x, lambda y: y * scale, x),
+            "solved": solved,
+        }
+
+    check_against_jax(function, [normal(3), np.arange(MEMBERS)], [1.5], rtol=1e-13)
+
+
+@pytest.mark.parametrize("broken", [(CONTROL_FLOW, "while"), (ELEMENTWISE, "mul"), (_emit, "emit")])
+def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, caplog, broken):
+    """A failure of the walk or of what writes LLVM's text, as by a primitive that a later JAX has changed."""
+
+    def fail(*_):
+        raise KeyError(name)
+
+    def potential(axis):  # of this test alone, so that no engine of it is in the cache
+        return axis @ jnp.array([0.1, 0.2, 0.3])
+
+    place, name = broken
+    top = systems.potential_top([1.0, 2.0, 3.0], potential)
+    step, states = schemes.top_energy_momentum(top), jax.vmap(lambda w: top.state(angular_velocity=w))(normal(3))
+    expected = jax.jit(jax.vmap(lambda z: step(z, 0.1)[0]))(states)
+    with monkeypatch.context() as patch:
+        patch.setitem(place, name, fail) if isinstance(place, dict) else patch.setattr(place, name, fail)
+        runs = [ensemble.run(step, states, 0.1, n, progress=False) for n in (1, 2)]
+    assert runs[0].info.converged.all()
+    np.testing.assert_allclose(runs[0].state.p[-1], expected.p, rtol=1e-14)
+    [message] = [record.getMessage() for record in caplog.records if record.name.startswith("lieint_jax")]
+    assert message == f"XLA runs {step.name}, which is slower than machine code: KeyError: {name!r}"
 
 
 def test_what_is_returned_may_be_known_shared_or_given():

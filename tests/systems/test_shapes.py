@@ -176,7 +176,8 @@ def test_sums_and_moves():
     half = shapes.box([2, 2, 1], density=3.0)
     assert_same(half.moved([1.0, 0, 0]) + half.moved([-1.0, 0, 0]), whole, 1e-15)
     hollow = whole + shapes.box([2, 2, 1], density=-3.0).moved([1.0, 0, 0])
-    assert_same(hollow, half.moved([-1.0, 0, 0]), 2e-14)
+    # the fourth moments of the whole, 32 times as large, are rounded: observed 2 and, by jaxlib 0.9, 3 of their ulp
+    assert_same(hollow, half.moved([-1.0, 0, 0]), 4e-14)
     rng = np.random.default_rng(6)
     masses, points = rng.uniform(1, 2, 5), rng.normal(size=(5, 3))
     R = np.linalg.qr(rng.normal(size=(3, 3)))[0]

@@ -171,8 +171,8 @@ def _call(
 
 
 _CALLS = names(
-    "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call eval_jaxpr "
-    "jit pjit remat remat2"
+    "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call "
+    "eval_jaxpr jit pjit remat remat2"
 )
 CONTROL_FLOW: dict[str, Callable[..., list[np.ndarray]]] = dict.fromkeys(_CALLS, _call) | {
     "while": _while,
