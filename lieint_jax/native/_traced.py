@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jax import Array
 from jax.core import ShapedArray
-from jax.extend.core import JaxprEqn
+from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
 from lieint_jax.native._primitives.abstract_walk import Table, UnsupportedError, array_of, unsupported_if_it_fails
@@ -71,6 +71,10 @@ class Traced:
     def __init__(self, function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]):
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x), _dtype(x)), tuple(examples))
         closed, self.results = jax.make_jaxpr(function, return_shape=True)(*shapes)
+        with unsupported_if_it_fails():
+            self._walk(closed, kinds, shapes)
+
+    def _walk(self, closed: ClosedJaxpr, kinds: Sequence[Tree], shapes: Sequence[Tree]) -> None:
         each = jax.tree.map(lambda kind, part: [kind] * len(jax.tree.leaves(part)), tuple(kinds), shapes)
         self._builder, self.leaves, arguments = Builder(), [], []
         self.outside: list[Operation] = []
@@ -78,8 +82,7 @@ class Traced:
             long = kind == "shared" and x.size > _LONGEST_SHARED and len(x.shape) == 1
             arguments.append(self._argument("table" if long else kind, x))
         self.given = len(self.leaves)
-        with unsupported_if_it_fails():
-            outputs = Walk(self._builder, self._compute_before).jaxpr(closed, arguments)
+        outputs = Walk(self._builder, self._compute_before).jaxpr(closed, arguments)
         self.program = self._program([x for array in outputs for x in array.flat])
         self.length = self._builder.length
         varying = [any(x in self.program.varying for x in array.flat) for array in outputs]

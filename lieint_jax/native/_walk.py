@@ -68,11 +68,11 @@ class Walk(AbstractWalk):
         out = shapes_of(equation.outvars)
         if any(np.prod(x.shape) > LARGEST for x in out):
             raise UnsupportedError(f"an array of shape {out[0].shape}")
-        expanded = None if name in CONTROL_FLOW else _expand(equation)
-        if expanded is not None:
-            return self.jaxpr(expanded, inputs)
         if name in CONTROL_FLOW:
             return CONTROL_FLOW[name](self, inputs, parameters, out)
+        expanded = _expand(equation)
+        if expanded is not None:
+            return self.jaxpr(expanded, inputs)
         if any(isinstance(x, Table) for x in inputs):
             return [look_up(self, name, inputs, parameters, out[0])]
         if name in MOVES:

@@ -1,6 +1,6 @@
 """Loops, branches and calls. Loops stay loops, unless they are short.
 
-JAX's releases differ in the parameters of these primitives. So constants, carries and rows are told apart by the number
+JAX's releases differ in the parameters of these primitives. So constants, carries and rows are recognized by the number
 and the shapes of operands and results, and the function of a call is the only jaxpr among its parameters.
 """
 
@@ -66,8 +66,8 @@ def _scan(
     walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
 ) -> list[np.ndarray]:
     length, closed = parameters["length"], parameters["jaxpr"]
-    carried = sum(map(_have_one_rank, out, closed.out_avals))  # rows have an axis more outside of the loop
-    fixed = sum(map(_have_one_rank, inputs, closed.in_avals))
+    carried = sum(map(_have_same_rank, out, closed.out_avals))  # rows have an axis more outside of the loop
+    fixed = sum(map(_have_same_rank, inputs, closed.in_avals))
     consts, starts, series = _split(inputs, fixed - carried, carried)
     order = range(length)[::-1] if parameters["reverse"] else range(length)
     stacked = len(closed.out_avals) > len(starts)
@@ -97,7 +97,7 @@ def _scan(
     )[1:]
 
 
-def _have_one_rank(x: Any, y: Any) -> bool:
+def _have_same_rank(x: Any, y: Any) -> bool:
     return len(x.shape) == len(y.shape)
 
 
