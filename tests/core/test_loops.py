@@ -17,7 +17,8 @@ def conditions(jaxpr):
     for equation in jaxpr.eqns:
         if equation.primitive.name == "while":
             yield equation.params["cond_jaxpr"].jaxpr
-        for value in equation.params.values():
+        composite = getattr(equation.params.get("_prim"), "params", {})  # what `custom_root` is in JAX ≥ 0.12
+        for value in (*equation.params.values(), *composite.values()):
             for inner in value if isinstance(value, tuple | list) else [value]:
                 inner = getattr(inner, "jaxpr", inner)
                 if hasattr(inner, "eqns"):

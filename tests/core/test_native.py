@@ -79,6 +79,29 @@ def test_elementary_functions_have_the_names_types_and_arguments_of_jax(dtype, r
     check_against_jax(function, (normal(dtype=dtype), np.abs(normal(seed=1, dtype=dtype))), rtol=rtol)
 
 
+def test_derivatives_of_elementary_functions_are_programs_of_numbers():
+    """First and second ones: releases of JAX write them with primitives of different names."""
+    names = {
+        "any": "sin cos tan atan sinh cosh tanh asinh exp exp2 expm1 cbrt logistic square",
+        "positive": "log log1p log2 sqrt rsqrt reciprocal",
+        "below one": "asin acos atanh",
+        "above one": "acosh",
+    }
+
+    def function(x, y):
+        places = {"any": x, "positive": y, "below one": jnp.tanh(x / 2), "above one": 1.5 + y}
+        found = {}
+        for kind, words in names.items():
+            for name in words.split():
+                f = getattr(lax, name, None) or getattr(jnp, name)
+                found[name] = [g(places[kind]) for g in (f, jax.grad(f), jax.grad(jax.grad(f)))]
+        if hasattr(lax, "polynomial"):  # JAX ≥ 0.12
+            found["polynomial"] = [lax.polynomial(y, c) for c in ([1.0, 2.0, 3.0], [x, y, x, y])]
+        return found
+
+    check_against_jax(function, (normal(), np.abs(normal(seed=1))), rtol=1e-13)
+
+
 @pytest.mark.parametrize("dtype", TYPES)
 def test_integers_wrap_and_divide_as_in_xla(dtype):
     """They wrap, and their quotients by 0 and −1 and shifts by any number of bits are XLA's, and stop no machine."""

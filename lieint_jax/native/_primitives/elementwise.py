@@ -81,6 +81,21 @@ def _power(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtyp
     return walk.number("pow", x[0], walk.number("convert", x[1], dtype=dtype))
 
 
+def _log2(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+    return walk.number("mul", walk.number("log", x[0]), walk.builder.constant(1 / np.log(2.0), dtype))
+
+
+def _one_minus_square(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+    one = walk.builder.constant(1, dtype)
+    return walk.number("mul", walk.number("add", one, x[0]), walk.number("sub", one, x[0]))
+
+
+def _polynomial(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+    """Horner's rule; the coefficients begin with the constant."""
+    at, *coefficients = x
+    return functools.reduce(lambda y, c: walk.number("add", walk.number("mul", y, at), c), coefficients[::-1])
+
+
 def _is_finite(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
@@ -105,7 +120,10 @@ ELEMENTWISE: dict[str, Callable[..., Number]] = {
     "div": functools.partial(_quotient, op="div"),
     "integer_pow": _integer_power,
     "is_finite": _is_finite,
+    "log2": _log2,
     "name": lambda walk, x, p, dtype: x[0],
+    "one_minus_square": _one_minus_square,
+    "polynomial": _polynomial,
     "pow": _power,
     "reduce_precision": _reduce_precision,
     "rem": functools.partial(_quotient, op="rem"),
