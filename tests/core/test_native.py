@@ -405,7 +405,8 @@ def test_constants_carries_and_rows_are_recognized_by_number_and_shape(monkeypat
             return (y * scale + row.sum(), total + x), y.sum() + row[0]
 
         rows = jnp.outer(jnp.arange(6.0), x)
-        solved = lax.custom_linear_solve(lambda v: scale * v, x, lambda _, b: b / scale, lambda _, b: b / scale)
+        inverse = 1 / scale  # the constant of each function is another one
+        solved = lax.custom_linear_solve(lambda v: scale * v, x, lambda _, b: inverse * b, lambda _, b: b / scale)
         return {
             "scan": lax.scan(step, (x, x), rows),
             "no carry": lax.scan(lambda _, row: (None, row * scale), None, rows)[1],
