@@ -20,7 +20,8 @@ Internal friction adds a rotation, but no torque. With Π̄ = ½(Π_n + Π_{n+1}
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -30,6 +31,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, vec3
+from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.vec3 import Symmetric, Vector, add, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
@@ -113,9 +115,9 @@ class TorquedMidpoint(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation.from_state(self, state, dt)
-        y, info = equation.solve(self.iterations)
+        y, z, info = equation.solve(self.iterations)
         rotation = equation.rotation(y)
-        torques = equation.torques(rotation)
+        torques = equation.torques(rotation, z)
         q = state.q + jnp.stack(so3.cayley_difference(state.q, rotation.h))
         rotation = rotation._replace(q_next=q)
         impulse = jnp.asarray(dt) * (torques.space + (so3.Ad(state.q, torques.body) + so3.Ad(q, torques.body)) / 2)
@@ -294,7 +296,9 @@ def _extra_after(
 
 
 class _Equation(NamedTuple):
-    """The equation for y of one step from a state; J, Π_n, a and s are divided by tr J, so that |a| is an angle.
+    """The equation of one step from a state; J and Π_n are divided by tr J, so that the unknowns are angles.
+
+    The unknowns x are y and, for each internal state η that a law leaves to the step, z = ½Δt(η_{n+1} − η_n)/tr J.
 
     Attributes:
         kappa: κ.
@@ -302,7 +306,7 @@ class _Equation(NamedTuple):
         inner: their internal states.
         J: the inertia.
         Pi: Π_n.
-        s: ¼Δt².
+        half_dt: ½Δt/tr J.
         q: q_n.
         t: t_n.
         dt: Δt.
@@ -313,7 +317,7 @@ class _Equation(NamedTuple):
     inner: tuple[Array | None, ...]
     J: Symmetric
     Pi: Vector
-    s: Array
+    half_dt: Array
     q: Array
     t: Array
     dt: Array
@@ -325,12 +329,17 @@ class _Equation(NamedTuple):
         J, r = vec3.unit_trace(system.inertia)
         Pi = vec3.components(r * so3.Ad_star(state.q, state.p))
         inner = tuple(_inner(state, law) for law in system.laws)
-        return cls(step.kappa, system.laws, inner, J, Pi, 0.25 * r * dt * dt, state.q, clock(state), dt)
+        return cls(step.kappa, system.laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
 
     @property
     def a(self) -> Vector:
         """½ΔtΠ_n."""
         return scale(0.5 * self.dt, self.Pi)
+
+    @property
+    def implicit_states(self) -> Vector:
+        """The internal states η_n that belong to the unknowns, one after the other."""
+        return _flat(jnp.asarray(inner) for law, inner in zip(self.laws, self.inner, strict=True) if law.implicit)
 
     def rotation(self, y: Vector) -> Rotation:
         """The rotation of a step, the argument of the laws."""
@@ -343,13 +352,17 @@ class _Equation(NamedTuple):
         half = so3.cayley_increment(q, h / (1 + jnp.sqrt(1 + dot(h, h))))
         return Rotation(self.t, self.dt, q, half, so3.cayley_increment(q, h), h, k, Omega, so3.Ad(q, Omega))
 
-    def torques(self, rotation: Rotation) -> _Torques:
+    def torques(self, rotation: Rotation, z: Vector) -> _Torques:
         """The mean torques of all laws. A law that reads an internal state receives its mean over the step."""
         sums = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}
-        each, means = {}, {}
+        each, means, unknown = {}, {}, iter(z)
         for k, law in sorted(enumerate(self.laws), key=lambda numbered: numbered[1].reads is not None):
             inner = self.inner[k] if law.reads is None else means[law.reads]
-            torque, after = law.mean(rotation, inner)
+            if law.implicit:
+                inner = jnp.asarray(inner)
+                torque, after = law.implicit_mean(rotation, inner, self._state_after(inner, unknown))
+            else:
+                torque, after = law.mean(rotation, inner)
             torque = jnp.asarray(torque).astype(self.q.dtype)
             sums[law.frame] = sums[law.frame] + torque
             each[k] = (torque, inner, after)
@@ -357,76 +370,126 @@ class _Equation(NamedTuple):
                 means[law.key] = jax.tree.map(lambda a, b: (a + b) / 2, inner, after)
         return _Torques(sums["body"], sums["space"], [each[k] for k in range(len(each))])
 
-    def side(self, rotation: Rotation) -> Vector:
-        """sT̄, with T̄ = ΣT̄_k in the body."""
-        found = self.torques(rotation)
+    def _state_after(self, inner: Array, z: Iterator[Array]) -> Array:
+        """η_{n+1} by the unknowns."""
+        moves = self.half_dt != 0
+        change = jnp.stack([next(z) for _ in range(inner.size)]).reshape(inner.shape)
+        return inner + jnp.where(moves, change / jnp.where(moves, self.half_dt, 1), 0)
+
+    def sides(self, rotation: Rotation, z: Vector) -> Vector:
+        """sT̄, with T̄ = ΣT̄_k in the body; and what the laws make of z."""
+        found = self.torques(rotation, z)
         T = so3.Ad_star(rotation.q_n, found.space)
-        return scale(self.s, add(found.body, subtract(T, cross(rotation.h, T))))
+        sT = scale(0.5 * self.dt * self.half_dt, add(found.body, subtract(T, cross(rotation.h, T))))
+        changes = (
+            self.half_dt * (after - before)
+            for law, (_, before, after) in zip(self.laws, found.each, strict=True)
+            if law.implicit
+        )
+        return (*sT, *_flat(changes))
 
-    def side_of(self, y: Vector) -> Vector:
-        """sT̄ as a function of y."""
-        return self.side(self.rotation(y))
+    def sides_at(self, x: Vector) -> Vector:
+        """`sides` as a function of the unknowns."""
+        return self.sides(self.rotation(x[:3]), x[3:])
 
-    def residual(self, y: Vector) -> Vector:
-        """Jy + κ y × Jy − a − sT̄."""
-        return subtract(subtract(gyration(self.kappa, self.J, y), self.a), self.side_of(y))
+    def residual(self, x: Vector) -> Vector:
+        """Jy + κ y × Jy − a − sT̄, and z less what the laws make of it."""
+        side = self.sides_at(x)
+        free = subtract(gyration(self.kappa, self.J, x[:3]), self.a)
+        return tuple(left - right for left, right in zip((*free, *x[3:]), side, strict=True))
 
-    def correction(self, y: Vector, f: Vector) -> Vector:
+    def correction(self, x: Vector, f: Vector) -> Vector:
         """Newton's step."""
-        K = vec3.combine(gyration_matrix(self.kappa, self.J, y), _jacobian(self.side_of, y), -1)
-        return vec3.solve(K, f)
+        return tuple(la.solve(self._matrix(x, _jacobian(self.sides_at, x)), list(f)))
 
-    def solve(self, iterations: int) -> tuple[Vector, StepInfo]:
-        """y, and the report."""
+    def _matrix(self, x: Vector, *of_sides: la.Matrix) -> la.Matrix:
+        """The derivative of the residual, that of `sides` being the sum of matrices."""
+        K, n = gyration_matrix(self.kappa, self.J, x[:3]), len(x)
+        free = [[K[i][j] if max(i, j) < 3 else float(i == j) for j in range(n)] for i in range(n)]
+        return la.combination((1.0, free), *((-1.0, A) for A in of_sides))
+
+    def solve(self, iterations: int) -> tuple[Vector, Vector, StepInfo]:
+        """y, z, and the report."""
         at = lax.stop_gradient
         u = vec3.solve_symmetric(self.J, self.a)  # ½ΔtΩ_n
-        push = vec3.solve_symmetric(self.J, self.residual(u))
-        granted = at(vec3.max_abs(u) + vec3.max_abs(push))
+        f = self.residual((*u, *(jnp.zeros_like(u[0]) for _ in self.implicit_states)))
+        push = vec3.solve_symmetric(self.J, f[:3])
+        granted = at(_max_abs(u, f[3:]) + vec3.max_abs(push))
         short = vec3.max_abs(push) <= _SHORT * vec3.max_abs(u)
-        guess = subtract(u, [jnp.where(short, x, 0) for x in push])
-        y, f, steady = newton.root(
+        guess = (*subtract(u, [jnp.where(short, x, 0) for x in push]), *(-x for x in f[3:]))
+        x, f, steady = newton.root(
             self.residual, self.correction, guess, iterations, done=newton.quadratic, first=granted
         )
-        branch, size = self.judge(tuple(at(x) for x in y))
+        branch, sizes = self.judge(tuple(at(component) for component in x))
         good = steady & branch & vec3.well_conditioned(self.J) & jnp.isfinite(at(self.t))
-        f = at(jnp.sqrt(dot(f, f)))
-        return y, StepInfo(f, (f <= 32 * jnp.finfo(f.dtype).eps * at(size)) & good)
+        errors = [at(jnp.sqrt(sum(r * r for r in rows))) for rows in (f[:3], f[3:]) if rows]
+        for error, size in zip(errors, sizes, strict=True):
+            good &= error <= 32 * jnp.finfo(error.dtype).eps * at(size)
+        return x[:3], x[3:], StepInfo(functools.reduce(jnp.maximum, errors), good)
 
-    def judge(self, y: Vector) -> tuple[Array, Array]:
-        """Whether y is on the branch from Δt = 0, and the size of the terms, which measures their rounding errors.
+    def judge(self, x: Vector) -> tuple[Array, list[Array]]:
+        """Whether x is on the branch from Δt = 0, and the sizes of the terms, which measure their rounding errors.
 
-        Attitudes and velocities have rounding errors of their own size, so the torque contributes its own size and
-        those of its derivatives by both.
+        Attitudes, velocities and internal states have rounding errors of their own size, so the laws contribute their
+        own size and those of their derivatives by all of these. There is a size for y and, if it exists, one for z.
         """
-        now = self.rotation(y)
+        y, z, now = x[:3], x[3:], self.rotation(x[:3])
 
-        def by_attitude(y: Vector) -> Vector:
-            """sT̄ at a constant velocity."""
-            return self.side(self.rotation(y)._replace(Omega=now.Omega, omega=now.omega))
+        def by_attitude(x: Vector) -> Vector:
+            """`sides` at a constant velocity and constant internal states."""
+            return self.sides(self.rotation(x[:3])._replace(Omega=now.Omega, omega=now.omega), z)
 
-        def by_velocity(y: Vector) -> Vector:
-            """sT̄ at a constant attitude."""
-            moved = self.rotation(y)
-            return self.side(now._replace(Omega=moved.Omega, omega=moved.omega))
+        def by_velocity(x: Vector) -> Vector:
+            """`sides` at a constant attitude and constant internal states."""
+            moved = self.rotation(x[:3])
+            return self.sides(now._replace(Omega=moved.Omega, omega=moved.omega), z)
 
-        (here, A), (_, B) = _value_and_jacobian(by_attitude, y), _value_and_jacobian(by_velocity, y)
-        K = vec3.combine(vec3.combine(gyration_matrix(self.kappa, self.J, y), A, -1), B, -1)
-        force = functools.reduce(jnp.maximum, map(vec3.max_abs, A), vec3.max_abs(here))
+        def by_states(x: Vector) -> Vector:
+            """`sides` for one rotation."""
+            return self.sides(now, x[3:])
+
         speed = vec3.max_abs(y) / jnp.maximum(1, vec3.max_abs(vec3.components(now.h)))  # h may enlarge h × T at will
-        force = jnp.maximum(force, speed * functools.reduce(jnp.maximum, map(vec3.max_abs, B)))
-        return on_branch(self.kappa, y, K), vec3.max_abs(self.a) + force
+        here, A = _value_and_jacobian(by_attitude, x)
+        changes = [(1, A), (speed, _jacobian(by_velocity, x))]
+        if z:
+            states = _max_abs([self.half_dt * state for state in self.implicit_states], z)
+            changes.append((states, _jacobian(by_states, x)))
+        K = self._matrix(x, *(A for _, A in changes))
+
+        def size(rows: slice, own: Array) -> Array:
+            terms = [weight * _max_abs(*A[rows]) for weight, A in changes]
+            return own + functools.reduce(jnp.maximum, terms, _max_abs(here[rows]))
+
+        first, last = slice(3), slice(3, None)
+        if not z:
+            return on_branch(self.kappa, y, K), [size(first, vec3.max_abs(self.a))]
+        inner = la.factored([row[3:] for row in K[3:]])
+        columns = [inner.solve([row[j] for row in K[3:]]) for j in range(3)]  # of K_zz⁻¹ K_zy
+        rest = [[K[i][j] - la.dot(K[i][3:], columns[j]) for j in range(3)] for i in range(3)]
+        branch = on_branch(self.kappa, y, rest) & inner.positive
+        return branch, [size(first, vec3.max_abs(self.a)), size(last, states)]
 
 
-def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> vec3.Matrix:
-    """The derivative of a function of three components, as rows."""
+def _flat(arrays: Iterable[Array]) -> tuple[Array, ...]:
+    """The entries of arrays, one after the other."""
+    return tuple(x for array in arrays for x in vec3.components(array.reshape(-1)))
+
+
+def _max_abs(*vectors: Sequence[Array]) -> Array:
+    """The largest size of a component."""
+    return functools.reduce(jnp.maximum, [jnp.abs(x) for x in itertools.chain(*vectors)])
+
+
+def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> la.Matrix:
+    """The derivative of a function of components, as rows."""
     return _value_and_jacobian(function, x)[1]
 
 
-def _value_and_jacobian(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, vec3.Matrix]:
-    """A function of three components, and its derivative as rows."""
+def _value_and_jacobian(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, la.Matrix]:
+    """A function of components, and its derivative as rows."""
 
     def derivative(axis: Array) -> tuple[Vector, Vector]:
         return jax.jvp(function, (tuple(x),), (vec3.components(axis),))
 
-    value, rows = jax.vmap(derivative, out_axes=(None, 0))(jnp.eye(3, dtype=x[0].dtype))
-    return value, [vec3.components(row) for row in rows]
+    value, rows = jax.vmap(derivative, out_axes=(None, 0))(jnp.eye(len(x), dtype=x[0].dtype))
+    return value, [[*vec3.components(row)] for row in rows]

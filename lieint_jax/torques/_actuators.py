@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -82,17 +81,8 @@ class WheelMotor:
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
         """The torques dh_j/dt on the wheels, (m,)."""
-        return self.torque_by_momentum(t, q, Omega)(h)
-
-    def torque_by_momentum(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
-        """The torques as a function of h: the control law is evaluated once."""
-        torque = _control_torque(self.control, t, q, Omega)
-
-        def motors(h: Array) -> Array:
-            momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
-            return -(self.allocation @ (torque + momentum))
-
-        return motors
+        momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
+        return -(self.allocation @ (_control_torque(self.control, t, q, Omega) + momentum))
 
 
 def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> WheelMotor:

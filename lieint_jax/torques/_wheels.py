@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -17,9 +16,6 @@ from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut, unit_vector
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
-
-_SWEEPS = 6  # of the motor's equation for the mean momentum: each gains log₁₀(1/½Δt|∂u/∂h|) digits
-_CHEAP_SWEEPS = 12  # of a motor that evaluates its control law once
 
 
 @pytree
@@ -42,9 +38,17 @@ class Wheels(Law):
     def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.max_momentum is None
 
+    @property
+    def implicit(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.motor is not None
+
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
+        """That of `implicit_mean` for motors that look at h at the start of a step."""
+        return self.implicit_mean(rotation, inner, inner)
+
+    def implicit_mean(self, rotation: Rotation, inner: Array, after: Array) -> tuple[Array, Array]:
         """T̄ = −κ Ω̄ × h̄_r − Δh_r/Δt with h_r = Σ g_j h_j: then π + Λh_r is conserved."""
-        rate, after = self._drive(rotation, inner)
+        rate, after = self._drive(rotation, inner, after)
         mean = (inner + after) / 2 @ self.axes
         return -rotation.kappa * jnp.stack(cross(rotation.Omega, mean)) - rate @ self.axes, after
 
@@ -59,7 +63,7 @@ class Wheels(Law):
 
     def inner_rate(self, now: Rotation, inner: Array) -> Array:
         """The motors' torques, 0 where a wheel is at its limit of momentum and is driven beyond it."""
-        return self._drive(now, inner)[0]
+        return self._drive(now, inner, inner)[0]
 
     def start(self, now: Rotation) -> Array:
         """I_j(σ_j + g_j·Ω), of the relative speeds σ that the law was made with."""
@@ -69,16 +73,14 @@ class Wheels(Law):
         """Λh_r."""
         return so3.Ad(q, inner @ self.axes)
 
-    def _drive(self, rotation: Rotation, h: Array) -> tuple[Array, Array]:
-        """The mean torque on the wheels in a step, Δh/Δt, (m,), and h after it, within both limits."""
+    def _drive(self, rotation: Rotation, h: Array, end: Array) -> tuple[Array, Array]:
+        """The mean torque on the wheels in a step, Δh/Δt, (m,), and h after it, within both limits.
+
+        The motor looks at the mean of h and `end`, which the step solves for: it is the h returned.
+        """
         if self.motor is None:
             return jnp.zeros_like(h), h
-        now = rotation.t, rotation.q_mid, rotation.Omega
-        by_momentum = getattr(self.motor, "torque_by_momentum", None)
-        motors = by_momentum(*now) if by_momentum else functools.partial(self.motor, *now)
-        torque = jnp.zeros_like(h)
-        for _ in range(_CHEAP_SWEEPS if by_momentum else _SWEEPS):
-            torque = self._limit_torque(motors(h + rotation.dt / 2 * torque))
+        torque = self._limit_torque(self.motor(rotation.t, rotation.q_mid, rotation.Omega, (h + end) / 2))
         after = h + rotation.dt * torque
         if self.max_momentum is None:
             return torque, after

@@ -76,6 +76,8 @@ class Law(abc.ABC):
         reads: the key of another law whose internal state, averaged over the step, is passed to `mean`; or None.
         symmetric: whether a step of −Δt is the inverse of one of Δt.
         internal: whether the law exchanges momentum with its internal state only, so that the total is conserved.
+        implicit: whether the internal state after a step is an unknown of the step's equation, since its rate depends
+            on it. Then a step calls `implicit_mean`.
     """
 
     frame: str = "body"
@@ -83,6 +85,7 @@ class Law(abc.ABC):
     reads: str | None = None
     symmetric: bool = True
     internal: bool = False
+    implicit: bool = False
 
     @property
     def label(self) -> str:
@@ -92,6 +95,10 @@ class Law(abc.ABC):
     @abc.abstractmethod
     def mean(self, rotation: Rotation, inner: Array | None) -> tuple[Array, Array | None]:
         """The mean torque of a step in the axes of `frame`, (3,), and the internal state after it."""
+
+    def implicit_mean(self, rotation: Rotation, inner: Array, after: Array) -> tuple[Array, Array]:
+        """The same as `mean`, given the internal state after the step, which it returns at the solution."""
+        raise NotImplementedError
 
     def energy(self, t: Array, q: Array, inner: Array | None) -> Array:
         """The potential at an attitude, or the energy of the internal state, (); by default 0."""

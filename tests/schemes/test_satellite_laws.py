@@ -1,5 +1,6 @@
 """Laws of a satellite: drag and sunlight on plates, control of wheels and torquers, unloading of wheels."""
 
+import dataclasses
 import functools
 
 import jax
@@ -282,6 +283,30 @@ def test_three_wheels_agree_with_the_published_run_of_basilisk():
     state = last(li.integrate(torqued_midpoint(body), state, 1 / 512, 512, save_every=512))
     mrp = np.asarray(state.q[1:]) / (1 + float(state.q[0]))
     np.testing.assert_allclose(mrp, [0.0199853994, 0.00245647716, 8.45356279e-06], rtol=0, atol=3e-10)
+
+
+def test_motors_that_look_at_the_momentum_are_solved_with_the_step():
+    """dh/dt = −kh by the midpoint rule: h((1 − ½kΔt)/(1 + ½kΔt))ⁿ, for any k > 0; a step of kΔt < −2 has no branch."""
+    law = torques.wheels(AXES[:1], 0.1, jax.tree_util.Partial(lambda k, t, q, Omega, h: -k * h, 0.5), speeds=10.0)
+    state = start(law)[1]
+
+    @jax.jit
+    @jax.vmap
+    def after_four_steps(k):
+        motor = jax.tree_util.Partial(law.motor.func, k)
+        body = torqued_body(INERTIA, dataclasses.replace(law, motor=motor))
+        path = li.integrate(torqued_midpoint(body), state, 1.0, 4)
+        return last(path), path.info.converged, body.energy(last(path)) - body.energy(state)
+
+    k = np.array([0.5, 1.8, 3.0, 50.0, -2.1, -3.0])
+    end, converged, gained = after_four_steps(jnp.asarray(k))
+    h = end.extra["wheels"][:, 0]
+    exact = float(state.extra["wheels"][0]) * ((1 - k / 2) / (1 + k / 2)) ** 4
+    np.testing.assert_allclose(h[:3], exact[:3], rtol=0, atol=1e-15)  # observed: 1e-16
+    np.testing.assert_allclose(h[3], exact[3], rtol=6e-14)  # observed: 1.5e-14; the mean of h cancels 25-fold
+    np.testing.assert_allclose(gained[:4], end.work[:4], rtol=0, atol=3e-14)  # observed: 4e-15
+    assert converged[:4].all()
+    assert not converged[4:, 1:].any()
 
 
 REFUSED = {

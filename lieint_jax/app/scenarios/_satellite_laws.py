@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple, Self
 
 import jax
@@ -202,12 +201,7 @@ class WindowedMotors:
     end: Array
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
-        return self.torque_by_momentum(t, q, Omega)(h)
-
-    def torque_by_momentum(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
-        """The same as in `WheelMotor`."""
-        motors, acts = self.motor.torque_by_momentum(t, q, Omega), _is_inside(self, t)
-        return lambda h: jnp.where(acts, motors(h), 0)
+        return jnp.where(_is_inside(self, t), self.motor(t, q, Omega, h), 0)
 
 
 def _is_inside(window: WindowedLaw | WindowedMotors, t: Array) -> Array:
