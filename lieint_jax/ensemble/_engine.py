@@ -14,6 +14,7 @@ from jax.sharding import Mesh
 
 from lieint_jax._integrate import UniformClock
 from lieint_jax.ensemble import _layout, _loop
+from lieint_jax.ensemble._comparison import compare, few_members
 from lieint_jax.ensemble._job import Job
 from lieint_jax.ensemble._layout import Layout, Numbers, Tree
 from lieint_jax.ensemble._loop import (
@@ -233,7 +234,26 @@ class NativeEngine(Engine):
 
     def __init__(self, job: Job):
         super().__init__(job)
-        _, self._interval = self.make_programs(kernel)
+        preparation, self._interval = self.make_programs(kernel)
+        if job.num_steps and not self._interval.is_compared:
+            self._compare_first_step(preparation)
+        if self._interval.refusal:
+            raise UnsupportedError(self._interval.refusal)
+
+    def _compare_first_step(self, preparation: Kernel | None) -> None:
+        """Compare a first step with XLA's."""
+        job = few_members(self.job)
+        members, step, plain = job.states.p.shape[0], job.step, None
+        origin = Origin(job.t0, job.clock, None)
+        if preparation is not None:
+            plain, step = step, preparation((step, job.states, origin), members)
+            step = _without_shared_axis(preparation.kinds_of_results, jax.tree.map(lambda x: x[0], step))
+        value = None if job.reduction is None else np.zeros(members, job.dtype)
+        ends = np.ones(1, _loop.step_dtype())
+        rests = None if job.rests is None else np.full(1, job.first_dt / 2, job.dtype)
+        spans = Span(0 * ends, ends, rests, np.ones(1, bool))
+        arguments = _loop.start(job.states, value), step, plain, origin._replace(quantity=value), spans
+        compare(self._interval, arguments, members)
 
     def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Step]:
         """See `Engine`."""

@@ -9,7 +9,7 @@ number (`_arrays`).
 
 from lieint_jax.native._arrays import Flattened, flatten
 from lieint_jax.native._kernel import Kernel, kernel
-from lieint_jax.native._primitives.abstract_walk import UnsupportedError
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._traced import make_once
 
-__all__ = ["Flattened", "Kernel", "UnsupportedError", "flatten", "kernel", "make_once"]
+__all__ = ["Flattened", "Kernel", "UnsupportedError", "flatten", "kernel", "make_once", "unsupported_if_it_fails"]

@@ -10,7 +10,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax import Array
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from lieint_jax._xla import compiled
 from lieint_jax.native._primitives.abstract_walk import unsupported_if_it_fails
 from lieint_jax.native._program import Program
 from lieint_jax.native._stream import Stream, split
@@ -35,6 +38,8 @@ class Kernel:
     Attributes:
         results: the shapes of the results of one member and one row.
         kinds_of_results: for each of them "member" or "shared".
+        is_compared: whether its results were compared with XLA's.
+        refusal: why it must not be used, if they differed.
 
     Raises:
         ImportError: llvmlite is missing.
@@ -45,6 +50,8 @@ class Kernel:
         traced = Traced(function, kinds, examples)
         self.results, self.kinds_of_results, self.length = traced.results, traced.kinds_of_results, traced.length
         self._leaves, self._given, self._structure = traced.leaves, traced.given, jax.tree.structure(traced.results)
+        self._jaxpr: ClosedJaxpr | None = traced.jaxpr
+        self.is_compared, self.refusal = False, ""
         self._outside = [HostOperation(x, Code(x.program, x.leaves, x.operands)) for x in traced.outside]
         self._code = Code(traced.program, self._leaves, jax.tree.leaves(self.results), lanes)
         self.lanes = self._code.lanes
@@ -53,6 +60,27 @@ class Kernel:
     def shared(self) -> int:
         """The number of values shared by all members in the last call, of 8 bytes each."""
         return self._code.shared
+
+    def with_reference(self, arguments: Sequence[Tree], members: int) -> tuple[Tree, Tree]:
+        """The results of all members for one row, with the axes (members, …): by this machine code, and by XLA.
+
+        XLA's program is that of one member, which compiles in half of the time of one for many.
+        This method can be called once: then the kernel forgets what was traced.
+        """
+        assert self._jaxpr is not None
+        given = [np.asarray(x) for part in arguments for x in jax.tree.leaves(part)]
+        leaves, one = self._leaves[: self._given], compiled(jaxpr_as_fun(self._jaxpr), once=True)
+        self._jaxpr = None
+
+        def by_xla(m: int) -> list[Array]:
+            at = {"carry": m, "member": m, "row": 0}
+            return one(*(x[at[leaf.kind]] if leaf.kind in at else x for x, leaf in zip(given, leaves, strict=True)))
+
+        theirs = [np.stack(x) for x in zip(*map(by_xla, range(members)), strict=True)]
+        ours = jax.tree.leaves(self(arguments, members))
+        carried = self._code.carried
+        ours[carried:] = [x[0] for x in ours[carried:]]
+        return jax.tree.unflatten(self._structure, ours), jax.tree.unflatten(self._structure, theirs)
 
     def __call__(self, arguments: Sequence[Tree], members: int, rows: int = 1, threads: int = 1) -> Tree:
         """The results of all members, with the axes (members, …) of carries and (rows, members, …) of others."""
@@ -99,11 +127,11 @@ class Code:
         from lieint_jax.native._calls import Functions
         from lieint_jax.native._emit import Tape, emit
 
-        self._results, self._carried = results, sum(leaf.kind == "carry" for leaf in leaves)
+        self._results, self.carried = results, sum(leaf.kind == "carry" for leaf in leaves)
         sizes = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
         width = _machine.register_bytes() // max(sizes, default=8)
         self.lanes = lanes or width * (2 if program.pressure() <= _FEW else 1)
-        sizes = [int(np.prod(x.shape)) for x in results[self._carried :]]
+        sizes = [int(np.prod(x.shape)) for x in results[self.carried :]]
         parts, tape, functions = split(program), None, Functions()
         self._shared = None
         if parts is not None:
@@ -120,7 +148,7 @@ class Code:
     def __call__(self, inputs: Sequence[np.ndarray], members: int, rows: int, threads: int) -> list[np.ndarray]:
         """The results, with the axes (members, …) of carries and (rows, members, …) of others."""
         outputs = [
-            np.empty((members, *x.shape) if n < self._carried else (rows, members, *x.shape), x.dtype)
+            np.empty((members, *x.shape) if n < self.carried else (rows, members, *x.shape), x.dtype)
             for n, x in enumerate(self._results)
         ]
         given = _addresses(inputs)

@@ -63,6 +63,7 @@ class Traced:
         length: the number of its operations.
         results: the shapes of the results of one member and one row.
         kinds_of_results: for each of them "member" or "shared".
+        jaxpr: the function as JAX traces it.
 
     Raises:
         UnsupportedError: the function cannot be a program of numbers.
@@ -70,9 +71,9 @@ class Traced:
 
     def __init__(self, function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]):
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x), _dtype(x)), tuple(examples))
-        closed, self.results = jax.make_jaxpr(function, return_shape=True)(*shapes)
+        self.jaxpr, self.results = jax.make_jaxpr(function, return_shape=True)(*shapes)
         with unsupported_if_it_fails():
-            self._walk(closed, kinds, shapes)
+            self._walk(self.jaxpr, kinds, shapes)
 
     def _walk(self, closed: ClosedJaxpr, kinds: Sequence[Tree], shapes: Sequence[Tree]) -> None:
         each = jax.tree.map(lambda kind, part: [kind] * len(jax.tree.leaves(part)), tuple(kinds), shapes)

@@ -443,6 +443,30 @@ def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, capl
     assert message == f"XLA runs {step.name}, which is slower than machine code: KeyError: {name!r}"
 
 
+@pytest.mark.parametrize("reduce", [None, "energy"])
+def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, reduce):
+    """A wrong formula of a primitive, of which nothing else would tell, in two runs; and if only `reduce` has it."""
+
+    def potential(axis):  # of this test alone, so that no engine of it is in the cache
+        return axis @ jnp.array([0.1, 0.2, 0.3]) + jnp.cos(axis[0])
+
+    free = lambda axis: axis @ jnp.array([0.2, 0.1, 0.3])  # noqa: E731
+    top = systems.potential_top([1.0, 2.0, 3.0], free if reduce else potential)
+    step, states = schemes.top_energy_momentum(top), jax.vmap(lambda w: top.state(angular_velocity=w))(normal(3))
+    quantity = (lambda step, state: jnp.cos(state.p[0])) if reduce else None  # noqa: E731
+    with monkeypatch.context() as patch:
+        patch.setitem(ELEMENTWISE, "cos", lambda walk, x, parameters, dtype: walk.number("mul", x[0], x[0]))
+        runs = [ensemble.run(step, states, 0.1, n, reduce=quantity, progress=False) for n in (1, 2)]
+    [message] = [record.getMessage() for record in caplog.records if record.name.startswith("lieint_jax")]
+    assert message.startswith(f"XLA runs {step.name}, which is slower than machine code: in machine code a first step")
+    expected = jax.jit(jax.vmap(lambda z: step(z, 0.1)[0]))(states)
+    if reduce:
+        change = np.cos(expected.p[:, 0]) - np.cos(states.p[:, 0])
+        np.testing.assert_allclose(runs[0].mean[-1], change.mean(), rtol=1e-13)
+    else:
+        np.testing.assert_allclose(runs[0].state.p[-1], expected.p, rtol=1e-14)
+
+
 def test_what_is_returned_may_be_known_shared_or_given():
     def function(x, flag, nothing, n, on, scale, rate):
         return {
