@@ -10,7 +10,7 @@ import sys
 import threading
 import unicodedata
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     jax.config.update("jax_enable_x64", True)
     use_program_cache()
-    warnings.showwarning = lambda message, *_, **__: show(f"lieint: warning: {message}", error=True)
+    warnings.showwarning = _show_once()
     try:
         options.command(options)
     except BrokenPipeError:  # the reader of our output has stopped, as in `lieint … | head`
@@ -70,6 +70,18 @@ def main(arguments: list[str] | None = None) -> int:
         show(f"lieint: {stop if str(stop) else 'interrupted'}", error=True)
         return 130
     return 0
+
+
+def _show_once() -> Callable[..., None]:
+    """A function that shows a warning, unless it has shown the same text: a scenario's numbers are checked twice."""
+    known: set[str] = set()
+
+    def show_warning(message: Warning | str, *_: object, **__: object) -> None:
+        if str(message) not in known:
+            known.add(str(message))
+            show(f"lieint: warning: {_checks.printable(str(message), _MESSAGE)}", error=True)
+
+    return show_warning
 
 
 def _sentence(error: Exception) -> str:

@@ -44,6 +44,7 @@ from lieint_jax.types import State, Step, Trajectory
 
 _OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1
 _MESSAGE = 1000  # characters of a message about a key
+_SPREAD = "spread"
 _FOR_PYTHON = "; use jax.vmap for batches"  # advice that does not apply to a file
 
 
@@ -150,7 +151,7 @@ def parse(table: dict[str, Any], name: str) -> Any:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise ValueError(f"{name}: {_explain(error, model)}") from error
+        raise ValueError(f"{name}: {_explain(error, model, table)}") from error
 
 
 def from_results(table: dict[str, Any], name: str) -> Any:
@@ -210,7 +211,18 @@ def _shown(value: object) -> str:
     return _checks.printable(repr(value) if isinstance(value, str) else value)
 
 
-def _explain(error: ValidationError, model: Any) -> str:
+def _component_keys(place: tuple[int | str, ...], table: dict[str, Any]) -> list[str]:
+    """The numbers of a scenario, by their paths, whose components have the spread that the key at `place` gives."""
+    owner, path = table, ""
+    for part in place[: place.index(_SPREAD)]:
+        owner = owner[part]  # pyright: ignore[reportArgumentType]
+        path += f"{owner.get('name', int(part) + 1) if isinstance(part, int) else part}."
+    tables = {"": owner, **{f"{name}.": x for name, x in owner.items() if isinstance(x, dict) and name != _SPREAD}}
+    quantity = str(place[-1]).rpartition("_")[0]
+    return [f"{path}{at}{key}" for at, x in tables.items() for key in x if key.rpartition("_")[0] == quantity]
+
+
+def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
     """The first problem of a validation in one line that names the key; for an unknown key, with the allowed ones."""
     problem, *others = error.errors()
     key = "".join(f"{_checks.printable(part)}." for part in problem["loc"] if part != "[key]").removesuffix(".")
@@ -224,5 +236,7 @@ def _explain(error: ValidationError, model: Any) -> str:
         near = " or ".join(_nearest(str(problem["loc"][-1]), allowed))
         message += f"; did you mean {near}?" if near else ""
         message += f"; allowed: {', '.join(allowed)}" if allowed else ""
+    if problem["type"] == "float_type" and _SPREAD in problem["loc"][:-1] and isinstance(problem["input"], list):
+        given += "".join(f"; in [spread], {name} accepts a list" for name in _component_keys(problem["loc"], table))
     more = f"; and {len(others)} more" if others else ""
     return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}".replace(_FOR_PYTHON, "")
