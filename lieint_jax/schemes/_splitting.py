@@ -211,8 +211,8 @@ def _drift(free: System) -> Step:
     )
     raise ValueError(
         f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric{traced}: "
-        "give a symmetric step of system.free, such as group_midpoint(system.free), whose form has a defect O(Δt³) per step "
-        "unless the metric is bi-invariant"
+        "give a symmetric step of system.free, such as group_midpoint(system.free), whose form has a defect O(Δt³) per "
+        "step unless the metric is bi-invariant"
     )
 
 

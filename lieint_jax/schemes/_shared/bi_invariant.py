@@ -41,7 +41,7 @@ class OneParameterSubgroup(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group = self.system.group
         Pi = group.Ad_star(state.q, state.p)
-        q = group.multiply(state.q, group.exp(dt * _velocity(self.system.metric, Pi)))
+        q = group.multiply(state.q, group.exp(_velocity(self.system.metric, jnp.asarray(dt) * Pi)))
         size, error = (jnp.max(jnp.abs(x)) for x in (Pi, group.Ad_star(q, state.p) - Pi))
         eps = float(jnp.finfo(q.dtype).eps)
         return state._replace(q=q), StepInfo(error / jnp.where(size > 0, size, 1), error <= _ROUNDING * eps * size)
