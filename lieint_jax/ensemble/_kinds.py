@@ -37,8 +37,7 @@ _TEXT_OR_TABLE = _Kind(lambda x: isinstance(x, str | dict), "text")
 _FLAG = _Kind(lambda x: isinstance(x, bool), "true or false")
 ARCHIVE_KEYS = {
     "scenario": _TABLE._replace(required=False),
-    "lieint_jax": _TEXT,
-    **dict.fromkeys(("title", "study", "jax"), _TEXT._replace(required=False)),
+    **dict.fromkeys(("title", "study", "lieint_jax", "jax"), _TEXT._replace(required=False)),
     "quick": _FLAG._replace(required=False),
     "tree": _Kind(lambda _: True, "a tree", required=False),
 }

@@ -143,7 +143,7 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
     if run is None:
         run, metadata = files.load(path, thorough=True)
     title = metadata.get("title") or _table(metadata).get("title", str(path))
-    lines = [_checks.printable(title), *_origin(run, metadata)]
+    lines = [_checks.printable(title), *_origin(path, run, metadata)]
     t = _times(run)
     if not len(t):
         return "\n".join(lines)
@@ -162,11 +162,13 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
     return "\n".join(lines)
 
 
-def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
+def _origin(path: Address, run: Any, metadata: dict[str, Any]) -> list[str]:
     """Lines with the scheme, the system and the size of a run, its progress, and the versions of the software."""
     progress = metadata.get("progress")
     if not progress:
-        version = _checks.printable(metadata.get("lieint_jax", "?"))
+        if "lieint_jax" not in metadata:
+            raise UnreadableError(f"{path} is no file of results that lieint wrote: its metadata has no lieint_jax")
+        version = _checks.printable(metadata["lieint_jax"])
         return [f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {version}"]
     planned, dt = metadata["num_steps"], metadata["dt"]
     sizes = "between given times" if dt is None else f"of {dt:.6g} {_time_unit(metadata)}".rstrip()
