@@ -7,6 +7,8 @@ import contextvars
 import functools
 import math
 import os
+import reprlib
+import unicodedata
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -38,6 +40,32 @@ Attitude = ArrayLike | Sequence[Any] | RotationLike
 UNIT_TOLERANCE = 1e-6
 _on_host: contextvars.ContextVar[bool] = contextvars.ContextVar("_on_host", default=False)
 _LARGEST_COUNT = 2**53  # beyond, counts are not exact as floating-point numbers
+
+
+def printable(value: object, most: int = 200, keep: str = "") -> str:
+    """A value from a file as text for a terminal: at most `most` characters, others than printable ones escaped.
+
+    Control and format characters (ESC, a change of direction, a line separator) and halves of surrogate pairs become
+    \\x1b, \\u202e, …, except those in `keep`.
+    """
+    try:
+        text = value if isinstance(value, str) else _Short(most).repr(value)
+    except ValueError:  # an integer of more digits than Python writes
+        text = "a value of too many digits"
+    cut = text if len(text) <= most else f"{text[:most]}…"
+    return "".join(c if c.isprintable() or c in keep or unicodedata.category(c) == "Zs" else _escape(c) for c in cut)
+
+
+class _Short(reprlib.Repr):
+    """`repr` of the first items of long or nested values."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self.maxstring = self.maxlong = self.maxother = self.maxlist = self.maxtuple = self.maxdict = most
+
+
+def _escape(character: str) -> str:
+    return character.encode("unicode_escape").decode()
 
 
 def concrete(*trees: object) -> bool:

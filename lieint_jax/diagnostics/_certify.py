@@ -55,6 +55,7 @@ class Certificate(NamedTuple):
         own_time: whether the steps vary with the state.
         cancellation: the sum of the absolute terms of the momentum map over max|Φ₀|, the factor by which its rounding
             error is larger.
+        momentum_map: whether the system has a momentum map.
     """
 
     scheme: str
@@ -75,6 +76,7 @@ class Certificate(NamedTuple):
     clock: float = 0.0
     own_time: bool = False
     cancellation: float = 1.0
+    momentum_map: bool = True
 
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
@@ -94,6 +96,8 @@ class Certificate(NamedTuple):
         ]
         head = f"{self.scheme} · {self.system} · dt = {self.dt:g}, {self.num_steps} steps, {self.precision}"
         lines = [f"  {name:<16} {value:>9.2g}   {verdict}" for name, value, verdict in rows]
+        if not self.momentum_map:
+            lines[1] = f"  {'momentum':<16} {'—':>9}   no momentum map"
         return "\n".join([head, *lines])
 
     def _form(self) -> str:
@@ -156,6 +160,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         clock=_relative(_clock_error(run.state, dt), seen.size),
         own_time=step.own_time,
         cancellation=max(1.0, _relative(seen.terms, seen.total)),
+        momentum_map=jax.eval_shape(step.system.momentum, state).size > 0,
     )
 
 
@@ -233,7 +238,7 @@ def _relative(error: float, size: float) -> float:
 def _verdict(error: float, bounds: np.ndarray, eps: float, verb: str = "conserved") -> str:
     """The verdict on an error, by the bounds of rounding errors that are random and that are all of one sign."""
     if math.isnan(error):
-        return "none"
+        return "not a number"
     if error == 0:
         return f"{verb} bit for bit"
     random, biased = bounds

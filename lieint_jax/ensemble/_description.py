@@ -18,7 +18,7 @@ import numpy as np
 
 from lieint_jax.ensemble._store import store_name
 from lieint_jax.groups import MatrixGroup
-from lieint_jax.types import Step
+from lieint_jax.types import Partitioned, Step, callable_pytree
 
 _PACKAGE = __name__.partition(".")[0]
 _MOVED = {f"{_PACKAGE}.torques._older.OlderLaw": f"{_PACKAGE}.systems._shared.older_laws.OlderLaw"}  # since 0.3.0
@@ -62,6 +62,7 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
         "name": lambda: _find_object(value, own),
         "group": lambda: MatrixGroup(np.array(inner["basis"]), inner["name"], inner["unrolled"]),
         "partial": lambda: jax.tree_util.Partial(make(value, arrays, own), *inner["args"], **dict(inner["keywords"])),
+        "partition": lambda: callable_pytree(make(value, arrays, own)),
         "class": lambda: _instance(_find_object(value, own), inner),
     }
     return makers[kind]()
@@ -90,6 +91,8 @@ def _describe(x: object, path: str, arrays: dict[str, np.ndarray], system: objec
     if isinstance(x, jax.tree_util.Partial):
         inside = fields(args=x.args, keywords=tuple(x.keywords.items()))
         return {"partial": _describe(x.func, path, arrays, system), "fields": inside}
+    if isinstance(x, Partitioned):
+        return {"partition": _describe(x.whole, path, arrays, system)}
     if isinstance(x, ModuleType) or hasattr(x, "__qualname__"):
         return {"name": _name(x)}
     if dataclasses.is_dataclass(x):

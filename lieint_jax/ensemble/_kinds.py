@@ -48,7 +48,10 @@ STORE_KEYS = {
     "num_steps": _NATURAL,
     "num_entries": _NATURAL._replace(required=False),
     "save_every": _Kind(lambda x: x is None or COUNT.accepts(x), "a positive integer or null"),
-    "dt": _Kind(lambda x: x is None or (isinstance(x, int | float) and not isinstance(x, bool)), "a number or null"),
+    "dt": _Kind(
+        lambda x: x is None or (isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e300),
+        "a number or null",
+    ),
     "reduce": _Kind(lambda x: x is None or isinstance(x, str), "text or null"),
     "scheme": _TEXT,
     "system": _TEXT,

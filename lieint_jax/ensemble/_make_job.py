@@ -32,7 +32,7 @@ from lieint_jax.ensemble._parts import Split
 from lieint_jax.ensemble._store import leaves_by_name
 from lieint_jax.ensemble._store_options import StoreOptions
 from lieint_jax.native import make_once
-from lieint_jax.types import PhaseSpace, State, Step, checked_step, promoted
+from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, promoted
 from lieint_jax.types.members import member_axis
 
 _ENTRY, _SERIES = 2 * 8, 5 * 8  # bytes of an entry's time and node, and of its numbers in the series of `reduce`
@@ -102,6 +102,8 @@ def checked_job(
     step, states, dtype = promoted(checked_step(step), states)
     states, t0 = _split_time(step, states, first, merge=made is None)
     reduction = energy if reduce == "energy" else reduce
+    if reduction is not None and not jax.tree_util.all_leaves([reduction]):
+        reduction = callable_pytree(reduction)
     clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)
     if save_at is None:
         _check_size(states, intervals(planned_steps, save_every)[1] + 1, reduction, store)

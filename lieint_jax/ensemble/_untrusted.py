@@ -9,8 +9,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import stat
+import tomllib
 from collections.abc import Iterator
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +22,14 @@ from lieint_jax.ensemble._storage import Address
 
 SUFFIXES = (".npz", ".zarr")
 JSON_BYTES, _JSON_DEPTH = 2**26, 64  # the most of a description
+_REASON = 1000  # characters of a reason in a message
+_TOML_BYTES, _TOML_DEPTH = 2**18, 16  # the most of a scenario: the largest shipped one has 7 kB, 2 brackets and 2 parts
+_TOML_MARKS = re.compile(  # keys with a dot, brackets, and what may hide them: strings and comments, closed or not
+    r'"""[^"\\]*+(?:(?:\\.|"(?!""))[^"\\]*+)*+(?:"{3,5})?+'
+    r"|'''[^']*+(?:'(?!'')[^']*+)*+(?:'{3,5})?+"
+    r'|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+|[][{}.=,\n]',
+    re.DOTALL,
+)
 
 
 class UnreadableError(ValueError):
@@ -43,7 +54,7 @@ def wrap_errors(
         [reason, *_] = str(error).splitlines() or [""]
         if not isinstance(error, ValueError):
             reason = f"its content is invalid, {type(error).__name__} ({reason})"
-        raise UnreadableError(f"{path} {what}: {reason}") from error
+        raise UnreadableError(f"{path} {what}: {_checks.printable(reason, _REASON)}") from error
 
 
 def refuse_special(path: Path) -> None:
@@ -77,3 +88,48 @@ def parse_json(text: str | bytes) -> Any:
             part for x in level if isinstance(x, dict | list) for part in (x.values() if isinstance(x, dict) else x)
         ]
     raise ValueError("its description is nested too deeply")
+
+
+def read_toml(file: Traversable, name: str) -> dict[str, Any]:
+    """The tables of a TOML file of bounded size and depth; error messages begin with its name.
+
+    A file has at most 262 kB, a key at most 16 parts, and brackets are nested at most 16 deep: the standard library's
+    parser needs seconds for longer files, and the square of a key's parts in time and memory.
+    """
+    with file.open("rb") as stream:
+        data = stream.read(_TOML_BYTES + 1)
+    if len(data) > _TOML_BYTES:
+        limit = _checks.spoken_size(_TOML_BYTES)
+        raise UnreadableError(f"{name} has more than {limit}: it is no scenario; --save-at FILE reads a list of times")
+    text = ""
+    try:
+        text = data.decode("utf-8-sig")
+        _check_toml_depth(text)
+        return tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        raise UnreadableError(f"{name} is not UTF-8 text: {error}") from error
+    except ValueError as error:  # of its grammar, or an integer of more digits than Python reads
+        reason = str(error)
+        more = _missing_quotes(text, reason) if isinstance(error, tomllib.TOMLDecodeError) else ""
+        raise UnreadableError(f"{name} is not valid TOML: {_checks.printable(reason)}{more}") from error
+
+
+def _check_toml_depth(text: str) -> None:
+    """Raise ValueError if brackets of a TOML text are nested too deeply, or a key has too many parts."""
+    depth = dots = 0
+    for found in _TOML_MARKS.finditer(text):
+        mark = found[0]
+        depth += (mark in "[{") - (mark in "]}")
+        dots = dots + 1 if mark == "." else 0 if mark in "=,[]{}\n" else dots
+        if depth > _TOML_DEPTH or dots >= _TOML_DEPTH:
+            what = "brackets are nested" if depth > _TOML_DEPTH else "the parts of a key are nested"
+            line = text.count("\n", 0, found.start()) + 1
+            raise ValueError(f"{what} more than {_TOML_DEPTH} deep (at line {line})")
+
+
+def _missing_quotes(text: str, error: str) -> str:
+    """Advice where the line of an error has text without quotes."""
+    number = re.search(r"at line (\d+)", error)
+    line = text.split("\n")[int(number[1]) - 1].rstrip("\r") if number else ""
+    found = re.fullmatch(r"\s*([\w.]{1,99})\s*=\s*([A-Za-z_][\w-]{0,99})\s*(#.*)?", line)
+    return f'; text must be in quotes: {found[1]} = "{found[2]}"' if found else ""

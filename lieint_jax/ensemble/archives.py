@@ -1,4 +1,4 @@
-"""Read files of results: archives NAME.npz and the stores NAME.zarr of `ensemble.run`, checked before they are read.
+"""Read files that others wrote: archives NAME.npz and stores NAME.zarr, checked before they are read, and TOML.
 
 The application reads its files through these names. A file that cannot be read raises `UnreadableError`, a ValueError
 whose message is one sentence that names the file.
@@ -8,7 +8,7 @@ from lieint_jax.ensemble._open_archive import TIME, Archive, open_archive, read_
 from lieint_jax.ensemble._reading import check_system, load_store, system_from_store
 from lieint_jax.ensemble._storage import Address, Url, address, open_storage
 from lieint_jax.ensemble._store import leaves_by_name
-from lieint_jax.ensemble._untrusted import SUFFIXES, UnreadableError, wrap_errors
+from lieint_jax.ensemble._untrusted import SUFFIXES, UnreadableError, read_toml, wrap_errors
 
 __all__ = [
     "SUFFIXES",
@@ -23,6 +23,7 @@ __all__ = [
     "load_store",
     "open_archive",
     "open_storage",
+    "read_toml",
     "read_trajectory",
     "system_from_store",
     "wrap_errors",

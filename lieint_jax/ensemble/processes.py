@@ -14,6 +14,8 @@ from typing import Any, NoReturn
 import jax
 from jax.sharding import Mesh
 
+from lieint_jax import _checks
+
 HEARTBEAT = 10  # seconds without a sign of life after which a process counts as lost
 _SIGNS = ("gloo", "nccl", "coordination", "connection closed", "unavailable")
 
@@ -64,7 +66,7 @@ def _end_last() -> None:
 
 def leave(message: str) -> NoReturn:
     """Print `message` and end this process immediately: an ordinary exit would wait for lost processes."""
-    print(message, file=sys.stderr)
+    print(_checks.printable(message, 4000), file=sys.stderr)
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(1)

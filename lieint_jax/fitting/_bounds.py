@@ -48,12 +48,14 @@ class Bound:
         inside: the map x ↦ parameter, of arrays.
         free: the inverse map, parameter ↦ x.
         chart: coordinates for least squares; None if they are x.
+        condition: what parameters inside satisfy, and what to do with one on the edge, for error messages.
     """
 
     name: str
     inside: Callable[[Array], Array]
     free: Callable[[Array], Array]
     chart: Chart | None = None
+    condition: str = ""
 
     @property
     def coordinates(self) -> Chart:
@@ -61,10 +63,10 @@ class Bound:
         return Chart(self.inside, self.free, Box()) if self.chart is None else self.chart
 
 
-def _bound(name: str, chart: Chart) -> Bound:
+def _bound(name: str, chart: Chart, condition: str = "") -> Bound:
     """The bound of a chart."""
     parameter, coordinates, box = chart
-    return Bound(name, lambda x: parameter(box.inside(x)), lambda p: box.free(coordinates(p)), chart)
+    return Bound(name, lambda x: parameter(box.inside(x)), lambda p: box.free(coordinates(p)), chart, condition)
 
 
 def _itself(p: Array) -> Array:
@@ -118,16 +120,25 @@ def _from_tensor(J: Array) -> Array:
 
 
 _DIAGONAL = Box(np.repeat([0, -_INFINITE], 3), _INFINITE)
+_EDGE = "; on the edge, as for a plate or a phone, one moment is the sum of the two others: start with it 0.1 % smaller"
 free = Bound("free", _itself, _itself)
 positive = _bound("positive", Chart(_itself, _itself, Box(0, _INFINITE)))
 spd = _bound("spd", Chart(_cholesky, _from_cholesky, _DIAGONAL))  # symmetric positive definite (3, 3)
 principal_inertia = _bound(  # (3,), triangle inequality
-    "principal_inertia", Chart(_moments, _second_moments, Box(0, _INFINITE))
+    "principal_inertia",
+    Chart(_moments, _second_moments, Box(0, _INFINITE)),
+    ": each principal moment must be less than the sum of the two others" + _EDGE,
 )
 inertia_ratios = _bound(  # (2,), to the third moment; triangle inequality
-    "inertia_ratios", Chart(_ratios, _from_ratios, Box(np.array([0.0, -1.0]), np.array([_INFINITE, 1.0])))
+    "inertia_ratios",
+    Chart(_ratios, _from_ratios, Box(np.array([0.0, -1.0]), np.array([_INFINITE, 1.0]))),
+    ": with (J₁, J₂) over the third moment, J₁ + J₂ > 1 > |J₁ − J₂|, strictly" + _EDGE,
 )
-inertia = _bound("inertia", Chart(_tensor, _from_tensor, _DIAGONAL))  # (3, 3), positive definite, triangle inequality
+inertia = _bound(  # (3, 3), positive definite, triangle inequality
+    "inertia",
+    Chart(_tensor, _from_tensor, _DIAGONAL),
+    ": each principal moment must be less than the sum of the two others" + _EDGE,
+)
 
 
 def coordinates(bounds: PyTree, params: PyTree) -> PyTree:
@@ -142,7 +153,7 @@ def coordinates(bounds: PyTree, params: PyTree) -> PyTree:
             raise ValueError(f"bounds must be a tree of Bound objects, such as li.fitting.positive, got {bound!r}")
         y = jax.tree.map(lambda p: bound.coordinates.coordinates(jnp.asarray(p, jnp.result_type(p, float))), part)
         if concrete(y) and not is_inside(bound, y):
-            raise ValueError(f"the first guess {part} is not inside its bound, {bound.name}")
+            raise ValueError(f"the first guess {part} is not inside its bound, {bound.name}{bound.condition}")
         return y
 
     try:

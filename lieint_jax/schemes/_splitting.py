@@ -27,6 +27,7 @@ from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes._shared.accepts import check_motion, hint
+from lieint_jax.schemes._shared.bi_invariant import OneParameterSubgroup, is_bi_invariant
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting, gyrostat_splitting
 from lieint_jax.schemes._shared.properties import SchemeProperties
@@ -160,10 +161,11 @@ def splitting(
             `systems.driven_top(...)`, `systems.gravity_gradient(...)`, with kicks at t and t + Δt, whose steps are
             symplectic at given t and Δt, and on the phase space extended by time and −work; or
             `systems.rigid_bodies(...)`; or `systems.gyrostat(...)`.
-        drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups and products
-            of them `group_midpoint` with `maps.arcsine` where it is symplectic; on SE(3) with an isotropic mass
-            `so3_midpoint` for the attitude and the exact motion of the center; for several bodies the exact step, in
-            place of which `preprocessed(system.free, 10)` runs in a quarter of the time where no body rotates by more
+        drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups the exact
+            q exp(Δt m⁻¹Π) of a bi-invariant metric; on products too `group_midpoint` with `maps.arcsine` where it is
+            symplectic; on SE(3) with an isotropic mass `so3_midpoint` for the attitude and the exact motion of the
+            center; for several bodies the exact step, in place of which `preprocessed(system.free, 10)` runs in a
+            quarter of the time where no body rotates by more
             than |ΔtΩ| = ½. `exact(system.free)`, the default for a gyrostat, has smaller errors where the body rotates
             fast in a weak potential, and no limit on |Δt Ω|.
 
@@ -197,14 +199,20 @@ def _drift(free: System) -> Step:
     if MANY_FREE_BODIES.declared(free):
         return exact(free)
     if GEODESICS.declared(free):
+        if concrete(free.metric) and is_bi_invariant(free):
+            return OneParameterSubgroup(free)
         with suppress(ValueError), at_once():  # groups where the arcsine map is not defined
             if all(is_symplectic(arcsine, free.group, metric) for metric in _metrics(free)):
                 return group_midpoint(free, arcsine)
         if concrete(free.metric) and is_free_motion(free):
             return FreeMotion(free)
+    traced = (
+        "" if concrete(free) else "; one is for a bi-invariant metric whose numbers are known when the step is made"
+    )
     raise ValueError(
-        f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric: give a "
-        "symmetric step of system.free, such as group_midpoint(system.free), whose form has a defect O(Δt³) per step"
+        f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric{traced}: "
+        "give a symmetric step of system.free, such as group_midpoint(system.free), whose form has a defect O(Δt³) per "
+        "step unless the metric is bi-invariant"
     )
 
 

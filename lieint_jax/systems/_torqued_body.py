@@ -19,7 +19,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.older_laws import MEMBERS, OlderLaw
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, clock, instant, pytree
+from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, callable_pytree, clock, instant, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 _WORKS = "works"
@@ -210,7 +210,7 @@ def _law(torque: Any, frame: str | None) -> Law:
         raise ValueError(
             f"a torque with {' and '.join(more)} must be a pytree: decorate {type(torque).__name__} with @li.pytree"
         )
-    return OlderLaw(torque, frame or own or "body")
+    return OlderLaw(callable_pytree(torque), frame or own or "body")
 
 
 def _check_torque(body: TorquedBody) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
+import numpy as np
 
 _T = TypeVar("_T")
 
@@ -47,5 +48,80 @@ def pytree(cls: type[_T]) -> type[_T]:
 
 
 def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function as a field of a pytree: itself if it is a pytree (it may have leaves), otherwise without leaves."""
-    return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function
+    """A function as a field of a pytree: itself if all its leaves are numbers, otherwise with those leaves alone.
+
+    A plain function has no leaves. Of a pytree with leaves that are no arrays, such as a neural network with its
+    activation, the arrays can be differentiated and batched, and the rest is part of the structure.
+    """
+    leaves, structure = jax.tree_util.tree_flatten(function)
+    if all(_is_number(leaf) for leaf in leaves):
+        return function
+    if jax.tree_util.all_leaves([function]):
+        return jax.tree_util.Partial(function)
+    fixed = tuple(None if _is_number(leaf) else _Fixed(leaf) for leaf in leaves)
+    return Partitioned([leaf for leaf in leaves if _is_number(leaf)], (structure, fixed))
+
+
+def _is_number(leaf: object) -> bool:
+    """Whether a leaf can be one of a pytree that JAX traces: an array, its shape and type, a key, a Python number."""
+    if isinstance(leaf, np.ndarray | np.generic):
+        return leaf.dtype.kind not in "OSUMm"
+    described = hasattr(leaf, "dtype") and hasattr(leaf, "shape") and not callable(leaf)
+    return described or isinstance(leaf, bool | int | float | complex)
+
+
+class _Fixed:
+    """A part of a pytree's structure that compares by its value, or, where it cannot be hashed, as the same object."""
+
+    def __init__(self, value: object) -> None:
+        self.value = value
+
+    def __hash__(self) -> int:
+        try:
+            return hash(self.value)
+        except TypeError:
+            return id(self.value)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Fixed) or self.value is other.value:
+            return isinstance(other, _Fixed)
+        return isinstance(self.value, Hashable) and type(self.value) is type(other.value) and self.value == other.value
+
+
+class Partitioned:
+    """A callable pytree, made by `callable_pytree`, whose leaves are the arrays of another one.
+
+    Args:
+        arrays: the leaves of the other that are arrays, in order.
+        rest: its structure, and each of its leaves that is no array, or None in the place of one that is.
+    """
+
+    def __init__(self, arrays: Sequence[Any], rest: tuple[Any, tuple[_Fixed | None, ...]]) -> None:
+        self._arrays, self._rest = tuple(arrays), rest
+
+    @property
+    def whole(self) -> Any:
+        """The other pytree, with the present arrays."""
+        structure, fixed = self._rest
+        arrays = iter(self._arrays)
+        return structure.unflatten([next(arrays) if leaf is None else leaf.value for leaf in fixed])
+
+    def __reduce__(self) -> tuple[Any, ...]:  # JAX cannot pickle the structure of a custom pytree
+        return callable_pytree, (self.whole,)
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        return self.whole(*arguments, **options)
+
+    @property
+    def __name__(self) -> str:
+        return getattr(self.whole, "__name__", type(self.whole).__name__)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # of copies in the making, and of protocols that the other does not have
+            raise AttributeError(name)
+        return getattr(self.whole, name)
+
+
+jax.tree_util.register_pytree_node(
+    Partitioned, lambda x: (x._arrays, x._rest), lambda rest, arrays: Partitioned(tuple(arrays), rest)
+)

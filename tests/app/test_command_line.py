@@ -206,6 +206,11 @@ BAD = [
         "state: .*unit quaternion",
     ),
     (dict(dt='dt = "0.1"'), "dt: .*'0.1'"),
+    (
+        dict(angular_velocity_deg="angular_velocity_rad = [1.0, 2.0, 3.0]"),
+        r"spread.angular_velocity_rad: .*number \(got \[1.0, 2.0, 3.0\]\); "
+        r"in \[spread\], state.angular_velocity_rad accepts a list$",
+    ),
     (dict(members="members = true"), "members: .*integer"),
     (dict(seed="seed = 9223372036854775808"), "seed: "),
     (dict(title='title = "$\\\\foo$"'), "title: "),
@@ -219,6 +224,26 @@ def test_a_bad_key_of_a_rigid_body_is_named_in_one_line(changes, message, capsys
     assert err.count("\n") == 1
     assert re.search(message, err)
     assert not list(scenarios.Path().glob("*.npz"))
+
+
+def test_the_key_that_a_message_names_for_a_list_of_standard_deviations_accepts_it():
+    found = scenarios.load(book(angular_velocity_deg="state.angular_velocity_rad = [1.0, 2.0, 3.0]"))
+    assert list(found.own_numbers()) == [("state", "angular_velocity_rad")]
+    several = Path(scenarios.__file__).parent.joinpath("sn263.toml").read_text(encoding="utf-8")
+    text = several.replace("{mass_percent = 0.24}", "{position_m = [1.0, 1.0, 1.0]}")
+    Path("several.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"in \[spread\], bodies\.[\w ]+\.position_m accepts a list"):
+        scenarios.load("several.toml")
+
+
+def test_a_warning_is_shown_once(capsys):
+    """The triangle inequality is checked where the file is read and where the system is made."""
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert cli.main(["run", book(inertia="inertia = [1.0, 2.0, 4.0]"), "--no-certificate", "--no-pictures"]) == 0
+    assert capsys.readouterr().err.count("triangle inequality") == 1
 
 
 def test_the_printed_schema_has_every_kind_of_scenario(capsys):
@@ -235,7 +260,12 @@ def test_a_file_that_holds_no_result_is_refused_in_one_line(capsys):
     scenarios.Path("x.npz").write_bytes(b"no archive")
     np.savez("y.npz", a=np.zeros(3))
     np.savez("z.npz", p=np.array([None]))
-    for name in ("x.npz", "y.npz", "z.npz"):
+    for name, metadata in (("e.npz", {}), ("t.npz", {"title": "mine"})):
+        info = StepInfo(np.zeros((2, 3)), np.ones((2, 3), bool))
+        files.save(
+            Path(name), Trajectory(np.arange(2.0), State(np.ones((2, 3, 4)), np.ones((2, 3, 3))), info), metadata
+        )
+    for name in ("x.npz", "y.npz", "z.npz", "e.npz", "t.npz"):
         assert cli.main(["info", name]) == 2
         error = capsys.readouterr().err
         assert f"{name} is no file of results that lieint wrote" in error

@@ -149,6 +149,20 @@ def test_verdicts_distinguish_random_rounding_from_one_rounding_per_step(energy,
     assert line.endswith("   " + verdict)
 
 
+def test_a_certificate_has_no_number_for_a_momentum_that_the_system_lacks():
+    certificate = diagnostics.Certificate(
+        **dict.fromkeys(diagnostics.Certificate._fields, 0.0)
+        | {"precision": "float64", "momentum": np.nan, "momentum_map": False, "energy": np.nan}
+    )
+    energy, momentum = str(certificate).splitlines()[1:3]
+    assert momentum.split(maxsplit=2) == ["momentum", "—", "no momentum map"]
+    assert energy.endswith("nan   not a number")
+    star = li.systems.group_potential(li.groups.translations(2), [1.0, 1.0], lambda q: q[0, 2] ** 2 + q[1, 2] ** 4)
+    certificate = diagnostics.certify(li.schemes.splitting(star), star.state(velocity=[0.3, 0.35]), 0.05, 10)
+    assert "no momentum map" in str(certificate)
+    assert diagnostics.certify(Euler(BODY), STATE, 0.05, 4).momentum_map
+
+
 def test_order_of_explicit_euler_and_its_certificate_shows_every_loss():
     certificate = diagnostics.certify(Euler(BODY), STATE, 0.05, 100)
     assert certificate.order == pytest.approx(1, abs=0.1)

@@ -269,6 +269,24 @@ def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
         li.fit(loss, {"a": -1.0, "b": 0.0}, bounds=bounds)
 
 
+@pytest.mark.parametrize(
+    ("bound", "edge", "condition", "inside"),
+    [
+        (li.fitting.inertia_ratios, [0.9, 0.1], r"J₁ \+ J₂ > 1 > \|J₁ − J₂\|, strictly", [0.9 / 0.999, 0.1 / 0.999]),
+        (li.fitting.inertia_ratios, [1.1, 0.1], r"J₁ \+ J₂ > 1 > \|J₁ − J₂\|, strictly", [1.1 * 0.999, 0.1]),
+        (li.fitting.principal_inertia, [1.0, 2.0, 3.0], "less than the sum of the two others", [1.0, 2.0, 3.0 * 0.999]),
+        (li.fitting.inertia, np.diag([1.0, 2.0, 3.0]), "less than the sum", np.diag([1.0, 2.0, 3.0 * 0.999])),
+    ],
+)
+def test_a_guess_on_the_edge_of_a_bound_is_refused_with_its_condition_and_a_cure(bound, edge, condition, inside):
+    def loss(p):
+        return p - jnp.asarray(inside)
+
+    with pytest.raises(ValueError, match=f"not inside its bound, .*{condition}.*a plate or a phone.*0.1 % smaller"):
+        li.fit(loss, jnp.array(edge), bounds=bound)
+    assert li.fit(loss, jnp.array(inside), bounds=bound, iterations=2).success
+
+
 def test_the_covariance_is_that_of_the_parameters_not_of_their_coordinates():
     """B (JᵀJ)⁻¹ Bᵀ, with J by the coordinates and B the derivative of the parameters by them."""
     J, B = np.random.default_rng(3).normal(size=(5, 2)), np.array([[2.0, 0.3], [0.0, 0.5]])

@@ -104,6 +104,59 @@ def test_splitting_uses_the_arcsine_map_where_it_is_symplectic():
         li.schemes.splitting(system_and_state(groups.special_euclidean(3))[0])
 
 
+def stark(x, q):
+    """A potential on SU(3), real (6, 6), that the diagonal matrices leave invariant."""
+    weights = jnp.array([1.0, 2.0, 4.0, 1.0, 2.0, 4.0])
+    return jnp.sum(weights * (q @ x[0]) ** 2) + jnp.sum(weights * (q @ x[0]) * (q @ x[1])) ** 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("metric", [np.full(8, 2.0), 0.7 * np.eye(8)], ids=["principal", "full"])
+def test_a_bi_invariant_metric_drifts_exactly(metric):
+    """On SU(3), where the arcsine map is not symplectic: order 2, form, momentum of the torus, and the way back."""
+    g = groups.special_unitary(3)
+    rng = np.random.default_rng(5)
+    torus = np.eye(8)[6:]  # the diagonal matrices
+    field = jax.tree_util.Partial(stark, jnp.array(rng.normal(size=(2, 6)) / 2))
+    system = li.systems.group_potential(g, metric, field, torus)
+    state = system.state(g.exp(jnp.array(rng.normal(size=8))), velocity=rng.normal(size=8) / 2)
+    step = li.schemes.splitting(system)
+    assert step.drift.order == np.inf
+    out, half = measured(step, state, 0.05), measured(step, state, 0.025)
+    assert out["converged"].all()
+    assert max(out["form"], half["form"]) < 4e-15
+    assert max(out["back"], half["back"]) < 4e-15
+    assert np.log2(out["error"] / half["error"]) == pytest.approx(3, abs=0.15)
+    assert np.abs(out["momentum"]).max() < 1e-14
+    assert np.abs(np.asarray(out["all"])).max() > 0.01  # the others change
+    free = system.free
+    far, info = jax.jit(step.drift.__call__)(state, 3.0)  # exact at any dt: as far as 300 steps, with the same Π
+    near = li.integrate(li.schemes.group_midpoint(free), state, 0.01, 300, save_every=300).state.q[-1]
+    assert info.converged
+    np.testing.assert_allclose(far.q, near, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(free.body_momentum(far), free.body_momentum(state), rtol=0, atol=4e-15)
+    np.testing.assert_array_equal(far.p, state.p)
+
+
+def test_the_drift_of_other_metrics_and_of_traced_ones_is_not_exact():
+    g = groups.special_unitary(3)
+    with pytest.raises(ValueError, match=r"this metric: give .*O.Δt³. per step unless the metric is bi-invariant$"):
+        li.schemes.splitting(li.systems.group_potential(g, np.arange(1.0, 9.0), jnp.sum))
+
+    def traced(size):
+        return li.schemes.splitting(li.systems.group_potential(g, jnp.full(8, size), jnp.sum))
+
+    with pytest.raises(
+        ValueError, match="one is for a bi-invariant metric whose numbers are known when the step is made"
+    ):
+        jax.jit(traced)(2.0)
+    line = groups.translations(2)  # where every metric is bi-invariant
+    step = li.schemes.splitting(li.systems.group_potential(line, [[2.0, 1.0], [1.0, 3.0]], jnp.sum))
+    assert step.drift.order == np.inf
+    lopsided = li.systems.group_potential(groups.special_orthogonal(3), [1.0, 1.0, 1.0 + 1e-9], jnp.sum)
+    assert li.schemes.splitting(lopsided).drift.order == 2
+
+
 def a_product():
     """A rotor with a bead on a line: SO(3) × R, a metric that does not couple them, a potential that does."""
     g = groups.product(groups.special_orthogonal(3), groups.translations(1))

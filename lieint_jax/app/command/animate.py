@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from lieint_jax.app import plots
 from lieint_jax.app.command import files, info
 from lieint_jax.app.command.scene import Scene, Span, scene_of
+from lieint_jax.app.printer import show
 from lieint_jax.types import Trajectory
 
 SUFFIXES = (".gif", ".mp4", ".html")
@@ -53,14 +54,14 @@ def animate(
     if len(run.t) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to animate yet")
     scene = scene_of(info.stored_run(path, run, metadata), member, max(2, round(seconds * fps)), span)
-    print(f"{scene.title}, member {member}: {scene.clock(0)} … {scene.clock(-1)}, {len(scene.t)} frames")
-    print("\n".join(f"  {note}" for note in scene.notes))
+    show(f"{scene.title}, member {member}: {scene.clock(0)} … {scene.clock(-1)}, {len(scene.t)} frames")
+    show(*(f"  {note}" for note in scene.notes))
     if scene.needed > len(scene.t):
         longer = f"--seconds {np.ceil(scene.needed / fps):.0f} shows all, --from and --to another part"
-        print(f"  the rest does not fit at this speed: {longer}")
-    print("  drawing; 100 frames need about ten seconds …", flush=True)
+        show(f"  the rest does not fit at this speed: {longer}")
+    show("  drawing; 100 frames need about ten seconds …")
     (_write_html if out.suffix == ".html" else _write_film)(scene, out, fps)
-    print(f"\nwritten: {out} ({files.megabytes(out)})")
+    show(f"\nwritten: {out} ({files.megabytes(out)})")
 
 
 def _check(out: Path, force: bool) -> None:

@@ -16,6 +16,7 @@ import jax
 from lieint_jax import _discover, schemes, systems
 from lieint_jax.app.command import check_groups
 from lieint_jax.app.command.compilation import use_program_cache
+from lieint_jax.app.printer import show
 from lieint_jax.diagnostics import certify
 from lieint_jax.ensemble import count_cores
 
@@ -60,11 +61,11 @@ def check(system: str, scheme: str, num_steps: int | None, every: bool = False) 
     """
     if system == "groups":
         for line in check_groups.table():
-            print(line, flush=True)
+            show(line)
         return
     group = check_groups.find_group(system)
     if group is not None:
-        print(check_groups.certificates(group, scheme, num_steps))
+        show(check_groups.certificates(group, scheme, num_steps))
         return
     named, example = _find_modules(system)
     brief = not (system or every)
@@ -77,13 +78,13 @@ def check(system: str, scheme: str, num_steps: int | None, every: bool = False) 
     for found in _run_tasks(tasks):
         steps += found.steps
         if found.text:
-            print(found.text, flush=True)
+            show(found.text)
             printed = True
     if not printed:
         whole, names = f"lieint check {system}".strip(), ", ".join(dict.fromkeys(steps))
         raise ValueError(f"no scheme with {scheme!r} in its name accepts this system; {whole} checks all: {names}")
     if brief:
-        print("One example of each system was checked. For all examples: lieint check SYSTEM, or lieint check --all")
+        show("One example of each system was checked. For all examples: lieint check SYSTEM, or lieint check --all")
 
 
 def _find_modules(system: str) -> tuple[list[str], str]:

@@ -10,9 +10,12 @@ import sys
 import threading
 import unicodedata
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
+
+from lieint_jax import _checks
+from lieint_jax.app.printer import show
 
 _EPILOG = """examples:
   lieint list                              all scenarios and studies, with their run times
@@ -33,7 +36,7 @@ _EPILOG = """examples:
   lieint figure 1 2 3 --out figures        the paper's figures
 """
 
-_NAME = 100  # largest number of characters of a file's name in a message
+_NAME, _MESSAGE = 100, 4000  # largest number of characters of a file's name in a message, and of a message
 _WAIT = 5.0  # seconds of silence while the processes of a run connect
 _PLAIN = {"·": "*", "×": "x", "÷": "/", "−": "-", "–": "-", "—": "-", "→": "->", "↦": "->"}
 _PLAIN |= {"≤": "<=", "≥": ">=", "≈": "~", "±": "+-", "°": "deg", "‖": "||", "½": "1/2"}
@@ -49,24 +52,36 @@ def main(arguments: list[str] | None = None) -> int:
 
     jax.config.update("jax_enable_x64", True)
     use_program_cache()
-    warnings.showwarning = lambda message, *_, **__: print(f"lieint: warning: {message}", file=sys.stderr)
+    warnings.showwarning = _show_once()
     try:
         options.command(options)
     except BrokenPipeError:  # the reader of our output has stopped, as in `lieint … | head`
         sys.stderr.close()
         return 1
     except (ValueError, OSError, MemoryError) as error:
-        print(f"lieint: {_sentence(error)}", file=sys.stderr)
+        show(f"lieint: {_sentence(error)}", error=True)
         return 2
     except jax.errors.JaxRuntimeError as error:
         if "RESOURCE_EXHAUSTED" not in str(error):
             raise
-        print(f"lieint: {_sentence(MemoryError())}", file=sys.stderr)
+        show(f"lieint: {_sentence(MemoryError())}", error=True)
         return 2
     except KeyboardInterrupt as stop:
-        print(f"lieint: {stop if str(stop) else 'interrupted'}", file=sys.stderr)
+        show(f"lieint: {stop if str(stop) else 'interrupted'}", error=True)
         return 130
     return 0
+
+
+def _show_once() -> Callable[..., None]:
+    """A function that shows a warning, unless it has shown the same text: a scenario's numbers are checked twice."""
+    known: set[str] = set()
+
+    def show_warning(message: Warning | str, *_: object, **__: object) -> None:
+        if str(message) not in known:
+            known.add(str(message))
+            show(f"lieint: warning: {_checks.printable(str(message), _MESSAGE)}", error=True)
+
+    return show_warning
 
 
 def _sentence(error: Exception) -> str:
@@ -75,9 +90,9 @@ def _sentence(error: Exception) -> str:
         return f"not enough memory: {str(error) or 'use fewer members or a larger save_every'}"
     if isinstance(error, OSError) and error.strerror:
         names = [str(name) for name in (error.filename, error.filename2) if name is not None]
-        short = [name if len(name) <= _NAME else f"{name[:_NAME]}…" for name in names]
+        short = [_checks.printable(name, _NAME) for name in names]
         return ": ".join([" → ".join(short), error.strerror] if short else [error.strerror])
-    return " ".join(str(error).split("\n"))
+    return _checks.printable(" ".join(str(error).split("\n")), _MESSAGE)
 
 
 def _print_in_any_encoding() -> None:
@@ -107,7 +122,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose errors end with the command that prints help; so do the parsers of its subcommands."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"lieint: {message}; see {self.prog} --help\n")
+        self.exit(2, f"lieint: {_checks.printable(message, _MESSAGE)}; see {self.prog} --help\n")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -286,7 +301,7 @@ def _describe_coordinator(options: argparse.Namespace) -> str:
 @contextlib.contextmanager
 def _report_waiting(what: str) -> Iterator[None]:
     """Report on stderr what is being waited for, if this context lasts longer than `_WAIT`."""
-    timer = threading.Timer(_WAIT, lambda: print(f"lieint: {what} …", file=sys.stderr, flush=True))
+    timer = threading.Timer(_WAIT, lambda: show(f"lieint: {what} …", error=True))
     timer.daemon = True
     timer.start()
     try:
@@ -298,13 +313,13 @@ def _report_waiting(what: str) -> Iterator[None]:
 def _list(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import list as listing
 
-    print(listing.text(options.catalogue))
+    show(listing.text(options.catalogue))
 
 
 def _info(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import info, study
 
-    print((study.info if study.is_study_file(options.path) else info.contents)(options.path))
+    show((study.info if study.is_study_file(options.path) else info.contents)(options.path))
 
 
 def _plot(options: argparse.Namespace) -> None:
@@ -325,7 +340,7 @@ def _schema(_: argparse.Namespace) -> None:
 
     from lieint_jax.app import scenarios
 
-    print(json.dumps(scenarios.schema(), indent=1, ensure_ascii=False))
+    show(json.dumps(scenarios.schema(), indent=1, ensure_ascii=False))
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -357,7 +372,7 @@ def _figure(options: argparse.Namespace) -> None:
     for n in options.numbers:
         listing.announce(f"figure {n}")
         written = ", ".join(map(str, plots.files(options.out / f"figure-{n}.png")))
-        print(FIGURES[n](options.out), f"  written to {written}", sep="\n")
+        show(FIGURES[n](options.out), f"  written to {written}")
 
 
 def _study(options: argparse.Namespace) -> None:

@@ -10,9 +10,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from lieint_jax import _checks
 from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.command.pictures import StoredRun
+from lieint_jax.app.printer import readable, show
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.ensemble.archives import Address, UnreadableError, check_system, system_from_store
@@ -41,7 +43,7 @@ def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
         drawn = _plot_scenario(scenario, run, path, plain, force)
     else:
         drawn = _plot_any(stored_run(path, run, metadata), contents(path, run, metadata), plain, force)
-    print(f"\nwritten: {', '.join(map(str, drawn))}")
+    show(f"\nwritten: {', '.join(map(str, drawn))}")
 
 
 def _plot_scenario(scenario: Common, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:
@@ -53,18 +55,18 @@ def _plot_scenario(scenario: Common, run: Trajectory, path: Address, plain: Path
     step = scenarios.build_first(scenario, changes["members"])
     check_system(path, step.system, run, scenarios.step_axis(scenario) == 0)
     scenario = scenario.model_copy(update=changes)
-    print(headline(scenario, step))
+    show(headline(scenario, step))
     if scenario.members < members:
-        print(f"  the first {scenario.members} of {members} members")
+        show(f"  the first {scenario.members} of {members} members")
     drawn = draw(plain, kind.PICTURES, scenario, step, run)
-    print(scenarios.report(scenario, step, run))
+    show(scenarios.report(scenario, step, run))
     return drawn
 
 
 def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Path]:
     kinds = pictures.drawing_functions(stored)
     files.check_replaceable(files.pictures(plain, kinds), force)
-    print(text)
+    show(text)
     if isinstance(stored.run, Trajectory):
         times = np.unique(np.linspace(0, len(stored.run.t) - 1, min(len(stored.run.t), POINTS)).astype(int))
         stored = stored.select(times, slice(_count_drawn(stored.run)))
@@ -75,7 +77,7 @@ def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -
     """Write the pictures that the functions `kinds` draw as PNG and PDF, named after `path`, and return their paths."""
     drawn = []
     for suffix, picture in kinds.items():
-        drawn += plots.save(picture(*arguments), files.picture(path, suffix))
+        drawn += plots.save(picture(*map(readable, arguments)), files.picture(path, suffix))
     return drawn
 
 
@@ -102,8 +104,8 @@ def _table(metadata: dict[str, Any]) -> dict[str, Any]:
 
 def _title(path: Address, metadata: dict[str, Any]) -> str:
     """The title of a run: the given one, or else the system and the name of the file."""
-    if metadata["title"] != metadata["scheme"]:
-        return str(metadata["title"])
+    if metadata.get("title", metadata["scheme"]) != metadata["scheme"]:
+        return _checks.printable(metadata["title"])
     return f"{re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', metadata['system']).capitalize()}, {path.name}"
 
 
@@ -116,7 +118,7 @@ def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
         system = scenarios.build_first(scenario, run.state.p.shape[1]).system
-        title, own_system = scenario.title, scenarios.step_axis(scenario) == 0
+        title, own_system = _checks.printable(scenario.title), scenarios.step_axis(scenario) == 0
     elif "run" in metadata:
         system, title, own_system = (
             system_from_store(path, metadata),
@@ -132,7 +134,7 @@ def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
 
 def _time_unit(metadata: dict[str, Any]) -> str:
     """The unit of a run's times; empty if there is none."""
-    unit = str(metadata.get("time_unit") or _table(metadata).get("time_unit", ""))
+    unit = _checks.printable(metadata.get("time_unit") or _table(metadata).get("time_unit", ""))
     return "" if unit == "1" else unit
 
 
@@ -140,7 +142,8 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
     """A description of a file of results, as text."""
     if run is None:
         run, metadata = files.load(path, thorough=True)
-    lines = [str(metadata.get("title") or _table(metadata).get("title", path)), *_origin(run, metadata)]
+    title = metadata.get("title") or _table(metadata).get("title", str(path))
+    lines = [_checks.printable(title), *_origin(path, run, metadata)]
     t = _times(run)
     if not len(t):
         return "\n".join(lines)
@@ -159,13 +162,14 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
     return "\n".join(lines)
 
 
-def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
+def _origin(path: Address, run: Any, metadata: dict[str, Any]) -> list[str]:
     """Lines with the scheme, the system and the size of a run, its progress, and the versions of the software."""
     progress = metadata.get("progress")
     if not progress:
-        return [
-            f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {metadata.get('lieint_jax', '?')}"
-        ]
+        if "lieint_jax" not in metadata:
+            raise UnreadableError(f"{path} is no file of results that lieint wrote: its metadata has no lieint_jax")
+        version = _checks.printable(metadata["lieint_jax"])
+        return [f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {version}"]
     planned, dt = metadata["num_steps"], metadata["dt"]
     sizes = "between given times" if dt is None else f"of {dt:.6g} {_time_unit(metadata)}".rstrip()
     entries = metadata.get("num_entries") or planned // metadata["save_every"] + 1
@@ -174,10 +178,13 @@ def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
     versions = ", ".join(f"{name} {version}" for name, version in metadata["run"]["versions"].items())
     written = metadata["run"]
     how = "machine code" if written.get("engine") == "native" else f"XLA, {written['compiler_options']}"
+    scheme, system, device, versions, how = map(
+        _checks.printable, (metadata["scheme"], metadata["system"], written["device"], versions, how)
+    )
     return [
-        f"  {metadata['scheme']} · {metadata['system']}, {metadata['members']} member(s), {planned} steps {sizes}",
+        f"  {scheme} · {system}, {metadata['members']} member(s), {planned} steps {sizes}",
         f"  {state}: {len(_times(run))} of {entries} entries",
-        f"  written by {versions} on {written['device']}, {how}",
+        f"  written by {versions} on {device}, {how}",
         *_parts(metadata),
     ]
 
@@ -195,6 +202,7 @@ def _parts(metadata: dict[str, Any]) -> list[str]:
 
 def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
     """Two lines: the change of a reduced quantity since the start, and the convergence of the steps."""
+    quantity = _checks.printable(quantity)
     least, greatest, mean = series["least"].min(), series["greatest"].max(), series["mean"].mean()
     return [
         f"  change of {quantity} since the start: least {least:.3g}, greatest {greatest:.3g}, mean {mean:.3g}",
@@ -224,6 +232,7 @@ def _conservation(stored: StoredRun) -> list[str]:
 
 def headline(scenario: Common, step: Step) -> str:
     """The first lines of a scenario's report: its title, its size and its scheme."""
+    scenario = readable(scenario)
     lines = [scenario.title, f"  {scenario.members} member(s), {scenario.describe_steps()}, {step.name}"]
     if scenario.members > 1 and scenario.assumption():
         lines.append(f"  {scenario.assumption()}")

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from lieint_jax import schemes, systems
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import study
+from lieint_jax.app.printer import show
 
 CATALOGUES = {"schemes": schemes.catalogue, "systems": systems.catalogue}
 _LONG = 10.0  # seconds: commands that need longer print their expected time before they start
@@ -43,7 +44,7 @@ def announce(name: str) -> None:
     cost = costs().get(name)
     if cost and cost.first > _LONG:
         first, again = _duration(cost.first), _duration(cost.again)
-        print(f"expected time on two cores: {first}, and {again} from the second run on", flush=True)
+        show(f"expected time on two cores: {first}, and {again} from the second run on")
 
 
 def text(catalogue: str | None = None) -> str:

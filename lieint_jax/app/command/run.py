@@ -12,6 +12,7 @@ from lieint_jax import _checks, ensemble
 from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import files, info
+from lieint_jax.app.printer import show
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.app.scenarios._runs import nominal_member, nominal_state
 from lieint_jax.diagnostics import certify
@@ -66,7 +67,7 @@ def run(
     else:
         step, states = kind.build(scenario)
     if leader:
-        print(info.headline(scenario, step), flush=True)
+        show(info.headline(scenario, step))
         needed = ensemble.peak_memory(
             scenarios.shapes_of_states(scenario) if makes_own else states,
             _entries(scenario),
@@ -75,7 +76,7 @@ def run(
             save_every=scenario.save_every,
         )
         if needed > _NOTED:
-            print(f"  about {_checks.spoken_size(needed)} of memory", flush=True)
+            show(f"  about {_checks.spoken_size(needed)} of memory")
     options = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
     options["step_axis"] = scenarios.step_axis(scenario)
     options["members"] = scenario.members if makes_own else None
@@ -88,10 +89,10 @@ def run(
             again = "the same command" if part else "the same command with --resume"
             raise KeyboardInterrupt(f"{stop}: {again}" if stop.args else "") from None
         if part is not None and part[1] > 1:
-            print(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
+            show(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
         elif leader:
-            print(info.contents(out))
-            print(f"\nwritten: {out} ({files.megabytes(out)}); lieint plot {out} reports on it and draws it")
+            show(info.contents(out))
+            show(f"\nwritten: {out} ({files.megabytes(out)}); lieint plot {out} reports on it and draws it")
         return
     run = integrate()
     if not leader:
@@ -104,19 +105,19 @@ def run(
         _report_outputs(out, pictures)
         return
     doing = " and ".join(["drawing"] * pictures + ["certifying"] * certificate)
-    print(f"  results in {out}{f'; {doing} …' if doing else ''}", flush=True)
+    show(f"  results in {out}{f'; {doing} …' if doing else ''}")
     drawn = info.draw(out, drawings, scenario, step, run)
-    print(scenarios.report(scenario, step, run))
+    show(scenarios.report(scenario, step, run))
     if certificate:
         first = step if options["step_axis"] is None else nominal_member(step)
         watched = min(scenario.steps, _WATCHED)
-        print(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
-        print(certify(first, nominal_state(run), scenario.dt, watched))
+        show(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
+        show(certify(first, nominal_state(run), scenario.dt, watched))
     converged = int(np.asarray(run.info.converged).all(axis=0).sum())
-    print(f"  {converged} of {scenario.members} members converged at every step")
+    show(f"  {converged} of {scenario.members} members converged at every step")
     arrays = ", ".join(["t, q, p, residual, converged, metadata", *(f"member.{name}" for name in own)])
     written = [f"{out} ({arrays}; {files.megabytes(out)})", *map(str, drawn)]
-    print(f"\nwritten: {', '.join(written)}")
+    show(f"\nwritten: {', '.join(written)}")
 
 
 def _report_outputs(out: Path, pictures: bool) -> None:
@@ -124,7 +125,7 @@ def _report_outputs(out: Path, pictures: bool) -> None:
     if pictures:
         info.plot(out)
     else:
-        print(f"{info.contents(out)}\n\nwritten: {out} ({files.megabytes(out)})")
+        show(f"{info.contents(out)}\n\nwritten: {out} ({files.megabytes(out)})")
 
 
 def _entries(scenario: Common) -> int:

@@ -12,6 +12,7 @@ from lieint_jax import _discover
 from lieint_jax._version import __version__
 from lieint_jax.app import plots, studies
 from lieint_jax.app.command import files, result_file
+from lieint_jax.app.printer import readable, show
 from lieint_jax.ensemble import archives
 
 
@@ -27,10 +28,10 @@ def run(name: str, out: Path, quick: bool) -> None:
     path = files.unused_path(out / f"study-{name}.npz", _pictures)
     result = study.run(quick=quick)
     result_file.save(path, result, {"study": name, "quick": quick, "lieint_jax": __version__, "jax": jax.__version__})
-    print(study.text(result))
+    show(study.text(result))
     drawn = plots.save(study.draw(result), path.with_suffix(".png"))
     again = f"{files.megabytes(path)}; lieint plot {path} draws it again"
-    print(f"\nwritten: {path} ({again}), {', '.join(map(str, drawn))}")
+    show(f"\nwritten: {path} ({again}), {', '.join(map(str, drawn))}")
 
 
 def _find_study(name: str) -> ModuleType:
@@ -49,7 +50,8 @@ def info(path: Path) -> str:
     metadata = _metadata(path)
     title = (_find_study(metadata["study"]).__doc__ or "").splitlines()[0]
     small = ", a small one (--quick)" if metadata["quick"] else ""
-    return f"{title}\n  study {metadata['study']}{small}; lieint_jax {metadata['lieint_jax']}, jax {metadata['jax']}"
+    written = readable({name: metadata[name] for name in ("study", "lieint_jax", "jax")}, 200)
+    return f"{title}\n  study {written['study']}{small}; lieint_jax {written['lieint_jax']}, jax {written['jax']}"
 
 
 def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
@@ -60,9 +62,9 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     result = result_file.load(path)
     with archives.wrap_errors(path, f"holds no result of the study {name}"):
         text, figure = study.text(result), study.draw(result)
-    print(text)
+    show(text)
     drawn = plots.save(figure, plain.with_suffix(".png"))
-    print(f"\nwritten: {', '.join(map(str, drawn))}")
+    show(f"\nwritten: {', '.join(map(str, drawn))}")
 
 
 def _metadata(path: Path) -> dict[str, Any]:

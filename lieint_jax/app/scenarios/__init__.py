@@ -24,9 +24,7 @@ Where `[spread]` names numbers of the scenario (`_spread`), the step has the mem
 from __future__ import annotations
 
 import difflib
-import re
 import sys
-import tomllib
 from importlib import resources
 from pathlib import Path
 from types import ModuleType
@@ -36,13 +34,17 @@ import jax
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from lieint_jax import _discover
+from lieint_jax import _checks, _discover
+from lieint_jax.app.printer import readable
 from lieint_jax.app.scenarios import _report, _spread
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.app.scenarios._runs import select_member
+from lieint_jax.ensemble import archives
 from lieint_jax.types import State, Step, Trajectory
 
 _OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1
+_MESSAGE = 1000  # characters of a message about a key
+_SPREAD = "spread"
 _FOR_PYTHON = "; use jax.vmap for batches"  # advice that does not apply to a file
 
 
@@ -100,7 +102,7 @@ def build_first(scenario: Common, members: int) -> Step:
 
 def report(scenario: Common, step: Step, run: Trajectory) -> str:
     """The text that reports a run: what is conserved, what was measured, and the remarks of the kind."""
-    module = kind(scenario)
+    module, scenario = kind(scenario), readable(scenario)
     if hasattr(module, "report"):
         return module.report(scenario, step, run)
     conserved = _measured(module, "conserved", scenario, step.system, run)
@@ -144,12 +146,12 @@ def parse(table: dict[str, Any], name: str) -> Any:
         raise ValueError(f"{name}: system: key missing")
     if not isinstance(table["system"], str) or table["system"] not in kinds():
         allowed = " or ".join(map(repr, kinds()))
-        raise ValueError(f"{name}: system: must be {allowed} (got {table['system']!r})")
+        raise ValueError(f"{name}: system: must be {allowed} (got {_shown(table['system'])})")
     model = kinds()[table["system"]].Scenario
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise ValueError(f"{name}: {_explain(error, model)}") from error
+        raise ValueError(f"{name}: {_explain(error, model, table)}") from error
 
 
 def from_results(table: dict[str, Any], name: str) -> Any:
@@ -176,30 +178,14 @@ def schema() -> dict[str, Any]:
 def _table(name: str) -> dict[str, Any]:
     path = Path(name)
     if name in scenario_names():
-        text = resources.files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
-    elif path.is_file():
-        try:
-            text = path.read_bytes().decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{name} is not UTF-8 text: {error}") from error
-    else:
+        return archives.read_toml(resources.files(__name__).joinpath(f"{name}.toml"), name)
+    if not path.is_file():
         if path.suffix or len(path.parts) > 1:
             raise ValueError(f"there is no file {name}; `lieint list` shows the scenarios that need no file")
         near = difflib.get_close_matches(name, scenario_names(), 1)
         meant = f"did you mean {near[0]}? " if near else ""
         raise ValueError(f"there is no scenario {name!r}: {meant}`lieint list` shows all; or give a .toml file")
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{name} is not valid TOML: {error}{_quotes(text, str(error))}") from error
-
-
-def _quotes(text: str, error: str) -> str:
-    """Advice where the line of an error has text without quotes."""
-    number = re.search(r"at line (\d+)", error)
-    line = text.splitlines()[int(number[1]) - 1] if number else ""
-    found = re.fullmatch(r"\s*([\w.]+)\s*=\s*([A-Za-z_][\w-]*)\s*(#.*)?", line)
-    return f'; text must be in quotes: {found[1]} = "{found[2]}"' if found else ""
+    return archives.read_toml(path, name)
 
 
 def _keys(model: Any, path: list[str]) -> list[str]:
@@ -220,17 +206,37 @@ def _nearest(key: str, allowed: list[str]) -> list[str]:
     return [candidate for candidate, x in zip(near, likeness, strict=True) if x == likeness[0]]
 
 
-def _explain(error: ValidationError, model: Any) -> str:
+def _shown(value: object) -> str:
+    """A value of a file in a message: a text in quotes."""
+    return _checks.printable(repr(value) if isinstance(value, str) else value)
+
+
+def _component_keys(place: tuple[int | str, ...], table: dict[str, Any]) -> list[str]:
+    """The numbers of a scenario, by their paths, whose components have the spread that the key at `place` gives."""
+    owner, path = table, ""
+    for part in place[: place.index(_SPREAD)]:
+        owner = owner[part]  # pyright: ignore[reportArgumentType]
+        path += f"{owner.get('name', int(part) + 1) if isinstance(part, int) else part}."
+    tables = {"": owner, **{f"{name}.": x for name, x in owner.items() if isinstance(x, dict) and name != _SPREAD}}
+    quantity = str(place[-1]).rpartition("_")[0]
+    return [f"{path}{at}{key}" for at, x in tables.items() for key in x if key.rpartition("_")[0] == quantity]
+
+
+def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
     """The first problem of a validation in one line that names the key; for an unknown key, with the allowed ones."""
     problem, *others = error.errors()
-    key = "".join(f"{part}." for part in problem["loc"] if part != "[key]").removesuffix(".")
+    key = "".join(f"{_checks.printable(part)}." for part in problem["loc"] if part != "[key]").removesuffix(".")
     without_value = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
-    given = "" if without_value else f" (got {problem['input']!r})"
-    message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
+    given = "" if without_value else f" (got {_shown(problem['input'])})"
+    message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(
+        problem["type"], _checks.printable(problem["msg"], _MESSAGE)
+    )
     if problem["type"] == "extra_forbidden":
         allowed = _keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])
         near = " or ".join(_nearest(str(problem["loc"][-1]), allowed))
         message += f"; did you mean {near}?" if near else ""
         message += f"; allowed: {', '.join(allowed)}" if allowed else ""
+    if problem["type"] == "float_type" and _SPREAD in problem["loc"][:-1] and isinstance(problem["input"], list):
+        given += "".join(f"; in [spread], {name} accepts a list" for name in _component_keys(problem["loc"], table))
     more = f"; and {len(others)} more" if others else ""
     return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}".replace(_FOR_PYTHON, "")

@@ -9,7 +9,6 @@ scenario itself could not have is drawn again, so that every member is a system 
 from __future__ import annotations
 
 import difflib
-import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from fnmatch import fnmatchcase
@@ -25,6 +24,7 @@ from jax.typing import ArrayLike
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from lieint_jax import _checks
 from lieint_jax.app.scenarios._runs import Numbers, nominal_member
 from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PyTree
@@ -34,6 +34,7 @@ T = TypeVar("T", bound=BaseModel)
 
 _SPREAD, _PERCENT = "spread", "_percent"
 _STREAM = 2**31 - 1  # of random numbers; kinds use the smaller numbers of members for theirs
+_LARGEST = float(np.finfo(float).max)
 _TRIES = 16  # draws of a number until a file could have it
 
 
@@ -261,15 +262,15 @@ def _parse_spread(path: Path, value: ArrayLike, number: Number, percent: bool) -
 
 def _standard_deviations(key: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
     numeric = not isinstance(value, bool | str) and all(isinstance(x, int | float) for x in _flatten(value))
-    if not numeric or not all(math.isfinite(x) and x >= 0 for x in _flatten(value)):
-        raise ValueError(f"{key}: must be a standard deviation, 0 or above (got {value!r})")
+    if not numeric or not all(0 <= x <= _LARGEST for x in _flatten(value)):
+        raise ValueError(f"{key}: must be a standard deviation, 0 or above (got {_checks.printable(value)})")
     try:
         sigma = np.asarray(value, float)
     except ValueError:
         sigma = np.zeros((0,))
     if sigma.shape not in ((), shape):
         size = "one number" if not shape else f"one number, or {' × '.join(map(str, shape))} of them"
-        raise ValueError(f"{key}: must be {size} (got {value!r})")
+        raise ValueError(f"{key}: must be {size} (got {_checks.printable(value)})")
     return np.broadcast_to(sigma, shape)
 
 

@@ -36,6 +36,7 @@ from lieint_jax.app.scenarios._common import (
     Triple,
     array,
     check_order,
+    checked,
 )
 from lieint_jax.app.scenarios._multibody import (
     ORDERS,
@@ -71,10 +72,15 @@ class Spread(BodySpread):
 PublishedKey = Literal["orbital_period_h", "apsidal_precession_deg_d", "rotation_period_h"]
 
 
+def _check_name(value: str) -> None:
+    if not value.isprintable():
+        raise ValueError("must hold printable characters only")
+
+
 class Body(ExtendedBody):
     """One body. Its angular velocity is in its own axes."""
 
-    name: Annotated[Text, Field(min_length=1)]
+    name: Annotated[Text, Field(min_length=1, max_length=100), checked(_check_name)]
     """Of the body, in reports, in pictures and in `between`."""
     position_m: Triple
     """Of the center of mass, in m."""

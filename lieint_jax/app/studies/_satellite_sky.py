@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.studies._facets import Facets, facets, magnitude
+from lieint_jax.ensemble import archives
 from lieint_jax.systems import RigidBody, rigid_body
 from lieint_jax.types import State
 
@@ -67,8 +67,8 @@ class Lightcurve(NamedTuple):
 
 def scene() -> Scene:
     """Load the scene that the package ships."""
-    text = resources.files(__package__ or "").joinpath("satellite.toml").read_text(encoding="utf-8")
-    table = tomllib.loads(text)
+    name = "satellite.toml"
+    table = archives.read_toml(resources.files(__package__ or "").joinpath(name), name)
     inertia = np.array(table["body"]["inertia_kg_m2"])
     body = rigid_body(inertia / inertia[2])
     motion = table["motion"]
