@@ -284,6 +284,16 @@ def test_three_wheels_agree_with_the_published_run_of_basilisk():
     np.testing.assert_allclose(mrp, [0.0199853994, 0.00245647716, 8.45356279e-06], rtol=0, atol=3e-10)
 
 
+def test_directions_and_attitudes_from_functions_are_normalized():
+    """They cannot be checked when a law is made."""
+    t, pairs = jnp.array(0.3), []
+    for length in (1.0, 2.0):
+        plate = torques.solar_plate(0.5, [0.0, 0.6, 0.8], [0.3, -0.2, 0.1], lambda t, c=length: c * SUN)
+        control = torques.pointing(lambda t, c=length: c * jnp.stack([jnp.cos(t), 0 * t, jnp.sin(t), 0 * t]), 8.0, 6.0)
+        pairs.append([jax.jit(law)(t, Q, OMEGA) for law in (plate, control)])
+    np.testing.assert_allclose(pairs[1], pairs[0], rtol=1e-14)
+
+
 REFUSED = {
     "no wheels": (lambda: torqued_body(INERTIA, LAWS["unloading"]), "reads State.extra.*add the law with that"),
     "air": (lambda: torques.aerodynamic(lambda t: t, *PLATES), "air must be a function of the time t"),
