@@ -118,6 +118,7 @@ class StateClock(NamedTuple):
 
 
 Clock = UniformClock | RoundedClock | GridClock | StateClock
+MOST_TO_OUTPUTS = np.iinfo(np.int32).max  # fewer steps may lead to output times
 _HALVINGS = 20  # the most that `more_times` tries
 
 
@@ -189,6 +190,16 @@ def outputs(save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, 
         if wanted.size and (ahead[0] < 0 or ahead[-1] > abs(last - first) * (1 + 1e-12)):
             raise ValueError(f"save_at must lie in the run, from {first} to {last}, got {wanted}")
     return wanted
+
+
+def refuse_far_times(name: str, steps: float, start: ArrayLike) -> None:
+    """ValueError if more steps lead to output times than a run can count."""
+    if steps >= MOST_TO_OUTPUTS:
+        raise ValueError(
+            f"{name}: {steps:.3g} steps lead there from the start, and fewer than {MOST_TO_OUTPUTS} are possible. "
+            f"Times are counted from t = {start}, that of the state, or 0 if it has none: make the state at the epoch of "
+            "the times, system.state(..., t=…), or subtract the epoch; otherwise give a larger dt, or several runs"
+        )
 
 
 def refuse_times(step: Step, given: str) -> None:
