@@ -296,8 +296,8 @@ def _solid(
     lengths, table = fourths
     one = jnp.eye(3, dtype=lengths.dtype)
     # of the three ways to pair four axes, all three hold where the four are equal
-    mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths
-    fourth = 3 * _symmetrize(mean[:, None, :, None] * one[:, :, None, None] * one)
+    mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths[None]
+    fourth = 3 * _symmetrize(mean[:, None, :, None] * one[:, :, None, None] * one[None, None])
     zero = jnp.zeros((3, 3, 3), lengths.dtype)
     return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True)
 
@@ -307,7 +307,7 @@ def _shift_moments(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
     """The moments of orders 0, 1, … of a body translated by d: ∫ (r + d)⊗…⊗(r + d) dm."""
     powers = [jnp.ones((), by.dtype)]
     for _ in moments[1:]:
-        powers.append(powers[-1][..., None] * by)
+        powers.append(_place_axes(powers[-1], by, tuple(range(powers[-1].ndim))))
     return tuple(
         sum(
             (
@@ -324,7 +324,7 @@ def _shift_moments(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
 def _place_axes(a: Array, b: Array, axes: tuple[int, ...]) -> Array:
     """The product of two tensors, with the axes of the first at these places and those of the second at the others."""
     others = [k for k in range(a.ndim + b.ndim) if k not in axes]
-    outer = a[(..., *[None] * b.ndim)] * b
+    outer = jnp.expand_dims(a, tuple(range(a.ndim, a.ndim + b.ndim))) * jnp.expand_dims(b, tuple(range(a.ndim)))
     return jnp.moveaxis(outer, range(outer.ndim), (*axes, *others))
 
 

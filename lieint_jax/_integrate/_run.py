@@ -263,8 +263,9 @@ def _at_output_times(
         reached = end, so_far.merge(info)
         slot = jnp.where(is_output, k, count)
         buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, reached)
+        outputs_here = is_output.astype(n.dtype)
         following = jax.tree.map(lambda a, b: jnp.where(is_output, a, b), (state, fresh), reached)
-        return (following, n + ~is_output, k + is_output, buffer), None
+        return (following, n + 1 - outputs_here, k + outputs_here, buffer), None
 
     zero = jnp.zeros((), int)
     if count:

@@ -89,7 +89,7 @@ def observe(
         )
     else:
         later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
-    return _states_at(step, later, xp.argsort(order), _remaining_step(t - t0, h, whole), reached)
+    return _states_at(step, later, xp.argsort(order), _remaining_step(t - t0, h, jnp.asarray(whole, h.dtype)), reached)
 
 
 @jax.custom_jvp
