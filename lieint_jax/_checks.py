@@ -367,6 +367,19 @@ def quaternions(attitude: Input) -> Input:
     return np.roll(np.asarray(attitude.as_quat()), 1, axis=-1)
 
 
+def unit_vector(name: str, value: Input, *shapes: Sequence[int], like: Array | None = None) -> Array:
+    """A vector of unit length to 1e-6, (3,), or an array of such vectors of one of `shapes`. It is not normalized."""
+    vector = real_array(name, value, *(shapes or ((3,),)), like=like)
+    if concrete(vector):
+        lengths = np.linalg.norm(np.asarray(vector, float), axis=-1)
+        if np.max(np.abs(lengths - 1)) > UNIT_TOLERANCE:
+            what, each = ("a unit vector", "it by its") if vector.ndim == 1 else ("unit vectors", "each by its")
+            raise ValueError(
+                f"{name} must be {what}, got {np.asarray(vector)} of length {lengths}; divide {each} length"
+            )
+    return vector
+
+
 def unit_quaternion(name: str, value: Input) -> Array:
     """A quaternion (w, x, y, z) of unit length to 1e-6. It is not normalized."""
     q = real_array(name, value, (4,))

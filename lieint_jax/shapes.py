@@ -217,12 +217,13 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     Args:
         vertices: (V, 3).
         faces: the indices of the three vertices of each triangle, counted from 0, (F, 3); seen from outside, all
-            counterclockwise or all clockwise.
+            counterclockwise or all clockwise. The surface may have several parts, also inside others: cavities, whose
+            outside is the hollow.
         mass, density: exactly one of them, a scalar.
 
     Raises:
-        ValueError: the surface is not closed or encloses no volume, triangles differ in orientation, or the shapes
-            disagree.
+        ValueError: the surface is not closed or encloses no volume, triangles or parts of the surface differ in
+            orientation, or the shapes disagree.
 
     Source: the moments of a simplex, in the docstring of this module; Dobrovolskis 1996, Icarus 124, for the second.
 
@@ -235,6 +236,8 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     if at.ndim != 2 or at.shape[1] != 3:
         raise ValueError(f"vertices must have shape (V, 3), got {at.shape}")
     triangles = _triangles(faces, len(at))
+    if concrete(at):
+        _check_parts(np.asarray(at, float)[triangles], triangles)
     reference = jnp.mean(at, axis=0)  # near the center: the moments about a distant point would cancel
     corners = (at - reference)[triangles]
     volume, *moments = _of_tetrahedra(corners)
@@ -268,6 +271,7 @@ def obj(
     return mesh(scale * vertices, faces, mass=mass, density=density)
 
 
+_SAMPLES = 16  # faces of a part of a surface whose centers decide whether it lies inside another
 _TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 # ⟨x_i² x_j²⟩ over the squares of the lengths i and j
 _ELLIPSOID = (np.ones((3, 3)) + 2 * np.eye(3)) / 35
@@ -292,8 +296,8 @@ def _solid(
     lengths, table = fourths
     one = jnp.eye(3, dtype=lengths.dtype)
     # of the three ways to pair four axes, all three hold where the four are equal
-    mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths
-    fourth = 3 * _symmetrize(mean[:, None, :, None] * one[:, :, None, None] * one)
+    mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths[None]
+    fourth = 3 * _symmetrize(mean[:, None, :, None] * one[:, :, None, None] * one[None, None])
     zero = jnp.zeros((3, 3, 3), lengths.dtype)
     return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True)
 
@@ -303,7 +307,7 @@ def _shift_moments(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
     """The moments of orders 0, 1, … of a body translated by d: ∫ (r + d)⊗…⊗(r + d) dm."""
     powers = [jnp.ones((), by.dtype)]
     for _ in moments[1:]:
-        powers.append(powers[-1][..., None] * by)
+        powers.append(_place_axes(powers[-1], by, tuple(range(powers[-1].ndim))))
     return tuple(
         sum(
             (
@@ -320,7 +324,7 @@ def _shift_moments(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
 def _place_axes(a: Array, b: Array, axes: tuple[int, ...]) -> Array:
     """The product of two tensors, with the axes of the first at these places and those of the second at the others."""
     others = [k for k in range(a.ndim + b.ndim) if k not in axes]
-    outer = a[(..., *[None] * b.ndim)] * b
+    outer = jnp.expand_dims(a, tuple(range(a.ndim, a.ndim + b.ndim))) * jnp.expand_dims(b, tuple(range(a.ndim)))
     return jnp.moveaxis(outer, range(outer.ndim), (*axes, *others))
 
 
@@ -400,10 +404,65 @@ def _triangles(faces: Any, count: int) -> np.ndarray:
     return F
 
 
+def _check_parts(corners: np.ndarray, F: np.ndarray) -> None:
+    """ValueError unless a part of the surface encloses matter inside an even number of others, a hollow inside an odd.
+
+    The part of the largest volume, which lies in no other, encloses matter: its sign is that of matter.
+    """
+    part = _parts(F)
+    first, sizes = np.unique(part, return_index=True, return_counts=True)[1:]
+    if len(first) == 1:
+        return
+    low, high = (np.array([f(corners[part == k], axis=(0, 1)) for k in range(len(first))]) for f in (np.min, np.max))
+    about = corners - ((low + high) / 2)[part, None]
+    volumes = np.bincount(part, np.einsum("fi,fi->f", about[:, 0], np.cross(about[:, 1], about[:, 2])) / 6)
+    largest = int(np.argmax(np.abs(volumes)))
+    thick = np.abs(volumes) > 64 * np.finfo(float).eps * np.max(high - low, axis=1) ** 3
+    for k in np.flatnonzero(thick):
+        within = np.all((low <= low[k]) & (high[k] <= high), axis=1)
+        centers = corners[part == k].mean(axis=1)
+        some = centers[:: -(-len(centers) // _SAMPLES)]
+        around = [j for j in np.flatnonzero(within) if j != k and _inside(some, corners[part == j])]
+        if (volumes[k] * volumes[largest] > 0) == (len(around) % 2 == 0):
+            continue
+        where = f"{sizes[k]} faces around {centers.mean(axis=0)}, signed volume {volumes[k]:.3g}"
+        name, other = f"the part with face {first[k]} ({where})", f"the part with face {first[largest]}"
+        raise ValueError(
+            f"{name} lies inside another part and is oriented like it, so that its volume would count twice: reverse "
+            "its faces if it is a cavity, otherwise leave it out"
+            if around
+            else f"{name} is oriented unlike {other} and lies in no other part, as a cavity would: reverse its faces"
+        )
+
+
+def _parts(F: np.ndarray) -> np.ndarray:
+    """The number of the part of a closed surface, connected by edges, to which each face belongs, (F,)."""
+    edges = np.sort(np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]]), axis=1)
+    faces = np.tile(np.arange(len(F)), 3)[np.lexsort(edges.T)].reshape(-1, 2)  # the two faces of each edge
+    label = np.arange(len(F))
+    while (differ := label[faces[:, 0]] != label[faces[:, 1]]).any():
+        ends = np.sort(label[faces[differ]], axis=1)
+        np.minimum.at(label, ends[:, 1], ends[:, 0])
+        while not np.array_equal(label, shorter := label[label]):
+            label = shorter
+    return np.unique(label, return_inverse=True)[1].reshape(-1)
+
+
+def _inside(points: np.ndarray, corners: np.ndarray) -> bool:
+    """Whether all points lie inside a closed surface, by their winding numbers (Van Oosterom & Strackee 1983)."""
+    a, b, c = np.moveaxis(corners[None] - points[:, None, None], 2, 0)
+    la, lb, lc = (np.linalg.norm(x, axis=-1) for x in (a, b, c))
+    dots = [np.einsum("...i,...i->...", x, y) * z for x, y, z in ((a, b, lc), (b, c, la), (c, a, lb))]
+    volume = np.einsum("...i,...i->...", a, np.cross(b, c))
+    turns = np.arctan2(volume, la * lb * lc + sum(dots)).sum(axis=1) / (2 * math.pi)
+    return bool(np.all(np.abs(turns) > 0.5))
+
+
 def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """The vertices and the triangles of an OBJ file, vertices at one place merged."""
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
+    written: list[tuple[int, str]] = []  # the line of each triangle
     for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
         kind, *words = line.split("#")[0].split() or [""]
         try:
@@ -411,14 +470,23 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 vertices.append([float(x) for x in words[:3]])
             elif kind == "f":
                 corners = [int(word.split("/")[0]) for word in words]
-                corners = [k - 1 if k > 0 else len(vertices) + k for k in corners]
+                corners = [k - 1 if k > 0 else len(vertices) + k if k else -1 for k in corners]
                 faces += [[corners[0], b, c] for b, c in itertools.pairwise(corners[1:])]
+                written += [(number, line)] * (len(faces) - len(written))
         except (ValueError, IndexError) as error:
             raise ValueError(f"line {number} of {path} must be a line of an OBJ file, got {line!r}") from error
     if not vertices or not faces or any(len(v) < 3 for v in vertices):
         raise ValueError(
             f"{path} must have vertices (v x y z) and faces (f i j k), got {len(vertices)} and {len(faces)}"
         )
+    indices = np.array(faces)
+    wrong = np.flatnonzero((indices < 0).any(axis=1) | (indices >= len(vertices)).any(axis=1))
+    if len(wrong):
+        number, line = written[wrong[0]]
+        raise ValueError(
+            f"line {number} of {path} must have indices of vertices, from 1 to {len(vertices)}, or from −1 back to the "
+            f"first one above, got {line!r}"
+        )
     places, merged = np.unique(np.array(vertices), axis=0, return_inverse=True)
-    triangles = merged.reshape(-1)[np.array(faces)]
+    triangles = merged.reshape(-1)[indices]
     return places, triangles

@@ -2,6 +2,7 @@
 
 from lieint_jax._integrate._adjoint import Adjoint
 from lieint_jax._integrate._clock import (
+    MOST_TO_OUTPUTS,
     Clock,
     GridClock,
     RoundedClock,
@@ -11,6 +12,7 @@ from lieint_jax._integrate._clock import (
     clock_of,
     more_times,
     outputs,
+    refuse_far_times,
     refuse_times,
     uniform_clock,
 )
@@ -28,6 +30,7 @@ from lieint_jax._integrate._run import (
 )
 
 __all__ = [
+    "MOST_TO_OUTPUTS",
     "Adjoint",
     "Body",
     "Clock",
@@ -52,6 +55,7 @@ __all__ = [
     "of_any_length",
     "outputs",
     "prepared",
+    "refuse_far_times",
     "refuse_times",
     "rows_for",
     "saves",

@@ -31,7 +31,7 @@ class UniformClock(NamedTuple):
 
     def time(self, n: ArrayLike) -> Array:
         """The time of node n; a sum of n sizes would have the rounding errors of all."""
-        return self.t0 + n * self.dt
+        return self.t0 + _times(n, self.dt)
 
     def node(self, t: Array, num_steps: int) -> Array:
         """The last node that is not after the time t."""
@@ -68,7 +68,7 @@ class RoundedClock(NamedTuple):
 
     def time(self, n: ArrayLike) -> Array:
         """The time of node n."""
-        return self.t0 + n * self.coarse + n * (self.dt - self.coarse)
+        return self.t0 + _times(n, self.coarse) + _times(n, self.dt - self.coarse)
 
     def node(self, t: Array, num_steps: int) -> Array:
         """The last node that is not after the time t."""
@@ -118,7 +118,13 @@ class StateClock(NamedTuple):
 
 
 Clock = UniformClock | RoundedClock | GridClock | StateClock
+MOST_TO_OUTPUTS = np.iinfo(np.int32).max  # fewer steps may lead to output times
 _HALVINGS = 20  # the most that `more_times` tries
+
+
+def _times(n: ArrayLike, dt: Array) -> Array:
+    """n Δt, also where JAX does not promote integers."""
+    return (n if isinstance(n, int) else jnp.asarray(n, dt.dtype)) * dt
 
 
 def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) -> Array:
@@ -189,6 +195,16 @@ def outputs(save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, 
         if wanted.size and (ahead[0] < 0 or ahead[-1] > abs(last - first) * (1 + 1e-12)):
             raise ValueError(f"save_at must lie in the run, from {first} to {last}, got {wanted}")
     return wanted
+
+
+def refuse_far_times(name: str, steps: float, start: ArrayLike) -> None:
+    """ValueError if more steps lead to output times than a run can count."""
+    if steps >= MOST_TO_OUTPUTS:
+        raise ValueError(
+            f"{name}: {steps:.3g} steps lead there from the start, and {MOST_TO_OUTPUTS} are too many. Times "
+            f"count from t = {start}, that of the state, or 0 if it has none: make the state at their epoch, "
+            "system.state(..., t=…), or subtract the epoch from them; otherwise give a larger dt, or several runs"
+        )
 
 
 def refuse_times(step: Step, given: str) -> None:

@@ -161,7 +161,7 @@ def _events(
         size = clock.size(bracket.n)
         tau, ends = _root(step, bracket, size, condition)
         tau = jnp.where(bracket.found, tau, 0)
-        around = lax.stop_gradient(tau + bracket.nearby * size * jnp.array([-1, 1]))
+        around = lax.stop_gradient(tau + bracket.nearby * size * jnp.array([-1, 1], tau.dtype))
         # In one call, since a step costs more to compile than to run
         states, info = jax.vmap(lambda tau: step(bracket.state, tau))(jnp.append(tau, around))
         end, converged = jax.tree.map(lambda x: x[0], (states, info.converged))
@@ -198,7 +198,7 @@ def _brackets(
         here = _Bracket(before.state, n, jnp.stack([value, new]), nearby, after.info.converged)
         buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, here)
         sign = jnp.where(side * side > 0, side, sign)  # a zero or NaN changes nothing
-        return _Search(new, sign, number + changes, buffer)
+        return _Search(new, sign, jnp.where(changes, number + 1, number), buffer)
 
     begin = Progress.begin(state, _Search(start, jnp.sign(start), none.n, buffer))
     end = march(partial(advance, whole, clock), none.n, max_steps, begin, observe=record_change)

@@ -80,10 +80,10 @@ def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tu
     def interpolate_at(k: Array, time: Array, inside: Array) -> tuple[State, Array]:
         a, b = (jax.tree.map(lambda x: x[n], trajectory.state) for n in (k, k + 1))  # noqa: B023
         h = t[k + 1] - t[k]
-        rest, unravel = ravel_pytree(_work_and_extra(a))
+        rest, unravel = _raveled(a)
 
         def coordinates(z: State) -> Array:
-            return jnp.concatenate([space.displacement(a, z), ravel_pytree(_work_and_extra(z))[0] - rest])
+            return jnp.concatenate([space.displacement(a, z), _raveled(z)[0] - rest])
 
         (_, v0, w0), (end, v1, w1) = (_jet(system, coordinates, z) for z in (a, b))
         d = _quintic((time - t[k]) / h, end, h * v0, h * v1, h * h * w0, h * h * w1)
@@ -97,8 +97,10 @@ def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tu
     return jax.vmap(interpolate_at)(left, times, inside)
 
 
-def _work_and_extra(state: State) -> dict[str, Any]:
-    return {"work": state.work, "extra": state.extra}
+def _raveled(state: State) -> tuple[Array, Callable[[Array], dict[str, Any]]]:
+    """The work and the extra parts of a state as one array, and the function that separates them again."""
+    flat, unravel = ravel_pytree({"work": state.work, "extra": state.extra})
+    return flat.astype(state.p.dtype), unravel  # an empty one is float32
 
 
 def _jet(system: System, function: Callable[[State], Array], state: State) -> tuple[Array, Array, Array]:

@@ -25,6 +25,7 @@ from lieint_jax._integrate._clock import (
     clock_of,
     more_times,
     outputs,
+    refuse_far_times,
     refuse_times,
 )
 from lieint_jax._integrate._driver import Progress, Repeat, advance, counted, march, prepared, scan, scanned
@@ -80,8 +81,8 @@ def integrate(
     Raises:
         ValueError: a count is not allowed; times are not finite, not in order or outside the run; a concrete state is
             not one of the system; a concrete dt exceeds the scheme's limit at the first step; the trajectory is larger
-            than this machine's memory; save_at is given with an adjoint; or the adjoint cannot differentiate the step.
-            Later failures, and all failures inside jit, show in `info.converged`.
+            than this machine's memory; save_at is given with an adjoint, or with 2³¹ − 1 steps or more; or the adjoint
+            cannot differentiate the step. Later failures, and all failures inside jit, show in `info.converged`.
 
     Warns:
         RuntimeWarning: a state's time is so large that its floating-point spacing exceeds dt/10⁶.
@@ -105,6 +106,7 @@ def integrate(
     refuse_times(step, "save_at")
     assert not isinstance(clock, StateClock)
     wanted = outputs(save_at, clock, num_steps, dtype)
+    refuse_far_times("save_at", num_steps, clock.time(0))
     _check_first(step, state, clock, first)
     _check_size(state, wanted.size + 1)
     return _at_output_times(step, state, clock, wanted, num_steps)
@@ -261,8 +263,9 @@ def _at_output_times(
         reached = end, so_far.merge(info)
         slot = jnp.where(is_output, k, count)
         buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, reached)
+        outputs_here = is_output.astype(n.dtype)
         following = jax.tree.map(lambda a, b: jnp.where(is_output, a, b), (state, fresh), reached)
-        return (following, n + ~is_output, k + is_output, buffer), None
+        return (following, n + 1 - outputs_here, k + outputs_here, buffer), None
 
     zero = jnp.zeros((), int)
     if count:

@@ -21,7 +21,7 @@ def discrete_gradient(function: Callable[..., Array], a: Array, b: Array, apart:
     added; below, the quadrature is exact to round-off and this correction would consist of rounding errors only.
     """
     step = b - a
-    at = (a + b) / 2 + jnp.asarray(_NODES, a.dtype)[:, None] * (step / 2)
+    at = (a + b)[None] / 2 + jnp.asarray(_NODES, a.dtype)[:, None] * (step / 2)[None]
     gradients = jax.vmap(lambda x: autodiff_gradient(function)(x, *more))(at)
     mean = jnp.tensordot(jnp.asarray(_WEIGHTS / 2, a.dtype), gradients, 1)
     square = jnp.sum(step * step)

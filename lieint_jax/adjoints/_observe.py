@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import refuse_times, uniform_clock
+from lieint_jax._integrate import MOST_TO_OUTPUTS, refuse_far_times, refuse_times, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
@@ -46,12 +46,12 @@ def observe(
 
     Returns:
         The states, with a leading axis (m,), and for each the report of all steps since the previous observation.
-        Traced times cannot raise an error: those on the wrong side of the start, and all of them if dt = 0, have
-        `converged=False`.
+        Traced times cannot raise an error: those on the wrong side of the start or 2³¹ − 1 steps from it, and all of
+        them if dt = 0, have `converged=False`.
 
     Raises:
-        ValueError: times are not finite, or on the side of the start to which dt does not lead; dt = 0; and the errors
-            of `reversible`.
+        ValueError: times are not finite, on the side of the start to which dt does not lead, or 2³¹ − 1 steps from it;
+            dt = 0; and the errors of `reversible`.
     """
     step, state, h = checked(step, state, dt, derivative)
     refuse_times(step, "times")
@@ -69,7 +69,10 @@ def observe(
     if known and not float(np.asarray(dt)):
         raise ValueError("dt must not be 0: no number of steps leads to other times")
     ratio = since / np.asarray(dt, float) if known else lax.stop_gradient(since / h)
-    reached = xp.isfinite(ratio) & (ratio >= -1e-9)  # False for traced times on the wrong side of the start
+    if known:
+        refuse_far_times("times", np.max(ratio, initial=0), t0)
+    # False for traced times on the wrong side of the start, or too far
+    reached = xp.logical_and(ratio >= -1e-9, ratio < MOST_TO_OUTPUTS)
     ratio, rounding = xp.where(reached, ratio, 0), 4 * float(jnp.finfo(h.dtype).eps)
     nearest = xp.round(ratio)
     at_node = xp.abs(ratio - nearest) <= rounding * (1 + xp.abs(ratio))
@@ -86,7 +89,7 @@ def observe(
         )
     else:
         later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
-    return _states_at(step, later, xp.argsort(order), _remaining_step(t - t0, h, whole), reached)
+    return _states_at(step, later, xp.argsort(order), _remaining_step(t - t0, h, jnp.asarray(whole, h.dtype)), reached)
 
 
 @jax.custom_jvp

@@ -204,7 +204,7 @@ def _measure_invariants(system: System, run: Trajectory) -> MeasuredInvariants:
 def _terms(system: System, state: State) -> Array:
     """The sum of the absolute terms of each component of the momentum map, which is linear in p."""
     slope = jax.jacfwd(lambda p: system.momentum(state._replace(p=p)))(state.p)
-    return jnp.sum(jnp.abs(slope.reshape(-1, state.p.size) * state.p.ravel()), axis=1)
+    return jnp.sum(jnp.abs(slope.reshape(-1, state.p.size) * state.p.reshape(1, -1)), axis=1)
 
 
 def _on_arrays(step: Step) -> Step:

@@ -161,7 +161,7 @@ def _lyapunov(
     growth = jnp.zeros((batches, frame.shape[1]), frame.dtype)
     ((_, _, info, _), growth), _ = lax.scan(orthonormal_interval, (begin, growth), None, length=rounds)
     between = jnp.abs(dt) * every
-    lengths = between * np.bincount(np.arange(rounds) * batches // rounds, minlength=batches)
+    lengths = between * jnp.asarray(np.bincount(np.arange(rounds) * batches // rounds, minlength=batches), dt.dtype)
     errors = standard_error(growth / lengths[:, None])
     return Lyapunov(growth.sum(axis=0) / (between * rounds), errors, growth, info)
 
@@ -185,7 +185,7 @@ def standard_error(series: Array) -> Array:
         Simulation Conf. (overlapping batches); Vats & Flegal 2022, Biometrika 109 (the difference).
     """
     n = series.shape[0]
-    sums = jnp.cumsum(series - series.mean(axis=0), axis=0)
+    sums = jnp.cumsum(series - series.mean(axis=0, keepdims=True), axis=0)
     sums = jnp.concatenate([jnp.zeros_like(sums[:1]), sums])
 
     def variance(w: int) -> Array:

@@ -47,7 +47,7 @@ def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     f = jax.vmap(lambda z: ravel_pytree(time_derivative(system, unravel(z)))[0])
 
     def step_once(z: Array, _: None) -> tuple[Array, None]:
-        k = lax.fori_loop(0, _ITERATIONS, lambda _, k: f(z + h * (A @ k)), jnp.zeros((_STAGES, z.size), z.dtype))
+        k = lax.fori_loop(0, _ITERATIONS, lambda _, k: f(z[None] + h * (A @ k)), jnp.zeros((_STAGES, z.size), z.dtype))
         return z + h * (b @ k), None
 
     return unravel(lax.scan(step_once, z0, None, length=num_steps)[0])

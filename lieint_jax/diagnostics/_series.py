@@ -26,13 +26,13 @@ def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "au
         ValueError: the shapes contradict `system_axis`, or are ambiguous; the axes are (member, time).
     """
     kept = map_over_run(energy_less_work, system, trajectory, system_axis)
-    return kept - kept[0]
+    return kept - kept[:1]
 
 
 def momentum_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> MomentumSeries:
     """Φ(z_n) − Φ(z₀) of the momentum map Φ, (n+1, k) or (n+1, members, k); arguments as in `energy_error`."""
     momentum = map_over_run(lambda own, z: own.momentum(z), system, trajectory, system_axis)
-    return momentum - momentum[0]
+    return momentum - momentum[:1]
 
 
 def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> InvariantSeries:

@@ -44,7 +44,7 @@ def dimensionless_defect(step: Step, state: State, dt: Array) -> Scalar:
     """The symplectic defect with δq and δp in units of the state, such as max|π|."""
     of_q, of_p = units(step.system.phase_space, state)
     unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))
-    return jnp.max(jnp.abs(unit[:, None] * defect_matrix(step, state, dt) * unit))
+    return jnp.max(jnp.abs(unit[:, None] * defect_matrix(step, state, dt) * unit[None]))
 
 
 def defect_matrix(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:

@@ -124,9 +124,9 @@ class MatrixGroup:
         powers, X = [q], self.hat(xi)
         while len(powers) < len(c):
             powers += materialized([_product(powers[-1], X)])
-        return functools.reduce(
-            jnp.add, (weight[..., None, None] * power for weight, power in zip(materialized(c), powers, strict=True))
-        )
+        axes = tuple(range(jnp.ndim(s)))
+        terms = zip(materialized(c), powers, strict=True)
+        return functools.reduce(jnp.add, (w[..., None, None] * jnp.expand_dims(power, axes) for w, power in terms))
 
     def near(self, xi: AlgebraVector) -> Flag:
         """True if ξ̂ is small enough for `exp_near`; translations may be large.

@@ -65,7 +65,7 @@ class KeplerFromState:
         M = jnp.where(closed, E - s, s - E)
         h = jnp.stack(cross(self.position, self.velocity))
         tilt = jnp.hypot(h[0], h[1])
-        inclination, node = jnp.arctan2(tilt, h[2]), jnp.where(tilt > 0, jnp.arctan2(h[0], -h[1]), 0)
+        inclination, node = jnp.arctan2(tilt, h[2]), jnp.where(tilt == 0, 0, jnp.arctan2(h[0], -h[1]))
         N = jnp.stack([jnp.cos(node), jnp.sin(node), jnp.zeros_like(node)])
         across = jnp.stack(cross(h, N)) / jnp.sqrt(dot(h, h))
         latitude = jnp.arctan2(dot(self.position, across), dot(self.position, N))

@@ -8,6 +8,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.vec3 import cross
 from lieint_jax.orbits._earth import EARTH_J2, EARTH_RADIUS
 from lieint_jax.orbits._kepler import Kepler, kepler
@@ -69,6 +70,7 @@ class SecularJ2:
         return r, drift * v + jnp.stack(cross(rotation, r))
 
 
+@old_calls()
 def secular_j2(
     mu: ArrayLike,
     semi_major_axis: ArrayLike,

@@ -64,7 +64,7 @@ class Eclipse:
 
     Attributes:
         orbit: t ↦ (position, velocity).
-        sun: s, a unit vector, or a function of time with such values.
+        sun: the direction of the Sun, or a function of time with such values, of any length.
         radius: of the Earth.
         angle: the half-angle of the Sun; 0 for a shadow that is a cylinder.
         cylinder: whether the shadow is a cylinder.
@@ -83,7 +83,9 @@ class Eclipse:
         along, beside = dot(r, s), cross(r, s)
         off = jnp.sqrt(jnp.maximum(dot(beside, beside), jnp.finfo(r.dtype).tiny))
         if self.cylinder:
-            return jnp.where((along < 0) & (off < self.radius), 0.0, 1.0).astype(r.dtype)
+            edge = self.radius * jnp.sqrt(dot(s, s))
+            lit, dark = (along >= 0) | (off >= edge), (along < 0) & (off < edge)  # neither for NaN
+            return jnp.where(lit, 1.0, jnp.where(dark, 0.0, jnp.nan)).astype(r.dtype)
         size = jnp.sqrt(dot(r, r))
         return 1 - _covered_fraction(
             self.angle, jnp.arcsin(jnp.minimum(self.radius / size, 1)), jnp.arctan2(off, -along)
@@ -92,8 +94,8 @@ class Eclipse:
 
 def _covered_fraction(a: Array, b: Array, c: Array) -> Array:
     """The fraction of a disc of radius a that is covered by one of radius b, whose center is at the distance c."""
-    overlap = (c < a + b) & (c > jnp.abs(a - b))
-    c_ = jnp.where(overlap, c, b)  # a harmless one
+    apart, inside = c >= a + b, c <= jnp.abs(a - b)  # neither for NaN
+    c_ = jnp.where(apart | inside, b, c)  # a harmless one
     x = ((c_ - b) * (c_ + b) + a * a) / (2 * c_)
     y = jnp.sqrt(jnp.maximum(a * a - x * x, 1e-12 * a * a))
     alpha, beta = jnp.arctan2(y, x), jnp.arctan2(y, c_ - x)
@@ -101,7 +103,7 @@ def _covered_fraction(a: Array, b: Array, c: Array) -> Array:
         a * a * less_sine(2 * alpha) + b * b * less_sine(2 * beta)
     ) / 2  # two segments, each a sector less a triangle
     whole = jnp.minimum(1, (b / a) ** 2)
-    return jnp.where(overlap, area / (jnp.pi * a * a), jnp.where(c < a + b, whole, 0))
+    return jnp.where(apart, 0, jnp.where(inside, whole, area / (jnp.pi * a * a)))
 
 
 def eclipse(
@@ -116,14 +118,15 @@ def eclipse(
 
     Args:
         orbit: t ↦ (position, velocity) from the Earth's center.
-        sun: the unit vector to the Sun in space, (3,), or a function of time with such values (`sun_direction`).
+        sun: the unit vector to the Sun in space, (3,), or a function of time whose value points to it
+            (`sun_direction`).
         radius: of the Earth, in the orbit's unit of length.
         shadow: "conical", with a penumbra, continuous in time; or "cylindrical", 0 or 1.
         angle: the half-angle of the Sun's disc, in radians.
 
     Raises:
-        ValueError: `shadow` is none of these, `sun` is not such a vector or function, or the orbit is below the ground
-            or in another unit.
+        ValueError: `shadow` is none of these, `sun` is no unit vector and no such function, or the orbit is below the
+            ground or in another unit.
 
     Source: Montenbruck & Gill 2000, Satellite Orbits, 3.4.2.
     """
@@ -135,5 +138,5 @@ def eclipse(
         _checks.function("sun", sun, "the time t", (3,), jnp.zeros(()))
         sun = callable_pytree(sun)
     else:
-        sun = _checks.real_array("sun", sun, (3,))
+        sun = _checks.unit_vector("sun", sun)
     return Eclipse(callable_pytree(orbit), sun, R, positive("angle", angle), shadow == "cylindrical")

@@ -7,8 +7,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -18,7 +20,7 @@ from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
-_ITERATIONS = 12  # Newton's, which doubles a_i² + λ while that is much too small
+_MOST = 64  # corrections: at most 8 for axes of a ratio of 30, 15 for 10⁶
 
 
 @pytree
@@ -51,18 +53,36 @@ class EllipsoidSphere(Potential):
 
 
 def _confocal(squares: Array, axes: Array) -> Array:
-    """λ of the ellipsoid through Γ that is confocal with the one of squared semi-axes `axes`; 0 inside that one."""
+    """λ of the ellipsoid through Γ that is confocal with the one of squared semi-axes `axes`; 0 inside that one.
+
+    With φ(λ) = Σ Γ_i²/(a_i² + λ), by Newton's method for 1/φ = 1. 1/φ is a parallel sum of functions that are linear in
+    λ, so it is concave and increases: a tangent at a λ below the root lies above it and meets 1 between λ and the root.
+    So the iterates increase to the root from any λ with φ ≥ 1, where each multiplies the least a_i² + λ by φ or more.
+    NaN if they have not come to round-off.
+    """
     outside = jnp.sum(squares / axes) > 1
     squares = jnp.where(outside, squares, axes)
+    enough = 4 * float(jnp.finfo(axes.dtype).eps)  # a rounding of λ changes φ by less than its own
 
     def excess(at: Array) -> Array:
         return jnp.sum(squares / (axes + at)) - 1
 
-    def correction(at: Array, F: Array) -> Array:
-        return -F / jnp.sum(squares / (axes + at) ** 2)
+    def correct(at: Array, F: Array) -> Array:
+        return at + (1 + F) * F / jnp.sum(squares / (axes + at) ** 2)
 
-    below = jnp.maximum(jnp.sum(squares) - jnp.max(axes), 0)  # the excess is convex: Newton's method comes from there
-    return jnp.where(outside, newton.root(excess, correction, below, _ITERATIONS, unroll=False)[0], 0)
+    def solve(function: Callable[[Array], Array], at: Array) -> tuple[Array, Array]:
+        def improve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            at, F, k = carry
+            at = correct(at, F)
+            return at, function(at), k + 1
+
+        start = at, function(at), jnp.zeros((), jnp.int32)
+        at, F, _ = lax.while_loop(lambda carry: (carry[1] > enough) & (carry[2] < _MOST), improve, start)
+        return correct(at, F), F  # the last one has the derivatives of the root, whatever the guess has
+
+    below = jnp.maximum(jnp.sum(squares) - jnp.max(axes), jnp.maximum(jnp.max(squares - axes), 0))
+    root, F = newton.implicit_root(excess, below, solve, lambda slope, y: y / slope(jnp.ones_like(y)))
+    return jnp.where(outside, jnp.where(enough >= F, root, jnp.nan), 0)
 
 
 def ellipsoid_sphere(G: ArrayLike, masses: ArrayLike, semi_axes: ArrayLike) -> EllipsoidSphere:

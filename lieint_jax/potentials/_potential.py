@@ -137,8 +137,8 @@ def _quadrature(value: Callable[[Array], Array]) -> Callable[[Array, Array], Arr
 def relative(x: Positions, R: Rotations) -> Array:
     """Positions and attitudes relative to the first body, in its axes, (12 (N − 1),)."""
     first = R[0]
-    xi = jnp.sum(first * (x[1:] - x[0])[:, :, None], axis=1)
-    C = jnp.sum(first[:, :, None] * R[1:, :, None, :], axis=1)
+    xi = jnp.sum(first[None] * (x[1:] - x[:1])[:, :, None], axis=1)
+    C = jnp.sum(first[None, :, :, None] * R[1:, :, None, :], axis=1)
     return jnp.concatenate([xi.ravel(), C.ravel()])
 
 

@@ -137,7 +137,7 @@ class LennardJones(_SitePairs):
     def _mixed_strengths(self, g: int, h: int) -> tuple[Array, Array]:
         """4ε and σ² of the pairs."""
         product = self.wells[g].reshape(-1, 1) * self.wells[h].reshape(1, -1)
-        mean = jnp.where(product > 0, jnp.sqrt(jnp.where(product > 0, product, 1)), 0)
+        mean = jnp.where(product == 0, 0, jnp.sqrt(jnp.where(product == 0, 1, product)))
         return 4 * mean, (self.sizes[g].reshape(-1, 1) + self.sizes[h].reshape(1, -1)) ** 2 / 4
 
     def _pair(self, u: Array, g: int, h: int) -> Array:
@@ -235,7 +235,7 @@ def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayL
     if charged.any():
         terms.append(point_charges(constant, q[:, charged], at[:, charged]))
     if soft.any():
-        terms.append(lennard_jones(epsilon[:, soft], jnp.where(epsilon > 0, sigma, 1)[:, soft], at[:, soft]))
+        terms.append(lennard_jones(epsilon[:, soft], jnp.where(epsilon == 0, 1, sigma)[:, soft], at[:, soft]))
     if not terms:
         raise ValueError("all charges and all ε are 0, so there is no force: give charges or wells that are not 0")
     return terms[0] if len(terms) == 1 else terms[0] + terms[1]

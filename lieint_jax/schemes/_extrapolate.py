@@ -114,7 +114,7 @@ def _extrapolation(
         return jax.tree.map(lambda x, f: x + h * f, origin, slope)
 
     w = [jnp.asarray(x, dt.dtype) for x in (weights(numbers), [*weights(numbers[:-1]), 0.0])]
-    h = dt / np.array(numbers)
+    h = dt / jnp.asarray(numbers, dt.dtype)
 
     def step_once(carry: PyTree, row: PyTree) -> tuple[PyTree, None]:
         before, now, sums = carry

@@ -170,7 +170,9 @@ class _Equation(NamedTuple):
 
     def stage_values(self, k: Coordinates) -> Coordinates:
         """The coordinates at the stages, z_n + Δt Σ a_ij k_j."""
-        return jax.tree.map(jnp.add, self.start, self.weighted_sum(k, collocation.gauss(self.stages)[1]))
+        return jax.tree.map(
+            lambda z, x: z[None] + x, self.start, self.weighted_sum(k, collocation.gauss(self.stages)[1])
+        )
 
     def sweep(self, k: Coordinates) -> Coordinates:
         """f(z_n + Δt Σ a_ij k_j)."""

@@ -15,7 +15,6 @@ from jax import Array, lax
 from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.phase_spaces import SphericalChart
@@ -118,9 +117,7 @@ def sphere_chart(
     Source: Lewis & Simo 1994, Section 1.1, claims 4 and 5.
     """
     PENDULUMS.check("sphere_chart", system)
-    gamma = _checks.real_array("axis", axis, (3,), like=system.mass)
-    if concrete(gamma) and abs(float(np.linalg.norm(np.asarray(gamma, float))) - 1) > _checks.UNIT_TOLERANCE:
-        raise ValueError(f"axis must be a unit vector, got {np.asarray(gamma)}; divide it by its norm")
+    gamma = _checks.unit_vector("axis", axis, like=system.mass)
     chart = SphericalChart(gamma / jnp.linalg.norm(gamma))
     return SphereChart(system, chart, _checks.count("iterations", iterations, 1))
 

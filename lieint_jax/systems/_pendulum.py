@@ -133,9 +133,7 @@ def pendulum(
 
 
 def _unit(name: str, value: ArrayLike, like: Array | None = None) -> Vector3:
-    v = _checks.real_array(name, value, (3,), like=like)
-    if concrete(v) and abs(float(np.linalg.norm(np.asarray(v, float))) - 1) > _checks.UNIT_TOLERANCE:
-        raise ValueError(f"{name} must be a unit vector, got {np.asarray(v)}; divide it by its norm")
+    v = _checks.unit_vector(name, value, like=like)
     return v / jnp.linalg.norm(v)
 
 

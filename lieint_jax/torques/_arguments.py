@@ -1,4 +1,4 @@
-"""Arguments of laws of torque: vectors that may depend on time, limits, unit vectors."""
+"""Arguments of laws of torque: vectors and directions that may depend on time, limits."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._numerics.vec3 import dot
 from lieint_jax.types import callable_pytree
 
 VectorOfTime = Array | Callable[[Array], Array]
@@ -31,6 +29,17 @@ def value_at(vector: VectorOfTime, t: Array) -> Array:
     return jnp.asarray(evaluate(vector, t)) if callable(vector) else vector
 
 
+def direction_of_time(name: str, value: Any) -> VectorOfTime:
+    """A unit vector (3,), or a function of time with vectors of any length; ValueError if it is neither."""
+    return vector_of_time(name, value) if callable(value) else _checks.unit_vector(name, value)
+
+
+def direction_at(direction: VectorOfTime, t: Array) -> Array:
+    """The unit vector at a time, (3,): the values of a function are normalized, for it was not checked."""
+    s = value_at(direction, t)
+    return s / jnp.sqrt(dot(s, s)) if callable(direction) else s
+
+
 @jax.jit
 def evaluate(function: Callable[[Array], Any], t: Array) -> Any:
     """A function of time, traced once, although a step evaluates it in each iteration."""
@@ -42,14 +51,3 @@ def cut(vector: Array, limit: Array) -> Array:
     vector = jnp.asarray(vector)
     limit = jnp.broadcast_to(limit, vector.shape).astype(vector.dtype)
     return lax.clamp(-limit, vector, limit)
-
-
-def unit_vector(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
-    """A vector of unit length, or an array of them."""
-    vector = _checks.real_array(name, value, *(shapes or ((3,),)))
-    if concrete(vector):
-        lengths = np.linalg.norm(np.asarray(vector, float), axis=-1)
-        if np.max(np.abs(lengths - 1)) > _checks.UNIT_TOLERANCE:
-            what = "must be a unit vector" if vector.ndim == 1 else "must be unit vectors"
-            raise ValueError(f"{name} {what}, got {np.asarray(vector)}; divide by the length")
-    return vector

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
+from lieint_jax import _checks
 from lieint_jax._checks import not_negative, positive
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, cut, unit_vector, value_at, vector_of_time
+from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, pytree, static
 from lieint_jax.types.shapes import PyTree
@@ -175,7 +176,7 @@ def hysteresis(
     package.
     """
     return Hysteresis(
-        unit_vector("axis", axis),
+        _checks.unit_vector("axis", axis),
         positive("saturation", saturation),
         positive("slope", slope),
         not_negative("coercivity", coercivity),

@@ -50,7 +50,7 @@ class Target:
         if not callable(self.frame):
             e = self._short(self.frame, q)
             return _Error(e[0], e[1:], Omega, jnp.zeros_like(Omega))
-        e = self._short(jnp.asarray(self.frame(t)), q)
+        e = self._short(self._attitude(t), q)
         if not accelerates:
             return _Error(e[0], e[1:], Omega - so3.Ad_star(e, self._velocity(t)), jnp.zeros_like(Omega))
         velocity, rate = jax.jvp(self._velocity, (t,), (jnp.ones_like(t),))
@@ -63,12 +63,16 @@ class Target:
         e = so3.multiply(so3.inverse(so3.multiply(frame, self.offset)), q)
         return jnp.where(e[0] < 0, -e, e)
 
+    def _attitude(self, t: Array) -> Array:
+        """The frame's quaternion, normalized: the values of a function were not checked."""
+        return so3.normalize(jnp.asarray(self.frame(t)))
+
     def _velocity(self, t: Array) -> Array:
         """Ω_t in the axes of the target, (3,)."""
         if hasattr(self.frame, "angular_velocity"):
             velocity = self.frame.angular_velocity(t)
         else:
-            q, rate = jax.jvp(self.frame, (t,), (jnp.ones_like(t),))
+            q, rate = jax.jvp(self._attitude, (t,), (jnp.ones_like(t),))
             velocity = so3.body_velocity(q, rate)
         return so3.Ad_star(self.offset, velocity)
 
@@ -120,8 +124,8 @@ def pointing(
     wheels and to torquers. For a fixed target `pd_quaternion` and `pd_trace` have a potential.
 
     Args:
-        frame: the attitude to point to: a unit quaternion, or t ↦ one. If it has a method `angular_velocity(t)`, in its
-            own axes, that is used, else the derivative of the quaternion.
+        frame: the attitude to point to: a unit quaternion, or t ↦ a quaternion, which is normalized. If it has a method
+            `angular_velocity(t)`, in its own axes, that is used, else the derivative of the quaternion.
         gain: k ≥ 0, a torque, a number or (3,): small errors swing with √(k/2J).
         damping: c ≥ 0, torque × time, a number or (3,).
         inertia: J, (3,) or (3, 3), to add Ω × JΩ and J times the acceleration of the frame: the error then tends to 0

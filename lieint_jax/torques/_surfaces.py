@@ -14,7 +14,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, not_negative, positive
 from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.vec3 import Vector, add, components, cross, dot, scale
-from lieint_jax.torques._arguments import VectorOfTime, evaluate, unit_vector, value_at, vector_of_time
+from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
@@ -33,7 +33,7 @@ class SolarPlate(Law):
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """r × F(Λᵀs)."""
-        s = middle_axes(rotation, value_at(self.sun, rotation.t))
+        s = middle_axes(rotation, direction_at(self.sun, rotation.t))
         cosine = dot(self.normal, s)
         lit = self.force * jnp.abs(cosine)  # either side may face the Sun
         outward = 2 * (self.specular * cosine + jnp.sign(cosine) * self.diffuse / 3)
@@ -61,7 +61,7 @@ def solar_plate(
         force: f, pressure × area, such as 4.56e-6 N/m² × A at 1 au.
         normal: n in the body, (3,), a unit vector.
         arm: r, from the body's center of mass to the plate's center of pressure, in the body, (3,).
-        sun: s in space, (3,), the unit vector to the Sun, or a function of time with such values.
+        sun: s in space, (3,), the unit vector to the Sun, or a function of time whose value points to it.
         specular, diffuse: ρ_s and ρ_d ≥ 0, the parts of the light that are reflected so, ρ_s + ρ_d ≤ 1.
 
     Raises:
@@ -73,9 +73,9 @@ def solar_plate(
     _check_parts(*parts)
     return SolarPlate(
         not_negative("force", force),
-        unit_vector("normal", normal),
+        _checks.unit_vector("normal", normal),
         _checks.real_array("arm", arm, (3,)),
-        _sun(sun),
+        direction_of_time("sun", sun),
         *parts,
     )
 
@@ -115,7 +115,7 @@ def _plates(name: str, sizes: ArrayLike, normals: ArrayLike, arms: ArrayLike) ->
         raise ValueError(f"arms must have shape (m, 3), one for each plate, got {r.shape}")
     m = len(r)
     size = jnp.broadcast_to(not_negative(name, sizes, (), (m,)), (m,))
-    return Plates(size, unit_vector("normals", normals, (m, 3)), r)
+    return Plates(size, _checks.unit_vector("normals", normals, (m, 3)), r)
 
 
 @pytree
@@ -130,7 +130,7 @@ class SolarPlates(Law):
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """Σ r_j × F_j(Λᵀs) at the middle of the step."""
-        s, n = components(middle_axes(rotation, value_at(self.sun, rotation.t))), self.plates.normal
+        s, n = components(middle_axes(rotation, direction_at(self.sun, rotation.t))), self.plates.normal
         cosine = jnp.maximum(dot(n, s), 0)
         lit = self.plates.sizes * cosine
         if self.light is not None:
@@ -159,7 +159,7 @@ def solar_plates(
         force: f_j ≥ 0, pressure × area, such as 4.56e-6 N/m² × A_j at 1 au, a number or (m,).
         normals: n_j, outward, in the body, unit vectors (m, 3).
         arms: r_j, from the body's center of mass to the centers of the plates, in the body, (m, 3).
-        sun: s in space, (3,), the unit vector to the Sun, or a function of time with such values
+        sun: s in space, (3,), the unit vector to the Sun, or a function of time whose value points to it
             (`orbits.sun_direction`).
         light: t ↦ the part of the sunlight that arrives, from 0 to 1, such as `orbits.eclipse(orbit, sun)`; or None.
         specular, diffuse: ρ_s and ρ_d ≥ 0, the parts of the light reflected so, ρ_s + ρ_d ≤ 1, numbers or (m,).
@@ -177,7 +177,7 @@ def solar_plates(
     if light is not None:
         _checks.function("light", light, "the time t", (), jnp.zeros(()))
         light = callable_pytree(light)
-    return SolarPlates(plates, _sun(sun), light, *parts)
+    return SolarPlates(plates, direction_of_time("sun", sun), light, *parts)
 
 
 @pytree
@@ -241,10 +241,6 @@ def box_plates(sizes: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[A
     normals = jnp.concatenate([jnp.eye(3, dtype=a.dtype), -jnp.eye(3, dtype=a.dtype)])
     areas = jnp.stack([a[1] * a[2], a[2] * a[0], a[0] * a[1]])
     return jnp.concatenate([areas, areas]), normals, c + normals * a / 2
-
-
-def _sun(sun: Any) -> VectorOfTime:
-    return vector_of_time("sun", sun) if callable(sun) else unit_vector("sun", sun)
 
 
 def _check_parts(specular: Array, diffuse: Array) -> None:

@@ -25,9 +25,10 @@ class Thruster(Law):
         length = jnp.abs(rotation.dt)
         overlap = jnp.minimum(rotation.t + length / 2, self.stop) - jnp.maximum(rotation.t - length / 2, self.begin)
         fires = (self.begin <= rotation.t) & (rotation.t < self.stop)
-        moves = length > 0
-        part = jnp.clip(overlap / jnp.where(moves, length, 1), 0, 1)
-        return jnp.where(moves, part, fires) * self.torque, inner
+        silent = (rotation.t < self.begin) | (self.stop <= rotation.t)  # neither for NaN
+        instant = length == 0
+        part = jnp.clip(overlap / jnp.where(instant, 1, length), 0, 1)
+        return jnp.where(instant, jnp.where(fires | silent, fires, jnp.nan), part) * self.torque, inner
 
 
 def thruster(torque: ArrayLike, start: ArrayLike, stop: ArrayLike) -> Thruster:

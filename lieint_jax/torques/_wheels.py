@@ -13,7 +13,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, positive
 from lieint_jax._numerics.vec3 import cross
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import cut, unit_vector
+from lieint_jax.torques._arguments import cut
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
 
@@ -145,7 +145,7 @@ def wheel_axes(axes: ArrayLike) -> Array:
     g = _checks.real_array("axes", axes)
     if g.ndim != 2 or g.shape[1] != 3 or not len(g):
         raise ValueError(f"axes must have shape (m, 3), one unit vector for each wheel, got {g.shape}")
-    return unit_vector("axes", g, g.shape)
+    return _checks.unit_vector("axes", g, g.shape)
 
 
 def body_inertia(locked: ArrayLike, axes: ArrayLike, inertias: ArrayLike) -> Array:

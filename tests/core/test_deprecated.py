@@ -38,6 +38,12 @@ def test_an_argument_by_position_has_the_value_of_its_name():
     assert (float(orbit.node), float(orbit.periapsis)) == (0.3, 0.4)
 
 
+def test_elements_by_position_are_accepted_by_both_functions_of_elements():
+    with pytest.warns(DeprecationWarning, match="secular_j2: pass node, periapsis by name; by position"):
+        orbit = li.orbits.secular_j2(li.orbits.EARTH_GM, 7e3, 0.01, 0.2, 0.3, 0.4).osculating
+    assert (float(orbit.node), float(orbit.periapsis)) == (0.3, 0.4)
+
+
 def test_too_many_arguments_by_position_are_a_type_error():
     with pytest.raises(TypeError):
         li.orbits.kepler(1.0, 1.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)

@@ -36,6 +36,17 @@ def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):
         assert distance(jax.tree.map(lambda x: x[k + 1], seen.state), one) < 2e-16  # noqa: B023
 
 
+def test_times_of_another_epoch_are_refused_in_a_sentence():
+    """In seconds since 1970, for a state without a time; traced ones are flagged."""
+    sentence = r"{}: 3\.4e\+10 steps lead there.*and 2147483647 are too many.*count from t = 0\.0, .*at the epoch"
+    with pytest.raises(ValueError, match=sentence.format("times")):
+        li.observe(SPLITTING, STATE, 0.05, [1.7e9])
+    with pytest.raises(ValueError, match=sentence.format("save_at")):
+        li.integrate(SPLITTING, STATE, 0.05, 34 * 10**9, save_at=[1.7e9])
+    info = jax.jit(lambda t: li.observe(SPLITTING, STATE, 0.05, t))(jnp.array([0.1, 1.7e9]))[1]
+    assert info.converged.tolist() == [True, False]
+
+
 def test_the_clock_is_that_of_the_state():
     start = STATE._replace(t=jnp.asarray(3.0))
     seen = li.integrate(SPLITTING, start, 0.1, 10, save_at=3 + OUTPUTS)

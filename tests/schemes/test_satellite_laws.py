@@ -309,6 +309,16 @@ def test_motors_that_look_at_the_momentum_are_solved_with_the_step():
     assert not converged[4:, 1:].any()
 
 
+def test_directions_and_attitudes_from_functions_are_normalized():
+    """They cannot be checked when a law is made."""
+    t, pairs = jnp.array(0.3), []
+    for length in (1.0, 2.0):
+        plate = torques.solar_plate(0.5, [0.0, 0.6, 0.8], [0.3, -0.2, 0.1], lambda t, c=length: c * SUN)
+        control = torques.pointing(lambda t, c=length: c * jnp.stack([jnp.cos(t), 0 * t, jnp.sin(t), 0 * t]), 8.0, 6.0)
+        pairs.append([jax.jit(law)(t, Q, OMEGA) for law in (plate, control)])
+    np.testing.assert_allclose(pairs[1], pairs[0], rtol=1e-14)
+
+
 REFUSED = {
     "no wheels": (lambda: torqued_body(INERTIA, LAWS["unloading"]), "reads State.extra.*add the law with that"),
     "air": (lambda: torques.aerodynamic(lambda t: t, *PLATES), "air must be a function of the time t"),

@@ -220,6 +220,18 @@ def test_shadows_of_a_cylinder_and_of_a_cone():
     assert np.isfinite(jax.vmap(jax.grad(orbits.eclipse(circle, sun, 1.0)))(t[::40])).all()
 
 
+@pytest.mark.parametrize("shadow", ["conical", "cylindrical"])
+def test_the_shadow_of_a_direction_does_not_depend_on_its_length(shadow):
+    """That of a function of time, which is not checked when the eclipse is made."""
+    circle, t = orbits.kepler(1.0, 1.5, 0.0), np.linspace(0, 2 * np.pi * 1.5**1.5, 401)
+    light = [
+        jax.jit(jax.vmap(orbits.eclipse(circle, sun, 1.0, shadow)))(t)
+        for sun in ([1.0, 0, 0], lambda t: jnp.array([2.0, 0, 0]), lambda t: jnp.array([0.3, 0, 0]))
+    ]
+    assert 0 < float(light[0].mean()) < 1
+    np.testing.assert_allclose(light[1:], [light[0]] * 2, rtol=0, atol=1e-12)
+
+
 REFUSED = {
     "no mu": (lambda: orbits.from_state(0.0, [1.0, 0, 0], [0, 1.0, 0]), "mu must be positive"),
     "center": (lambda: orbits.from_state(1.0, [0.0, 0, 0], [0, 1.0, 0]), "position must not be that of the center"),
@@ -242,6 +254,10 @@ REFUSED = {
     "day": (lambda: orbits.julian_date(2024, 2, 30), "must be a day of the calendar"),
     "air": (lambda: orbits.atmosphere(LOW, -1.0, 60.0, 500.0), "density must be positive"),
     "shadow": (lambda: orbits.eclipse(LOW, [1.0, 0, 0], shadow="sphere"), "shadow must be"),
+    "sun": (
+        lambda: orbits.eclipse(LOW, [2.0, 0, 0], shadow="cylindrical"),
+        r"sun must be a unit vector, got \[2\. 0\. 0\.\] of length 2\.0; divide it by its length",
+    ),
     "frame": (lambda: orbits.lvlh(lambda t: t), "orbit must be a function of the time t"),
     "vectors": (lambda: orbits.vector_table([0.0, 1.0], np.zeros((2, 3))), "at least 3 entries"),
 }

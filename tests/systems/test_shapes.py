@@ -116,6 +116,44 @@ def test_a_mesh_of_a_box_is_the_box():
     assert_same(shapes.mesh(CUBE * [3, 2, 1] + [100, 0, -50], np.array(FACES)[:, ::-1], mass=12.0), exact, 1e-13)
 
 
+INWARD = [face[::-1] for face in FACES]
+OUTSIDE, WITHIN = np.add(CUBE, [7, 0, 0]), np.add(CUBE, [2, 2, 2])
+
+
+def two(corners, faces, outer=FACES):
+    """A cube with edges of 5, and a second one of 1."""
+    return np.concatenate([5 * CUBE, corners]), [*outer, *(np.array(faces) + 8)]
+
+
+@pytest.mark.parametrize(
+    ("corners", "faces", "mass"), [(OUTSIDE, FACES, 126), (WITHIN, INWARD, 124), (np.add(CUBE, [5, 5, 0]), FACES, 126)]
+)
+def test_a_mesh_of_two_parts_has_the_sum_of_their_signed_volumes(corners, faces, mass):
+    """Two cubes, a cube with a cavity, cubes with a common edge; and all faces the other way round."""
+    for at, F in (two(corners, faces), two(corners, np.array(faces)[:, ::-1], INWARD)):
+        assert float(shapes.mesh(at, F, density=1.0).mass) == pytest.approx(mass, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("corners", "faces", "sentence"),
+    [
+        (OUTSIDE, INWARD, r"face 12 \(12 faces around \[7\.5 .*volume -1\) is oriented unlike the part with face 0"),
+        (WITHIN, FACES, r"face 12 \(12 faces around \[2\.5 .*volume 1\) lies inside another part and is oriented like"),
+        (OUTSIDE - [2.5, 0, 0], INWARD, "is oriented unlike the part with face 0 and lies in no other part"),
+    ],
+)
+def test_a_part_of_the_other_orientation_is_a_cavity_or_refused(corners, faces, sentence):
+    at, F = two(corners, faces)
+    with pytest.raises(ValueError, match=sentence):
+        shapes.mesh(at, F, density=1.0)
+
+
+def test_a_body_may_lie_in_a_cavity():
+    at, F = two(3 * CUBE + 1, INWARD)
+    deep = np.concatenate([at, WITHIN]), [*F, *(np.array(FACES) + 16)]
+    assert float(shapes.mesh(*deep, density=1.0).mass) == pytest.approx(125 - 27 + 1, rel=1e-14)
+
+
 def test_meshes_of_an_ellipsoid_approach_it_to_second_order():
     exact, errors = shapes.ellipsoid([3.0, 2.0, 1.0], density=1.0), []
     for levels in (2, 3, 4):
@@ -202,6 +240,10 @@ def test_obj_files_are_read(tmp_path):
     cube = shapes.obj(path, density=1e-6, scale=1000.0)
     assert float(cube.mass) == pytest.approx(1000.0, rel=1e-14)
     np.testing.assert_allclose(cube.center, [500.0] * 3, rtol=1e-14)
+    for index in (-9, 0, 9):
+        path.write_text("\n".join([*lines[:8], f"f 1 2 {index}"]))
+        with pytest.raises(ValueError, match=f"line 9 of .*cube.obj must have indices.* got 'f 1 2 {index}'"):
+            shapes.obj(path, mass=1.0)
     path.write_text("v 1 2 x\nf 1 1 1")
     with pytest.raises(ValueError, match=r"line 1 of .*cube.obj must be a line of an OBJ file, got 'v 1 2 x'"):
         shapes.obj(path, mass=1.0)
