@@ -22,13 +22,14 @@ which runs single bodies, gradients and accelerators, handles the same equations
 those of users.
 """
 
-from lieint_jax._xla._compile import compiled, jit
+from lieint_jax._xla._compile import compiled, compiled_for, jit
 from lieint_jax._xla._forward_mode import forward_mode
 from lieint_jax._xla._materialize import materialized, materialized_arrays, unfused, with_materialized_derivatives
 from lieint_jax._xla._rematerialize import rematerialized, saved
 
 __all__ = [
     "compiled",
+    "compiled_for",
     "forward_mode",
     "jit",
     "materialized",

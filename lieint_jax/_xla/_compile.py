@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import collections
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, TypeVar, cast
 
 import jax
@@ -14,6 +15,7 @@ Tree = Any  # a tree of arrays
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
 _QUICKLY = {"xla_cpu_use_fusion_emitters": False}
 _ONCE = {**_QUICKLY, "xla_backend_optimization_level": 0}
+_MOST_KEPT = 24
 _refused: set[str] = set()  # options that this XLA does not have
 
 
@@ -55,28 +57,75 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
 
     Args:
         function, static_argnums: as in `jax.jit`.
-        once: True if a call is faster than its compilation, as that of a check: then LLVM's optimizations are off too.
+        once: True if a call is faster than its compilation, as that of a check: then LLVM's optimizations are off too,
+            and only the programs used last are kept. JAX keeps all, some MiB for each new function of a user.
     """
-    wanted = _ONCE if once else _QUICKLY
     plain = jax.jit(function, static_argnums=static_argnums, inline=True)
 
     @functools.cache
     def quick(*names: str) -> _Function:
-        options = {name: wanted[name] for name in names}
+        options = {name: _QUICKLY[name] for name in names}
         return cast("_Function", jax.jit(function, static_argnums=static_argnums, compiler_options=options))
+
+    def call_quick(*arguments: Tree, **named: Tree) -> Tree:
+        def attempt(options: Sequence[str]) -> Tree:
+            return quick(*options)(*arguments, **named) if options else plain(*arguments, **named)
+
+        return _with_known(_QUICKLY, attempt)
+
+    call_outermost = _LastPrograms(function, static_argnums) if once else call_quick
 
     @functools.wraps(function)
     def call(*arguments: Tree, **named: Tree) -> Tree:
-        options = [name for name in wanted if name not in _refused]
-        if not options or jax.default_backend() != "cpu" or not outermost():
-            return plain(*arguments, **named)
-        try:
-            return quick(*options)(*arguments, **named)
-        except jax.errors.JaxRuntimeError as error:
-            unknown = {name for name in options if f"No such compile option: '{name}'" in str(error)}
-            if not unknown:
-                raise
-            _refused.update(unknown)
-            return call(*arguments, **named)
+        return (call_outermost if outermost() else plain)(*arguments, **named)
 
     return cast("_Function", call)
+
+
+class _LastPrograms:
+    """A function whose programs for the last `_MOST_KEPT` kinds of arguments are kept."""
+
+    def __init__(self, function: Callable[..., Tree], static_argnums: int | tuple[int, ...]):
+        self._function = function
+        self._static = (static_argnums,) if isinstance(static_argnums, int) else static_argnums
+        self._programs: collections.OrderedDict[object, Callable[..., Tree]] = collections.OrderedDict()
+
+    def __call__(self, *arguments: Tree) -> Tree:
+        fixed = {k: arguments[k] for k in self._static}
+        given = [x for k, x in enumerate(arguments) if k not in fixed]
+
+        def function(*given: Tree) -> Tree:
+            rest = iter(given)
+            return self._function(*(fixed[k] if k in fixed else next(rest) for k in range(len(arguments))))
+
+        leaves, structure = jax.tree.flatten(given)
+        kinds = tuple((jax.typeof(x), getattr(x, "sharding", None)) for x in leaves)
+        key = tuple(fixed.values()), structure, kinds, jax.config.jax_enable_x64  # pyright: ignore
+        program = self._programs.pop(key, None) or compiled_for(function, *given)
+        self._programs[key] = program
+        while len(self._programs) > _MOST_KEPT:
+            self._programs.popitem(last=False)
+        return program(*given)
+
+
+def compiled_for(function: Callable[..., Tree], *arguments: Tree) -> Callable[..., Tree]:
+    """A function compiled quickly for arguments of these shapes; the program is freed with the result."""
+
+    def attempt(options: Sequence[str]) -> Callable[..., Tree]:
+        chosen = {name: _ONCE[name] for name in options}
+        return jax.jit(function, compiler_options=chosen).lower(*arguments).compile()
+
+    return _with_known(_ONCE, attempt)
+
+
+def _with_known(wanted: Collection[str], attempt: Callable[[Sequence[str]], Tree]) -> Tree:
+    """What `attempt` returns, with those of the wanted options that this XLA has; none but on a CPU."""
+    options = [name for name in wanted if name not in _refused] if jax.default_backend() == "cpu" else []
+    try:
+        return attempt(options)
+    except jax.errors.JaxRuntimeError as error:
+        unknown = {name for name in options if f"No such compile option: '{name}'" in str(error)}
+        if not unknown:
+            raise
+        _refused.update(unknown)
+        return _with_known(wanted, attempt)

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax import Array
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from lieint_jax._xla import compiled
+from lieint_jax._xla import compiled_for
 from lieint_jax.native._primitives.abstract_walk import unsupported_if_it_fails
 from lieint_jax.native._program import Program
 from lieint_jax.native._stream import Stream, split
@@ -69,14 +68,17 @@ class Kernel:
         """
         assert self._jaxpr is not None
         given = [np.asarray(x) for part in arguments for x in jax.tree.leaves(part)]
-        leaves, one = self._leaves[: self._given], compiled(jaxpr_as_fun(self._jaxpr), once=True)
-        self._jaxpr = None
+        leaves = self._leaves[: self._given]
 
-        def by_xla(m: int) -> list[Array]:
+        def of_member(m: int) -> list[np.ndarray]:
             at = {"carry": m, "member": m, "row": 0}
-            return one(*(x[at[leaf.kind]] if leaf.kind in at else x for x, leaf in zip(given, leaves, strict=True)))
+            return [
+                np.asarray(x[at[leaf.kind]]) if leaf.kind in at else x for x, leaf in zip(given, leaves, strict=True)
+            ]
 
-        theirs = [np.stack(x) for x in zip(*map(by_xla, range(members)), strict=True)]
+        by_xla = compiled_for(jaxpr_as_fun(self._jaxpr), *of_member(0))
+        theirs = [np.stack(x) for x in zip(*(by_xla(*of_member(m)) for m in range(members)), strict=True)]
+        self._jaxpr = None
         ours = jax.tree.leaves(self(arguments, members))
         carried = self._code.carried
         ours[carried:] = [x[0] for x in ours[carried:]]

@@ -7,7 +7,7 @@ import functools
 import hashlib
 import os
 import threading
-from collections.abc import Callable
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import llvmlite
 import llvmlite.binding as llvm
 
 _lock = threading.Lock()
-_engines: dict[str, Any] = {}  # they own the code
+_functions: weakref.WeakValueDictionary[str, MachineFunction] = weakref.WeakValueDictionary()  # by their texts
 
 
 @functools.cache
@@ -31,17 +31,32 @@ def register_bytes() -> int:
     return 64 if features.get("avx512f") else 32 if features.get("avx2") else 16
 
 
-def compile_modules(*texts: str) -> Callable[..., None]:
+class MachineFunction:
+    """A function of machine code, which is freed with this object.
+
+    Args:
+        engine: owns the code.
+    """
+
+    def __init__(self, engine: Any):
+        self._engine = engine
+        self._call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, ctypes.c_void_p)(engine.get_function_address("run"))
+
+    def __call__(self, *arguments: Any) -> None:
+        self._call(*arguments)
+
+
+def compile_modules(*texts: str) -> MachineFunction:
     """The function `run` of the first module, compiled together with the others; empty modules are left out."""
     text = "\n;\n".join(texts)
     key = hashlib.sha256(
         "\n".join([llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), _features(), text]).encode()
     ).hexdigest()
     with _lock:
-        if key not in _engines:
-            _engines[key] = _engine(key, [x for x in texts if x])
-        address = _engines[key].get_function_address("run")
-    return ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, ctypes.c_void_p)(address)
+        found = _functions.get(key)
+        if found is None:
+            found = _functions[key] = MachineFunction(_engine(key, [x for x in texts if x]))
+    return found
 
 
 def _engine(key: str, texts: list[str]) -> Any:

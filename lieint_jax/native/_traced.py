@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -152,13 +153,16 @@ def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
     return jax.dtypes.canonicalize_dtype(x.dtype) if hasattr(x, "dtype") else jax.numpy.result_type(x)  # pyright: ignore
 
 
-_cache: dict[object, object] = {}
+_MOST_KEPT = 64  # programs made last; each holds some 5 MiB
+_cache: collections.OrderedDict[object, object] = collections.OrderedDict()
 
 
 def make_once(
     kind: Callable[..., _Compiled], function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]
 ) -> _Compiled:
     """`kind(function, kinds, examples)`, made once for all arguments of the same shapes; failures are stored too.
+
+    The programs used last are kept, so that a session that makes ever new functions does not fill the memory.
 
     Raises:
         UnsupportedError: see `Traced`.
@@ -172,6 +176,9 @@ def make_once(
         except UnsupportedError as reason:
             _cache[key] = reason
     found = _cache[key]
+    _cache.move_to_end(key)
+    while len(_cache) > _MOST_KEPT:
+        _cache.popitem(last=False)
     if isinstance(found, UnsupportedError):
         raise found
     return cast("_Compiled", found)

@@ -453,7 +453,7 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
     free = lambda axis: axis @ jnp.array([0.2, 0.1, 0.3])  # noqa: E731
     top = systems.potential_top([1.0, 2.0, 3.0], free if reduce else potential)
     step, states = schemes.top_energy_momentum(top), jax.vmap(lambda w: top.state(angular_velocity=w))(normal(3))
-    quantity = (lambda step, state: jnp.cos(state.p[0])) if reduce else None  # noqa: E731
+    quantity = (lambda step, state: jnp.cos(state.p[0])) if reduce else None
     with monkeypatch.context() as patch:
         patch.setitem(ELEMENTWISE, "cos", lambda walk, x, parameters, dtype: walk.number("mul", x[0], x[0]))
         runs = [ensemble.run(step, states, 0.1, n, reduce=quantity, progress=False) for n in (1, 2)]
