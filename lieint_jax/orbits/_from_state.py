@@ -134,8 +134,8 @@ def from_state(mu: ArrayLike, position: Any, velocity: Any, t: ArrayLike = 0.0) 
     """The Kepler orbit through a position and a velocity, elliptic or hyperbolic.
 
     Values and derivatives are regular for circles and for orbits in the xy-plane. `orbit.elements` has the elements of
-    `kepler`. Positions on an ellipse are right to a few ulp of a, plus the effect of rounding the mean anomaly; those on
-    a hyperbola with e ≥ 1.3 to 20 ulp of |a|(1 + r₀r/a²). That is 4e-8 |a| from r₀ = 4500 |a| on one side to the same
+    `kepler`. Positions on an ellipse are right to a few ulp of a, plus the effect of rounding the mean anomaly; on a
+    hyperbola with e ≥ 1.3 to 20 ulp of |a|(1 + r₀r/a²). That is 4e-8 |a| from r₀ = 4500 |a| on one side to the same
     on the other, where an ulp of the state changes the position by 1.5e-9 |a|; `orbit.elements(t)` is right to 4e-10
     |a| there. Near a parabola the state determines a less well.
 
