@@ -120,7 +120,7 @@ class Hysteresis(Law):
         rounding = _ROUNDINGS * jnp.finfo(x.dtype).eps * (jnp.sqrt(dot(b, b)) + jnp.abs(inner))
         edge = self.coercivity - rounding
         pushed = (x - inner >= edge) & (speed > 0) | (inner - x >= edge) & (speed < 0)
-        return jnp.where(pushed, speed, 0)
+        return jnp.where(pushed, speed, jnp.where(jnp.isnan(x - inner + edge + speed), jnp.nan, 0))
 
     def start(self, now: Rotation) -> Array:
         """The w nearest to 0 with |x − w| ≤ ρ: a rod that came into the field without magnetization."""

@@ -233,6 +233,8 @@ def checked_step(step: object) -> Step:
 def promoted(step: _T, state: State) -> tuple[_T, State, np.dtype]:
     """`step` and `state` with all their real numbers in one floating-point type, the widest among them, and that type.
 
+    Without jax_enable_x64 it is float32 also where they were made with it.
+
     Raises:
         ValueError: `state` is not a State of real arrays, or a type is narrower than float32.
     """
@@ -251,7 +253,7 @@ def promoted(step: _T, state: State) -> tuple[_T, State, np.dtype]:
     if functions := [getattr(x, "__name__", "function") for x in leaves if callable(x)]:
         raise ValueError(f"a step must hold a function as a pytree: give jax.tree_util.Partial({functions[0]})")
     numbers = [real_array("a number of the step", x, finite=False) for x in leaves if _is_real(x)]
-    dtype = jnp.result_type(*jax.tree.leaves(found), *numbers)
+    dtype = jax.dtypes.canonicalize_dtype(jnp.result_type(*jax.tree.leaves(found), *numbers))
     if any(x.dtype != dtype for x in numbers):
         step = jax.tree.map(lambda x: jnp.asarray(x, dtype) if _is_real(x) else x, step)
     return step, State(**jax.tree.map(lambda x: x if x.dtype == dtype else x.astype(dtype), found)), dtype

@@ -38,7 +38,7 @@ def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):
 
 def test_times_of_another_epoch_are_refused_in_a_sentence():
     """In seconds since 1970, for a state without a time; traced ones are flagged."""
-    sentence = r"{}: 3\.4e\+10 steps lead there.*and 2147483647 are too many.*count from t = 0\.0, .*at the epoch"
+    sentence = r"{}: 3\.4e\+10 steps lead there.*and 2147483647 are too many.*count from t = 0\.0, .*at their epoch"
     with pytest.raises(ValueError, match=sentence.format("times")):
         li.observe(SPLITTING, STATE, 0.05, [1.7e9])
     with pytest.raises(ValueError, match=sentence.format("save_at")):

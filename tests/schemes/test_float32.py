@@ -36,6 +36,17 @@ def _measured(step, state, dt):
     return run, energy, li.diagnostics.constraint_error(body, run)
 
 
+@pytest.mark.filterwarnings("ignore:Explicitly requested dtype float64:UserWarning")  # of JAX
+def test_a_step_and_a_state_made_with_x64_run_in_float32_without_it():
+    with jax.enable_x64(True):
+        body = li.systems.rigid_body([1.0, 2.0, 3.0])
+        step, state = li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, 0.0, 1.0])
+    run = li.integrate(step, state, 0.05, 4)
+    assert run.state.q.dtype == run.t.dtype == SINGLE
+    assert bool(run.info.converged.all())
+    assert li.observe(step, state, 0.05, [0.07])[0].p.dtype == SINGLE
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", [kappa_cayley, kappa_exponential, kappa_symplectic], ids=lambda k: k.name)
 def test_runs_in_single_precision_conserve_to_its_round_off(kappa):

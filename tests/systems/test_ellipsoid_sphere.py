@@ -48,7 +48,8 @@ def force(x, a):
     return jax.grad(ellipsoid_sphere(1.0, [1.0, 1.0], a).value)(x)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["triaxial", "oblate", "prolate"])
 def test_the_potential_and_the_force_of_any_ellipsoid(shape):
     """V to 1e-14 (observed: 3e-15); the force to what roundings of the point and the axes change (observed: 10 eps)."""
 
@@ -74,7 +75,7 @@ def test_second_derivatives_obey_laplace():
     for hessian in (jax.hessian(V.value), jax.jacrev(jax.jacfwd(V.value))):
         found = jax.jit(jax.vmap(hessian))(points(np.array(a)))
         trace, size = jnp.trace(found, axis1=1, axis2=2), jnp.abs(found).max(axis=(1, 2))
-        np.testing.assert_allclose(trace[7:-3] / size[7:-3], 0, atol=1e-13)
+        np.testing.assert_allclose(trace[7:-3] / size[7:-3], 0, rtol=0, atol=1e-13)
         np.testing.assert_allclose(trace[-3:], 3 / jnp.prod(a), rtol=1e-13)
 
 
