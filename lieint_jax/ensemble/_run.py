@@ -35,7 +35,7 @@ def _untransformed(function: _F) -> _F:
     """Raise TypeError where the function is called with tracers, or meets those of a function that closes over them."""
     advice = (
         f"ensemble.{function.__name__} computes with numbers, outside of jax.jit, jax.vmap, jax.grad and jax.jvp: "
-        "inside of them use li.integrate, for a batch jax.vmap(lambda state: li.integrate(step, state, dt, num_steps))(states)"
+        "inside of them use li.integrate, for a batch jax.vmap(lambda z: li.integrate(step, z, dt, num_steps))(states)"
     )
 
     @wraps(function)
