@@ -18,6 +18,7 @@ from lieint_jax._integrate._clock import (
 )
 from lieint_jax._integrate._driver import Body, Progress, advance, counted, march, prepared, scanned, steps
 from lieint_jax._integrate._event import Event, event, events
+from lieint_jax._integrate._halved import halved_steps, splits
 from lieint_jax._integrate._interpolate import interpolate
 from lieint_jax._integrate._run import (
     integrate,
@@ -46,6 +47,7 @@ __all__ = [
     "counted",
     "event",
     "events",
+    "halved_steps",
     "integrate",
     "interpolate",
     "intervals",
@@ -60,6 +62,7 @@ __all__ = [
     "rows_for",
     "saves",
     "scanned",
+    "splits",
     "steps",
     "trajectory",
     "uniform_clock",

@@ -171,6 +171,16 @@ def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | Rounded
     return RoundedClock.of_size(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
 
 
+def halved(clock: Clock) -> Clock:
+    """The clock of two steps for each of this one's."""
+    if isinstance(clock, GridClock):
+        middles = (clock.times[1:] + clock.times[:-1]) / 2
+        return GridClock(jnp.concatenate([clock.times[:1], jnp.stack([middles, clock.times[1:]], 1).ravel()]))
+    if isinstance(clock, RoundedClock):
+        return RoundedClock.of_size(clock.t0, clock.dt / 2)
+    return clock._replace(dt=clock.dt / 2)
+
+
 def more_times(step: Step, state: State, size: ArrayLike) -> str:
     """The remedy, after a step's advice, where a step fails whose `size` comes from given times."""
     for k in range(1, _HALVINGS + 1):

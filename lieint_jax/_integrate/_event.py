@@ -19,8 +19,9 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate._clock import Clock, at_time, clock_of
+from lieint_jax._integrate._clock import Clock, at_time, clock_of, halved
 from lieint_jax._integrate._driver import Progress, advance, march, prepared
+from lieint_jax._integrate._halved import splits
 from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted, start_time
@@ -108,6 +109,8 @@ def events(
         raise ValueError(f"condition must be finite at the start, got {float(first)}")
     _checks.time_resolution(start_time(step, state), dt, max_steps)
     clock, _ = clock_of(step, state, dtype, dt, max_steps, None)
+    if (parts := splits(step)) > 1:
+        clock, max_steps = halved(clock), parts * max_steps
     return _events(step, state, clock, callable_pytree(condition), max_steps, count, direction)
 
 

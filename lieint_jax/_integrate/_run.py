@@ -23,12 +23,14 @@ from lieint_jax._integrate._clock import (
     UniformClock,
     at_time,
     clock_of,
+    halved,
     more_times,
     outputs,
     refuse_far_times,
     refuse_times,
 )
 from lieint_jax._integrate._driver import Progress, Repeat, advance, counted, march, prepared, scan, scanned
+from lieint_jax._integrate._halved import splits
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 from lieint_jax.types.shapes import PyTree
@@ -89,6 +91,8 @@ def integrate(
     """
     step, state, dtype = promoted(checked_step(step), state)
     clock, num_steps = clock_of(step, state, dtype, dt, num_steps, times)
+    if (parts := splits(step)) > 1:
+        dt, clock, num_steps = None, halved(clock), parts * num_steps
     if adjoint is not None:
         checked_adjoint(adjoint).check(step, clock)
         if save_at is not None:
@@ -99,7 +103,7 @@ def integrate(
     first = dt if dt is not None else clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
     _checks.time_resolution(start_time(step, state), first, num_steps)
     if save_at is None:
-        save_every = _checks.count("save_every", save_every, 1)
+        save_every = parts * _checks.count("save_every", save_every, 1)
         return _after_every(save_every, step, state, clock, num_steps, first, adjoint)
     if save_every != 1:
         raise ValueError("give save_every or save_at, not both")

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import MOST_TO_OUTPUTS, refuse_far_times, refuse_times, uniform_clock
+from lieint_jax._integrate import MOST_TO_OUTPUTS, refuse_far_times, refuse_times, splits, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
@@ -54,6 +54,8 @@ def observe(
             dt = 0; and the errors of `reversible`.
     """
     step, state, h = checked(step, state, dt, derivative)
+    if (parts := splits(step)) > 1:
+        h, dt = h / parts, dt / parts
     refuse_times(step, "times")
     t = _checks.real_array("times", times).astype(h.dtype)
     if t.ndim != 1:

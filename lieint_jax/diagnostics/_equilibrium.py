@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.diagnostics.tangent import units
+from lieint_jax.diagnostics.tangent import distance, units
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import AbstractDrivenTop, State, System, promoted
@@ -41,12 +41,15 @@ class Equilibrium(NamedTuple):
             and angular velocity. (0,) for a system without known symmetries.
         frame: ω, (3,), the angular velocity of the axes in space in which the field is constant; 0 if it is at rest.
         residual: |dK|, relative to the second derivatives of K, in the units of the state.
+        moved: the largest change of a coordinate from the guess, in radians, or in units of the largest momentum; for
+            systems with a unit of length, in that unit.
     """
 
     state: State
     rates: Array
     frame: Array
     residual: Array
+    moved: Array
 
 
 class Derivatives(NamedTuple):
@@ -126,8 +129,11 @@ def equilibrium(
 
     It is computed by Newton's method for dK = 0, in the state and the rates ξ together. Relative equilibria come in
     families, such as spins of any rate: of all corrections that Newton's equation allows, the shortest in the units of
-    the state is used. So the result is near the guess, and a guess that is an equilibrium does not change. `free`
-    selects the coordinates that may change.
+    the state is used. So a guess that is an equilibrium does not change, and a guess near one changes little; `moved`
+    is by how much. `free` selects the coordinates that may change.
+
+    At a relative equilibrium all bodies rotate at one rate, that of the common motion: a binary is synchronous on both
+    sides. From a guess in which one body rotates faster the positions change too, until that rate is the common one.
 
     Args:
         system: a Hamiltonian system, with its known symmetries in `momentum`. It may be driven by an axis that rotates
@@ -164,10 +170,10 @@ def equilibrium(
     chosen = np.arange(dim) if free is None else np.asarray(free, int)
     if chosen.ndim != 1 or not chosen.size or chosen.min() < 0 or chosen.max() >= dim:
         raise ValueError(f"free must be coordinates of the phase space, from 0 to {dim - 1}, got {free!r}")
-    state = _newton(system, state, omega, chosen)
+    start, state = state, _newton(system, state, omega, chosen)
     found = derivatives(system, state, omega)
-    rates = found.rates()
-    return Equilibrium(state, jnp.asarray(rates, state.p.dtype), omega, jnp.asarray(found.residual(rates)))
+    rates, moved = found.rates(), distance(start, state, system.phase_space)
+    return Equilibrium(state, jnp.asarray(rates, state.p.dtype), omega, jnp.asarray(found.residual(rates)), moved)
 
 
 def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> State:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from functools import partial, wraps
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
+from jax.errors import ConcretizationTypeError, TracerArrayConversionError
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
@@ -26,8 +28,32 @@ from lieint_jax.ensemble._storage import Url, address
 from lieint_jax.ensemble._store_options import StoreOptions
 from lieint_jax.types import State, Step
 
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def _untransformed(function: _F) -> _F:
+    """Raise TypeError where the function is called with tracers, or meets those of a function that closes over them."""
+    advice = (
+        f"ensemble.{function.__name__} computes with numbers, outside of jax.jit, jax.vmap, jax.grad and jax.jvp: "
+        "inside of them use li.integrate, for a batch jax.vmap(lambda z: li.integrate(step, z, dt, num_steps))(states)"
+    )
+
+    @wraps(function)
+    def call(*args: object, **kwargs: object) -> object:
+        if _checks.staged() or not _checks.concrete(args, kwargs):
+            raise TypeError(advice)
+        try:
+            return function(*args, **kwargs)
+        except (ConcretizationTypeError, TracerArrayConversionError) as error:
+            if _checks.outermost():
+                raise
+            raise TypeError(advice) from error
+
+    return call  # pyright: ignore[reportReturnType]
+
 
 @old_calls()
+@_untransformed
 def run(
     step: Step,
     states: State | MakeStates,
@@ -94,6 +120,7 @@ def run(
         the step has its `own_time`, t is nΔt, and state.t the time of each member.
 
     Raises:
+        TypeError: the call is inside of jit, vmap, grad or jvp: use `integrate` there.
         ValueError: invalid counts or times; states off the group, not finite, or without the time that a driven system
             needs; members whose first step fails; results larger than this machine's memory; a store that exists
             (without `resume`), or that is damaged, holds another run or cannot be compared with this one (with

@@ -7,6 +7,7 @@ step that led to one is rejected and shortened, without an update of the optimiz
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -24,8 +25,20 @@ from lieint_jax.fitting import _bounds
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
 from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
-from lieint_jax.fitting._outcome import End, Fit, outcome, parameter_names
-from lieint_jax.fitting._search import NOWHERE, RUNNING, TARGET, Carry, Method, residuals_of, value_and_flag, where
+from lieint_jax.fitting._outcome import End, Fit, number_names, outcome, parameter_names
+from lieint_jax.fitting._search import (
+    GOOD,
+    NOWHERE,
+    REASONS,
+    RUNNING,
+    TARGET,
+    Carry,
+    Method,
+    residuals_of,
+    value_and_flag,
+    where,
+)
+from lieint_jax.fitting._step_error import complaint, shift, with_halved_steps
 from lieint_jax.types.shapes import PyTree
 
 if TYPE_CHECKING:
@@ -69,7 +82,9 @@ def fit(
             times the parameters, or times their distance from a bound, is below 1e-5 of the loss.
         target: stop when the loss is at most this.
         standardized: whether residuals are in units of their standard deviation, so that twice the loss should be χ²
-            distributed. If it exceeds the quantile of 1 − 1e-6, the fit is not a success.
+            distributed. If it exceeds the quantile of 1 − 1e-6, the fit is not a success. The residuals are computed
+            once more, at the estimate, with half the step size of each `li.integrate`, `li.observe`, `li.reversible`
+            and `li.event` in the loss.
         starts: whether many starts are fitted together, vmapped and split over the devices.
         data: a second argument of the loss: loss(params, data). With `starts`, every leaf has a leading axis of starts.
         mesh: devices for many starts, as in `ensemble.run`; None uses all.
@@ -78,6 +93,11 @@ def fit(
     Returns:
         A `Fit`. Failed trials do not contribute to it; if the first guess itself fails, `params` is that guess. A fit
         without success has a `message` with remedies.
+
+    Warns:
+        RuntimeWarning: a least-squares fit without success.
+        UserWarning: for standardized residuals, the error of the steps moves a parameter by more than a fifth of its
+            standard error.
 
     Raises:
         ValueError: the optimizer is unknown, there are no parameters or no residuals, the guess is not inside its
@@ -101,7 +121,16 @@ def fit(
     end = jax.tree.map(np.asarray, end)
     estimates = jax.jit(jax.vmap(problem.params))(search.best) if starts else problem.params(search.best)
     names = parameter_names(jax.eval_shape(unravel, jax.ShapeDtypeStruct(y.shape[-1:], y.dtype)))
-    return outcome(estimates, names, end, history, starts, standardized)
+    found = outcome(estimates, names, end, history, starts, standardized)
+    if not (standardized and found.stopped in [REASONS[k] for k in GOOD]):
+        return found
+    if starts:
+        k = int(np.nanargmin(end.loss))
+        search, end, data = jax.tree.map(lambda leaf: leaf[k], (search, end, data))
+    wrong = problem.step_error(search, end, data)
+    if wrong:
+        warnings.warn(wrong, UserWarning, stacklevel=2)
+    return found._replace(message="; ".join(filter(None, [found.message, wrong])))
 
 
 def _vector(bounds: PyTree, params: PyTree, data: PyTree, starts: bool) -> tuple[Array, Callable[[Array], PyTree], Box]:
@@ -195,8 +224,25 @@ class _Problem:
         at_side = self.box.at_side(self.coordinates(search.best), start)
         if not self.has_residuals:
             return at_side, None, None
-        B = jax.jacfwd(lambda y: ravel_pytree(self._of_coordinates(y))[0])(search.carry.x)
-        return at_side, *spread(search.carry.memory.J, B, at_side)
+        return at_side, *spread(search.carry.memory.J, self._parameters_by(search.carry.x), at_side)
+
+    def _parameters_by(self, y: Array) -> Array:
+        """The Jacobian of the parameters by the coordinates."""
+        return jax.jacfwd(lambda y: ravel_pytree(self._of_coordinates(y))[0])(y)
+
+    def step_error(self, search: _Search, end: End, data: PyTree) -> str:
+        """What the error of the simulation's steps does to the estimate of residuals, and remedies; "" if little."""
+        x, r, J = search.carry.x, search.carry.memory.r, search.carry.memory.J
+        more = () if data is None else (data,)
+        halved = jax.jit(lambda x: with_halved_steps(lambda p: self.loss(p, *more), self.params(x)))
+        if jax.eval_shape(halved, x) is None:
+            return ""
+        finer, ok, factor = halved(x)
+        if not ok:
+            return ""
+        moved = shift(*map(np.asarray, (J, self._parameters_by(x), end.at_side, factor * (finer - r))))
+        params = self.params(x)
+        return complaint(number_names(params), np.asarray(ravel_pytree(params)[0]), moved, np.asarray(end.covariance))
 
 
 def _iterate(

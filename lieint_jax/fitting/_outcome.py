@@ -57,7 +57,8 @@ class Fit(NamedTuple):
             Gauss–Newton matrix, for residuals in units of their standard deviation. A parameter at its bound has NaN,
             and is treated as known in that of the others. NaN without success; None if the fit is not by least squares.
         starts: with many starts, the result of each, with a leading axis; otherwise None.
-        message: the problem and remedies; empty after a success with no parameter at its bound.
+        message: the problem and remedies; empty after a success with no parameter at its bound and, for standardized
+            residuals, with steps of negligible error.
         degrees_of_freedom: the number of residuals less that of the parameters that they determine and that are at no
             bound; None if the fit is not by least squares.
     """
@@ -195,15 +196,18 @@ def _warning(code: int, message: str) -> str:
 
 def _lines(params: PyTree, errors: PyTree) -> list[str]:
     """A line for each parameter: its name in the tree, its value, and its standard error if there is one."""
-    named = jax.tree_util.tree_leaves_with_path(params)
-    spreads = jax.tree.leaves(errors) if errors is not None else [None] * len(named)
-    lines = []
-    for (path, leaf), error in zip(named, spreads, strict=True):
-        for index in np.ndindex(np.shape(leaf)):
-            place = f"[{', '.join(map(str, index))}]" if index else ""
-            spread = "" if error is None else f" ± {float(np.asarray(error)[index]):.2g}"
-            lines.append(f"  {_name(path, place)} = {float(np.asarray(leaf)[index]):.8g}{spread}")
-    return lines
+    values = ravel_pytree(params)[0]
+    spreads = ["" for _ in values] if errors is None else [f" ± {float(x):.2g}" for x in ravel_pytree(errors)[0]]
+    return [f"  {n} = {float(x):.8g}{s}" for n, x, s in zip(number_names(params), values, spreads, strict=True)]
+
+
+def number_names(params: PyTree) -> list[str]:
+    """For each number of a tree its name, with the index in its leaf."""
+    return [
+        _name(path, f"[{', '.join(map(str, index))}]" if index else "")
+        for path, leaf in jax.tree_util.tree_leaves_with_path(params)
+        for index in np.ndindex(np.shape(leaf))
+    ]
 
 
 def parameter_names(y: PyTree) -> list[str]:

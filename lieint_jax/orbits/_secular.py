@@ -91,6 +91,10 @@ def secular_j2(
 
     The periodic variations, about J₂(R/p)² of the radius (10 km for a satellite near the Earth), are omitted.
 
+    The mean motion of a TLE is not this n: it contains the drift of the mean anomaly already, and its a from Kepler's
+    law is off by about a kilometer. With D(a) = ¾J₂(R/p)²√(1−e²)(3cos²i − 1), iterate a = (μ(1 + D(a))²/n²)^(1/3)
+    from D = 0.
+
     Args:
         mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time: as in `kepler`, the mean
             elements of an ellipse at the time of periapsis. The pole of the center is the axis z.
@@ -101,7 +105,7 @@ def secular_j2(
         ValueError: the elements are not those of an ellipse, the radius is not positive, or the periapsis is below the
             ground.
 
-    Source: Brouwer 1959, Astron. J. 64; Vallado 2013, Fundamentals of Astrodynamics, 9.6.
+    Source: Brouwer 1959, Astron. J. 64; Kozai 1959, Astron. J. 64; Vallado 2013, Fundamentals of Astrodynamics, 9.6.
     """
     orbit = kepler(
         mu, semi_major_axis, eccentricity, inclination, node=node, periapsis=periapsis, periapsis_time=periapsis_time

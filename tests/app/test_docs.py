@@ -54,6 +54,16 @@ def test_the_python_of_a_page_can_be_pasted_at_the_prompt(name):
             assert not [lines[x.lineno - 1] for x in compound if lines[x.end_lineno].strip()]
 
 
+def test_the_drag_of_the_page_on_torques_has_a_derivative_at_rest():
+    page = ast.parse(PYTHON["howto/torque.md"][0][1])
+    law = next(x for x in page.body if isinstance(x, ast.FunctionDef))
+    scope = {"jnp": jax.numpy}
+    exec(compile(ast.Module([law], []), "torque.md", "exec"), scope)
+    slope = jax.jacfwd(scope[law.name], 2)
+    assert slope(0.0, jax.numpy.ones(4), jax.numpy.zeros(3)).tolist() == [[0.0] * 3] * 3
+    assert slope(0.0, jax.numpy.ones(4), jax.numpy.array([0.0, 0.0, 2.0]))[2, 2] == pytest.approx(-0.4, rel=1e-6)
+
+
 def test_outputs_are_compared_by_their_words_and_rounded_numbers():
     assert words("energy 1.52 within 3e-15") == words("energy 1.5201 within 8e-16")
     assert words("energy 1.52") != words("energy 1.54")

@@ -56,7 +56,8 @@ def table(name, label):
 
 def quoted():
     """(page, text around the numbers, the measured numbers in its order)."""
-    ours, explicit = rate("so3_midpoint, symplectic κ"), rate("so3_explicit")
+    ours = rate("so3_midpoint, symplectic κ")
+    [explicit] = [x["ours"] for x in result("ensemble")["cpp"] if x["name"] == "so3_explicit"]
     gradient = {x["name"]: x for x in result("gradients")}
     undone, forward = gradient["ours, reversible"], gradient["ours, forward run"]
     first = [x["first"] for x in result("first_ensembles")["rows"]]
@@ -66,10 +67,13 @@ def quoted():
         for error in ("1e-06", "1e-09")
     }
     cpp = over_cpp()
+    stage, few = result("attitude")["rows"], result("one_body")["gradients"]
+    alone = [x["integrate"] / x["ensemble"] for x in result("one_body")["runs"]]
     return [
         ("README.md", r"One core computes (\d+) million steps of tumbling bodies a second", [ours / 1e6]),
         ("README.md", r"\((\d+) million by `so3_explicit`\)", [explicit / 1e6]),
         ("README.md", r"(\d+) times as many as diffrax's Tsit5", [ours / peers()["diffrax Tsit5, vmapped"]]),
+        ("README.md", r"(\d+) times as many as MuJoCo", [ours / peers()["MuJoCo RK4, rollout"]]),
         ("README.md", r"C\+\+ of the same schemes|and ([\d.]+) to", [cpp["so3_midpoint, symplectic κ"]]),
         ("README.md", r"satellites run in ([\d.]+) of the time", [best["gravity gradient", "1e-06"]]),
         (
@@ -82,7 +86,7 @@ def quoted():
         (
             "docs/pages/index.md",
             r"which need (\d+) and (\d+) times as long",
-            [table("free_rigid_body", "diffrax Tsit5, vmapped")[6], table("free_rigid_body", "MuJoCo RK4, rollout")[6]],
+            [ours / peers()["diffrax Tsit5, vmapped"], ours / peers()["MuJoCo RK4, rollout"]],
         ),
         (
             "docs/pages/speed.md",
@@ -138,6 +142,27 @@ def quoted():
             r"need ([\d.]+) of heyoka's time for an error of 1e-6, and ([\d.]+) for 1e-9",
             [over_peer("free body", "closed form", k) for k in (3, 6)],
         ),
+        (
+            "docs/pages/which_scheme.md",
+            r"`torqued_midpoint\(body\)` \| 4 \| (\S+) \| (\S+) \| (\S+) \| \| \| 1 \| (\S+) \| (\S+) \| \|",
+            [*(stage[0][key] for key in ("median", "ns", "first")), stage[1]["median"], stage[1]["ns"]],
+        ),
+        (
+            "docs/pages/which_scheme.md",
+            r"`extrapolate\(body, 12\)` \| 4 \| (\S+) \| (\S+) \| (\S+) \|",
+            [stage[2][key] for key in ("median", "ns", "first")],
+        ),
+        ("docs/pages/faq.md", r"`integrate` needs ([\d.]+) to ([\d.]+) times", [min(alone), max(alone)]),
+        (
+            "docs/pages/speed.md",
+            r"the gradient of one body needs ([\d.]+) and that of 100 bodies ([\d.]*\d)",
+            [few[k]["jax"] / few[k]["forward"] for k in (0, 1)],
+        ),
+        (
+            "docs/pages/speed.md",
+            r"the gradient of 1000 bodies needs ([\d.]+) times the time of `jax.jit`",
+            [few[2]["li"] / few[2]["jax"]],
+        ),
         ("docs/pages/speed.md", r"The first `ensemble.run` costs ([\d.]+) to", [min(first)]),
         (
             "docs/pages/speed.md",
@@ -147,14 +172,44 @@ def quoted():
     ]
 
 
+# for each quantity that several pages quote, the words around it; every page must print one number
+QUANTITIES = {
+    "time of Tsit5": [r"(\d+) times as many as diffrax's Tsit5", r"which need (\d+) and \d+ times as long"],
+    "time of MuJoCo": [r"(\d+) times as many as MuJoCo", r"which need \d+ and (\d+) times as long"],
+    "rate of so3_midpoint": [r"One core computes (\d+) million", r"`so3_midpoint`, symplectic κ \| (\d+) \|"],
+    "rate of so3_explicit": [r"\((\d+) million by `so3_explicit`\)", r"\| `so3_explicit` \| (\d+) \|"],
+    "energy": [r"energy of a tumbling body is off by ([\de.-]+\d)"],
+    "energy of Tsit5": [r"diffrax's Tsit5\) by ([\de.-]+\d)", r"off by ([\de.-]+\d) with diffrax's Tsit5"],
+    "memory of a gradient": [r"needs ([\d.]+) MiB"],
+    "time of a gradient": [r"([\d.]+) times the time of the forward run", r"MiB, ([\d.]+) times the forward run"],
+    "closed form": [r"needs? ([\d.]+) of heyoka's time for an error of 1e-6"],
+    "binaries": [r"binary asteroids in ([\d.]*\d)", r"`extrapolate\(bodies, 14\)` \| – \| ([\d.]+)"],
+    "satellites": [r"satellites run in ([\d.]+)", r"increments=False\)` \| – \| ([\d.]+) \| 0.19"],
+}
+
+
+@pytest.mark.parametrize("patterns", QUANTITIES.values(), ids=QUANTITIES)
+def test_all_pages_print_one_number_for_a_quantity(patterns):
+    """To within the last digit of the coarser one; at least two pages print it."""
+    names = ["README.md", *(p.relative_to(ROOT).as_posix() for p in (ROOT / "docs" / "pages").rglob("*.md"))]
+    texts = {name: page(name) for name in names}
+    printed = {(name, x) for pattern in patterns for name in names for x in re.findall(pattern, texts[name])}
+    assert all(any(re.search(pattern, text) for text in texts.values()) for pattern in patterns)
+    assert len({name for name, _ in printed}) >= 2
+    numbers = [number(x) for _, x in printed]
+    for value, unit in numbers:
+        assert all(abs(value - other) <= 1.001 * max(unit, coarse) for other, coarse in numbers if unit != coarse)
+        assert all(value == other for other, same in numbers if same == unit), printed
+
+
 @pytest.mark.parametrize(("where", "pattern", "measured"), [pytest.param(*x, id=x[1][:40]) for x in quoted()])
 def test_pages_quote_the_measured_numbers(where, pattern, measured):
     """To within the last digit that the page prints."""
     found = next(match for match in re.finditer(pattern, page(where)) if match.groups() and match[1])
     assert len(found.groups()) == len(measured)
     for text, value in zip(found.groups(), measured, strict=True):
-        digits = len(text.partition(".")[2])
-        assert abs(float(text) - value) <= 1.001 * 10**-digits, (text, value)
+        printed, unit = number(text)
+        assert abs(printed - value) <= 1.001 * unit, (text, value)
 
 
 def number(text):

@@ -49,6 +49,14 @@ def test_a_satellite_in_the_regions_of_debra_and_delp():
     assert min(seen.values()) >= 4, seen
 
 
+def test_an_equilibrium_reports_how_far_it_is_from_the_guess():
+    """Of a satellite at 0.9 of its orbit's rate the momentum is a tenth too small; at the equilibrium nothing moves."""
+    body = li.systems.gravity_gradient([1.0, 2.0, 2.5], CIRCLE)
+    found = li.equilibrium(body, body.state(angular_velocity=[0.0, 0.0, 0.9], t=0.0))
+    assert float(found.moved) == pytest.approx(0.1, rel=1e-9)
+    assert float(li.equilibrium(body, found.state).moved) < 1e-14
+
+
 @pytest.mark.long
 def test_newton_finds_the_satellite_at_rest_in_its_orbit():
     """From 0.2 rad off, at another time and in an inclined orbit; a wrong frame is refused."""

@@ -69,3 +69,37 @@ def test_wrong_numbers_are_refused_inside_jit_too(name):
     for make in (REFUSED[name], lambda: jax.eval_shape(lambda: jax.tree.leaves(REFUSED[name]()))):
         with pytest.raises(ValueError, match="must"):
             make()
+
+
+BODY = systems.rigid_body(THREE)
+STEP = schemes.so3_explicit(BODY)
+STATES = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.stack([THREE, UNIT]))
+TRANSFORMATIONS = {
+    "grad": lambda f: jax.grad(f)(1.0),
+    "jvp": lambda f: jax.jvp(f, (1.0,), (1.0,)),
+    "vmap": lambda f: jax.vmap(f)(PAIR),
+    "jit": lambda f: jax.jit(f)(1.0),
+}
+
+
+ENSEMBLES = {
+    "states": lambda x: li.ensemble.run(STEP, STATES._replace(p=x * STATES.p), 0.1, 1),
+    "step": lambda x: li.ensemble.run(schemes.so3_explicit(systems.RigidBody(x * THREE)), STATES, 0.1, 1),
+    "dt": lambda x: li.ensemble.run(STEP, STATES, 0.1 * x, 1),
+    "times": lambda x: li.ensemble.run(STEP, STATES, times=x * PAIR),
+    "function": lambda x: li.ensemble.run(STEP, lambda m: STATES._replace(p=x * STATES.p), 0.1, 1, members=2),
+}
+
+
+@pytest.mark.parametrize("ensemble", ENSEMBLES.values(), ids=ENSEMBLES)
+@pytest.mark.parametrize("transformation", TRANSFORMATIONS.values(), ids=TRANSFORMATIONS)
+def test_an_ensemble_inside_a_transformation_is_refused_by_a_sentence(transformation, ensemble):
+    with pytest.raises(TypeError, match=r"^ensemble\.run computes with numbers, outside of .* use li\.integrate"):
+        transformation(lambda x: ensemble(x).state.p.sum())
+
+
+def test_an_ensemble_of_numbers_runs_inside_a_derivative_and_not_inside_jit():
+    """Numbers are computed at once there; in jit everything is traced."""
+    assert jax.grad(lambda x: x * li.ensemble.run(STEP, STATES, 0.1, 1).t[-1])(1.0) == pytest.approx(0.1)
+    with pytest.raises(TypeError, match=r"use li\.integrate"):
+        jax.jit(lambda: li.ensemble.run(STEP, STATES, 0.1, 1).t)()

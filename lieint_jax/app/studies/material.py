@@ -27,7 +27,7 @@ from lieint_jax.types import State
 
 TRUTH = {"lam": jnp.array(20.0), "mu": jnp.array(6.0)}
 NOISE = 0.005  # standard deviation of each component of C
-DT, _EVERY, _SEEN = 0.02, 5, 40
+DT, _EVERY, _SEEN = 0.01, 10, 40
 
 
 class MaterialFit(NamedTuple):
