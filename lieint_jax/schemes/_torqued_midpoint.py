@@ -118,8 +118,10 @@ class TorquedMidpoint(Step):
         torques = equation.torques(rotation)
         q = state.q + jnp.stack(so3.cayley_difference(state.q, rotation.h))
         rotation = rotation._replace(q_next=q)
-        impulse = jnp.asarray(dt) * (torques.space + (so3.Ad(state.q, torques.body) + so3.Ad(q, torques.body)) / 2)
-        end = state._replace(q=q, p=state.p + impulse)
+        impulses = [] if torques.space is None else [torques.space]
+        if torques.body is not None:
+            impulses.append((so3.Ad(state.q, torques.body) + so3.Ad(q, torques.body)) / 2)
+        end = state._replace(q=q, p=state.p + jnp.asarray(dt) * functools.reduce(jnp.add, impulses))
         works = [law.work(rotation, *found) for law, found in zip(equation.laws, torques.each, strict=True)]
         if state.work is not None:
             end = end._replace(work=state.work + sum(works))
@@ -269,13 +271,13 @@ class _Torques(NamedTuple):
     """The mean torques of a step.
 
     Attributes:
-        body: the sum of those given in the body, (3,).
-        space: the sum of those given in space, (3,).
+        body: the sum of those given in the body, (3,); None if there are none.
+        space: the sum of those given in space, (3,); None if there are none.
         each: for each law its torque, and its internal state before and after.
     """
 
-    body: Array
-    space: Array
+    body: Array | None
+    space: Array | None
     each: _Each
 
 
@@ -345,23 +347,25 @@ class _Equation(NamedTuple):
 
     def torques(self, rotation: Rotation) -> _Torques:
         """The mean torques of all laws. A law that reads an internal state receives its mean over the step."""
-        sums = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}
-        each, means = {}, {}
+        sums, each, means = {}, {}, {}
         for k, law in sorted(enumerate(self.laws), key=lambda numbered: numbered[1].reads is not None):
             inner = self.inner[k] if law.reads is None else means[law.reads]
             torque, after = law.mean(rotation, inner)
             torque = jnp.asarray(torque).astype(self.q.dtype)
-            sums[law.frame] = sums[law.frame] + torque
+            sums[law.frame] = sums[law.frame] + torque if law.frame in sums else torque
             each[k] = (torque, inner, after)
             if law.key is not None:
                 means[law.key] = jax.tree.map(lambda a, b: (a + b) / 2, inner, after)
-        return _Torques(sums["body"], sums["space"], [each[k] for k in range(len(each))])
+        return _Torques(sums.get("body"), sums.get("space"), [each[k] for k in range(len(each))])
 
     def side(self, rotation: Rotation) -> Vector:
         """sT̄, with T̄ = ΣT̄_k in the body."""
         found = self.torques(rotation)
-        T = so3.Ad_star(rotation.q_n, found.space)
-        return scale(self.s, add(found.body, subtract(T, cross(rotation.h, T))))
+        terms = [] if found.body is None else [vec3.components(found.body)]
+        if found.space is not None:
+            T = so3.Ad_star(rotation.q_n, found.space)
+            terms.append(subtract(T, cross(rotation.h, T)))
+        return scale(self.s, functools.reduce(add, terms))
 
     def side_of(self, y: Vector) -> Vector:
         """sT̄ as a function of y."""
