@@ -134,9 +134,15 @@ DRAWS = {
 }
 
 
+def assert_members_run_as_one(step, state):
+    one = li.integrate(step, state, 0.1, 5)
+    run = li.ensemble.run(step, jax.tree.map(lambda x: np.asarray(x)[None], state), 0.1, 5, progress=False)
+    np.testing.assert_allclose(run.state.p[-1, 0], one.state.p[-1], rtol=1e-13)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DRAWS)
-@pytest.mark.parametrize("kind", ["law", "potential"])
+@pytest.mark.parametrize("kind", ["potential", "law"])
 def test_random_numbers_and_narrow_ones_give_the_same_run_to_members(kind, name):
     draw = DRAWS[name]
     if kind == "law":
@@ -145,6 +151,13 @@ def test_random_numbers_and_narrow_ones_give_the_same_run_to_members(kind, name)
     else:
         top = li.systems.potential_top(J, lambda axis: axis @ draw())
         step, state = li.schemes.splitting(top), top.state(angular_velocity=[0.7, -1.0, 1.3])
-    one = li.integrate(step, state, 0.1, 5)
-    run = li.ensemble.run(step, jax.tree.map(lambda x: np.asarray(x)[None], state), 0.1, 5, progress=False)
-    np.testing.assert_allclose(run.state.p[-1, 0], one.state.p[-1], rtol=1e-13)
+    assert_members_run_as_one(step, state)
+
+
+def test_a_step_may_have_a_key_among_its_arrays(caplog):
+    def potential(key, axis):
+        return axis @ jax.random.normal(key, (3,))
+
+    top = li.systems.potential_top(J, jax.tree_util.Partial(potential, KEY))
+    assert_members_run_as_one(li.schemes.splitting(top), top.state(angular_velocity=[0.7, -1.0, 1.3]))
+    assert "an argument of type key<fry>" in caplog.text
