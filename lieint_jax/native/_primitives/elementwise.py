@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jax import lax
 
+from lieint_jax._xla import UNKNOWN_ONE
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, names
 from lieint_jax.native._program import Number
 
@@ -98,6 +99,10 @@ def _polynomial(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Num
     return functools.reduce(lambda y, c: walk.number("add", walk.number("mul", y, at), c), coefficients[::-1])
 
 
+def _name(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, name: str) -> Number:
+    return walk.builder.constant(1, dtype) if name == UNKNOWN_ONE else x[0]
+
+
 def _is_finite(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
@@ -127,7 +132,7 @@ ELEMENTWISE: dict[str, Callable[..., Number]] = {
     "integer_pow": _integer_power,
     "is_finite": _is_finite,
     "log2": _log2,
-    "name": lambda walk, x, dtype, *, name: x[0],
+    "name": _name,
     "one_minus_square": _one_minus_square,
     "polynomial": _polynomial,
     "pow": _power,
