@@ -24,10 +24,17 @@ those of users.
 
 from lieint_jax._xla._compile import compiled, compiled_for, jit
 from lieint_jax._xla._forward_mode import forward_mode
-from lieint_jax._xla._materialize import materialized, materialized_arrays, unfused, with_materialized_derivatives
+from lieint_jax._xla._materialize import (
+    UNKNOWN_ONE,
+    materialized,
+    materialized_arrays,
+    unfused,
+    with_materialized_derivatives,
+)
 from lieint_jax._xla._rematerialize import rematerialized, saved
 
 __all__ = [
+    "UNKNOWN_ONE",
     "compiled",
     "compiled_for",
     "forward_mode",

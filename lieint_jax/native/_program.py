@@ -200,31 +200,32 @@ class Builder:
         return found
 
     def _simplify(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype) -> Number | None:
-        """A simpler number that is equal wherever it is finite, or None."""
+        """A simpler number that is equal, or None. 0·x and 0/x may be NaN; as for XLA, x ± 0 is x, also if x is −0."""
         x, y, *_ = *inputs, None, None
+        whole = dtype.kind in "iu"
         if op == "add" and x is not None and y is not None:
-            if x.equals(0) or y.equals(0):
-                return y if x.equals(0) else x
             for a, b in ((x, y), (y, x)):
+                if a.equals(0):
+                    return b
                 if a.op == "neg":
                     return self.number("sub", b, a.inputs[0])
         if op == "sub" and x is not None and y is not None:
             if y.equals(0):
                 return x
-            if x.equals(0):
+            if x.equals(0) and (whole or np.signbit(x.data)):
                 return self.number("neg", y)
             if y.op == "neg":
                 return self.number("add", x, y.inputs[0])
         if op == "mul" and x is not None and y is not None:
             for a, b in ((x, y), (y, x)):
-                if a.equals(0):
+                if a.equals(0) and whole:
                     return a
                 if a.equals(1):
                     return b
                 if a.equals(-1):
                     return self.number("neg", b)
         if op == "div" and x is not None and y is not None:
-            if y.equals(1) or x.equals(0):
+            if y.equals(1) or (x.equals(0) and whole):
                 return x
             if y.is_constant and dtype.kind == "f" and np.frexp(y.data)[0] in (0.5, -0.5):
                 with np.errstate(over="ignore"):

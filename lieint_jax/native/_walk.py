@@ -23,6 +23,9 @@ from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder
 
 _LONGEST = 60_000  # the most numbers of a program
+_TYPES = {f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {"bool", "float32", "float64"}
+# They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
+_HARMLESS = {"accuracy", "indices_are_sorted", "out_sharding", "sharding", "unique_indices", "weak_type"}
 
 
 def shapes_of(variables: Sequence[Any]) -> list[ShapedArray]:
@@ -66,6 +69,9 @@ class Walk(AbstractWalk):
     def _equation(self, equation: JaxprEqn, inputs: list[np.ndarray]) -> list[np.ndarray]:
         name, parameters = equation.primitive.name, equation.params
         out = shapes_of(equation.outvars)
+        other = {str(x.dtype) for x in (*shapes_of(equation.invars), *out)} - _TYPES
+        if other:
+            raise UnsupportedError(f"{name} of {', '.join(sorted(other))}")
         if any(np.prod(x.shape) > LARGEST for x in out):
             raise UnsupportedError(f"an array of shape {out[0].shape}")
         if name in CONTROL_FLOW:
@@ -73,19 +79,20 @@ class Walk(AbstractWalk):
         expanded = _expand(equation)
         if expanded is not None:
             return self.jaxpr(expanded, inputs)
+        parameters = {k: x for k, x in parameters.items() if x is not None and k not in _HARMLESS}
         if any(isinstance(x, Table) for x in inputs):
             return [look_up(self, name, inputs, parameters, out[0])]
         if name in MOVES:
             found = MOVES[name](*inputs, **parameters)
             return found if isinstance(found, list) else [found]
         if name in REDUCTIONS:
-            return [REDUCTIONS[name](self, inputs, parameters, out[0])]
+            return [REDUCTIONS[name](self, inputs, out[0], **parameters)]
         if name in INDEXING:
-            return [INDEXING[name](self, inputs, parameters, out[0])]
+            return [INDEXING[name](self, inputs, out[0], **parameters)]
         if name in ELEMENTWISE:
             arrays, dtype = np.broadcast_arrays(*inputs), np.dtype(out[0].dtype)
             rows = zip(*(x.flat for x in arrays), strict=True)
-            return [array_of([ELEMENTWISE[name](self, row, parameters, dtype) for row in rows], arrays[0].shape)]
+            return [array_of([ELEMENTWISE[name](self, row, dtype, **parameters) for row in rows], arrays[0].shape)]
         results = self._compute_before(equation, inputs)
         if results is None:
             raise UnsupportedError(f"{name} has no formula in machine code")

@@ -120,8 +120,10 @@ class TorquedMidpoint(Step):
         torques = equation.torques(rotation, z)
         q = state.q + jnp.stack(so3.cayley_difference(state.q, rotation.h))
         rotation = rotation._replace(q_next=q)
-        impulse = jnp.asarray(dt) * (torques.space + (so3.Ad(state.q, torques.body) + so3.Ad(q, torques.body)) / 2)
-        end = state._replace(q=q, p=state.p + impulse)
+        impulses = [] if torques.space is None else [torques.space]
+        if torques.body is not None:
+            impulses.append((so3.Ad(state.q, torques.body) + so3.Ad(q, torques.body)) / 2)
+        end = state._replace(q=q, p=state.p + jnp.asarray(dt) * functools.reduce(jnp.add, impulses))
         works = [law.work(rotation, *found) for law, found in zip(equation.laws, torques.each, strict=True)]
         if state.work is not None:
             end = end._replace(work=state.work + sum(works))
@@ -271,13 +273,13 @@ class _Torques(NamedTuple):
     """The mean torques of a step.
 
     Attributes:
-        body: the sum of those given in the body, (3,).
-        space: the sum of those given in space, (3,).
+        body: the sum of those given in the body, (3,); None if there are none.
+        space: the sum of those given in space, (3,); None if there are none.
         each: for each law its torque, and its internal state before and after.
     """
 
-    body: Array
-    space: Array
+    body: Array | None
+    space: Array | None
     each: _Each
 
 
@@ -354,8 +356,7 @@ class _Equation(NamedTuple):
 
     def torques(self, rotation: Rotation, z: Vector) -> _Torques:
         """The mean torques of all laws. A law that reads an internal state receives its mean over the step."""
-        sums = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}
-        each, means, unknown = {}, {}, iter(z)
+        sums, each, means, unknown = {}, {}, {}, iter(z)
         for k, law in sorted(enumerate(self.laws), key=lambda numbered: numbered[1].reads is not None):
             inner = self.inner[k] if law.reads is None else means[law.reads]
             if law.implicit:
@@ -364,11 +365,11 @@ class _Equation(NamedTuple):
             else:
                 torque, after = law.mean(rotation, inner)
             torque = jnp.asarray(torque).astype(self.q.dtype)
-            sums[law.frame] = sums[law.frame] + torque
+            sums[law.frame] = sums[law.frame] + torque if law.frame in sums else torque
             each[k] = (torque, inner, after)
             if law.key is not None:
                 means[law.key] = jax.tree.map(lambda a, b: (a + b) / 2, inner, after)
-        return _Torques(sums["body"], sums["space"], [each[k] for k in range(len(each))])
+        return _Torques(sums.get("body"), sums.get("space"), [each[k] for k in range(len(each))])
 
     def _state_after(self, inner: Array, z: Iterator[Array]) -> Array:
         """η_{n+1} by the unknowns."""
@@ -379,8 +380,11 @@ class _Equation(NamedTuple):
     def sides(self, rotation: Rotation, z: Vector) -> Vector:
         """sT̄, with T̄ = ΣT̄_k in the body; and what the laws make of z."""
         found = self.torques(rotation, z)
-        T = so3.Ad_star(rotation.q_n, found.space)
-        sT = scale(0.5 * self.dt * self.half_dt, add(found.body, subtract(T, cross(rotation.h, T))))
+        terms = [] if found.body is None else [vec3.components(found.body)]
+        if found.space is not None:
+            T = so3.Ad_star(rotation.q_n, found.space)
+            terms.append(subtract(T, cross(rotation.h, T)))
+        sT = scale(0.5 * self.dt * self.half_dt, functools.reduce(add, terms))
         changes = (
             self.half_dt * (after - before)
             for law, (_, before, after) in zip(self.laws, found.each, strict=True)

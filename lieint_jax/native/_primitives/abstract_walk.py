@@ -83,7 +83,9 @@ class AbstractWalk(abc.ABC):
         return array_of([self.builder.constant(value) for value in x.flat], x.shape)
 
     def number(self, op: str, *inputs: Number, dtype: DTypeLike | None = None, data: object = None) -> Number:
-        """The result of an operation on numbers."""
+        """The result of an operation on numbers; a sum of booleans is "or", and their product "and", as in XLA."""
+        if inputs[0].dtype == bool:
+            op = {"add": "or", "mul": "and"}.get(op, op)
         return self.builder.number(op, *inputs, dtype=dtype, data=data)
 
     def index(self, k: int) -> Number:
@@ -92,6 +94,8 @@ class AbstractWalk(abc.ABC):
 
     def clip_index(self, index: Number, last: int) -> Number:
         """An index from 0 to `last`, an int64."""
+        if index.dtype == np.uint64:  # beyond the range of int64 too
+            index = self.number("min", index, self.builder.constant(last, np.uint64))
         index = self.number("convert", index, dtype=np.int64)
         return self.number("min", self.number("max", index, self.index(0)), self.index(last))
 

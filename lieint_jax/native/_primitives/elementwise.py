@@ -6,34 +6,35 @@ import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jax import lax
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, UnsupportedError, names
+from lieint_jax._xla import UNKNOWN_ONE
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, names
 from lieint_jax.native._program import Number
 
 
-def _integer_power(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
-    exponent, base = parameters["y"], x[0]
-    found, power = None, base
-    for bit in reversed(bin(abs(exponent))[2:]):
+def _integer_power(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, y: int) -> Number:
+    found, power = None, x[0]
+    for bit in reversed(bin(abs(y))[2:]):
         if bit == "1":
             found = power if found is None else walk.number("mul", found, power)
         power = walk.number("mul", power, power)
     one = walk.builder.constant(1, dtype)
     found = one if found is None else found
-    return walk.number("div", one, found) if exponent < 0 else found
+    return walk.number("div", one, found) if y < 0 else found
 
 
-def _select(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _select(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     which, cases = x[0], x[1:]
     if which.dtype == bool:
         return walk.select(which, cases[1], cases[0]) if len(cases) > 1 else cases[0]
     found = cases[-1]
     for k in range(len(cases) - 2, -1, -1):
-        found = walk.select(walk.number("eq", which, walk.builder.constant(k, which.dtype)), cases[k], found)
+        found = walk.select(walk.number("le", which, walk.builder.constant(k, which.dtype)), cases[k], found)
     return found
 
 
-def _quotient(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype, op: str) -> Number:
+def _quotient(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, op: str) -> Number:
     """A quotient or a remainder; that of integers by 0 and −1, where a CPU would trap, as XLA defines it."""
     if dtype.kind == "f":
         return walk.number(op, *x)
@@ -46,7 +47,7 @@ def _quotient(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, d
     return walk.select(by_zero, ones if op == "div" else a, found)
 
 
-def _shift(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype, op: str) -> Number:
+def _shift(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, op: str) -> Number:
     """A shift; for a shift by too many bits, or by a negative number, all bits are shifted out."""
     zero, last = (walk.builder.constant(k, dtype) for k in (0, 8 * dtype.itemsize - 1))
     inside = walk.number("and", walk.number("ge", x[1], zero), walk.number("le", x[1], last))
@@ -54,18 +55,20 @@ def _shift(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtyp
     return found if op == "shift_right_arithmetic" else walk.select(inside, found, zero)
 
 
-def _absolute(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _absolute(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     return x[0] if dtype.kind == "u" else walk.number("abs", x[0])
 
 
-def _reduce_precision(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _reduce_precision(
+    walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, exponent_bits: int, mantissa_bits: int
+) -> Number:
     info = np.finfo(dtype)
-    if (parameters["exponent_bits"], parameters["mantissa_bits"]) != (info.nexp, info.nmant):
+    if (exponent_bits, mantissa_bits) != (info.nexp, info.nmant):
         raise UnsupportedError("reduce_precision")
     return x[0]
 
 
-def _sign(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _sign(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     if dtype.kind == "u":
         return walk.number("min", x[0], walk.builder.constant(1, dtype))
     zero, one, minus = (walk.builder.constant(k, dtype) for k in (0, 1, -1))
@@ -73,37 +76,45 @@ def _sign(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype
     return walk.select(walk.number("gt", x[0], zero), one, below)
 
 
-def _round(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
-    return walk.number("round_even" if int(parameters["rounding_method"]) else "round_away", x[0])
+def _round(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, rounding_method: lax.RoundingMethod) -> Number:
+    return walk.number(_ROUNDINGS[rounding_method], x[0])
 
 
-def _power(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _power(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     return walk.number("pow", x[0], walk.number("convert", x[1], dtype=dtype))
 
 
-def _log2(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _log2(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     return walk.number("mul", walk.number("log", x[0]), walk.builder.constant(1 / np.log(2.0), dtype))
 
 
-def _one_minus_square(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _one_minus_square(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     one = walk.builder.constant(1, dtype)
     return walk.number("mul", walk.number("add", one, x[0]), walk.number("sub", one, x[0]))
 
 
-def _polynomial(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _polynomial(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     """Horner's rule; the coefficients begin with the constant."""
     at, *coefficients = x
     return functools.reduce(lambda y, c: walk.number("add", walk.number("mul", y, at), c), coefficients[::-1])
 
 
-def _is_finite(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
+def _name(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, name: str) -> Number:
+    return walk.builder.constant(1, dtype) if name == UNKNOWN_ONE else x[0]
+
+
+def _is_finite(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
 
-def _operation(walk: AbstractWalk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype, op: str) -> Number:
+def _operation(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, op: str) -> Number:
     return walk.number(op, *x, dtype=dtype)
 
 
+_ROUNDINGS = {
+    lax.RoundingMethod.AWAY_FROM_ZERO: "round_away",
+    lax.RoundingMethod.TO_NEAREST_EVEN: "round_even",
+}
 _OPERATIONS = names(  # of programs, which JAX calls by the same names
     "acos acosh add and asin asinh atan atan2 atanh cbrt ceil cos cosh eq exp exp2 expm1 floor ge gt le log log1p "
     "logistic lt max min mul ne neg not or sin sinh sqrt sub tan tanh xor"
@@ -113,27 +124,27 @@ ELEMENTWISE: dict[str, Callable[..., Number]] = {
 } | {
     "abs": _absolute,
     "add_any": functools.partial(_operation, op="add"),
-    "clamp": lambda walk, x, p, dtype: walk.number("min", walk.number("max", x[1], x[0]), x[2]),
-    "convert_element_type": lambda walk, x, p, dtype: walk.number("convert", x[0], dtype=dtype),
-    "copy": lambda walk, x, p, dtype: x[0],
-    "copy_p": lambda walk, x, p, dtype: x[0],
+    "clamp": lambda walk, x, dtype: walk.number("min", walk.number("max", x[1], x[0]), x[2]),
+    "convert_element_type": lambda walk, x, dtype, *, new_dtype: walk.number("convert", x[0], dtype=dtype),
+    "copy": lambda walk, x, dtype: x[0],
+    "copy_p": lambda walk, x, dtype: x[0],
     "div": functools.partial(_quotient, op="div"),
     "integer_pow": _integer_power,
     "is_finite": _is_finite,
     "log2": _log2,
-    "name": lambda walk, x, p, dtype: x[0],
+    "name": _name,
     "one_minus_square": _one_minus_square,
     "polynomial": _polynomial,
     "pow": _power,
     "reduce_precision": _reduce_precision,
     "rem": functools.partial(_quotient, op="rem"),
     "round": _round,
-    "rsqrt": lambda walk, x, p, dtype: walk.number("div", walk.builder.constant(1, dtype), walk.number("sqrt", x[0])),
+    "rsqrt": lambda walk, x, dtype: walk.number("div", walk.builder.constant(1, dtype), walk.number("sqrt", x[0])),
     "select_n": _select,
     "shift_left": functools.partial(_shift, op="shift_left"),
     "shift_right_arithmetic": functools.partial(_shift, op="shift_right_arithmetic"),
     "shift_right_logical": functools.partial(_shift, op="shift_right_logical"),
     "sign": _sign,
-    "square": lambda walk, x, p, dtype: walk.number("mul", x[0], x[0]),
-    "stop_gradient": lambda walk, x, p, dtype: x[0],
+    "square": lambda walk, x, dtype: walk.number("mul", x[0], x[0]),
+    "stop_gradient": lambda walk, x, dtype: x[0],
 }

@@ -6,13 +6,17 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from jax import lax
 from jax.core import ShapedArray
+from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, Table, UnsupportedError, array_of
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Number
 
 Window = tuple[list[Number], Number, np.ndarray]  # its first index, whether it is written, its numbers
+_CLIP, _FILL = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
 _SELECTED = 8  # the most numbers from which one is selected by comparing indices; longer arrays are read from memory
 
 
@@ -56,19 +60,17 @@ def _offset(walk: AbstractWalk, start: Number, offset: int) -> Number:
 
 
 def _dynamic_slice(
-    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
+    walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, slice_sizes: Sequence[int]
 ) -> np.ndarray:
-    x, sizes = inputs[0], parameters["slice_sizes"]
-    starts = [walk.clip_index(k.item(), n - m) for k, n, m in zip(inputs[1:], x.shape, sizes, strict=True)]
-    found = np.empty(sizes, object)
-    for index in np.ndindex(*sizes):
+    x = inputs[0]
+    starts = [walk.clip_index(k.item(), n - m) for k, n, m in zip(inputs[1:], x.shape, slice_sizes, strict=True)]
+    found = np.empty(slice_sizes, object)
+    for index in np.ndindex(*slice_sizes):
         found[index] = _entry_at(walk, x, [_offset(walk, s, k) for s, k in zip(starts, index, strict=True)])
     return found
 
 
-def _dynamic_update_slice(
-    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
-) -> np.ndarray:
+def _dynamic_update_slice(walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray) -> np.ndarray:
     x, update = inputs[:2]
     pairs = zip(inputs[2:], x.shape, update.shape, strict=True)
     starts = [walk.clip_index(k.item(), n - m) for k, n, m in pairs]
@@ -98,7 +100,7 @@ def _window(
     index: Sequence[Number],
     axes: Sequence[int],
     batch: dict[int, int],
-    mode: str,
+    mode: lax.GatherScatterMode,
 ) -> tuple[list[Number], Number]:
     """The first index of a window of an array, moved inside, and whether it was inside before (or counts as inside).
 
@@ -107,22 +109,22 @@ def _window(
         shape, sizes: of the array, and of the window.
         index, axes: numbers, and the axes that they are indices of.
         batch: the indices of other axes, which are known.
-        mode: the name of a `jax.lax.GatherScatterMode`.
+        mode: of the indices.
     """
-    if mode not in ("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS"):
+    if mode not in (_CLIP, _FILL, lax.GatherScatterMode.PROMISE_IN_BOUNDS):
         raise UnsupportedError(f"indices of mode {mode}")
     starts, inside = [walk.index(batch.get(n, 0)) for n in range(len(shape))], walk.builder.constant(True)
     for n, k in zip(axes, index, strict=True):
         starts[n] = walk.clip_index(k, shape[n] - sizes[n])
-        if mode == "FILL_OR_DROP":
+        if mode == _FILL:
             same = walk.number("eq", walk.number("convert", k, dtype=np.int64), starts[n])
             inside = walk.number("and", inside, same)
     return starts, inside
 
 
-def _fill(walk: AbstractWalk, inside: Number, found: Number, parameters: Parameters) -> Number:
+def _fill(walk: AbstractWalk, inside: Number, found: Number, value: Any) -> Number:
     """The entry of a gather if it is inside, else the fill value."""
-    value, dtype = parameters["fill_value"], found.dtype
+    dtype = found.dtype
     if value is None:
         value = {"f": np.nan, "b": True}.get(dtype.kind)
     if value is None:
@@ -130,9 +132,17 @@ def _fill(walk: AbstractWalk, inside: Number, found: Number, parameters: Paramet
     return walk.select(inside, found, walk.builder.constant(value, dtype))
 
 
-def _gather(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
-    x, indices = inputs
-    numbers, sizes, mode = parameters["dimension_numbers"], parameters["slice_sizes"], parameters["mode"].name
+def _gather(
+    walk: AbstractWalk,
+    inputs: list[np.ndarray],
+    out: ShapedArray,
+    *,
+    dimension_numbers: lax.GatherDimensionNumbers,
+    slice_sizes: Sequence[int],
+    mode: lax.GatherScatterMode,
+    fill_value: Any = None,
+) -> np.ndarray:
+    (x, indices), numbers = inputs, dimension_numbers
     offset_dims, batching = numbers.offset_dims, numbers.operand_batching_dims
     window_axes = [n for n in range(x.ndim) if n not in (*numbers.collapsed_slice_dims, *batching)]
     found = np.empty(out.shape, object)
@@ -140,17 +150,32 @@ def _gather(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters
         batch = [k for n, k in enumerate(place) if n not in offset_dims]
         known = {n: batch[m] for n, m in zip(batching, numbers.start_indices_batching_dims, strict=True)}
         index = list(indices[tuple(batch)])
-        at, inside = _window(walk, x.shape, sizes, index, numbers.start_index_map, known, mode)
+        at, inside = _window(walk, x.shape, slice_sizes, index, numbers.start_index_map, known, mode)
         for n, m in zip(window_axes, offset_dims, strict=True):
             at[n] = _offset(walk, at[n], place[m])
-        found[place] = _fill(walk, inside, _entry_at(walk, x, at), parameters)
+        found[place] = _fill(walk, inside, _entry_at(walk, x, at), fill_value)
     return found
 
 
-def _scatter(combine: str | None) -> Callable[..., np.ndarray]:
-    def scatter(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
-        x, indices, updates = inputs
-        numbers, mode = parameters["dimension_numbers"], parameters["mode"].name
+def _scatter(op: str | None) -> Callable[..., np.ndarray]:
+    def scatter(
+        walk: AbstractWalk,
+        inputs: list[np.ndarray],
+        out: ShapedArray,
+        *,
+        dimension_numbers: lax.ScatterDimensionNumbers,
+        mode: lax.GatherScatterMode,
+        update_jaxpr: Jaxpr | None = None,
+        update_consts: Sequence[Any] = (),
+    ) -> np.ndarray:
+        (x, indices, updates), numbers = inputs, dimension_numbers
+
+        def combine(old: Number, new: Number) -> Number:
+            if update_jaxpr is None:
+                return new if op is None else walk.number(op, old, new)
+            operands = [array_of([y], ()) for y in (old, new)]
+            return walk.jaxpr(ClosedJaxpr(update_jaxpr, update_consts), operands)[0].item()
+
         batching, axes = numbers.operand_batching_dims, numbers.scatter_dims_to_operand_dims
         batch_axes = [n for n in range(updates.ndim) if n not in numbers.update_window_dims]
         single = sorted((*numbers.inserted_window_dims, *batching))
@@ -162,15 +187,23 @@ def _scatter(combine: str | None) -> Callable[..., np.ndarray]:
             part = np.expand_dims(updates[tuple(chosen)], tuple(single))
             known = {n: batch[m] for n, m in zip(batching, numbers.scatter_indices_batching_dims, strict=True)}
             windows.append((*_window(walk, x.shape, part.shape, list(indices[batch]), axes, known, mode), part))
-        return _write_windows(walk, x, windows, lambda a, b: b if combine is None else walk.number(combine, a, b))
+        return _write_windows(walk, x, windows, combine)
 
     return scatter
 
 
-def _iota(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
-    n = out.shape[parameters["dimension"]]
-    sizes = [n if k == parameters["dimension"] else 1 for k in range(len(out.shape))]
-    return walk.constant_array(np.broadcast_to(np.arange(n).reshape(sizes), out.shape), out.dtype)
+def _iota(
+    walk: AbstractWalk,
+    inputs: list[np.ndarray],
+    out: ShapedArray,
+    *,
+    dtype: DTypeLike,
+    shape: Sequence[int],
+    dimension: int,
+) -> np.ndarray:
+    n = shape[dimension]
+    sizes = [n if k == dimension else 1 for k in range(len(shape))]
+    return walk.constant_array(np.broadcast_to(np.arange(n).reshape(sizes), shape), dtype)
 
 
 def look_up(
@@ -181,10 +214,12 @@ def look_up(
     one = name == "dynamic_slice" or (name == "gather" and inputs[1].size == 1)
     if not (one and isinstance(table, Table) and np.prod(out.shape) == 1 and len(table.shape) == 1):
         raise UnsupportedError(f"{name} of a long array")
-    mode = parameters["mode"].name if name == "gather" else "CLIP"
+    mode = parameters["mode"] if name == "gather" else _CLIP
     [index], inside = _window(walk, table.shape, (1,), list(inputs[1].flat), (0,), {}, mode)
     found = walk.number("table", index, dtype=table.dtype, data=table.data)
-    return array_of([found if name != "gather" else _fill(walk, inside, found, parameters)], out.shape)
+    return array_of(
+        [found if name != "gather" else _fill(walk, inside, found, parameters.get("fill_value"))], out.shape
+    )
 
 
 INDEXING: dict[str, Callable[..., np.ndarray]] = {

@@ -11,9 +11,7 @@ import numpy as np
 from lieint_jax.native._primitives.abstract_walk import array_of
 
 
-def _broadcast_in_dim(
-    x: np.ndarray, *_: object, shape: Sequence[int], broadcast_dimensions: Sequence[int], **__: object
-) -> np.ndarray:
+def _broadcast_in_dim(x: np.ndarray, *, shape: Sequence[int], broadcast_dimensions: Sequence[int]) -> np.ndarray:
     sizes = [1] * len(shape)
     for axis, n in zip(broadcast_dimensions, x.shape, strict=True):
         sizes[axis] = n
@@ -21,7 +19,7 @@ def _broadcast_in_dim(
 
 
 def _slice(
-    x: np.ndarray, start_indices: Sequence[int], limit_indices: Sequence[int], strides: Sequence[int] | None
+    x: np.ndarray, start_indices: Sequence[int], limit_indices: Sequence[int], strides: Sequence[int] | None = None
 ) -> np.ndarray:
     return x[tuple(itertools.starmap(slice, zip(start_indices, limit_indices, strides or (1,) * x.ndim, strict=True)))]
 
@@ -36,12 +34,16 @@ def _pad(x: np.ndarray, value: np.ndarray, padding_config: Sequence[tuple[int, i
     return found
 
 
-def stack(*arrays: np.ndarray, axis: int = 0, **_: object) -> np.ndarray:
+def stack(*arrays: np.ndarray, axis: int = 0) -> np.ndarray:
     """Arrays along a new axis."""
     return np.concatenate([np.expand_dims(x, axis) for x in arrays], axis)
 
 
-def _unstack(x: np.ndarray, axis: int, **_: object) -> list[np.ndarray]:
+def _reshape(x: np.ndarray, new_sizes: Sequence[int], dimensions: Sequence[int] | None = None) -> np.ndarray:
+    return (x if dimensions is None else x.transpose(dimensions)).reshape(new_sizes)
+
+
+def _unstack(x: np.ndarray, axis: int) -> list[np.ndarray]:
     return [array_of(list(y.flat), y.shape) for y in (x.take([k], axis).squeeze(axis) for k in range(x.shape[axis]))]
 
 
@@ -50,7 +52,7 @@ MOVES: dict[str, Callable[..., Any]] = {
     "concatenate": lambda *x, dimension: np.concatenate(x, dimension),
     "expand_dims": lambda x, dimensions: np.expand_dims(x, dimensions),
     "pad": _pad,
-    "reshape": lambda x, *_, new_sizes, **__: x.reshape(new_sizes),
+    "reshape": _reshape,
     "rev": lambda x, dimensions: np.flip(x, dimensions),
     "slice": _slice,
     "split": lambda x, sizes, axis: np.split(x, np.cumsum(sizes)[:-1], axis),

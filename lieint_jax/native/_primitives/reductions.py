@@ -6,16 +6,19 @@ import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import numpy as np
+from jax import lax
 from jax.core import ShapedArray
+from jax.typing import DTypeLike
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of
 from lieint_jax.native._program import Number
 
 
 def _reduction(op: str) -> Callable[..., np.ndarray]:
-    def reduce(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
-        x, axes = inputs[0], parameters["axes"]
+    def reduce(walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axes: Sequence[int]) -> np.ndarray:
+        x = inputs[0]
         rest = [n for n in range(x.ndim) if n not in axes]
         rows = x.transpose(*rest, *axes).reshape(int(np.prod(out.shape)), int(np.prod([x.shape[n] for n in axes])))
         return array_of([reduce_terms(walk, op, list(row), np.dtype(out.dtype)) for row in rows], out.shape)
@@ -40,23 +43,36 @@ def reduce_terms(walk: AbstractWalk, op: str, terms: list[Number], dtype: np.dty
 
 
 def _cumulative(op: str) -> Callable[..., np.ndarray]:
-    def cumulate(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
-        x = np.moveaxis(inputs[0], parameters["axis"], 0)
+    def cumulate(
+        walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axis: int, reverse: bool
+    ) -> np.ndarray:
+        x = np.moveaxis(inputs[0], axis, 0)
         found = np.empty(x.shape, object)
-        order = range(len(x))[::-1] if parameters["reverse"] else range(len(x))
+        order = range(len(x))[::-1] if reverse else range(len(x))
         for index in np.ndindex(x.shape[1:]):
             total = None
             for k in order:
                 term = x[k, *index]
                 total = found[k, *index] = term if total is None else walk.number(op, total, term)
-        return np.moveaxis(found, 0, parameters["axis"])
+        return np.moveaxis(found, 0, axis)
 
     return cumulate
 
 
-def _product(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
+def _product(
+    walk: AbstractWalk,
+    inputs: list[np.ndarray],
+    out: ShapedArray,
+    *,
+    dimension_numbers: lax.DotDimensionNumbers,
+    precision: object = None,
+    preferred_element_type: DTypeLike | None = None,
+) -> np.ndarray:
+    """Sums of products; `out` has the preferred type, and a CPU has no less precision than that of the types."""
+    if precision is not None and not all(isinstance(x, lax.Precision) for x in jax.tree.leaves(precision)):
+        raise UnsupportedError(f"a product of precision {precision}")
     a, b = inputs
-    (a_sum, b_sum), (a_each, b_each) = parameters["dimension_numbers"]
+    (a_sum, b_sum), (a_each, b_each) = dimension_numbers
     left, right = _as_matrices(a, a_each, a_sum), _as_matrices(b, b_each, b_sum)
     dtype = np.dtype(out.dtype)
 
@@ -85,8 +101,10 @@ def _as_matrices(x: np.ndarray, each: Sequence[int], summed: Sequence[int]) -> n
 
 
 def _extreme(by: str) -> Callable[..., np.ndarray]:
-    def index_of(walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
-        [axis] = parameters["axes"]
+    def index_of(
+        walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axes: Sequence[int], index_dtype: DTypeLike
+    ) -> np.ndarray:
+        [axis] = axes
         rows = np.moveaxis(inputs[0], axis, -1).reshape(-1, inputs[0].shape[axis])
         found = []
         for row in rows:
