@@ -455,8 +455,8 @@ class _Equation(NamedTuple):
         speed = vec3.max_abs(y) / jnp.maximum(1, vec3.max_abs(vec3.components(now.h)))  # h may enlarge h × T at will
         here, A = _value_and_jacobian(by_attitude, x)
         changes = [(1, A), (speed, _jacobian(by_velocity, x))]
+        states = _max_abs([self.half_dt * state for state in self.implicit_states], z) if z else speed
         if z:
-            states = _max_abs([self.half_dt * state for state in self.implicit_states], z)
             changes.append((states, _jacobian(by_states, x)))
         K = self._matrix(x, *(A for _, A in changes))
 

@@ -455,7 +455,7 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
     step, states = schemes.top_energy_momentum(top), jax.vmap(lambda w: top.state(angular_velocity=w))(normal(3))
     quantity = (lambda step, state: jnp.cos(state.p[0])) if reduce else None
     with monkeypatch.context() as patch:
-        patch.setitem(ELEMENTWISE, "cos", lambda walk, x, parameters, dtype: walk.number("mul", x[0], x[0]))
+        patch.setitem(ELEMENTWISE, "cos", lambda walk, x, dtype: walk.number("mul", x[0], x[0]))
         runs = [ensemble.run(step, states, 0.1, n, reduce=quantity, progress=False) for n in (1, 2)]
     [message] = [record.getMessage() for record in caplog.records if record.name.startswith("lieint_jax")]
     assert message.startswith(f"XLA runs {step.name}, which is slower than machine code: in machine code a first step")
