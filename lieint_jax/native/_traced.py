@@ -148,11 +148,12 @@ class Operation(NamedTuple):
 
 def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
     """The type of an array or a number in JAX; `jax.numpy.result_type` takes ten times as long for an array."""
-    if not hasattr(x, "dtype"):
-        return jax.numpy.result_type(x)
-    if jax.numpy.issubdtype(x.dtype, jax.dtypes.extended):
-        raise UnsupportedError(f"an argument of type {x.dtype}")
-    return jax.dtypes.canonicalize_dtype(x.dtype)
+    dtype: Any = getattr(x, "dtype", None)
+    if dtype is None:
+        return jax.numpy.result_type(x)  # pyright: ignore[reportArgumentType]
+    if jax.numpy.issubdtype(dtype, jax.dtypes.extended):
+        raise UnsupportedError(f"an argument of type {dtype}")
+    return jax.dtypes.canonicalize_dtype(dtype)
 
 
 _cache: dict[object, object] = {}
