@@ -8,7 +8,7 @@
 
 Most of a test's time is XLA's. Its older CPU emitters, which jaxlib has up to 0.10, compile in a third of the time of
 its present ones, and without LLVM's optimizations in two thirds of that; the programs of one run serve the next from a
-cache on disk. The shards see to it that every test also passes without these.
+cache on disk. The shards see to it that every test also passes without these, and with machine code compared with XLA.
 """
 
 import ctypes
@@ -58,6 +58,17 @@ def pytest_configure(config):
     for name, value in OPTIONS.items():
         jax.config.update(name, value)
         os.environ[name.upper()] = str(value)
+
+
+def pytest_runtest_setup(item):
+    """`pytest` compares machine code with XLA in tests marked `compared` only, as that takes as long as their runs."""
+    from lieint_jax.ensemble._engine import NativeEngine
+
+    if not hasattr(pytest_runtest_setup, "original"):
+        pytest_runtest_setup.original = NativeEngine._compare_first_step
+    all_compare = item.config.getoption("--shard") or item.config.getoption("--all-shards")
+    compares = all_compare or item.get_closest_marker("compared")
+    NativeEngine._compare_first_step = pytest_runtest_setup.original if compares else lambda *_: None
 
 
 def pytest_runtest_logfinish():

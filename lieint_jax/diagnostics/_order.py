@@ -26,7 +26,7 @@ def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     """A reference solution: the state after time t, by Gauss–Legendre collocation of order 16 of `system.vector_field`.
 
     It shares no code with the schemes: it uses ambient coordinates, and fixed-point iteration for the stages. Its error
-    is a few round-offs for |t Ω| / num_steps ≤ 1/2.
+    is a few round-offs for |t Ω| / num_steps ≤ 1/2. NaN where the iteration does not converge.
 
     Args:
         system: the system.
@@ -47,8 +47,10 @@ def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     f = jax.vmap(lambda z: ravel_pytree(time_derivative(system, unravel(z)))[0])
 
     def step_once(z: Array, _: None) -> tuple[Array, None]:
-        k = lax.fori_loop(0, _ITERATIONS, lambda _, k: f(z[None] + h * (A @ k)), jnp.zeros((_STAGES, z.size), z.dtype))
-        return z + h * (b @ k), None
+        start = jnp.zeros((_STAGES, z.size), z.dtype)
+        k, before = lax.fori_loop(0, _ITERATIONS, lambda _, k: (f(z[None] + h * (A @ k[0])), k[0]), (start, start))
+        change, size = (jnp.max(jnp.abs(x)) for x in (h * (k - before), z))
+        return jnp.where(change <= jnp.sqrt(jnp.finfo(z.dtype).eps) * size, z + h * (b @ k), jnp.nan), None
 
     return unravel(lax.scan(step_once, z0, None, length=num_steps)[0])
 

@@ -114,7 +114,7 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
     if bad.size and not job.step.approximate:
         step, state = job.member(bad[0])
         more = more_times(step, state, job.first_dt) if isinstance(job.clock, GridClock) else ""
-        advice = f"{step.advice(state, job.first_dt)}{more}"
+        advice = f"{step.failure(state, job.first_dt)}{more}"
         first = job.first_member
         raise ValueError(f"the first step fails for {list_members(bad + first)}. Member {bad[0] + first}: {advice}")
 

@@ -142,14 +142,22 @@ class MatrixGroup:
         return last <= 2.0**16 * jnp.maximum(1, size)
 
     def log(self, q: SquareMatrix) -> AlgebraVector:
-        """ξ with exp ξ̂ = q, for q near the identity: to round-off for rotations by up to 2 radians."""
+        """ξ with exp ξ̂ = q, for q near the identity: to round-off for rotations by up to 2 radians.
 
-        def improve(_: int, xi: Array) -> Array:
+        NaN if none is found. The corrections converge quadratically, so after a last one below √ε of
+        1 + |ξ| only rounding errors remain.
+        """
+
+        def improve(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            xi, _last = carry
             rest = 2 * self.vee(_artanh(self.exp(-xi) @ q))
             turn = self.ad(xi, rest)
-            return xi + rest + turn / 2 + self.ad(xi, turn) / 12
+            return xi + rest + turn / 2 + self.ad(xi, turn) / 12, jnp.max(jnp.abs(rest), initial=0)
 
-        return jax.lax.fori_loop(0, _CORRECTIONS, improve, 2 * self.vee(_artanh(q)))
+        guess = 2 * self.vee(_artanh(q))
+        xi, last = jax.lax.fori_loop(0, _CORRECTIONS, improve, (guess, jnp.zeros_like(guess, shape=())))
+        enough = jnp.sqrt(jnp.finfo(xi.dtype).eps) * (1 + jnp.max(jnp.abs(xi), initial=0))
+        return jnp.where(jax.lax.stop_gradient(last <= enough), xi, jnp.nan)
 
     def cayley(self, xi: AlgebraVector) -> SquareMatrix:
         """(1 − ½ξ̂)⁻¹(1 + ½ξ̂), which is in the group only if `cayley_lands`."""

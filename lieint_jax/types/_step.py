@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 import functools
 from collections.abc import Callable
 from functools import partial
@@ -21,6 +22,7 @@ from lieint_jax.types._system import System
 from lieint_jax.types.shapes import Flag, PyTree, Time
 
 _T = TypeVar("_T")
+_SMALLER = 6  # step sizes, each a quarter of the one before, until advice to use a smaller one is given up
 _Report = tuple[Any, ...]  # the new state, the StepInfo, and what a method adds
 
 
@@ -203,20 +205,67 @@ class Step(abc.ABC):
                 return
             converged = converges(self, state, dt)
             if concrete(converged) and not converged:  # a function of the step may close over a tracer
-                _check_motion_defined(self.system, state)
-                raise StepError(self.advice(state, dt))
+                raise StepError(self.failure(state, dt))
 
+    def failure(self, state: State, dt: ArrayLike) -> str:
+        """Why a step from a concrete state does not converge, and the cure.
 
-def _check_motion_defined(system: System, state: State) -> None:
-    """ValueError if the vector field of a system is not finite at a concrete state."""
-    rate = jax.jit(type(system).vector_field)(system, state)
-    wrong = [name for name in ("q", "p") if not bool(all_finite(getattr(rate, name)))]
-    if wrong:
-        raise ValueError(
-            f"the equations of motion of {type(system).__name__} have no finite value at this state: the time "
-            f"derivative of {' and '.join(wrong)} is not finite. A potential, force or torque is singular or undefined "
-            "there, or a number is too large: start from another state, or correct the function"
+        It is a function without a finite value or derivative there, or `advice`, if a smaller dt converges.
+        """
+        undefined = _undefined_at(self.system, state)
+        if undefined:
+            return undefined
+        advice = self.advice(state, dt)
+        smaller = [dt * 4.0**-k for k in range(1, _SMALLER)]
+        if "smaller dt" not in advice or any(bool(converges(self, state, h)) for h in smaller):
+            return advice
+        return (
+            f"{self.name} does not converge at dt = {dt}, nor at a smaller dt down to {smaller[-1]:.1g}: a potential, "
+            f"force or torque is not smooth at this state, or it computes in fewer digits than {state.p.dtype}, the "
+            "type of the state. Start from another state, or correct the function"
         )
+
+
+def _undefined_at(system: System, state: State) -> str:
+    """Which function of a system has no finite value or derivative at a concrete state; empty if all have."""
+    laws = [x for x in getattr(system, "laws", ()) if x.key is None and x.reads is None]
+    parts = {f"the torque {law.label}": dataclasses.replace(system, torque=law) for law in laws}  # pyright: ignore
+    number, q, vector = (jax.ShapeDtypeStruct(shape, state.p.dtype) for shape in ((), (4,), (3,)))
+    for law in laws:
+        found = jax.eval_shape(law, number, q, vector).dtype
+        if found.itemsize < state.p.dtype.itemsize:
+            return (
+                f"the torque {law.label} returns {found}, so that no step converges to round-off of {state.p.dtype}, "
+                "the type of the state: compute it in the type of its arguments"
+            )
+    for name, part in {**parts, f"the vector field of {type(system).__name__}": system}.items():
+        rate, slopes = _rate_and_slopes(part, state)
+        wrong = [of for of in ("q", "p") if not bool(all_finite(getattr(rate, of)))]
+        if wrong:
+            return (
+                f"the equations of motion of {type(system).__name__} have no finite value at this state: by {name} the "
+                f"time derivative of {' and '.join(wrong)} is not finite. A potential, force or torque is singular or "
+                "undefined there, or a number is too large: start from another state, or correct the function"
+            )
+        wrong = [by for by, slope in zip(("q", "p"), slopes, strict=True) if not bool(all_finite(slope))]
+        if wrong:
+            return (
+                f"{name} has no finite derivative by {' and '.join(wrong)} at this state, and Newton's method needs "
+                "it; no smaller dt helps. The derivative of √(ω·ω) at ω = 0 is such a case, also within jnp.where: "
+                "choose the argument of the root by jnp.where first, or start from another state"
+            )
+    return ""
+
+
+@jax.jit
+def _rate_and_slopes(system: System, state: State) -> tuple[State, tuple[PyTree, PyTree]]:
+    """The vector field, and its derivatives by q and p."""
+
+    def rate(q: Array, p: Array) -> State:
+        return system.vector_field(state._replace(q=q, p=p))
+
+    slopes = jax.jacfwd(lambda *z: (rate(*z).q, rate(*z).p), argnums=(0, 1))(state.q, state.p)
+    return rate(state.q, state.p), ([x[0] for x in slopes], [x[1] for x in slopes])
 
 
 def checked_step(step: object) -> Step:

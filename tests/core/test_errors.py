@@ -274,3 +274,29 @@ def test_a_machine_without_a_description_of_its_processor_has_a_name(monkeypatch
     monkeypatch.setattr(Path, "read_text", unreadable)
     assert _cache._processor()
     assert _identity.device() == _cache.platform.machine()
+
+
+def _drag_with_a_corner(t, q, omega):
+    return -0.1 * omega * jnp.sqrt(omega @ omega)
+
+
+def _narrow_torque(t, q, omega):
+    return (-0.1 * jnp.sin(omega)).astype(jnp.float32)
+
+
+@pytest.mark.parametrize(
+    ("law", "Omega", "message"),
+    [
+        (_drag_with_a_corner, [0.0, 0, 0], "the torque _drag_with_a_corner has no finite derivative by .* no smaller"),
+        (_narrow_torque, [0.1, 0.2, 0.3], "the torque _narrow_torque returns float32, so that no step converges"),
+    ],
+)
+def test_a_step_that_no_smaller_dt_helps_names_the_function_and_the_cure(law, Omega, message):
+    body = li.systems.torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1) + law)
+    state = body.state(angular_velocity=Omega)
+    step = li.schemes.torqued_midpoint(body)
+    for run in (li.integrate, li.ensemble.run):
+        states = state if run is li.integrate else jax.tree.map(lambda x: jnp.stack([x, x]), state)
+        with pytest.raises(ValueError, match=message) as failed:
+            run(step, states, 0.1, 2)
+        assert "Use a smaller dt" not in str(failed.value)

@@ -443,6 +443,7 @@ def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, capl
     assert message == f"XLA runs {step.name}, which is slower than machine code: KeyError: {name!r}"
 
 
+@pytest.mark.compared
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, reduce):
     """A wrong formula of a primitive, of which nothing else would tell, in two runs; and if only `reduce` has it."""
