@@ -40,7 +40,8 @@ def _untransformed(function: _F) -> _F:
 
     @wraps(function)
     def call(*args: object, **kwargs: object) -> object:
-        if _checks.staged() or not _checks.concrete(args, kwargs):
+        numbers = {name: x for name, x in kwargs.items() if name != "store"}  # whose attributes may hold anything
+        if _checks.staged() or not _checks.concrete(args, numbers):
             raise TypeError(advice)
         try:
             return function(*args, **kwargs)
