@@ -35,7 +35,7 @@ def stages(bodies: int) -> tuple[dict[str, Any], Any]:
         b = field(t)
         return 1e6 * jnp.cross(jnp.cross(omega, b), b)  # N m, of b in tesla: the shell of a stage
 
-    eddy_currents.frame = "space"
+    eddy_currents.frame = "space"  # pyright: ignore[reportFunctionMemberAccess]
     body = li.systems.torqued_body(inertia, li.torques.gravity_gradient(orbit, inertia) + eddy_currents)
     spread = 1 + 0.01 * np.random.default_rng(1).normal(size=(bodies, 3))
     rates = np.radians(3.5) * np.array([0.15, 0.1, 1.0]) * spread

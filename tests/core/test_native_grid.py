@@ -81,6 +81,7 @@ def test_an_ensemble_that_shares_its_time_steps_as_by_jax(step, state, dt):
         np.testing.assert_allclose(x[-1], wanted, rtol=0, atol=1e-12 * max(1, np.abs(wanted).max(initial=0)))
 
 
+@pytest.mark.long
 @pytest.mark.compared
 @pytest.mark.parametrize(("step", "state", "dt"), cases())
 def test_no_machine_code_is_refused_for_its_rounding(step, state, dt, caplog):

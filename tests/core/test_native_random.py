@@ -59,6 +59,7 @@ def states(system, **more):
 SEEDS = pytest.mark.parametrize("seed", range(0, 30, 3))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @SEEDS
 def test_random_potentials_and_reduced_quantities_run_as_by_xla(monkeypatch, seed):
@@ -78,6 +79,7 @@ def test_random_potentials_of_attitudes_run_as_by_xla(monkeypatch, seed):
     assert_alike(*by_engines(monkeypatch, li.schemes.splitting(top), states(top), 0.05, 6, save_every=3))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @SEEDS
 def test_random_laws_run_as_by_xla(monkeypatch, seed):

@@ -118,6 +118,7 @@ def loss_of(network):
     return jnp.sum(step(body.state(**STATE), 0.1)[0].p ** 2)
 
 
+@pytest.mark.long
 def test_derivatives_by_the_arrays_of_a_network():
     """Through a step, with respect to the weights, and with respect to the system, against differences."""
     given, h = net(3), 1e-5
@@ -189,6 +190,7 @@ class Measure:
         return cls(*leaves)
 
 
+@pytest.mark.long
 def test_an_equinox_network_is_a_potential_and_a_law():
     eqx = pytest.importorskip("equinox")
     mlp = eqx.nn.MLP(3, "scalar", 8, 1, key=jax.random.key(0))

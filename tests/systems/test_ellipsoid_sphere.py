@@ -68,6 +68,7 @@ def test_the_potential_and_the_force_of_any_ellipsoid(shape):
     assert (np.abs(F - slope) <= 16 * np.finfo(float).eps * (np.abs(slope) + change)).all()
 
 
+@pytest.mark.long
 def test_second_derivatives_obey_laplace():
     """The trace of the Hessian is 0 outside and 4πGρ inside, forward over reverse and reverse over forward."""
     a = jnp.array([1.0, 0.6, 0.3])

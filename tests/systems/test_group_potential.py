@@ -138,6 +138,7 @@ def test_a_bi_invariant_metric_drifts_exactly(metric):
     np.testing.assert_array_equal(far.p, state.p)
 
 
+@pytest.mark.long
 def test_the_drift_of_other_metrics_and_of_traced_ones_is_not_exact():
     g = groups.special_unitary(3)
     with pytest.raises(ValueError, match=r"this metric: give .*O.Δt³. per step unless the metric is bi-invariant$"):
