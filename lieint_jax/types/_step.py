@@ -217,7 +217,7 @@ class Step(abc.ABC):
             return undefined
         advice = self.advice(state, dt)
         smaller = [dt * 4.0**-k for k in range(1, _SMALLER)]
-        if "smaller dt" not in advice or any(bool(converges(self, state, h)) for h in smaller):
+        if "smaller dt" not in advice or not np.isfinite(dt) or any(bool(converges(self, state, h)) for h in smaller):
             return advice
         return (
             f"{self.name} does not converge at dt = {dt}, nor at a smaller dt down to {smaller[-1]:.1g}: a potential, "

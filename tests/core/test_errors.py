@@ -167,7 +167,9 @@ def test_a_custom_step_that_fails_has_a_message():
         def __call__(self, state, dt):
             return state, StepInfo(jnp.ones(()), jnp.zeros((), bool))
 
-    with pytest.raises(ValueError, match=r"failing does not converge at dt = 0.1, nor at a smaller dt down to 0.0001: a potential"):
+    with pytest.raises(
+        ValueError, match=r"failing does not converge at dt = 0.1, nor at a smaller dt down to 0.0001: a potential"
+    ):
         Failing(BODY).check(STATE, 0.1)
 
 
