@@ -257,7 +257,7 @@ def _undefined_at(system: System, state: State) -> str:
     return ""
 
 
-@jax.jit
+@partial(compiled, once=True)
 def _rate_and_slopes(system: System, state: State) -> tuple[State, tuple[PyTree, PyTree]]:
     """The vector field, and its derivatives by q and p."""
 
