@@ -16,7 +16,7 @@ from typing import Any
 from lib import command
 
 
-def least(contestants: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
+def least_cpu_times(contestants: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
     """The CPU seconds of each, after a first call that compiles."""
     import jax
 
@@ -51,7 +51,7 @@ def long_runs(steps: int, rounds: int) -> list[dict[str, Any]]:
     for name, (step, more) in cases.items():
         state = step.system.state(angular_velocity=[0.2, 0.1, 1.0], **more)
         member = jax.tree.map(lambda x: x[None], state)
-        found = least(
+        found = least_cpu_times(
             {
                 "integrate": lambda: li.integrate(step, state, 0.02, steps, save_every=steps).state.q,  # noqa: B023
                 "ensemble": lambda: li.ensemble.run(step, member, 0.02, steps, progress=False).state.q,  # noqa: B023
@@ -86,7 +86,7 @@ def gradients(steps: int, rounds: int, sizes: tuple[int, ...]) -> list[dict[str,
         arguments = [jnp.asarray(x) for x in (common.INERTIA, q, p)]
         compiled = {"forward": jax.jit(forward), "jax": jax.jit(jax.grad(backward)), "li": li.jit(jax.grad(backward))}
         calls = {name: (lambda f=f: f(*arguments)) for name, f in compiled.items()}  # noqa: B023
-        rows.append({"bodies": bodies, **least(calls, rounds)})
+        rows.append({"bodies": bodies, **least_cpu_times(calls, rounds)})
     return rows
 
 

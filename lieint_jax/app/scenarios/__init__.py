@@ -146,7 +146,7 @@ def parse(table: dict[str, Any], name: str) -> Any:
         raise ValueError(f"{name}: system: key missing")
     if not isinstance(table["system"], str) or table["system"] not in kinds():
         allowed = " or ".join(map(repr, kinds()))
-        raise ValueError(f"{name}: system: must be {allowed} (got {_shown(table['system'])})")
+        raise ValueError(f"{name}: system: must be {allowed} (got {_quoted(table['system'])})")
     model = kinds()[table["system"]].Scenario
     try:
         return model.model_validate(table)
@@ -206,7 +206,7 @@ def _nearest(key: str, allowed: list[str]) -> list[str]:
     return [candidate for candidate, x in zip(near, likeness, strict=True) if x == likeness[0]]
 
 
-def _shown(value: object) -> str:
+def _quoted(value: object) -> str:
     """A value of a file in a message: a text in quotes."""
     return _checks.printable(repr(value) if isinstance(value, str) else value)
 
@@ -227,7 +227,7 @@ def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
     problem, *others = error.errors()
     key = "".join(f"{_checks.printable(part)}." for part in problem["loc"] if part != "[key]").removesuffix(".")
     without_value = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
-    given = "" if without_value else f" (got {_shown(problem['input'])})"
+    given = "" if without_value else f" (got {_quoted(problem['input'])})"
     message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(
         problem["type"], _checks.printable(problem["msg"], _MESSAGE)
     )
