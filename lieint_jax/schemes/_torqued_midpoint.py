@@ -43,6 +43,7 @@ from lieint_jax.torques import internal_friction
 from lieint_jax.types import (
     AbstractDampedBody,
     AbstractTorquedBody,
+    Function,
     Law,
     Rotation,
     State,
@@ -51,6 +52,7 @@ from lieint_jax.types import (
     System,
     clock,
     instant,
+    labels,
     pytree,
     static,
 )
@@ -130,6 +132,15 @@ class TorquedMidpoint(Step):
         return end._replace(extra=_extra_after(state.extra, equation.laws, torques.each, works)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
+        dtype = state.p.dtype
+        number, q, vector = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((), (4,), (3,)))
+        for name, law in zip(labels(self.system), self.system.laws, strict=True):
+            found = jax.eval_shape(law, number, q, vector).dtype if isinstance(law, Function) else dtype
+            if jnp.issubdtype(found, jnp.floating) and found.itemsize < dtype.itemsize:
+                return (
+                    f"the torque {name} returns {found}, so that no step converges to round-off of {dtype}, the type "
+                    "of the state: compute it in the type of its arguments"
+                )
         return _advice(self, dt, "the torque is too stiff")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 from typing import Any, Literal
 
@@ -19,7 +20,19 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.older_laws import MEMBERS, OlderLaw
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, callable_pytree, clock, instant, pytree
+from lieint_jax.types import (
+    AbstractTorquedBody,
+    Law,
+    Rotation,
+    State,
+    System,
+    as_law,
+    callable_pytree,
+    clock,
+    instant,
+    labels,
+    pytree,
+)
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 _WORKS = "works"
@@ -41,6 +54,12 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
     def frame(self) -> str:
         """The axes of `torque_at`: those of the only law, "body" for several."""
         return self.laws[0].frame if len(self.laws) == 1 else "body"
+
+    def terms(self) -> dict[str, System]:
+        """The body with one of the laws each, of those without an internal state."""
+        named = zip(labels(self), self.laws, strict=True)
+        plain = {name: law for name, law in named if law.key is None and law.reads is None}
+        return {f"the torque {name}": dataclasses.replace(self, torque=law) for name, law in plain.items()}
 
     @property
     def initial_extra(self) -> dict[str, Array] | None:

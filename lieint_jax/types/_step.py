@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import dataclasses
 import functools
 from collections.abc import Callable
 from functools import partial
@@ -210,51 +209,43 @@ class Step(abc.ABC):
     def failure(self, state: State, dt: ArrayLike) -> str:
         """Why a step from a concrete state does not converge, and the cure.
 
-        It is a function without a finite value or derivative there, or `advice`, if a smaller dt converges.
+        It is a function without a finite value there, or `advice`; if that is a smaller dt and none converges, a
+        function without a finite derivative.
         """
-        undefined = _undefined_at(self.system, state)
-        if undefined:
-            return undefined
+        values, derivatives = _undefined_at(self.system, state)
+        if values:
+            return values
         advice = self.advice(state, dt)
         smaller = [dt * 4.0**-k for k in range(1, _SMALLER)]
         if "smaller dt" not in advice or not np.isfinite(dt) or any(bool(converges(self, state, h)) for h in smaller):
             return advice
-        return (
+        return derivatives or (
             f"{self.name} does not converge at dt = {dt}, nor at a smaller dt down to {smaller[-1]:.1g}: a potential, "
             f"force or torque is not smooth at this state, or it computes in fewer digits than {state.p.dtype}, the "
             "type of the state. Start from another state, or correct the function"
         )
 
 
-def _undefined_at(system: System, state: State) -> str:
-    """Which function of a system has no finite value or derivative at a concrete state; empty if all have."""
-    laws = [x for x in getattr(system, "laws", ()) if x.key is None and x.reads is None]
-    parts = {f"the torque {law.label}": dataclasses.replace(system, torque=law) for law in laws}  # pyright: ignore
-    number, q, vector = (jax.ShapeDtypeStruct(shape, state.p.dtype) for shape in ((), (4,), (3,)))
-    for law in laws:
-        found = jax.eval_shape(law, number, q, vector).dtype
-        if found.itemsize < state.p.dtype.itemsize:
-            return (
-                f"the torque {law.label} returns {found}, so that no step converges to round-off of {state.p.dtype}, "
-                "the type of the state: compute it in the type of its arguments"
-            )
-    for name, part in {**parts, f"the vector field of {type(system).__name__}": system}.items():
+def _undefined_at(system: System, state: State) -> tuple[str, str]:
+    """Which function of a system has no finite value at a concrete state, and which no finite derivative; or empty."""
+    values = derivatives = ""
+    for name, part in {**system.terms(), f"the vector field of {type(system).__name__}": system}.items():
         rate, slopes = _rate_and_slopes(part, state)
         wrong = [of for of in ("q", "p") if not bool(all_finite(getattr(rate, of)))]
         if wrong:
-            return (
+            values = values or (
                 f"the equations of motion of {type(system).__name__} have no finite value at this state: by {name} the "
                 f"time derivative of {' and '.join(wrong)} is not finite. A potential, force or torque is singular or "
                 "undefined there, or a number is too large: start from another state, or correct the function"
             )
         wrong = [by for by, slope in zip(("q", "p"), slopes, strict=True) if not bool(all_finite(slope))]
         if wrong:
-            return (
+            derivatives = derivatives or (
                 f"{name} has no finite derivative by {' and '.join(wrong)} at this state, and Newton's method needs "
                 "it; no smaller dt helps. The derivative of √(ω·ω) at ω = 0 is such a case, also within jnp.where: "
                 "choose the argument of the root by jnp.where first, or start from another state"
             )
-    return ""
+    return values, derivatives
 
 
 @partial(compiled, once=True)

@@ -43,6 +43,10 @@ class System(abc.ABC):
         """The arrays that the states of this system have in `extra`, at rest; None if there are none."""
         return None
 
+    def terms(self) -> dict[str, System]:
+        """Systems with one of a user's functions each, by what messages call it; empty if they are not told apart."""
+        return {}
+
     carried = renamed_attribute("carried", "initial_extra")
 
 
