@@ -63,7 +63,8 @@ def _agree(ours: np.ndarray, theirs: np.ndarray, changed: np.ndarray) -> bool:
     axes = tuple(range(1, theirs.ndim))
     with np.errstate(invalid="ignore"):
         differs, spread = np.abs(ours - theirs), np.abs(changed - theirs)
-        same = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs)) | ~np.isfinite(spread) & (theirs != changed)
+        undecided = ~np.isfinite(spread) & (theirs != changed) & ~(np.isnan(theirs) & np.isnan(changed))
+        same = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs)) | undecided
     size, rounding = (np.max(np.where(np.isfinite(x), x, 0), axis=axes) for x in (np.abs(theirs), spread))
     allowed = np.sqrt(np.finfo(theirs.dtype).eps) * size + _LEEWAY * rounding
     return bool(np.all(same | (allowed >= differs.T).T))

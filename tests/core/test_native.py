@@ -15,6 +15,7 @@ pytest.importorskip("llvmlite")
 from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled
 
 from lieint_jax import ensemble, schemes, systems
+from lieint_jax.ensemble import _comparison
 from lieint_jax.native import Kernel, _emit, _machine
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
@@ -466,6 +467,28 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
         np.testing.assert_allclose(runs[0].mean[-1], change.mean(), rtol=1e-13)
     else:
         np.testing.assert_allclose(runs[0].state.p[-1], expected.p, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "changed", "agree"),
+    [
+        (1.0, 1.0 + 1e-9, 1.0, True),
+        (1.0, 1.0 + 1e-6, 1.0 + 1e-6, False),
+        (1.0, 1.0 + 1e-6, 1.0 + 2e-6, True),  # rounding alone moves it as much
+        (2e-17, 0.0, 1e-17, True),
+        (2e-17, 0.0, 0.0, False),
+        (np.nan, np.nan, np.nan, True),
+        (0.0, np.nan, np.nan, False),
+        (np.nan, 0.0, 0.0, False),
+        (np.inf, np.inf, np.inf, True),
+        (-np.inf, np.inf, np.inf, False),
+        (1.0, np.nan, 1.0, True),  # rounding alone decides
+        (1, 2, 2, False),
+        (1, 2, 1, True),
+    ],
+)
+def test_results_agree_up_to_what_rounding_does_to_xla(ours, theirs, changed, agree):
+    assert _comparison._agree(*(np.array([x]) for x in (ours, theirs, changed))) is agree
 
 
 def test_what_is_returned_may_be_known_shared_or_given():
