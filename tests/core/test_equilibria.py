@@ -49,6 +49,7 @@ def test_a_satellite_in_the_regions_of_debra_and_delp():
     assert min(seen.values()) >= 4, seen
 
 
+@pytest.mark.long
 def test_an_equilibrium_reports_how_far_it_is_from_the_guess():
     """Of a satellite at 0.9 of its orbit's rate the momentum is a tenth too small; at the equilibrium nothing moves."""
     body = li.systems.gravity_gradient([1.0, 2.0, 2.5], CIRCLE)
@@ -100,7 +101,7 @@ def test_a_sleeping_top_wakes_at_its_threshold(over):
         assert modes.margin == pytest.approx(-abs(root) / (2 * J1), rel=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("wheel", [-3.0, -0.5, 0.0, 1.1])
 def test_a_wheel_steadies_a_spin_about_the_middle_axis(wheel):
     """Stable if (λ − J₁Ω)(λ − J₂Ω) > 0 with λ = J₃Ω + h; that product is the frequency squared times J₁J₂."""

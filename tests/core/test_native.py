@@ -421,6 +421,7 @@ def test_constants_carries_and_rows_are_recognized_by_number_and_shape(monkeypat
     check_against_jax(function, [normal(3), np.arange(MEMBERS)], [1.5], rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken", [(CONTROL_FLOW, "while"), (ELEMENTWISE, "mul"), (_emit, "emit")])
 def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, caplog, broken):
     """A failure of the walk or of what writes LLVM's text, as by a primitive that a later JAX has changed."""
@@ -445,6 +446,7 @@ def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, capl
 
 
 @pytest.mark.compared
+@pytest.mark.slow
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, reduce):
     """A wrong formula of a primitive, of which nothing else would tell, in two runs; and if only `reduce` has it."""

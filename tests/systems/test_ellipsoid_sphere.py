@@ -48,7 +48,7 @@ def force(x, a):
     return jax.grad(ellipsoid_sphere(1.0, [1.0, 1.0], a).value)(x)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("shape", ["triaxial", "oblate", "prolate"])
 def test_the_potential_and_the_force_of_any_ellipsoid(shape):
     """V to 1e-14 (observed: 3e-15); the force to what roundings of the point and the axes change (observed: 10 eps)."""

@@ -110,7 +110,7 @@ def stark(x, q):
     return jnp.sum(weights * (q @ x[0]) ** 2) + jnp.sum(weights * (q @ x[0]) * (q @ x[1])) ** 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("metric", [np.full(8, 2.0), 0.7 * np.eye(8)], ids=["principal", "full"])
 def test_a_bi_invariant_metric_drifts_exactly(metric):
     """On SU(3), where the arcsine map is not symplectic: order 2, form, momentum of the torus, and the way back."""

@@ -74,6 +74,7 @@ def test_claims_1_and_2_constraints_momentum_and_energy(field, normalized):
 
 
 @pytest.mark.paper("1.1: claim 3", "not symplectic; normalized it is", "schemes/_sphere_midpoint.py")
+@pytest.mark.long
 @pytest.mark.parametrize("field", ["linear", "cubic"])
 def test_claim_3_the_plain_rule_is_not_symplectic_the_normalized_one_is(field):
     bob = BOBS[field]
@@ -227,6 +228,7 @@ def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     assert constraint < 2e-12
 
 
+@pytest.mark.long
 def test_second_order_against_the_flow_and_reversible():
     bob = BOBS["cubic"]
     exact = jax.device_get(jax.jit(lambda z: flow(bob, z, 0.8, 16))(start()))
