@@ -195,7 +195,7 @@ def test_reductions_and_products_are_those_of_jax():
 MODES = ["clip", "fill", "promise_in_bounds"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [np.float64, np.int32, np.uint32, np.bool_])
 @pytest.mark.parametrize("mode", MODES)
 def test_indices_of_any_kind_are_those_of_jax(mode, dtype):

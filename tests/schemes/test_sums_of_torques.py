@@ -93,7 +93,6 @@ def balance(law, num_steps):
     return path, np.abs(H - W.sum(axis=1) - H[0]).max() / np.abs(H).max(), np.abs(L - L[0])
 
 
-@pytest.mark.long
 def test_nine_laws_at_once_balance_to_round_off():
     """Observed: 2e-15 of the energy in 400 steps. Each law does something, and the wheels reach their limits."""
     path, error, _ = balance(NINE, 400)

@@ -143,7 +143,7 @@ def test_carlson_s_integrals_agree_with_scipy():
         np.testing.assert_allclose(evaluate(*map(jnp.asarray, (x, y, z))), known, rtol=3e-15)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [[3.0, 0.4, 0.5], [2.01, 0, 0], [0, 0, 0.71], [0.1, 0.1, 0.1], [100.0, 30, 20]])
 def test_an_ellipsoid_attracts_by_dirichlet_s_integral(place):
     """By quadrature to its 1e-10; Laplace's and Poisson's equation to round-off."""
