@@ -275,7 +275,7 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
         self.conservative.check(state)
 
 
-@compiled
+@partial(compiled, once=True)
 def _potential_energy(system: RigidBodies, q: Poses) -> Scalar:
     return system.potential_energy(q)
 
@@ -447,7 +447,7 @@ def _forces_of(bodies: DissipativeBodies, x: Array, v: Array, omega: Array) -> A
     return pair_forces(bodies.dissipation, x, v, omega)[0]
 
 
-@compiled
+@partial(compiled, once=True)
 def _violations(bodies: DissipativeBodies) -> Array:
     """The defects of linear and angular momentum under the law, the energy it adds, and the tolerance for all."""
     numbers = jnp.arange(9 * len(bodies.masses), dtype=bodies.masses.dtype)

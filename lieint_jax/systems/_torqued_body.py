@@ -174,7 +174,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         return impulse, rates, jnp.stack(powers)
 
 
-@compiled
+@partial(compiled, once=True)
 def _torque_at(body: TorquedBody, state: State) -> Vector3:
     return body.torque_at(state)
 

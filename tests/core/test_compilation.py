@@ -254,3 +254,27 @@ def test_programs_of_functions_that_are_gone_are_freed(monkeypatch):
     gc.collect()
     assert [x() is not None for x in functions] == [False] * 4 + [True] * 2
     assert [x() is not None for x in kernels] == [False] * 4 + [True] * 2
+
+
+NEW = {  # of each, a system of a new function
+    "torque": lambda k: li.systems.torqued_body([1.0, 2.0, 3.0], lambda t, q, omega: -k * omega),
+    "potential": lambda k: li.systems.potential_top([1.0, 2.0, 3.0], lambda g: k * g[2]),
+    "gravity": lambda k: li.systems.rigid_bodies(
+        [1.0, 2.0], [[1.0, 2.0, 3.0]] * 2, lambda x, turns: -k / jnp.linalg.norm(x[1] - x[0])
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NEW)
+def test_checks_of_new_functions_keep_no_programs(monkeypatch, name):
+    monkeypatch.setattr(_compile, "_MOST_KEPT", 1)
+    motion = {"positions": np.eye(3)[:2], "velocities": np.zeros((2, 3))} if name == "gravity" else {}
+    turn = {"angular_velocities": np.eye(3)[:2]} if name == "gravity" else {"angular_velocity": [0.1, 0.2, 0.3]}
+    counts = []
+    for k in range(1, 5):
+        system = NEW[name](float(k))
+        system.check(system.state(**motion, **turn))
+        gc.collect()
+        counts.append(len(jax.devices()[0].client.live_executables()))
+    assert counts[-1] == counts[1], counts
