@@ -122,12 +122,14 @@ class _Evaluation:
 
 
 def flushed(arguments, sign):
-    """Subnormal numbers, which XLA takes for 0, as small normal ones of this sign; others as they are."""
+    """Subnormal numbers, which XLA takes for 0, as small normal ones of this sign, or if it is 0, in their order."""
 
-    def normal(x):
+    def as_normal(x):
         if x.dtype.kind != "f":
             return x
-        tiny = np.finfo(x.dtype).tiny
-        return np.where((np.abs(x) < tiny) & (x != 0), x.dtype.type(sign * LOST * tiny), x)
+        info = np.finfo(x.dtype)
+        with np.errstate(over="ignore", invalid="ignore"):
+            normal = x * x.dtype.type(LOST / info.eps) if sign == 0 else x.dtype.type(sign * LOST * info.tiny)
+        return np.where((np.abs(x) < info.tiny) & (x != 0), normal, x)
 
-    return jax.tree.map(normal, arguments)
+    return jax.tree.map(as_normal, arguments)
