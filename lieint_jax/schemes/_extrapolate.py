@@ -70,7 +70,7 @@ class Extrapolated(Step):
     def name(self) -> str:
         return f"extrapolate[{self.order:g}{'' if self.increments else ', plain'}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         chart, numbers = _CHARTS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
         start, dt = chart.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
         moments = chart.stage_times(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))

@@ -79,7 +79,7 @@ class Gauss(Step):
     def name(self) -> str:
         return f"gauss[{self.stages}]" if self.sweeps is None else f"gauss[{self.stages}, {self.sweeps} sweeps]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt, state.p.dtype)
         equation = _Equation.from_state(self, state, dt)
         k, change = _solve(equation, self.sweeps)
