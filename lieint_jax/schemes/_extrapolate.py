@@ -75,7 +75,7 @@ class Extrapolated(Step):
         start, dt = chart.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
         moments = chart.stage_times(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))
         best, second = _extrapolation(chart.rate(self.system), moments, start, dt, numbers, self.increments)
-        end = chart.advance(self.system, state, start, best)
+        end = chart.apply(self.system, state, start, best)
         halves = zip(*map(chart.split_qp, (start, best, second)), strict=True)
         off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
         return end, StepInfo(off, off <= _ROUGH)
