@@ -1,9 +1,9 @@
 """The loop over steps on which all runs are built: of one body or many, with output, events or derivatives.
 
-`march` runs from node to node of a clock by `step_at_node`, in a loop of one of several kinds. `scanned` has derivatives
-in forward and reverse mode. `counted` runs a number of steps that is known only at run time, so that one program serves
-all lengths, but it has no derivative in reverse mode. Other modules define their own loops for nested checkpoints, and
-for several steps per iteration.
+`march` runs from node to node of a clock by `step_at_node`, in a loop of one of several kinds. `scanned` has
+derivatives in forward and reverse mode. `counted` runs a number of steps that is known only at run time, so that one
+program serves all lengths, but it has no derivative in reverse mode. Other modules define their own loops for nested
+checkpoints, and for several steps per iteration.
 """
 
 from __future__ import annotations
