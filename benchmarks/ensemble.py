@@ -100,7 +100,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     loop = CompiledLoop(engine, layout, buffer_rows=1, progress=False)
 
     def call() -> Any:
-        return loop.advance(loop.start, 0, 0, nodes[1:])[0]
+        return loop.run_intervals(loop.start, 0, 0, nodes[1:])[0]
 
     jax.block_until_ready(call())
     return call

@@ -79,6 +79,6 @@ def renamed_attribute(old: str, new: str) -> Any:
     return property(value)
 
 
-def warn_of_removal(what: str) -> None:
-    """Warn, in a function that an old name or call reaches directly, that it will not be accepted any more."""
-    warnings.warn(f"{what} will not be accepted from version 0.4 on", DeprecationWarning, stacklevel=3)
+def warn_of_removal(what: str, stacklevel: int = 3) -> None:
+    """Warn that an old name or call, by default one that reaches the caller of this directly, will not be accepted."""
+    warnings.warn(f"{what} will not be accepted from version 0.4 on", DeprecationWarning, stacklevel=stacklevel)

@@ -16,7 +16,7 @@ from lieint_jax._integrate._clock import (
     refuse_times,
     uniform_clock,
 )
-from lieint_jax._integrate._driver import Body, Progress, advance, counted, march, prepared, scanned, steps
+from lieint_jax._integrate._driver import Body, Progress, counted, march, prepared, scanned, step_at_node, steps
 from lieint_jax._integrate._event import Event, event, events
 from lieint_jax._integrate._halved import halved_steps, splits
 from lieint_jax._integrate._interpolate import interpolate
@@ -41,7 +41,6 @@ __all__ = [
     "RoundedClock",
     "StateClock",
     "UniformClock",
-    "advance",
     "at_time",
     "clock_of",
     "counted",
@@ -63,6 +62,7 @@ __all__ = [
     "saves",
     "scanned",
     "splits",
+    "step_at_node",
     "steps",
     "trajectory",
     "uniform_clock",

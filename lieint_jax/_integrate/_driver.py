@@ -1,9 +1,9 @@
 """The loop over steps on which all runs are built: of one body or many, with output, events or derivatives.
 
-`march` runs from node to node of a clock by `advance`, in a loop of one of several kinds. `scanned` has derivatives in
-forward and reverse mode. `counted` runs a number of steps that is known only at run time, so that one program serves
-all lengths, but it has no derivative in reverse mode. Other modules define their own loops for nested checkpoints, and
-for several steps per iteration.
+`march` runs from node to node of a clock by `step_at_node`, in a loop of one of several kinds. `scanned` has
+derivatives in forward and reverse mode. `counted` runs a number of steps that is known only at run time, so that one
+program serves all lengths, but it has no derivative in reverse mode. Other modules define their own loops for nested
+checkpoints, and for several steps per iteration.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Progress(NamedTuple):
         return cls(state, StepInfo.empty(state.p), seen)
 
 
-def advance(
+def step_at_node(
     step: Callable[..., tuple[Any, ...]], clock: Clock, state: State, n: Array, *more: Array
 ) -> tuple[Any, ...]:
     """The step from node n, where `state` is: the state at the next node, and the step's report.
@@ -96,7 +96,8 @@ def march(
     """The run after `count` further steps.
 
     Args:
-        advance_once: (state at node n, n) ↦ state at node n + 1 and report, such as `partial(advance, step, clock)`.
+        advance_once: (state at node n, n) ↦ state at node n + 1 and report, such as
+            `partial(step_at_node, step, clock)`.
         first: the node where the run is.
         count: the number of steps.
         start: the run there.
@@ -115,7 +116,7 @@ def march(
 def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> tuple[State, StepInfo]:
     """The state after `count` steps, which may be traced, and the merged report of the steps."""
     clock = uniform_clock(step, state, jnp.asarray(dt, state.p.dtype))
-    end = march(partial(advance, step, clock), 0, count, Progress.begin(state), repeat=counted)
+    end = march(partial(step_at_node, step, clock), 0, count, Progress.begin(state), repeat=counted)
     return end.state, end.info
 
 

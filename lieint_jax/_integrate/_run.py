@@ -29,7 +29,7 @@ from lieint_jax._integrate._clock import (
     refuse_far_times,
     refuse_times,
 )
-from lieint_jax._integrate._driver import Progress, Repeat, advance, counted, march, prepared, scan, scanned
+from lieint_jax._integrate._driver import Progress, Repeat, counted, march, prepared, scan, scanned, step_at_node
 from lieint_jax._integrate._halved import splits
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
@@ -239,7 +239,7 @@ def _interval(
 
     def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, n = carry
-        end = march(partial(advance, step, clock), n, save_every, Progress.begin(state), repeat=repeat)
+        end = march(partial(step_at_node, step, clock), n, save_every, Progress.begin(state), repeat=repeat)
         return (end.state, n + save_every), (end.state, end.info)
 
     return interval
@@ -263,7 +263,7 @@ def _at_output_times(
     def step_to_output(carry: PyTree, is_output: Array) -> tuple[PyTree, None]:
         (state, so_far), n, k, buffer = carry
         rest = rests[jnp.minimum(k, count - 1)]
-        end, info = lax.cond(is_output, lambda: step(state, rest), lambda: advance(whole, clock, state, n))
+        end, info = lax.cond(is_output, lambda: step(state, rest), lambda: step_at_node(whole, clock, state, n))
         reached = end, so_far.merge(info)
         slot = jnp.where(is_output, k, count)
         buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, reached)

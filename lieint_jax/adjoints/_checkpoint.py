@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax._integrate import Body, Clock, Progress, advance, march, prepared
+from lieint_jax._integrate import Body, Clock, Progress, march, prepared, step_at_node
 from lieint_jax._xla import compiled, rematerialized
 from lieint_jax.types import State, Step, StepInfo
 from lieint_jax.types.shapes import PyTree
@@ -26,7 +26,7 @@ def checkpointed(
 
     One loop is compiled for all intervals, a little longer than the longest.
     """
-    advance_once = partial(advance, prepared(step, state, clock), clock)
+    advance_once = partial(step_at_node, prepared(step, state, clock), clock)
     repeat = partial(_nested_steps, most=max(counts, default=0), levels=levels)
 
     def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:

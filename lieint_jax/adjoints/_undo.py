@@ -24,7 +24,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._integrate import Progress, advance, counted, march, uniform_clock
+from lieint_jax._integrate import Progress, counted, march, step_at_node, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._numbers import repeat
 from lieint_jax.diagnostics.tangent import distance
@@ -42,7 +42,7 @@ def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: 
 
 def _states_and_reports(step: Step, state: State, dt: Array, counts: Array, tolerance: float) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them."""
-    advance_once = partial(advance, step, uniform_clock(step, state, dt))
+    advance_once = partial(step_at_node, step, uniform_clock(step, state, dt))
 
     def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, done = carry

@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import Event, advance, events, saves, uniform_clock
+from lieint_jax._integrate import Event, events, saves, step_at_node, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics.tangent import orthonormalize, units
 from lieint_jax.types import State, Step, StepInfo, checked_step, promoted
@@ -142,7 +142,7 @@ def _lyapunov(
     step: Step, state: State, dt: Array, frame: TangentVectors, rounds: int, every: int, batches: int
 ) -> Lyapunov:
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
-    zero, advance_frame = jnp.zeros((), int), partial(advance, step.tangent, uniform_clock(step, state, dt))
+    zero, advance_frame = jnp.zeros((), int), partial(step_at_node, step.tangent, uniform_clock(step, state, dt))
 
     def interval(carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, T, info, n = carry
@@ -227,7 +227,7 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: Ar
 @partial(compiled, static_argnums=4)
 def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: int) -> Megno:
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
-    advance_vector = partial(advance, step.tangent, uniform_clock(step, state, dt))
+    advance_vector = partial(step_at_node, step.tangent, uniform_clock(step, state, dt))
 
     def step_once(carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, W, Y, mean, info, n = carry

@@ -121,7 +121,7 @@ class Engine(abc.ABC):
         """A function of step and state at node n, for all members."""
 
     @abc.abstractmethod
-    def advance(
+    def run_spans(
         self, layout: Layout, start: Start, carry: list[Carry], spans: Span, rows: int
     ) -> tuple[list[Carry], list[Saved]]:
         """The carries after these save intervals, at most `rows`, and the saved rows."""
@@ -171,7 +171,7 @@ class XlaEngine(Engine):
         origin = [o._replace(quantity=None) for o in start.origin]
         return _layout.map_blocks(layout, lambda *x: compiled(*x, n), start.plain, states, origin)
 
-    def advance(
+    def run_spans(
         self, layout: Layout, start: Start, carry: list[Carry], spans: Span, rows: int
     ) -> tuple[list[Carry], list[Saved]]:
         """See `Engine`."""
@@ -291,7 +291,7 @@ class NativeEngine(Engine):
         results = compiled(arguments, arguments[1].p.shape[0], 1, layout.threads)
         return compiled, jax.tree.map(lambda x: x[0], results)
 
-    def advance(
+    def run_spans(
         self, layout: Layout, start: Start, carry: list[Carry], spans: Span, rows: int
     ) -> tuple[list[Carry], list[Saved]]:
         """See `Engine`."""

@@ -30,7 +30,7 @@ def execute(engine: Engine, layout: Layout, output: Output, progress: bool) -> R
         while saved < job.num_saves:
             ends, saves = _next_call(job, done, saved, min(length.steps, engine.most_steps), output.free_rows)
             clock, steps = time.perf_counter(), int(ends[-1]) - done
-            carry, rows = loop.advance(carry, done, saved, ends)
+            carry, rows = loop.run_intervals(carry, done, saved, ends)
             done, saved = done + steps, saved + saves
             if saves:
                 output.append(rows, saves)
@@ -66,7 +66,9 @@ class CompiledLoop:
         if self._shown:
             self._H0 = self._energies(self.start, 0)
 
-    def advance(self, carry: list[Carry], done: int, saved: int, ends: np.ndarray) -> tuple[list[Carry], list[Saved]]:
+    def run_intervals(
+        self, carry: list[Carry], done: int, saved: int, ends: np.ndarray
+    ) -> tuple[list[Carry], list[Saved]]:
         """The carries and the saved rows, a list item per block, of the save intervals that end at the nodes `ends`.
 
         Before them there were `done` steps, and `saved` entries after the start.
@@ -77,7 +79,7 @@ class CompiledLoop:
         if rests is not None:
             rests = np.resize(rests[saved + 1 :], len(ends)).astype(self._job.dtype)
         spans = _loop.Span(first, ends.astype(dtype), rests, begins)
-        return self._engine.advance(self._layout, self._start, carry, spans, self._rows)
+        return self._engine.run_spans(self._layout, self._start, carry, spans, self._rows)
 
     def check_first_step(self) -> None:
         """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
@@ -86,7 +88,7 @@ class CompiledLoop:
                 _layout.gather(self._layout, [origin.quantity for origin in self._start.origin]), self._job.first_member
             )
         if self._job.num_steps:
-            after, _ = self.advance(self.start, 0, 0, np.ones(1, int))
+            after, _ = self.run_intervals(self.start, 0, 0, np.ones(1, int))
             _check_first(_layout.gather(self._layout, [c.failed for c in after]), self._job)
 
     def _energies(self, carry: list[Carry], done: int) -> list[_layout.Numbers]:

@@ -20,10 +20,10 @@ from lieint_jax._integrate import (
     RoundedClock,
     StateClock,
     UniformClock,
-    advance,
     counted,
     march,
     prepared,
+    step_at_node,
 )
 from lieint_jax.ensemble._layout import Numbers
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
@@ -132,7 +132,7 @@ class Interval(NamedTuple):
         info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), empty, (info, change))
 
         def advance_once(state: State, n: Array) -> tuple[State, StepInfo]:
-            end, info = advance(step, origin.own_clock, origin.add_time(n, state), n)
+            end, info = step_at_node(step, origin.own_clock, origin.add_time(n, state), n)
             return origin.remove_time(end), info
 
         def record(n: Array, before: Progress, after: Progress, info: StepInfo) -> tuple[Array, Range | None]:

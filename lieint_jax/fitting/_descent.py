@@ -96,7 +96,7 @@ def descent(scalar: Scalar, box: Box, optimizer: GradientTransformation, toleran
 
     look = _evaluation(scalar, box)
 
-    def advance(carry: Carry) -> Carry:
+    def iterate(carry: Carry) -> Carry:
         gradient, largest, state, share, quiet = carry.memory
         update, after = optimizer.update(gradient, state, carry.x)
         x: PyTree = optax.apply_updates(carry.x, share * update)
@@ -110,7 +110,7 @@ def descent(scalar: Scalar, box: Box, optimizer: GradientTransformation, toleran
         ended = (memory.quiet >= _QUIET["other"]) | (bad > SHORTENINGS)
         return Carry(x, value, memory, _stop_code(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
-    return Method(_start(look, box, optimizer), advance)
+    return Method(_start(look, box, optimizer), iterate)
 
 
 def _loss_with_wall(
@@ -148,7 +148,7 @@ def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
         steepest = _largest(memory.gradient)
         return value, memory._replace(unit=jnp.where(steepest > 0, steepest, 1)), ok
 
-    def advance(carry: Carry) -> Carry:
+    def iterate(carry: Carry) -> Carry:
         gradient, largest, state, unit, quiet = carry.memory
         now = carry.loss / unit
         wall = now + 1e3 * (1 + jnp.abs(now))
@@ -167,4 +167,4 @@ def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
         ended = (quiet >= _QUIET["lbfgs"]) | (bad >= _SEARCHES)
         return Carry(x, value, memory, _stop_code(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
-    return Method(first, advance)
+    return Method(first, iterate)

@@ -109,12 +109,12 @@ def fit(
     if standardized and not problem.has_residuals:
         raise ValueError(f"standardized=True needs residuals: use one of the optimizers {', '.join(LEAST_SQUARES)}")
     compiled = partial(over_members, mesh=mesh) if starts else jax.jit
-    advance = compiled(problem.advance)
+    iterate = compiled(problem.iterate)
     search = compiled(problem.begin)(y, data)
     if problem.has_residuals:  # their first iteration only evaluates y
-        search = advance(search, data)
+        search = iterate(search, data)
         search = search._replace(made=0 * search.made)
-    search, history = _iterate(lambda s: advance(s, data), search, iterations, progress)
+    search, history = _iterate(lambda s: iterate(s, data), search, iterations, progress)
     at_side, matrix, rank = compiled(problem.finish)(search, y)
     degrees = None if rank is None else search.carry.memory.r.shape[-1] - rank
     end = End(at_side, search.least, search.carry.code, search.made, search.carry.failures, matrix, degrees)
@@ -210,9 +210,9 @@ class _Problem:
         none = jnp.zeros((), jnp.int32)
         return _Search(Carry(x, value, memory, jnp.where(ok, none, NOWHERE), none, none), x, value, none)
 
-    def advance(self, old: _Search, data: PyTree) -> _Search:
+    def iterate(self, old: _Search, data: PyTree) -> _Search:
         """The search after one more iteration; a search that has stopped does not change."""
-        after = self.method(data).advance(old.carry)
+        after = self.method(data).iterate(old.carry)
         if self.target is not None:
             reached = (after.code == RUNNING) & (after.loss <= self.target)
             after = after._replace(code=jnp.where(reached, TARGET, after.code))
@@ -246,7 +246,7 @@ class _Problem:
 
 
 def _iterate(
-    advance: Callable[[_Search], _Search], search: _Search, iterations: int, progress: bool
+    iterate: Callable[[_Search], _Search], search: _Search, iterations: int, progress: bool
 ) -> tuple[_Search, np.ndarray]:
     """Iterate until all searches have stopped; returns also the losses, of the first guess and of each iteration."""
     from tqdm import tqdm  # where it is used: the package imports in a moment
@@ -256,7 +256,7 @@ def _iterate(
         for _ in range(iterations):
             if not np.any(np.asarray(search.carry.code) == RUNNING):
                 break
-            search = advance(search)
+            search = iterate(search)
             history.append(np.asarray(search.carry.loss))
             bar.update()
             bar.set_postfix_str(f"loss {np.nanmin(history[-1]):.4g}")

@@ -71,7 +71,7 @@ def least_squares(
         step = Step(none, 0 * one, 0 * one)
         return jnp.inf * one, _Memory(r, J, none, one, step, one, 0 * one), jnp.ones((), bool)
 
-    def advance(carry: Carry) -> Carry:
+    def iterate(carry: Carry) -> Carry:
         r, J, D, radius, step, length, begin = carry.memory
         begun = jnp.isfinite(carry.loss)
         x = carry.x + step.z / _scale(D)
@@ -97,7 +97,7 @@ def least_squares(
         code = jnp.where(jnp.isfinite(loss), code, NOWHERE)
         return Carry(x, loss, memory, code.astype(jnp.int32), bad, carry.failures + ~ok)
 
-    return Method(first, advance)
+    return Method(first, iterate)
 
 
 def _scale(D: Array) -> Array:

@@ -49,10 +49,10 @@ class Carry(NamedTuple):
 
 
 class Method(NamedTuple):
-    """An optimizer: `first` evaluates the first guess, `advance` makes one iteration."""
+    """An optimizer: `first` evaluates the first guess, `iterate` makes one iteration."""
 
     first: Callable[[Array], tuple[Array, PyTree, Array]]  # x ↦ loss, memory, ok
-    advance: Callable[[Carry], Carry]
+    iterate: Callable[[Carry], Carry]
 
 
 def value_and_flag(outcome: PyTree) -> tuple[PyTree, Array]:

@@ -128,7 +128,7 @@ class Additive(Step):
         """β = 1 − α (6.9)."""
         return 1 - self.alpha
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt)
         equation = _Equation.from_state(self, state, dt)
         rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F

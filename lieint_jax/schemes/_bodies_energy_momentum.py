@@ -101,7 +101,7 @@ class BodiesEnergyMomentum(Step):
     def name(self) -> str:
         return "bodies_energy_momentum"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
         ends, change = _solve(equation, _iterations_at_precision(self.iterations, state.p.dtype))
         force, lost = equation.force(ends), equation.dissipation(ends)[1]

@@ -64,12 +64,12 @@ class Calibrated(Step):
     def name(self) -> str:
         return "calibrated"
 
-    def prepare(self, state: State, dt: ArrayLike) -> Self:
+    def with_constants(self, state: State, dt: ArrayLike) -> Self:
         found = _free_body.clock(self.system.inertia, so3.Ad_star(state.q, state.p), dt)
         clock = Clock(*found, jnp.asarray(dt, state.p.dtype), *self._invariants(state))
         return dataclasses.replace(self, clock=clock)
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step. A prepared step requires a state of its trajectory and its dt; otherwise it prepares itself."""
         if self.clock is None:
             return self.prepare(state, dt)(state, dt)

@@ -78,7 +78,7 @@ class Composition(Step):
         """The sub-steps, in units of dt; they sum to 1."""
         return METHODS[self.method].gammas
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if self.own_time or not counts_work(state):
             return self._compose_stages(state, (self._sizes(state, dt),), self.step.substep)
 
@@ -90,9 +90,9 @@ class Composition(Step):
         ends = clock(state) + jnp.asarray(parts, state.p.dtype) * dt
         return self._compose_stages(state, (self._sizes(state, dt), ends), substep_to)
 
-    def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
+    def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
-            return super().tangent(state, dt, T)
+            return super().advance_tangents(state, dt, T)
 
         def substep_tangent(pair: tuple[State, Array], h: Array) -> tuple[tuple[State, Array], StepInfo]:
             end, info, T = self.step.tangent(pair[0], h, pair[1])

@@ -37,7 +37,7 @@ class Exact(Step):
     def name(self) -> str:
         return "exact"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J = self.system.inertia
         q, report = _free_body.attitude(J, state.q, state.p, dt)
         return state._replace(q=q), exact_report(J, q, *report)

@@ -70,12 +70,12 @@ class Extrapolated(Step):
     def name(self) -> str:
         return f"extrapolate[{self.order:g}{'' if self.increments else ', plain'}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         chart, numbers = _CHARTS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
         start, dt = chart.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
         moments = chart.stage_times(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))
         best, second = _extrapolation(chart.rate(self.system), moments, start, dt, numbers, self.increments)
-        end = chart.advance(self.system, state, start, best)
+        end = chart.apply(self.system, state, start, best)
         halves = zip(*map(chart.split_qp, (start, best, second)), strict=True)
         off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
         return end, StepInfo(off, off <= _ROUGH)

@@ -79,7 +79,7 @@ class Gauss(Step):
     def name(self) -> str:
         return f"gauss[{self.stages}]" if self.sweeps is None else f"gauss[{self.stages}, {self.sweeps} sweeps]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt, state.p.dtype)
         equation = _Equation.from_state(self, state, dt)
         k, change = _solve(equation, self.sweeps)
@@ -196,7 +196,7 @@ class _Equation(NamedTuple):
         """The state at n + 1. π, a quadratic function of z, changes by Δt Σ b_i τ_i, without the rounding of p q̄."""
         c, _, b = collocation.gauss(self.stages)
         rates = self.at_stages(self.chart.quadratures(self.system, self.state), self.stage_values(k), c)
-        return self.chart.advance(self.system, self.state, self.start, Increments(*self.weighted_sum((k, rates), b)))
+        return self.chart.apply(self.system, self.state, self.start, Increments(*self.weighted_sum((k, rates), b)))
 
     def change(self, a: Coordinates, b: Coordinates) -> Array:
         """The largest difference of Δt k_i, in units of q, which are 1 at least, and of the largest of p."""

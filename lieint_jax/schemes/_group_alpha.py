@@ -76,7 +76,7 @@ class GroupAlpha(Step):
     def velocity_weight(self) -> Scalar:
         return self.alpha
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau, alpha, q = self.system.group, self.tau, self.alpha, state.q
         dt = jnp.asarray(dt)
         midpoint, s = Equation.from_state(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt

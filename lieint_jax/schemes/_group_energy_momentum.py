@@ -75,7 +75,7 @@ class GroupEnergyMomentum(Step):
     def name(self) -> str:
         return "group_energy_momentum"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau, q = self.system.group, self.tau, state.q
         dt = jnp.asarray(dt)
         equation, s = Equation.from_state(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt

@@ -88,7 +88,7 @@ class GroupMidpoint(Step):
     def name(self) -> str:
         return f"group_midpoint[{self.tau.name}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau = self.system.group, self.tau
         equation = Equation.from_state(self.system, tau, state, 0.5 * jnp.asarray(dt))
 

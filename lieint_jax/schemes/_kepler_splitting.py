@@ -67,7 +67,7 @@ class KeplerSplitting(Step):
         turns = "" if self.drift.commuting else f", {self.drift.turn.name}"
         return f"kepler_splitting[{self.method}{turns}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         method = METHODS[self.method]
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in (method.drifts, (0.0, *method.kicks)))
 

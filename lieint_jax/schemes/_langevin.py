@@ -113,7 +113,7 @@ class Langevin(Step):
         counts = (_COUNT, _HEAT, _REJECTIONS) if self.metropolis else (_COUNT, _HEAT)
         return state._replace(extra={**extra, _KEY: digits, **{name: jnp.zeros(axes, dtype) for name in counts}})
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         n = self._extra_entry(state, _COUNT)
         key = random_bits.fold_in(random_bits.key_of(self._extra_entry(state, _KEY)), random_bits.word(n))
         state, info = (self._metropolis if self.metropolis else self._baoab)(state, jnp.asarray(dt), key)

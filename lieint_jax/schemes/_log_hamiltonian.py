@@ -82,7 +82,7 @@ class LogHamiltonian(Step):
                     raise ValueError(step._energies(state))
         return state
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         def stage(carry: tuple[State, Array, StepInfo], kick: Array) -> tuple[tuple[State, Array, StepInfo], None]:
             """Half a drift, and the kick times 1 or 0."""
             state, off, before = carry

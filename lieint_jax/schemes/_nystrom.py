@@ -75,7 +75,7 @@ class Nystrom(Step):
     def name(self) -> str:
         return f"nystrom[{self.order:g}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[int(self.order)])
         kick_last = len(kicks) > len(drifts)
 

@@ -53,7 +53,7 @@ class Preprocessed(Step):
     def name(self) -> str:
         return f"preprocessed[{self.order}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         s, d, holds = self._clock(state, dt)
         end, info = with_modified_inertia(self.system, s, d, self.iterations).substep(state, dt)
         return end, info._replace(converged=info.converged & holds)

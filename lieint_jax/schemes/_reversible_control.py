@@ -72,7 +72,7 @@ class ReversibleControl(Step):
             raise ValueError(f"sigma must be positive and finite, the step size over dt, got {float(sigma):g}")
         return state._replace(extra={**(state.extra or {}), _KEY: 1 / sigma})
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if _KEY not in (state.extra or {}):
             raise ValueError(f'the state needs its step density, state.extra["{_KEY}"]: use step.start(state)')
         half, before = self._kick_density(state, dt)

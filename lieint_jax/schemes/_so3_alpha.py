@@ -71,7 +71,7 @@ class SO3Alpha(Step):
     def name(self) -> str:
         return f"so3_alpha[{self.kappa.name}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J, r = vec3.unit_trace(self.system.inertia)
         a = scale(0.5 * r * dt, vec3.solve(state.q, state.p))
         y, residual, good = _solve(self.kappa, self.alpha, J, a, self.iterations)

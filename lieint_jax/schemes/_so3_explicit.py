@@ -58,7 +58,7 @@ class SO3Explicit(Step):
     def name(self) -> str:
         return "so3_explicit"
 
-    def prepare(self, state: State, dt: ArrayLike) -> Self:
+    def with_constants(self, state: State, dt: ArrayLike) -> Self:
         J, a = scaled(self.system, state, dt)
         C = vec3.adjugate(J)
         Ca = vec3.apply(C, a)
@@ -67,7 +67,7 @@ class SO3Explicit(Step):
         gain = jnp.where(there, _FEEDBACK * vec3.determinant(J, C) / jnp.where(there, lever, 1), 0)
         return dataclasses.replace(self, m=scalar_root(J, a, _ITERATIONS), gain=lax.stop_gradient(gain))
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step. A prepared step requires a state of its trajectory and its dt; otherwise it prepares itself."""
         J, a = scaled(self.system, state, dt)
         h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)

@@ -43,7 +43,7 @@ class SphereChart(Step):
     def name(self) -> str:
         return "sphere_chart"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt, z, m = jnp.asarray(dt), self.chart.coordinates(state), self.system.mass
         near = jnp.sin(z[0]) <= _pole(z.dtype)
         z = jnp.where(near, jnp.stack([jnp.ones_like(dt), *z[1:]]), z)  # on the axis, harmless numbers and a flag

@@ -55,7 +55,7 @@ class SphereMidpoint(Step):
     def name(self) -> str:
         return f"sphere_midpoint[{'normalized' if self.normalized else 'plain'}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         q, p, dt = state.q, state.p, jnp.asarray(dt)
         h = dt / self.system.mass
 

@@ -95,7 +95,7 @@ class Splitting(Step):
     def name(self) -> str:
         return f"splitting[{self.drift.name}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if self.kick_first:
             state, info = self.drift.substep(self._kick(state, dt), dt)
             return self._kick(state, dt), info
@@ -107,10 +107,10 @@ class Splitting(Step):
         start, h = (self._kick(state, dt), dt) if self.kick_first else (state, 0.5 * dt)
         return f"{self.name}: {self.drift.advice(start, h)}"
 
-    def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
+    def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         space = self.system.phase_space
         if not (isinstance(space, CotangentGroup) and self.kick_first):
-            return super().tangent(state, dt, T)
+            return super().advance_tangents(state, dt, T)
         state, T = self._kick_tangent(space.group, state, dt, T)
         end, info, T = self.drift.tangent(state, dt, T)
         end, T = self._kick_tangent(space.group, end, dt, T)
@@ -125,7 +125,7 @@ class Splitting(Step):
             slope = jax.jvp(lambda q: _force(self.system, state._replace(q=q)), (state.q,), (moved,))[1]
             return jnp.concatenate([theta, pi + 0.5 * dt * slope])
 
-        return self._kick(state, dt), jax.vmap(kick_derivative, -1, -1)(jnp.asarray(T))
+        return self._kick(state, dt), jax.vmap(kick_derivative, -1, -1)(T)
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
         return kick(self.system, state, 0.5 * dt)

@@ -87,7 +87,7 @@ class TopEnergyMomentum(Step):
     def name(self) -> str:
         return f"top_energy_momentum[{self.kappa.name}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         q = state.q
         fields = _fields(self.system, state, dt)
         y, gradients, info = self._solve(fields, state, dt)

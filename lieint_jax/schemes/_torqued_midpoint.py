@@ -115,7 +115,7 @@ class TorquedMidpoint(Step):
     def name(self) -> str:
         return f"torqued_midpoint[{self.kappa.name}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation.from_state(self, state, dt)
         y, z, info = equation.solve(self.iterations)
         rotation = equation.rotation(y)
@@ -164,7 +164,7 @@ class DampedMidpoint(Step):
     def name(self) -> str:
         return f"torqued_midpoint[{self.kappa.name}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J, r = vec3.unit_trace(self.system.inertia)
         alpha, unit = self.system.friction / r, scale(r, so3.Ad_star(state.q, state.p))  # αΠ, Π/tr J
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import abc
+import copy
 import functools
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, final
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete, real_array, step_size
+from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled, materialized_arrays, with_materialized_derivatives
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
@@ -22,70 +24,7 @@ from lieint_jax.types.shapes import Flag, PyTree, Time
 
 _T = TypeVar("_T")
 _SMALLER = 6  # step sizes, each a quarter of the one before, until advice to use a smaller one is given up
-_Report = tuple[Any, ...]  # the new state, the StepInfo, and what a method adds
-
-
-def _in_one_type(method: Callable[..., _T]) -> Callable[..., _T]:
-    """A method (step, state, dt, …) whose arguments are converted to one floating-point type."""
-
-    @functools.wraps(method)
-    def converted(step: Step, state: State, dt: ArrayLike, *more: ArrayLike) -> _T:
-        step, state, dtype = promoted(step, state)
-        return method(step, state, jnp.asarray(step_size(dt), dtype), *(jnp.asarray(x, dtype) for x in more))
-
-    return converted
-
-
-def _on_time(method: Callable[..., _Report]) -> Callable[..., _Report]:
-    """A method (step, state, dt, …) whose new state is at t + dt and has all parts that the old state had."""
-
-    @functools.wraps(method)
-    def timed(step: Step, state: State, dt: Array, *more: Array) -> _Report:
-        if step.own_time and state.t is None:
-            raise ValueError(f"{step.name} advances the time, which this state lacks: use step.start(state)")
-        end, *report = method(step, state, dt, *more)
-        for name in ("work", "extra"):
-            if getattr(state, name) is not None and getattr(end, name) is None:
-                raise ValueError(f"{type(step).__name__} drops state.{name}: return state._replace(q=…, p=…) from it")
-        t = end.t if step.own_time or state.t is None else state.t + dt
-        return end._replace(t=t), *report
-
-    return timed
-
-
-def _with_one_derivative(method: Callable[..., _Report]) -> Callable[..., _Report]:
-    """A method (step, state, dt) whose tangents XLA computes once, not again for each number of the new state."""
-
-    @functools.wraps(method)
-    def bounded(step: Step, state: State, dt: Array) -> _Report:
-        end, *report = method(step, state, dt)
-        q, p = with_materialized_derivatives((end.q, end.p))
-        return end._replace(q=q, p=p), *report
-
-    return bounded
-
-
-def _computed_once(tangent: Callable[..., _Report]) -> Callable[..., _Report]:
-    """A method `tangent` whose results XLA computes once, not again in each computation that uses them."""
-
-    @functools.wraps(tangent)
-    def bounded(step: Step, state: State, dt: Array, T: Array) -> _Report:
-        end, info, T = tangent(step, state, dt, T)
-        q, p, T = materialized_arrays((end.q, end.p, T))
-        return end._replace(q=q, p=p), info, T
-
-    return bounded
-
-
-def _finite_or_flagged(method: Callable[..., _Report]) -> Callable[..., _Report]:
-    """A method (step, state, dt, …) that reports `converged` only for a finite state."""
-
-    @functools.wraps(method)
-    def flagged(*arguments: PyTree) -> _Report:
-        end, info, *tangents = method(*arguments)
-        return end, info._replace(converged=info.converged & all_finite(end)), *tangents
-
-    return flagged
+_HOOKS = {"__call__": "advance", "prepare": "with_constants", "tangent": "advance_tangents"}  # by final method
 
 
 class StepError(ValueError):
@@ -95,10 +34,10 @@ class StepError(ValueError):
 class Step(abc.ABC):
     """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
 
-    `__call__`, `prepare` and `tangent` of any subclass receive the state, dt and the step's own numbers in one
-    floating-point type, the widest among state and step. The time of the new state, if any, is set to t + dt here,
-    unless the step has its `own_time`. A scheme returns `state._replace(q=…, p=…)`, so that all other fields of the
-    state are unchanged.
+    A scheme defines `advance(state, dt)`, and may define `with_constants(state, dt)` and `advance_tangents(state, dt,
+    T)`. These receive the state, dt and the step's own numbers in one floating-point type, the widest among state and
+    step. They return `state._replace(q=…, p=…)`, so that all other fields of the state are unchanged. The time of the
+    new state, if any, is set to t + dt here, unless the step has its `own_time`.
 
     Attributes:
         order: order of accuracy; infinite for the exact flow.
@@ -111,25 +50,77 @@ class Step(abc.ABC):
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
-        if "__call__" in vars(cls):
-            cls.substep = _in_one_type(_with_one_derivative(_on_time(cls.__call__)))
-            cls.__call__ = _finite_or_flagged(cls.substep)
-        if "prepare" in vars(cls):
-            cls.prepare = _in_one_type(cls.prepare)
-        if "tangent" in vars(cls):
-            cls.tangent = _finite_or_flagged(_in_one_type(_computed_once(_on_time(cls.tangent))))
+        for method in [name for name in _HOOKS if name in vars(cls)]:
+            _accept_override(cls, method)
 
     @property
     @abc.abstractmethod
     def name(self) -> str:
         """The name of this step in reports."""
 
-    @abc.abstractmethod
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
+    @final
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        """One step: the state at t + dt, and a report, which is `converged` only if that state is finite."""
+        end, info = Step.substep(self, state, dt)  # also where a class with a `__call__` of its own has another
+        return end, _finite_or_flagged(info, end)
 
+    @final
     def substep(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """A call within a larger step, without the check that the new state is finite: the larger step has it."""
-        raise NotImplementedError  # set for every subclass, from its `__call__`
+        step, state, dt = _in_one_type(self, state, dt)
+        _check_time(step, state)
+        end, info = step.advance(state, dt)
+        end = _on_time(step, state, dt, end)
+        q, p = with_materialized_derivatives((end.q, end.p))  # XLA computes tangents once, not again for each number
+        return end._replace(q=q, p=p), info
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        """What a scheme defines: `state` with the new q and p, and the report. Callers use `__call__` or `substep`."""
+        raise NotImplementedError(f"{type(self).__name__} must define advance(state, dt) -> (State, StepInfo)")
+
+    @final
+    def prepare(self, state: State, dt: ArrayLike) -> Self:
+        """The step with the constants of the trajectory of `state` computed in advance; by default the step itself."""
+        if not self.prepares:
+            return self
+        step, state, dt = _in_one_type(self, state, dt)
+        return step.with_constants(state, dt)
+
+    def with_constants(self, state: State, dt: ArrayLike) -> Self:
+        """What `prepare` returns, for a scheme with constants of a trajectory or of a step size."""
+        return self
+
+    @final
+    def tangent(self, state: State, dt: ArrayLike, T: ArrayLike) -> tuple[State, StepInfo, Array]:
+        """The step, and the images of tangent vectors under its derivative L: (new state, report, LT).
+
+        Time, work and extra are held fixed. L is a forward-mode derivative, unless the scheme has it in closed form.
+
+        Args:
+            state, dt: as in a call of the step.
+            T: tangent vectors at the state, columns of an array (2d, k), in the phase space's coordinates: (δθ, δπ)
+                on T*G, with δq = δθ q.
+        """
+        step, state, dt, T = _in_one_type(self, state, dt, T)
+        _check_time(step, state)
+        end, info, LT = step.advance_tangents(state, dt, T)
+        if not _overrides(step, "advance_tangents", "tangent"):  # the derivative of a call, which has done the rest
+            return end, info, LT
+        end = _on_time(step, state, dt, end)
+        q, p, LT = materialized_arrays((end.q, end.p, LT))  # XLA computes them once, not in each use
+        end = end._replace(q=q, p=p)
+        return end, _finite_or_flagged(info, end), LT
+
+    def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        """`advance`, and LT, for a scheme with L in closed form; by default by forward mode through the step."""
+        space = self.system.phase_space
+
+        def perturbed_step(delta: Array) -> tuple[State, tuple[State, StepInfo]]:
+            end, info = self(space.perturb(state, delta), dt)
+            return end, (end, info)
+
+        _, push, (end, info) = jax.linearize(perturbed_step, jnp.zeros(space.dim, state.p.dtype), has_aux=True)
+        return end, info, jax.vmap(lambda delta: space.trivialize(end, push(delta)), -1, -1)(T)
 
     @property
     def velocity_weight(self) -> ArrayLike:
@@ -144,7 +135,7 @@ class Step(abc.ABC):
     @property
     def prepares(self) -> bool:
         """Whether `prepare` computes anything; its result is valid for one step size."""
-        return type(self).prepare is not Step.prepare
+        return _overrides(self, "with_constants", "prepare")
 
     @property
     def own_time(self) -> bool:
@@ -164,30 +155,6 @@ class Step(abc.ABC):
     def start(self, state: State) -> State:
         """`state` with the entries of `extra` that this step needs, as at the start of a run; by default none."""
         return state
-
-    def prepare(self, state: State, dt: ArrayLike) -> Self:
-        """The step with the constants of the trajectory of `state` computed in advance; by default the step itself."""
-        return self
-
-    @_in_one_type
-    def tangent(self, state: State, dt: ArrayLike, T: ArrayLike) -> tuple[State, StepInfo, Array]:
-        """The step, and the images of tangent vectors under its derivative L: (new state, report, LT).
-
-        Time, work and extra are held fixed. L is a forward-mode derivative, unless the scheme has it in closed form.
-
-        Args:
-            state, dt: as in a call of the step.
-            T: tangent vectors at the state, columns of an array (2d, k), in the phase space's coordinates: (δθ, δπ)
-                on T*G, with δq = δθ q.
-        """
-        space = self.system.phase_space
-
-        def perturbed_step(delta: Array) -> tuple[State, tuple[State, StepInfo]]:
-            end, info = self(space.perturb(state, delta), dt)
-            return end, (end, info)
-
-        _, push, (end, info) = jax.linearize(perturbed_step, jnp.zeros(space.dim, state.p.dtype), has_aux=True)
-        return end, info, jax.vmap(lambda delta: space.trivialize(end, push(delta)), -1, -1)(jnp.asarray(T))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         """The message for a step that failed from `state`: what was given, what is allowed, what to do."""
@@ -224,6 +191,60 @@ class Step(abc.ABC):
             f"force or torque is not smooth at this state, or it computes in fewer digits than {state.p.dtype}, the "
             "type of the state. Start from another state, or correct the function"
         )
+
+
+def _in_one_type(step: _T, state: State, dt: ArrayLike, *T: ArrayLike) -> tuple[_T, State, Array, *tuple[Array, ...]]:
+    """The arguments of a method of a step, the step first, with all real numbers in one floating-point type."""
+    step, state, dtype = promoted(step, state)
+    return step, state, jnp.asarray(step_size(dt), dtype), *(jnp.asarray(x, dtype) for x in T)
+
+
+def _check_time(step: Step, state: State) -> None:
+    """Raise ValueError if a step that advances the time itself is called without one."""
+    if step.own_time and state.t is None:
+        raise ValueError(f"{step.name} advances the time, which this state lacks: use step.start(state)")
+
+
+def _on_time(step: Step, state: State, dt: Array, end: State) -> State:
+    """The state after a step, at t + dt; raises ValueError if it lacks parts that the state before has."""
+    for name in ("work", "extra"):
+        if getattr(state, name) is not None and getattr(end, name) is None:
+            raise ValueError(f"{type(step).__name__} drops state.{name}: return state._replace(q=…, p=…) from it")
+    return end._replace(t=end.t if step.own_time or state.t is None else state.t + dt)
+
+
+def _finite_or_flagged(info: StepInfo, end: State) -> StepInfo:
+    """The report of a step, `converged` only if the state after it is finite."""
+    return info._replace(converged=info.converged & all_finite(end))
+
+
+def _overrides(step: Step, *methods: str) -> bool:
+    """Whether the class of a step has one of these methods of its own."""
+    return any(getattr(type(step), name) is not getattr(Step, name) for name in methods)
+
+
+def _accept_override(cls: type[Step], method: str) -> None:
+    """Let a subclass still override a final method of `Step`: that method, for its steps, calls what it wrote."""
+    hook, written = _HOOKS[method], vars(cls)[method]
+    warn_of_removal(
+        f"{cls.__name__} overrides {method}: rename it, and calls of super().{method}, to {hook}; the old name", 5
+    )
+
+    def override(final_method: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(written)
+        def call(step: Step, state: State, dt: ArrayLike, *T: ArrayLike) -> Any:
+            if getattr(type(step), hook) is not getattr(cls, hook):  # a subclass of `cls` defines the hook
+                return final_method(step, state, dt, *T)
+            step, *arguments = _in_one_type(step, state, dt, *T)
+            hooked = copy.copy(step)  # `step` itself goes to `written`, whose super() is to find the hook of a parent
+            object.__setattr__(hooked, hook, partial(written, step))
+            return final_method(hooked, *arguments)
+
+        return call
+
+    setattr(cls, method, override(getattr(Step, method)))
+    if method == "__call__":
+        cls.substep = override(Step.substep)  # pyright: ignore
 
 
 def _undefined_at(system: System, state: State) -> tuple[str, str]:
@@ -266,7 +287,7 @@ def checked_step(step: object) -> Step:
     raise ValueError(
         f"step must be a Step, such as schemes.so3_midpoint(system) returns, got {step!r}. A custom step is a class "
         "that inherits li.Step, decorated with @li.pytree, with the fields system, order and symmetric (li.static() "
-        "for fields that are not arrays), a property name, and __call__(state, dt) -> (State, StepInfo)"
+        "for fields that are not arrays), a property name, and advance(state, dt) -> (State, StepInfo)"
     )
 
 

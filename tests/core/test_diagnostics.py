@@ -36,7 +36,7 @@ class Euler(Step):
 
     order, symmetric, name = 1, False, "explicit Euler"
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         rate = self.system.vector_field(state)
         return State(state.q + dt * rate.q, state.p + dt * rate.p), StepInfo(jnp.zeros(()), jnp.ones((), bool))
 

@@ -164,7 +164,7 @@ def test_a_custom_step_that_fails_has_a_message():
         system: li.systems.RigidBody
         order, symmetric, name = 1, True, "failing"
 
-        def __call__(self, state, dt):
+        def advance(self, state, dt):
             return state, StepInfo(jnp.ones(()), jnp.zeros((), bool))
 
     with pytest.raises(

@@ -206,10 +206,10 @@ class Leaps(Step):
 
     order, symmetric, name = 1, False, "leaps"
 
-    def prepare(self, state, dt):
+    def with_constants(self, state, dt):
         return replace(self, kick=dt * self.system.stiffness)
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         p = state.p - (dt * self.system.stiffness if self.kick is None else self.kick) * state.q
         q = state.q + dt * p
         return state._replace(q=q, p=p), StepInfo(jnp.abs(p).max(), q[0, 1] < 0.5)

@@ -31,7 +31,7 @@ class Booking(Step):
 
     order, symmetric, name = 2, True, "booking"
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         end = state._replace(t=state.t + dt)
         work = state.work + (self.system.energy(end) - self.system.energy(state))
         return state._replace(work=work), StepInfo.empty(state.p)

@@ -18,10 +18,10 @@ class Rests(Step):
 
     order, symmetric, name = 2, True, "rests"
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         return state, StepInfo.empty(state.p)
 
-    def tangent(self, state, dt, T):
+    def advance_tangents(self, state, dt, T):
         return state, StepInfo.empty(state.p), T
 
 
@@ -54,7 +54,7 @@ class Leapfrog(Step):
 
     order, symmetric, name = 2, True, "leapfrog"
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         kick = dt / 2 * self.system.stiffness
         p = state.p - kick * state.q
         q = state.q + dt * p

@@ -111,7 +111,7 @@ class KickAndDrift(li.Step):
 
     order, symmetric, name = 1, False, "kick and drift"
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         p = state.p + dt * self.system.force(state.q)
         Omega = so3.Ad_star(state.q, p) / self.system.inertia
         return state._replace(q=so3.multiply(state.q, so3.exp(dt * Omega)), p=p), li.StepInfo.empty(p)

@@ -50,7 +50,7 @@ class General(Step):
         after = State(g.multiply(state.q, g.exp(theta)), state.p + dt * self.force(state.q, theta))
         return after, (StepInfo(jnp.max(jnp.abs(F)), jnp.max(jnp.abs(F)) < 1e-14), theta)
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         after, (info, _) = self.report(state, dt)
         return after, info
 

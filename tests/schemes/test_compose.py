@@ -203,7 +203,7 @@ class Skew(Step):
 
     order, symmetric, name = 2, False, "skew"
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         raise NotImplementedError
 
 
@@ -236,7 +236,7 @@ class Lagging(Step):
 
     order, symmetric, name = 2, True, "lagging"
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         p = state.p - dt * self.system.stiffness * state.extra["before"]
         return state._replace(q=state.q + dt * p, p=p, extra={"before": state.q}), StepInfo.empty(p)
 

@@ -24,7 +24,7 @@ GRID = [pytest.param(step, state, dt, id=name) for name, step, state, dt in step
 def pushed_forward(step, state, dt):
     """By the step's own `tangent`, by that of any step, and the step."""
     T = jnp.eye(step.system.phase_space.dim)
-    return step.tangent(state, dt, T), li.Step.tangent(step, state, dt, T), step(state, dt)
+    return step.tangent(state, dt, T), li.Step.advance_tangents(step, state, dt, T), step(state, dt)
 
 
 def check(step, state, dt):

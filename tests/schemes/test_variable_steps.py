@@ -289,7 +289,7 @@ class SymmetricBody(li.Step):
 
     order, symmetric, name = np.inf, True, "symmetric body"
 
-    def __call__(self, state, dt):
+    def advance(self, state, dt):
         spin = -so3.Ad_star(state.q, state.p)[2] / 2 * jnp.array([0.0, 0.0, 1.0])  # (1/J₃ − 1/J₁)Π₃
         q = so3.multiply(so3.exp(dt * state.p), so3.multiply(state.q, so3.exp(dt * spin)))
         return state._replace(q=q), li.StepInfo.empty(q)

@@ -104,8 +104,8 @@ def test_a_composition_and_the_adjoints_preserve_the_clock():
 
 def test_a_step_that_drops_work_raises_an_error():
     class Forgetful(schemes.SO3Midpoint):
-        def __call__(self, state, dt):
-            after, info = super().__call__(state, dt)
+        def advance(self, state, dt):
+            after, info = super().advance(state, dt)
             return State(after.q, after.p), info
 
     body = systems.rigid_body(J)

@@ -30,7 +30,7 @@ class RungeKutta(Step):
     def name(self) -> str:
         return "Runge–Kutta 4"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         def slope_after(h: ArrayLike, slope: State) -> State:
             return self.system.vector_field(jax.tree.map(lambda x, v: x + h * v, state, slope))
 

@@ -38,7 +38,7 @@ class OneParameterSubgroup(Step):
     def name(self) -> str:
         return "one_parameter_subgroup"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group = self.system.group
         Pi = group.Ad_star(state.q, state.p)
         q = group.multiply(state.q, group.exp(_velocity(self.system.metric, jnp.asarray(dt) * Pi)))

@@ -72,7 +72,7 @@ class FreeFlight(Step):
     def name(self) -> str:
         return "free_flight" if self.commuting else f"free_flight[{self.turn.name}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         attitudes, info = self._rotate_all(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
         x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
         together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))

@@ -39,11 +39,11 @@ class GyrostatSplitting(Step):
     def name(self) -> str:
         return f"splitting[{self.drift.name}]"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         state, info = self.drift.substep(self._turn(state, dt), dt)
         return self._turn(state, dt), self._report(info, state, dt)
 
-    def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
+    def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         state, info, T = self.drift.tangent(self._turn(state, dt), dt, T)  # turns about body axes leave (δθ, δπ)
         return self._turn(state, dt), self._report(info, state, dt), T
 

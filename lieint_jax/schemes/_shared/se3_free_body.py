@@ -35,7 +35,7 @@ class FreeMotion(Step):
     def name(self) -> str:
         return "free_motion"
 
-    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         m = self.system.metric
         inertia, mass = (m[:3], m[3]) if m.ndim == 1 else (m[:3, :3], m[3, 3])
         R, x, L, P = state.q[:3, :3], state.q[:3, 3], state.p[:3], state.p[3:]

@@ -37,7 +37,7 @@ class Chart(abc.ABC, Generic[_System, _Unknowns]):
         return None
 
     @abc.abstractmethod
-    def advance(self, system: _System, state: State, z: _Unknowns, delta: _Unknowns) -> State:
+    def apply(self, system: _System, state: State, z: _Unknowns, delta: _Unknowns) -> State:
         """The state whose unknowns are z, after the increments delta."""
 
     @abc.abstractmethod
@@ -57,7 +57,7 @@ class PlainState(Chart[System, State]):
     def rate(self, system: System) -> Callable[[State, PyTree], State]:
         return lambda state, _: time_derivative(system, state)
 
-    def advance(self, system: System, state: State, z: State, delta: State) -> State:
+    def apply(self, system: System, state: State, z: State, delta: State) -> State:
         return jax.tree.map(jnp.add, z, delta)
 
     def split_qp(self, z: State) -> tuple[Sequence[Array], Sequence[Array]]:

@@ -197,7 +197,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
         z = body_axes_state(state)
         return z._replace(q=turned_up(system.axis, z.q)) if isinstance(system, AbstractTop) else z
 
-    def advance(self, system: OneBody, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
+    def apply(self, system: OneBody, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
         """The state whose unknowns are z, after their increments."""
         return advance_body(state, z._replace(q=vec3.components(state.q)), _in_space(system, delta))
 

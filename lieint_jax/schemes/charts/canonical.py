@@ -123,7 +123,7 @@ class CanonicalChart(Chart):
 
         return rates
 
-    def advance(self, system: Any, state: State, z: Coordinates, delta: Increments) -> State:
+    def apply(self, system: Any, state: State, z: Coordinates, delta: Increments) -> State:
         """`state`, whose unknowns are z, after these increments."""
         delta = self.in_fixed_frame(system, delta)
         q = self.configuration(jax.tree.map(jnp.add, self.coordinates(state), delta.z))

@@ -82,7 +82,7 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
         turning = jax.vmap(body_axes.body_axes_state)(_turning_part(state))
         return _pack(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
 
-    def advance(self, system: AbstractRigidBodies, state: State, z: Array, delta: Array) -> State:
+    def apply(self, system: AbstractRigidBodies, state: State, z: Array, delta: Array) -> State:
         """The state whose unknowns are z, after their increments."""
         start, step = _parts(z), _parts(delta)
         end = jax.vmap(body_axes.advance_body)(_turning_part(state), start.turning, step.turning)
