@@ -31,6 +31,6 @@ def _interface() -> dict[str, int]:
 def handler(inputs: int, outputs: int, lanes: int) -> str:
     """The text of a module with the function `handler`, around a `run` of so many arrays and lanes."""
     constants = _interface() | {"inputs": inputs, "outputs": outputs, "lanes": lanes}
-    types = dict.fromkeys(("major", "minor"), "i32")
-    lines = [f"@{name} = internal constant {types.get(name, 'i64')} {x}" for name, x in constants.items()]
+    bits = {name: 32 if name in ("major", "minor") else 64 for name in constants}  # as the interface has them
+    lines = [f"@{name} = internal constant i{bits[name]} {x}" for name, x in constants.items()]
     return "\n".join([*lines, Path(__file__).with_suffix(".ll").read_text()])

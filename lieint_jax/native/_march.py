@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.core import ShapedArray
+from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
 Tree = Any  # a tree of arrays
-Values = Sequence[Any]  # arrays, tracers or tangents
+Value = Any  # an array, a tracer, a shape or a tangent
+Values = Sequence[Value]
 march_p = Primitive("march")
 march_p.multiple_results = True
 
@@ -82,7 +83,7 @@ class Loop(NamedTuple):
         own = self.own or (False,) * (len(self.arguments) - self.carried)
         return (self.members is not None,) * self.carried + own
 
-    def split(self, items: Sequence[Any]) -> tuple[list[Any], list[Any], list[Any]]:
+    def split(self, items: Values) -> tuple[list[Value], list[Value], list[Value]]:
         """What belongs to the carries, to the constants and to the rows."""
         ends = self.carried, self.carried + self.fixed
         return list(items[: ends[0]]), list(items[ends[0] : ends[1]]), list(items[ends[1] :])
@@ -91,13 +92,13 @@ class Loop(NamedTuple):
         """Whether argument k has an axis of steps."""
         return k >= self.carried + self.fixed
 
-    def bind(self, arguments: Values) -> list[Any]:
+    def bind(self, arguments: Values) -> list[Value]:
         """The carries after the last step, and the stored rows of results, of axes (rows, members, …)."""
         return march_p.bind(*arguments, loop=self)
 
 
 def march(
-    step: Callable[[Any, Tree, Tree], tuple[Tree, Tree]],
+    step: Callable[[Value, Tree, Tree], tuple[Tree, Tree]],
     carry: Tree,
     xs: Tree = None,
     *,
@@ -125,7 +126,7 @@ def march(
     return ends, jax.tree.unflatten(jax.tree.structure(out), found[len(starts) :])
 
 
-def _checked(result: Any, carry: Tree) -> tuple[Tree, Tree]:
+def _checked(result: Tree, carry: Tree) -> tuple[Tree, Tree]:
     """(carry, y), if the carry has the structure, shapes and types of the one before."""
     try:
         after, y = result
@@ -142,20 +143,20 @@ def _checked(result: Any, carry: Tree) -> tuple[Tree, Tree]:
     return after, y
 
 
-def _strong(x: Any) -> Any:
+def _strong(x: Value) -> Value:
     """An array that does not take the type of another."""
     x = jnp.asarray(x)
     return lax.convert_element_type(x, x.dtype)
 
 
-def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[Any]]:
+def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[Value]]:
     """A jaxpr in which the tracers that it closes over are arguments, from position `place` on; and these tracers."""
-    traced = [isinstance(x, jax.core.Tracer) for x in closed.consts]
+    traced = [isinstance(x, Tracer) for x in closed.consts]
     tracers = [x for x, t in zip(closed.consts, traced, strict=True) if t]
     if not tracers:
         return closed, []
 
-    def function(*arguments: Any) -> list[Any]:
+    def function(*arguments: Value) -> list[Value]:
         given = iter(arguments[place : place + len(tracers)])
         consts = [next(given) if t else x for x, t in zip(closed.consts, traced, strict=True)]
         return jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))(*arguments[:place], *arguments[place + len(tracers) :])
@@ -173,16 +174,16 @@ def _shapes(*_: ShapedArray, loop: Loop) -> list[ShapedArray]:
 
 
 @march_p.def_impl
-def _evaluate(*arguments: Any, loop: Loop) -> list[Any]:
+def _evaluate(*arguments: Value, loop: Loop) -> list[Value]:
     return _jitted(loop)(*arguments)
 
 
 @functools.lru_cache(64)
-def _jitted(loop: Loop) -> Callable[..., list[Any]]:
+def _jitted(loop: Loop) -> Callable[..., list[Value]]:
     return jax.jit(lambda *arguments: loop.bind(arguments))
 
 
-def by_xla(*arguments: Any, loop: Loop) -> list[Any]:
+def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
     """The loop by XLA: a scan over rows, of a loop over the steps of each."""
     carry, fixed, series = loop.split(arguments)
     step = jaxpr_as_fun(loop.step)
@@ -190,7 +191,7 @@ def by_xla(*arguments: Any, loop: Loop) -> list[Any]:
         axes = [0 if own else None for own in loop.owns]
         step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
 
-    def one(n: Any, carry: list[Any], row: list[Any]) -> tuple[list[Any], list[Any]]:
+    def one(n: Value, carry: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
         found = list(step(n, *carry, *fixed, *row))
         return found[: loop.carried], found[loop.carried :]
 
@@ -200,20 +201,15 @@ def by_xla(*arguments: Any, loop: Loop) -> list[Any]:
         return [*carry, *ys]
     in_rows = jax.tree.map(lambda x: x.reshape(loop.rows, loop.every, *x.shape[1:]), (numbers, series))
 
-    def row(carry: list[Any], given: Tree) -> tuple[list[Any], list[Any]]:
-        order = range(loop.every)
-
-        def next_step(k: Any, both: list[Any]) -> list[Any]:
+    def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
+        def next_step(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
             at = loop.every - 1 - k if loop.reverse else k
             n, x = jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, at, keepdims=False), given)
-            after, ys = one(n, both[: loop.carried], x)
-            return [*after, *ys]
+            return one(n, both[0], x)
 
-        first = jax.tree.map(lambda x: x[0], given)
-        shapes = jax.eval_shape(lambda c: one(*first[:1], c, first[1])[1], carry)
-        zeros = [jnp.zeros(s.shape, s.dtype) for s in shapes]
-        found = lax.fori_loop(0, len(order), next_step, [*carry, *zeros])
-        return found[: loop.carried], found[loop.carried :]
+        first, x = jax.tree.map(lambda x: x[0], given)
+        shapes = jax.eval_shape(lambda c: one(first, c, x)[1], carry)
+        return lax.fori_loop(0, loop.every, next_step, (carry, [jnp.zeros(s.shape, s.dtype) for s in shapes]))
 
     carry, ys = lax.scan(row, carry, in_rows, reverse=loop.reverse)
     return [*carry, *ys]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import logging
 import os
-from typing import Any
 
 import jax
 import numpy as np
@@ -13,7 +12,7 @@ from jax.extend.core import jaxpr_as_fun
 from jax.interpreters import mlir
 
 from lieint_jax.native._handler import handler
-from lieint_jax.native._march import Loop, by_xla, march_p
+from lieint_jax.native._march import Loop, Value, Values, by_xla, march_p
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._traced import Traced, make_once
 
@@ -33,7 +32,7 @@ class Code:
         length: the number of operations of a step.
     """
 
-    def __init__(self, function: _Step, kinds: Any, examples: Any):
+    def __init__(self, function: _Step, kinds: Values, examples: Values):
         from lieint_jax.native import _machine
         from lieint_jax.native._calls import Functions
         from lieint_jax.native._emit import emit
@@ -60,8 +59,10 @@ def _lanes(traced: Traced, single: bool) -> int:
 
     if single:
         return 1
-    widths = [leaf.dtype.itemsize for leaf in traced.leaves if leaf.dtype.kind == "f"]
-    return _machine.register_bytes() // max(widths, default=8) * (2 if traced.program.pressure() <= _FEW else 1)
+    varying = [leaf for leaf in traced.leaves if leaf.varies]
+    widths = [leaf.dtype.itemsize for leaf in varying if leaf.dtype.kind == "f"]
+    pressure = traced.program.pressure() or sum(leaf.size for leaf in varying)  # of loops inside, or of this one
+    return _machine.register_bytes() // max(widths, default=8) * (2 if pressure <= _FEW else 1)
 
 
 class _Step:
@@ -71,7 +72,9 @@ class _Step:
         self.loop, self.single = loop, loop.members in (None, 1)
         self._key = loop.step, loop.carried, loop.reverse, self.single, loop.owns
 
-    def __call__(self, carry: list[Any], fixed: list[Any], n: Any, row: list[Any]) -> tuple[list[Any], list[Any]]:
+    def __call__(
+        self, carry: list[Value], fixed: list[Value], n: Value, row: list[Value]
+    ) -> tuple[list[Value], list[Value]]:
         found = list(jaxpr_as_fun(self.loop.step)(n, *carry, *fixed, *row))
         return found[: self.loop.carried], found[self.loop.carried :]
 
@@ -101,7 +104,7 @@ def code(loop: Loop) -> Code:
     return make_once(Code, _Step(loop), kinds, (carry, fixed, jax.ShapeDtypeStruct((), number.dtype), row))
 
 
-def _compiled(*arguments: Any, loop: Loop) -> list[Any]:
+def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
     """The loop in machine code; by XLA if its step is not a program of numbers, or if the user wants it."""
     if _engine() == "xla" or not loop.steps:
         return by_xla(*arguments, loop=loop)

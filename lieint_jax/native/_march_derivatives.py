@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -19,25 +19,26 @@ from jax.extend.core import ClosedJaxpr, DropVar, JaxprEqn, Var, jaxpr_as_fun, n
 from jax.interpreters import ad, partial_eval
 
 from lieint_jax.native._dependence import varying_in_loop
-from lieint_jax.native._march import Loop, Origin, Values, march_p
+from lieint_jax.native._march import Loop, Origin, Value, Values, march_p
 
 _MOST_STORED = 64  # steps of a loop whose carries are all stored
 Mask = Sequence[bool]
+_Function = Callable[..., list[Value]]
 
 
-def _chosen(items: Sequence[Any], mask: Mask) -> list[Any]:
+def _chosen(items: Values, mask: Mask) -> list[Value]:
     return [x for x, m in zip(items, mask, strict=True) if m]
 
 
-def _is_real(x: Any) -> bool:
+def _is_real(x: Value) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating)
 
 
-def _shape(x: Any) -> jax.ShapeDtypeStruct:
+def _shape(x: Value) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
-def _traced(function: Any, loop: Loop, *arguments: Any) -> ClosedJaxpr:
+def _traced(function: _Function, loop: Loop, *arguments: Value) -> ClosedJaxpr:
     """A step, (number, arguments) ↦ results, of arguments like these."""
     return jax.make_jaxpr(function)(_shape(loop.step.in_avals[0]), *map(_shape, arguments))
 
@@ -51,7 +52,7 @@ def _mask_of_results(loop: Loop, active: Mask) -> list[bool]:
 # Forward mode ---------------------------------------------------------------------------------------------------------
 
 
-def _jvp(primals: Values, tangents: Values, *, loop: Loop) -> tuple[list[Any], list[Any]]:
+def _jvp(primals: Values, tangents: Values, *, loop: Loop) -> tuple[list[Value], list[Value]]:
     given = [type(t) is not ad.Zero and _is_real(x) for x, t in zip(primals, tangents, strict=True)]
     real = _mask_of_results(loop, given)
     active = (*real[: loop.carried], *given[loop.carried :])
@@ -70,7 +71,7 @@ def _jvp(primals: Values, tangents: Values, *, loop: Loop) -> tuple[list[Any], l
 ad.primitive_jvps[march_p] = _jvp
 
 
-def _interleaved(loop: Loop, plain: Sequence[Any], dots: Sequence[Any], active: Mask) -> list[Any]:
+def _interleaved(loop: Loop, plain: Values, dots: Values, active: Mask) -> list[Value]:
     """(carries, their tangents, constants, their tangents, rows, their tangents)."""
     found, left = [], iter(dots)
     for values, mask in zip(loop.split(plain), loop.split(active), strict=True):
@@ -78,7 +79,7 @@ def _interleaved(loop: Loop, plain: Sequence[Any], dots: Sequence[Any], active: 
     return found
 
 
-def _parted(loop: Loop, items: Sequence[Any], active: Mask) -> tuple[list[Any], list[Any]]:
+def _parted(loop: Loop, items: Values, active: Mask) -> tuple[list[Value], list[Value]]:
     """What `_interleaved` put together: the plain items, and those of the tangents."""
     plain, dots, left = [], [], iter(items)
     for mask in loop.split(active):
@@ -106,7 +107,7 @@ def _tangent_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[boo
     loop = Loop(step, carried, fixed, 1, 1, False)
     mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
 
-    def pushed(n: Any, *arguments: Any) -> list[Any]:
+    def pushed(n: Value, *arguments: Value) -> list[Value]:
         plain, dots = _parted(loop, arguments, active)
         out, out_dots = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
         ends, ys = _chosen(out_dots[:carried], mask[:carried]), _chosen(out_dots[carried:], mask[carried:])
@@ -116,10 +117,10 @@ def _tangent_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[boo
     return _traced(pushed, loop, *_interleaved(loop, shapes, _chosen(shapes, active), active))
 
 
-def _of_active(function: Any, n: Any, plain: Sequence[Any], active: Mask) -> Any:
+def _of_active(function: _Function, n: Value, plain: Values, active: Mask) -> _Function:
     """A step as a function of its active arguments."""
 
-    def of_active(*values: Any) -> list[Any]:
+    def of_active(*values: Value) -> list[Value]:
         left = iter(values)
         return list(function(n, *(next(left) if a else x for a, x in zip(active, plain, strict=True))))
 
@@ -129,7 +130,7 @@ def _of_active(function: Any, n: Any, plain: Sequence[Any], active: Mask) -> Any
 # Reverse mode ---------------------------------------------------------------------------------------------------------
 
 
-def _partial_eval(trace: Any, *tracers: Any, loop: Loop) -> list[Any]:
+def _partial_eval(trace: Any, *tracers: Value, loop: Loop) -> list[Value]:
     """A loop with known primals and unknown tangents: the primals now, and equations for the tangents."""
     origin = loop.origin
     if origin is None or origin.linear:
@@ -161,19 +162,19 @@ def _partial_eval(trace: Any, *tracers: Any, loop: Loop) -> list[Any]:
 partial_eval.custom_partial_eval_rules[march_p] = _partial_eval
 
 
-def _no_tangent(x: Any) -> Any:
+def _no_tangent(x: Value) -> Value:
     """A zero tangent."""
     return jnp.zeros(x.shape, x.dtype) if _is_real(x) else jnp.zeros(x.shape, jax.dtypes.float0)
 
 
-def _results_of(loop: Loop, active: Mask, out: Sequence[Any], slopes: Sequence[Any]) -> list[Any]:
+def _results_of(loop: Loop, active: Mask, out: Values, slopes: Values) -> list[Value]:
     """The results of the loop of the step and its tangents: (carries, their tangents, results, their tangents)."""
     mask, n = _mask_of_results(loop, active), loop.carried
     count = sum(mask[:n])
     return [*out[:n], *slopes[:count], *out[n:], *slopes[count:]]
 
 
-def _recorded(loop: Loop, arguments: Values) -> tuple[list[Any], list[Any]]:
+def _recorded(loop: Loop, arguments: Values) -> tuple[list[Value], list[Value]]:
     """The results of a loop, and the carries before all steps."""
     recording = loop._replace(step=_recording(loop.step, loop.carried), rows=loop.steps, every=1, origin=None)
     found = recording.bind(arguments)
@@ -205,7 +206,7 @@ def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
     )
 
 
-def _linear_arguments(loop: Loop, active: Mask, plain: Values, stored: Values, dots: Sequence[Any]) -> list[Any]:
+def _linear_arguments(loop: Loop, active: Mask, plain: Values, stored: Values, dots: Values) -> list[Value]:
     """The arguments of `_linear_loop`: tangents of carries, constants and their tangents, carries, rows, tangents."""
     carries, fixed, _ = loop.split(active)
     _, constants, rows = loop.split(plain)
@@ -219,7 +220,7 @@ def _linear_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool
     mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
     carries, of_fixed, of_rows = loop.split(active)
 
-    def pushed(n: Any, *arguments: Any) -> list[Any]:
+    def pushed(n: Value, *arguments: Value) -> list[Value]:
         left = iter(arguments)
         dots = [next(left) for a in carries if a]
         constants = [next(left) for _ in of_fixed]
@@ -234,7 +235,7 @@ def _linear_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool
     return _traced(pushed, loop, *shapes)
 
 
-def _transpose(bars: Values, *arguments: Any, loop: Loop) -> list[Any]:
+def _transpose(bars: Values, *arguments: Value, loop: Loop) -> list[Value]:
     """The cotangents of the arguments of a linear loop: a loop in the other direction."""
     if loop.origin is None or not loop.origin.linear:
         raise NotImplementedError("the transpose of a loop that is not linear in what it carries")
@@ -272,7 +273,7 @@ def _transpose(bars: Values, *arguments: Any, loop: Loop) -> list[Any]:
 ad.primitive_transposes[march_p] = _transpose
 
 
-def _spread(y_bar: Any, loop: Loop) -> Any:
+def _spread(y_bar: Value, loop: Loop) -> Value:
     """Cotangents of the stored rows, as those of all steps."""
     if loop.every == 1:
         return y_bar
@@ -284,7 +285,7 @@ def _spread(y_bar: Any, loop: Loop) -> Any:
 def _backward_step(
     step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool, ...], seen: tuple[bool, ...]
 ) -> ClosedJaxpr:
-    """(λ, sums, constants, carries before it, its row, cotangents of its results) ↦ (λ, sums, cotangents of its row)."""
+    """(λ, sums, constants, carries before it, row, cotangents of results) ↦ (λ, sums, cotangents of the row)."""
     loop = Loop(step, carried, fixed, 1, 1, False)
     mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
     carries, of_fixed, _ = loop.split(active)
@@ -292,7 +293,7 @@ def _backward_step(
     results = iter(seen)
     wanted = [*mask[:carried], *(r and next(results) for r in mask[carried:])]
 
-    def pulled(number: Any, *arguments: Any) -> list[Any]:
+    def pulled(number: Value, *arguments: Value) -> list[Value]:
         lam, sums, constants = arguments[:n], arguments[n:m], arguments[m : m + fixed]
         values, bars = arguments[m + fixed :][: len(active) - fixed], arguments[m + len(active) :]
         plain = [*values[:carried], *constants, *values[carried:]]
@@ -306,7 +307,9 @@ def _backward_step(
     return _traced(pulled, loop, *_chosen(c, carries), *_chosen(k, of_fixed), *k, *c, *x, *ys)
 
 
-def _partial_eval_of_equation(saveable: Any, unknown: Mask, instantiated: Mask, equation: JaxprEqn) -> tuple[Any, ...]:
+def _partial_eval_of_equation(
+    saveable: object, unknown: Mask, instantiated: Mask, equation: JaxprEqn
+) -> tuple[JaxprEqn | None, JaxprEqn | None, Mask, Mask, list[Var]]:
     """`_partial_eval` for an equation in `jax.checkpoint`, which computes the primals again for the tangents."""
     loop = equation.params["loop"]
     origin, out = loop.origin, equation.outvars
@@ -336,7 +339,7 @@ partial_eval.partial_eval_jaxpr_custom_rules[march_p] = _partial_eval_of_equatio
 # Many steps -----------------------------------------------------------------------------------------------------------
 
 
-def _in_pieces(loop: Loop, *arguments: Any) -> list[Any]:
+def _in_pieces(loop: Loop, *arguments: Value) -> list[Value]:
     """A loop as a scan over pieces; reverse mode stores the carries before each, and computes all else again."""
     length = math.isqrt(loop.steps - 1) + 1
     carry, fixed, series = loop.split(arguments)
@@ -347,7 +350,7 @@ def _in_pieces(loop: Loop, *arguments: Any) -> list[Any]:
     silent = loop._replace(step=_without_results(loop.step, loop.carried), rows=1, every=length)
     whole = loop._replace(rows=1)
 
-    def row(carry: list[Any], given: Any) -> tuple[list[Any], list[Any]]:
+    def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
         found = _pieces_and_rest(whole, silent, (loop.every - 1) // length, carry, given[0], fixed, given[1])
         return found[: loop.carried], [y[0] for y in found[loop.carried :]]
 
@@ -358,8 +361,8 @@ def _in_pieces(loop: Loop, *arguments: Any) -> list[Any]:
 
 
 def _pieces_and_rest(
-    loop: Loop, piece: Loop, count: int, carry: list[Any], first: Any, fixed: list[Any], series: list[Any]
-) -> list[Any]:
+    loop: Loop, piece: Loop, count: int, carry: list[Value], first: Value, fixed: list[Value], series: list[Value]
+) -> list[Value]:
     """A loop whose steps are numbered from `first` on, as `count` pieces and a loop of the rest, which comes last."""
     in_pieces, rest = count * piece.steps, loop.steps - count * piece.steps
     place, place_of_rest = (rest, 0) if loop.reverse else (0, in_pieces)
@@ -367,7 +370,7 @@ def _pieces_and_rest(
     cut = [x[place : place + in_pieces].reshape(count, piece.steps, *x.shape[1:]) for x in series]
 
     @jax.checkpoint
-    def one(carry: list[Any], start: Any, rows: list[Any]) -> tuple[list[Any], list[Any]]:
+    def one(carry: list[Value], start: Value, rows: list[Value]) -> tuple[list[Value], list[Value]]:
         found = _numbered(piece).bind([*carry, start, *fixed, *rows])
         return found[: loop.carried], found[loop.carried :]
 
@@ -395,7 +398,7 @@ def _numbered_step(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
     function = jaxpr_as_fun(step)
     number, *shapes = map(_shape, step.in_avals)
 
-    def numbered(n: Any, *arguments: Any) -> list[Any]:
+    def numbered(n: Value, *arguments: Value) -> list[Value]:
         return function(n + arguments[carried], *arguments[:carried], *arguments[carried + 1 :])
 
     return jax.make_jaxpr(numbered)(number, *shapes[:carried], number, *shapes[carried:])

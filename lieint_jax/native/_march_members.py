@@ -12,12 +12,12 @@ from jax.extend.core import jaxpr_as_fun
 from jax.interpreters import batching
 
 from lieint_jax.native._dependence import varying_in_loop
-from lieint_jax.native._march import Loop, Values, march_p
+from lieint_jax.native._march import Loop, Value, Values, march_p
 
 _SHORT = 12  # the longest axis, such as that of tangent vectors, that may go inside of a step
 _COMMON = 0.3  # the least part of a carry without the axis, such as the point of the tangents, for which it does
 Axis = int | None
-_Batched = tuple[list[Any], list[Axis]]
+_Batched = tuple[list[Value], list[Axis]]
 
 
 def _batch(axis_data: Any, arguments: Values, axes: Sequence[Axis], *, loop: Loop) -> _Batched:
@@ -54,7 +54,7 @@ def _as_members(size: int, arguments: Values, axes: Sequence[Axis], varying: lis
     return results, out_axes
 
 
-def _joined(x: Any, axis: Axis, place: int, size: int, old: int | None, owns: bool) -> Any:
+def _joined(x: Value, axis: Axis, place: int, size: int, old: int | None, owns: bool) -> Value:
     """An array with one axis of members at `place`: the new axis times the old one."""
     if axis is not None:
         x = jnp.moveaxis(x, axis, place)
@@ -84,7 +84,7 @@ def _inside(
     inner_axes = [None, *(0 if h else None for h in has)]
     batched = jax.vmap(jaxpr_as_fun(loop.step), inner_axes, 0, axis_name=axis_data.name, axis_size=size)
 
-    def step(*arguments: Any) -> list[Any]:
+    def step(*arguments: Value) -> list[Value]:
         return [x if v else x[0] for x, v in zip(batched(*arguments), varying, strict=True)]
 
     number, *shapes = loop.step.in_avals
