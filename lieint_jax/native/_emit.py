@@ -1,8 +1,9 @@
 """From a program of numbers to LLVM IR, where every number that depends on the member is a vector of members.
 
-The generated function loops over blocks of members, and in each over rows (the save intervals of a call). Arrays have
-NumPy's layout: (members, …) for data of each member, (rows, …) for data of each row, and (rows, members, …) for the
-results of each row. Lanes of the last block beyond the last member repeat that member.
+The generated function loops over blocks of members, and in each over rows (the save intervals of a call, or the steps
+of a `march`). Arrays have NumPy's layout: (members, …) for data of each member, (rows, …) for data of each row, and
+(rows, members, …) for data of each member and row and for results, of which only each `every`-th row may be stored.
+Lanes of the last block beyond the last member repeat that member.
 
 A product that is used once, in a sum, is fused with it (`llvm.fma`). The compiler may not change any other rounding, so
 results depend neither on the number of lanes nor on LLVM's optimizations.
@@ -10,6 +11,7 @@ results depend neither on the number of lanes nor on LLVM's optimizations.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 from lieint_jax.native._calls import Functions
@@ -25,6 +27,7 @@ def emit(
     lanes: int,
     functions: Functions,
     tape: Tape | None = None,
+    reverse: bool = False,
 ) -> str:
     """The text of a module with the function `run`.
 
@@ -36,12 +39,14 @@ def emit(
         lanes: members in a vector.
         functions: collects the elementary functions that it calls.
         tape: the numbers that it writes for another program, or reads.
+        reverse: whether the last row comes first.
 
-    The function's arguments are the first block and the one after the last, the numbers of members and of rows, and
-    pointers to: the leaves; the carries after the last row, leaf by leaf; the results; the tape, of 8 bytes per number,
-    and two integers, its capacity and how many numbers there were to write. Nothing is written beyond its end.
+    The function's arguments are the first block and the one after the last, the numbers of members and of rows, how
+    many rows each stored one stands for, and pointers to: the leaves that are in memory; the carries after the last
+    row, leaf by leaf; the results; the tape, of 8 bytes per number, and two integers, its capacity and how many numbers
+    there were to write. Nothing is written beyond its end.
     """
-    return _Writer(program, leaves, results, lanes, functions, tape).text()
+    return _Writer(program, leaves, results, lanes, functions, tape, reverse).text()
 
 
 class _Writer(Loops):
@@ -53,15 +58,19 @@ class _Writer(Loops):
         lanes: int,
         functions: Functions,
         tape: Tape | None,
+        reverse: bool,
     ):
         super().__init__(program, lanes, leaves, functions, tape)
-        self.results = results
+        self.results, self.reverse = results, reverse
         self.carried = len(program.outputs) - sum(results)
 
     def text(self) -> str:
-        pointers = self.leaves, _carry_leaves(self.leaves), self.results
-        slots = iter(range(sum(len(x) for x in pointers) + 2))
-        self.inputs, self.carry_outputs, self.row_outputs = ([self.pointer(next(slots)) for _ in x] for x in pointers)
+        slots = itertools.count()
+        self.inputs = ["" if leaf.kind == "counter" else self.pointer(next(slots)) for leaf in self.leaves]
+        self.carry_outputs = [self.pointer(next(slots)) for _ in _carry_leaves(self.leaves)]
+        self.row_outputs = [self.pointer(next(slots)) for _ in self.results]
+        if self.results:
+            self.lines.append("  %stored = sdiv i64 %rows, %every")
         if self.tape is not None:
             self.tape_pointer, counts = self.pointer(next(slots)), self.pointer(next(slots))
             self.front.append("  %cursor = alloca i64")
@@ -83,7 +92,7 @@ class _Writer(Loops):
             self.lines.append("  store i64 0, ptr %cursor")
         self.index = self.member_index()
         for x in used:
-            if self.leaves[x.data[0]].varies:
+            if self.leaves[x.data[0]].kind in ("carry", "member"):
                 self.names[x] = self.gather(self.inputs[x.data[0]], self.leaves[x.data[0]], x.data[1])
         self.rows(used)
         self.begin("block.end")
@@ -93,7 +102,9 @@ class _Writer(Loops):
         if self.tape is not None and self.tape.writes:
             self.lines.append(f"  store i64 {self.add('load i64, ptr %cursor')}, ptr {self.count_pointer}")
         self.lines.append("  ret void")
-        head = "define void @run(i64 %first, i64 %last, i64 %members, i64 %rows, ptr %pointers) #0 {\nentry:"
+        head = (
+            "define void @run(i64 %first, i64 %last, i64 %members, i64 %rows, i64 %every, ptr %pointers) #0 {\nentry:"
+        )
         tail = "}\nattributes #0 = { nounwind }"
         parts = [*self.globals.values(), *self.declared, head, *self.front, *self.lines, tail]
         return "\n".join(parts) + "\n"
@@ -122,19 +133,12 @@ class _Writer(Loops):
         self.lines.append(f"  {more} = icmp slt i64 {row}, %rows")
         self.lines.append(f"  br i1 {more}, label %row.body, label %row.exit")
         self.begin("row.body")
+        at = self.from_the_end("%rows", row) if self.reverse else row
         for x in used:
-            leaf = self.leaves[x.data[0]]
-            if leaf.kind == "row":
-                index = self.add(f"mul i64 {row}, {leaf.size}")
-                index = self.add(f"add i64 {index}, {x.data[1]}")
-                self.names[x] = self.load(self.inputs[x.data[0]], leaf.dtype, index)
+            self.read_row(x, at)
         self.block(self.program.block)
         following = {k: self.value(x, True) for k, x in enumerate(self.program.outputs[: self.carried])}
-        results = iter(self.program.outputs[self.carried :])
-        for size, pointer in zip(self.results, self.row_outputs, strict=True):
-            for entry in range(size):
-                x = next(results)
-                self.scatter(self.value(x, True), x.dtype, self.entry_pointers(pointer, x.dtype, size, entry, row))
+        store = self.store_rows() if self.results else []
         after = self.add(f"add i64 {row}, 1")
         end = self.label
         self.jump(head)
@@ -144,7 +148,7 @@ class _Writer(Loops):
             kind = self.type(self.leaves[leaf].dtype, True)
             start = starts.get(k) or whole[k]
             phis.append(f"  {inside[k]} = phi {kind} [ {start}, %{before} ], [ {following[k]}, %{end} ]")
-        self.lines[place:place] = phis
+        self.lines[place:place] = [*phis, *(line.format(before=before, end=end) for line in store)]
         self.begin("row.exit")
         leaves = _carry_leaves(self.leaves)
         for k, (leaf, entry) in enumerate(entries):
@@ -152,6 +156,43 @@ class _Writer(Loops):
             at = self.entry_pointers(pointer, self.leaves[leaf].dtype, self.leaves[leaf].size, entry)
             self.scatter(inside[k], self.leaves[leaf].dtype, at)
         self.jump("block.end")
+
+    def from_the_end(self, count: str, index: str) -> str:
+        return self.add(f"sub i64 {self.add(f'sub i64 {count}, 1')}, {index}")
+
+    def read_row(self, x: Number, row: str) -> None:
+        """An argument that differs from row to row, if it is one."""
+        leaf, pointer = self.leaves[x.data[0]], self.inputs[x.data[0]]
+        if leaf.kind == "counter":
+            self.names[x] = self.add(f"trunc i64 {row} to i32" if leaf.dtype.itemsize == 4 else f"add i64 {row}, 0")
+        elif leaf.kind == "row":
+            index = self.add(f"add i64 {self.add(f'mul i64 {row}, {leaf.size}')}, {x.data[1]}")
+            self.names[x] = self.load(pointer, leaf.dtype, index)
+        elif leaf.kind == "series":
+            at = self.entry_pointers(pointer, leaf.dtype, leaf.size, x.data[1], row)
+            self.names[x] = self.gather_at(at, leaf.dtype)
+
+    def store_rows(self) -> list[str]:
+        """Store each `every`-th row; returns the phis of its counters, for labels `before` and `end` of the loop."""
+        left, stored = "%left", "%stored.row"
+        due = self.add(f"icmp eq i64 {left}, 1")
+        self.lines.append(f"  br i1 {due}, label %row.store, label %row.after")
+        self.begin("row.store")
+        at = self.from_the_end("%stored", stored) if self.reverse else stored
+        results = iter(self.program.outputs[self.carried :])
+        for size, pointer in zip(self.results, self.row_outputs, strict=True):
+            for entry in range(size):
+                x = next(results)
+                self.scatter(self.value(x, True), x.dtype, self.entry_pointers(pointer, x.dtype, size, entry, at))
+        self.jump("row.after")
+        self.begin("row.after")
+        fewer = self.add(f"sub i64 {left}, 1")
+        fewer = self.add(f"select i1 {due}, i64 %every, i64 {fewer}")
+        more = self.add(f"add i64 {stored}, {self.add(f'zext i1 {due} to i64')}")
+        return [
+            f"  {left} = phi i64 [ %every, %{{before}} ], [ {fewer}, %{{end}} ]",
+            f"  {stored} = phi i64 [ 0, %{{before}} ], [ {more}, %{{end}} ]",
+        ]
 
 
 def _carry_leaves(leaves: Sequence[Leaf]) -> list[int]:

@@ -161,11 +161,11 @@ class Code:
     def _over_blocks(self, members: int, rows: int, pointers: Any, threads: int) -> None:
         blocks = -(-members // self.lanes)
         if threads <= 1 or blocks == 1:
-            self._run(0, blocks, members, rows, pointers)
+            self._run(0, blocks, members, rows, 1, pointers)
             return
         ends = np.linspace(0, blocks, min(blocks, _CHUNKS * threads) + 1).astype(int)
         parts = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
-        for _ in _pool(threads).map(lambda part: self._run(*part, members, rows, pointers), parts):
+        for _ in _pool(threads).map(lambda part: self._run(*part, members, rows, 1, pointers), parts):
             pass
 
 
@@ -192,7 +192,7 @@ class SharedNumbers:
         while True:  # two passes at most: the first call finds out how many there are
             tape = np.empty(max(self.count, self._most))
             counts = np.array([len(tape), 0])
-            self._run(0, 1, 1, rows, _pointers(given + _addresses([tape, counts])))
+            self._run(0, 1, 1, rows, 1, _pointers(given + _addresses([tape, counts])))
             self.count = int(counts[1])
             if self.count <= len(tape):
                 return tape, counts

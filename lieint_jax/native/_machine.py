@@ -8,6 +8,7 @@ import hashlib
 import os
 import threading
 import weakref
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ class MachineFunction:
 
     def __init__(self, engine: Any):
         self._engine = engine
-        self._call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, ctypes.c_void_p)(engine.get_function_address("run"))
+        self._call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5, ctypes.c_void_p)(engine.get_function_address("run"))
 
     def __call__(self, *arguments: Any) -> None:
         self._call(*arguments)
@@ -48,15 +49,36 @@ class MachineFunction:
 
 def compile_modules(*texts: str) -> MachineFunction:
     """The function `run` of the first module, compiled together with the others; empty modules are left out."""
-    text = "\n;\n".join(texts)
-    key = hashlib.sha256(
-        "\n".join([llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), _features(), text]).encode()
-    ).hexdigest()
+    key = _key(texts)
     with _lock:
         found = _functions.get(key)
         if found is None:
             found = _functions[key] = MachineFunction(_engine(key, [x for x in texts if x]))
     return found
+
+
+_handlers: dict[str, Any] = {}  # by their names; XLA holds their addresses, and nothing shows when it is done with one
+
+
+def compile_handler(*texts: str) -> str:
+    """The name by which XLA calls the function `handler` of modules that are compiled together; it is never freed."""
+    import jax
+
+    key = _key(texts)
+    name = f"lieint_{key[:32]}"
+    with _lock:
+        if name not in _handlers:
+            engine = _engine(key, [x for x in texts if x])
+            capsule = jax.ffi.pycapsule(engine.get_function_address("handler"))
+            jax.ffi.register_ffi_target(name, capsule, platform="cpu")
+            _handlers[name] = engine
+        return name
+
+
+def _key(texts: Sequence[str]) -> str:
+    """A hash of modules and of the machine that runs them."""
+    here = [llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), _features()]
+    return hashlib.sha256("\n".join([*here, "\n;\n".join(texts)]).encode()).hexdigest()
 
 
 def _engine(key: str, texts: list[str]) -> Any:
@@ -90,7 +112,7 @@ def _compile(texts: list[str]) -> bytes:
     for other in others:
         module.link_in(other)
     for function in module.functions:
-        if function.name != "run" and not function.is_declaration:
+        if function.name not in ("run", "handler") and not function.is_declaration:
             function.linkage = llvm.Linkage.internal
     module.verify()
     options = llvm.create_pipeline_tuning_options(speed_level=2)

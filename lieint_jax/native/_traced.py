@@ -26,7 +26,8 @@ class Leaf(NamedTuple):
     """An array that a function reads.
 
     Attributes:
-        kind: "carry" (changed from row to row), "member", "shared", "row", or "table" (shared, read by index).
+        kind: "carry" (changed from row to row), "member", "shared", "row", "series" (of each member, another one for
+            each row), "table" (shared, read by index), or "counter" (the number of the row, which is not in memory).
         dtype: its type.
         size: the number of entries that a member, a row, or all share.
     """
@@ -38,7 +39,7 @@ class Leaf(NamedTuple):
     @property
     def varies(self) -> bool:
         """True if each member has its own."""
-        return self.kind in ("carry", "member")
+        return self.kind in ("carry", "member", "series")
 
 
 def leaves_before_rows(leaves: Sequence[Leaf]) -> list[Leaf]:
@@ -52,7 +53,8 @@ class Traced:
     Args:
         function: of trees of arrays.
         kinds: for each argument, or for its parts, what it is: "carry" (changed from row to row, the first result, of
-            the same tree), "member" (each member has its own), "shared", or "row" (shared, another one for each row).
+            the same tree), "member" (each member has its own), "shared", "row" (shared, another one for each row),
+            "series" (each member has its own for each row), or "counter" (the number of the row).
         examples: the arguments of one member and one row, as arrays or shapes.
 
     Attributes:

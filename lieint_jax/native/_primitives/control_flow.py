@@ -66,8 +66,8 @@ def _scan(
     walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
 ) -> list[np.ndarray]:
     length, closed = parameters["length"], parameters["jaxpr"]
-    carried = sum(map(_have_same_rank, out, closed.out_avals))  # rows have an axis more outside of the loop
-    fixed = sum(map(_have_same_rank, inputs, closed.in_avals))
+    carried = sum(map(have_same_rank, out, closed.out_avals))  # rows have an axis more outside of the loop
+    fixed = sum(map(have_same_rank, inputs, closed.in_avals))
     consts, starts, series = _split(inputs, fixed - carried, carried)
     order = range(length)[::-1] if parameters["reverse"] else range(length)
     stacked = len(closed.out_avals) > len(starts)
@@ -97,7 +97,7 @@ def _scan(
     )[1:]
 
 
-def _have_same_rank(x: Any, y: Any) -> bool:
+def have_same_rank(x: Any, y: Any) -> bool:
     return len(x.shape) == len(y.shape)
 
 
@@ -148,7 +148,7 @@ def _size(jaxpr: Any) -> int:
     """About the number of operations of a jaxpr."""
     found = 0
     for equation in jaxpr.eqns:
-        inner = _jaxprs(equation.params)
+        inner = jaxprs_of(equation.params)
         repeats = equation.params.get("length", 1) if equation.primitive.name == "scan" else 1
         found += sum(repeats * _size(getattr(x, "jaxpr", x)) for x in inner)
         if equation.primitive.name not in MOVES and not inner:
@@ -156,7 +156,7 @@ def _size(jaxpr: Any) -> int:
     return found
 
 
-def _jaxprs(parameters: Parameters) -> list[Any]:
+def jaxprs_of(parameters: Parameters) -> list[Any]:
     def is_jaxpr(x: object) -> bool:
         return isinstance(x, ClosedJaxpr | Jaxpr)
 
@@ -166,7 +166,7 @@ def _jaxprs(parameters: Parameters) -> list[Any]:
 def _call(
     walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
 ) -> list[np.ndarray]:
-    [inner] = _jaxprs(parameters)
+    [inner] = jaxprs_of(parameters)
     return walk.jaxpr(inner, inputs)
 
 

@@ -1,0 +1,256 @@
+; The function that XLA calls: a handler of its foreign function interface around the function `run` of a kernel.
+;
+; It reads the pointers of the buffers from XLA's call frame, and shares the blocks of members among the threads of
+; XLA's own pool. The calling thread works too, and waits only for parts that another thread has begun: it cannot hang,
+; whether or not the pool ever starts a task. Whichever thread holds the control block last frees it.
+; The constants @inputs, @outputs, @lanes, @major, @minor, @count_threads and @schedule are defined by `_handler.py`.
+
+%list = type { i64, ptr, i64, ptr, ptr }             ; its size, extensions, length, types, pointers
+%attributes = type { i64, ptr, i64, ptr, ptr, ptr }  ; its size, extensions, length, types, names, pointers
+%frame = type { i64, ptr, ptr, ptr, i32, %list, %list, %attributes, ptr }
+                                                     ; its size, extensions, functions, context, stage, arguments, results
+%buffer = type { i64, ptr, i32, ptr, i64, ptr }      ; its size, extensions, type, data, rank, shape
+%scalar = type { i32, ptr }                          ; its type, value
+%extension = type { i64, i32, ptr, ptr }             ; its size, type (1: metadata), next, metadata
+%metadata = type { i64, { i64, ptr, i32, i32 }, i32, i64 }  ; its size, version, traits, type of the state
+%functions = type { i64, ptr, { i64, ptr, i32, i32 }, ptr } ; its size, extensions, version, internal; then the table
+%count.call = type { i64, ptr, ptr, ptr }            ; its size, extensions, context, result
+%schedule.call = type { i64, ptr, ptr, ptr, ptr }    ; its size, extensions, context, task, data
+
+; The next part, those done, the threads that hold the block, the parts; then the arguments of `run` but the first block.
+%control = type { i64, i64, i64, i64, i64, i64, i64, i64 }
+
+declare ptr @malloc(i64)
+declare void @free(ptr)
+declare i32 @sched_yield()
+declare i64 @llvm.smin.i64(i64, i64)
+declare void @run(i64, i64, i64, i64, i64, ptr)
+
+; The data of a list of buffers, to consecutive pointers.
+define internal void @copy(ptr %list, i64 %count, ptr %to) {
+entry:
+  %buffers.at = getelementptr %list, ptr %list, i64 0, i32 4
+  %buffers = load ptr, ptr %buffers.at
+  br label %head
+head:
+  %k = phi i64 [ 0, %entry ], [ %next, %body ]
+  %more = icmp slt i64 %k, %count
+  br i1 %more, label %body, label %exit
+body:
+  %buffer.at = getelementptr ptr, ptr %buffers, i64 %k
+  %buffer = load ptr, ptr %buffer.at
+  %data.at = getelementptr %buffer, ptr %buffer, i64 0, i32 3
+  %data = load ptr, ptr %data.at
+  %to.at = getelementptr ptr, ptr %to, i64 %k
+  store ptr %data, ptr %to.at
+  %next = add i64 %k, 1
+  br label %head
+exit:
+  ret void
+}
+
+define internal i64 @attribute(ptr %frame, i64 %k) {
+  %all.at = getelementptr %frame, ptr %frame, i64 0, i32 7, i32 5
+  %all = load ptr, ptr %all.at
+  %scalar.at = getelementptr ptr, ptr %all, i64 %k
+  %scalar = load ptr, ptr %scalar.at
+  %value.at = getelementptr %scalar, ptr %scalar, i64 0, i32 1
+  %value = load ptr, ptr %value.at
+  %found = load i64, ptr %value
+  ret i64 %found
+}
+
+; One part of the blocks after another, until none is left.
+define internal void @work(ptr %control) {
+entry:
+  %done = getelementptr %control, ptr %control, i64 0, i32 1
+  %parts.at = getelementptr %control, ptr %control, i64 0, i32 3
+  %parts = load i64, ptr %parts.at
+  %blocks.at = getelementptr %control, ptr %control, i64 0, i32 4
+  %blocks = load i64, ptr %blocks.at
+  %members.at = getelementptr %control, ptr %control, i64 0, i32 5
+  %members = load i64, ptr %members.at
+  %rows.at = getelementptr %control, ptr %control, i64 0, i32 6
+  %rows = load i64, ptr %rows.at
+  %every.at = getelementptr %control, ptr %control, i64 0, i32 7
+  %every = load i64, ptr %every.at
+  %pointers = getelementptr %control, ptr %control, i64 1
+  br label %head
+head:
+  %part = atomicrmw add ptr %control, i64 1 acq_rel
+  %more = icmp slt i64 %part, %parts
+  br i1 %more, label %body, label %exit
+body:
+  %first.of.parts = mul i64 %part, %blocks
+  %first = sdiv i64 %first.of.parts, %parts
+  %next = add i64 %part, 1
+  %last.of.parts = mul i64 %next, %blocks
+  %last = sdiv i64 %last.of.parts, %parts
+  call void @run(i64 %first, i64 %last, i64 %members, i64 %rows, i64 %every, ptr %pointers)
+  %before = atomicrmw add ptr %done, i64 1 acq_rel
+  br label %head
+exit:
+  ret void
+}
+
+define internal void @release(ptr %control) {
+entry:
+  %holders = getelementptr %control, ptr %control, i64 0, i32 2
+  %before = atomicrmw sub ptr %holders, i64 1 acq_rel
+  %last = icmp eq i64 %before, 1
+  br i1 %last, label %end, label %exit
+end:
+  call void @free(ptr %control)
+  br label %exit
+exit:
+  ret void
+}
+
+define internal void @task(ptr %control) {
+  call void @work(ptr %control)
+  call void @release(ptr %control)
+  ret void
+}
+
+; The number of threads of XLA's pool; 1 if there is none.
+define internal i64 @pool(ptr %functions, ptr %context) {
+entry:
+  %count = alloca i64
+  store i64 1, ptr %count
+  %call = alloca %count.call
+  store %count.call { i64 32, ptr null, ptr null, ptr null }, ptr %call
+  %context.at = getelementptr %count.call, ptr %call, i64 0, i32 2
+  store ptr %context, ptr %context.at
+  %count.at = getelementptr %count.call, ptr %call, i64 0, i32 3
+  store ptr %count, ptr %count.at
+  %place = load i64, ptr @count_threads
+  %table = getelementptr %functions, ptr %functions, i64 1
+  %function.at = getelementptr ptr, ptr %table, i64 %place
+  %function = load ptr, ptr %function.at
+  %error = call ptr %function(ptr %call)
+  %known = icmp eq ptr %error, null
+  %threads = load i64, ptr %count
+  %found = select i1 %known, i64 %threads, i64 1
+  ret i64 %found
+}
+
+define ptr @handler(ptr %frame) {
+entry:
+  %extension.at = getelementptr %frame, ptr %frame, i64 0, i32 1
+  %extension = load ptr, ptr %extension.at
+  %none = icmp eq ptr %extension, null
+  br i1 %none, label %execute, label %extended
+extended:
+  %type.at = getelementptr %extension, ptr %extension, i64 0, i32 1
+  %type = load i32, ptr %type.at
+  %asks = icmp eq i32 %type, 1
+  br i1 %asks, label %describe, label %execute
+describe:
+  %metadata.at = getelementptr %extension, ptr %extension, i64 0, i32 3
+  %metadata = load ptr, ptr %metadata.at
+  %major.at = getelementptr %metadata, ptr %metadata, i64 0, i32 1, i32 2
+  %major = load i32, ptr @major
+  store i32 %major, ptr %major.at
+  %minor.at = getelementptr %metadata, ptr %metadata, i64 0, i32 1, i32 3
+  %minor = load i32, ptr @minor
+  store i32 %minor, ptr %minor.at
+  %traits.at = getelementptr %metadata, ptr %metadata, i64 0, i32 2
+  store i32 0, ptr %traits.at
+  %state.at = getelementptr %metadata, ptr %metadata, i64 0, i32 3
+  store i64 0, ptr %state.at
+  ret ptr null
+execute:
+  %every = call i64 @attribute(ptr %frame, i64 0)
+  %members = call i64 @attribute(ptr %frame, i64 1)
+  %rows = call i64 @attribute(ptr %frame, i64 2)
+  %most.threads = call i64 @attribute(ptr %frame, i64 3)
+  %lanes = load i64, ptr @lanes
+  %fewer = sub i64 %lanes, 1
+  %more.members = add i64 %members, %fewer
+  %blocks = sdiv i64 %more.members, %lanes
+  %inputs = load i64, ptr @inputs
+  %outputs = load i64, ptr @outputs
+  %arrays = add i64 %inputs, %outputs
+  %end.of.control = getelementptr %control, ptr null, i64 1
+  %end.of.pointers = getelementptr ptr, ptr %end.of.control, i64 %arrays
+  %size = ptrtoint ptr %end.of.pointers to i64
+  %control = call ptr @malloc(i64 %size)
+  %pointers = getelementptr %control, ptr %control, i64 1
+  %arguments = getelementptr %frame, ptr %frame, i64 0, i32 5
+  call void @copy(ptr %arguments, i64 %inputs, ptr %pointers)
+  %results = getelementptr %frame, ptr %frame, i64 0, i32 6
+  %first.output = getelementptr ptr, ptr %pointers, i64 %inputs
+  call void @copy(ptr %results, i64 %outputs, ptr %first.output)
+  %most = call i64 @llvm.smin.i64(i64 %blocks, i64 %most.threads)
+  %several = icmp sgt i64 %most, 1
+  br i1 %several, label %ask, label %alone
+alone:
+  call void @run(i64 0, i64 %blocks, i64 %members, i64 %rows, i64 %every, ptr %pointers)
+  call void @free(ptr %control)
+  ret ptr null
+ask:
+  %functions.at = getelementptr %frame, ptr %frame, i64 0, i32 2
+  %functions = load ptr, ptr %functions.at
+  %context.at = getelementptr %frame, ptr %frame, i64 0, i32 3
+  %context = load ptr, ptr %context.at
+  %pool = call i64 @pool(ptr %functions, ptr %context)
+  %threads = call i64 @llvm.smin.i64(i64 %pool, i64 %most)
+  %helped = icmp sgt i64 %threads, 1
+  br i1 %helped, label %share, label %alone
+share:
+  %helpers = sub i64 %threads, 1
+  %wanted = mul i64 %threads, 4  ; parts per thread, so that all end at about the same time
+  %parts = call i64 @llvm.smin.i64(i64 %wanted, i64 %blocks)
+  store %control zeroinitializer, ptr %control
+  %holders.at = getelementptr %control, ptr %control, i64 0, i32 2
+  store i64 %threads, ptr %holders.at
+  %parts.at = getelementptr %control, ptr %control, i64 0, i32 3
+  store i64 %parts, ptr %parts.at
+  %blocks.at = getelementptr %control, ptr %control, i64 0, i32 4
+  store i64 %blocks, ptr %blocks.at
+  %members.at = getelementptr %control, ptr %control, i64 0, i32 5
+  store i64 %members, ptr %members.at
+  %rows.at = getelementptr %control, ptr %control, i64 0, i32 6
+  store i64 %rows, ptr %rows.at
+  %every.at = getelementptr %control, ptr %control, i64 0, i32 7
+  store i64 %every, ptr %every.at
+  %call = alloca %schedule.call
+  store %schedule.call { i64 40, ptr null, ptr null, ptr @task, ptr null }, ptr %call
+  %call.context = getelementptr %schedule.call, ptr %call, i64 0, i32 2
+  store ptr %context, ptr %call.context
+  %call.data = getelementptr %schedule.call, ptr %call, i64 0, i32 4
+  store ptr %control, ptr %call.data
+  %place = load i64, ptr @schedule
+  %table = getelementptr %functions, ptr %functions, i64 1
+  %schedule.at = getelementptr ptr, ptr %table, i64 %place
+  %schedule = load ptr, ptr %schedule.at
+  br label %head
+head:
+  %k = phi i64 [ 0, %share ], [ %next, %scheduled ]
+  %left = icmp slt i64 %k, %helpers
+  br i1 %left, label %one, label %own
+one:
+  %error = call ptr %schedule(ptr %call)
+  %begun = icmp eq ptr %error, null
+  br i1 %begun, label %scheduled, label %dropped
+dropped:
+  call void @release(ptr %control)
+  br label %scheduled
+scheduled:
+  %next = add i64 %k, 1
+  br label %head
+own:
+  call void @work(ptr %control)
+  %done.at = getelementptr %control, ptr %control, i64 0, i32 1
+  br label %wait
+wait:
+  %done = load atomic i64, ptr %done.at acquire, align 8
+  %all = icmp sge i64 %done, %parts
+  br i1 %all, label %end, label %yield
+yield:
+  %ignored = call i32 @sched_yield()
+  br label %wait
+end:
+  call void @release(ptr %control)
+  ret ptr null
+}

@@ -1,0 +1,215 @@
+"""`march`: a loop over the steps of a pure function, as one primitive of JAX.
+
+It is `jax.lax.scan`, of whose rows only each `every`-th is stored. Members come from `jax.vmap`: the batching rule
+(`_march_members`) makes them a parameter, and machine code of one member runs over blocks of them (`_march_code`).
+Derivatives are such loops again (`_march_derivatives`).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.core import ShapedArray, Tracer
+from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
+
+Tree = Any  # a tree of arrays
+Value = Any  # an array, a tracer, a shape or a tangent
+Values = Sequence[Value]
+march_p = Primitive("march")
+march_p.multiple_results = True
+
+
+class Origin(NamedTuple):
+    """The loop of which another is the derivative.
+
+    Attributes:
+        loop: the loop.
+        active: for each of its arguments, whether it has a tangent.
+        linear: True if the derivative is taken at stored states, so that it is linear in all that it carries.
+    """
+
+    loop: Loop
+    active: tuple[bool, ...]
+    linear: bool
+
+
+class Loop(NamedTuple):
+    """A loop of `rows` × `every` steps; its arguments are the carries, the constants, and the rows of each step.
+
+    Attributes:
+        step: a step, (n, carries, constants, a row) ↦ (carries, results), with n = 0, 1, …, of one member.
+        carried, fixed: the numbers of carries and of constants.
+        rows: the number of rows of results that are stored.
+        every: the number of steps for each of them.
+        reverse: whether the last step comes first.
+        members: the number of members; None if the arrays have no axis of members.
+        own: for each constant and each array of rows, whether each member has its own.
+        origin: of what loop it is the derivative, if it is one.
+    """
+
+    step: ClosedJaxpr
+    carried: int
+    fixed: int
+    rows: int
+    every: int
+    reverse: bool
+    members: int | None = None
+    own: tuple[bool, ...] = ()
+    origin: Origin | None = None
+
+    @property
+    def steps(self) -> int:
+        """The number of steps."""
+        return self.rows * self.every
+
+    @property
+    def arguments(self) -> list[ShapedArray]:
+        """The shapes of carries, constants and a row of one member."""
+        return list(self.step.in_avals[1:])
+
+    @property
+    def results(self) -> list[ShapedArray]:
+        """The shapes of the carries and the results of a step of one member."""
+        return list(self.step.out_avals)
+
+    @property
+    def owns(self) -> tuple[bool, ...]:
+        """For each argument, whether each member has its own."""
+        own = self.own or (False,) * (len(self.arguments) - self.carried)
+        return (self.members is not None,) * self.carried + own
+
+    def split(self, items: Values) -> tuple[list[Value], list[Value], list[Value]]:
+        """What belongs to the carries, to the constants and to the rows."""
+        ends = self.carried, self.carried + self.fixed
+        return list(items[: ends[0]]), list(items[ends[0] : ends[1]]), list(items[ends[1] :])
+
+    def is_series(self, k: int) -> bool:
+        """Whether argument k has an axis of steps."""
+        return k >= self.carried + self.fixed
+
+    def bind(self, arguments: Values) -> list[Value]:
+        """The carries after the last step, and the stored rows of results, of axes (rows, members, …)."""
+        return march_p.bind(*arguments, loop=self)
+
+
+def march(
+    step: Callable[[Value, Tree, Tree], tuple[Tree, Tree]],
+    carry: Tree,
+    xs: Tree = None,
+    *,
+    rows: int,
+    every: int = 1,
+    reverse: bool = False,
+) -> tuple[Tree, Tree]:
+    """The carry after rows × every steps, carry, y = step(n, carry, x), and the last y of each row.
+
+    Args:
+        step: a pure function. Traced arrays that it closes over become arguments of the loop.
+        carry, xs: trees of arrays; those of xs have a leading axis of steps.
+        rows, every, reverse: see `Loop`.
+    """
+    carry, xs = jax.tree.map(_strong, (carry, xs))
+    row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
+    number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
+    closed, (_, out) = jax.make_jaxpr(lambda n, c, x: _checked(step(n, c, x), c), return_shape=True)(number, carry, row)
+    starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)
+    closed, closed_over = _with_arguments(closed, 1 + len(starts))
+    loop = Loop(closed, len(starts), len(closed_over), rows, every, reverse)
+    arguments = [*starts, *closed_over, *jax.tree.leaves(xs)]
+    found = by_xla(*arguments, loop=loop) if has_effects else loop.bind(arguments)  # such as jax.debug.print
+    ends = jax.tree.unflatten(jax.tree.structure(carry), found[: len(starts)])
+    return ends, jax.tree.unflatten(jax.tree.structure(out), found[len(starts) :])
+
+
+def _checked(result: Tree, carry: Tree) -> tuple[Tree, Tree]:
+    """(carry, y), if the carry has the structure, shapes and types of the one before."""
+    try:
+        after, y = result
+    except (TypeError, ValueError):
+        raise ValueError(f"a step must return (carry, y), got {type(result).__name__}") from None
+    given, found = jax.tree.structure(carry), jax.tree.structure(after)
+    if given != found:
+        raise ValueError(f"a step must return a carry of the structure that it was given, {given}, got {found}")
+    after = jax.tree.map(jnp.asarray, after)
+    for (path, x), z in zip(jax.tree_util.tree_leaves_with_path(carry), jax.tree.leaves(after), strict=True):
+        if x.shape != z.shape or x.dtype != z.dtype:
+            name = f"carry{jax.tree_util.keystr(path)}"
+            raise ValueError(f"{name} was {x.dtype} of shape {x.shape}; a step returned {z.dtype} of shape {z.shape}")
+    return after, y
+
+
+def _strong(x: Value) -> Value:
+    """An array that does not take the type of another."""
+    x = jnp.asarray(x)
+    return lax.convert_element_type(x, x.dtype)
+
+
+def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[Value]]:
+    """A jaxpr in which the tracers that it closes over are arguments, from position `place` on; and these tracers."""
+    traced = [isinstance(x, Tracer) for x in closed.consts]
+    tracers = [x for x, t in zip(closed.consts, traced, strict=True) if t]
+    if not tracers:
+        return closed, []
+
+    def function(*arguments: Value) -> list[Value]:
+        given = iter(arguments[place : place + len(tracers)])
+        consts = [next(given) if t else x for x, t in zip(closed.consts, traced, strict=True)]
+        return jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))(*arguments[:place], *arguments[place + len(tracers) :])
+
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in closed.in_avals]
+    of_tracers = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in tracers]
+    return jax.make_jaxpr(function)(*shapes[:place], *of_tracers, *shapes[place:]), tracers
+
+
+@march_p.def_abstract_eval
+def _shapes(*_: ShapedArray, loop: Loop) -> list[ShapedArray]:
+    lead = () if loop.members is None else (loop.members,)
+    rows = [()] * loop.carried + [(loop.rows,)] * (len(loop.results) - loop.carried)
+    return [ShapedArray((*r, *lead, *x.shape), x.dtype) for r, x in zip(rows, loop.results, strict=True)]
+
+
+@march_p.def_impl
+def _evaluate(*arguments: Value, loop: Loop) -> list[Value]:
+    return _jitted(loop)(*arguments)
+
+
+@functools.lru_cache(64)
+def _jitted(loop: Loop) -> Callable[..., list[Value]]:
+    return jax.jit(lambda *arguments: loop.bind(arguments))
+
+
+def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
+    """The loop by XLA: a scan over rows, of a loop over the steps of each."""
+    carry, fixed, series = loop.split(arguments)
+    step = jaxpr_as_fun(loop.step)
+    if loop.members is not None:
+        axes = [0 if own else None for own in loop.owns]
+        step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
+
+    def one(n: Value, carry: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
+        found = list(step(n, *carry, *fixed, *row))
+        return found[: loop.carried], found[loop.carried :]
+
+    numbers = jnp.arange(loop.steps, dtype=loop.step.in_avals[0].dtype)
+    if loop.every == 1:
+        carry, ys = lax.scan(lambda c, x: one(x[0], c, x[1]), carry, (numbers, series), reverse=loop.reverse)
+        return [*carry, *ys]
+    in_rows = jax.tree.map(lambda x: x.reshape(loop.rows, loop.every, *x.shape[1:]), (numbers, series))
+
+    def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
+        def next_step(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
+            at = loop.every - 1 - k if loop.reverse else k
+            n, x = jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, at, keepdims=False), given)
+            return one(n, both[0], x)
+
+        first, x = jax.tree.map(lambda x: x[0], given)
+        shapes = jax.eval_shape(lambda c: one(first, c, x)[1], carry)
+        return lax.fori_loop(0, loop.every, next_step, (carry, [jnp.zeros(s.shape, s.dtype) for s in shapes]))
+
+    carry, ys = lax.scan(row, carry, in_rows, reverse=loop.reverse)
+    return [*carry, *ys]

@@ -1,0 +1,137 @@
+"""`march` compiled: machine code that XLA calls on a CPU, or XLA's own loop."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+
+import jax
+import numpy as np
+from jax.extend.core import jaxpr_as_fun
+from jax.interpreters import mlir
+
+from lieint_jax.native._handler import handler
+from lieint_jax.native._march import Loop, Value, Values, by_xla, march_p
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
+from lieint_jax.native._traced import Traced, make_once
+
+_log = logging.getLogger(__name__)
+_FEW = 26  # the most numbers in an innermost loop for which two vectors of each are faster than one
+_SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
+_ALL = 2**30  # threads: as many as XLA's pool has
+ENGINES = ("native", "xla")
+chosen_engine = jax.make_user_context(None)  # one of them, or None; JAX traces again where it differs
+
+
+class Code:
+    """The step of a loop as machine code that XLA calls by a name.
+
+    Attributes:
+        name: of the call.
+        length: the number of operations of a step.
+    """
+
+    def __init__(self, function: _Step, kinds: Values, examples: Values):
+        from lieint_jax.native import _machine
+        from lieint_jax.native._calls import Functions
+        from lieint_jax.native._emit import emit
+
+        loop = function.loop
+        traced = Traced(function, kinds, examples)
+        if traced.outside:
+            names = ", ".join(sorted({x.equation.primitive.name for x in traced.outside}))
+            raise UnsupportedError(f"{names} has no formula in machine code")
+        with unsupported_if_it_fails():
+            results = jax.tree.leaves(traced.results)
+            sizes = [int(np.prod(x.shape)) for x in results[loop.carried :]]
+            lanes, functions = _lanes(traced, function.single), Functions()
+            text = emit(traced.program, traced.leaves, sizes, lanes, functions, reverse=loop.reverse)
+            arrays = sum(leaf.kind != "counter" for leaf in traced.leaves)
+            around = handler(arrays, len(results), lanes)
+            self.length = traced.length
+            self.name = _machine.compile_handler(text, functions.text(), around)
+
+
+def _lanes(traced: Traced, single: bool) -> int:
+    """Members in a vector."""
+    from lieint_jax.native import _machine
+
+    if single:
+        return 1
+    varying = [leaf for leaf in traced.leaves if leaf.varies]
+    widths = [leaf.dtype.itemsize for leaf in varying if leaf.dtype.kind == "f"]
+    pressure = traced.program.pressure() or sum(leaf.size for leaf in varying)  # of loops inside, or of this one
+    return _machine.register_bytes() // max(widths, default=8) * (2 if pressure <= _FEW else 1)
+
+
+class _Step:
+    """A step of a loop as a function (carries, constants, number of the step, row) ↦ (carries, results)."""
+
+    def __init__(self, loop: Loop):
+        self.loop, self.single = loop, loop.members in (None, 1)
+        self._key = loop.step, loop.carried, loop.reverse, self.single, loop.owns
+
+    def __call__(
+        self, carry: list[Value], fixed: list[Value], n: Value, row: list[Value]
+    ) -> tuple[list[Value], list[Value]]:
+        found = list(jaxpr_as_fun(self.loop.step)(n, *carry, *fixed, *row))
+        return found[: self.loop.carried], found[self.loop.carried :]
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Step) and self._key == other._key
+
+
+def code(loop: Loop) -> Code:
+    """The machine code of a loop, made once.
+
+    Raises:
+        ImportError: llvmlite is missing.
+        UnsupportedError: its step is not a program of numbers.
+    """
+    carry, fixed, row = loop.split([jax.ShapeDtypeStruct(x.shape, x.dtype) for x in loop.arguments])
+    _, of_fixed, of_rows = loop.split(loop.owns)
+    kinds = (
+        ["carry"] * loop.carried,
+        ["member" if own else "shared" for own in of_fixed],
+        "counter",
+        ["series" if own else "row" for own in of_rows],
+    )
+    number = loop.step.in_avals[0]
+    return make_once(Code, _Step(loop), kinds, (carry, fixed, jax.ShapeDtypeStruct((), number.dtype), row))
+
+
+def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
+    """The loop in machine code; by XLA if its step is not a program of numbers, or if the user wants it."""
+    if _engine() == "xla" or not loop.steps:
+        return by_xla(*arguments, loop=loop)
+    try:
+        found = code(loop)
+    except (ImportError, UnsupportedError) as reason:
+        _say_once(str(reason))
+        return by_xla(*arguments, loop=loop)
+    shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
+    members = loop.members or 1
+    threads = 1 if members * loop.steps * found.length <= _SHORT else _ALL
+    call = jax.ffi.ffi_call(found.name, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shapes])
+    sizes = {"every": loop.every, "members": members, "rows": loop.steps, "threads": threads}
+    return list(call(*arguments, **{name: np.int64(x) for name, x in sizes.items()}))
+
+
+def _engine() -> str:
+    found = chosen_engine.value or os.environ.get("LIEINT_ENGINE", ENGINES[0])
+    if found not in ENGINES:
+        raise ValueError(f"LIEINT_ENGINE must be one of {', '.join(ENGINES)}, got {found!r}")
+    return found
+
+
+@functools.cache
+def _say_once(reason: str) -> None:
+    _log.warning("XLA runs a loop, which is slower than machine code: %s", reason)
+
+
+mlir.register_lowering(march_p, mlir.lower_fun(_compiled, multiple_results=True), platform="cpu")
+mlir.register_lowering(march_p, mlir.lower_fun(by_xla, multiple_results=True))

@@ -1,0 +1,410 @@
+"""Derivatives of `march`, which are such loops again.
+
+Forward mode is a loop of the step and its tangents. Reverse mode stores the carries before all steps, if these are few;
+then the tangents are a loop that is linear in what it carries, and whose transpose runs backward through the stored
+carries. Of many steps it stores the carries before pieces of about √steps, and computes each piece again.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.extend.core import ClosedJaxpr, DropVar, JaxprEqn, Var, jaxpr_as_fun, new_jaxpr_eqn, set_current_trace
+from jax.interpreters import ad, partial_eval
+
+from lieint_jax.native._dependence import varying_in_loop
+from lieint_jax.native._march import Loop, Origin, Value, Values, march_p
+
+_MOST_STORED = 64  # steps of a loop whose carries are all stored
+Mask = Sequence[bool]
+_Function = Callable[..., list[Value]]
+
+
+def _chosen(items: Values, mask: Mask) -> list[Value]:
+    return [x for x, m in zip(items, mask, strict=True) if m]
+
+
+def _is_real(x: Value) -> bool:
+    return jnp.issubdtype(x.dtype, jnp.floating)
+
+
+def _shape(x: Value) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)
+
+
+def _traced(function: _Function, loop: Loop, *arguments: Value) -> ClosedJaxpr:
+    """A step, (number, arguments) ↦ results, of arguments like these."""
+    return jax.make_jaxpr(function)(_shape(loop.step.in_avals[0]), *map(_shape, arguments))
+
+
+def _mask_of_results(loop: Loop, active: Mask) -> list[bool]:
+    """Which results have tangents, if those arguments have them."""
+    varying = varying_in_loop(loop.step, [False, *active], 1, loop.carried)
+    return [v and _is_real(x) for v, x in zip(varying, loop.results, strict=True)]
+
+
+# Forward mode ---------------------------------------------------------------------------------------------------------
+
+
+def _jvp(primals: Values, tangents: Values, *, loop: Loop) -> tuple[list[Value], list[Value]]:
+    given = [type(t) is not ad.Zero and _is_real(x) for x, t in zip(primals, tangents, strict=True)]
+    real = _mask_of_results(loop, given)
+    active = (*real[: loop.carried], *given[loop.carried :])
+    dots = [ad.instantiate_zeros(t) for t, a in zip(tangents, active, strict=True) if a]
+    found = iter(_tangent_loop(loop, active).bind(_interleaved(loop, primals, dots, active)))
+    carry_mask, result_mask = real[: loop.carried], real[loop.carried :]
+    ends = [next(found) for _ in carry_mask]
+    end_dots = [next(found) if m else None for m in carry_mask]
+    ys = [next(found) for _ in result_mask]
+    y_dots = [next(found) if m else None for m in result_mask]
+    out, out_dots = [*ends, *ys], [*end_dots, *y_dots]
+    zeros = [ad.Zero(jax.typeof(x).to_tangent_aval()) for x in out]
+    return out, [z if d is None else d for d, z in zip(out_dots, zeros, strict=True)]
+
+
+ad.primitive_jvps[march_p] = _jvp
+
+
+def _interleaved(loop: Loop, plain: Values, dots: Values, active: Mask) -> list[Value]:
+    """(carries, their tangents, constants, their tangents, rows, their tangents)."""
+    found, left = [], iter(dots)
+    for values, mask in zip(loop.split(plain), loop.split(active), strict=True):
+        found += [*values, *(next(left) for m in mask if m)]
+    return found
+
+
+def _parted(loop: Loop, items: Values, active: Mask) -> tuple[list[Value], list[Value]]:
+    """What `_interleaved` put together: the plain items, and those of the tangents."""
+    plain, dots, left = [], [], iter(items)
+    for mask in loop.split(active):
+        plain += [next(left) for _ in mask]
+        dots += [next(left) for m in mask if m]
+    return plain, dots
+
+
+def _tangent_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
+    """The loop of the step and its tangents."""
+    carries, fixed, _ = loop.split(active)
+    owns = _interleaved(loop, loop.owns, _chosen(loop.owns, active), active)
+    carried = loop.carried + sum(carries)
+    return loop._replace(
+        step=_tangent_step(loop.step, loop.carried, loop.fixed, active),
+        carried=carried,
+        fixed=loop.fixed + sum(fixed),
+        own=tuple(owns[carried:]) if loop.members is not None else (),
+        origin=Origin(loop, active, False),
+    )
+
+
+@functools.lru_cache(256)
+def _tangent_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool, ...]) -> ClosedJaxpr:
+    loop = Loop(step, carried, fixed, 1, 1, False)
+    mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
+
+    def pushed(n: Value, *arguments: Value) -> list[Value]:
+        plain, dots = _parted(loop, arguments, active)
+        out, out_dots = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
+        ends, ys = _chosen(out_dots[:carried], mask[:carried]), _chosen(out_dots[carried:], mask[carried:])
+        return [*out[:carried], *ends, *out[carried:], *ys]
+
+    shapes = loop.arguments
+    return _traced(pushed, loop, *_interleaved(loop, shapes, _chosen(shapes, active), active))
+
+
+def _of_active(function: _Function, n: Value, plain: Values, active: Mask) -> _Function:
+    """A step as a function of its active arguments."""
+
+    def of_active(*values: Value) -> list[Value]:
+        left = iter(values)
+        return list(function(n, *(next(left) if a else x for a, x in zip(active, plain, strict=True))))
+
+    return of_active
+
+
+# Reverse mode ---------------------------------------------------------------------------------------------------------
+
+
+def _partial_eval(trace: Any, *tracers: Value, loop: Loop) -> list[Value]:
+    """A loop with known primals and unknown tangents: the primals now, and equations for the tangents."""
+    origin = loop.origin
+    if origin is None or origin.linear:
+        return trace.default_process_primitive(march_p, tracers, {"loop": loop})
+    base, active = origin.loop, origin.active
+    plain, dots = _parted(base, tracers, active)
+    if not all(x.is_known() for x in plain) or all(x.is_known() for x in dots):
+        return trace.default_process_primitive(march_p, tracers, {"loop": loop})
+    known = [x.pval.get_known() for x in plain]
+    dots = [trace.instantiate_const(x) for x in dots]
+    if base.steps > _MOST_STORED:
+        with set_current_trace(trace):
+            unknown = iter(dots)
+            given = [next(unknown) if a else _no_tangent(x) for x, a in zip(known, active, strict=True)]
+            out, out_dots = jax.jvp(functools.partial(_in_pieces, base), tuple(known), tuple(given))
+        mask = _mask_of_results(base, active)
+        out, slopes = [trace.to_jaxpr_tracer(x) for x in out], _chosen(out_dots, mask)
+        slopes = [trace.to_jaxpr_tracer(x) for x in slopes]
+    else:
+        out, stored = _recorded(base, known)
+        linear = _linear_loop(base, active)
+        given = _linear_arguments(base, active, known, stored, dots)
+        given = [x if isinstance(x, type(dots[0])) else trace.new_instantiated_const(x) for x in given]
+        slopes = trace.default_process_primitive(march_p, given, {"loop": linear})
+        out = [trace.new_const(x) for x in out]
+    return _results_of(base, active, out, slopes)
+
+
+partial_eval.custom_partial_eval_rules[march_p] = _partial_eval
+
+
+def _no_tangent(x: Value) -> Value:
+    """A zero tangent."""
+    return jnp.zeros(x.shape, x.dtype) if _is_real(x) else jnp.zeros(x.shape, jax.dtypes.float0)
+
+
+def _results_of(loop: Loop, active: Mask, out: Values, slopes: Values) -> list[Value]:
+    """The results of the loop of the step and its tangents: (carries, their tangents, results, their tangents)."""
+    mask, n = _mask_of_results(loop, active), loop.carried
+    count = sum(mask[:n])
+    return [*out[:n], *slopes[:count], *out[n:], *slopes[count:]]
+
+
+def _recorded(loop: Loop, arguments: Values) -> tuple[list[Value], list[Value]]:
+    """The results of a loop, and the carries before all steps."""
+    recording = loop._replace(step=_recording(loop.step, loop.carried), rows=loop.steps, every=1, origin=None)
+    found = recording.bind(arguments)
+    count = len(loop.results)
+    ys = found[loop.carried : count]
+    last = slice(0 if loop.reverse else loop.every - 1, None, loop.every)
+    return [*found[: loop.carried], *(y[last] for y in ys)], found[count:]
+
+
+@functools.lru_cache(256)
+def _recording(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
+    """The step with the carries before it among its results."""
+    function = jaxpr_as_fun(step)
+    return jax.make_jaxpr(lambda n, *x: [*function(n, *x), *x[:carried]])(*map(_shape, step.in_avals))
+
+
+def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
+    """The tangents of a loop, at stored carries, which are rows."""
+    carries, fixed, rows = loop.split(active)
+    _, own_fixed, own_rows = loop.split(loop.owns)
+    stored = [loop.members is not None] * loop.carried
+    own = [*own_fixed, *_chosen(own_fixed, fixed), *stored, *own_rows, *_chosen(own_rows, rows)]
+    return loop._replace(
+        step=_linear_step(loop.step, loop.carried, loop.fixed, active),
+        carried=sum(carries),
+        fixed=loop.fixed + sum(fixed),
+        own=tuple(own) if loop.members is not None else (),
+        origin=Origin(loop, active, True),
+    )
+
+
+def _linear_arguments(loop: Loop, active: Mask, plain: Values, stored: Values, dots: Values) -> list[Value]:
+    """The arguments of `_linear_loop`: tangents of carries, constants and their tangents, carries, rows, tangents."""
+    carries, fixed, _ = loop.split(active)
+    _, constants, rows = loop.split(plain)
+    n, m = sum(carries), sum(carries) + sum(fixed)
+    return [*dots[:n], *constants, *dots[n:m], *stored, *rows, *dots[m:]]
+
+
+@functools.lru_cache(256)
+def _linear_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool, ...]) -> ClosedJaxpr:
+    loop = Loop(step, carried, fixed, 1, 1, False)
+    mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
+    carries, of_fixed, of_rows = loop.split(active)
+
+    def pushed(n: Value, *arguments: Value) -> list[Value]:
+        left = iter(arguments)
+        dots = [next(left) for a in carries if a]
+        constants = [next(left) for _ in of_fixed]
+        dots += [next(left) for a in of_fixed if a]
+        plain = [*(next(left) for _ in carries), *constants, *(next(left) for _ in of_rows)]
+        dots += list(left)
+        _, slopes = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
+        return _chosen(slopes, mask)
+
+    c, k, x = loop.split(loop.arguments)
+    shapes = [*_chosen(c, carries), *k, *_chosen(k, of_fixed), *c, *x, *_chosen(x, of_rows)]
+    return _traced(pushed, loop, *shapes)
+
+
+def _transpose(bars: Values, *arguments: Value, loop: Loop) -> list[Value]:
+    """The cotangents of the arguments of a linear loop: a loop in the other direction."""
+    if loop.origin is None or not loop.origin.linear:
+        raise NotImplementedError("the transpose of a loop that is not linear in what it carries")
+    base, active = loop.origin.loop, loop.origin.active
+    carries, fixed, rows = base.split(active)
+    _, own_fixed, own_rows = base.split(base.owns)
+    n, m = sum(carries), len(arguments) - sum(rows)
+    constants = arguments[n : n + base.fixed]
+    values = arguments[n + base.fixed + sum(fixed) : m]  # carries and rows
+    lam, y_bars = [ad.instantiate_zeros(x) for x in bars[:n]], bars[n:]
+    seen = tuple(type(x) is not ad.Zero for x in y_bars)
+    y_bars = [_spread(x, loop) for x, s in zip(y_bars, seen, strict=True) if s]
+    lead = () if loop.members is None else (loop.members,)
+    sums = [jnp.zeros((*lead, *x.shape), x.dtype) for x in _chosen(base.split(base.arguments)[1], fixed)]
+    stored = [loop.members is not None] * base.carried
+    own = (*own_fixed, *stored, *own_rows, *[loop.members is not None] * len(y_bars))
+    back = Loop(
+        _backward_step(base.step, base.carried, base.fixed, active, seen),
+        len(lam) + len(sums),
+        base.fixed,
+        loop.steps,
+        1,
+        not loop.reverse,
+        loop.members,
+        own if loop.members is not None else (),
+    )
+    found = back.bind([*lam, *sums, *constants, *values, *y_bars])
+    lam, sums, x_bars = found[:n], found[n : n + len(sums)], found[n + len(sums) :]
+    if loop.members is not None:
+        sums = [x if own else x.sum(0) for x, own in zip(sums, _chosen(own_fixed, fixed), strict=True)]
+        x_bars = [x if own else x.sum(1) for x, own in zip(x_bars, _chosen(own_rows, rows), strict=True)]
+    return [*lam, *[None] * base.fixed, *sums, *[None] * len(values), *x_bars]
+
+
+ad.primitive_transposes[march_p] = _transpose
+
+
+def _spread(y_bar: Value, loop: Loop) -> Value:
+    """Cotangents of the stored rows, as those of all steps."""
+    if loop.every == 1:
+        return y_bar
+    zeros = jnp.zeros((loop.rows, loop.every, *y_bar.shape[1:]), y_bar.dtype)
+    return zeros.at[:, 0 if loop.reverse else -1].set(y_bar).reshape(loop.steps, *y_bar.shape[1:])
+
+
+@functools.lru_cache(256)
+def _backward_step(
+    step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool, ...], seen: tuple[bool, ...]
+) -> ClosedJaxpr:
+    """(λ, sums, constants, carries before it, row, cotangents of results) ↦ (λ, sums, cotangents of the row)."""
+    loop = Loop(step, carried, fixed, 1, 1, False)
+    mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
+    carries, of_fixed, _ = loop.split(active)
+    n, m = sum(carries), sum(carries) + sum(of_fixed)
+    results = iter(seen)
+    wanted = [*mask[:carried], *(r and next(results) for r in mask[carried:])]
+
+    def pulled(number: Value, *arguments: Value) -> list[Value]:
+        lam, sums, constants = arguments[:n], arguments[n:m], arguments[m : m + fixed]
+        values, bars = arguments[m + fixed :][: len(active) - fixed], arguments[m + len(active) :]
+        plain = [*values[:carried], *constants, *values[carried:]]
+        of_active = _of_active(function, number, plain, active)
+        _, pull = jax.vjp(lambda *x: _chosen(of_active(*x), wanted), *_chosen(plain, active))
+        found = pull([*lam, *bars])
+        return [*found[:n], *(a + b for a, b in zip(sums, found[n:m], strict=True)), *found[m:]]
+
+    c, k, x = loop.split(loop.arguments)
+    ys = _chosen(loop.results[carried:], wanted[carried:])
+    return _traced(pulled, loop, *_chosen(c, carries), *_chosen(k, of_fixed), *k, *c, *x, *ys)
+
+
+def _partial_eval_of_equation(
+    saveable: object, unknown: Mask, instantiated: Mask, equation: JaxprEqn
+) -> tuple[JaxprEqn | None, JaxprEqn | None, Mask, Mask, list[Var]]:
+    """`_partial_eval` for an equation in `jax.checkpoint`, which computes the primals again for the tangents."""
+    loop = equation.params["loop"]
+    origin, out = loop.origin, equation.outvars
+    more = [x for x, i in zip(equation.invars, instantiated, strict=True) if not i and isinstance(x, Var)]
+    if origin is None or origin.linear or any(_parted(origin.loop, unknown, origin.active)[0]):
+        return None, equation, [True] * len(out), [True] * len(out), more
+    base, active = origin.loop, origin.active
+    mask, n = _mask_of_results(base, active), base.carried
+    count = sum(mask[:n])
+    dots = [*[False] * n, *[True] * count, *[False] * (len(mask) - n), *[True] * sum(mask[n:])]
+    primals = [x for x, d in zip(out, dots, strict=True) if not d]
+    known = new_jaxpr_eqn(
+        _parted(base, equation.invars, active)[0],
+        primals,
+        march_p,
+        {"loop": base},
+        equation.effects,
+        equation.source_info,
+    )
+    staged = equation.replace(outvars=[x if d else DropVar(x.aval) for x, d in zip(out, dots, strict=True)])
+    return known, staged, dots, dots, more
+
+
+partial_eval.partial_eval_jaxpr_custom_rules[march_p] = _partial_eval_of_equation
+
+
+# Many steps -----------------------------------------------------------------------------------------------------------
+
+
+def _in_pieces(loop: Loop, *arguments: Value) -> list[Value]:
+    """A loop as a scan over pieces; reverse mode stores the carries before each, and computes all else again."""
+    length = math.isqrt(loop.steps - 1) + 1
+    carry, fixed, series = loop.split(arguments)
+    first = jnp.zeros((), loop.step.in_avals[0].dtype)
+    if loop.every <= length:
+        rows = length // loop.every
+        return _pieces_and_rest(loop, loop._replace(rows=rows), loop.rows // rows, carry, first, fixed, series)
+    silent = loop._replace(step=_without_results(loop.step, loop.carried), rows=1, every=length)
+    whole = loop._replace(rows=1)
+
+    def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
+        found = _pieces_and_rest(whole, silent, (loop.every - 1) // length, carry, given[0], fixed, given[1])
+        return found[: loop.carried], [y[0] for y in found[loop.carried :]]
+
+    starts = loop.every * jnp.arange(loop.rows, dtype=first.dtype)
+    in_rows = [x.reshape(loop.rows, loop.every, *x.shape[1:]) for x in series]
+    carry, ys = lax.scan(row, carry, (starts, in_rows), reverse=loop.reverse)
+    return [*carry, *ys]
+
+
+def _pieces_and_rest(
+    loop: Loop, piece: Loop, count: int, carry: list[Value], first: Value, fixed: list[Value], series: list[Value]
+) -> list[Value]:
+    """A loop whose steps are numbered from `first` on, as `count` pieces and a loop of the rest, which comes last."""
+    in_pieces, rest = count * piece.steps, loop.steps - count * piece.steps
+    place, place_of_rest = (rest, 0) if loop.reverse else (0, in_pieces)
+    starts = first + place + piece.steps * jnp.arange(count, dtype=first.dtype)
+    cut = [x[place : place + in_pieces].reshape(count, piece.steps, *x.shape[1:]) for x in series]
+
+    @jax.checkpoint
+    def one(carry: list[Value], start: Value, rows: list[Value]) -> tuple[list[Value], list[Value]]:
+        found = _numbered(piece).bind([*carry, start, *fixed, *rows])
+        return found[: loop.carried], found[loop.carried :]
+
+    carry, ys = lax.scan(lambda c, x: one(c, *x), carry, (starts, cut), reverse=loop.reverse)
+    ys = [y.reshape(-1, *y.shape[2:]) for y in ys]
+    if not rest:
+        return [*carry, *ys]
+    tail = loop._replace(rows=1, every=rest) if loop.rows == 1 else loop._replace(rows=rest // loop.every)
+    rows = [x[place_of_rest : place_of_rest + rest] for x in series]
+    found = _numbered(tail).bind([*carry, first + place_of_rest, *fixed, *rows])
+    more = found[loop.carried :]
+    if ys:
+        more = [jnp.concatenate((b, a) if loop.reverse else (a, b)) for a, b in zip(ys, more, strict=True)]
+    return [*found[: loop.carried], *more]
+
+
+def _numbered(loop: Loop) -> Loop:
+    """A loop with the number of its first step as its first constant."""
+    own = (False, *loop.own) if loop.members is not None else ()
+    return loop._replace(step=_numbered_step(loop.step, loop.carried), fixed=loop.fixed + 1, own=own, origin=None)
+
+
+@functools.lru_cache(256)
+def _numbered_step(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
+    function = jaxpr_as_fun(step)
+    number, *shapes = map(_shape, step.in_avals)
+
+    def numbered(n: Value, *arguments: Value) -> list[Value]:
+        return function(n + arguments[carried], *arguments[:carried], *arguments[carried + 1 :])
+
+    return jax.make_jaxpr(numbered)(number, *shapes[:carried], number, *shapes[carried:])
+
+
+@functools.lru_cache(256)
+def _without_results(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
+    function = jaxpr_as_fun(step)
+    return jax.make_jaxpr(lambda *x: function(*x)[:carried])(*map(_shape, step.in_avals))

@@ -1,0 +1,94 @@
+"""`march` under `jax.vmap`: the axis becomes one of members, or one of the arrays inside of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import jaxpr_as_fun
+from jax.interpreters import batching
+
+from lieint_jax.native._dependence import varying_in_loop
+from lieint_jax.native._march import Loop, Value, Values, march_p
+
+_SHORT = 12  # the longest axis, such as that of tangent vectors, that may go inside of a step
+_COMMON = 0.3  # the least part of a carry without the axis, such as the point of the tangents, for which it does
+Axis = int | None
+_Batched = tuple[list[Value], list[Axis]]
+
+
+def _batch(axis_data: Any, arguments: Values, axes: Sequence[Axis], *, loop: Loop) -> _Batched:
+    """The results of a loop, and their axes, if some of its arguments have another axis."""
+    has = [axis is not None for axis in axes]
+    varying = varying_in_loop(loop.step, [False, *has], 1, loop.carried)
+    has[: loop.carried] = varying[: loop.carried]
+    size = [int(np.prod(x.shape)) * jnp.issubdtype(x.dtype, jnp.floating) for x in loop.arguments[: loop.carried]]
+    common = sum(n for n, v in zip(size, varying, strict=False) if not v)
+    if axis_data.size <= _SHORT and common > _COMMON * sum(size):
+        return _inside(axis_data, arguments, axes, has, varying, loop)
+    return _as_members(axis_data.size, arguments, axes, varying, loop)
+
+
+batching.fancy_primitive_batchers[march_p] = _batch
+
+
+def _as_members(size: int, arguments: Values, axes: Sequence[Axis], varying: list[bool], loop: Loop) -> _Batched:
+    """The axis, times the one of members, if there is one, is that of members."""
+    old = loop.members
+    given, own = [], []
+    for k, (x, axis, owns) in enumerate(zip(arguments, axes, loop.owns, strict=True)):
+        place = int(loop.is_series(k))
+        own.append(axis is not None or owns or k < loop.carried)
+        given.append(_joined(x, axis, place, size, old, owns) if own[-1] else x)
+    more = loop._replace(members=size * (old or 1), own=tuple(own[loop.carried :]))
+    found = more.bind(given)
+    results, out_axes = [], []
+    for k, (x, varies) in enumerate(zip(found, varying, strict=True)):
+        place = int(k >= loop.carried)
+        x = x if old is None else x.reshape(*x.shape[:place], size, old, *x.shape[place + 1 :])
+        results.append(x if varies else jnp.take(x, 0, place))
+        out_axes.append(place if varies else None)
+    return results, out_axes
+
+
+def _joined(x: Value, axis: Axis, place: int, size: int, old: int | None, owns: bool) -> Value:
+    """An array with one axis of members at `place`: the new axis times the old one."""
+    if axis is not None:
+        x = jnp.moveaxis(x, axis, place)
+    else:
+        x = jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
+    if old is None:
+        return x
+    if not owns:
+        wide = (*x.shape[: place + 1], old, *x.shape[place + 1 :])
+        x = jnp.broadcast_to(jnp.expand_dims(x, place + 1), wide)
+    return x.reshape(*x.shape[:place], size * old, *x.shape[place + 2 :])
+
+
+def _inside(
+    axis_data: Any, arguments: Values, axes: Sequence[Axis], has: list[bool], varying: list[bool], loop: Loop
+) -> _Batched:
+    """The axis is the first one of each array inside of a step; what has none is computed once."""
+    size, old = axis_data.size, int(loop.members is not None)
+    given = []
+    for k, (x, axis, h, owns) in enumerate(zip(arguments, axes, has, loop.owns, strict=True)):
+        place = int(loop.is_series(k)) + owns
+        if axis is not None:
+            x = jnp.moveaxis(x, axis, place)
+        elif h:
+            x = jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
+        given.append(x)
+    inner_axes = [None, *(0 if h else None for h in has)]
+    batched = jax.vmap(jaxpr_as_fun(loop.step), inner_axes, 0, axis_name=axis_data.name, axis_size=size)
+
+    def step(*arguments: Value) -> list[Value]:
+        return [x if v else x[0] for x, v in zip(batched(*arguments), varying, strict=True)]
+
+    number, *shapes = loop.step.in_avals
+    wide = [jax.ShapeDtypeStruct((size, *x.shape) if h else x.shape, x.dtype) for x, h in zip(shapes, has, strict=True)]
+    made = jax.make_jaxpr(step)(jax.ShapeDtypeStruct((), number.dtype), *wide)
+    found = loop._replace(step=made, origin=None).bind(given)
+    return found, [old + (k >= loop.carried) if v else None for k, v in enumerate(varying)]

@@ -1,0 +1,319 @@
+"""`li.scan` against `jax.lax.scan`: values, members, derivatives, engines."""
+
+import logging
+import threading
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+pytest.importorskip("llvmlite")
+
+import lieint_jax as li
+from lieint_jax.native import _march_code
+
+CASES = [(6, 1, False), (12, 3, True), (10, 2, False), (90, 1, False), (91, 1, True), (130, 13, False)]
+CASES += [(200, 100, True), (97, 97, False), (202, 2, False)]  # from 65 steps on reverse mode computes pieces again
+
+
+@pytest.fixture(autouse=True)
+def _each_test_hears_of_a_fallback():
+    _march_code._say_once.cache_clear()
+
+
+def by_lax(f, init, xs, every, reverse):
+    carry, ys = lax.scan(f, init, xs, reverse=reverse)
+    return carry, jax.tree.map(lambda y: y[(0 if reverse else every - 1) :: every], ys)
+
+
+def by_li(f, init, xs, every, reverse):
+    return li.scan(f, init, xs, every=every, reverse=reverse)
+
+
+def problem(scan, every, reverse):
+    """A pendulum with a parameter that is closed over, rows of a force, a sum and a counter."""
+
+    def run(start, r, xs):
+        def step(carry, x):
+            z, w, n = carry
+            z = jnp.stack([z[0] + 0.1 * z[1] * r, z[1] - 0.1 * jnp.sin(z[0]) + 0.01 * x * jnp.cos(0.1 * n)])
+            return (z, w + z[0] * r, n + 1), {"y": z * x, "n": n}
+
+        (z, w, _), ys = scan(step, (*start, jnp.array(0)), xs, every, reverse)
+        return z, w, ys["y"], ys["n"]
+
+    return run
+
+
+def real(run):
+    return lambda *x: run(*x)[:3]
+
+
+def loss(run):
+    def value(*x):
+        z, w, y, _ = run(*x)
+        return jnp.sum(z**2) + w * jnp.sum(jnp.sin(y)) + 0.01 * jnp.sum(y * jnp.arange(y.size).reshape(y.shape))
+
+    return value
+
+
+def arguments(length):
+    xs = np.random.default_rng(length).normal(size=length)
+    return (jnp.array([0.3, 0.2]), jnp.array(0.1)), jnp.array(0.9), jnp.array(xs)
+
+
+def near(found, expected, tolerance=1e-13):
+    """Observed: 5e-15 of the largest number."""
+    for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert x.shape == y.shape
+        assert x.dtype == y.dtype
+        if np.size(y):
+            np.testing.assert_allclose(x, y, rtol=0, atol=tolerance * (1 + np.abs(y).max()))
+
+
+GRADIENT = dict(argnums=(0, 1, 2))
+BATCHES = {"all": (0, 0, 0), "start": (0, None, None), "constant": (None, 0, None), "rows": (None, None, 0)}
+FIRST = {
+    "value": lambda run: run,
+    "jvp": lambda run: lambda *x: jax.jvp(real(run), x, x),
+    "grad": lambda run: jax.grad(loss(run), **GRADIENT),
+    "jacfwd": lambda run: jax.jacfwd(real(run), **GRADIENT),
+    "jacrev": lambda run: jax.jacrev(real(run), **GRADIENT),
+    "linearize": lambda run: lambda *x: jax.linearize(real(run), *x)[1](*x),
+    "checkpoint": lambda run: jax.grad(jax.checkpoint(loss(run)), **GRADIENT),
+}
+SECOND = {
+    "grad of grad": lambda run: jax.grad(lambda *x: jnp.sum(jax.grad(loss(run))(*x)[0] ** 2), **GRADIENT),
+    "jvp of grad": lambda run: lambda *x: jax.jvp(jax.grad(loss(run), **GRADIENT), x, x),
+    "grad of jvp": lambda run: jax.grad(lambda *x: jnp.sum(jax.jvp(real(run), x, x)[1][0] ** 2), **GRADIENT),
+    "vmap of hessian": lambda run: jax.vmap(jax.hessian(loss(run), argnums=1)),
+}
+
+
+@pytest.mark.parametrize("name", [*FIRST, *SECOND])
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=[pytest.mark.long] * (k not in (1, 4))) for k, c in enumerate(CASES)]
+)
+def test_values_and_derivatives_are_those_of_lax_scan(case, name, caplog):
+    length, every, reverse = case
+    transform, x = (FIRST | SECOND)[name], arguments(length)
+    if name == "vmap of hessian":
+        x = jax.tree.map(lambda x: jnp.stack([x, 0.9 * x]), x)
+    ours, theirs = (jax.jit(transform(problem(scan, every, reverse))) for scan in (by_li, by_lax))
+    near(ours(*x), theirs(*x))
+    assert not caplog.records  # no loop fell back to XLA
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FIRST)
+@pytest.mark.parametrize("batch", BATCHES)
+@pytest.mark.parametrize("case", [CASES[1], CASES[4]])
+def test_members_are_those_of_lax_scan(case, batch, name, caplog):
+    """One axis of members, two of them, and one at the end of the results."""
+    length, every, reverse = case
+    axes = BATCHES[batch]
+    first = [jax.tree.map(lambda x: jnp.stack([x, 0.9 * x, 1.1 * x]), x) for x in arguments(length)]
+    x = [x if axis == 0 else jax.tree.map(lambda x: x[0], x) for x, axis in zip(first, axes, strict=True)]
+
+    def mapped(scan):
+        return jax.vmap(FIRST[name](problem(scan, every, reverse)), axes, axis_size=3)
+
+    near(jax.jit(mapped(by_li))(*x), jax.jit(mapped(by_lax))(*x))
+    twice = [jax.tree.map(lambda x: jnp.stack([x, 0.8 * x]), x[0]), *x[1:]]
+    nested = [jax.jit(jax.vmap(mapped(scan), (0, None, None), out_axes=-1)) for scan in (by_li, by_lax)]
+    near(nested[0](*twice), nested[1](*twice))
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("name", ["jvp", "grad", "jacrev"])
+def test_members_of_derivatives(name, caplog):
+    x = [jax.tree.map(lambda x: jnp.stack([x, 0.9 * x, 1.1 * x]), x) for x in arguments(12)]
+    x[1] = x[1][0]
+    ours, theirs = (jax.jit(jax.vmap(FIRST[name](problem(scan, 3, True)), (0, None, 0))) for scan in (by_li, by_lax))
+    near(ours(*x), theirs(*x))
+    assert not caplog.records
+
+
+def around(scan, kind):
+    """A loss with a scan inside of control flow, of 3 rounds."""
+    run = problem(scan, 3, False)
+
+    def value(start, r, xs):
+        def once(state):
+            z, w, _, _ = run(state, r, xs)
+            return 0.9 * z, 0.1 * w
+
+        if kind == "scan":
+            end = lax.scan(lambda c, _: (once(c), None), start, length=3)[0]
+        elif kind == "cond":
+            end = lax.cond(r > 0.5, once, lambda c: c, start)
+        elif kind == "map":
+            end = jax.tree.map(jnp.sum, lax.map(lambda k: once(jax.tree.map(lambda x: x * k, start)), jnp.arange(3.0)))
+        else:
+            end = once(once(once(start)))
+        return jnp.sum(end[0] ** 2) + jnp.sum(end[1])
+
+    return value
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["scan", "cond", "map", "calls"])
+def test_inside_of_control_flow(kind):
+    x = arguments(12)
+    ours, theirs = (jax.jit(jax.value_and_grad(around(scan, kind), argnums=(0, 1, 2))) for scan in (by_li, by_lax))
+    near(ours(*x), theirs(*x))
+
+
+def test_a_while_loop_around_it():
+    def halve(x):
+        return li.scan(lambda c, _: (c / 2, None), x, length=2)[0]
+
+    assert jax.jit(lambda x: lax.while_loop(lambda x: x > 1, halve, x))(100.0) == 100 / 4**4
+
+
+def test_types_tables_and_what_is_closed_over():
+    """float32, integers, booleans, a table of 300 entries, an array of each member in a closure, in one loop."""
+    table = jnp.sin(jnp.arange(300.0))
+
+    def run(scan, x, k):
+        def step(carry, row):
+            a, b, n, flag = carry
+            a = a * jnp.float32(0.9) + row[0] * k
+            return (a, b + table[n], (n + 7) % 300, jnp.logical_xor(flag, a > 0.2)), (a, n, flag)
+
+        rows = (jnp.linspace(0, 1, 40, dtype=jnp.float32), jnp.arange(40))
+        return scan(step, (x, jnp.zeros(3), jnp.array(5), jnp.array(True)), rows)
+
+    x, k = (jnp.linspace(-1, 1, 21, dtype=jnp.float32) * s for s in (1, 3))
+    found, expected = (jax.jit(jax.vmap(lambda x, k, s=s: run(s, x, k)))(x, k) for s in (li.scan, lax.scan))
+    near(found, expected, 1e-6)  # observed: 6e-8
+    by_k = [jax.grad(lambda k, s=s: run(s, x[0], k)[0][0])(k[3]) for s in (li.scan, lax.scan)]
+    near(*by_k, 1e-6)
+
+
+def test_without_x64_numbers_have_32_bits():
+    with jax.enable_x64(False):
+        end, path = li.scan(lambda c, x: (c * 0.5 + x, c), 1.0, jnp.ones(4))
+    assert end.dtype == path.dtype == np.float32
+    assert end == 1.9375
+
+
+def test_members_with_nan_and_long_loops_beside_others():
+    """Newton's iterations for a square root: a member that never converges neither delays nor changes the others."""
+
+    def newton(a, _):
+        a, x = a
+        x = lax.while_loop(lambda x: (jnp.abs(x * x - a) > 1e-14 * a) & (x > 0), lambda x: (x + a / x) / 2, a)
+        return (a, x), None
+
+    values = jnp.array([2.0, np.nan, 3.0, -1.0, 5.0])
+    found = jax.jit(jax.vmap(lambda a: li.scan(newton, (a, a), length=2)[0][1]))(values)
+    np.testing.assert_allclose(found[::2], np.sqrt(values[::2]), rtol=1e-14)
+    assert np.isnan(found[1])
+
+
+def chaotic(x):
+    return li.scan(lambda c, _: (3.9 * c * (1 - c), c), x, length=300, every=100)
+
+
+def test_bits_depend_on_no_threads_and_no_other_members(monkeypatch):
+    x = jnp.linspace(0.1, 0.9, 1000)
+    run = jax.jit(jax.vmap(chaotic))
+    expected = jax.tree.map(np.asarray, run(x))
+    for start, end in ((0, 1), (3, 10), (500, 1000)):
+        near(run(x[start:end]), jax.tree.map(lambda y, s=start, e=end: y[s:e], expected), 0)
+    near(jax.jit(chaotic)(x[7]), jax.tree.map(lambda y: y[7], expected), 0)
+    monkeypatch.setattr(_march_code, "_SHORT", 0)
+    several = jax.jit(jax.vmap(lambda x: chaotic(x)))
+    found = []
+    threads = [threading.Thread(target=lambda: found.append(several(x))) for _ in range(8)]
+    for each in (*(t.start for t in threads), *(t.join for t in threads)):
+        each()
+    for each in found:
+        near(each, expected, 0)
+    assert len(found) == 8
+
+
+def calls(run, *x):
+    return "lieint_" in jax.jit(run).lower(*x).as_text()
+
+
+def test_the_engine_is_the_users_choice(monkeypatch):
+    """Call, switch, call: JAX compiles again."""
+    run, x = jax.jit(lambda x: jax.vmap(chaotic)(x)), jnp.linspace(0.1, 0.9, 7)
+    assert "lieint_" in run.lower(x).as_text()
+    first = run(x)
+    with li.engine("xla"):
+        assert "lieint_" not in run.lower(x).as_text()
+        near(run(x), first, 1e-1)  # chaos
+        assert not calls(chaotic, 0.3)
+    assert calls(chaotic, 0.3)
+    monkeypatch.setenv("LIEINT_ENGINE", "xla")
+    assert not calls(lambda x: chaotic(x), 0.3)
+    with li.engine("native"):
+        assert calls(lambda x: chaotic(x), 0.3)
+    monkeypatch.setenv("LIEINT_ENGINE", "fast")
+    with pytest.raises(ValueError, match="LIEINT_ENGINE must be one of native, xla, got 'fast'"):
+        jax.jit(lambda x: chaotic(x))(0.3)
+    with pytest.raises(ValueError, match="engine must be one of native, xla, got 'gpu'"):
+        li.engine("gpu")
+
+
+def test_other_platforms_run_the_loop_by_xla():
+    lowered = jax.jit(chaotic).trace(0.3).lower(lowering_platforms=("cuda",))
+    assert "lieint_" not in lowered.as_text()
+    with li.engine("xla"):
+        exported = jax.export.export(jax.jit(jax.grad(lambda x: chaotic(x)[0])))(0.3)
+    assert exported.call(0.3) == pytest.approx(float(jax.grad(lambda x: chaotic(x)[0])(0.3)), rel=1e-9)
+
+
+def test_operations_without_a_formula_run_by_xla_and_the_log_says_so_once(caplog):
+    def step(c, _):
+        return jnp.sort(c)[::-1] * jnp.array([0.5, 1.0, 1.5]), None
+
+    x = jnp.array([3.0, 1.0, 2.0])
+    with caplog.at_level(logging.WARNING):
+        found = [li.scan(step, x * k, length=4)[0] for k in (1.0, 2.0)]
+    near(found[0], lax.scan(step, x, length=4)[0])
+    assert [r.message for r in caplog.records] == [
+        "XLA runs a loop, which is slower than machine code: sort has no formula in machine code"
+    ]
+
+
+def test_keys_and_prints_go_through_xla(capfd):
+    def step(key, _):
+        jax.debug.print("drawn")
+        key, own = jax.random.split(key)
+        return key, jax.random.normal(own)
+
+    found, expected = (scan(step, jax.random.key(0), length=3)[1] for scan in (li.scan, lax.scan))
+    jax.effects_barrier()
+    near(found, expected)
+    assert capfd.readouterr().out.count("drawn") == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((lambda c, x: (c, x), 0.0, None), r"one number of steps.*got length=None and xs of shapes \[\]"),
+        (
+            (lambda c, x: (c, x), 0.0, (np.ones(3), np.ones(4))),
+            r"one number of steps.* xs of shapes \[\(3,\), \(4,\)\]",
+        ),
+        ((lambda c, x: (c, x), 0.0, 1.0), r"one number of steps.* xs of shapes \[\(\)\]"),
+        ((lambda c, x: (c, x), 0.0, np.ones(3), 4), r"one number of steps.*got length=4"),
+        ((lambda c, x: c, 0.0, np.ones(3)), r"a step must return \(carry, y\), got .*Tracer"),
+        ((lambda c, x: ((c, c), x), 0.0, np.ones(3)), "a carry of the structure that it was given"),
+        (
+            (lambda c, x: ([c[0] * x], x), [np.ones(2, "f4")], np.ones(3)),
+            r"carry\[0\] was float32 .*; a step returned float64",
+        ),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        li.scan(*arguments)
+    with pytest.raises(ValueError, match="every must divide the number of steps, 10, got 3"):
+        li.scan(lambda c, x: (c, x), 0.0, length=10, every=3)
