@@ -15,12 +15,13 @@ import jax
 import numpy as np
 import pytest
 import scenario_files
+from internals import write_root
 
 import lieint_jax as li
 from lieint_jax import _checks
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
-from lieint_jax.ensemble import _integrity, archives
+from lieint_jax.ensemble import archives
 from lieint_jax.types import State, StepInfo, Trajectory
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -175,8 +176,7 @@ def test_info_of_a_store_prints_no_control_characters(capsys):
             table[keys[-1] if keys else "more"] = put
             if keys == ("run", "compiler_options"):
                 table["engine"] = "xla"
-            root["attributes"]["checksum"] = _integrity.checksum(root)
-            file.write_text(json.dumps(root))
+            write_root(file, root)
             shown(capsys, "info", "odd.zarr")
             shutil.rmtree("odd.zarr")
 

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import grid
@@ -11,13 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from internals import ENGINES, by_engine, engine_on, limit_flat_engine
 from jax import lax
 from small_steps import Oscillators
 
 import lieint_jax as li
 from lieint_jax import ensemble
-from lieint_jax.ensemble import _engine, _run
-from lieint_jax.ensemble._engine import FlatEngine, NativeEngine, XlaEngine
 from lieint_jax.native import Flattened, Kernel, UnsupportedError
 from lieint_jax.types import Step, StepInfo, pytree
 
@@ -124,8 +122,8 @@ def states_of(system, t=None):
 def by_engines(monkeypatch, *arguments, **options):
     """The results of the flat engine, of machine code and of XLA's plain loop."""
     found = []
-    for engine in (FlatEngine, NativeEngine, XlaEngine):
-        monkeypatch.setattr(_run, "engine_of", lambda job, mesh, engine=engine: engine(job))
+    for engine in ("flat", "native", "xla"):
+        by_engine(monkeypatch, engine)
         found.append(ensemble.run(*arguments, progress=False, **options))
     return found
 
@@ -238,24 +236,20 @@ def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypa
         assert (runs[0].failed < 0).any()
 
 
-def on(platform):
-    return SimpleNamespace(devices=np.array([SimpleNamespace(platform=platform)]))
-
-
 def test_an_accelerator_uses_arrays_for_short_steps_and_the_plain_loop_for_others(monkeypatch):
     jobs = []
-    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: jobs.append(job) or XlaEngine(job))
+    by_engine(monkeypatch, "xla", jobs)
     states = li.State(jnp.tile(jnp.eye(3), (2, 1, 1)), jnp.zeros((2, 3, 3)))
     ensemble.run(Leaps(Oscillators(jnp.asarray(1.3))), states, 0.05, 4, progress=False)
     [job] = jobs
-    assert type(_engine.engine_of(job, on("gpu"))) is FlatEngine
-    assert type(_engine.engine_of(job, on("cpu"))) is NativeEngine
-    for limit in ("_WIDEST", "_MOST_CARRIED"):
+    assert engine_on("gpu", job) == "flat"
+    assert engine_on("cpu", job) == "native"
+    for what in ("registers", "carried"):
         with monkeypatch.context() as patch:
-            patch.setattr(_engine, limit, 5)
+            limit_flat_engine(patch, what, 5)
             with pytest.raises(UnsupportedError, match=r"more than 5"):
-                FlatEngine(job)
-            assert type(_engine.engine_of(job, on("gpu"))) is XlaEngine
+                ENGINES["flat"](job)
+            assert engine_on("gpu", job) == "xla"
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,11 @@ import pytest
 
 pytest.importorskip("llvmlite")
 
+from internals import by_engine
 from random_checks import check
 from random_functions import random_scalar
 
 import lieint_jax as li
-from lieint_jax.ensemble import _run
-from lieint_jax.ensemble._engine import NativeEngine, XlaEngine
 
 J = np.array([1.0, 2.0, 2.5])
 
@@ -34,8 +33,8 @@ def test_many_random_functions_are_those_of_xla(start):
 def by_engines(monkeypatch, *arguments, **options):
     """The results of machine code and of XLA."""
     found = []
-    for engine in (NativeEngine, XlaEngine):
-        monkeypatch.setattr(_run, "engine_of", lambda job, mesh, engine=engine: engine(job))
+    for engine in ("native", "xla"):
+        by_engine(monkeypatch, engine)
         found.append(li.ensemble.run(*arguments, progress=False, **options))
     return found
 

@@ -8,12 +8,17 @@ from lieint_jax import _discover
 from lieint_jax.schemes._shared import accepts
 
 
+def examples_of(module):
+    """The examples of a module of systems, such as "heavy_top", by their names: (system, state, dt)."""
+    return _discover.modules_with_examples(li.systems)[module].examples()
+
+
 @functools.cache
 def systems():
     """(id, (system, state, dt)) of every example of a system."""
     found = []
-    for module_name, module in _discover.modules_with_examples(li.systems).items():
-        found += [(f"{module_name}.{name}", example) for name, example in module.examples().items()]
+    for module in _discover.modules_with_examples(li.systems):
+        found += [(f"{module}.{name}", example) for name, example in examples_of(module).items()]
     return found
 
 

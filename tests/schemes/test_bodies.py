@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from grid import examples_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 from two_bodies import reference
@@ -16,10 +17,9 @@ from lieint_jax import diagnostics, potentials, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.schemes._bodies_energy_momentum import _Ends, _Equation
 from lieint_jax.schemes._kepler_splitting import kepler_flow
-from lieint_jax.systems._rigid_bodies import examples
 from lieint_jax.types import AbstractRigidBodies
 
-EXAMPLES = {name: case for name, case in examples().items() if isinstance(case[0], AbstractRigidBodies)}
+EXAMPLES = {k: x for k, x in examples_of("rigid_bodies").items() if isinstance(x[0], AbstractRigidBodies)}
 BINARY, START, DT = EXAMPLES["binary"]
 SPLITTING = schemes.splitting(BINARY)
 KEEPING = schemes.bodies_energy_momentum(BINARY)
