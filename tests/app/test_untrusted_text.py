@@ -18,7 +18,6 @@ import scenario_files
 from internals import write_root
 
 import lieint_jax as li
-from lieint_jax import _checks
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
 from lieint_jax.ensemble import archives
@@ -58,14 +57,6 @@ def shown(capsys, *arguments):
     assert "lieint: all is well" not in out.splitlines()
     assert max(map(len, out.splitlines())) < 4200, arguments
     return code, out
-
-
-def test_a_printable_value_is_escaped_and_cut():
-    assert _checks.printable("κ = 1\u202f°\x1b\u202e\n\ud800") == "κ = 1\u202f°\\x1b\\u202e\\n\\ud800"
-    assert _checks.printable("x" * 201) == "x" * 200 + "…"
-    assert _checks.printable([1.0, "\x1b"]) == "[1.0, '\\x1b']"
-    assert len(_checks.printable([0] * 3_000_000)) == 201
-    assert _checks.printable(1 << 10**5) == "a value of too many digits"
 
 
 def test_a_report_of_a_scenario_prints_no_control_characters(capsys):

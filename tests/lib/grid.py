@@ -1,11 +1,11 @@
 """The grid of systems and schemes, found by looking into the packages: no list to edit."""
 
 import functools
-from unittest import mock
+
+from internals import motions_as_declared
 
 import lieint_jax as li
 from lieint_jax import _discover
-from lieint_jax.schemes._shared import accepts
 
 
 def examples_of(module):
@@ -37,7 +37,7 @@ def cases():
 
     Every worker collects them, so here no motion is compared: that compiles two vector fields a pair.
     """
-    with mock.patch.object(accepts, "_difference", return_value=(0.0, 0.0)):
+    with motions_as_declared():
         return [
             (module, f"{name}-{step_name}", step, step.start(state), dt)
             for name, (system, state, dt) in systems()

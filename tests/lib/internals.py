@@ -5,10 +5,12 @@ Each change is made by pytest's `monkeypatch`, which undoes it.
 
 import json
 from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 
 from lieint_jax import _checks
+from lieint_jax._xla import compiled
 from lieint_jax.ensemble import (
     _engine,
     _execute,
@@ -23,6 +25,7 @@ from lieint_jax.ensemble import (
     _store,
     _store_output,
 )
+from lieint_jax.schemes._shared import accepts
 
 ENGINES = {"flat": _engine.FlatEngine, "native": _engine.NativeEngine, "xla": _engine.XlaEngine}
 _COMPARE = _engine.NativeEngine._compare_first_step
@@ -75,6 +78,24 @@ def members_of_parts(members, count, most=8192):
     """The members of each of `count` parts of a run, and of how many a chunk is, at most `most`."""
     split = _parts.Split.into_parts(members, count, most)
     return [split.part(k) for k in range(count)], split.chunk
+
+
+def motions_as_declared():
+    """A context in which schemes take each system's motion for the one that it declares, without a comparison."""
+    return mock.patch.object(accepts, "_difference", return_value=(0.0, 0.0))
+
+
+def compare_all_motions(monkeypatch):
+    """Let schemes compare the motion of the package's own systems too; returns the list of the comparisons."""
+    compared, difference = [], accepts._difference
+    monkeypatch.setattr(accepts, "_is_tested", lambda _: False)
+    monkeypatch.setattr(accepts, "_difference", lambda *x: (compared.append(x), difference(*x))[1])
+    return compared
+
+
+def compiled_once(function):
+    """A function compiled quickly, for calls that are shorter than their compilation; few programs are kept."""
+    return compiled(function, once=True)
 
 
 def memory_of(monkeypatch, size):

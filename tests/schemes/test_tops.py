@@ -12,11 +12,11 @@ from grid import examples_of
 
 import lieint_jax as li
 from lieint_jax import diagnostics
+from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.diagnostics.tangent import distance as _distance
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes import compose, exact, splitting, top_energy_momentum
-from lieint_jax.schemes._top_energy_momentum import discrete_gradient
 from lieint_jax.systems import LinearPotential, QuadraticPotential, clebsch_integral, kovalevskaya_integral
 from lieint_jax.types import State, gradient
 
@@ -301,7 +301,7 @@ def test_linearized_steps_of_tops_agree_with_differences():
 def _discrete_gradients(potential, a, b):
     """D̄(a, b) and D̄(b, a), by quadrature; Ṽ at a and b; and the gradient in the middle."""
     plain = lambda G: potential(G)  # noqa: E731  # which has no discrete gradient of its own
-    both = discrete_gradient(plain, a, b), discrete_gradient(plain, b, a)
+    both = discrete_gradient(plain, a, b, 1e-4), discrete_gradient(plain, b, a, 1e-4)
     return *both, potential(a), potential(b), jax.grad(potential)((a + b) / 2)
 
 
