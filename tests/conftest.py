@@ -68,6 +68,14 @@ def pytest_runtest_setup(item):
     compare_machine_code(all_compare or item.get_closest_marker("compared"))
 
 
+@pytest.fixture
+def small_chunks(monkeypatch):
+    """Commits after every 4 saves, so that a short run has many."""
+    from internals import commit_every
+
+    commit_every(monkeypatch, 4)
+
+
 def pytest_runtest_logfinish():
     """A worker that holds much forgets its compiled programs: four of them filled 24 GiB in a shard."""
     if _resident() > _LARGE:

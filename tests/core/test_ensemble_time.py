@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from internals import by_engine, commit_every
+from internals import by_engine
 from small_steps import Rests
 from stores import Crash, disk_for
 
@@ -67,12 +67,6 @@ def alone(step, states, m, **uniform):
 def agree(found, m, expected):
     for a, b in zip(jax.tree.leaves(found.state), jax.tree.leaves(expected.state), strict=True):
         np.testing.assert_allclose(np.asarray(a)[:, m], b, rtol=0, atol=3e-15)  # observed 9e-16
-
-
-@pytest.fixture
-def small_chunks(monkeypatch):
-    """Commits after every 4 saves, so that a short run has many."""
-    commit_every(monkeypatch, 4)
 
 
 @pytest.mark.long

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from internals import ENGINES, by_engine, engine_on, limit_flat_engine
+from internals import ENGINES, by_engine, engine_on, limit_flat_engine, runs_by
 from jax import lax
 from small_steps import Oscillators
 
@@ -119,15 +119,6 @@ def states_of(system, t=None):
     return states if t is None else states._replace(t=jnp.asarray(t))
 
 
-def by_engines(monkeypatch, *arguments, **options):
-    """The results of the flat engine, of machine code and of XLA's plain loop."""
-    found = []
-    for engine in ("flat", "native", "xla"):
-        by_engine(monkeypatch, engine)
-        found.append(ensemble.run(*arguments, progress=False, **options))
-    return found
-
-
 def assert_alike(flat, native, plain):
     for found in (flat, native):
         assert jax.tree.structure(found) == jax.tree.structure(plain)
@@ -192,7 +183,7 @@ RUNS = {
 @pytest.mark.parametrize("name", RUNS)
 def test_runs_are_those_of_the_other_engines(monkeypatch, name):
     arguments, options = RUNS[name]()
-    assert_alike(*by_engines(monkeypatch, *arguments, **options))
+    assert_alike(*runs_by(monkeypatch, ENGINES, *arguments, **options))
 
 
 @pytree
@@ -229,7 +220,7 @@ def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypa
     rows = options if "save_at" in options else options | {"num_steps": 33, "save_every": 11}
     reduce = {} if "save_at" in options else {"reduce": "energy"}
     with pytest.warns(RuntimeWarning, match="did not converge"):
-        runs = by_engines(monkeypatch, step, states, dt=0.1, **({"num_steps": 33} | rows | reduce))
+        runs = runs_by(monkeypatch, ENGINES, step, states, dt=0.1, **({"num_steps": 33} | rows | reduce))
     assert_alike(*runs)
     if reduce:
         assert len(np.unique(runs[0].failed)) > 3

@@ -42,18 +42,13 @@ needs_moto = pytest.mark.skipif(
     any(find_spec(name) is None for name in ("obstore", "moto", "flask", "flask_cors")),
     reason="needs an S3 server: pip install lieint_jax[test]",
 )
+pytestmark = pytest.mark.usefixtures("small_chunks")
 PLACES = ["disk", pytest.param("bucket", marks=needs_obstore)]
 
 
 def run(store=None, part=None, step=STEP, states=STATES, **options):
     options = dict(dt=0.1, num_steps=60, save_every=5, progress=False) | options
     return ensemble.run(step, states, store=store, part=part, **options)
-
-
-@pytest.fixture(autouse=True)
-def small_chunks(monkeypatch):
-    """Commits after every 4 saves, so that a short run has many."""
-    internals.commit_every(monkeypatch, 4)
 
 
 @pytest.fixture(params=PLACES)

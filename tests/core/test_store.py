@@ -46,12 +46,6 @@ def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
     return ensemble.run(step, STATES, dt, num_steps, save_every=save_every, store=path, progress=False, **options)
 
 
-@pytest.fixture
-def small_chunks(monkeypatch):
-    """Commits after every 4 saves, so that a short run has many."""
-    internals.commit_every(monkeypatch, 4)
-
-
 def same_folders(a, b):
     """Whether two stores are the same, file by file and byte by byte."""
     files = [sorted(f.relative_to(p) for p in (path,) for f in p.rglob("*") if f.is_file()) for path in (a, b)]

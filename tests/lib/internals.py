@@ -9,7 +9,7 @@ from unittest import mock
 
 import numpy as np
 
-from lieint_jax import _checks
+from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
 from lieint_jax.ensemble import (
     _engine,
@@ -40,6 +40,15 @@ def by_engine(monkeypatch, name, jobs=None):
         return ENGINES[name](job)
 
     monkeypatch.setattr(_run, "engine_of", engine_of)
+
+
+def runs_by(monkeypatch, engines, *arguments, **options):
+    """The results of `ensemble.run` by each of the engines."""
+    found = []
+    for name in engines:
+        by_engine(monkeypatch, name)
+        found.append(ensemble.run(*arguments, progress=False, **options))
+    return found
 
 
 def engine_on(platform, job):
