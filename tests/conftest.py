@@ -62,13 +62,18 @@ def pytest_configure(config):
 
 def pytest_runtest_setup(item):
     """`pytest` compares machine code with XLA in tests marked `compared` only, as that takes as long as their runs."""
-    from lieint_jax.ensemble._engine import NativeEngine
+    from internals import compare_machine_code
 
-    if not hasattr(pytest_runtest_setup, "original"):
-        pytest_runtest_setup.original = NativeEngine._compare_first_step
     all_compare = item.config.getoption("--shard") or item.config.getoption("--all-shards")
-    compares = all_compare or item.get_closest_marker("compared")
-    NativeEngine._compare_first_step = pytest_runtest_setup.original if compares else lambda *_: None
+    compare_machine_code(all_compare or item.get_closest_marker("compared"))
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    """Commits after every 4 saves, so that a short run has many."""
+    from internals import commit_every
+
+    commit_every(monkeypatch, 4)
 
 
 def pytest_runtest_logfinish():

@@ -15,7 +15,7 @@ from lieint_jax import _discover, schemes, systems
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import check, check_groups, cli, files
 from lieint_jax.app.command import info as info_command
-from lieint_jax.app.scenarios import _report, rigid_body
+from lieint_jax.app.scenarios import rigid_body
 from lieint_jax.types import State, StepInfo, Trajectory
 
 
@@ -363,10 +363,6 @@ def test_a_scenario_file_that_is_not_text_is_refused(capsys):
     with open(book(), "rb") as file:
         scenarios.Path("bom.toml").write_bytes(b"\xef\xbb\xbf" + file.read())
     assert scenarios.load("bom.toml").members == 4
-
-
-def test_the_spread_of_an_angle_wraps_around_the_circle():
-    assert _report.Quantity("longitude", np.array([0.1, 359.9, 0.3]), angle=True).spread == pytest.approx(0.2)
 
 
 @pytest.mark.long

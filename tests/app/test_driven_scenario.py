@@ -1,7 +1,7 @@
 """`lieint run driven`: a satellite under gravity's gradient, its keys, its orbit and what the run is reported to do."""
 
 import functools
-import os
+import math
 import re
 from pathlib import Path
 
@@ -9,15 +9,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from internals import commit_every
 from scenario_runs import run
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from stores import disk_for
 
 from lieint_jax import orbits
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import driven
-from lieint_jax.ensemble import _job
 
 SMALL = """
 title = "a satellite"
@@ -186,27 +187,12 @@ def test_driven_runs_and_plots_from_the_command_line(capsys):
 @pytest.mark.long
 def test_an_interrupted_store_resumes_to_the_same_bits(monkeypatch, capsys):
     """On a circle, where Jacobi's integral is reported too: 1.8e-4 by the splitting."""
-    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
-    name, sync = small(CIRCLE), os.fsync
-    waits = []
-
-    def counted(descriptor):
-        waits.append(descriptor)
-        sync(descriptor)
-
-    monkeypatch.setattr(os, "fsync", counted)
-    assert cli.main(["run", name, "--out", "whole.zarr"]) == 0
-    left = [3 * len(waits) // 4]
-
-    def fails(descriptor):
-        left[0] -= 1
-        if left[0] < 0:
-            raise OSError("the disk is gone")
-        sync(descriptor)
-
-    monkeypatch.setattr(os, "fsync", fails)
-    assert cli.main(["run", name, "--out", "part.zarr"]) == 2
-    monkeypatch.setattr(os, "fsync", sync)
+    commit_every(monkeypatch, 4)
+    name = small(CIRCLE)
+    with disk_for(math.inf) as waits:
+        assert cli.main(["run", name, "--out", "whole.zarr"]) == 0
+    with disk_for(3 * len(waits) // 4, OSError("the disk is gone")):
+        assert cli.main(["run", name, "--out", "part.zarr"]) == 2
     capsys.readouterr()
     assert cli.main(["info", "part.zarr"]) == 0
     assert re.search(r"\d+ of 200 steps; --resume continues it", capsys.readouterr().out)

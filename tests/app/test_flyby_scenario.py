@@ -13,7 +13,7 @@ from scenario_runs import run
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from lieint_jax._integrate import integrate
+import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import _body, _flyby_study, flyby
@@ -221,7 +221,7 @@ def test_a_passage_agrees_with_another_integrator():
     pick = lambda x: x[1] if x.ndim else x  # noqa: E731
     step, state = (jax.tree.map(pick, x) for x in (steps, states))
     times = scenario.times()
-    path = jax.jit(lambda step, state: integrate(step, state, times=times, save_every=640))(step, state)
+    path = jax.jit(lambda step, state: li.integrate(step, state, times=times, save_every=640))(step, state)
     body = step.system
     start = [body.rotation_matrix(state).ravel(), body.angular_velocity(state), *body.orbit(state.t)]
     J, mu = np.asarray(body.inertia), float(body.orbit.mu)

@@ -10,7 +10,7 @@ import pytest
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import kirchhoff
-from lieint_jax.systems._euler import kirchhoff as ellipsoid
+from lieint_jax.systems import kirchhoff as ellipsoid
 
 
 @pytest.mark.long

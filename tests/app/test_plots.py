@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import matplotlib
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ import pytest
 import lieint_jax as li
 from lieint_jax.app import plots
 from lieint_jax.app.command import pictures
-from lieint_jax.app.scenarios._runs import as_ensemble
 from lieint_jax.app.studies import gyro
 
 ROOT = Path(li.__file__).parent
@@ -158,12 +158,17 @@ def test_a_path_on_the_map_is_broken_where_it_leaves_the_map():
     assert ax.get_xticklabels()[0].get_text() == "60°"
 
 
+def alone(step, start):
+    """A run of an ensemble of one."""
+    return li.ensemble.run(step, jax.tree.map(lambda x: x[None], start), 0.05, 40, save_every=1, progress=False)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("spin", "name"), [([2.0, 0.1, 0.05], "body axis x"), ([0.1, 0.05, -2.0], "body axis −z")])
 def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, name):
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=spin)
-    run = as_ensemble(li.integrate(li.schemes.so3_explicit(body), start, 0.05, 40))
+    run = alone(li.schemes.so3_explicit(body), start)
     fig = pictures.draw_motion(pictures.StoredRun("a body", "s", body, run, False))
     assert fig.axes[0].get_title().startswith(f"{name} of the first member")
     [near] = [line for line in fig.axes[0].get_lines() if line.get_label() == "start"]
@@ -192,7 +197,7 @@ def test_a_run_that_counts_works_has_a_picture_of_them():
     """Each law by its name, and H − ΣW; the energy error is that less the work, also if only works are counted."""
     body = li.systems.torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1) + li.torques.pd_trace(0.4, 0.1))
     start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=[1.0, -2.0, 0.5], works=True)
-    run = as_ensemble(li.integrate(li.schemes.torqued_midpoint(body), start, 0.05, 40))
+    run = alone(li.schemes.torqued_midpoint(body), start)
     stored = pictures.StoredRun("a body", "s", body, run, False)
     kinds = pictures.drawing_functions(stored)
     assert set(kinds) == {"invariants", "motion", "works"}

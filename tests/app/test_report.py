@@ -82,3 +82,7 @@ def test_the_assumption_names_the_spreads_that_are_not_zero():
     assert scenario.assumption().endswith("(1 sigma, each component): angular velocity 0.01 rad/d")
     assert scenarios.load("toutatis", spread={}).assumption().endswith(": none")
     assert scenarios.load("water").assumption().startswith("members: other")
+
+
+def test_the_spread_of_an_angle_wraps_around_the_circle():
+    assert Quantity("longitude", np.array([0.1, 359.9, 0.3]), angle=True).spread == pytest.approx(0.2)

@@ -1,13 +1,10 @@
 """`lieint run cubesat`: the balance of all laws, what detumbles, captures and unloads, and the members' spread."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import satellite
-from lieint_jax.app.scenarios._satellite_laws import WindowedLaw
-from lieint_jax.app.scenarios._spread import stretch_inertia
 from lieint_jax.groups import so3
 from tests.lib.scenario_runs import run
 
@@ -119,18 +116,6 @@ def test_the_members_have_inertias_and_dipoles_of_their_own():
     np.testing.assert_allclose(step.system.inertia[0], body, rtol=0, atol=1e-17)
 
 
-def test_a_stretched_inertia_is_that_of_a_body():
-    """Whatever the factors; against the sum over masses."""
-    rng = np.random.default_rng(3)
-    x, m, factors = rng.normal(size=(20, 3)), rng.uniform(size=20), np.array([0.1, 3.0, 9.0])
-
-    def inertia(x):
-        return sum(k * (y @ y * np.eye(3) - np.outer(y, y)) for k, y in zip(m, x, strict=True))
-
-    found = stretch_inertia(jnp.asarray(inertia(x)), jnp.asarray(factors))
-    np.testing.assert_allclose(found, inertia(x * np.sqrt(factors)), rtol=1e-13)
-
-
 def test_a_state_relative_to_the_orbit_rotates_with_its_axes():
     """At rest in the axes of the orbit z points to the nadir, and the body rotates with the orbit."""
     state = {"quaternion": [1.0, 0, 0, 0], "angular_velocity_rad": [0.0, 0.0, 0.0], "relative_to": "orbit"}
@@ -194,7 +179,7 @@ def test_every_start_of_the_shipped_scenario_is_captured_and_unloaded(tmp_path, 
     assert np.median(c.wheels[-1]) < 0.7 * np.median(c.wheels[pointed])
     bdot = c.works[..., c.names.index("bdot")]
     assert (np.diff(bdot, axis=0) <= 0).all()
-    assert any(isinstance(law, WindowedLaw) for law in step.system.laws)
+    assert any(type(law).__name__ == "WindowedLaw" for law in step.system.laws)
     for draw in satellite.PICTURES.values():
         assert draw(scenario, step, made).axes
 

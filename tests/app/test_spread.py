@@ -337,3 +337,15 @@ def test_every_member_librates_about_the_axis_of_its_own_body():
         for m in range(3)
     ]
     assert driven._is_librating(scenario, step, made).tolist() == [bool(x[0]) for x in each]
+
+
+def test_a_stretched_inertia_is_that_of_a_body():
+    """Whatever the factors; against the sum over masses."""
+    rng = np.random.default_rng(3)
+    x, m, factors = rng.normal(size=(20, 3)), rng.uniform(size=20), np.array([0.1, 3.0, 9.0])
+
+    def inertia(x):
+        return sum(k * (y @ y * np.eye(3) - np.outer(y, y)) for k, y in zip(m, x, strict=True))
+
+    found = _spread.stretch_inertia(jnp.asarray(inertia(x)), jnp.asarray(factors))
+    np.testing.assert_allclose(found, inertia(x * np.sqrt(factors)), rtol=1e-13)

@@ -15,12 +15,12 @@ import jax
 import numpy as np
 import pytest
 import scenario_files
+from internals import write_root
 
 import lieint_jax as li
-from lieint_jax import _checks
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
-from lieint_jax.ensemble import _integrity, archives
+from lieint_jax.ensemble import archives
 from lieint_jax.types import State, StepInfo, Trajectory
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -57,14 +57,6 @@ def shown(capsys, *arguments):
     assert "lieint: all is well" not in out.splitlines()
     assert max(map(len, out.splitlines())) < 4200, arguments
     return code, out
-
-
-def test_a_printable_value_is_escaped_and_cut():
-    assert _checks.printable("κ = 1\u202f°\x1b\u202e\n\ud800") == "κ = 1\u202f°\\x1b\\u202e\\n\\ud800"
-    assert _checks.printable("x" * 201) == "x" * 200 + "…"
-    assert _checks.printable([1.0, "\x1b"]) == "[1.0, '\\x1b']"
-    assert len(_checks.printable([0] * 3_000_000)) == 201
-    assert _checks.printable(1 << 10**5) == "a value of too many digits"
 
 
 def test_a_report_of_a_scenario_prints_no_control_characters(capsys):
@@ -175,8 +167,7 @@ def test_info_of_a_store_prints_no_control_characters(capsys):
             table[keys[-1] if keys else "more"] = put
             if keys == ("run", "compiler_options"):
                 table["engine"] = "xla"
-            root["attributes"]["checksum"] = _integrity.checksum(root)
-            file.write_text(json.dumps(root))
+            write_root(file, root)
             shown(capsys, "info", "odd.zarr")
             shutil.rmtree("odd.zarr")
 

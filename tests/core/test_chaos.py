@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from grid import examples_of
 from scipy.integrate import solve_ivp
 
 from lieint_jax import diagnostics, orbits, schemes, systems
 from lieint_jax.diagnostics import _chaos
 from lieint_jax.groups import so3
-from lieint_jax.systems._heavy_top import asymmetric
 
-TOP, TUMBLING = asymmetric()
+TOP, TUMBLING, _ = examples_of("heavy_top")["asymmetric_top"]
 MOON = systems.gravity_gradient([0.5956, 0.8594, 1.0], orbits.kepler(1.0, 1.0, 0.1))
 TILTED = MOON.state(so3.exp(jnp.array([0.3, -0.2, 0.9])), angular_velocity=[0.4, 0.3, 1.3], t=0.2)
 FREE = systems.rigid_body([1.0, 2.0, 3.0])

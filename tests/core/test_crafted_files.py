@@ -13,10 +13,10 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from internals import write_root
 
 import lieint_jax as li
 from lieint_jax.app.command import cli, files
-from lieint_jax.ensemble import _integrity
 
 DATA = Path(__file__).parents[1] / "data" / "toutatis-0.1.npz"
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -198,9 +198,7 @@ def rooted(change):
         file = path / "zarr.json"
         root = json.loads(file.read_text())
         root = change(root, root["attributes"], root["consolidated_metadata"]["metadata"]) or root
-        if isinstance(root.get("attributes"), dict):
-            root["attributes"]["checksum"] = _integrity.checksum(root)
-        file.write_text(json.dumps(root))
+        write_root(file, root)
 
     return apply
 

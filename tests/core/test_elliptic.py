@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from lieint_jax._numerics import elliptic
-from lieint_jax._xla import forward_mode
 
 EPS = 2.2e-16
 M1 = [1.0, 1 - 1e-16, 1 - 1e-8, 0.9, 0.500001, 0.5, 0.499999, 0.1, 1e-3, 1e-8, 1e-16, 1e-30, 1e-100]
@@ -97,40 +96,6 @@ def test_derivatives_of_carlson_rj_agree_with_mpmath():
 
 def _rj(a, b, c, p):
     return mpmath.elliprj(a * a, b * b, c * c, p)
-
-
-@pytest.mark.long
-def test_forward_mode_differentiates_loops_in_both_modes():
-    """Through a `while_loop`, which reverse mode cannot pass, in both modes, of both orders, by one argument or two."""
-
-    @forward_mode
-    def power_and_sum(x, n):
-        end = jax.lax.while_loop(lambda c: c[0] < n, lambda c: (c[0] + 1, c[1] * x), (0.0, jnp.ones_like(x)))
-        return end[1], x + n
-
-    def cube(x):
-        return power_and_sum(x, jnp.asarray(3.0))[0]
-
-    x = jnp.asarray(0.7)
-    assert cube(x) == pytest.approx(0.343, rel=1e-15)
-    for way in (jax.grad, jax.jacfwd):
-        assert way(cube)(x) == pytest.approx(3 * 0.49, rel=1e-15)
-        for outer in (jax.grad, jax.jacfwd):
-            assert outer(way(cube))(x) == pytest.approx(6 * 0.7, rel=1e-15)
-    of_sum = jax.grad(lambda x, n: power_and_sum(x, n)[1] ** 2, (0, 1))(x, jnp.asarray(3.0))
-    np.testing.assert_allclose(of_sum, [7.4, 7.4], rtol=1e-15)
-
-
-def test_a_value_and_its_slopes_share_a_loop():
-    @forward_mode
-    def function(x, y):
-        cube = jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] * x), (0, jnp.ones_like(x)))[1]
-        return cube * y * y
-
-    at = jnp.asarray(0.7), jnp.asarray(1.3)
-    assert str(jax.make_jaxpr(jax.value_and_grad(function, (0, 1)))(*at)).count(" while[") == 1
-    for mixed in (jax.grad(jax.grad(function, 0), 1), jax.jacfwd(jax.jacfwd(function, 1), 0)):
-        assert mixed(*at) == pytest.approx(6 * 0.49 * 1.3, rel=1e-15)
 
 
 def test_elliptic_functions_are_finite_in_float32():

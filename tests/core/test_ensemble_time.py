@@ -2,18 +2,18 @@
 
 import contextlib
 import filecmp
-import os
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from internals import by_engine
 from small_steps import Rests
+from stores import Crash, disk_for
 
 import lieint_jax as li
 from lieint_jax import ensemble, schemes, systems
 from lieint_jax.app.command import files
-from lieint_jax.ensemble import _engine, _job, _run
 
 MEMBERS = 12
 UNIFORM = {"dt": 0.05, "num_steps": 60, "save_every": 5}
@@ -69,16 +69,10 @@ def agree(found, m, expected):
         np.testing.assert_allclose(np.asarray(a)[:, m], b, rtol=0, atol=3e-15)  # observed 9e-16
 
 
-@pytest.fixture
-def small_chunks(monkeypatch):
-    """Commits after every 4 saves, so that a short run has many."""
-    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("t", [0.7, np.full(MEMBERS, 0.7)], ids=["scalar", "equal values"])
 def test_a_time_that_members_share_is_one_number_in_the_loop(t, monkeypatch):
-    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))  # which maps over the members
+    by_engine(monkeypatch, "xla")  # which maps over the members
     BATCHED.clear()
     jax.clear_caches()
     found = run(states=started(t))
@@ -92,7 +86,7 @@ def test_a_time_that_members_share_is_one_number_in_the_loop(t, monkeypatch):
 
 @pytest.mark.long
 def test_members_may_start_at_times_of_their_own(monkeypatch):
-    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))  # which maps over the members
+    by_engine(monkeypatch, "xla")  # which maps over the members
     BATCHED.clear()
     jax.clear_caches()
     states = started(np.linspace(-1.0, 3.0, MEMBERS))
@@ -191,10 +185,6 @@ def test_a_store_and_a_file_hold_what_memory_would(tmp_path, small_chunks):
     assert isinstance(system, systems.DrivenTop)
 
 
-class CrashError(Exception):
-    pass
-
-
 def controlled():
     """A run in which each member advances its own time."""
     states = started()._replace(t=jnp.full(MEMBERS, 0.7), work=jnp.zeros(MEMBERS))
@@ -206,22 +196,13 @@ RUNS = [dict, lambda: {"reduce": "energy"}, lambda: {"uniform": BETWEEN}, contro
 
 @pytest.mark.long
 @pytest.mark.parametrize("make", RUNS, ids=["trajectory", "summary", "given times and outputs", "own time"])
-def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, make):
-    path, whole, sync, options = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync, make()
+def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, make):
+    path, whole, options, ends = tmp_path / "run.zarr", tmp_path / "whole.zarr", make(), 0
     run(whole, **options)
-    left, ends = [0], 0
-
-    def fails(descriptor):
-        left[0] -= 1
-        if left[0] < 0:
-            raise CrashError
-        sync(descriptor)
-
-    monkeypatch.setattr(os, "fsync", fails)
-    for left[0] in (30, 40, 45, 1000):
-        with contextlib.suppress(CrashError):
+    for most in (30, 40, 45, 1000):
+        with contextlib.suppress(Crash), disk_for(most) as waits:
             run(path, resume=True, **options)
-        ends += left[0] < 0
+        ends += len(waits) > most
     assert ends >= 2
     names = sorted(str(f.relative_to(whole)) for f in whole.rglob("*") if f.is_file())
     assert sum(name.startswith("work/c/") for name in names) > 1 or "reduce" in options

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import internals
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,8 +20,7 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
 from lieint_jax.app.command import info as info_command
 from lieint_jax.app.command import run as run_command
-from lieint_jax.ensemble import _execute, _identity, _layout, _store, processes
-from lieint_jax.fitting import _bounds
+from lieint_jax.ensemble import _identity, _layout, archives, processes
 from lieint_jax.types import State, StepInfo, Trajectory
 
 ONE = np.array([1.0, 0.0, 0.0, 0.0])
@@ -55,9 +55,9 @@ SENTENCES = [
     (lambda: li.systems.kirchhoff((1.0, 2.0, -1.0)), "semi_axes must be three positive lengths"),
     (lambda: li.systems.manakov([1.0, 2.0, 3.0]), "at least four positive numbers, .*for n = 3 see rigid_body"),
     (lambda: li.systems.potential_top([1.0, 2.0, 3.0], jnp.sum, None).Gamma(STATE), "no axis γ"),
-    (lambda: _bounds.interval(2.0, 1.0), "an interval needs low < high, got 2.0 and 1.0"),
+    (lambda: li.fitting.interval(2.0, 1.0), "an interval needs low < high, got 2.0 and 1.0"),
     (
-        lambda: li.fit(jnp.sum, np.array([0.5, 2.0]), bounds=_bounds.interval(0.0, 1.0), starts=True),
+        lambda: li.fit(jnp.sum, np.array([0.5, 2.0]), bounds=li.fitting.interval(0.0, 1.0), starts=True),
         "inside their bounds",
     ),
     (observed_at_traced_times, 'derivative="checkpoint" needs concrete times, dt and state'),
@@ -81,9 +81,9 @@ SENTENCES = [
         "give angular_velocity_rad or angular_velocity_deg, not both",
     ),
     (lambda: scenarios.load("toutatis", save_every=320), r"observation\.t = 23.* must be a multiple of dt·save_every"),
-    (lambda: _store.check(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
-    (lambda: _store.check(Path("newer.zarr")), "has format 99; .*use a newer one"),
-    (lambda: _store.check(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
+    (lambda: archives.load_store(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
+    (lambda: archives.load_store(Path("newer.zarr")), "has format 99; .*use a newer one"),
+    (lambda: archives.load_store(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
     (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the parameters of its system"),
     (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
 ]
@@ -146,7 +146,7 @@ SIZES = [
 @pytest.mark.parametrize(("call", "sentence"), SIZES, ids=[sentence[:30] for _, sentence in SIZES])
 def test_a_size_is_refused_before_it_is_allocated(call, sentence, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(_checks, "memory_of_machine", lambda: 1e9)
+    internals.memory_of(monkeypatch, 1e9)
     with pytest.raises(ValueError, match=sentence):
         call()
     assert not list(tmp_path.iterdir())
@@ -192,7 +192,7 @@ def test_a_mesh_over_processes_must_be_even_and_have_this_one(monkeypatch, owner
 
 
 def test_an_interrupted_run_in_memory_suggests_a_store(monkeypatch):
-    monkeypatch.setattr(_execute.CallLength, "measure", lambda *_: True)
+    internals.interrupt_after_the_first_call(monkeypatch)
     states = jax.tree.map(lambda x: x[None], STATE)
     with pytest.raises(KeyboardInterrupt, match="stopped after 6 of 6 steps; a run with a store can be resumed"):
         li.ensemble.run(li.schemes.so3_midpoint(BODY), states, 0.1, 6, progress=False)
@@ -307,3 +307,11 @@ def test_a_step_that_no_smaller_dt_helps_names_the_function_and_the_cure(law, Om
         with pytest.raises(ValueError, match=message) as failed:
             run(step, states, 0.1, 2)
         assert "Use a smaller dt" not in str(failed.value)
+
+
+def test_a_printable_value_is_escaped_and_cut():
+    assert _checks.printable("κ = 1\u202f°\x1b\u202e\n\ud800") == "κ = 1\u202f°\\x1b\\u202e\\n\\ud800"
+    assert _checks.printable("x" * 201) == "x" * 200 + "…"
+    assert _checks.printable([1.0, "\x1b"]) == "[1.0, '\\x1b']"
+    assert len(_checks.printable([0] * 3_000_000)) == 201
+    assert _checks.printable(1 << 10**5) == "a value of too many digits"

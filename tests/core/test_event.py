@@ -10,7 +10,6 @@ from small_steps import Leapfrog, Oscillators
 
 import lieint_jax as li
 from lieint_jax import schemes, systems
-from lieint_jax._integrate import events
 
 TOP = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
 TURN = jnp.array([0.9, 0.1, 0.3, 0.2]) / np.sqrt(0.95)
@@ -109,7 +108,7 @@ def test_derivatives_forward_reverse_and_by_differences():
 def test_events_of_many_members_are_found_at_once_and_in_order():
     """A batch finds what each member finds; the events in turn are those of `count`."""
     starts = jax.vmap(lambda w: TOP.state(TURN, angular_velocity=w))(jnp.array([[0.3, 0.5, 0.8], [0.1, -0.4, 0.9]]))
-    many = jax.vmap(lambda z: events(SPLITTING, z, 0.05, level, max_steps=400, count=3))(starts)
+    many = li.diagnostics.section(SPLITTING, starts, 0.05, level, max_steps=400, count=3, direction=0)
     assert many.found.all()
     assert (np.diff(many.t, axis=1) > 0).all()
     for m in range(2):

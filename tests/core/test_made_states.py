@@ -3,22 +3,21 @@
 import tracemalloc
 from pathlib import Path
 
+import internals
 import jax
 import numpy as np
 import pytest
 import scenario_files
-import stores
 from scipy.special import erfinv
 from stores import assert_same
 
 import lieint_jax as li
-from lieint_jax import _checks, ensemble
+from lieint_jax import ensemble
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.app.command import run as run_command
 from lieint_jax.app.scenarios import rigid_body
-from lieint_jax.ensemble import _into_store, _made_states, _parts, _store_output
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -39,8 +38,8 @@ def run(states=states_of, store=None, part=None, **options):
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch):
-    monkeypatch.setattr(_made_states, "BLOCK", 8)
-    stores.commit_every(monkeypatch, 4)
+    internals.make_states_of(monkeypatch, 8)
+    internals.commit_every(monkeypatch, 4)
 
 
 def scaled(scale):
@@ -51,7 +50,7 @@ def scaled(scale):
 def test_a_part_makes_its_own_members_only_and_all_parts_are_one_run(tmp_path, reduce):
     whole = run(states_of(np.arange(MEMBERS)), members=None, reduce=reduce)
     assert_same(run(reduce=reduce), whole)
-    store, split = tmp_path / "run.zarr", _parts.Split.into_parts(MEMBERS, 4, 8192)
+    store, (parts, _) = tmp_path / "run.zarr", internals.members_of_parts(MEMBERS, 4)
     for k in (2, 0, 3, 1):
         asked = []
 
@@ -59,7 +58,7 @@ def test_a_part_makes_its_own_members_only_and_all_parts_are_one_run(tmp_path, r
             asked.append(numbers.tolist())
             return states_of(numbers)
 
-        own = split.part(k)
+        own = parts[k]
         assert_same(run(noted, None, (k, 4), reduce=reduce), run(store=store, part=(k, 4), reduce=reduce))
         blocks = {0, *range(own.start // 8, (own.stop - 1) // 8 + 1)}  # the first describes the run
         assert asked == [list(range(8 * b, min(8 * b + 8, MEMBERS))) for b in sorted(blocks)]
@@ -201,7 +200,7 @@ def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch,
 
 
 def test_a_part_is_refused_if_its_own_members_do_not_fit_the_memory(monkeypatch):
-    monkeypatch.setattr(_checks, "memory_of_machine", lambda: 1e9)
+    internals.memory_of(monkeypatch, 1e9)
     scenario = scenarios.load("toutatis", members=10**9)
     run_command._check_size(scenario, Path("x.zarr"), 1000)
     with pytest.raises(ValueError, match=r"would hold 6.5 GB in memory: .*; give fewer members$"):
@@ -210,9 +209,8 @@ def test_a_part_is_refused_if_its_own_members_do_not_fit_the_memory(monkeypatch)
 
 def test_a_store_needs_the_memory_of_two_buffers_of_rows(tmp_path, monkeypatch):
     """One is filled while the other is written; rows are joined along time a few chunks at once."""
-    monkeypatch.setattr(_into_store, "CHUNK_MEMBERS", 1000)
-    monkeypatch.setattr(_store_output, "SLAB", 2)
-    stores.commit_every(monkeypatch, 64)
+    internals.small_chunks(monkeypatch, 1000, joined=2)
+    internals.commit_every(monkeypatch, 64)
     members = 8000
     states = li.State(np.tile(IDENTITY, (members, 1)), np.tile(OMEGA[:40], (members // 40, 1)))
     buffer = 64 * members * 65

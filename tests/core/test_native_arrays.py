@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import grid
@@ -11,13 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from internals import ENGINES, by_engine, engine_on, limit_flat_engine, runs_by
 from jax import lax
 from small_steps import Oscillators
 
 import lieint_jax as li
 from lieint_jax import ensemble
-from lieint_jax.ensemble import _engine, _run
-from lieint_jax.ensemble._engine import FlatEngine, NativeEngine, XlaEngine
 from lieint_jax.native import Flattened, Kernel, UnsupportedError
 from lieint_jax.types import Step, StepInfo, pytree
 
@@ -121,15 +119,6 @@ def states_of(system, t=None):
     return states if t is None else states._replace(t=jnp.asarray(t))
 
 
-def by_engines(monkeypatch, *arguments, **options):
-    """The results of the flat engine, of machine code and of XLA's plain loop."""
-    found = []
-    for engine in (FlatEngine, NativeEngine, XlaEngine):
-        monkeypatch.setattr(_run, "engine_of", lambda job, mesh, engine=engine: engine(job))
-        found.append(ensemble.run(*arguments, progress=False, **options))
-    return found
-
-
 def assert_alike(flat, native, plain):
     for found in (flat, native):
         assert jax.tree.structure(found) == jax.tree.structure(plain)
@@ -194,7 +183,7 @@ RUNS = {
 @pytest.mark.parametrize("name", RUNS)
 def test_runs_are_those_of_the_other_engines(monkeypatch, name):
     arguments, options = RUNS[name]()
-    assert_alike(*by_engines(monkeypatch, *arguments, **options))
+    assert_alike(*runs_by(monkeypatch, ENGINES, *arguments, **options))
 
 
 @pytree
@@ -231,31 +220,27 @@ def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypa
     rows = options if "save_at" in options else options | {"num_steps": 33, "save_every": 11}
     reduce = {} if "save_at" in options else {"reduce": "energy"}
     with pytest.warns(RuntimeWarning, match="did not converge"):
-        runs = by_engines(monkeypatch, step, states, dt=0.1, **({"num_steps": 33} | rows | reduce))
+        runs = runs_by(monkeypatch, ENGINES, step, states, dt=0.1, **({"num_steps": 33} | rows | reduce))
     assert_alike(*runs)
     if reduce:
         assert len(np.unique(runs[0].failed)) > 3
         assert (runs[0].failed < 0).any()
 
 
-def on(platform):
-    return SimpleNamespace(devices=np.array([SimpleNamespace(platform=platform)]))
-
-
 def test_an_accelerator_uses_arrays_for_short_steps_and_the_plain_loop_for_others(monkeypatch):
     jobs = []
-    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: jobs.append(job) or XlaEngine(job))
+    by_engine(monkeypatch, "xla", jobs)
     states = li.State(jnp.tile(jnp.eye(3), (2, 1, 1)), jnp.zeros((2, 3, 3)))
     ensemble.run(Leaps(Oscillators(jnp.asarray(1.3))), states, 0.05, 4, progress=False)
     [job] = jobs
-    assert type(_engine.engine_of(job, on("gpu"))) is FlatEngine
-    assert type(_engine.engine_of(job, on("cpu"))) is NativeEngine
-    for limit in ("_WIDEST", "_MOST_CARRIED"):
+    assert engine_on("gpu", job) == "flat"
+    assert engine_on("cpu", job) == "native"
+    for what in ("registers", "carried"):
         with monkeypatch.context() as patch:
-            patch.setattr(_engine, limit, 5)
+            limit_flat_engine(patch, what, 5)
             with pytest.raises(UnsupportedError, match=r"more than 5"):
-                FlatEngine(job)
-            assert type(_engine.engine_of(job, on("gpu"))) is XlaEngine
+                ENGINES["flat"](job)
+            assert engine_on("gpu", job) == "xla"
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,14 @@ import pytest
 
 pytest.importorskip("llvmlite")
 
+from internals import runs_by
 from random_checks import check
 from random_functions import random_scalar
 
 import lieint_jax as li
-from lieint_jax.ensemble import _run
-from lieint_jax.ensemble._engine import NativeEngine, XlaEngine
 
 J = np.array([1.0, 2.0, 2.5])
+ENGINES = ("native", "xla")
 
 
 def test_random_functions_are_those_of_xla():
@@ -29,15 +29,6 @@ def test_many_random_functions_are_those_of_xla(start):
     found = check(range(start, start + 20))
     assert found.unsupported < 0.1 * found.functions
     assert found.undecided < 0.1 * found.entries
-
-
-def by_engines(monkeypatch, *arguments, **options):
-    """The results of machine code and of XLA."""
-    found = []
-    for engine in (NativeEngine, XlaEngine):
-        monkeypatch.setattr(_run, "engine_of", lambda job, mesh, engine=engine: engine(job))
-        found.append(li.ensemble.run(*arguments, progress=False, **options))
-    return found
 
 
 def assert_alike(native, plain):
@@ -69,14 +60,14 @@ def test_random_potentials_and_reduced_quantities_run_as_by_xla(monkeypatch, see
     def reduce(step, state):
         return bounded(seed + 1, state.q, state.p) + step.system.energy(state)
 
-    assert_alike(*by_engines(monkeypatch, step, states(top), 0.05, 6, save_every=3, reduce=reduce))
+    assert_alike(*runs_by(monkeypatch, ENGINES, step, states(top), 0.05, 6, save_every=3, reduce=reduce))
 
 
 @pytest.mark.long
 @SEEDS
 def test_random_potentials_of_attitudes_run_as_by_xla(monkeypatch, seed):
     top = li.systems.potential_top(J, lambda attitude: bounded(seed, attitude), axis=None)
-    assert_alike(*by_engines(monkeypatch, li.schemes.splitting(top), states(top), 0.05, 6, save_every=3))
+    assert_alike(*runs_by(monkeypatch, ENGINES, li.schemes.splitting(top), states(top), 0.05, 6, save_every=3))
 
 
 @pytest.mark.long
@@ -88,4 +79,4 @@ def test_random_laws_run_as_by_xla(monkeypatch, seed):
 
     body = li.systems.torqued_body(J, law)
     step = li.schemes.extrapolate(body, 4)
-    assert_alike(*by_engines(monkeypatch, step, states(body, t=0.3, work=0.0), 0.05, 6, save_every=3))
+    assert_alike(*runs_by(monkeypatch, ENGINES, step, states(body, t=0.3, work=0.0), 0.05, 6, save_every=3))

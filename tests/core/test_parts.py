@@ -7,6 +7,7 @@ lets requests fail; and, where no server is needed, the memory of obstore.
 import contextlib
 import itertools
 import json
+import math
 import os
 import shutil
 import signal
@@ -18,19 +19,19 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import faults
+import internals
 import jax
 import jax.numpy as jnp
 import killed
 import numpy as np
 import pytest
 import scenario_files
-import stores
 from stores import Crash, assert_same
 
 import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
-from lieint_jax.ensemble import _dyadic_sum, _engine, _identity, _job, _parts, _run, _storage
+from lieint_jax.ensemble import _dyadic_sum, _parts, _storage, archives
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -41,18 +42,13 @@ needs_moto = pytest.mark.skipif(
     any(find_spec(name) is None for name in ("obstore", "moto", "flask", "flask_cors")),
     reason="needs an S3 server: pip install lieint_jax[test]",
 )
+pytestmark = pytest.mark.usefixtures("small_chunks")
 PLACES = ["disk", pytest.param("bucket", marks=needs_obstore)]
 
 
 def run(store=None, part=None, step=STEP, states=STATES, **options):
     options = dict(dt=0.1, num_steps=60, save_every=5, progress=False) | options
     return ensemble.run(step, states, store=store, part=part, **options)
-
-
-@pytest.fixture(autouse=True)
-def small_chunks(monkeypatch):
-    """Commits after every 4 saves, so that a short run has many."""
-    stores.commit_every(monkeypatch, 4)
 
 
 @pytest.fixture(params=PLACES)
@@ -83,7 +79,7 @@ def test_parts_in_any_order_are_one_process(place, reduce):
         mine = run(place, (k, 8), reduce=reduce)
         assert_same(mine, run(part=(k, 8), reduce=reduce))
     assert_same(ensemble.open(place)[0], whole)
-    storage = _storage.open_storage(place)
+    storage = archives.open_storage(place)
     before = {name: storage.read(name) for name in storage.sizes()}
     run(place, (3, 8), reduce=reduce)  # it is complete
     assert before == {name: storage.read(name) for name in storage.sizes()}
@@ -109,7 +105,7 @@ def test_any_number_of_parts_is_one_process(place, count, options):
 
 
 def test_the_xla_engine_has_the_same_bits_in_parts_of_one_member(tmp_path, monkeypatch):
-    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))
+    internals.by_engine(monkeypatch, "xla")
     states = jax.tree.map(lambda x: x[:3], STATES)
     for k in range(3):
         run(tmp_path / "run.zarr", (k, 3), states=states)
@@ -132,13 +128,12 @@ def test_the_sum_over_members_does_not_depend_on_the_parts():
 
 def test_every_member_is_in_one_part_of_about_equal_size():
     for members, count, most in ((41, 8, 8192), (9, 4, 8192), (100_001, 10, 8192), (5, 5, 2), (10**9, 1000, 8192)):
-        split = _parts.Split.into_parts(members, count, most)
-        ends = [split.part(k) for k in range(count)]
+        ends, chunk = internals.members_of_parts(members, count, most)
         assert [part.start for part in ends] == [0, *(part.stop for part in ends[:-1])]
         assert ends[-1].stop == members
-        assert split.chunk <= most
+        assert chunk <= most
         assert min(map(len, ends)) > 0
-        assert max(map(len, ends)) - min(map(len, ends)) <= split.chunk
+        assert max(map(len, ends)) - min(map(len, ends)) <= chunk
     with pytest.raises(ValueError, match=r"a run of 41 member\(s\) has at most 41 part\(s\), got 42"):
         run(part=(0, 42))
 
@@ -179,20 +174,16 @@ def test_published_arrays_have_the_indexing_of_numpy(place):
 
 
 class Mortal:
-    """The methods of a storage, until so many files are written."""
+    """A process that ends when so many files are written."""
 
-    def __init__(self, monkeypatch, storage):
-        self.left, self.kind = None, type(storage)
-        put = self.kind.put
+    def __init__(self, monkeypatch):
+        self.left = math.inf
+        internals.before_puts(monkeypatch, self.put)
 
-        def mortal(storage_, name, data):
-            if self.left is not None:
-                self.left -= 1
-                if self.left < 0:
-                    raise Crash
-            put(storage_, name, data)
-
-        monkeypatch.setattr(self.kind, "put", mortal)
+    def put(self, _):
+        self.left -= 1
+        if self.left < 0:
+            raise Crash
 
 
 @pytest.mark.slow
@@ -200,7 +191,7 @@ class Mortal:
 def test_an_end_at_any_write_of_any_part_leaves_the_same_bits(place, monkeypatch, reduce):
     """Parts in random order, each ended after a random number of files, and begun again; nothing published is lost."""
     whole, rng, seen = run(reduce=reduce), np.random.default_rng(3), np.zeros(4, int)
-    mortal, unfinished, crashes = Mortal(monkeypatch, _storage.open_storage(place)), [0, 1, 2, 3], 0
+    mortal, unfinished, crashes = Mortal(monkeypatch), [0, 1, 2, 3], 0
     while unfinished:
         k = int(rng.choice(unfinished))
         mortal.left = int(rng.integers(0, 30))
@@ -209,12 +200,12 @@ def test_an_end_at_any_write_of_any_part_leaves_the_same_bits(place, monkeypatch
             unfinished.remove(k)
         except Crash:
             crashes += 1
-        mortal.left = None
+        mortal.left = math.inf
         if reduce is None:
             with contextlib.suppress(ValueError):  # before the store exists
-                root = _parts.read_root(_storage.open_storage(place))
-                if root and not list(_parts.PartsRoot(_storage.open_storage(place), root).damage_of_root()):
-                    own = _parts.PartsRoot(_storage.open_storage(place), root).statuses(True)
+                root = _parts.read_root(archives.open_storage(place))
+                if root and not list(_parts.PartsRoot(archives.open_storage(place), root).damage_of_root()):
+                    own = _parts.PartsRoot(archives.open_storage(place), root).statuses(True)
                     assert not [status.problem for status in own if status.problem and "missing" not in status.problem]
                     entries = np.array([status.progress["entries"] for status in own])
                     assert (entries >= seen).all()
@@ -226,15 +217,14 @@ def test_an_end_at_any_write_of_any_part_leaves_the_same_bits(place, monkeypatch
 def test_two_processes_that_run_one_part_at_the_same_time_do_no_harm(monkeypatch):
     """Object storage has no locks: the second runs while the first is between two commits."""
     pytest.importorskip("obstore")
-    url, whole, put, inside = "memory://tests/twice/run.zarr", run(), _storage.Bucket.put, [0]
+    url, whole, inside = "memory://tests/twice/run.zarr", run(), [0]
 
-    def interrupted(self, name, data):
-        put(self, name, data)
+    def interrupt(_):
         inside[0] += 1
-        if inside[0] == 25:  # after the first commit of part 0
+        if inside[0] == 26:  # after the first commit of part 0
             run(url, (0, 2))
 
-    monkeypatch.setattr(_storage.Bucket, "put", interrupted)
+    internals.before_puts(monkeypatch, interrupt)
     run(url, (0, 2))
     assert inside[0] > 50
     run(url, (1, 2))
@@ -268,11 +258,11 @@ def test_an_unfinished_file_of_a_killed_part_is_removed_when_the_part_starts_aga
 
 
 def test_a_creator_that_is_killed_leaves_a_store_that_the_next_part_completes(place, monkeypatch):
-    mortal = Mortal(monkeypatch, _storage.open_storage(place))
+    mortal = Mortal(monkeypatch)
     mortal.left = 5
     with pytest.raises(Crash):
         run(place, (0, 2))
-    mortal.left = None
+    mortal.left = math.inf
     for k in (1, 0):
         run(place, (k, 2))
     assert_same(ensemble.open(place)[0], run())
@@ -322,8 +312,8 @@ def test_a_damaged_part_is_named_and_refused_and_the_others_are_read(place, dama
     for store, dt in ((place, 0.1), (elsewhere, 0.2)):
         for k in range(3):
             no_loop_after(store, (k, 3), dt)
-    storage = _storage.open_storage(place)
-    change(storage, _storage.open_storage(elsewhere))
+    storage = archives.open_storage(place)
+    change(storage, archives.open_storage(elsewhere))
     described = info.contents(storage.address)
     assert "2 of 3 part(s) complete" in described
     with pytest.raises(AssertionError, match=rf"(?s)part 1 \(members 14 … 27\) is damaged: .*{sentence}"):
@@ -350,7 +340,7 @@ def no_loop_after(complete_stores, tmp_path):
     """Run a part, or copy the files that such a run has written before."""
 
     def make(store, part, dt):
-        key, storage = (str(store).startswith("memory"), part, dt), _storage.open_storage(store)
+        key, storage = (str(store).startswith("memory"), part, dt), archives.open_storage(store)
         if key not in complete_stores:
             before = set(storage.sizes())
             run(store, part, dt=dt)
@@ -364,7 +354,7 @@ def no_loop_after(complete_stores, tmp_path):
 def test_an_altered_chunk_is_named_on_a_disk_and_an_error_when_it_is_read_from_a_bucket(place):
     for k in range(2):
         run(place, (k, 2))
-    storage = _storage.open_storage(place)
+    storage = archives.open_storage(place)
     altered(storage, "q/c/1/1/0")
     found, warning = opened(place)
     if storage.is_remote:
@@ -376,7 +366,7 @@ def test_an_altered_chunk_is_named_on_a_disk_and_an_error_when_it_is_read_from_a
 
 def test_a_part_of_another_run_is_refused_before_it_integrates(place, monkeypatch):
     run(place, (0, 2))
-    storage = _storage.open_storage(place)
+    storage = archives.open_storage(place)
     before = {name: storage.read(name) for name in storage.sizes()}
     for part, options, message in (
         ((1, 2), dict(dt=0.2), "dt is 0.1 in the store and 0.2 here"),
@@ -387,7 +377,7 @@ def test_a_part_of_another_run_is_refused_before_it_integrates(place, monkeypatc
     ):
         with pytest.raises(ValueError, match=message):
             run(place, part, **options)
-    monkeypatch.setattr(_identity, "__version__", "9.9")
+    internals.another_version(monkeypatch, lieint_jax="9.9")
     with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* in the store and '9.9' here"):
         run(place, (1, 2))
     assert before == {name: storage.read(name) for name in storage.sizes()}
@@ -509,7 +499,7 @@ def s3(tmp_path_factory):
 @pytest.fixture
 def proxy(s3, monkeypatch):
     """A proxy before the server, without faults at first; the environment has its address and the credentials."""
-    monkeypatch.setattr(_job.Job, "bucket_rows", lambda self, across: 7)
+    internals.commit_every(monkeypatch, 4, in_bucket=7)
     with faults.Proxy(s3, 0.0) as proxy:
         for name, value in environment_of(proxy).items():
             monkeypatch.setenv(name, value)
@@ -537,7 +527,7 @@ def test_a_run_on_s3_is_that_in_memory_and_holds_no_credentials(proxy, capsys):
     assert_same(ensemble.open(url)[0], run())
     assert cli.main(["info", url]) == 0
     shown = "".join(capsys.readouterr())
-    storage = _storage.open_storage(url)
+    storage = archives.open_storage(url)
     for secret in (SECRET, KEY):
         assert secret not in shown
         assert not any(secret.encode() in storage.read(name) for name in storage.sizes())
@@ -564,8 +554,7 @@ def test_xarray_reads_it_lazily_by_its_url(proxy):
 @pytest.mark.long
 def test_requests_that_fail_are_repeated_and_nothing_is_lost_or_doubled(proxy, monkeypatch):
     """Of requests, 30 % fail, in every way; each file that exists at the end was put as a whole."""
-    monkeypatch.setattr(_storage, "_FIRST_DELAY", 0.002)
-    monkeypatch.setattr(_storage, "_TIMEOUT", faults.LATE / 2)
+    internals.wait_for_buckets(monkeypatch, first_delay=0.002, timeout=faults.LATE / 2)
     clean, faulty = "s3://bucket/clean/run.zarr", "s3://bucket/faulty/run.zarr"
     whole = run()
     for k in range(2):
@@ -577,7 +566,7 @@ def test_requests_that_fail_are_repeated_and_nothing_is_lost_or_doubled(proxy, m
     assert_same(found, whole)
     proxy.rate = 0.0
     assert min(proxy.injected.values()) >= 3
-    a, b = _storage.open_storage(clean), _storage.open_storage(faulty)
+    a, b = archives.open_storage(clean), archives.open_storage(faulty)
     assert {name: a.read(name) for name in a.sizes()} == {name: b.read(name) for name in b.sizes()}
 
 
@@ -585,8 +574,7 @@ def test_requests_that_fail_are_repeated_and_nothing_is_lost_or_doubled(proxy, m
 @pytest.mark.long
 def test_ten_thousand_faults_lose_nothing(proxy, monkeypatch):
     """Faults that need no waiting; `late` ones are in the test above."""
-    monkeypatch.setattr(_storage, "_FIRST_DELAY", 0.0005)
-    monkeypatch.setattr(_storage, "_LONGEST_DELAY", 0.002)
+    internals.wait_for_buckets(monkeypatch, first_delay=0.0005, longest_delay=0.002)
     proxy.kinds = tuple(kind for kind in faults.KINDS if kind != "late")
     whole, n = run(num_steps=600), 0
     while sum(proxy.injected.values()) < 10_000:
@@ -611,22 +599,19 @@ def test_eight_parts_killed_at_random_moments_are_one_process_on_s3(proxy):
 @pytest.mark.long
 @needs_moto
 def test_a_storage_that_stays_away_ends_the_run_with_a_sentence_without_credentials(proxy, monkeypatch, capsys):
-    for name in ("_FIRST_DELAY", "_FIRST_PATIENCE", "_PATIENCE"):
-        monkeypatch.setattr(_storage, name, 0.01)
+    internals.wait_for_buckets(monkeypatch, first_delay=0.01, first_patience=0.01, patience=0.01)
     url = "s3://bucket/away/run.zarr"
-    put = _storage.Bucket.put
 
-    def vanish(self, name, data):
+    def vanish(name):
         if name.startswith("q/c/1"):  # of the second commit
             proxy.rate, proxy.kinds = 1.0, ("throttled",)
-        put(self, name, data)
 
-    monkeypatch.setattr(_storage.Bucket, "put", vanish)
-    with pytest.raises(
-        OSError, match=r"cannot be reached: .*429.* holds everything up to step \d+; fix .* resume"
-    ) as error:
-        run(url, (0, 2))
-    monkeypatch.setattr(_storage.Bucket, "put", put)
+    with monkeypatch.context() as patch:
+        internals.before_puts(patch, vanish)
+        with pytest.raises(
+            OSError, match=r"cannot be reached: .*429.* holds everything up to step \d+; fix .* resume"
+        ) as error:
+            run(url, (0, 2))
     proxy.rate = 0.0
     for bad, message in (("s3://nowhere/run.zarr", "no such bucket|no object"), (url, "exists and is not overwritten")):
         with pytest.raises((OSError, ValueError), match=message) as other:
@@ -655,7 +640,7 @@ def test_urls_that_are_no_place_of_a_store_are_refused(tmp_path):
 
 
 def test_storages_replace_and_create_files_as_a_whole(place):
-    storage = _storage.open_storage(place)
+    storage = archives.open_storage(place)
     assert not storage.exists("a/b")
     assert storage.create("a/b", b"first")
     assert storage.create("a/b", b"second") is False

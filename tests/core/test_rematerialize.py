@@ -1,4 +1,4 @@
-"""Reverse mode computes a step once more on the way back: what it keeps, and that derivatives are the same."""
+"""Hints to XLA: reverse mode that computes a step once more on the way back, and forward mode in place of reverse."""
 
 from functools import partial
 
@@ -11,7 +11,7 @@ from jax import lax
 import lieint_jax as li
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax._xla import materialized_arrays, rematerialized, saved, with_materialized_derivatives
+from lieint_jax._xla import forward_mode, materialized_arrays, rematerialized, saved, with_materialized_derivatives
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 TOP = li.systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
@@ -105,3 +105,37 @@ def test_carries_are_found_without_running_the_stages():
     loops = [jax.jit(f).lower(0.4).as_text().count("while(") for f in (few, more)]
     assert loops[0] < loops[1]
     assert float(few(0.4)) == pytest.approx(float(more(0.4)), rel=1e-14)
+
+
+@pytest.mark.long
+def test_forward_mode_differentiates_loops_in_both_modes():
+    """Through a `while_loop`, which reverse mode cannot pass, in both modes, of both orders, by one argument or two."""
+
+    @forward_mode
+    def power_and_sum(x, n):
+        end = jax.lax.while_loop(lambda c: c[0] < n, lambda c: (c[0] + 1, c[1] * x), (0.0, jnp.ones_like(x)))
+        return end[1], x + n
+
+    def cube(x):
+        return power_and_sum(x, jnp.asarray(3.0))[0]
+
+    x = jnp.asarray(0.7)
+    assert cube(x) == pytest.approx(0.343, rel=1e-15)
+    for way in (jax.grad, jax.jacfwd):
+        assert way(cube)(x) == pytest.approx(3 * 0.49, rel=1e-15)
+        for outer in (jax.grad, jax.jacfwd):
+            assert outer(way(cube))(x) == pytest.approx(6 * 0.7, rel=1e-15)
+    of_sum = jax.grad(lambda x, n: power_and_sum(x, n)[1] ** 2, (0, 1))(x, jnp.asarray(3.0))
+    np.testing.assert_allclose(of_sum, [7.4, 7.4], rtol=1e-15)
+
+
+def test_a_value_and_its_slopes_share_a_loop():
+    @forward_mode
+    def function(x, y):
+        cube = jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] * x), (0, jnp.ones_like(x)))[1]
+        return cube * y * y
+
+    at = jnp.asarray(0.7), jnp.asarray(1.3)
+    assert str(jax.make_jaxpr(jax.value_and_grad(function, (0, 1)))(*at)).count(" while[") == 1
+    for mixed in (jax.grad(jax.grad(function, 0), 1), jax.jacfwd(jax.jacfwd(function, 1), 0)):
+        assert mixed(*at) == pytest.approx(6 * 0.49 * 1.3, rel=1e-15)

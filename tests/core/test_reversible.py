@@ -11,7 +11,6 @@ from grid import steps
 from small_steps import Leapfrog, Oscillators, leapfrog
 
 import lieint_jax as li
-from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.types import State
 
 N, EVERY = 6, 3
@@ -255,13 +254,15 @@ def test_derivatives_of_observations_of_a_composition_by_the_complex_step():
     weights, times, dt, stiffness = np.array([1.0, -0.7, 0.4]), np.array([0.71, 0.28, 0.33]), 0.1, 1.3
     start = State(jnp.eye(3), jnp.zeros((3, 3)))
 
+    def composed(stiffness):
+        return li.schemes.compose(Leapfrog(Oscillators(stiffness)), 4, "triple_jump")
+
     @jax.jit
     @jax.value_and_grad
     def loss(x):
-        step = li.schemes.compose(Leapfrog(Oscillators(x[0])), 4, "triple_jump")
-        return weights @ li.observe(step, start, x[1], x[2:])[0].q[:, 0, 0]
+        return weights @ li.observe(composed(x[0]), start, x[1], x[2:])[0].q[:, 0, 0]
 
-    at, gammas = np.array([stiffness, dt, *times]), METHODS["triple_jump"].gammas
+    at, gammas = np.array([stiffness, dt, *times]), composed(stiffness).gammas
     value, slopes = loss(at)
     assert float(value) == pytest.approx(weights @ observed_by_matrices(gammas, stiffness, dt, times), abs=1e-14)
     for k, slope in enumerate(slopes):

@@ -14,22 +14,22 @@ import threading
 import time
 from pathlib import Path
 
+import internals
 import jax
 import jax.numpy as jnp
 import killed
 import numpy as np
 import pytest
 import scenario_files
-import stores
 import zarr
 from free_bodies import rows
 from ports import free_port
-from stores import Crash, assert_same
+from stores import Crash, assert_same, disk_for
 
 import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
-from lieint_jax.ensemble import _engine, _execute, _identity, _integrity, _job, _layout, _run, _store
+from lieint_jax.ensemble import _identity, _layout, _store, archives
 
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)
@@ -46,12 +46,6 @@ def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
     return ensemble.run(step, STATES, dt, num_steps, save_every=save_every, store=path, progress=False, **options)
 
 
-@pytest.fixture
-def small_chunks(monkeypatch):
-    """Commits after every 4 saves, so that a short run has many."""
-    stores.commit_every(monkeypatch, 4)
-
-
 def same_folders(a, b):
     """Whether two stores are the same, file by file and byte by byte."""
     files = [sorted(f.relative_to(p) for p in (path,) for f in p.rglob("*") if f.is_file()) for path in (a, b)]
@@ -65,7 +59,7 @@ def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
     assert_same(memory, disk)
     assert not list((tmp_path / "run.zarr").rglob("*.partial"))
     assert not (tmp_path / "run.zarr/checkpoint").exists()
-    again, metadata = _store.load(tmp_path / "run.zarr")
+    again, metadata = archives.load_store(tmp_path / "run.zarr")
     np.testing.assert_array_equal(again.state.q[3, 5], memory.state.q[3, 5])
     assert metadata["scheme"] == "so3_midpoint[symplectic]"
     assert metadata["run"]["versions"]["jax"] == jax.__version__
@@ -119,21 +113,12 @@ def flipped(data):
 
 @pytest.mark.long
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, monkeypatch, fault):
+def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, fault):
     """One file of each array, of its metadata, of the checkpoint, and the root, of a run that is half done."""
-    half, path, sync, left = tmp_path / "half.zarr", tmp_path / "run.zarr", os.fsync, [330]
-
-    def fails(descriptor):
-        left[0] -= 1
-        if not left[0]:
-            raise Crash
-        sync(descriptor)
-
-    monkeypatch.setattr(os, "fsync", fails)
-    with contextlib.suppress(Crash):
+    half, path = tmp_path / "half.zarr", tmp_path / "run.zarr"
+    with contextlib.suppress(Crash), disk_for(329):
         run(half, num_steps=120)
-    monkeypatch.setattr(os, "fsync", sync)
-    progress = _store.load(half)[1]["progress"]
+    progress = archives.load_store(half)[1]["progress"]
     assert 8 <= progress["entries"] < 25
     slot = progress["commits"] % 2
     files = {half / "zarr.json": None}
@@ -158,27 +143,17 @@ def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks
 
 @pytest.mark.slow
 @pytest.mark.parametrize("reduce", [None, "energy"])
-def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, reduce):
+def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_path, small_chunks, reduce):
     """A crash at one wait for the disk after another, between which lie all writes and renames."""
-    path, whole, sync = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync
+    path, whole = tmp_path / "run.zarr", tmp_path / "whole.zarr"
     run(whole, reduce=reduce)
     seen, stages = 0, set()
     for last in range(0, 1000, 11):
-        left = [last]
-
-        def fails(descriptor, left=left):
-            left[0] -= 1
-            if left[0] < 0:
-                raise Crash
-            sync(descriptor)
-
-        monkeypatch.setattr(os, "fsync", fails)
-        with contextlib.suppress(Crash):
+        with contextlib.suppress(Crash), disk_for(last) as waits:
             run(path, reduce=reduce, resume=True)
-        monkeypatch.setattr(os, "fsync", sync)
-        crashed = left[0] < 0
+        crashed = len(waits) > last
         if path.exists():
-            found, metadata = _store.load(path)
+            found, metadata = archives.load_store(path)
             progress = metadata["progress"]
             assert progress["entries"] >= seen  # nothing that counted is lost
             seen = progress["entries"]
@@ -219,11 +194,11 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
             run(path, resume=True, **options)
     with pytest.raises(ValueError, match=r"scenario\.seed is 1 in the store and 2 here"):
         run(ensemble.StoreOptions(path, {"scenario": {"seed": 2}}), resume=True)
-    monkeypatch.setattr(_identity, "__version__", "9.9")
+    internals.another_version(monkeypatch, lieint_jax="9.9")
     with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* in the store and '9.9' here"):
         run(path, resume=True)
     monkeypatch.undo()
-    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))
+    internals.by_engine(monkeypatch, "xla")
     with pytest.raises(ValueError, match="engine is 'native' in the store and 'xla' here"):
         run(path, resume=True)
     assert before == {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
@@ -258,10 +233,7 @@ class Begun(Exception):  # noqa: N818
 
 @pytest.fixture
 def no_loop(monkeypatch):
-    def refuse(*_):
-        raise Begun
-
-    monkeypatch.setattr(_execute, "CompiledLoop", refuse)
+    internals.refuse_to_integrate(monkeypatch, Begun)
 
 
 @pytest.mark.long
@@ -298,7 +270,7 @@ def test_a_function_that_cannot_be_compared_draws_a_warning_and_is_refused_at_a_
 def test_bytecode_of_another_python_is_refused_by_its_name(tmp_path, monkeypatch, no_loop):
     with pytest.raises(Begun):
         begin(tmp_path / "run.zarr", damped(0.1))
-    monkeypatch.setattr(_identity, "python_of", lambda *_: "CPython 3.99")
+    internals.another_version(monkeypatch, python="CPython 3.99")
     with pytest.raises(ValueError, match=r"versions.python is 'CPython 3\.\d+' in the store and 'CPython 3.99' here"):
         begin(tmp_path / "run.zarr", damped(0.1), resume=True)
 
@@ -306,15 +278,10 @@ def test_bytecode_of_another_python_is_refused_by_its_name(tmp_path, monkeypatch
 @pytest.fixture(scope="module")
 def commits(tmp_path_factory):
     """Copies of a store after each of the first three commits of four, and of the complete one."""
-    folder, publish = tmp_path_factory.mktemp("commits"), _store.Writer.publish
-
-    def published(self, *arguments):
-        publish(self, *arguments)
-        shutil.copytree(self.path, folder / f"{self.progress['steps']}.zarr")
-
+    folder = tmp_path_factory.mktemp("commits")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
-        patch.setattr(_store.Writer, "publish", published)
+        internals.commit_every(patch, 4)
+        internals.after_commits(patch, lambda path, steps: shutil.copytree(path, folder / f"{steps}.zarr"))
         run(folder / "whole.zarr")
     return [folder / f"{steps}.zarr" for steps in (15, 35, 55, 60)]
 
@@ -372,29 +339,27 @@ def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_p
 
 def test_a_store_that_grows_while_it_is_checked_is_not_called_damaged(tmp_path, commits, monkeypatch):
     """The checkpoint of the commit that was read is overwritten two commits later."""
-    path, read, left = shutil.copytree(commits[0], tmp_path / "run.zarr"), _integrity.damage_of_checkpoint, [2]
+    path, left = shutil.copytree(commits[0], tmp_path / "run.zarr"), [2]
 
-    def overtaken(*arguments):
+    def overtake():
         left[0] -= 1
         if left[0]:
             shutil.copytree(commits[2], path, dirs_exist_ok=True)
-        return read(*arguments)
 
-    monkeypatch.setattr(_integrity, "damage_of_checkpoint", overtaken)
+    internals.before_checkpoints(monkeypatch, overtake)
     assert ensemble.open(path)[0].t.shape == (12,)
     assert left == [0]
 
 
 def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
     """The second comes between the check and the rename of the first."""
-    path, fill = tmp_path / "run.zarr", _store._fill
+    path = tmp_path / "run.zarr"
 
-    def slowly(*arguments):
-        monkeypatch.setattr(_store, "_fill", fill)
-        fill(*arguments)
+    def create():
+        monkeypatch.undo()
         run(path, num_steps=5)
 
-    monkeypatch.setattr(_store, "_fill", slowly)
+    internals.after_new_stores(monkeypatch, create)
     with pytest.raises(ValueError, match=r"run\.zarr was created by another run in the meantime"):
         run(path, num_steps=5)
     assert [p.name for p in tmp_path.iterdir()] == ["run.zarr"]
@@ -402,7 +367,7 @@ def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
 
 
 def test_what_a_killed_process_left_of_a_store_is_removed_when_it_is_old(tmp_path, no_loop):
-    for age in (0, 2 * _store._STALE):
+    for age in (0, 7200.0):
         left = tmp_path / f".run.zarr.{age:.0f}-00.partial"
         left.mkdir()
         os.utime(left, (time.time() - age, time.time() - age))
@@ -550,7 +515,7 @@ def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_ch
         path = tmp_path / "disk/run.zarr"
         with pytest.raises(OSError, match=r"No space left on device: .* holds everything up to step \d+; .* resume"):
             run(path, num_steps=600)
-        found, metadata = _store.load(path)
+        found, metadata = archives.load_store(path)
         assert 4 <= metadata["progress"]["entries"] < 121
         assert np.isfinite(found.state.q[...]).all()
         subprocess.run(["mount", "-o", "remount,size=4m", tmp_path / "disk"], check=True)
@@ -560,7 +525,7 @@ def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_ch
 
 def test_a_limit_on_the_size_of_files_ends_a_run_that_resumes_to_the_same_bits(tmp_path, monkeypatch):
     """What needs no root: the system refuses files above a size, below that of the metadata or that of the chunks."""
-    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 13)
+    internals.commit_every(monkeypatch, 13)
     run(tmp_path / "whole.zarr")
     path, before = tmp_path / "run.zarr", resource.getrlimit(resource.RLIMIT_FSIZE)
     for size, message in ((3000, "cannot be created: File too large"), (14_000, "too large: .* step 0; .* resume")):
@@ -576,11 +541,11 @@ def test_a_limit_on_the_size_of_files_ends_a_run_that_resumes_to_the_same_bits(t
 
 
 def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 50)
+    internals.commit_every(monkeypatch, 50)
     path, steps, before = tmp_path / "run.zarr", 20_000_000, signal.getsignal(signal.SIGINT)
 
     def interrupt():
-        while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
+        while not (path.exists() and archives.load_store(path)[1]["progress"]["entries"]):
             time.sleep(0.05)
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -588,7 +553,7 @@ def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkey
     with pytest.raises(KeyboardInterrupt, match=rf"stopped after \d+ of {steps} steps, all of them in .*; resume"):
         run(path, num_steps=steps, save_every=1000)
     assert "finishing the chunk" in capsys.readouterr().err
-    progress = _store.load(path)[1]["progress"]
+    progress = archives.load_store(path)[1]["progress"]
     assert progress["steps"] > 0
     assert progress["entries"] % 50 == 0
     assert signal.getsignal(signal.SIGINT) is before
@@ -629,7 +594,7 @@ def killable(case, path, pause):
 
 
 def commits_of(path):
-    return _store.load(path)[1]["progress"]["commits"] if path.exists() else 0
+    return archives.load_store(path)[1]["progress"]["commits"] if path.exists() else 0
 
 
 @pytest.mark.long
@@ -663,14 +628,14 @@ def test_a_run_that_a_signal_ended_at_once_is_resumed(book, signals):
     path = book / f"{len(signals)}.zarr"
     process = command(book, "--out", path.name, stderr=subprocess.DEVNULL)
     limit = time.monotonic() + 60
-    while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
+    while not (path.exists() and archives.load_store(path)[1]["progress"]["entries"]):
         assert time.monotonic() < limit
         time.sleep(0.05)
     for number in signals:
         process.send_signal(number)
         time.sleep(0.1)
     assert process.wait(timeout=30) != 0
-    assert not _store.load(path)[1]["progress"]["complete"]
+    assert not archives.load_store(path)[1]["progress"]["complete"]
     assert command(book, "--out", path.name, "--resume").wait() == 0
     assert same_folders(path, book / "whole.zarr")
 
@@ -703,7 +668,7 @@ def test_two_processes_of_different_scenarios_both_say_so_and_leave_nothing(book
 
 
 def same_arrays(a, b):
-    (x, _), (y, _) = _store.load(a), _store.load(b)
+    (x, _), (y, _) = archives.load_store(a), archives.load_store(b)
     return all((p[...] == q[...]).all() for p, q in zip(jax.tree.leaves(x), jax.tree.leaves(y), strict=True))
 
 
@@ -743,7 +708,7 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
     path = book / f"lost-{victim}.zarr"
     both = meet(book, free_port(), "--out", path.name)
     limit = time.monotonic() + 60
-    while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
+    while not (path.exists() and archives.load_store(path)[1]["progress"]["entries"]):
         assert time.monotonic() < limit
         time.sleep(0.1)
     both[victim].kill()
@@ -754,7 +719,7 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
     assert both[1 - victim].returncode != 0
     if victim == 1:  # the coordinator's own loss may end in the runtime's abort
         assert "process 1 of 2 is lost; what is in the store can be resumed" in error or "unhealthy" in error
-    assert not _store.load(path)[1]["progress"]["complete"]
+    assert not archives.load_store(path)[1]["progress"]["complete"]
     assert command(book, "--out", path.name, "--resume").wait() == 0
     assert same_arrays(path, book / "whole.zarr")
 

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from internals import by_engine
 from small_steps import Oscillators
 
 import lieint_jax as li
-from lieint_jax.ensemble import _engine, _run
 from lieint_jax.types import State, Step, StepInfo, pytree
 
 N, DT, T0 = 10_000, 0.05, 0.3
@@ -48,7 +48,7 @@ def from_zero(state):
 
 def batch(engine, own, monkeypatch):
     if engine == "xla":
-        monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))
+        by_engine(monkeypatch, engine)
     many = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *x.shape)), START)
     many = many._replace(t=jnp.array([T0, 1.7]) if own else START.t)
     return li.ensemble.run(STEP, many, DT, N, save_every=50, progress=False).state

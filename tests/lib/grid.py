@@ -1,19 +1,24 @@
 """The grid of systems and schemes, found by looking into the packages: no list to edit."""
 
 import functools
-from unittest import mock
+
+from internals import motions_as_declared
 
 import lieint_jax as li
 from lieint_jax import _discover
-from lieint_jax.schemes._shared import accepts
+
+
+def examples_of(module):
+    """The examples of a module of systems, such as "heavy_top", by their names: (system, state, dt)."""
+    return _discover.modules_with_examples(li.systems)[module].examples()
 
 
 @functools.cache
 def systems():
     """(id, (system, state, dt)) of every example of a system."""
     found = []
-    for module_name, module in _discover.modules_with_examples(li.systems).items():
-        found += [(f"{module_name}.{name}", example) for name, example in module.examples().items()]
+    for module in _discover.modules_with_examples(li.systems):
+        found += [(f"{module}.{name}", example) for name, example in examples_of(module).items()]
     return found
 
 
@@ -32,7 +37,7 @@ def cases():
 
     Every worker collects them, so here no motion is compared: that compiles two vector fields a pair.
     """
-    with mock.patch.object(accepts, "_difference", return_value=(0.0, 0.0)):
+    with motions_as_declared():
         return [
             (module, f"{name}-{step_name}", step, step.start(state), dt)
             for name, (system, state, dt) in systems()

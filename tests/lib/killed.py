@@ -11,9 +11,10 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from internals import commit_every
 
 import lieint_jax as li
-from lieint_jax.ensemble import _job
 
 J = jnp.array([1.0, 2.0, 2.5])
 MEMBERS = 48
@@ -74,10 +75,9 @@ def main(case, path, pause, *part):
     sync = os.fsync
     os.fsync = lambda descriptor: (time.sleep(float(pause)), sync(descriptor))[1]
     jax.config.update("jax_enable_x64", True)
-    _job.Job.buffer_rows = lambda self, across: 100  # pyright: ignore[reportAttributeAccessIssue]
+    commit_every(pytest.MonkeyPatch(), 100, in_bucket=1000)
     make, steps = CASES[case]
     step, states, options = make(steps)
-    _job.Job.bucket_rows = lambda self, across: 1000  # pyright: ignore[reportAttributeAccessIssue]
     numbers = tuple(map(int, part)) or None
     li.ensemble.run(step, states, store=path, resume=True, progress=False, part=numbers, **options)
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from internals import compiled_once
 from perturbed import draws, flushed, perturbed
 from random_functions import arguments, random_function
 
-from lieint_jax._xla import compiled
 from lieint_jax.native import Kernel, UnsupportedError
 
 MEMBERS = 61
@@ -34,7 +34,7 @@ def check(seeds):
     shapes = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in given]
     functions = [random_function(seed) for seed in seeds]
     with warnings.catch_warnings(action="ignore"):  # JAX warns of casts that it makes
-        expected = compiled(jax.vmap(lambda *x: [f(*x) for f in functions]), once=True)(*given)
+        expected = compiled_once(jax.vmap(lambda *x: [f(*x) for f in functions]))(*given)
         return sum((_check(*each, given, shapes) for each in zip(seeds, functions, expected, strict=True)), Checked())
 
 
@@ -65,7 +65,7 @@ def _check(seed, function, expected, given, shapes):
 def _disturbed(function, given, shapes):
     """What XLA computes with all of its optimizations, and with rounding errors of another size."""
     disturbed = perturbed(jax.make_jaxpr(function)(*shapes))
-    every = compiled(jax.vmap(disturbed, (None, *(0,) * len(given))), once=True)
+    every = compiled_once(jax.vmap(disturbed, (None, *(0,) * len(given))))
     found = [every(draw, *flushed(given, (1, -1, 0)[k % 3])) for k, draw in enumerate(draws(DRAWS))]
     return [[np.asarray(x) for x in one] for one in (jax.jit(jax.vmap(function))(*given), *found)]
 

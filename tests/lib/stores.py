@@ -1,19 +1,30 @@
-"""What tests of runs into stores share: chunks of few rows, crashes, and equality bit for bit."""
+"""What tests of runs into stores share: a disk that fails, and equality bit for bit."""
+
+import contextlib
+import os
+from unittest import mock
 
 import jax
 import numpy as np
-
-from lieint_jax.ensemble import _job
 
 
 class Crash(BaseException):
     """As if the process ended here."""
 
 
-def commit_every(monkeypatch, rows):
-    """Let runs commit after every `rows` saves, on disks and in buckets, so that a short run has many commits."""
-    for name in ("buffer_rows", "bucket_rows"):
-        monkeypatch.setattr(_job.Job, name, lambda self, across: rows)
+@contextlib.contextmanager
+def disk_for(most, error=Crash):
+    """The disk fails with `error` after so many waits for it; returns the list of the waits that were begun."""
+    waits, sync = [], os.fsync
+
+    def fsync(descriptor):
+        waits.append(descriptor)
+        if len(waits) > most:
+            raise error
+        sync(descriptor)
+
+    with mock.patch.object(os, "fsync", fsync):
+        yield waits
 
 
 def assert_same(a, b):

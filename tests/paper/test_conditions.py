@@ -9,7 +9,7 @@ from paper import ONE, hat
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, groups, maps, schemes
-from lieint_jax.diagnostics._symplectic import defect_matrix
+from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.groups import so3
 
 CONDITIONS = diagnostics._conditions
@@ -53,9 +53,10 @@ def case(name):
 def both(step, state, dt):
     """The conditions; and the whole test of the form, by units of momentum."""
     unit = jnp.max(jnp.abs(state.p))
-    d = step.system.phase_space.dim // 2
-    scale = jnp.repeat(jnp.stack([unit**-0.5, unit**0.5]), d)
-    defect = scale[:, None] * defect_matrix(step, state, dt) * scale
+    space = step.system.phase_space
+    end, _, L = value_and_jacobian(space, lambda z: step(z, dt), state)
+    scale = jnp.repeat(jnp.stack([unit**-0.5, unit**0.5]), space.dim // 2)
+    defect = scale[:, None] * (L.T @ space.omega(end) @ L - space.omega(state)) * scale
     return diagnostics.conditions(step, state, dt), jnp.max(jnp.abs(defect))
 
 

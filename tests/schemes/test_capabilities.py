@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid import systems
+from internals import compare_all_motions
 
 import lieint_jax as li
 from lieint_jax import _discover, schemes, types
-from lieint_jax.schemes._shared import accepts
 from lieint_jax.types import State
 
 J = jnp.array([1.0, 2.0, 3.0])
@@ -125,11 +125,6 @@ def with_other_moments(system):
     return dataclasses.replace(system, **changed) if changed else None
 
 
-def compares_all(monkeypatch):
-    """From here on the motion of the package's own systems is compared too."""
-    monkeypatch.setattr(accepts, "_is_tested", lambda _: False)
-
-
 @pytest.mark.parametrize(
     ("make", "names"),
     [
@@ -142,9 +137,7 @@ def compares_all(monkeypatch):
 )
 def test_the_built_in_systems_have_the_vector_fields_that_schemes_integrate(make, names, monkeypatch):
     """So that the making of a step need not compare them."""
-    compares_all(monkeypatch)
-    compared, difference = [], accepts._difference
-    monkeypatch.setattr(accepts, "_difference", lambda *x: (compared.append(x), difference(*x))[1])
+    compared = compare_all_motions(monkeypatch)
     for name in names:
         make(dict(systems())[name][0])
     assert len(compared) >= len(names)
@@ -154,7 +147,7 @@ def test_the_built_in_systems_have_the_vector_fields_that_schemes_integrate(make
 @pytest.mark.parametrize("name", [name for name, (system, *_) in systems() if dataclasses.is_dataclass(system)])
 def test_no_scheme_refuses_unequal_moments_in_axes_of_their_own(name, monkeypatch):
     """A mistake in the motion that a scheme compares with can be hidden by the symmetry of an example."""
-    compares_all(monkeypatch)
+    compare_all_motions(monkeypatch)
     system = with_other_moments(dict(systems())[name][0])
     for module in _discover.modules_with_examples(schemes).values():
         if system is not None:

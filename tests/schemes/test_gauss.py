@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from grid import examples_of
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, schemes, systems
@@ -15,10 +16,8 @@ from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.schemes._extrapolate import _extrapolation, _fractions, weights
 from lieint_jax.schemes.charts import body_axes, canonical
 from lieint_jax.schemes.charts.canonical import canonical_chart
-from lieint_jax.systems._heavy_top import asymmetric
-from lieint_jax.systems._rigid_bodies import examples as bodies
 
-TOP, STATE = asymmetric()
+TOP, STATE, _ = examples_of("heavy_top")["asymmetric_top"]
 STEP = schemes.gauss(TOP)
 _Equation = _discover.modules_with_examples(schemes)["gauss"]._Equation
 
@@ -32,7 +31,7 @@ def example(name):
         body = systems.pseudo_rigid_body([1.0, 1.2, 0.8], systems.neo_hookean(3.0, 2.0))
         return body, body.state(velocity=[[0.3, -0.9, 0.2], [0.8, 0.1, -0.3], [-0.1, 0.4, -0.2]]), 0.25
     if name == "binary":
-        system, state, _ = bodies()["binary"]
+        system, state, _ = examples_of("rigid_bodies")["binary"]
         return system, state, 0.4
     if name == "many":
         masses, moments = jnp.arange(1.0, 6.0), jnp.array([[0.1, 0.12, 0.15]] * 5)
@@ -321,7 +320,7 @@ def test_extrapolated_steps_have_their_order(name, order):
     if name == "leaning":
         system, state = leaning()
     else:
-        system, state, _ = bodies()[name] if name in ("triple", "binary") else example(name)
+        system, state, _ = examples_of("rigid_bodies")[name] if name in ("triple", "binary") else example(name)
     T, least = {"triple": (1.0, 64), "many": (2.0, 8), "binary": (8.0, 5), "leaning": (4.0, 20)}.get(name, (4.0, 8))
     exact = flow(system, state, T, 200)
     errors = []
@@ -340,7 +339,7 @@ def test_a_converged_step_of_gauss_is_the_flow(name):
     if name == "leaning":
         system, state = leaning()
     else:
-        system, state, _ = bodies()[name] if name == "binary" else example(name)
+        system, state, _ = examples_of("rigid_bodies")[name] if name == "binary" else example(name)
     step = schemes.gauss(system, 6)
     expected, info = jax.jit(step)(state, 0.1)
     assert info.converged

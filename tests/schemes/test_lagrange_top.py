@@ -6,17 +6,16 @@ import mpmath
 import numpy as np
 import pytest
 from free_bodies import moving
+from grid import examples_of
+from repeated import after
 from scipy.integrate import quad
 
 import lieint_jax as li
 from lieint_jax import diagnostics
-from lieint_jax._integrate import steps
 from lieint_jax.groups import so3
 from lieint_jax.schemes import compose, splitting, top_energy_momentum
-from lieint_jax.systems._heavy_top import lagrange, lagrange_motion
 
 A, C, WEIGHT = 5.0, 1.0, 20.0  # of Simo & Wong's top
-after = jax.jit(steps)  # the state after any number of steps, and the worst of their reports
 flow = jax.jit(diagnostics.flow, static_argnums=3)
 
 
@@ -64,7 +63,7 @@ def test_the_closed_form_of_nutation_and_precession_agrees_with_quadrature():
         return quad(integrand, -np.pi / 2, np.pi / 2, epsabs=0, epsrel=1e-13)[0]
 
     period = mean(lambda u: 1.0)
-    found = jax.jit(lagrange_motion)(top, state)
+    found = jax.jit(li.systems.lagrange_motion)(top, state)
     assert float(found.nutation_period) == pytest.approx(period, rel=1e-12)
     assert float(found.precession_rate) == pytest.approx(mean(lambda u: (b - c * u) / (1 - u * u)) / period, rel=1e-12)
     np.testing.assert_allclose(np.cos(found.inclination), [u2, u1], rtol=0, atol=1e-12)
@@ -73,7 +72,7 @@ def test_the_closed_form_of_nutation_and_precession_agrees_with_quadrature():
 @pytest.mark.long
 def test_a_released_top_nutates_with_the_closed_form_s_period_and_amplitude():
     """Released with nothing but spin, the axis falls to the other root in half a period and is back after a whole."""
-    top, state = jax.jit(lagrange)()
+    top, state = jax.jit(lambda: examples_of("heavy_top")["lagrange"][:2])()
     low, high, period = nutation(top, state)
     u0 = float(measured(top, state)[0])
     assert u0 == pytest.approx(high, abs=1e-13)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import splitting_series
 
+import lieint_jax as li
 from lieint_jax import _discover, diagnostics, orbits, schemes, systems
-from lieint_jax._integrate import integrate
 from lieint_jax.groups import so3
 
 TOP = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
@@ -43,7 +43,7 @@ def test_the_coefficients_satisfy_every_order_condition_to_their_last_digit(sche
 def measured(step, state, dt):
     """Errors of q after 8 steps and 16 half ones; the form after a step of 0.5; a step and back; H and momentum."""
     exact = diagnostics.flow(step.system, state, 8 * dt, 64)
-    runs = [integrate(step, state, dt / k, 8 * k, save_every=8 * k) for k in (1, 2)]
+    runs = [li.integrate(step, state, dt / k, 8 * k, save_every=8 * k) for k in (1, 2)]
     errors = jnp.stack([so3.angle(run.state.q[-1], exact.q) for run in runs])
     defect = diagnostics.symplectic_defect(step, state, 0.5)
     balance = diagnostics.energy_error(step.system, runs[1])[-1] / step.system.energy(state)
@@ -74,7 +74,7 @@ def test_nystrom_beats_compositions_at_equal_numbers_of_kicks():
     exact = diagnostics.flow(TOP, START, 20.0, 200)
     composed = schemes.compose(schemes.splitting(TOP), 8)
     ends = [
-        integrate(s, START, 20 / n, n, save_every=n).state.q[-1]
+        li.integrate(s, START, 20 / n, n, save_every=n).state.q[-1]
         for s, n in ((schemes.nystrom(TOP, 6), 40), (composed, 30))
     ]
     errors = [float(so3.angle(q, exact.q)) for q in ends]
@@ -99,7 +99,7 @@ def test_the_drift_decides_what_becomes_of_the_form():
 @pytest.mark.long
 def test_derivatives_by_weight_and_step_size_agree_with_differences():
     def end(weight, dt):
-        return integrate(schemes.nystrom(systems.heavy_top(TOP.inertia, weight), 6), START, dt, 4).state.q[-1, 1]
+        return li.integrate(schemes.nystrom(systems.heavy_top(TOP.inertia, weight), 6), START, dt, 4).state.q[-1, 1]
 
     weight, h = TOP.potential.weight, 1e-6
     by_weight, by_dt = jax.jit(jax.grad(end, (0, 1)))(weight, 0.3)

@@ -11,10 +11,10 @@ import pytest
 from free_bodies import moving, rows, turned
 from linearized import there_and_back
 from paper import hat
+from repeated import after
 
 import lieint_jax as li
 from lieint_jax import diagnostics
-from lieint_jax._integrate import steps
 from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.groups import so3
 from lieint_jax.schemes import preprocessed, so3_midpoint
@@ -46,7 +46,7 @@ def measured(step, state):
     run = li.integrate(step, state, 0.4, 500)
     return {
         "errors": jax.vmap(so3.angle, (0, None))(ends.q[:2], end.q),
-        "error of order 2": so3.angle(steps(base, state, 0.2, 16)[0].q, end.q),
+        "error of order 2": so3.angle(after(base, state, 0.2, 16)[0].q, end.q),
         "converged": run.info.converged,
         "energy": diagnostics.energy_error(body, run) / body.energy(state),
         "momentum": diagnostics.momentum_error(body, run),

@@ -8,16 +8,15 @@ import numpy as np
 import paper
 import pytest
 import scipy.integrate
+from repeated import after
 
 import lieint_jax as li
-from lieint_jax._integrate import steps
 from lieint_jax.groups import so3
 from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
 
 KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STATE = jax.jit(BODY.state)(np.array([1.0, 2, -1, 0.5]) / 2.5, angular_velocity=[0.3, -0.5, 0.8])
-after = jax.jit(steps)  # (step, state, dt, count) ↦ the state after so many steps, and the worst of their reports
 angle, body_momentum = jax.jit(so3.angle), jax.jit(BODY.body_momentum)
 
 

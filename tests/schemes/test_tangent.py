@@ -5,17 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from free_bodies import turned
-from grid import steps
+from grid import examples_of, steps
 from small_steps import Rests
 
 import lieint_jax as li
 from lieint_jax import diagnostics, maps, schemes, systems
-from lieint_jax.schemes._splitting import Splitting
-from lieint_jax.systems._gravity_gradient import examples as satellites
 
 BODY = systems.rigid_body(turned([1.0, 2.0, 3.0]))
 STATE = BODY.state([0.5, -0.1, 0.7, 0.5], angular_velocity=[0.3, 0.5, -0.4])
-SATELLITE, START, _ = satellites()["satellite"]
+SATELLITE, START, _ = examples_of("gravity_gradient")["satellite"]
 WHEEL = systems.gyrostat([1.0, 2.0, 3.0], [0.3, 0.1, -0.2])
 GRID = [pytest.param(step, state, dt, id=name) for name, step, state, dt in steps()]
 
@@ -62,7 +60,7 @@ def test_the_closed_form_is_the_derivative(step, state):
 
 def test_the_closed_form_of_the_kicks_is_their_derivative():
     top = systems.heavy_top([1.0, 2.0, 3.0], [0.3, -0.2, 1.0])
-    check(Splitting(top, Rests(top.free)), STATE, 0.4)
+    check(schemes.Splitting(top, Rests(top.free)), STATE, 0.4)
 
 
 @pytest.mark.long

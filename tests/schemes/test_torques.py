@@ -9,11 +9,11 @@ import mpmath
 import numpy as np
 import pytest
 from free_bodies import Q, moving, rows, turned
+from repeated import after
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
 from lieint_jax import State, _discover, schemes, torques
-from lieint_jax._integrate import steps
 from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
@@ -382,8 +382,6 @@ def test_a_magnetic_field_that_rests_damps_all_but_the_turn_about_it():
 
 
 # A pulse --------------------------------------------------------------------------------------------------------------
-
-after = jax.jit(steps)  # (step, state, dt, count) ↦ the state after so many steps, and the worst of their reports
 
 
 def test_the_impulse_of_a_thruster_is_that_of_its_window_whatever_the_steps():

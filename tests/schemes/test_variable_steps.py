@@ -12,7 +12,6 @@ from small_steps import Rests
 import lieint_jax as li
 from lieint_jax import diagnostics, ensemble, schemes, systems
 from lieint_jax.groups import so3
-from lieint_jax.schemes._log_hamiltonian import LogHamiltonian
 
 J, NEAR = np.array([1.0, 2.0, 2.5]), 1.05
 
@@ -82,7 +81,7 @@ def test_the_form_is_conserved_with_the_exact_drift_only():
         assert defect(LOG, LOG.start(START), dt) < 5e-14
         assert defect(LOG, state, dt) < 5e-14
     assert defect(composed(LOG), state, 0.4) < 5e-14
-    erring = LogHamiltonian(TOP, LOG.energy, schemes.so3_midpoint(TOP.free))
+    erring = schemes.LogHamiltonian(TOP, LOG.energy, schemes.so3_midpoint(TOP.free))
     coarse, fine = (float(defect(erring, state, dt)) for dt in (0.8, 0.4))
     assert coarse > 1e-3
     assert 6 < coarse / fine < 20
@@ -101,7 +100,7 @@ def test_the_order_is_that_of_the_states_at_their_own_times(step, dt, order):
 
 def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():
     """A drift that rests leaves Δt = ½h/(K₀ + B) + ½h/(K₁ + B), K before and after the kick hF/(−V)."""
-    step, start = LogHamiltonian(TOP, LOG.energy, Rests(TOP.free)), START._replace(t=jnp.array(0.7))
+    step, start = schemes.LogHamiltonian(TOP, LOG.energy, Rests(TOP.free)), START._replace(t=jnp.array(0.7))
     end, info = one(step, start, 0.04)
     speeds = [float(TOP.free.energy(z)) - H for z in (start, end)]
     assert info.converged

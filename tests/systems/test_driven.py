@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from free_bodies import Q, moving, rows
-from grid import steps
+from grid import examples_of, steps
 from linearized import there_and_back
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
@@ -19,10 +19,6 @@ import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS
-from lieint_jax.schemes._splitting import Splitting
-from lieint_jax.systems._driven_top import examples as driven_tops
-from lieint_jax.systems._gravity_gradient import examples as satellites
-from lieint_jax.systems._group_potential import examples as on_groups
 from lieint_jax.types import State
 
 EPS = np.finfo(float).eps
@@ -33,7 +29,8 @@ J = np.array([1.0, 2.0, 2.5])
 @functools.cache
 def example(name):
     with jax.ensure_compile_time_eval():
-        found = {**driven_tops(), **satellites(), **on_groups()}[name]
+        modules = map(examples_of, ("driven_top", "gravity_gradient", "group_potential"))
+        found = next(examples[name] for examples in modules if name in examples)
     return jax.device_get(found)
 
 
@@ -123,7 +120,7 @@ def test_two_half_kicks_give_the_impulse_and_the_work_of_their_times():
     """The drift rests, so both see the same Γ: V = Γ₁ sin t, with Γ the axis seen from the body."""
     top = systems.driven_top(J, lambda Gamma, t: jnp.sin(t) * Gamma[0], [0.0, 0.6, 0.8])
     start = moving(J)._replace(t=jnp.array(0.3), work=jnp.array(1.0))
-    end, _ = jax.jit(lambda step, z, dt: step(z, dt))(Splitting(top, Rests(top.free)), start, 0.2)
+    end, _ = jax.jit(lambda step, z, dt: step(z, dt))(schemes.Splitting(top, Rests(top.free)), start, 0.2)
     axis, Lambda = np.array([0.0, 0.6, 0.8]), np.array(rows(*Q)).T
     slope, (before, after) = Lambda[:, 0], (0.3, 0.5)
     np.testing.assert_allclose(

@@ -10,11 +10,10 @@ import scipy.integrate
 from free_bodies import Q, angle, rows, turned
 from hypothesis import given
 from hypothesis import strategies as st
+from repeated import after
 
 import lieint_jax as li
 from lieint_jax import State, schemes, systems
-from lieint_jax._integrate import steps
-from lieint_jax.diagnostics._symplectic import defect_matrix
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
 
@@ -41,8 +40,6 @@ MOTOR = systems.SpinUpMotor(jnp.array([0.4, 0.9, -0.5]), jnp.array(4.0))
 DRIVEN = systems.driven_gyrostat(J, MOTOR)
 START = moving(J, H_R, t=jnp.array(0.0), work=jnp.array(0.0), extra={"rotor": jnp.array(H_R)})
 ZERO = {"t": jnp.array(0.0), "work": jnp.array(0.0), "extra": {"rotor": jnp.zeros(3)}}
-
-after = jax.jit(steps)  # (step, state, dt, count) ↦ the state after so many steps, and the worst of their reports
 
 
 @jax.jit
@@ -116,7 +113,7 @@ def defects(step, state, dts, rotors):
 
     def defect(dt, rotor):
         made = dataclasses.replace(step, system=systems.Gyrostat(step.system.inertia, rotor))
-        return jnp.max(jnp.abs(defect_matrix(made, state, dt)))
+        return li.diagnostics.symplectic_defect(made, state, dt)
 
     return jax.vmap(lambda dt: jax.vmap(lambda rotor: defect(dt, rotor))(rotors))(dts)
 

@@ -8,11 +8,16 @@ from scipy.integrate import quad, solve_ivp
 from scipy.special import ellipk
 
 import lieint_jax as li
-from lieint_jax import _free_body, systems
+from lieint_jax import systems
 from lieint_jax.groups import so3
 
 APOPHIS = [0.61, 0.965, 1.0]
-periods = jax.jit(_free_body.periods)
+
+
+@jax.jit
+def periods(J, Pi):
+    """Of a body whose axes are those of space."""
+    return systems.RigidBody(J).periods(li.State(jnp.array([1.0, 0, 0, 0]), Pi))
 
 
 def by_quadrature(J, Pi):

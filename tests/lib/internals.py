@@ -1,0 +1,182 @@
+"""What tests change inside the package to see it at work on small runs: the one file with these private names.
+
+Each change is made by pytest's `monkeypatch`, which undoes it.
+"""
+
+import json
+from types import SimpleNamespace
+from unittest import mock
+
+import numpy as np
+
+from lieint_jax import _checks, ensemble
+from lieint_jax._xla import compiled
+from lieint_jax.ensemble import (
+    _engine,
+    _execute,
+    _identity,
+    _integrity,
+    _into_store,
+    _job,
+    _made_states,
+    _parts,
+    _run,
+    _storage,
+    _store,
+    _store_output,
+)
+from lieint_jax.schemes._shared import accepts
+
+ENGINES = {"flat": _engine.FlatEngine, "native": _engine.NativeEngine, "xla": _engine.XlaEngine}
+_COMPARE = _engine.NativeEngine._compare_first_step
+
+
+def by_engine(monkeypatch, name, jobs=None):
+    """Let the engine of this name compute all runs; their jobs are appended to `jobs`."""
+
+    def engine_of(job, _):
+        if jobs is not None:
+            jobs.append(job)
+        return ENGINES[name](job)
+
+    monkeypatch.setattr(_run, "engine_of", engine_of)
+
+
+def runs_by(monkeypatch, engines, *arguments, **options):
+    """The results of `ensemble.run` by each of the engines."""
+    found = []
+    for name in engines:
+        by_engine(monkeypatch, name)
+        found.append(ensemble.run(*arguments, progress=False, **options))
+    return found
+
+
+def engine_on(platform, job):
+    """The name of the engine that computes a job on a platform, "cpu" or "gpu"."""
+    return _engine.engine_of(job, SimpleNamespace(devices=np.array([SimpleNamespace(platform=platform)]))).name
+
+
+def limit_flat_engine(monkeypatch, what, most):
+    """Let steps of more than so many "registers", or numbers "carried" through a loop, be too large for flat arrays."""
+    monkeypatch.setattr(_engine, {"registers": "_WIDEST", "carried": "_MOST_CARRIED"}[what], most)
+
+
+def compare_machine_code(compares):
+    """Whether the first step of machine code is compared with XLA from now on."""
+    _engine.NativeEngine._compare_first_step = _COMPARE if compares else lambda *_: None
+
+
+def commit_every(monkeypatch, rows, in_bucket=None):
+    """Let runs commit after every `rows` saves, on disks and in buckets, so that a short run has many commits."""
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: rows)
+    monkeypatch.setattr(_job.Job, "bucket_rows", lambda self, across: in_bucket or rows)
+
+
+def make_states_of(monkeypatch, members):
+    """Let functions of states be called for so many members at once."""
+    monkeypatch.setattr(_made_states, "BLOCK", members)
+
+
+def small_chunks(monkeypatch, members, joined):
+    """Let chunks of a store have so many members, and so many of them be joined along time at once."""
+    monkeypatch.setattr(_into_store, "CHUNK_MEMBERS", members)
+    monkeypatch.setattr(_store_output, "SLAB", joined)
+
+
+def members_of_parts(members, count, most=8192):
+    """The members of each of `count` parts of a run, and of how many a chunk is, at most `most`."""
+    split = _parts.Split.into_parts(members, count, most)
+    return [split.part(k) for k in range(count)], split.chunk
+
+
+def motions_as_declared():
+    """A context in which schemes take each system's motion for the one that it declares, without a comparison."""
+    return mock.patch.object(accepts, "_difference", return_value=(0.0, 0.0))
+
+
+def compare_all_motions(monkeypatch):
+    """Let schemes compare the motion of the package's own systems too; returns the list of the comparisons."""
+    compared, difference = [], accepts._difference
+    monkeypatch.setattr(accepts, "_is_tested", lambda _: False)
+    monkeypatch.setattr(accepts, "_difference", lambda *x: (compared.append(x), difference(*x))[1])
+    return compared
+
+
+def compiled_once(function):
+    """A function compiled quickly, for calls that are shorter than their compilation; few programs are kept."""
+    return compiled(function, once=True)
+
+
+def memory_of(monkeypatch, size):
+    """Let this machine have so many bytes of memory."""
+    monkeypatch.setattr(_checks, "memory_of_machine", lambda: size)
+
+
+def refuse_to_integrate(monkeypatch, error):
+    """Let each run end by `error` where it would begin to integrate."""
+
+    def refuse(*_):
+        raise error
+
+    monkeypatch.setattr(_execute, "CompiledLoop", refuse)
+
+
+def interrupt_after_the_first_call(monkeypatch):
+    """Let a run be interrupted as if by Ctrl-C."""
+    monkeypatch.setattr(_execute.CallLength, "measure", lambda *_: True)
+
+
+def another_version(monkeypatch, **versions):
+    """Let stores be written by another version of `lieint_jax` or `python`."""
+    for name, version in versions.items():
+        if name == "python":
+            monkeypatch.setattr(_identity, "python_of", lambda *_, version=version: version)
+        else:
+            monkeypatch.setattr(_identity, "__version__", version)
+
+
+def after_commits(monkeypatch, action):
+    """Call action(path, steps) after each commit of a run of so many steps so far to the store at `path`."""
+    publish = _store.Writer.publish
+
+    def published(self, *arguments):
+        publish(self, *arguments)
+        action(self.path, self.progress["steps"])
+
+    monkeypatch.setattr(_store.Writer, "publish", published)
+
+
+def before_checkpoints(monkeypatch, action):
+    """Call action() before the checkpoint of a store is read."""
+    read = _integrity.damage_of_checkpoint
+    monkeypatch.setattr(_integrity, "damage_of_checkpoint", lambda *arguments: (action(), read(*arguments))[1])
+
+
+def after_new_stores(monkeypatch, action):
+    """Call action() between the check that there is no store yet and the rename of a new one."""
+    fill = _store._fill
+    monkeypatch.setattr(_store, "_fill", lambda *arguments: (fill(*arguments), action()))
+
+
+def before_puts(monkeypatch, action):
+    """Call action(name) before a file of a store in parts is written, on a disk or in a bucket."""
+    for kind in (_storage.Disk, _storage.Bucket):
+
+        def put(self, name, data, put=kind.put):
+            action(name)
+            put(self, name, data)
+
+        monkeypatch.setattr(kind, "put", put)
+
+
+def wait_for_buckets(monkeypatch, **seconds):
+    """Set the `first_delay` and the `longest_delay` between requests, the `timeout`, and the `patience` with them."""
+    for name, value in seconds.items():
+        monkeypatch.setattr(_storage, f"_{name.upper()}", value)
+
+
+def write_root(file, root):
+    """Write the metadata of the root of a store, with their checksum made right."""
+    if isinstance(root.get("attributes"), dict):
+        root["attributes"]["checksum"] = _integrity.checksum(root)
+    file.write_text(json.dumps(root))
