@@ -11,8 +11,9 @@ from jax import lax
 
 pytest.importorskip("llvmlite")
 
+from internals import forget_fallbacks, share_short_calls
+
 import lieint_jax as li
-from lieint_jax.native import _march_code
 
 CASES = [(6, 1, False), (12, 3, True), (10, 2, False), (90, 1, False), (91, 1, True), (130, 13, False)]
 CASES += [(200, 100, True), (97, 97, False), (202, 2, False)]  # from 65 steps on reverse mode computes pieces again
@@ -20,7 +21,7 @@ CASES += [(200, 100, True), (97, 97, False), (202, 2, False)]  # from 65 steps o
 
 @pytest.fixture(autouse=True)
 def _each_test_hears_of_a_fallback():
-    _march_code._say_once.cache_clear()
+    forget_fallbacks()
 
 
 def by_lax(f, init, xs, every, reverse):
@@ -225,7 +226,7 @@ def test_bits_depend_on_no_threads_and_no_other_members(monkeypatch):
     for start, end in ((0, 1), (3, 10), (500, 1000)):
         near(run(x[start:end]), jax.tree.map(lambda y, s=start, e=end: y[s:e], expected), 0)
     near(jax.jit(chaotic)(x[7]), jax.tree.map(lambda y: y[7], expected), 0)
-    monkeypatch.setattr(_march_code, "_SHORT", 0)
+    share_short_calls(monkeypatch)
     several = jax.jit(jax.vmap(lambda x: chaotic(x)))
     found = []
     threads = [threading.Thread(target=lambda: found.append(several(x))) for _ in range(8)]

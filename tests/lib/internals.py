@@ -25,6 +25,7 @@ from lieint_jax.ensemble import (
     _store,
     _store_output,
 )
+from lieint_jax.native import _march_code
 from lieint_jax.schemes._shared import accepts
 
 ENGINES = {"flat": _engine.FlatEngine, "native": _engine.NativeEngine, "xla": _engine.XlaEngine}
@@ -64,6 +65,16 @@ def limit_flat_engine(monkeypatch, what, most):
 def compare_machine_code(compares):
     """Whether the first step of machine code is compared with XLA from now on."""
     _engine.NativeEngine._compare_first_step = _COMPARE if compares else lambda *_: None
+
+
+def forget_fallbacks():
+    """Let the log name again why XLA runs a loop in place of machine code."""
+    _march_code._say_once.cache_clear()
+
+
+def share_short_calls(monkeypatch):
+    """Let short calls of machine code run in several threads too."""
+    monkeypatch.setattr(_march_code, "_SHORT", 0)
 
 
 def commit_every(monkeypatch, rows, in_bucket=None):
