@@ -7,7 +7,7 @@ from typing import Any
 
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from lieint_jax.native._primitives.control_flow import have_same_rank, jaxprs_of
+from lieint_jax.native._primitives.control_flow import CALLS, have_same_rank, jaxprs_of
 
 
 def varying_results(jaxpr: ClosedJaxpr | Jaxpr, varying: Sequence[bool]) -> list[bool]:
@@ -47,6 +47,6 @@ def _of_equation(equation: Any, given: list[bool]) -> list[bool]:
     if name == "cond":
         sides = [varying_results(x, given[1:]) for x in inner]
         return [given[0] or any(side) for side in zip(*sides, strict=True)]
-    if len(inner) == 1 and len(getattr(inner[0], "jaxpr", inner[0]).invars) == len(given):  # a call
+    if name in CALLS and len(inner) == 1:
         return varying_results(inner[0], given)
     return [True] * len(out)

@@ -18,7 +18,6 @@ from lieint_jax.native._program import Program
 from lieint_jax.native._stream import Stream, split
 from lieint_jax.native._traced import Leaf, Operation, Traced, Tree, leaves_before_rows, make_once
 
-_FEW = 26  # the most numbers in an innermost loop for which two vectors of each are faster than one
 _CHUNKS = 4  # parts of the members per thread, so that all threads end at about the same time
 
 
@@ -130,9 +129,7 @@ class Code:
         from lieint_jax.native._emit import Tape, emit
 
         self._results, self.carried = results, sum(leaf.kind == "carry" for leaf in leaves)
-        sizes = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
-        width = _machine.register_bytes() // max(sizes, default=8)
-        self.lanes = lanes or width * (2 if program.pressure() <= _FEW else 1)
+        self.lanes = lanes or _machine.lanes(leaves, program.pressure())
         sizes = [int(np.prod(x.shape)) for x in results[self.carried :]]
         parts, tape, functions = split(program), None, Functions()
         self._shared = None

@@ -15,6 +15,9 @@ from typing import Any
 import llvmlite
 import llvmlite.binding as llvm
 
+from lieint_jax.native._traced import Leaf
+
+_FEW = 26  # the most numbers in an innermost loop for which two vectors of each are faster than one
 _lock = threading.Lock()
 _functions: weakref.WeakValueDictionary[str, MachineFunction] = weakref.WeakValueDictionary()  # by their texts
 
@@ -30,6 +33,12 @@ def register_bytes() -> int:
     """The bytes of a vector register."""
     features = llvm.get_host_cpu_features()
     return 64 if features.get("avx512f") else 32 if features.get("avx2") else 16
+
+
+def lanes(leaves: Sequence[Leaf], pressure: int) -> int:
+    """Members in a vector of a program that reads these arrays, with so many numbers in an innermost loop."""
+    widths = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
+    return register_bytes() // max(widths, default=8) * (2 if pressure <= _FEW else 1)
 
 
 class MachineFunction:

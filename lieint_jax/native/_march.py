@@ -80,8 +80,7 @@ class Loop(NamedTuple):
     @property
     def owns(self) -> tuple[bool, ...]:
         """For each argument, whether each member has its own."""
-        own = self.own or (False,) * (len(self.arguments) - self.carried)
-        return (self.members is not None,) * self.carried + own
+        return (self.members is not None,) * self.carried + self.own
 
     def split(self, items: Values) -> tuple[list[Value], list[Value], list[Value]]:
         """What belongs to the carries, to the constants and to the rows."""
@@ -95,6 +94,11 @@ class Loop(NamedTuple):
     def bind(self, arguments: Values) -> list[Value]:
         """The carries after the last step, and the stored rows of results, of axes (rows, members, …)."""
         return march_p.bind(*arguments, loop=self)
+
+
+def shape_of(x: Value) -> jax.ShapeDtypeStruct:
+    """The shape and type of an array, a tracer or an abstract value."""
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
 def march(
@@ -119,8 +123,9 @@ def march(
     closed, (_, out) = jax.make_jaxpr(lambda n, c, x: _checked(step(n, c, x), c), return_shape=True)(number, carry, row)
     starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)
     closed, closed_over = _with_arguments(closed, 1 + len(starts))
-    loop = Loop(closed, len(starts), len(closed_over), rows, every, reverse)
     arguments = [*starts, *closed_over, *jax.tree.leaves(xs)]
+    own = (False,) * (len(arguments) - len(starts))
+    loop = Loop(closed, len(starts), len(closed_over), rows, every, reverse, own=own)
     found = by_xla(*arguments, loop=loop) if has_effects else loop.bind(arguments)  # such as jax.debug.print
     ends = jax.tree.unflatten(jax.tree.structure(carry), found[: len(starts)])
     return ends, jax.tree.unflatten(jax.tree.structure(out), found[len(starts) :])
@@ -161,9 +166,8 @@ def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[
         consts = [next(given) if t else x for x, t in zip(closed.consts, traced, strict=True)]
         return jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))(*arguments[:place], *arguments[place + len(tracers) :])
 
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in closed.in_avals]
-    of_tracers = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in tracers]
-    return jax.make_jaxpr(function)(*shapes[:place], *of_tracers, *shapes[place:]), tracers
+    shapes = [shape_of(x) for x in closed.in_avals]
+    return jax.make_jaxpr(function)(*shapes[:place], *map(shape_of, tracers), *shapes[place:]), tracers
 
 
 @march_p.def_abstract_eval
@@ -191,13 +195,13 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
         axes = [0 if own else None for own in loop.owns]
         step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
 
-    def one(n: Value, carry: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
+    def step_once(n: Value, carry: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
         found = list(step(n, *carry, *fixed, *row))
         return found[: loop.carried], found[loop.carried :]
 
     numbers = jnp.arange(loop.steps, dtype=loop.step.in_avals[0].dtype)
     if loop.every == 1:
-        carry, ys = lax.scan(lambda c, x: one(x[0], c, x[1]), carry, (numbers, series), reverse=loop.reverse)
+        carry, ys = lax.scan(lambda c, x: step_once(x[0], c, x[1]), carry, (numbers, series), reverse=loop.reverse)
         return [*carry, *ys]
     in_rows = jax.tree.map(lambda x: x.reshape(loop.rows, loop.every, *x.shape[1:]), (numbers, series))
 
@@ -205,10 +209,10 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
         def next_step(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
             at = loop.every - 1 - k if loop.reverse else k
             n, x = jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, at, keepdims=False), given)
-            return one(n, both[0], x)
+            return step_once(n, both[0], x)
 
         first, x = jax.tree.map(lambda x: x[0], given)
-        shapes = jax.eval_shape(lambda c: one(first, c, x)[1], carry)
+        shapes = jax.eval_shape(lambda c: step_once(first, c, x)[1], carry)
         return lax.fori_loop(0, loop.every, next_step, (carry, [jnp.zeros(s.shape, s.dtype) for s in shapes]))
 
     carry, ys = lax.scan(row, carry, in_rows, reverse=loop.reverse)

@@ -12,19 +12,18 @@ from jax.extend.core import jaxpr_as_fun
 from jax.interpreters import mlir
 
 from lieint_jax.native._handler import handler
-from lieint_jax.native._march import Loop, Value, Values, by_xla, march_p
+from lieint_jax.native._march import Loop, Value, Values, by_xla, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._traced import Traced, make_once
 
 _log = logging.getLogger(__name__)
-_FEW = 26  # the most numbers in an innermost loop for which two vectors of each are faster than one
 _SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
 _ALL = 2**30  # threads: as many as XLA's pool has
 ENGINES = ("native", "xla")
 chosen_engine = jax.make_user_context(None)  # one of them, or None; JAX traces again where it differs
 
 
-class Code:
+class LoopCode:
     """The step of a loop as machine code that XLA calls by a name.
 
     Attributes:
@@ -45,24 +44,13 @@ class Code:
         with unsupported_if_it_fails():
             results = jax.tree.leaves(traced.results)
             sizes = [int(np.prod(x.shape)) for x in results[loop.carried :]]
-            lanes, functions = _lanes(traced, function.single), Functions()
+            pressure = traced.program.pressure() or sum(leaf.size for leaf in traced.leaves if leaf.varies)
+            lanes, functions = 1 if function.single else _machine.lanes(traced.leaves, pressure), Functions()
             text = emit(traced.program, traced.leaves, sizes, lanes, functions, reverse=loop.reverse)
             arrays = sum(leaf.kind != "counter" for leaf in traced.leaves)
             around = handler(arrays, len(results), lanes)
             self.length = traced.length
             self.name = _machine.compile_handler(text, functions.text(), around)
-
-
-def _lanes(traced: Traced, single: bool) -> int:
-    """Members in a vector."""
-    from lieint_jax.native import _machine
-
-    if single:
-        return 1
-    varying = [leaf for leaf in traced.leaves if leaf.varies]
-    widths = [leaf.dtype.itemsize for leaf in varying if leaf.dtype.kind == "f"]
-    pressure = traced.program.pressure() or sum(leaf.size for leaf in varying)  # of loops inside, or of this one
-    return _machine.register_bytes() // max(widths, default=8) * (2 if pressure <= _FEW else 1)
 
 
 class _Step:
@@ -85,14 +73,14 @@ class _Step:
         return isinstance(other, _Step) and self._key == other._key
 
 
-def code(loop: Loop) -> Code:
+def loop_code(loop: Loop) -> LoopCode:
     """The machine code of a loop, made once.
 
     Raises:
         ImportError: llvmlite is missing.
         UnsupportedError: its step is not a program of numbers.
     """
-    carry, fixed, row = loop.split([jax.ShapeDtypeStruct(x.shape, x.dtype) for x in loop.arguments])
+    carry, fixed, row = loop.split([shape_of(x) for x in loop.arguments])
     _, of_fixed, of_rows = loop.split(loop.owns)
     kinds = (
         ["carry"] * loop.carried,
@@ -100,8 +88,7 @@ def code(loop: Loop) -> Code:
         "counter",
         ["series" if own else "row" for own in of_rows],
     )
-    number = loop.step.in_avals[0]
-    return make_once(Code, _Step(loop), kinds, (carry, fixed, jax.ShapeDtypeStruct((), number.dtype), row))
+    return make_once(LoopCode, _Step(loop), kinds, (carry, fixed, shape_of(loop.step.in_avals[0]), row))
 
 
 def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
@@ -109,14 +96,14 @@ def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
     if _engine() == "xla" or not loop.steps:
         return by_xla(*arguments, loop=loop)
     try:
-        found = code(loop)
+        found = loop_code(loop)
     except (ImportError, UnsupportedError) as reason:
         _say_once(str(reason))
         return by_xla(*arguments, loop=loop)
     shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
     members = loop.members or 1
     threads = 1 if members * loop.steps * found.length <= _SHORT else _ALL
-    call = jax.ffi.ffi_call(found.name, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shapes])
+    call = jax.ffi.ffi_call(found.name, [shape_of(x) for x in shapes])
     sizes = {"every": loop.every, "members": members, "rows": loop.steps, "threads": threads}
     return list(call(*arguments, **{name: np.int64(x) for name, x in sizes.items()}))
 

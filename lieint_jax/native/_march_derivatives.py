@@ -19,7 +19,7 @@ from jax.extend.core import ClosedJaxpr, DropVar, JaxprEqn, Var, jaxpr_as_fun, n
 from jax.interpreters import ad, partial_eval
 
 from lieint_jax.native._dependence import varying_in_loop
-from lieint_jax.native._march import Loop, Origin, Value, Values, march_p
+from lieint_jax.native._march import Loop, Origin, Value, Values, march_p, shape_of
 
 _MOST_STORED = 64  # steps of a loop whose carries are all stored
 Mask = Sequence[bool]
@@ -34,26 +34,27 @@ def _is_real(x: Value) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating)
 
 
-def _shape(x: Value) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct(x.shape, x.dtype)
-
-
 def _traced(function: _Function, loop: Loop, *arguments: Value) -> ClosedJaxpr:
     """A step, (number, arguments) ↦ results, of arguments like these."""
-    return jax.make_jaxpr(function)(_shape(loop.step.in_avals[0]), *map(_shape, arguments))
+    return jax.make_jaxpr(function)(shape_of(loop.step.in_avals[0]), *map(shape_of, arguments))
 
 
-def _mask_of_results(loop: Loop, active: Mask) -> list[bool]:
+def _mask_of_results(loop: Loop, active: tuple[bool, ...]) -> tuple[bool, ...]:
     """Which results have tangents, if those arguments have them."""
-    varying = varying_in_loop(loop.step, [False, *active], 1, loop.carried)
-    return [v and _is_real(x) for v, x in zip(varying, loop.results, strict=True)]
+    return _varying_and_real(loop.step, loop.carried, active)
+
+
+@functools.lru_cache(256)
+def _varying_and_real(step: ClosedJaxpr, carried: int, active: tuple[bool, ...]) -> tuple[bool, ...]:
+    varying = varying_in_loop(step, [False, *active], 1, carried)
+    return tuple(v and _is_real(x) for v, x in zip(varying, step.out_avals, strict=True))
 
 
 # Forward mode ---------------------------------------------------------------------------------------------------------
 
 
 def _jvp(primals: Values, tangents: Values, *, loop: Loop) -> tuple[list[Value], list[Value]]:
-    given = [type(t) is not ad.Zero and _is_real(x) for x, t in zip(primals, tangents, strict=True)]
+    given = tuple(type(t) is not ad.Zero and _is_real(x) for x, t in zip(primals, tangents, strict=True))
     real = _mask_of_results(loop, given)
     active = (*real[: loop.carried], *given[loop.carried :])
     dots = [ad.instantiate_zeros(t) for t, a in zip(tangents, active, strict=True) if a]
@@ -97,7 +98,7 @@ def _tangent_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
         step=_tangent_step(loop.step, loop.carried, loop.fixed, active),
         carried=carried,
         fixed=loop.fixed + sum(fixed),
-        own=tuple(owns[carried:]) if loop.members is not None else (),
+        own=tuple(owns[carried:]),
         origin=Origin(loop, active, False),
     )
 
@@ -146,9 +147,8 @@ def _partial_eval(trace: Any, *tracers: Value, loop: Loop) -> list[Value]:
             unknown = iter(dots)
             given = [next(unknown) if a else _no_tangent(x) for x, a in zip(known, active, strict=True)]
             out, out_dots = jax.jvp(functools.partial(_in_pieces, base), tuple(known), tuple(given))
-        mask = _mask_of_results(base, active)
-        out, slopes = [trace.to_jaxpr_tracer(x) for x in out], _chosen(out_dots, mask)
-        slopes = [trace.to_jaxpr_tracer(x) for x in slopes]
+        slopes = _chosen(out_dots, _mask_of_results(base, active))
+        out, slopes = ([trace.to_jaxpr_tracer(x) for x in values] for values in (out, slopes))
     else:
         out, stored = _recorded(base, known)
         linear = _linear_loop(base, active)
@@ -167,7 +167,7 @@ def _no_tangent(x: Value) -> Value:
     return jnp.zeros(x.shape, x.dtype) if _is_real(x) else jnp.zeros(x.shape, jax.dtypes.float0)
 
 
-def _results_of(loop: Loop, active: Mask, out: Values, slopes: Values) -> list[Value]:
+def _results_of(loop: Loop, active: tuple[bool, ...], out: Values, slopes: Values) -> list[Value]:
     """The results of the loop of the step and its tangents: (carries, their tangents, results, their tangents)."""
     mask, n = _mask_of_results(loop, active), loop.carried
     count = sum(mask[:n])
@@ -188,7 +188,7 @@ def _recorded(loop: Loop, arguments: Values) -> tuple[list[Value], list[Value]]:
 def _recording(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
     """The step with the carries before it among its results."""
     function = jaxpr_as_fun(step)
-    return jax.make_jaxpr(lambda n, *x: [*function(n, *x), *x[:carried]])(*map(_shape, step.in_avals))
+    return jax.make_jaxpr(lambda n, *x: [*function(n, *x), *x[:carried]])(*map(shape_of, step.in_avals))
 
 
 def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
@@ -201,7 +201,7 @@ def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
         step=_linear_step(loop.step, loop.carried, loop.fixed, active),
         carried=sum(carries),
         fixed=loop.fixed + sum(fixed),
-        own=tuple(own) if loop.members is not None else (),
+        own=tuple(own),
         origin=Origin(loop, active, True),
     )
 
@@ -260,7 +260,7 @@ def _transpose(bars: Values, *arguments: Value, loop: Loop) -> list[Value]:
         1,
         not loop.reverse,
         loop.members,
-        own if loop.members is not None else (),
+        own,
     )
     found = back.bind([*lam, *sums, *constants, *values, *y_bars])
     lam, sums, x_bars = found[:n], found[n : n + len(sums)], found[n + len(sums) :]
@@ -370,11 +370,11 @@ def _pieces_and_rest(
     cut = [x[place : place + in_pieces].reshape(count, piece.steps, *x.shape[1:]) for x in series]
 
     @jax.checkpoint
-    def one(carry: list[Value], start: Value, rows: list[Value]) -> tuple[list[Value], list[Value]]:
+    def run_piece(carry: list[Value], start: Value, rows: list[Value]) -> tuple[list[Value], list[Value]]:
         found = _numbered(piece).bind([*carry, start, *fixed, *rows])
         return found[: loop.carried], found[loop.carried :]
 
-    carry, ys = lax.scan(lambda c, x: one(c, *x), carry, (starts, cut), reverse=loop.reverse)
+    carry, ys = lax.scan(lambda c, x: run_piece(c, *x), carry, (starts, cut), reverse=loop.reverse)
     ys = [y.reshape(-1, *y.shape[2:]) for y in ys]
     if not rest:
         return [*carry, *ys]
@@ -389,14 +389,14 @@ def _pieces_and_rest(
 
 def _numbered(loop: Loop) -> Loop:
     """A loop with the number of its first step as its first constant."""
-    own = (False, *loop.own) if loop.members is not None else ()
-    return loop._replace(step=_numbered_step(loop.step, loop.carried), fixed=loop.fixed + 1, own=own, origin=None)
+    step = _numbered_step(loop.step, loop.carried)
+    return loop._replace(step=step, fixed=loop.fixed + 1, own=(False, *loop.own), origin=None)
 
 
 @functools.lru_cache(256)
 def _numbered_step(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
     function = jaxpr_as_fun(step)
-    number, *shapes = map(_shape, step.in_avals)
+    number, *shapes = map(shape_of, step.in_avals)
 
     def numbered(n: Value, *arguments: Value) -> list[Value]:
         return function(n + arguments[carried], *arguments[:carried], *arguments[carried + 1 :])
@@ -407,4 +407,4 @@ def _numbered_step(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
 @functools.lru_cache(256)
 def _without_results(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
     function = jaxpr_as_fun(step)
-    return jax.make_jaxpr(lambda *x: function(*x)[:carried])(*map(_shape, step.in_avals))
+    return jax.make_jaxpr(lambda *x: function(*x)[:carried])(*map(shape_of, step.in_avals))

@@ -12,7 +12,7 @@ from jax.extend.core import jaxpr_as_fun
 from jax.interpreters import batching
 
 from lieint_jax.native._dependence import varying_in_loop
-from lieint_jax.native._march import Loop, Value, Values, march_p
+from lieint_jax.native._march import Loop, Value, Values, march_p, shape_of
 
 _SHORT = 12  # the longest axis, such as that of tangent vectors, that may go inside of a step
 _COMMON = 0.3  # the least part of a carry without the axis, such as the point of the tangents, for which it does
@@ -87,8 +87,8 @@ def _inside(
     def step(*arguments: Value) -> list[Value]:
         return [x if v else x[0] for x, v in zip(batched(*arguments), varying, strict=True)]
 
-    number, *shapes = loop.step.in_avals
-    wide = [jax.ShapeDtypeStruct((size, *x.shape) if h else x.shape, x.dtype) for x, h in zip(shapes, has, strict=True)]
-    made = jax.make_jaxpr(step)(jax.ShapeDtypeStruct((), number.dtype), *wide)
+    number, *shapes = map(shape_of, loop.step.in_avals)
+    wide = [x.update(shape=(size, *x.shape)) if h else x for x, h in zip(shapes, has, strict=True)]
+    made = jax.make_jaxpr(step)(number, *wide)
     found = loop._replace(step=made, origin=None).bind(given)
     return found, [old + (k >= loop.carried) if v else None for k, v in enumerate(varying)]

@@ -10,10 +10,8 @@ import jax
 import numpy as np
 
 from lieint_jax.native import _march_derivatives, _march_members  # noqa: F401  # the rules of the primitive
-from lieint_jax.native._march import march
+from lieint_jax.native._march import Tree, march
 from lieint_jax.native._march_code import ENGINES, chosen_engine
-
-Tree = Any  # a tree of arrays
 
 
 def scan(
@@ -25,12 +23,13 @@ def scan(
     every: int = 1,
     reverse: bool = False,
 ) -> tuple[Tree, Tree]:
-    """`jax.lax.scan` in machine code: small steps run several times as fast, above all those of many members.
+    """`jax.lax.scan` in machine code: small steps, and above all their gradients, run faster.
 
-    Under `jax.vmap` the members are the lanes of the processor's vectors. All transformations of JAX apply: `jit`,
-    `vmap`, `jvp`, `grad`, `jax.checkpoint`, derivatives of derivatives. Reverse mode stores the carries before about
-    2√length steps, and computes the others again. On accelerators, and where a step has an operation without a formula
-    in machine code, XLA runs the loop; the log says so.
+    Under `jax.vmap` the members are the lanes of the processor's vectors. A step that XLA fuses into one operation on
+    all members, such as the logistic map, gains in its gradient only. All transformations of JAX apply: `jit`, `vmap`,
+    `jvp`, `grad`, `jax.checkpoint`, derivatives of derivatives. Reverse mode stores the carries before about 2√length
+    steps, and computes the others again. On accelerators, and where a step has an operation without a formula in
+    machine code, XLA runs the loop; the log says so. Call it inside `jax.jit`: outside, each call compiles again.
 
     Args:
         f: (carry, x) ↦ (carry, y), a pure function of small arrays: each of their entries is a number of the program.

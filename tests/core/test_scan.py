@@ -65,8 +65,8 @@ def arguments(length):
     return (jnp.array([0.3, 0.2]), jnp.array(0.1)), jnp.array(0.9), jnp.array(xs)
 
 
-def near(found, expected, tolerance=1e-13):
-    """Observed: 5e-15 of the largest number."""
+def near(found, expected, tolerance=4e-14):
+    """Observed: 1e-14 of the largest number."""
     for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         assert x.shape == y.shape
         assert x.dtype == y.dtype
@@ -189,9 +189,9 @@ def test_types_tables_and_what_is_closed_over():
 
     x, k = (jnp.linspace(-1, 1, 21, dtype=jnp.float32) * s for s in (1, 3))
     found, expected = (jax.jit(jax.vmap(lambda x, k, s=s: run(s, x, k)))(x, k) for s in (li.scan, lax.scan))
-    near(found, expected, 1e-6)  # observed: 6e-8
+    near(found, expected, 5e-7)  # observed: 1.6e-7
     by_k = [jax.grad(lambda k, s=s: run(s, x[0], k)[0][0])(k[3]) for s in (li.scan, lax.scan)]
-    near(*by_k, 1e-6)
+    near(*by_k, 5e-7)
 
 
 def test_without_x64_numbers_have_32_bits():
@@ -243,12 +243,15 @@ def calls(run, *x):
 
 def test_the_engine_is_the_users_choice(monkeypatch):
     """Call, switch, call: JAX compiles again."""
-    run, x = jax.jit(lambda x: jax.vmap(chaotic)(x)), jnp.linspace(0.1, 0.9, 7)
+    run, x = (
+        jax.jit(jax.vmap(lambda x: li.scan(lambda c, _: (3.2 * c * (1 - c), c), x, length=300))),
+        arguments(7)[2] % 1,
+    )
     assert "lieint_" in run.lower(x).as_text()
     first = run(x)
     with li.engine("xla"):
         assert "lieint_" not in run.lower(x).as_text()
-        near(run(x), first, 1e-1)  # chaos
+        near(run(x), first)
         assert not calls(chaotic, 0.3)
     assert calls(chaotic, 0.3)
     monkeypatch.setenv("LIEINT_ENGINE", "xla")

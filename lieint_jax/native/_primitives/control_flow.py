@@ -170,11 +170,11 @@ def _call(
     return walk.jaxpr(inner, inputs)
 
 
-_CALLS = names(
+CALLS = names(
     "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call "
     "eval_jaxpr jit pjit remat remat2"
 )
-CONTROL_FLOW: dict[str, Callable[..., list[np.ndarray]]] = dict.fromkeys(_CALLS, _call) | {
+CONTROL_FLOW: dict[str, Callable[..., list[np.ndarray]]] = dict.fromkeys(CALLS, _call) | {
     "while": _while,
     "scan": _scan,
     "cond": _cond,
