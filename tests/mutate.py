@@ -60,7 +60,7 @@ def mutations() -> list[Mutation]:
 
 
 def tried(mutation: Mutation | None, tests: list[str]) -> tuple[str, str]:
-    """KILLED or SURVIVED, and what pytest printed, of the tests in a copy with a change, or without one."""
+    """KILLED or SURVIVED, and what pytest printed, of the tests in a copy with a change, or, with no limit, without."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         for name in ("lieint_jax", "tests"):
@@ -71,9 +71,9 @@ def tried(mutation: Mutation | None, tests: list[str]) -> tuple[str, str]:
         if mutation is not None:
             (copy / mutation.file).write_text(mutation.source(copy), encoding="utf-8")
         command = [sys.executable, "-m", "pytest", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]
-        environment = os.environ | {"PYTHONPATH": folder}
+        environment, limit = os.environ | {"PYTHONPATH": folder}, LIMIT if mutation else None
         try:
-            run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT)
+            run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=limit)
         except subprocess.TimeoutExpired:
             return KILLED, f"no end after {LIMIT} s"
     if run.returncode and not _failed(run.stdout):
