@@ -33,10 +33,6 @@ class Gyrostat(Rotating, types.AbstractGyrostat):
         """The body of this inertia without a rotor."""
         return RigidBody(self.inertia)
 
-    def momentum_at(self, angular_velocity: Vector3) -> Vector3:
-        """Π = JΩ + h_r, shape (3,)."""
-        return self.rotor + jnp.stack(vec3.apply(vec3.symmetric(self.inertia), angular_velocity))
-
     def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
         own = self.body_momentum(state) - self.rotor

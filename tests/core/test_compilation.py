@@ -275,6 +275,7 @@ def test_checks_of_new_functions_keep_no_programs(monkeypatch, name):
     for k in range(1, 5):
         system = NEW[name](float(k))
         system.check(system.state(**motion, **turn))
+        jax.vmap(lambda k: system.state(**motion, **jax.tree.map(lambda x: k * np.asarray(x), turn)))(np.ones(2))
         gc.collect()
         counts.append(len(jax.devices()[0].client.live_executables()))
     assert counts[-1] == counts[1], counts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -43,14 +42,11 @@ class OnRotations:
         return so3.Ad_star(state.q, state.p)
 
 
-class Rotating(OnRotations, abc.ABC):
+class Rotating(OnRotations):
     """A body whose states are made from an attitude and a motion."""
 
     inertia: Array
-
-    @abc.abstractmethod
-    def momentum_at(self, angular_velocity: Vector3) -> Vector3:
-        """Π of the body that rotates with Ω, shape (3,)."""
+    rotor: Array | None = None  # h_r in Π = JΩ + h_r
 
     @explained
     def state(
@@ -81,7 +77,7 @@ class Rotating(OnRotations, abc.ABC):
             angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
         )
         value = _checks.real_array(name, given, (3,))
-        q, p = _attitude_and_momentum(self, attitude, value, name)
+        q, p = _attitude_and_momentum(self.inertia, self.rotor, attitude, value, name)
         return State(q, _checks.real_array("the spatial momentum", p))
 
     def check(self, state: State) -> None:
@@ -93,10 +89,6 @@ class Rotating(OnRotations, abc.ABC):
 
 class Body(Rotating):
     """A body without rotors, so that Π = JΩ."""
-
-    def momentum_at(self, angular_velocity: Vector3) -> Vector3:
-        """Π = JΩ, shape (3,)."""
-        return jnp.stack(vec3.apply(vec3.symmetric(self.inertia), angular_velocity))
 
     def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
@@ -236,12 +228,18 @@ def _least_ratio(moments: Array, s: Array, long_axis: bool) -> Array:
     return _free_body.period_ratio(moments, s, long_axis)
 
 
-@partial(compiled, static_argnums=3, once=True)
-def _attitude_and_momentum(body: Rotating, attitude: Array, motion: Array, name: str) -> tuple[Array, Array]:
-    """The quaternion of an attitude, and π of the motion that the argument `name` of `state` gives."""
+@partial(compiled, static_argnums=4, once=True)
+def _attitude_and_momentum(
+    inertia: Array, rotor: Array | None, attitude: Array, motion: Array, name: str
+) -> tuple[Array, Array]:
+    """The quaternion of an attitude, and π of the motion that the argument `name` of `state` gives.
+
+    It is not a function of the system, or JAX would keep a program for each new function of a user in it.
+    """
     q = so3.from_matrix(attitude) if attitude.ndim == 2 else so3.normalize(attitude)
     if name == "angular_velocity":
-        motion = body.momentum_at(motion)
+        motion = jnp.stack(vec3.apply(vec3.symmetric(inertia), motion))
+        motion = motion if rotor is None else rotor + motion
     p = motion if name == "spatial_momentum" else so3.Ad(q, motion)
     dtype = jnp.result_type(q, p)
     return q.astype(dtype), p.astype(dtype)
