@@ -24,6 +24,7 @@ declare ptr @malloc(i64)
 declare void @free(ptr)
 declare i32 @sched_yield()
 declare i64 @llvm.smin.i64(i64, i64)
+declare i64 @llvm.smax.i64(i64, i64)
 declare void @run(i64, i64, i64, i64, i64, ptr)
 
 ; The data of a list of buffers, to consecutive pointers.
@@ -58,6 +59,24 @@ define internal i64 @attribute(ptr %frame, i64 %k) {
   %value = load ptr, ptr %value.at
   %found = load i64, ptr %value
   ret i64 %found
+}
+
+; The number of steps of a row: x, or if x < 0 the 32 bits at pointer −1 − x, but not less than 0.
+define internal i64 @steps(i64 %x, ptr %pointers) {
+entry:
+  %given = icmp slt i64 %x, 0
+  br i1 %given, label %read, label %exit
+read:
+  %place = sub i64 -1, %x
+  %pointer.at = getelementptr ptr, ptr %pointers, i64 %place
+  %pointer = load ptr, ptr %pointer.at
+  %narrow = load i32, ptr %pointer
+  %found = sext i32 %narrow to i64
+  %steps = call i64 @llvm.smax.i64(i64 %found, i64 0)
+  br label %exit
+exit:
+  %all = phi i64 [ %x, %entry ], [ %steps, %read ]
+  ret i64 %all
 }
 
 ; One part of the blocks after another, until none is left.
@@ -160,9 +179,9 @@ describe:
   store i64 0, ptr %state.at
   ret ptr null
 execute:
-  %every = call i64 @attribute(ptr %frame, i64 0)
+  %every.or.place = call i64 @attribute(ptr %frame, i64 0)
   %members = call i64 @attribute(ptr %frame, i64 1)
-  %rows = call i64 @attribute(ptr %frame, i64 2)
+  %stored = call i64 @attribute(ptr %frame, i64 2)
   %most.threads = call i64 @attribute(ptr %frame, i64 3)
   %lanes = load i64, ptr @lanes
   %fewer = sub i64 %lanes, 1
@@ -181,6 +200,9 @@ execute:
   %results = getelementptr %frame, ptr %frame, i64 0, i32 6
   %first.output = getelementptr ptr, ptr %pointers, i64 %inputs
   call void @copy(ptr %results, i64 %outputs, ptr %first.output)
+  %steps = call i64 @steps(i64 %every.or.place, ptr %pointers)
+  %rows = mul i64 %stored, %steps
+  %every = call i64 @llvm.smax.i64(i64 %steps, i64 1)
   %most = call i64 @llvm.smin.i64(i64 %blocks, i64 %most.threads)
   %several = icmp sgt i64 %most, 1
   br i1 %several, label %ask, label %alone

@@ -41,11 +41,14 @@ class Origin(NamedTuple):
 class Loop(NamedTuple):
     """A loop of `rows` × `every` steps; its arguments are the carries, the constants, and the rows of each step.
 
+    If `every` is None, it is counted: its first constant, of which a step makes no use, is `every`. Then no rows are
+    given.
+
     Attributes:
         step: a step, (n, carries, constants, a row) ↦ (carries, results), with n = 0, 1, …, of one member.
         carried, fixed: the numbers of carries and of constants.
         rows: the number of rows of results that are stored.
-        every: the number of steps for each of them.
+        every: the number of steps for each of them, or None.
         reverse: whether the last step comes first.
         members: the number of members; None if the arrays have no axis of members.
         own: for each constant and each array of rows, whether each member has its own.
@@ -56,16 +59,22 @@ class Loop(NamedTuple):
     carried: int
     fixed: int
     rows: int
-    every: int
+    every: int | None
     reverse: bool
     members: int | None = None
     own: tuple[bool, ...] = ()
     origin: Origin | None = None
 
     @property
+    def known_every(self) -> int:
+        """The number of steps for each row, of a loop that is not counted."""
+        assert self.every is not None
+        return self.every
+
+    @property
     def steps(self) -> int:
-        """The number of steps."""
-        return self.rows * self.every
+        """The number of steps of a loop that is not counted."""
+        return self.rows * self.known_every
 
     @property
     def arguments(self) -> list[ShapedArray]:
@@ -107,7 +116,7 @@ def march(
     xs: Tree = None,
     *,
     rows: int,
-    every: int = 1,
+    every: int | Value = 1,
     reverse: bool = False,
 ) -> tuple[Tree, Tree]:
     """The carry after rows × every steps, carry, y = step(n, carry, x), and the last y of each row.
@@ -115,17 +124,22 @@ def march(
     Args:
         step: a pure function. Traced arrays that it closes over become arguments of the loop.
         carry, xs: trees of arrays; those of xs have a leading axis of steps.
-        rows, every, reverse: see `Loop`.
+        rows, every, reverse: see `Loop`. If `every` is an array, one program serves all numbers; then there are no xs,
+            no derivative in reverse mode, and, if `every` is 0, undefined rows of y. Under vmap it may differ from
+            member to member where a step returns no y.
     """
     carry, xs = jax.tree.map(_strong, (carry, xs))
     row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
     number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
-    closed, (_, out) = jax.make_jaxpr(lambda n, c, x: _checked(step(n, c, x), c), return_shape=True)(number, carry, row)
+    count = [] if isinstance(every, int) else [jnp.asarray(every, jnp.int32)]
+    shapes = number, carry, [shape_of(x) for x in count], row
+    closed, (_, out) = jax.make_jaxpr(lambda n, c, _, x: _checked(step(n, c, x), c), return_shape=True)(*shapes)
     starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)
-    closed, closed_over = _with_arguments(closed, 1 + len(starts))
-    arguments = [*starts, *closed_over, *jax.tree.leaves(xs)]
+    closed, closed_over = _with_arguments(closed, 1 + len(starts) + len(count))
+    fixed = [*count, *closed_over]
+    arguments = [*starts, *fixed, *jax.tree.leaves(xs)]
     own = (False,) * (len(arguments) - len(starts))
-    loop = Loop(closed, len(starts), len(closed_over), rows, every, reverse, own=own)
+    loop = Loop(closed, len(starts), len(fixed), rows, None if count else every, reverse, own=own)
     found = by_xla(*arguments, loop=loop) if has_effects else loop.bind(arguments)  # such as jax.debug.print
     ends = jax.tree.unflatten(jax.tree.structure(carry), found[: len(starts)])
     return ends, jax.tree.unflatten(jax.tree.structure(out), found[len(starts) :])
@@ -199,21 +213,25 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
         found = list(step(n, *carry, *fixed, *row))
         return found[: loop.carried], found[loop.carried :]
 
-    numbers = jnp.arange(loop.steps, dtype=loop.step.in_avals[0].dtype)
+    every = fixed[0] if loop.every is None else loop.every
+    numbers = jnp.arange(loop.rows, dtype=loop.step.in_avals[0].dtype)
     if loop.every == 1:
         carry, ys = lax.scan(lambda c, x: step_once(x[0], c, x[1]), carry, (numbers, series), reverse=loop.reverse)
         return [*carry, *ys]
-    in_rows = jax.tree.map(lambda x: x.reshape(loop.rows, loop.every, *x.shape[1:]), (numbers, series))
+    in_rows = [x.reshape(loop.rows, loop.known_every, *x.shape[1:]) for x in series]
 
     def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
         def next_step(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
-            at = loop.every - 1 - k if loop.reverse else k
-            n, x = jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, at, keepdims=False), given)
-            return step_once(n, both[0], x)
+            at = every - 1 - k if loop.reverse else k
+            x = [lax.dynamic_index_in_dim(x, at, keepdims=False) for x in given[1]]
+            return step_once(given[0] * every + at, both[0], x)
 
-        first, x = jax.tree.map(lambda x: x[0], given)
+        first, x = given[0], [x[0] for x in given[1]]
         shapes = jax.eval_shape(lambda c: step_once(first, c, x)[1], carry)
-        return lax.fori_loop(0, loop.every, next_step, (carry, [jnp.zeros(s.shape, s.dtype) for s in shapes]))
+        return lax.fori_loop(0, every, next_step, (carry, [jnp.zeros(s.shape, s.dtype) for s in shapes]))
 
-    carry, ys = lax.scan(row, carry, in_rows, reverse=loop.reverse)
+    if loop.rows == 1:
+        carry, ys = row(carry, (numbers[0], [x[0] for x in in_rows]))
+        return [*carry, *(y[None] for y in ys)]
+    carry, ys = lax.scan(row, carry, (numbers, in_rows), reverse=loop.reverse)
     return [*carry, *ys]

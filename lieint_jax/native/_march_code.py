@@ -18,6 +18,7 @@ from lieint_jax.native._traced import Traced, make_once
 
 _log = logging.getLogger(__name__)
 _SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
+_SOME = 100  # steps of a row, if their number is not known here
 _ALL = 2**30  # threads: as many as XLA's pool has
 ENGINES = ("native", "xla")
 chosen_engine = jax.make_user_context(None)  # one of them, or None; JAX traces again where it differs
@@ -93,7 +94,7 @@ def loop_code(loop: Loop) -> LoopCode:
 
 def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
     """The loop in machine code; by XLA if its step is not a program of numbers, or if the user wants it."""
-    if _engine() == "xla" or not loop.steps:
+    if _engine() == "xla" or not loop.rows or loop.every == 0:
         return by_xla(*arguments, loop=loop)
     try:
         found = loop_code(loop)
@@ -102,9 +103,11 @@ def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
         return by_xla(*arguments, loop=loop)
     shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
     members = loop.members or 1
-    threads = 1 if members * loop.steps * found.length <= _SHORT else _ALL
+    steps = loop.rows * (_SOME if loop.every is None else loop.every)
+    threads = 1 if members * steps * found.length <= _SHORT else _ALL
     call = jax.ffi.ffi_call(found.name, [shape_of(x) for x in shapes])
-    sizes = {"every": loop.every, "members": members, "rows": loop.steps, "threads": threads}
+    every = -1 - loop.carried if loop.every is None else loop.every  # or the place of the argument that it is
+    sizes = {"every": every, "members": members, "stored": loop.rows, "threads": threads}
     return list(call(*arguments, **{name: np.int64(x) for name, x in sizes.items()}))
 
 

@@ -142,6 +142,11 @@ def _partial_eval(trace: Any, *tracers: Value, loop: Loop) -> list[Value]:
         return trace.default_process_primitive(march_p, tracers, {"loop": loop})
     known = [x.pval.get_known() for x in plain]
     dots = [trace.instantiate_const(x) for x in dots]
+    if base.every is None:
+        out = [trace.new_const(x) for x in base.bind(known)]
+        found = trace.default_process_primitive(march_p, tracers, {"loop": loop})
+        mask = _mask_of_results(base, active)
+        return _results_of(base, active, out, _parted(base._replace(fixed=0), found, mask)[1])
     if base.steps > _MOST_STORED:
         with set_current_trace(trace):
             unknown = iter(dots)
@@ -180,7 +185,7 @@ def _recorded(loop: Loop, arguments: Values) -> tuple[list[Value], list[Value]]:
     found = recording.bind(arguments)
     count = len(loop.results)
     ys = found[loop.carried : count]
-    last = slice(0 if loop.reverse else loop.every - 1, None, loop.every)
+    last = slice(0 if loop.reverse else loop.known_every - 1, None, loop.known_every)
     return [*found[: loop.carried], *(y[last] for y in ys)], found[count:]
 
 
@@ -238,7 +243,7 @@ def _linear_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool
 def _transpose(bars: Values, *arguments: Value, loop: Loop) -> list[Value]:
     """The cotangents of the arguments of a linear loop: a loop in the other direction."""
     if loop.origin is None or not loop.origin.linear:
-        raise NotImplementedError("the transpose of a loop that is not linear in what it carries")
+        raise ValueError("reverse mode needs a loop whose number of steps is known when JAX traces it")
     base, active = loop.origin.loop, loop.origin.active
     carries, fixed, rows = base.split(active)
     _, own_fixed, own_rows = base.split(base.owns)
@@ -275,9 +280,9 @@ ad.primitive_transposes[march_p] = _transpose
 
 def _spread(y_bar: Value, loop: Loop) -> Value:
     """Cotangents of the stored rows, as those of all steps."""
-    if loop.every == 1:
+    if loop.known_every == 1:
         return y_bar
-    zeros = jnp.zeros((loop.rows, loop.every, *y_bar.shape[1:]), y_bar.dtype)
+    zeros = jnp.zeros((loop.rows, loop.known_every, *y_bar.shape[1:]), y_bar.dtype)
     return zeros.at[:, 0 if loop.reverse else -1].set(y_bar).reshape(loop.steps, *y_bar.shape[1:])
 
 
@@ -344,18 +349,18 @@ def _in_pieces(loop: Loop, *arguments: Value) -> list[Value]:
     length = math.isqrt(loop.steps - 1) + 1
     carry, fixed, series = loop.split(arguments)
     first = jnp.zeros((), loop.step.in_avals[0].dtype)
-    if loop.every <= length:
-        rows = length // loop.every
+    if loop.known_every <= length:
+        rows = length // loop.known_every
         return _pieces_and_rest(loop, loop._replace(rows=rows), loop.rows // rows, carry, first, fixed, series)
     silent = loop._replace(step=_without_results(loop.step, loop.carried), rows=1, every=length)
     whole = loop._replace(rows=1)
 
     def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
-        found = _pieces_and_rest(whole, silent, (loop.every - 1) // length, carry, given[0], fixed, given[1])
+        found = _pieces_and_rest(whole, silent, (loop.known_every - 1) // length, carry, given[0], fixed, given[1])
         return found[: loop.carried], [y[0] for y in found[loop.carried :]]
 
-    starts = loop.every * jnp.arange(loop.rows, dtype=first.dtype)
-    in_rows = [x.reshape(loop.rows, loop.every, *x.shape[1:]) for x in series]
+    starts = loop.known_every * jnp.arange(loop.rows, dtype=first.dtype)
+    in_rows = [x.reshape(loop.rows, loop.known_every, *x.shape[1:]) for x in series]
     carry, ys = lax.scan(row, carry, (starts, in_rows), reverse=loop.reverse)
     return [*carry, *ys]
 
@@ -378,7 +383,7 @@ def _pieces_and_rest(
     ys = [y.reshape(-1, *y.shape[2:]) for y in ys]
     if not rest:
         return [*carry, *ys]
-    tail = loop._replace(rows=1, every=rest) if loop.rows == 1 else loop._replace(rows=rest // loop.every)
+    tail = loop._replace(rows=1, every=rest) if loop.rows == 1 else loop._replace(rows=rest // loop.known_every)
     rows = [x[place_of_rest : place_of_rest + rest] for x in series]
     found = _numbered(tail).bind([*carry, first + place_of_rest, *fixed, *rows])
     more = found[loop.carried :]

@@ -22,6 +22,8 @@ _Batched = tuple[list[Value], list[Axis]]
 
 def _batch(axis_data: Any, arguments: Values, axes: Sequence[Axis], *, loop: Loop) -> _Batched:
     """The results of a loop, and their axes, if some of its arguments have another axis."""
+    if loop.every is None and axes[loop.carried] is not None:
+        return _batch_counts(axis_data, arguments, axes, loop)
     has = [axis is not None for axis in axes]
     varying = varying_in_loop(loop.step, [False, *has], 1, loop.carried)
     has[: loop.carried] = varying[: loop.carried]
@@ -33,6 +35,24 @@ def _batch(axis_data: Any, arguments: Values, axes: Sequence[Axis], *, loop: Loo
 
 
 batching.fancy_primitive_batchers[march_p] = _batch
+
+
+def _batch_counts(axis_data: Any, arguments: Values, axes: Sequence[Axis], loop: Loop) -> _Batched:
+    """`_batch` where members have their own numbers of steps: each runs as many as the one with the most."""
+    if loop.rows > 1 or len(loop.results) > loop.carried:
+        raise NotImplementedError("members with their own numbers of steps between rows of results")
+    function, n, counts = jaxpr_as_fun(loop.step), loop.carried, arguments[loop.carried]
+
+    def step(number: Value, *arguments: Value) -> list[Value]:
+        before, count = arguments[:n], arguments[n + 1]
+        after = function(number, *before, *arguments[n + 1 :])
+        return [jnp.where(number < count, x, y) for x, y in zip(after, before, strict=True)]
+
+    shapes = [shape_of(x) for x in loop.step.in_avals]
+    made = jax.make_jaxpr(step)(*shapes[: n + 1], shapes[n + 1], *shapes[n + 1 :])
+    longer = loop._replace(step=made, fixed=loop.fixed + 1, own=(False, *loop.own), origin=None)
+    most = jnp.max(counts, initial=0)
+    return _batch(axis_data, [*arguments[:n], most, *arguments[n:]], [*axes[:n], None, *axes[n:]], loop=longer)
 
 
 def _as_members(size: int, arguments: Values, axes: Sequence[Axis], varying: list[bool], loop: Loop) -> _Batched:
