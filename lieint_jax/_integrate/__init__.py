@@ -16,7 +16,17 @@ from lieint_jax._integrate._clock import (
     refuse_times,
     uniform_clock,
 )
-from lieint_jax._integrate._driver import Body, Progress, counted, march, prepared, scanned, step_at_node, steps
+from lieint_jax._integrate._driver import (
+    Body,
+    Progress,
+    counted,
+    info_since,
+    march,
+    prepared,
+    saved_states,
+    step_at_node,
+    steps,
+)
 from lieint_jax._integrate._event import Event, event, events
 from lieint_jax._integrate._halved import halved_steps, splits
 from lieint_jax._integrate._interpolate import interpolate
@@ -47,6 +57,7 @@ __all__ = [
     "event",
     "events",
     "halved_steps",
+    "info_since",
     "integrate",
     "interpolate",
     "intervals",
@@ -59,8 +70,8 @@ __all__ = [
     "refuse_far_times",
     "refuse_times",
     "rows_for",
+    "saved_states",
     "saves",
-    "scanned",
     "splits",
     "step_at_node",
     "steps",

@@ -1,9 +1,9 @@
 """The loop over steps on which all runs are built: of one body or many, with output, events or derivatives.
 
-`march` runs from node to node of a clock by `step_at_node`, in a loop of one of several kinds. `scanned` has
-derivatives in forward and reverse mode. `counted` runs a number of steps that is known only at run time, so that one
-program serves all lengths, but it has no derivative in reverse mode. Other modules define their own loops for nested
-checkpoints, and for several steps per iteration.
+`saved_states` makes a trajectory, in machine code (`native.march`). `march` runs from node to node of a clock by
+`step_at_node`, in a loop of one of several kinds: `counted`, in machine code, may run a number of steps that is known
+only at run time, so that one program serves all lengths, but then it has no derivative in reverse mode; `scanned`, by
+XLA, is for runs that record into arrays. Ensembles define their own loop, of several steps per iteration.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax import native
 from lieint_jax._integrate._clock import Clock, GridClock, at_time, uniform_clock
 from lieint_jax._xla import rematerialized
 from lieint_jax.types import State, Step, StepInfo
@@ -47,7 +48,7 @@ class Progress(NamedTuple):
 
 
 def step_at_node(
-    step: Callable[..., tuple[Any, ...]], clock: Clock, state: State, n: Array, *more: Array
+    step: Callable[..., tuple[Any, ...]], clock: Clock | _Node, state: State, n: Array, *more: Array
 ) -> tuple[Any, ...]:
     """The step from node n, where `state` is: the state at the next node, and the step's report.
 
@@ -68,20 +69,12 @@ def scanned(body: Body, first: ArrayLike, count: int, carry: _Carry) -> _Carry:
         n, carry = numbered
         return (n + 1, body(n, carry)), None
 
-    return scan(step_once, (jnp.asarray(first), carry), count)[0][1]
+    return lax.scan(step_once, (jnp.asarray(first), carry), None, length=count)[0][1]
 
 
 def counted(body: Body, first: ArrayLike, count: ArrayLike, carry: _Carry) -> _Carry:
-    """`body` in a `lax.fori_loop`, whose number of steps may be traced."""
-    return lax.fori_loop(first, first + count, body, carry)
-
-
-def scan(function: Callable[[_Carry, None], tuple[_Carry, Tree]], carry: _Carry, length: int) -> tuple[_Carry, Tree]:
-    """`lax.scan`, without the loop where its length is 1: that is a third of the time of tracing."""
-    if length != 1:
-        return lax.scan(function, carry, None, length=length)
-    carry, result = function(carry, None)
-    return carry, jax.tree.map(lambda x: x[None], result)
+    """`body` in a loop whose number of steps may be traced."""
+    return native.march(lambda k, carry, _: (body(first + k, carry), None), carry, rows=1, every=count)[0]
 
 
 def march(
@@ -91,7 +84,7 @@ def march(
     start: Progress,
     *,
     observe: Callable[[Array, Progress, Progress, StepInfo], Tree] | None = None,
-    repeat: Repeat = scanned,
+    repeat: Repeat = counted,
 ) -> Progress:
     """The run after `count` further steps.
 
@@ -113,10 +106,50 @@ def march(
     return repeat(step_once, first, count, start)
 
 
+class _Node(NamedTuple):
+    """The clock of one step.
+
+    Attributes:
+        dt: its size.
+        end: the time of the node that it leads to.
+    """
+
+    dt: Array
+    end: Array
+
+    def size(self, n: ArrayLike) -> Array:
+        return self.dt
+
+    def time(self, n: ArrayLike) -> Array:
+        return self.end
+
+
+def saved_states(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> tuple[State, StepInfo]:
+    """The states after every `save_every` steps, and the reports of the steps between them.
+
+    Forward mode, and reverse mode, which stores the states before about 2√N of N steps, are in machine code too.
+    """
+    nodes = (clock.times[1:] - clock.times[:-1], clock.times[1:]) if isinstance(clock, GridClock) else None
+
+    def step_once(n: Array, at: Progress, node: tuple[Array, Array] | None) -> tuple[Progress, tuple[State, StepInfo]]:
+        state, info = step_at_node(step, clock if node is None else _Node(*node), at.state, n)
+        info = info_since(n, save_every, at.info, info)
+        return Progress(state, info), (state, info)
+
+    return native.march(step_once, Progress.begin(state), nodes, rows=num_saves, every=save_every)[1]
+
+
+def info_since(n: Array, every: int, so_far: StepInfo, info: StepInfo) -> StepInfo:
+    """The merged report of the steps since the last multiple of `every`: those before step n, and step n."""
+    fresh = StepInfo.empty(info.residual)
+    before = jax.tree.map(lambda new, old: jnp.where(n % every == 0, new, old), fresh, so_far)
+    return (fresh if every == 1 else before).merge(info)
+
+
 def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> tuple[State, StepInfo]:
     """The state after `count` steps, which may be traced, and the merged report of the steps."""
     clock = uniform_clock(step, state, jnp.asarray(dt, state.p.dtype))
-    end = march(partial(step_at_node, step, clock), 0, count, Progress.begin(state), repeat=counted)
+    end = march(partial(step_at_node, step, clock), 0, count, Progress.begin(state))
     return end.state, end.info
 
 

@@ -29,7 +29,7 @@ from lieint_jax._integrate._clock import (
     refuse_far_times,
     refuse_times,
 )
-from lieint_jax._integrate._driver import Progress, Repeat, counted, march, prepared, scan, scanned, step_at_node
+from lieint_jax._integrate._driver import Body, Progress, counted, march, prepared, saved_states, step_at_node
 from lieint_jax._integrate._halved import splits
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
@@ -212,37 +212,30 @@ def _padded_trajectory(
 
     The entries after the saves are undefined.
     """
-    save_every, repeat = (1, scanned) if saves_all else (save_every, counted)
-    interval = _interval(prepared(step, state, clock), clock, save_every, repeat)
+    save_every = 1 if saves_all else save_every
+    advance_once = partial(step_at_node, prepared(step, state, clock), clock)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.empty(state.p)))
 
-    def padded_interval(k: Array, carry: PyTree) -> PyTree:
-        moved, rows = carry
-        moved, saved = interval(moved, None)
-        return moved, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
+    def interval(k: Array, carry: PyTree) -> PyTree:
+        state, rows = carry
+        start, n = Progress.begin(state), k * save_every
+        end = march(advance_once, n, save_every, start, repeat=_once if saves_all else counted)
+        saved = end.state, end.info
+        return end.state, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
 
-    _, later = lax.fori_loop(0, num_saves, padded_interval, ((state, jnp.zeros((), int)), rows))
+    _, later = lax.fori_loop(0, num_saves, interval, (state, rows))
     return join_start(state, later, clock.time(save_every * jnp.arange(most + 1)))
+
+
+def _once(body: Body, first: Array, count: int, carry: PyTree) -> PyTree:
+    return body(first, carry)
 
 
 @partial(compiled, static_argnums=(3, 4))
 def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
-    interval = _interval(prepared(step, state, clock), clock, save_every)
-    _, later = scan(interval, (state, jnp.zeros((), int)), num_saves)
+    """The trajectory of a state, saved `num_saves` times after the start."""
+    later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every)
     return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
-
-
-def _interval(
-    step: Step, clock: Clock, save_every: ArrayLike, repeat: Repeat = scanned
-) -> Callable[[PyTree, None], tuple[PyTree, PyTree]]:
-    """The steps from one saved state to the next: (state, n) ↦ (state, n), (state, report)."""
-
-    def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
-        state, n = carry
-        end = march(partial(step_at_node, step, clock), n, save_every, Progress.begin(state), repeat=repeat)
-        return (end.state, n + save_every), (end.state, end.info)
-
-    return interval
 
 
 @partial(compiled, static_argnums=4)

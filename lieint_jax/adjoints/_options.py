@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 
 from lieint_jax import _checks
+from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._integrate import Adjoint, Clock, GridClock
 from lieint_jax.adjoints._arguments import check_symmetric
-from lieint_jax.adjoints._checkpoint import LEVELS, checkpointed
+from lieint_jax.adjoints._checkpoint import checkpointed
 from lieint_jax.adjoints._undo import undoable
 from lieint_jax.types import State, Step, StepInfo
 
@@ -50,27 +51,25 @@ class ReversibleAdjoint(Adjoint):
 class RecursiveCheckpointAdjoint(Adjoint):
     """Gradients of long runs of any step, in little memory: `integrate(…, adjoint=RecursiveCheckpointAdjoint())`.
 
-    The backward pass computes the steps between nested checkpoints again. It works for any step, also with given
-    `times`.
+    The backward pass stores the states before about 2√N of N steps, and computes the steps between them again. It works
+    for any step, also with given `times`.
 
     Attributes:
-        levels: L, the number of levels of nested checkpoints: about L N^(1/L) of N states between two saved ones are
-            stored, and each step is computed about L more times. L = 1 stores all states.
+        levels: of no effect; until 0.4.
 
-    Raises:
-        ValueError: levels is not a positive int.
-
-    Source: nested blocks of equal length; the optimum of Griewank & Walther 2000 (revolve) needs slightly fewer steps.
+    Source: blocks of equal length; Griewank & Walther 2000 (revolve) has more levels, for less memory.
     """
 
-    levels: int = LEVELS
+    levels: int | None = None
 
     def __post_init__(self) -> None:
-        _checks.count("levels", self.levels, 1)
+        if self.levels is not None:
+            _checks.count("levels", self.levels, 1)
+            warn_of_removal("RecursiveCheckpointAdjoint: levels, which has no effect now,")
 
     def check(self, step: Step, clock: Clock) -> None:
         """Every step has this derivative."""
 
     def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> tuple[State, StepInfo]:
         """See `Adjoint`."""
-        return checkpointed(step, state, clock, (save_every,) * num_saves, self.levels)
+        return checkpointed(step, state, clock, (save_every,) * num_saves)

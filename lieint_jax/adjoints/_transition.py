@@ -15,14 +15,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
-from lieint_jax._integrate import at_time, intervals, join_start, uniform_clock
-from lieint_jax._xla import compiled, rematerialized
+from lieint_jax._integrate import at_time, info_since, intervals, join_start, uniform_clock
+from lieint_jax._xla import compiled
 from lieint_jax.types import (
     PhaseSpace,
     State,
@@ -289,29 +289,24 @@ def _entries(run: _Run, values: PyTree, dt: Array, num_saves: int, save_every: i
     tangents, dim = _Tangents(step.system.phase_space, start), step.system.phase_space.dim
     clock = uniform_clock(step, start, dt)
 
-    @rematerialized
-    def step_once(carry: PyTree, _: None) -> tuple[PyTree, None]:
-        state, T, so_far, n = carry
+    def step_once(n: Array, carry: PyTree, _: None) -> tuple[PyTree, PyTree]:
+        state, T, so_far = carry
         h = clock.size(n)
         if tangents.dim == dim:
-            end, info, T = step.tangent(state, h, T)
+            end, info, moved = step.tangent(state, h, T)
         else:
-            end, info, T = tangents.push_forward(lambda z: step(z, h), state, T)
+            end, info, moved = tangents.push_forward(lambda z: step(z, h), state, T)
         if p.size:
             slope = tangents.slope(lambda p: make_run(p)[0](state, h)[0], p)
-            T = T.at[:, dim:].add(slope)
-        return (at_time(end, clock.time(n + 1)), T, so_far.merge(info), n + 1), None
-
-    def interval(carry: tuple[State, Array, Array], _: None) -> tuple[PyTree, PyTree]:
-        state, T, n = carry
-        fresh = StepInfo.empty(state.p)
-        (state, T, info, n), _ = lax.scan(step_once, (state, T, fresh, n), None, length=save_every)
-        return (state, T, n), ((state, info), T)
+            moved = moved.at[:, dim:].add(slope)
+        end, info = at_time(end, clock.time(n + 1)), info_since(n, save_every, so_far, info)
+        return (end, moved, info), ((end, info), moved)
 
     T = jnp.eye(tangents.dim, dim, dtype=start.p.dtype)
     if p.size:
         T = jnp.concatenate([T, tangents.slope(lambda p: make_run(p)[1], p)], axis=1)
-    _, (later, Ts) = lax.scan(interval, (start, T, jnp.zeros((), int)), None, length=num_saves)
+    begin = (start, T, StepInfo.empty(start.p))
+    _, (later, Ts) = native.march(step_once, begin, rows=num_saves, every=save_every)
     rows = jnp.concatenate([T[None], Ts])[:, :dim]
     trajectory = join_start(start, later, clock.time(save_every * jnp.arange(num_saves + 1)))
     by_parameters = jax.vmap(jax.vmap(unravel))(rows[:, :, dim:]) if p.size else None

@@ -12,11 +12,11 @@ interval to the next.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import warnings
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,106 +24,111 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._integrate import Progress, counted, march, step_at_node, uniform_clock
+from lieint_jax._integrate import Clock, Progress, counted, march, step_at_node, uniform_clock
 from lieint_jax._xla import compiled
-from lieint_jax.adjoints._numbers import repeat
 from lieint_jax.diagnostics.tangent import distance
+from lieint_jax.native import hoisted
 from lieint_jax.schemes import Composition
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo
 from lieint_jax.types.shapes import PyTree
 
 
 @partial(compiled, static_argnums=4)
 def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: float | None) -> tuple[State, StepInfo]:
-    """`_states_and_reports`, differentiated by undoing steps, also with respect to arrays that the step closes over."""
+    """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them.
+
+    They are differentiated by undoing steps, also with respect to arrays that the step closes over.
+    """
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
-    return _march(_substeps(step.prepare(state, dt), state, dt), state, dt, jnp.asarray(counts), tolerance)
+    clock, ready, space = uniform_clock(step, state, dt), step.prepare(state, dt), step.system.phase_space
+    whole = stage = hoisted(lambda z, h: ready(z, h), state, dt)
+    gammas = (1.0,)
+    if isinstance(ready, Composition):
+        stage, gammas = hoisted(lambda z, h: ready.step(z, h), state, dt), ready.gammas
+    apart = hoisted(lambda a, b: distance(a, b, space), state, state)
+    functions, arrays = zip(whole, stage, apart, strict=True)
+    return _run(_Undoable(*functions, gammas, tolerance), arrays, state, dt, lax.stop_gradient(clock), counts)
 
 
-def _states_and_reports(step: Step, state: State, dt: Array, counts: Array, tolerance: float) -> tuple[State, StepInfo]:
-    """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them."""
-    advance_once = partial(step_at_node, step, uniform_clock(step, state, dt))
+class _Undoable(NamedTuple):
+    """A run whose steps can be undone. The functions have the arrays that they close over as first arguments.
 
-    def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
-        state, done = carry
-        end = march(advance_once, done, count, Progress.begin(state), repeat=counted)
-        return (end.state, done + count), (end.state, end.info)
+    Attributes:
+        step: (z, Δt) ↦ the state one step later, and its report.
+        stage: the same for a sub-step of a composition; for any other step it is `step`.
+        apart: the distance of two states.
+        gammas: the sizes of the sub-steps, over Δt.
+        tolerance: the distance of a rebuilt state from the saved one above which a warning is issued.
+    """
 
-    return lax.scan(interval, (state, jnp.zeros((), counts.dtype)), counts)[1]
+    step: Callable[..., tuple[State, StepInfo]]
+    stage: Callable[..., tuple[State, StepInfo]]
+    apart: Callable[..., Array]
+    gammas: tuple[float, ...]
+    tolerance: float
 
+    def states(self, arrays: PyTree, state: State, dt: Array, clock: Clock, counts: Array) -> tuple[State, StepInfo]:
+        """See `undoable`."""
+        advance_once = partial(step_at_node, partial(self.step, arrays[0]), clock)
 
-_march: Callable[..., PyTree] = jax.custom_vjp(_states_and_reports, nondiff_argnums=(4,))
+        def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
+            state, done = carry
+            end = march(advance_once, done, count, Progress.begin(state), repeat=counted)
+            return (end.state, done + count), (end.state, end.info)
 
+        counts = jnp.asarray(counts)
+        return lax.scan(interval, (state, jnp.zeros((), counts.dtype)), counts)[1]
 
-def _march_forward(step: Step, state: State, dt: Array, counts: Array, tolerance: float) -> PyTree:
-    later, info = _states_and_reports(step, state, dt, counts, tolerance)
-    return (later, info), (step, state, dt, counts, later)
+    def forward(self, *given: PyTree) -> tuple[tuple[State, StepInfo], PyTree]:
+        """The states, and what `back` needs."""
+        later, info = self.states(*given)
+        return (later, info), (*given, later)
 
+    def back(self, residuals: PyTree, cotangents: tuple[State, PyTree]) -> tuple[PyTree, ...]:
+        """The cotangents of the arguments of `states`; that of dt, which its clock has too, is the one of dt."""
+        arrays, state, dt, clock, counts, later = residuals
+        real = jax.tree.map(lambda x: x if jnp.issubdtype(x.dtype, jnp.floating) else None, list(arrays[1]))
+        undo = partial(self._undo, arrays[1], real, dt)
 
-def _march_back(tolerance: float, residuals: PyTree, cotangents: tuple[State, PyTree]) -> tuple[PyTree, ...]:
-    step, state, dt, counts, later = residuals
-    leaves, lam, h = _undone(step, state, dt, counts, later, cotangents[0], tolerance)
-    return _cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
+        def interval(carry: PyTree, saved: tuple[State, State, State, Array]) -> tuple[PyTree, Array]:
+            lam, sums = carry
+            start, end, seen, count = saved
+            lam = jax.tree.map(jnp.add, lam, seen)
+            rebuilt, lam, sums = counted(undo, 0, count * len(self.gammas), (end, lam, sums))
+            return (lam, sums), self.apart(arrays[2], rebuilt, start)
 
+        starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
+        zero = jax.tree.map(jnp.zeros_like, (state, (real, dt)))
+        found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
+        # added to every result, or XLA may remove the warning
+        none = _zero_with_warning(jnp.max(errors, initial=0), self.tolerance)
+        lam, (sums, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
+        nothing = jax.tree.map(_no_cotangent, (arrays, clock, counts))
+        sums = [_no_cotangent(x) if c is None else c for x, c in zip(arrays[1], sums, strict=True)]
+        return (nothing[0][0], sums, nothing[0][2]), lam, h, *nothing[1:]  # those of a step are those of its stages
 
-@partial(compiled, static_argnums=6)
-def _undone(
-    step: Step, state: State, dt: Array, counts: Array, later: State, cotangent: State, tolerance: float
-) -> tuple[PyTree, State, Array]:
-    """The cotangents of the step's smooth leaves, of the state at the start and of dt, by undoing the steps."""
-    smooth = _smooth(step)
+    def _undo(self, arrays: PyTree, real: PyTree, dt: Array, n: Array, carry: PyTree) -> PyTree:
+        """Undo sub-step n from the end, and pull its cotangents back."""
+        z, lam, (sums, slope) = carry
+        gammas = jnp.asarray(self.gammas[::-1], dt.dtype)
+        gamma = gammas[n % gammas.size] if gammas.size > 1 else 1.0
 
-    def stage_of_leaves(leaves: PyTree, z: State, dt: Array) -> State:
-        return _stage(_with_real_leaves(step, leaves))(z, dt)[0]
+        def stage(real: PyTree, z: State, h: Array) -> State:
+            given = [x if r is None else r for x, r in zip(arrays, real, strict=True)]
+            return self.stage(given, z, h)[0]
 
-    def undo(carry: PyTree, gamma: PyTree) -> PyTree:
-        z, lam, (leaves, h) = carry
-        z = stage_of_leaves(smooth, z, -gamma * dt)
-        more, lam, slope = jax.vjp(stage_of_leaves, smooth, z, gamma * dt)[1](lam)
-        return z, lam, (jax.tree.map(jnp.add, leaves, more), h + gamma * slope)
-
-    def interval(carry: PyTree, saved: tuple[State, State, State, Array]) -> tuple[PyTree, Array]:
-        lam, sums = carry
-        start, end, seen, count = saved
-        rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums), _gammas(step)[::-1])
-        return (lam, sums), distance(rebuilt, start, step.system.phase_space)
-
-    starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
-    zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))
-    found, errors = lax.scan(interval, zero, (starts, later, cotangent, jnp.asarray(counts)), reverse=True)
-    none = _zero_with_warning(
-        jnp.max(errors, initial=0), tolerance
-    )  # added to every result, or XLA may remove the warning
-    lam, (leaves, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
-    return leaves, lam, h
-
-
-_march.defvjp(_march_forward, _march_back)
-
-
-def _stage(step: Step) -> PyTree:
-    """The sub-step of a composition; any other step itself."""
-    return step.step if isinstance(step, Composition) else step
-
-
-def _gammas(step: Step) -> tuple[float, ...]:
-    """The sizes of the sub-steps, over dt."""
-    return step.gammas if isinstance(step, Composition) else (1.0,)
-
-
-def _smooth(tree: PyTree) -> PyTree:
-    """The leaves of a tree that are real numbers, None in place of the others."""
-    return jax.tree.map(lambda x: jnp.asarray(x) if jnp.issubdtype(jnp.result_type(x), jnp.floating) else None, tree)
+        z = stage(real, z, -gamma * dt)
+        more, lam, more_slope = jax.vjp(stage, real, z, gamma * dt)[1](lam)
+        return z, lam, (jax.tree.map(jnp.add, sums, more), slope + gamma * more_slope)
 
 
-def _with_real_leaves(tree: PyTree, smooth: PyTree) -> PyTree:
-    """`tree` with its real leaves replaced by those of `smooth`."""
-    return jax.tree.map(lambda x, new: x if new is None else new, tree, smooth)
+def _no_cotangent(x: Array) -> Array | np.ndarray:
+    """The cotangent of a number on which nothing depends."""
+    return jnp.zeros_like(x) if jnp.issubdtype(x.dtype, jnp.floating) else np.zeros(np.shape(x), jax.dtypes.float0)
 
 
-def _cotangent(tree: PyTree, smooth: PyTree) -> PyTree:
-    """The cotangents of `tree` from those of its real leaves; integers and booleans have none."""
-    return jax.tree.map(lambda x, c: np.zeros(np.shape(x), jax.dtypes.float0) if c is None else c, tree, smooth)
+_run: Callable[..., PyTree] = jax.custom_vjp(_Undoable.states, nondiff_argnums=(0,))
+_run.defvjp(_Undoable.forward, _Undoable.back)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
@@ -150,36 +155,3 @@ def _zero_with_warning(error: Array, tolerance: float) -> Array:
 def _(tolerance: float, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     none = _zero_with_warning(primals[0], tolerance)
     return none, jnp.zeros_like(none)
-
-
-@pytree
-class _Opened:
-    """A step as a pure function: the arrays that its functions closed over are the leaves `closed`."""
-
-    step: Step
-    closed: tuple[Array, ...]
-    function: Callable[..., tuple[State, StepInfo]] = static()
-
-    @property
-    def system(self) -> System:
-        return self.step.system
-
-    @property
-    def own_time(self) -> bool:
-        return self.step.own_time
-
-    @property
-    def prepares(self) -> bool:
-        return self.step.prepares
-
-    def __call__(self, state: State, dt: Array) -> tuple[State, StepInfo]:
-        return self.function(self.step, state, dt, *self.closed)
-
-    substep = __call__
-
-
-def _substeps(step: Step, state: State, dt: Array) -> PyTree:
-    if isinstance(step, Composition):
-        return dataclasses.replace(step, step=_substeps(step.step, state, dt))
-    function, closed = jax.closure_convert(lambda step, z, dt: step(z, dt), step, state, dt)
-    return _Opened(step, tuple(closed), function)

@@ -18,13 +18,13 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import Event, events, saves, step_at_node, uniform_clock
+from lieint_jax._integrate import Event, counted, events, saves, step_at_node, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics.tangent import orthonormalize, units
 from lieint_jax.types import State, Step, StepInfo, checked_step, promoted
@@ -142,24 +142,28 @@ def _lyapunov(
     step: Step, state: State, dt: Array, frame: TangentVectors, rounds: int, every: int, batches: int
 ) -> Lyapunov:
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
-    zero, advance_frame = jnp.zeros((), int), partial(step_at_node, step.tangent, uniform_clock(step, state, dt))
+    advance_frame = partial(step_at_node, step.tangent, uniform_clock(step, state, dt))
+    longest = -(-rounds // batches)  # the most rounds of a batch
 
-    def interval(carry: PyTree, _: None) -> tuple[PyTree, None]:
-        state, T, info, n = carry
+    def interval(n: Array, carry: PyTree) -> PyTree:
+        state, T, info = carry
         state, last, T = advance_frame(state, n, T)
-        return (state, T, info.merge(last), n + 1), None
+        return state, T, info.merge(last)
 
-    def orthonormal_interval(carry: PyTree, _: None) -> tuple[PyTree, None]:
-        (state, frame, info, n), growth = carry
-        batch = n // every * batches // rounds
-        (state, T, info, n), _ = lax.scan(interval, (state, unit * frame, info, n), None, length=every)
+    def orthonormal_interval(n: Array, carry: PyTree, _: None) -> tuple[PyTree, Array]:
+        state, frame, info, growth = carry
+        batch, k = n // longest, n % longest
+        first, end = (-(-(batch + j) * rounds // batches) for j in (0, 1))  # rounds of the batch
+        state, T, info = counted(interval, (first + k) * every, every, (state, unit * frame, info))
         frame, gain = orthonormalize(T / unit)
-        growth = growth.at[batch].add(gain)
-        return ((state, frame, info, n), growth), None
+        growth = jnp.where(k == 0, 0, growth) + gain
+        after = state, frame, info, growth
+        if rounds % batches:  # others have one round more
+            after = jax.tree.map(lambda new, old: jnp.where(first + k < end, new, old), after, carry)
+        return after, after[-1]
 
-    begin = (state, orthonormalize(frame / unit)[0], StepInfo.empty(state.p), zero)
-    growth = jnp.zeros((batches, frame.shape[1]), frame.dtype)
-    ((_, _, info, _), growth), _ = lax.scan(orthonormal_interval, (begin, growth), None, length=rounds)
+    begin = (state, orthonormalize(frame / unit)[0], StepInfo.empty(state.p), jnp.zeros_like(frame[0]))
+    (_, _, info, _), growth = native.march(orthonormal_interval, begin, rows=batches, every=longest)
     between = jnp.abs(dt) * every
     lengths = between * jnp.asarray(np.bincount(np.arange(rounds) * batches // rounds, minlength=batches), dt.dtype)
     errors = standard_error(growth / lengths[:, None])
@@ -229,18 +233,18 @@ def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: 
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
     advance_vector = partial(step_at_node, step.tangent, uniform_clock(step, state, dt))
 
-    def step_once(carry: PyTree, _: None) -> tuple[PyTree, None]:
-        state, W, Y, mean, info, n = carry
+    def step_once(n: Array, carry: PyTree, _: None) -> tuple[PyTree, None]:
+        state, W, Y, mean, info = carry
         state, last, T = advance_vector(state, n, unit * W)
         W, gain = orthonormalize(T / unit)
         k = (n + 1).astype(Y.dtype)
         Y = Y * (n / k) + 2 * gain[0]
-        return (state, W, Y, mean + (Y - mean) / k, info.merge(last), n + 1), None
+        return (state, W, Y, mean + (Y - mean) / k, info.merge(last)), None
 
     zero = jnp.zeros((), vector.dtype)
     first = orthonormalize(vector[:, None] / unit)[0]
-    begin = (state, first, zero, zero, StepInfo.empty(state.p), jnp.zeros((), int))
-    (_, _, Y, mean, info, _), _ = lax.scan(step_once, begin, None, length=num_steps)
+    begin = (state, first, zero, zero, StepInfo.empty(state.p))
+    (_, _, Y, mean, info), _ = native.march(step_once, begin, rows=1, every=num_steps)
     return Megno(Y, mean, info)
 
 

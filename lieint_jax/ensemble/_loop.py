@@ -20,7 +20,6 @@ from lieint_jax._integrate import (
     RoundedClock,
     StateClock,
     UniformClock,
-    counted,
     march,
     prepared,
     step_at_node,
@@ -161,7 +160,7 @@ def _first_failure(failed: Array, n: Numbers, info: StepInfo) -> Array:
 
 
 def _several_at_once(body: Body, first: Array, count: Array, carry: _T, together: int) -> _T:
-    """`counted`, with so many steps in an iteration of the loop as long as so many remain."""
+    """A `lax.fori_loop`, with so many steps in an iteration of the loop as long as so many remain."""
 
     def iteration(k: Array, carry: _T) -> _T:
         for j in range(together):
@@ -169,10 +168,10 @@ def _several_at_once(body: Body, first: Array, count: Array, carry: _T, together
         return carry
 
     if together == 1:
-        return counted(body, first, count, carry)
+        return lax.fori_loop(first, first + count, body, carry)
     times = count // together
     carry = lax.fori_loop(0, times, iteration, carry)
-    return counted(body, first + times * together, count - times * together, carry)
+    return lax.fori_loop(first + times * together, first + count, body, carry)
 
 
 class Quantity(NamedTuple):

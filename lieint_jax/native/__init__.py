@@ -11,6 +11,7 @@ number (`_arrays`).
 
 from lieint_jax.native._arrays import Flattened, flatten
 from lieint_jax.native._kernel import Kernel, kernel
+from lieint_jax.native._march import hoisted, march
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._scan import engine, scan
 from lieint_jax.native._traced import make_once
@@ -21,8 +22,10 @@ __all__ = [
     "UnsupportedError",
     "engine",
     "flatten",
+    "hoisted",
     "kernel",
     "make_once",
+    "march",
     "scan",
     "unsupported_if_it_fails",
 ]

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
@@ -131,7 +132,7 @@ def march(
     carry, xs = jax.tree.map(_strong, (carry, xs))
     row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
     number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
-    count = [] if isinstance(every, int) else [jnp.asarray(every, jnp.int32)]
+    count = [] if isinstance(every, int | np.integer) else [jnp.asarray(every, jnp.int32)]
     shapes = number, carry, [shape_of(x) for x in count], row
     closed, (_, out) = jax.make_jaxpr(lambda n, c, _, x: _checked(step(n, c, x), c), return_shape=True)(*shapes)
     starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)
@@ -182,6 +183,21 @@ def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[
 
     shapes = [shape_of(x) for x in closed.in_avals]
     return jax.make_jaxpr(function)(*shapes[:place], *map(shape_of, tracers), *shapes[place:]), tracers
+
+
+def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..., Tree], list[Value]]:
+    """A function as one of the tracers that it closes over, (tracers, arguments) ↦ results; and these tracers.
+
+    It is traced once: calls, and their derivatives, evaluate its jaxpr.
+    """
+    closed, out = jax.make_jaxpr(function, return_shape=True)(*examples)
+    closed, tracers = _with_arguments(closed, 0)
+
+    def explicit(tracers: Values, *arguments: Tree) -> Tree:
+        found = jaxpr_as_fun(closed)(*tracers, *jax.tree.leaves(arguments))
+        return jax.tree.unflatten(jax.tree.structure(out), found)
+
+    return explicit, tracers
 
 
 @march_p.def_abstract_eval

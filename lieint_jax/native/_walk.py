@@ -14,6 +14,7 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
+from lieint_jax.native._march import by_xla, march_p
 from lieint_jax.native._primitives.abstract_walk import LARGEST, AbstractWalk, Table, UnsupportedError, array_of
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
@@ -102,6 +103,8 @@ class Walk(AbstractWalk):
 def _expand(equation: JaxprEqn) -> ClosedJaxpr | None:
     """The operations of which a composite primitive consists, such as `custom_root` of JAX ≥ 0.12; None for others."""
     primitive, operands = equation.primitive, shapes_of(equation.invars)
+    if primitive is march_p:  # a loop inside of a step
+        return jax.make_jaxpr(lambda *x: by_xla(*x, **equation.params))(*operands)
     if not primitive.is_high(*operands, **equation.params):
         return None
     return jax.make_jaxpr(lambda *x: primitive.to_lojax(*x, **equation.params))(*operands)

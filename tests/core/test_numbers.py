@@ -1,4 +1,4 @@
-"""Loops that go through single numbers: the same results as on whole arrays, whatever the function is made of."""
+"""Loops of programs of single numbers: the same results as on whole arrays, whatever the function is made of."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from lieint_jax.adjoints import _numbers
+import lieint_jax as li
 
 MATRIX = np.array([[2.0, 0.3], [-0.4, 3.0]])
 
@@ -34,15 +34,11 @@ FUNCTIONS = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("longest", [_numbers._LONGEST, 0], ids=["by numbers", "too long for that"])
-@pytest.mark.parametrize("over", [(0.5,), (0.5, -0.25, 0.75)], ids=["one", "three"])
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_a_loop_through_single_numbers_is_that_of_arrays(monkeypatch, name, over, longest):
-    monkeypatch.setattr(_numbers, "_LONGEST", longest)
-    function, start = FUNCTIONS[name], np.array([0.3, -0.7])
-    found = jax.jit(lambda v: _numbers.repeat(4, function, v, over))(start)
+def test_a_loop_through_single_numbers_is_that_of_arrays(name):
+    function, start, over = FUNCTIONS[name], np.array([0.3, -0.7]), np.array([0.5, -0.25, 0.75] * 2)
+    found, _ = jax.jit(lambda v: li.scan(lambda v, x: (function(v, x), None), v, over))(start)
     expected, once = start, jax.jit(function)
-    for x in over * 4:
+    for x in over:
         expected = once(expected, x)
     np.testing.assert_allclose(found, expected, rtol=1e-14)
