@@ -46,8 +46,8 @@ def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: 
     if isinstance(ready, Composition):
         stage, gammas = hoisted(lambda z, h: ready.step(z, h), state, dt), ready.gammas
     apart = hoisted(lambda a, b: distance(a, b, space), state, state)
-    functions, arrays = zip(whole, stage, apart, strict=True)
-    return _run(_Undoable(*functions, gammas, tolerance), arrays, state, dt, lax.stop_gradient(clock), counts)
+    run, arrays = _Undoable(whole[0], stage[0], apart[0], gammas, tolerance), (whole[1], stage[1], apart[1])
+    return _run(run, arrays, state, dt, lax.stop_gradient(clock), counts)
 
 
 class _Undoable(NamedTuple):

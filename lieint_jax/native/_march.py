@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
@@ -132,7 +131,7 @@ def march(
     carry, xs = jax.tree.map(_strong, (carry, xs))
     row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
     number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
-    count = [] if isinstance(every, int | np.integer) else [jnp.asarray(every, jnp.int32)]
+    count = [] if isinstance(every, int) else [jnp.asarray(every, jnp.int32)]
     shapes = number, carry, [shape_of(x) for x in count], row
     closed, (_, out) = jax.make_jaxpr(lambda n, c, _, x: _checked(step(n, c, x), c), return_shape=True)(*shapes)
     starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)

@@ -33,6 +33,10 @@ class Gyrostat(Rotating, types.AbstractGyrostat):
         """The body of this inertia without a rotor."""
         return RigidBody(self.inertia)
 
+    @property
+    def own_momentum(self) -> Vector3:
+        return self.rotor
+
     def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
         own = self.body_momentum(state) - self.rotor

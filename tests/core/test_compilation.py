@@ -1,6 +1,7 @@
 """A step made again compiles nothing, and the command line keeps compiled programs, in a folder of this processor."""
 
 import collections
+import functools
 import gc
 import os
 import re
@@ -275,7 +276,8 @@ def test_checks_of_new_functions_keep_no_programs(monkeypatch, name):
     for k in range(1, 5):
         system = NEW[name](float(k))
         system.check(system.state(**motion, **turn))
-        jax.vmap(lambda k: system.state(**motion, **jax.tree.map(lambda x: k * np.asarray(x), turn)))(np.ones(2))
+        make = functools.partial(system.state, **motion)
+        jax.vmap(lambda turn, make=make: make(**turn))(jax.tree.map(lambda x: np.stack([x, x]), turn))
         gc.collect()
         counts.append(len(jax.devices()[0].client.live_executables()))
     assert counts[-1] == counts[1], counts

@@ -46,7 +46,11 @@ class Rotating(OnRotations):
     """A body whose states are made from an attitude and a motion."""
 
     inertia: Array
-    rotor: Array | None = None  # h_r in Π = JΩ + h_r
+
+    @property
+    def own_momentum(self) -> Vector3 | None:
+        """h_r in Π = JΩ + h_r, (3,)."""
+        return None
 
     @explained
     def state(
@@ -77,7 +81,7 @@ class Rotating(OnRotations):
             angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
         )
         value = _checks.real_array(name, given, (3,))
-        q, p = _attitude_and_momentum(self.inertia, self.rotor, attitude, value, name)
+        q, p = _attitude_and_momentum(self.inertia, self.own_momentum, attitude, value, name)
         return State(q, _checks.real_array("the spatial momentum", p))
 
     def check(self, state: State) -> None:
