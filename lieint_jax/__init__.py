@@ -26,7 +26,7 @@ A system and a scheme make a step; a step makes everything else.
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
-| `scan`, `engine` | `jax.lax.scan` in machine code, for loops of your own |
+| `scan`, `engine`, `explain` | `jax.lax.scan` in machine code, for loops of your own; which engine runs a loop, and why |
 | `jit`, `cache_programs` | `jax.jit` that compiles sooner; compiled programs on disk for the next process |
 
 By default `integrate` saves every step, and `ensemble.run` only the last one: `save_every` changes that.
@@ -61,7 +61,7 @@ from lieint_jax._xla import jit
 from lieint_jax.adjoints import observe, reversible, transition
 from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
-from lieint_jax.native import engine, scan
+from lieint_jax.native import engine, explain, scan
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 __all__ = [
@@ -76,6 +76,7 @@ __all__ = [
     "diagnostics",
     "elliptic",
     "engine",
+    "explain",
     "ensemble",
     "equilibrium",
     "event",

@@ -52,9 +52,10 @@ def integrate(
 ) -> Trajectory:
     """The trajectory of `num_steps` steps of size `dt`, or of steps from one of the `times` to the next.
 
-    It is a `lax.scan`, which can be jitted, vmapped over states, and differentiated in forward and reverse mode. A call
-    outside of jit on a CPU is compiled once per structure of the step, whatever the numbers in the step, for up to 4096
-    saved states of one body; again for up to 16384, and so on; and once more for all `save_every` > 1.
+    It can be jitted, vmapped over states, and differentiated in forward and reverse mode. Inside jit on a CPU it is
+    machine code, and so are its derivatives; the page "Loops in machine code" has the exceptions. A call outside of jit
+    on a CPU is compiled once per structure of the step, whatever the numbers in the step, for up to 4096 saved states
+    of one body; again for up to 16384, and so on; and once more for all `save_every` > 1.
 
     The state at an output time between two steps comes from a shorter step from the last node before. So it has every
     invariant of the step, and its error is that of the trajectory plus one of higher order, that of a single step. The
@@ -69,10 +70,9 @@ def integrate(
         times: in place of dt and num_steps, the times (N+1,) between which steps lead, increasing or decreasing; the
             first is that of the state. If the times do not depend on the state, a symplectic step remains symplectic.
         save_at: in place of save_every, output times (m,) in the order of the run, inside it; they may repeat.
-        adjoint: how the derivative in reverse mode is computed. None differentiates the loop, which stores what every
-            step needs. `li.adjoints.ReversibleAdjoint()` stores the saved states only, and requires a symmetric step;
-            `li.adjoints.RecursiveCheckpointAdjoint()` stores about 3 N^(1/3) states more, and accepts any step. Both
-            require save_every; give a large one.
+        adjoint: how the derivative in reverse mode is computed. None stores about 2√N of N states, and computes
+            the steps between them again. `li.adjoints.ReversibleAdjoint()` stores the saved states only, and requires a
+            symmetric step and save_every; give a large one.
 
     Returns:
         A `Trajectory`: the initial state, then the states after every `save_every` steps or at the times `save_at`. Its

@@ -49,10 +49,7 @@ class ReversibleAdjoint(Adjoint):
 
 @dataclasses.dataclass(frozen=True)
 class RecursiveCheckpointAdjoint(Adjoint):
-    """Gradients of long runs of any step, in little memory: `integrate(…, adjoint=RecursiveCheckpointAdjoint())`.
-
-    The backward pass stores the states before about 2√N of N steps, and computes the steps between them again. It works
-    for any step, also with given `times`.
+    """What `integrate` does without an adjoint: the backward pass computes the steps between about 2√N states again.
 
     Attributes:
         levels: of no effect; until 0.4.

@@ -41,8 +41,7 @@ def reversible(
         dt: step size, either sign.
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states; None saves the first and the last only.
-        derivative: "reversible" rebuilds states by steps of −dt. "checkpoint" stores about 3 N^(1/3) states and costs
-            about three more forward runs.
+        derivative: "reversible" rebuilds states by steps of −dt. "checkpoint" stores about 2√N of N states.
         tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which a warning
             is issued; by default √eps. See `round_trip_error`.
 

@@ -10,6 +10,7 @@ number (`_arrays`).
 """
 
 from lieint_jax.native._arrays import Flattened, flatten
+from lieint_jax.native._explain import Explanation, LoopReport, explain
 from lieint_jax.native._kernel import Kernel, kernel
 from lieint_jax.native._march import hoisted, march
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
@@ -17,10 +18,13 @@ from lieint_jax.native._scan import engine, scan
 from lieint_jax.native._traced import make_once
 
 __all__ = [
+    "Explanation",
     "Flattened",
     "Kernel",
+    "LoopReport",
     "UnsupportedError",
     "engine",
+    "explain",
     "flatten",
     "hoisted",
     "kernel",

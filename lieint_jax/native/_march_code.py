@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import time
 
 import jax
 import numpy as np
@@ -30,6 +31,9 @@ class LoopCode:
     Attributes:
         name: of the call.
         length: the number of operations of a step.
+        pressure: how many numbers of a step are alive at once.
+        lanes: the members of a vector.
+        seconds: what it took to make, by "walk" and "llvm".
     """
 
     def __init__(self, function: _Step, kinds: Values, examples: Values):
@@ -37,7 +41,7 @@ class LoopCode:
         from lieint_jax.native._calls import Functions
         from lieint_jax.native._emit import emit
 
-        loop = function.loop
+        loop, begin = function.loop, time.perf_counter()
         traced = Traced(function, kinds, examples)
         if traced.outside:
             names = ", ".join(sorted({x.equation.primitive.name for x in traced.outside}))
@@ -50,8 +54,10 @@ class LoopCode:
             text = emit(traced.program, traced.leaves, sizes, lanes, functions, reverse=loop.reverse)
             arrays = sum(leaf.kind != "counter" for leaf in traced.leaves)
             around = handler(arrays, len(results), lanes)
-            self.length = traced.length
+            walked = time.perf_counter()
             self.name = _machine.compile_handler(text, functions.text(), around)
+        self.length, self.pressure, self.lanes = traced.length, pressure, lanes
+        self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
 
 class _Step:
@@ -92,14 +98,23 @@ def loop_code(loop: Loop) -> LoopCode:
     return make_once(LoopCode, _Step(loop), kinds, (carry, fixed, shape_of(loop.step.in_avals[0]), row))
 
 
-def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
-    """The loop in machine code; by XLA if its step is not a program of numbers, or if the user wants it."""
-    if _engine() == "xla" or not loop.rows or loop.every == 0:
-        return by_xla(*arguments, loop=loop)
+def machine_code(loop: Loop) -> LoopCode | str:
+    """The machine code of a loop, or why XLA runs it."""
+    if _engine() == "xla":
+        return "chosen by li.engine or LIEINT_ENGINE"
+    if not loop.rows or loop.every == 0:
+        return "no steps"
     try:
-        found = loop_code(loop)
+        return loop_code(loop)
     except (ImportError, UnsupportedError) as reason:
         _say_once(str(reason))
+        return str(reason)
+
+
+def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
+    """The loop in machine code; by XLA if its step is not a program of numbers, or if the user wants it."""
+    found = machine_code(loop)
+    if isinstance(found, str):
         return by_xla(*arguments, loop=loop)
     shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
     members = loop.members or 1

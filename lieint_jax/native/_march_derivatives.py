@@ -54,6 +54,7 @@ def _varying_and_real(step: ClosedJaxpr, carried: int, active: tuple[bool, ...])
 
 
 def _jvp(primals: Values, tangents: Values, *, loop: Loop) -> tuple[list[Value], list[Value]]:
+    primals = [jnp.asarray(x) for x in primals]  # JAX passes on Python's numbers
     given = tuple(type(t) is not ad.Zero and _is_real(x) for x, t in zip(primals, tangents, strict=True))
     real = _mask_of_results(loop, given)
     active = (*real[: loop.carried], *given[loop.carried :])
@@ -140,7 +141,7 @@ def _partial_eval(trace: Any, *tracers: Value, loop: Loop) -> list[Value]:
     plain, dots = _parted(base, tracers, active)
     if not all(x.is_known() for x in plain) or all(x.is_known() for x in dots):
         return trace.default_process_primitive(march_p, tracers, {"loop": loop})
-    known = [x.pval.get_known() for x in plain]
+    known = [jnp.asarray(x.pval.get_known()) for x in plain]
     dots = [trace.instantiate_const(x) for x in dots]
     if base.every is None:
         out = [trace.new_const(x) for x in base.bind(known)]

@@ -14,6 +14,7 @@ pytest.importorskip("llvmlite")
 from internals import forget_fallbacks, share_short_calls
 
 import lieint_jax as li
+from lieint_jax.native import march
 
 CASES = [(6, 1, False), (12, 3, True), (10, 2, False), (90, 1, False), (91, 1, True), (130, 13, False)]
 CASES += [(200, 100, True), (97, 97, False), (202, 2, False)]  # from 65 steps on reverse mode computes pieces again
@@ -321,3 +322,55 @@ def test_wrong_arguments_are_named(arguments, message):
         li.scan(*arguments)
     with pytest.raises(ValueError, match="every must divide the number of steps, 10, got 3"):
         li.scan(lambda c, x: (c, x), 0.0, length=10, every=3)
+
+
+def counted(z, count, r=0.9, rows=1):
+    """A pendulum for `count` steps, a number that the loop reads when it runs; and its angles, if there are rows."""
+
+    def step(n, z, _):
+        z = jnp.stack([z[0] + 0.1 * z[1] * r, z[1] - 0.1 * jnp.sin(z[0]) * jnp.cos(0.1 * n)])
+        return z, None if rows == 1 else z[0]
+
+    return march(step, z, rows=rows, every=count)
+
+
+def by_python(z, count, r=0.9):
+    angles = []
+    for n in range(count):
+        z = jnp.stack([z[0] + 0.1 * z[1] * r, z[1] - 0.1 * jnp.sin(z[0]) * jnp.cos(0.1 * n)])
+        angles.append(z[0])
+    return z, jnp.stack([*angles, z[0]])
+
+
+@pytest.mark.parametrize("engine", ["native", "xla"])
+def test_a_number_of_steps_may_be_an_argument(engine, caplog):
+    z, zs = jnp.array([0.3, 0.2]), jnp.array([[0.3, 0.2], [0.6, -0.2], [1.0, 0.1]])
+    with li.engine(engine):
+        run = jax.jit(counted)
+        for count in (0, 1, 5):
+            near(run(z, count)[0], by_python(z, count)[0])
+        near(jax.jit(lambda n: counted(z, n, rows=3)[1])(4), by_python(z, 12)[1][3:12:4])
+        each = jax.jit(jax.vmap(lambda z, n: counted(z, n)[0]))(zs, jnp.array([3, 0, 5]))
+        near(each, jnp.stack([by_python(z, n)[0] for z, n in zip(zs, (3, 0, 5), strict=True)]))
+        slope = jax.jit(jax.jacfwd(lambda r, n: counted(z, n, r)[0]))(0.9, 5)
+        push = jax.jit(lambda n: jax.linearize(lambda r: counted(z, n, r)[0], 0.9)[1](1.0))(5)
+    expected = jax.jacfwd(lambda r: by_python(z, 5, r)[0])(0.9)
+    near((slope, push), (expected, expected))
+    assert not caplog.records
+
+
+def test_reverse_mode_refuses_a_number_of_steps_that_is_an_argument():
+    with pytest.raises(ValueError, match="number of steps is known when JAX traces it"):
+        jax.grad(lambda r: counted(jnp.array([0.3, 0.2]), jnp.array(4), r)[0].sum())(0.9)
+
+
+def test_a_scan_inside_of_a_scan_is_machine_code(caplog):
+    def nested(scan):
+        def outer(c, x):
+            return scan(lambda d, x: (0.9 * jnp.sin(d) + c * x, d), c, jnp.arange(4.0) * x)
+
+        return lambda c: scan(outer, c, jnp.linspace(0.1, 0.2, 6))
+
+    near(*(jax.jit(nested(scan))(0.3) for scan in (li.scan, lax.scan)))
+    near(*(jax.jit(jax.grad(lambda c, s=scan: nested(s)(c)[1].sum()))(0.3) for scan in (li.scan, lax.scan)))
+    assert not caplog.records

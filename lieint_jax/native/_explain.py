@@ -1,0 +1,123 @@
+"""`explain`: which engine runs the loops of a function, and why."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+from jax.extend.core import ClosedJaxpr, Jaxpr
+
+from lieint_jax.native._march import Loop, march_p
+from lieint_jax.native._march_code import ENGINES, LoopCode, machine_code
+from lieint_jax.native._primitives.control_flow import jaxprs_of
+
+
+class LoopReport(NamedTuple):
+    """A loop of a function.
+
+    Attributes:
+        kind: "values", or "tangents", in forward mode.
+        reverse: whether the last step comes first, as in reverse mode.
+        steps: the number of steps; None if it is an argument of the loop.
+        members: the number of members that run at once; 1 if the loop has no axis of members.
+        engine: "native" or "xla".
+        reason: why it is not machine code; empty if it is.
+        operations: the number of operations of a step, 0 without machine code.
+        numbers: how many numbers of a step are alive at once; those beyond the processor's registers go to memory.
+        lanes: the members of a vector.
+        seconds: what making the machine code took, once in this process: "walk" (from JAX's program to numbers), "llvm"
+            (less from a cache on disk).
+    """
+
+    kind: str
+    reverse: bool
+    steps: int | None
+    members: int
+    engine: str
+    reason: str
+    operations: int
+    numbers: int
+    lanes: int
+    seconds: dict[str, float]
+
+
+class Explanation(NamedTuple):
+    """The loops of a function, and the seconds until its first result. `print` shows a table.
+
+    Attributes:
+        loops: the loops in machine code or by `march`, in order, each different one once.
+        others: how many other loops there are, which XLA runs, such as those of `jax.lax.scan`.
+        seconds: "trace" (JAX's, of the whole function) and "xla" (lowering and compiling it, with the loops made).
+    """
+
+    loops: tuple[LoopReport, ...]
+    others: int
+    seconds: dict[str, float]
+
+    @property
+    def engines(self) -> set[str]:
+        """The engines of the loops: {"native"} if all of them are machine code."""
+        return {loop.engine for loop in self.loops} | ({"xla"} if self.others else set())
+
+    def __str__(self) -> str:
+        lines = [f"trace {self.seconds['trace']:.2f} s, XLA {self.seconds['xla']:.2f} s"]
+        for x in self.loops:
+            steps = "some" if x.steps is None else x.steps
+            line = f"{x.kind}{', backward' * x.reverse}: {steps} steps, members {x.members}, {x.engine}"
+            if x.engine == "native":
+                made = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in x.seconds.items())
+                line += f", operations {x.operations}, alive at once {x.numbers}, lanes {x.lanes}, {made}"
+            lines.append(line + (f" ({x.reason})" if x.reason else ""))
+        return "\n".join([*lines, *([f"other loops, by XLA: {self.others}"] if self.others else [])])
+
+
+def explain(f: Callable[..., Any], *args: Any) -> Explanation:
+    """Which engine runs each loop of a function, and why; for derivatives, explain `jax.grad(f)`.
+
+    Args:
+        f: a function of arrays, that may be jitted, vmapped or differentiated.
+        args: its arguments, or their shapes as `jax.ShapeDtypeStruct`.
+
+    Returns:
+        An `Explanation`. The function is traced and compiled, but not called.
+
+    Example:
+        >>> import jax, lieint_jax as li
+        >>> def run(x):
+        ...     return li.scan(lambda x, _: (3.2 * x * (1 - x), None), x, length=100)[0]
+        >>> found = li.explain(jax.vmap(run), jax.ShapeDtypeStruct((1000,), "float32"))
+        >>> [(loop.kind, loop.steps, loop.members, loop.operations) for loop in found.loops]
+        [('values', 100, 1000, 3)]
+    """
+    begin = time.perf_counter()
+    traced = jax.jit(f).trace(*args)
+    seconds = {"trace": time.perf_counter() - begin}
+    found = list(_loops(traced.jaxpr))
+    reports = tuple(_report(loop) for loop in dict.fromkeys(x for x in found if x is not None))
+    begin = time.perf_counter()
+    traced.lower().compile()
+    return Explanation(reports, found.count(None), seconds | {"xla": time.perf_counter() - begin})
+
+
+def _loops(closed: ClosedJaxpr | Jaxpr) -> Iterator[Loop | None]:
+    """The loops of a jaxpr; None for one of XLA's own."""
+    jaxpr: Any = closed.jaxpr if isinstance(closed, ClosedJaxpr) else closed
+    for equation in jaxpr.eqns:
+        if equation.primitive is march_p:
+            yield equation.params["loop"]
+            continue
+        inner = [x for jaxpr in jaxprs_of(equation.params) for x in _loops(jaxpr)]
+        yield from inner
+        if equation.primitive.name in ("while", "scan") and not any(inner):
+            yield None
+
+
+def _report(loop: Loop) -> LoopReport:
+    found = machine_code(loop) if jax.default_backend() == "cpu" else f"a {jax.default_backend()}, not a CPU"
+    engine, reason = (ENGINES[0], "") if isinstance(found, LoopCode) else (ENGINES[1], found)
+    code = (found.length, found.pressure, found.lanes, found.seconds) if isinstance(found, LoopCode) else (0, 0, 0, {})
+    steps = None if loop.every is None else loop.steps
+    kind = "values" if loop.origin is None else "tangents"
+    return LoopReport(kind, loop.reverse, steps, loop.members or 1, engine, reason, *code)

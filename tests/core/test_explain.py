@@ -1,0 +1,108 @@
+"""`li.explain`: which engine runs a loop; and that what should be fast is machine code."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+pytest.importorskip("llvmlite")
+
+import lieint_jax as li
+
+J = np.array([1.0, 2.0, 2.5])
+W = jnp.array([[0.3, 0.2, 1.0], [0.1, -0.2, 0.9]])
+
+
+def logistic(x):
+    return li.scan(lambda x, _: (3.2 * x * (1 - x), None), x, length=100)[0]
+
+
+def test_a_loop_of_a_function_is_explained():
+    found = li.explain(jax.vmap(logistic), jax.ShapeDtypeStruct((1000,), np.float64))
+    [loop] = found.loops
+    assert (loop.kind, loop.reverse, loop.steps, loop.members) == ("values", False, 100, 1000)
+    assert (loop.engine, loop.reason, loop.operations) == ("native", "", 3)
+    assert loop.lanes >= 2
+    assert set(loop.seconds) == {"walk", "llvm"}
+    assert found.engines == {"native"}
+    assert "values: 100 steps, members 1000, native, operations 3" in str(found)
+    with li.engine("xla"):
+        [loop] = li.explain(logistic, 0.3).loops
+        assert (loop.engine, loop.reason) == ("xla", "chosen by li.engine or LIEINT_ENGINE")
+
+
+def test_loops_that_xla_runs_are_explained():
+    def mixed(x):
+        y, _ = jax.lax.scan(lambda x, _: (x / 2, None), x, None, length=3)
+        return li.scan(lambda x, _: (jnp.linalg.eigh(jnp.outer(x, x))[0], None), y, length=2)[0]
+
+    found = li.explain(mixed, jnp.ones(2))
+    assert found.others == 1
+    assert found.loops[0].engine == "xla"
+    assert "eigh has no formula" in found.loops[0].reason
+    assert "other loops, by XLA: 1" in str(found)
+
+
+def free_body(J):
+    return li.schemes.so3_midpoint(li.systems.RigidBody(J)), {}
+
+
+def top(J):
+    return li.schemes.splitting(li.systems.heavy_top(J, np.array([0.0, 0.0, 1.0]))), {}
+
+
+def nystrom(J):
+    return li.schemes.nystrom(li.systems.heavy_top(J, np.array([0.0, 0.0, 1.0])), 6), {}
+
+
+def satellite(J):
+    laws = li.torques.viscous(0.01), li.torques.constant([0.0, 0.01, 0.0])
+    return li.schemes.torqued_midpoint(li.systems.torqued_body(J, li.torques.total(*laws))), {"t": 0.0, "work": 0.0}
+
+
+def end(make, J, w, adjoint=None):
+    step, more = make(J)
+    start = step.system.state(angular_velocity=w, **more)
+    return li.integrate(step, start, 0.05, 12, save_every=12, adjoint=adjoint).state.p[-1]
+
+
+RUNS = {"free body": free_body, "heavy top": top, "satellite": satellite, "heavy top, order 6": nystrom}
+USES = {
+    "values": lambda run: jax.vmap(run, (None, 0)),
+    "one tangent": lambda run: lambda J, W: jax.jvp(lambda J: jax.vmap(run, (None, 0))(J, W), (J,), (J,))[1],
+    "gradient": lambda run: jax.grad(lambda J, W: jax.vmap(run, (None, 0))(J, W).sum()),
+}
+CASES = [
+    pytest.param(name, use, marks=[] if name == "free body" else [pytest.mark.long]) for name in RUNS for use in USES
+]
+
+
+@pytest.mark.parametrize(("name", "use"), CASES)
+def test_runs_and_their_derivatives_are_machine_code(name, use):
+    found = li.explain(USES[use](lambda J, w: end(RUNS[name], J, w)), J, W)
+    assert found.engines == {"native"}, str(found)
+    assert any(loop.reverse for loop in found.loops) == (use == "gradient")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", RUNS)
+def test_gradients_by_undoing_steps_are_machine_code(name):
+    adjoint = li.adjoints.ReversibleAdjoint()
+    gradient = jax.grad(lambda J, W: jax.vmap(lambda w: end(RUNS[name], J, w, adjoint))(W).sum())
+    assert {loop.engine for loop in li.explain(gradient, J, W).loops} == {"native"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["free body", "heavy top"])
+def test_exponents_and_transition_matrices_are_machine_code(name):
+    step, more = RUNS[name](J)
+
+    def exponents(w):
+        start = step.system.state(angular_velocity=w, **more)
+        return li.lyapunov(step, start, 0.05, 64).exponents, li.megno(step, start, 0.05, 64).mean
+
+    def matrix(w):
+        return li.transition(step, step.system.state(angular_velocity=w, **more), 0.05, 12, save_every=4).matrix
+
+    for f in (exponents, matrix):
+        assert li.explain(jax.vmap(f), W).engines == {"native"}
