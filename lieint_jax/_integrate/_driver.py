@@ -74,7 +74,11 @@ def scanned(body: Body, first: ArrayLike, count: int, carry: _Carry) -> _Carry:
 
 def counted(body: Body, first: ArrayLike, count: ArrayLike, carry: _Carry) -> _Carry:
     """`body` in a loop whose number of steps may be traced."""
-    return native.march(lambda k, carry, _: (body(first + k, carry), None), carry, rows=1, every=count)[0]
+
+    def step(k: Array, carry: _Carry, _: None) -> tuple[_Carry, None]:
+        return body(jnp.asarray(first, k.dtype) + k, carry), None
+
+    return native.march(step, carry, rows=1, every=count)[0]
 
 
 def march(

@@ -38,6 +38,7 @@ def _first_of(wanted: Array, body: Body, first: Array, most: int, carry: PyTree)
     """`wanted` steps, of at most `most`."""
 
     def step_once(n: Array, carry: PyTree) -> PyTree:
-        return jax.tree.map(lambda new, old: jnp.where(n < first + wanted, new, old), body(n, carry), carry)
+        is_wanted = n < jnp.asarray(first + wanted, n.dtype)
+        return jax.tree.map(lambda new, old: jnp.where(is_wanted, new, old), body(n, carry), carry)
 
     return counted(step_once, first, most, carry)

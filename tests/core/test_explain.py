@@ -56,8 +56,8 @@ def nystrom(J):
 
 
 def satellite(J):
-    laws = li.torques.viscous(0.01), li.torques.constant([0.0, 0.01, 0.0])
-    return li.schemes.torqued_midpoint(li.systems.torqued_body(J, li.torques.total(*laws))), {"t": 0.0, "work": 0.0}
+    laws = [li.torques.viscous(0.01), lambda t, q, w: 0.01 * jnp.cos(t) * jnp.array([0.0, 1.0, 0.5])]
+    return li.schemes.torqued_midpoint(li.systems.torqued_body(J, li.torques.total(laws))), {"t": 0.0, "work": 0.0}
 
 
 def end(make, J, w, adjoint=None):
@@ -99,7 +99,9 @@ def test_exponents_and_transition_matrices_are_machine_code(name):
 
     def exponents(w):
         start = step.system.state(angular_velocity=w, **more)
-        return li.lyapunov(step, start, 0.05, 64).exponents, li.megno(step, start, 0.05, 64).mean
+        return li.diagnostics.lyapunov(step, start, 0.05, 64).exponents, li.diagnostics.megno(
+            step, start, 0.05, 64
+        ).mean
 
     def matrix(w):
         return li.transition(step, step.system.state(angular_velocity=w, **more), 0.05, 12, save_every=4).matrix

@@ -23,7 +23,6 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("fitting",),
     ("adjoints",),
     ("ensemble",),
-    ("native",),
     ("diagnostics",),
     ("schemes",),
     ("systems",),
@@ -38,13 +37,14 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("elliptic",),
     ("_numerics",),
     ("types",),
+    ("native",),
     ("_xla",),
     ("_checks", "_deprecated", "_discover", "_version"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `ensemble`
 CHECKED = {"jaxtyping"}  # of the room `types`, where only type checkers import it: see test_import_is_light
-COMPILER = {"llvmlite"}  # of the room `native`, which is imported by the first ensemble on a CPU
+COMPILER = {"llvmlite"}  # of the room `native`, which imports it with the first machine code
 FILES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 ROOMS = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
 
