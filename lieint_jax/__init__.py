@@ -26,7 +26,7 @@ A system and a scheme make a step; a step makes everything else.
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
-| `scan`, `engine`, `explain` | `jax.lax.scan` in machine code, for loops of your own; which engine runs a loop, and why |
+| `scan`, `engine`, `explain` | `jax.lax.scan` in machine code, for your own loops; which engine runs a loop, and why |
 | `jit`, `cache_programs` | `jax.jit` that compiles sooner; compiled programs on disk for the next process |
 
 By default `integrate` saves every step, and `ensemble.run` only the last one: `save_every` changes that.
@@ -76,10 +76,10 @@ __all__ = [
     "diagnostics",
     "elliptic",
     "engine",
-    "explain",
     "ensemble",
     "equilibrium",
     "event",
+    "explain",
     "fit",
     "fitting",
     "groups",

@@ -274,8 +274,11 @@ def test_derivatives_of_observations_of_a_composition_by_the_complex_step():
 
 def test_the_clock_of_checkpoints_is_that_of_the_run():
     start = State(jnp.eye(3), jnp.zeros((3, 3)), jnp.array(0.3))
-    run = li.reversible(Leapfrog(Oscillators(jnp.array(1.3))), start, 0.1, 6, save_every=2, derivative="checkpoint")
+    run_step = Leapfrog(Oscillators(jnp.array(1.3)))
+    run = li.reversible(run_step, start, 0.1, 6, save_every=2, derivative="checkpoint")
     np.testing.assert_allclose(run.state.t, [0.3, 0.5, 0.7, 0.9], rtol=1e-15)
+    seen, _ = li.observe(run_step, start, 0.1, [0.4, 0.7, 0.9], derivative="checkpoint")
+    np.testing.assert_allclose(seen.t, [0.4, 0.7, 0.9], rtol=1e-15)
 
 
 ADJOINTS = {"reversible": li.adjoints.ReversibleAdjoint(), "checkpoint": li.adjoints.RecursiveCheckpointAdjoint()}

@@ -374,3 +374,35 @@ def test_a_scan_inside_of_a_scan_is_machine_code(caplog):
     near(*(jax.jit(nested(scan))(0.3) for scan in (li.scan, lax.scan)))
     near(*(jax.jit(jax.grad(lambda c, s=scan: nested(s)(c)[1].sum()))(0.3) for scan in (li.scan, lax.scan)))
     assert not caplog.records
+
+
+@pytest.mark.parametrize(("rows", "every", "reverse"), [(91, 1, False), (91, 1, True), (2, 97, False)])
+def test_steps_know_their_number_in_gradients_too(rows, every, reverse):
+    """From 65 steps on, pieces of the loop run again in reverse mode, and each step must know its number there."""
+
+    def step(n, z, _):
+        z = z + 0.01 * jnp.cos(0.1 * n) * z * z
+        return z, z * n
+
+    def ours(z):
+        z, ys = march(step, z, rows=rows, every=every, reverse=reverse)
+        return jnp.sum(ys) + z**2
+
+    def theirs(z):
+        numbers = jnp.arange(rows * every)
+        z, ys = lax.scan(lambda z, n: step(n, z, None), z, numbers, reverse=reverse)
+        return jnp.sum(ys[every - 1 :: every]) + z**2
+
+    near(*(jax.jit(jax.value_and_grad(f))(0.3) for f in (ours, theirs)))
+
+
+def test_gradients_of_a_sum_over_members():
+    """The cotangents of what members share are summed."""
+    (z, w), r, xs = arguments(12)
+    zs = jnp.stack([z, 0.9 * z, 1.1 * z])
+
+    def total(scan):
+        run = loss(problem(scan, 3, False))
+        return lambda zs, r, xs: jnp.sum(jax.vmap(lambda z: run((z, w), r, xs))(zs))
+
+    near(*(jax.jit(jax.grad(total(scan), **GRADIENT))(zs, r, xs) for scan in (by_li, by_lax)))
