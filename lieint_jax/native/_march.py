@@ -53,6 +53,7 @@ class Loop(NamedTuple):
         members: the number of members; None if the arrays have no axis of members.
         own: for each constant and each array of rows, whether each member has its own.
         origin: of what loop it is the derivative, if it is one.
+        is_piece: whether it is a piece of a longer loop, of which reverse mode stores the carries before all steps.
     """
 
     step: ClosedJaxpr
@@ -64,6 +65,7 @@ class Loop(NamedTuple):
     members: int | None = None
     own: tuple[bool, ...] = ()
     origin: Origin | None = None
+    is_piece: bool = False
 
     @property
     def known_every(self) -> int:

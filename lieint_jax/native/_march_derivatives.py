@@ -148,7 +148,7 @@ def _partial_eval(trace: Any, *tracers: Value, loop: Loop) -> list[Value]:
         found = trace.default_process_primitive(march_p, tracers, {"loop": loop})
         mask = _mask_of_results(base, active)
         return _results_of(base, active, out, _parted(base._replace(fixed=0), found, mask)[1])
-    if base.steps > _MOST_STORED:
+    if base.steps > _MOST_STORED and not base.is_piece:
         with set_current_trace(trace):
             unknown = iter(dots)
             given = [next(unknown) if a else _no_tangent(x) for x, a in zip(known, active, strict=True)]
@@ -267,6 +267,7 @@ def _transpose(bars: Values, *arguments: Value, loop: Loop) -> list[Value]:
         not loop.reverse,
         loop.members,
         own,
+        is_piece=loop.is_piece,
     )
     found = back.bind([*lam, *sums, *constants, *values, *y_bars])
     lam, sums, x_bars = found[:n], found[n : n + len(sums)], found[n + len(sums) :]
@@ -394,9 +395,9 @@ def _pieces_and_rest(
 
 
 def _numbered(loop: Loop) -> Loop:
-    """A loop with the number of its first step as its first constant."""
+    """A piece of a loop, with the number of its first step as its first constant."""
     step = _numbered_step(loop.step, loop.carried)
-    return loop._replace(step=step, fixed=loop.fixed + 1, own=(False, *loop.own), origin=None)
+    return loop._replace(step=step, fixed=loop.fixed + 1, own=(False, *loop.own), origin=None, is_piece=True)
 
 
 @functools.lru_cache(256)

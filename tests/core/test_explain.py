@@ -99,9 +99,8 @@ def test_exponents_and_transition_matrices_are_machine_code(name):
 
     def exponents(w):
         start = step.system.state(angular_velocity=w, **more)
-        return li.diagnostics.lyapunov(step, start, 0.05, 64).exponents, li.diagnostics.megno(
-            step, start, 0.05, 64
-        ).mean
+        spectrum, growth = (f(step, start, 0.05, 64) for f in (li.diagnostics.lyapunov, li.diagnostics.megno))
+        return spectrum.exponents, growth.mean
 
     def matrix(w):
         return li.transition(step, step.system.state(angular_velocity=w, **more), 0.05, 12, save_every=4).matrix
