@@ -381,7 +381,9 @@ def _pieces_and_rest(
         found = _numbered(piece).bind([*carry, start, *fixed, *rows])
         return found[: loop.carried], found[loop.carried :]
 
-    carry, ys = lax.scan(lambda c, x: run_piece(c, *x), carry, (starts, cut), reverse=loop.reverse)
+    found = lax.scan(lambda c, x: run_piece(c, *x), carry, (starts, cut), reverse=loop.reverse)
+    # The transpose of a barrier is one: JAX 0.10 fails if the cotangent of `ys` is a symbolic zero
+    carry, ys = lax.optimization_barrier(found) if found[1] else found
     ys = [y.reshape(-1, *y.shape[2:]) for y in ys]
     if not rest:
         return [*carry, *ys]

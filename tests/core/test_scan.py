@@ -406,3 +406,16 @@ def test_gradients_of_a_sum_over_members():
         return lambda zs, r, xs: jnp.sum(jax.vmap(lambda z: run((z, w), r, xs))(zs))
 
     near(*(jax.jit(jax.grad(total(scan), **GRADIENT))(zs, r, xs) for scan in (by_li, by_lax)))
+
+
+def test_gradients_of_a_checkpoint_around_a_long_loop_in_a_scan():
+    def total(scan):
+        @jax.checkpoint
+        def once(z, _):
+            z, _ = scan(lambda z, _: (jnp.sin(z) * z[::-1], z[0]), z, None, 100)
+            return z, None
+
+        return lambda z: lax.scan(once, z, None, length=3)[0].sum()
+
+    z = jnp.array([1.0, 0.9])
+    near(*(jax.jit(jax.grad(total(scan)))(z) for scan in (li.scan, lax.scan)))
