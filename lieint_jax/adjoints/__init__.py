@@ -11,8 +11,8 @@ Which derivative to use, for N steps, p parameters and a loss or m residuals:
 | a tangent flow | `transition`: step by step, by `Step.tangent` | 1 + its dimension | none |
 
 The times were measured on a CPU, in machine code, for 1000 free bodies and tops and 256 satellites. An adjoint is an
-option of `integrate(…, save_every=…, adjoint=…)`. `reversible` and `observe` undo steps by default, and have checkpoints
-with `derivative="checkpoint"`.
+option of `integrate(…, save_every=…, adjoint=…)`. `reversible` and `observe` undo steps by default; with
+`derivative="checkpoint"` they have checkpoints.
 
 * Few parameters, or residuals of least squares: forward mode, as in `fit` with "levenberg_marquardt".
 * Many parameters and a scalar: reverse mode, by checkpoints, for any step. It alone supports reverse over reverse.
