@@ -20,8 +20,8 @@ class ReversibleAdjoint(Adjoint):
     """Gradients of long runs that store the saved states only: `integrate(…, adjoint=ReversibleAdjoint())`.
 
     The backward pass rebuilds states by steps of −dt from one saved state to the one before, so save_every should be
-    large. The derivative is that of the discrete flow, in 3.5 to 5 times the time of a run for any number of parameters.
-    It requires a symmetric step and steps of one size.
+    large. The derivative is that of the discrete flow, in 3.5 to 5 times the time of a run, for any number of
+    parameters. It requires a symmetric step and steps of one size.
 
     Attributes:
         tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which a warning
