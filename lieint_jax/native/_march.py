@@ -17,6 +17,8 @@ from jax import lax
 from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
+from lieint_jax._checks import outermost
+
 Tree = Any  # a tree of arrays
 Value = Any  # an array, a tracer, a shape or a tangent
 Values = Sequence[Value]
@@ -135,7 +137,7 @@ def march(
     number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
     count = [] if isinstance(every, int) else [jnp.asarray(every, jnp.int32)]
     shapes = number, carry, [shape_of(x) for x in count], row
-    closed, (_, out) = jax.make_jaxpr(lambda n, c, _, x: _checked(step(n, c, x), c), return_shape=True)(*shapes)
+    closed, (_, out) = _traced(_Checked(step), shapes)
     starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)
     closed, closed_over = _with_arguments(closed, 1 + len(starts) + len(count))
     fixed = [*count, *closed_over]
@@ -145,6 +147,36 @@ def march(
     found = by_xla(*arguments, loop=loop) if has_effects else loop.bind(arguments)  # such as jax.debug.print
     ends = jax.tree.unflatten(jax.tree.structure(carry), found[: len(starts)])
     return ends, jax.tree.unflatten(jax.tree.structure(out), found[len(starts) :])
+
+
+class _Checked(NamedTuple):
+    """A step that is equal to another if it has the same function, so that JAX traces it once."""
+
+    step: Callable[[Value, Tree, Tree], tuple[Tree, Tree]]
+
+    def __call__(self, n: Value, carry: Tree, count: list[Value], x: Tree) -> tuple[Tree, Tree]:
+        return _checked(self.step(n, carry, x), carry)
+
+
+def _traced(step: _Checked, shapes: Values) -> tuple[ClosedJaxpr, Tree]:
+    """The jaxpr of a step, and the shapes of its results; where no tracer can be closed over, the one of before."""
+    if outermost() and _has_hash(step):
+        traced = _jitted_step(step).trace(*shapes)
+        return traced.jaxpr, traced.out_info
+    return jax.make_jaxpr(step, return_shape=True)(*shapes)
+
+
+def _has_hash(x: object) -> bool:
+    try:
+        hash(x)
+    except TypeError:
+        return False
+    return True
+
+
+@functools.lru_cache(64)
+def _jitted_step(step: _Checked) -> Any:
+    return jax.jit(lambda *arguments: step(*arguments))
 
 
 def _checked(result: Tree, carry: Tree) -> tuple[Tree, Tree]:

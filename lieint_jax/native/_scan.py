@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -29,7 +29,8 @@ def scan(
     all members, such as the logistic map, gains in its gradient only. All transformations of JAX apply: `jit`, `vmap`,
     `jvp`, `grad`, `jax.checkpoint`, derivatives of derivatives. Reverse mode stores the carries before about 2√length
     steps, and computes the others again. On accelerators, and where a step has an operation without a formula in
-    machine code, XLA runs the loop; the log says so. Call it inside `jax.jit`: outside, each call compiles again.
+    machine code, XLA runs the loop; the log says so. Outside of `jax.jit` a function is compiled once, but a derivative
+    in each call.
 
     Args:
         f: (carry, x) ↦ (carry, y), a pure function of small arrays: each of their entries is a number of the program.
@@ -63,7 +64,16 @@ def scan(
     [(steps,)] = lengths
     if every < 1 or steps % every:
         raise ValueError(f"every must divide the number of steps, {steps}, got {every}")
-    return march(lambda n, carry, x: f(carry, x), init, xs, rows=steps // every, every=every, reverse=reverse)
+    return march(_Unnumbered(f), init, xs, rows=steps // every, every=every, reverse=reverse)
+
+
+class _Unnumbered(NamedTuple):
+    """A step that does not read its number, equal to another of the same function."""
+
+    f: Callable[[Any, Any], tuple[Any, Any]]
+
+    def __call__(self, n: Any, carry: Any, x: Any) -> tuple[Any, Any]:
+        return self.f(carry, x)
 
 
 def engine(name: Literal["native", "xla"]) -> AbstractContextManager[Any]:

@@ -419,3 +419,23 @@ def test_gradients_of_a_checkpoint_around_a_long_loop_in_a_scan():
 
     z = jnp.array([1.0, 0.9])
     near(*(jax.jit(jax.grad(total(scan)))(z) for scan in (li.scan, lax.scan)))
+
+
+def test_outside_of_jit_a_function_is_traced_once():
+    calls = []
+
+    def half(x, _):
+        calls.append(x)
+        return x / 2, None
+
+    for _ in range(3):
+        assert li.scan(half, jnp.array(1.0), length=3)[0] == 0.125
+    assert len(calls) == 1
+
+    class Doubled:
+        __hash__ = None
+
+        def __call__(self, x, _):
+            return 2 * x, None
+
+    assert li.scan(Doubled(), 1.0, length=3)[0] == 8
