@@ -218,7 +218,7 @@ def _padded_trajectory(
     def interval(k: Array, carry: PyTree) -> PyTree:
         state, rows = carry
         start, n = Progress.begin(state), k * save_every
-        end = march(advance_once, n, save_every, start, repeat=_once if saves_all else counted)
+        end = march(advance_once, n, save_every, start, repeat=_run_once if saves_all else counted)
         saved = end.state, end.info
         return end.state, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
 
@@ -226,7 +226,7 @@ def _padded_trajectory(
     return join_start(state, later, clock.time(save_every * jnp.arange(most + 1)))
 
 
-def _once(body: Body, first: Array, count: int, carry: PyTree) -> PyTree:
+def _run_once(body: Body, first: Array, count: int, carry: PyTree) -> PyTree:
     return body(first, carry)
 
 

@@ -23,11 +23,11 @@ def checkpointed(step: Step, state: State, clock: Clock, counts: tuple[int, ...]
     step = prepared(step, state, clock)
     if len(set(counts)) == 1 and counts[0]:
         return saved_states(step, state, clock, len(counts), counts[0])
-    advance_once = partial(step_at_node, step, clock)
+    advance_once, most = partial(step_at_node, step, clock), max((1, *counts))
 
     def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, done = carry
-        end = march(advance_once, done, max(counts), Progress.begin(state), repeat=partial(_first_of, count))
+        end = march(advance_once, done, most, Progress.begin(state), repeat=partial(_first_of, count))
         return (end.state, done + count), (end.state, end.info)
 
     start = (state, jnp.zeros((), jnp.int32))

@@ -80,11 +80,11 @@ class _Undoable(NamedTuple):
         return lax.scan(interval, (state, jnp.zeros((), counts.dtype)), counts)[1]
 
     def forward(self, *given: PyTree) -> tuple[tuple[State, StepInfo], PyTree]:
-        """The states, and what `back` needs."""
+        """The states, and what `pull_back` needs."""
         later, info = self.states(*given)
         return (later, info), (*given, later)
 
-    def back(self, residuals: PyTree, cotangents: tuple[State, PyTree]) -> tuple[PyTree, ...]:
+    def pull_back(self, residuals: PyTree, cotangents: tuple[State, PyTree]) -> tuple[PyTree, ...]:
         """The cotangents of the arguments of `states`; that of dt, which its clock has too, is the one of dt."""
         arrays, state, dt, clock, counts, later = residuals
         real = jax.tree.map(lambda x: x if jnp.issubdtype(x.dtype, jnp.floating) else None, list(arrays[1]))
@@ -128,7 +128,7 @@ def _no_cotangent(x: Array) -> Array | np.ndarray:
 
 
 _run: Callable[..., PyTree] = jax.custom_vjp(_Undoable.states, nondiff_argnums=(0,))
-_run.defvjp(_Undoable.forward, _Undoable.back)
+_run.defvjp(_Undoable.forward, _Undoable.pull_back)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))

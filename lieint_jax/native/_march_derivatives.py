@@ -244,6 +244,8 @@ def _linear_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool
 def _transpose(bars: Values, *arguments: Value, loop: Loop) -> list[Value]:
     """The cotangents of the arguments of a linear loop: a loop in the other direction."""
     if loop.origin is None or not loop.origin.linear:
+        if loop.every is not None:
+            raise NotImplementedError("the transpose of a loop that is not linear in what it carries")
         raise ValueError("reverse mode needs a loop whose number of steps is known when JAX traces it")
     base, active = loop.origin.loop, loop.origin.active
     carries, fixed, rows = base.split(active)

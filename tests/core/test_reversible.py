@@ -128,9 +128,22 @@ def test_functions_of_a_step_may_close_over_what_is_differentiated():
     assert abs(slopes[0]) > 1e-6
 
 
-def test_a_run_of_zero_steps_has_the_derivative_of_the_identity():
-    slopes = jax.grad(lambda q: li.reversible(STEP, State(q, STATE.p), 0.05, 0).state.q[-1, 1])(STATE.q)
-    np.testing.assert_array_equal(slopes, [0, 1, 0, 0])
+@pytest.mark.parametrize("derivative", ["reversible", "checkpoint"])
+def test_a_run_of_zero_steps_has_the_derivative_of_the_identity(derivative):
+    def end(q):
+        return li.reversible(STEP, State(q, STATE.p), 0.05, 0, derivative=derivative).state.q[-1, 1]
+
+    np.testing.assert_array_equal(jax.grad(end)(STATE.q), [0, 1, 0, 0])
+
+
+@pytest.mark.parametrize("times", [[], [0.0, 0.0]])
+def test_observations_of_no_time_and_at_the_start(times):
+    def seen(q):
+        return li.observe(STEP, State(q, STATE.p), 0.05, np.array(times), derivative="checkpoint")[0].q
+
+    assert seen(STATE.q).shape == (len(times), 4)
+    identity = np.broadcast_to(np.diag([0.0, 1, 1, 1]), (len(times), 4, 4))  # the last, empty step keeps |q| = 1
+    np.testing.assert_allclose(jax.jacrev(seen)(STATE.q), identity, atol=1e-15)
 
 
 SECOND = [
