@@ -128,26 +128,32 @@ class _Node(NamedTuple):
         return self.end
 
 
-def saved_states(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> tuple[State, StepInfo]:
+def saved_states(
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int | None = None
+) -> tuple[State, StepInfo]:
     """The states after every `save_every` steps, and the reports of the steps between them.
 
-    Forward mode, and reverse mode, which stores the states before about 2√N of N steps, are in machine code too.
+    Forward mode, and reverse mode, which stores the states before about 2√N of N steps, are in machine code too. With
+    `most`, the length of the rows, of which those beyond `num_saves` are undefined, the two numbers may be traced; then
+    there is no reverse mode.
     """
-    nodes = (clock.times[1:] - clock.times[:-1], clock.times[1:]) if isinstance(clock, GridClock) else None
+    given = isinstance(clock, GridClock) and most is None
+    nodes = (clock.times[1:] - clock.times[:-1], clock.times[1:]) if given else None
 
     def step_once(n: Array, at: Progress, node: tuple[Array, Array] | None) -> tuple[Progress, tuple[State, StepInfo]]:
         state, info = step_at_node(step, clock if node is None else _Node(*node), at.state, n)
         info = info_since(n, save_every, at.info, info)
         return Progress(state, info), (state, info)
 
-    return native.march(step_once, Progress.begin(state), nodes, rows=num_saves, every=save_every)[1]
+    start = Progress.begin(state)
+    return native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
 
 
-def info_since(n: Array, every: int, so_far: StepInfo, info: StepInfo) -> StepInfo:
+def info_since(n: Array, every: ArrayLike, so_far: StepInfo, info: StepInfo) -> StepInfo:
     """The merged report of the steps since the last multiple of `every`: those before step n, and step n."""
     fresh = StepInfo.empty(info.residual)
     before = jax.tree.map(lambda new, old: jnp.where(n % every == 0, new, old), fresh, so_far)
-    return (fresh if every == 1 else before).merge(info)
+    return (fresh if isinstance(every, int) and every == 1 else before).merge(info)
 
 
 def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> tuple[State, StepInfo]:

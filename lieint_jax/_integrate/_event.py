@@ -20,7 +20,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate._clock import Clock, at_time, clock_of, halved
-from lieint_jax._integrate._driver import Progress, march, prepared, scanned, step_at_node
+from lieint_jax._integrate._driver import Progress, counted, march, prepared, scanned, step_at_node
 from lieint_jax._integrate._halved import splits
 from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
@@ -29,6 +29,7 @@ from lieint_jax.types import clock as time_of
 from lieint_jax.types.record import record
 
 _RIGHT_TO = {4: 3e-4, 8: 1e-9}  # an event's time, in Δt, by the bytes of a number
+_FEW = 8  # events whose search is machine code, of which each number of the buffer is an operation
 
 
 @record
@@ -204,7 +205,8 @@ def _brackets(
         return _Search(new, sign, jnp.where(changes, number + 1, number), buffer)
 
     begin = Progress.begin(state, _Search(start, jnp.sign(start), none.n, buffer))
-    end = march(partial(step_at_node, whole, clock), none.n, max_steps, begin, observe=record_change, repeat=scanned)
+    repeat = counted if count <= _FEW else scanned
+    end = march(partial(step_at_node, whole, clock), 0, max_steps, begin, observe=record_change, repeat=repeat)
     there = jnp.arange(count) < end.seen.number
     last = none._replace(state=end.state, n=none.n + max_steps)
     return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), end.seen.buffer, last)

@@ -28,7 +28,7 @@ from lieint_jax._integrate._clock import (
     refuse_far_times,
     refuse_times,
 )
-from lieint_jax._integrate._driver import Body, Progress, counted, march, prepared, saved_states, step_at_node
+from lieint_jax._integrate._driver import prepared, saved_states, step_at_node
 from lieint_jax._integrate._halved import splits
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
@@ -131,11 +131,15 @@ def _after_every(
         _check_first(step, state, clock, first)
         later = adjoint.run(step, state, clock, num_saves, save_every)
         return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
-    run = _trial(step, state, clock, num_steps, num_saves, save_every)
+    rows, is_short = rows_for(state, num_saves), num_steps <= _SHORT or isinstance(clock, GridClock)
+    run = None
+    if rows and num_steps and not step.approximate and _stands_alone(step, state, clock):
+        step.system.check(state)
+        tried = (num_saves, rows, save_every) if is_short else (1, rows, 1)  # the whole run, or its first step
+        run = of_any_length(step, state, clock, *tried)
     if run is None or not run.info.converged[1]:
         _check_first(step, state, clock, first)
-    if run is None or num_steps > _SHORT:
-        rows = rows_for(state, num_saves)
+    if run is None or not is_short:
         run = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
     return trajectory(step, state, clock, num_saves, save_every) if run is None else jax.device_put(run)
 
@@ -157,19 +161,6 @@ def _check_first(step: Step, state: State, clock: Clock, size: ArrayLike) -> Non
         raise StepError(f"{failed}{more}") from None
 
 
-def _trial(
-    step: Step, state: State, clock: Clock, num_steps: int, num_saves: int, save_every: int
-) -> Trajectory | None:
-    """The run itself if it is short, otherwise its first step by the same program; None if that is impossible."""
-    rows = rows_for(state, num_saves)
-    if not (rows and num_steps) or step.approximate or not _stands_alone(step, state, clock):
-        return None
-    step.system.check(state)
-    if num_steps <= _SHORT:
-        return of_any_length(step, state, clock, num_saves, rows, save_every)
-    return of_any_length(step, state, clock, 1, rows, 1, saves_all=save_every == 1)
-
-
 def _stands_alone(*arguments: PyTree) -> bool:
     """Whether a call with these arguments is not part of another function."""
     return _checks.concrete(arguments) and not _checks.staged()
@@ -187,47 +178,30 @@ def rows_for(state: State, num_saves: int) -> int:
 
 
 def of_any_length(
-    step: Step, state: State, clock: Clock, num_saves: int, most: int, save_every: int, saves_all: bool | None = None
+    step: Step, state: State, clock: Clock, num_saves: int, most: int, save_every: int
 ) -> Trajectory | None:
     """The trajectory with `num_saves` saved states after the first, on the host, by one program for all up to `most`.
 
-    None unless all is concrete: a loop of unknown length has no derivative in reverse mode. `saves_all` chooses the
-    program for save_every = 1, or that for any; by default the first if it serves.
+    None unless all is concrete: a loop of unknown length has no derivative in reverse mode.
     """
     if not _stands_alone(step, state, clock):
         return None
-    saves_all = save_every == 1 if saves_all is None else saves_all
-    found = _padded_trajectory(step, state, clock, num_saves, save_every, most, saves_all)
+    if isinstance(clock, GridClock):  # its nodes are rows of the loop, which has their number
+        found = trajectory(step, state, clock, num_saves, save_every)
+    else:
+        found = _padded_trajectory(step, state, clock, num_saves, save_every, most)
     if not _checks.concrete(found):  # a function of the step closes over a tracer
         return None
     return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
 
 
-@partial(compiled, static_argnums=(5, 6))
+@partial(compiled, static_argnums=5)
 def _padded_trajectory(
-    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int, saves_all: bool
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int
 ) -> Trajectory:
-    """`trajectory` for any number of saves up to `most`, and any `save_every` unless `saves_all`.
-
-    The entries after the saves are undefined.
-    """
-    save_every = 1 if saves_all else save_every
-    advance_once = partial(step_at_node, prepared(step, state, clock), clock)
-    rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.empty(state.p)))
-
-    def interval(k: Array, carry: PyTree) -> PyTree:
-        state, rows = carry
-        start, n = Progress.begin(state), k * save_every
-        end = march(advance_once, n, save_every, start, repeat=_run_once if saves_all else counted)
-        saved = end.state, end.info
-        return end.state, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
-
-    _, later = lax.fori_loop(0, num_saves, interval, (state, rows))
+    """`trajectory` for any number of saves up to `most`; the entries after the saves are undefined."""
+    later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every, most)
     return join_start(state, later, clock.time(save_every * jnp.arange(most + 1)))
-
-
-def _run_once(body: Body, first: Array, count: int, carry: PyTree) -> PyTree:
-    return body(first, carry)
 
 
 @partial(compiled, static_argnums=(3, 4))

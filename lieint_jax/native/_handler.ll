@@ -61,8 +61,8 @@ define internal i64 @attribute(ptr %frame, i64 %k) {
   ret i64 %found
 }
 
-; The number of steps of a row: x, or if x < 0 the 32 bits at pointer −1 − x, but not less than 0.
-define internal i64 @steps(i64 %x, ptr %pointers) {
+; A number of rows, or of steps of a row: x, or if x < 0 the 32 bits at pointer −1 − x, but not less than 0.
+define internal i64 @number(i64 %x, ptr %pointers) {
 entry:
   %given = icmp slt i64 %x, 0
   br i1 %given, label %read, label %exit
@@ -72,10 +72,10 @@ read:
   %pointer = load ptr, ptr %pointer.at
   %narrow = load i32, ptr %pointer
   %found = sext i32 %narrow to i64
-  %steps = call i64 @llvm.smax.i64(i64 %found, i64 0)
+  %natural = call i64 @llvm.smax.i64(i64 %found, i64 0)
   br label %exit
 exit:
-  %all = phi i64 [ %x, %entry ], [ %steps, %read ]
+  %all = phi i64 [ %x, %entry ], [ %natural, %read ]
   ret i64 %all
 }
 
@@ -181,7 +181,7 @@ describe:
 execute:
   %every.or.place = call i64 @attribute(ptr %frame, i64 0)
   %members = call i64 @attribute(ptr %frame, i64 1)
-  %stored = call i64 @attribute(ptr %frame, i64 2)
+  %stored.or.place = call i64 @attribute(ptr %frame, i64 2)
   %most.threads = call i64 @attribute(ptr %frame, i64 3)
   %lanes = load i64, ptr @lanes
   %fewer = sub i64 %lanes, 1
@@ -200,7 +200,8 @@ execute:
   %results = getelementptr %frame, ptr %frame, i64 0, i32 6
   %first.output = getelementptr ptr, ptr %pointers, i64 %inputs
   call void @copy(ptr %results, i64 %outputs, ptr %first.output)
-  %steps = call i64 @steps(i64 %every.or.place, ptr %pointers)
+  %steps = call i64 @number(i64 %every.or.place, ptr %pointers)
+  %stored = call i64 @number(i64 %stored.or.place, ptr %pointers)
   %rows = mul i64 %stored, %steps
   %every = call i64 @llvm.smax.i64(i64 %steps, i64 1)
   %most = call i64 @llvm.smin.i64(i64 %blocks, i64 %most.threads)

@@ -43,8 +43,8 @@ class Origin(NamedTuple):
 class Loop(NamedTuple):
     """A loop of `rows` × `every` steps; its arguments are the carries, the constants, and the rows of each step.
 
-    If `every` is None, it is counted: its first constant, of which a step makes no use, is `every`. Then no rows are
-    given.
+    If `every` is None, it is counted: its first constants, of which a step makes no use, are `every` and how many of
+    the `rows` are run. Then no rows are given, and the stored rows that are not run are undefined.
 
     Attributes:
         step: a step, (n, carries, constants, a row) ↦ (carries, results), with n = 0, 1, …, of one member.
@@ -119,8 +119,9 @@ def march(
     carry: Tree,
     xs: Tree = None,
     *,
-    rows: int,
+    rows: int | Value,
     every: int | Value = 1,
+    most: int | None = None,
     reverse: bool = False,
 ) -> tuple[Tree, Tree]:
     """The carry after rows × every steps, carry, y = step(n, carry, x), and the last y of each row.
@@ -128,14 +129,17 @@ def march(
     Args:
         step: a pure function. Traced arrays that it closes over become arguments of the loop.
         carry, xs: trees of arrays; those of xs have a leading axis of steps.
-        rows, every, reverse: see `Loop`. If `every` is an array, one program serves all numbers; then there are no xs,
-            no derivative in reverse mode, and, if `every` is 0, undefined rows of y. Under vmap it may differ from
-            member to member where a step returns no y.
+        rows, every, reverse: see `Loop`. If one of the numbers is an array, one program serves all; then there are no
+            xs, no derivative in reverse mode, and, if `every` is 0, undefined rows of y. Under vmap `every` may differ
+            from member to member where a step returns no y.
+        most: the length of the rows of y, of which those beyond `rows` are undefined; needed if `rows` is an array.
     """
     carry, xs = jax.tree.map(_strong, (carry, xs))
     row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
     number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
-    count = [] if isinstance(every, int) else [jnp.asarray(every, jnp.int32)]
+    known = isinstance(rows, int) and isinstance(every, int) and most is None
+    stored: Any = rows if most is None else most
+    count = [] if known else [jnp.asarray(every, jnp.int32), jnp.minimum(jnp.asarray(rows, jnp.int32), stored)]
     shapes = number, carry, [shape_of(x) for x in count], row
     closed, (_, out) = _traced(_Checked(step), shapes)
     starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)
@@ -143,7 +147,7 @@ def march(
     fixed = [*count, *closed_over]
     arguments = [*starts, *fixed, *jax.tree.leaves(xs)]
     own = (False,) * (len(arguments) - len(starts))
-    loop = Loop(closed, len(starts), len(fixed), rows, None if count else every, reverse, own=own)
+    loop = Loop(closed, len(starts), len(fixed), stored, None if count else every, reverse, own=own)
     found = by_xla(*arguments, loop=loop) if has_effects else loop.bind(arguments)  # such as jax.debug.print
     ends = jax.tree.unflatten(jax.tree.structure(carry), found[: len(starts)])
     return ends, jax.tree.unflatten(jax.tree.structure(out), found[len(starts) :])
@@ -262,7 +266,9 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
         found = list(step(n, *carry, *fixed, *row))
         return found[: loop.carried], found[loop.carried :]
 
-    every = fixed[0] if loop.every is None else loop.every
+    if loop.every is None:
+        every, count = (x.astype(loop.step.in_avals[0].dtype) for x in fixed[:2])
+        return _counted_by_xla(step_once, carry, every, count, loop.rows)
     numbers = jnp.arange(loop.rows, dtype=loop.step.in_avals[0].dtype)
     if loop.every == 1:
         carry, ys = lax.scan(lambda c, x: step_once(x[0], c, x[1]), carry, (numbers, series), reverse=loop.reverse)
@@ -271,16 +277,35 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
 
     def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
         def next_step(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
-            at = every - 1 - k if loop.reverse else k
+            at = loop.known_every - 1 - k if loop.reverse else k
             x = [lax.dynamic_index_in_dim(x, at, keepdims=False) for x in given[1]]
-            return step_once(given[0] * every + at, both[0], x)
+            return step_once(given[0] * loop.known_every + at, both[0], x)
 
         first, x = given[0], [x[0] for x in given[1]]
         shapes = jax.eval_shape(lambda c: step_once(first, c, x)[1], carry)
-        return lax.fori_loop(0, every, next_step, (carry, [jnp.zeros(s.shape, s.dtype) for s in shapes]))
+        return lax.fori_loop(0, loop.known_every, next_step, (carry, [jnp.zeros(s.shape, s.dtype) for s in shapes]))
 
     if loop.rows == 1:
         carry, ys = row(carry, (numbers[0], [x[0] for x in in_rows]))
         return [*carry, *(y[None] for y in ys)]
     carry, ys = lax.scan(row, carry, (numbers, in_rows), reverse=loop.reverse)
+    return [*carry, *ys]
+
+
+def _counted_by_xla(
+    step: Callable[[Value, list[Value], list[Value]], tuple[list[Value], list[Value]]],
+    carry: list[Value],
+    every: Value,
+    count: Value,
+    rows: int,
+) -> list[Value]:
+    shapes = jax.eval_shape(lambda carry: step(jnp.zeros_like(every), carry, [])[1], carry)
+    empty = [jnp.zeros(s.shape, s.dtype) for s in shapes]
+
+    def row(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
+        begin = both[0], empty
+        carry, found = lax.fori_loop(0, every, lambda i, both: step(k * every + i, both[0], []), begin)
+        return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], found, strict=True)]
+
+    carry, ys = lax.fori_loop(0, count, row, (carry, [jnp.zeros((rows, *x.shape), x.dtype) for x in empty]))
     return [*carry, *ys]

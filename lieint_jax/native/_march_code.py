@@ -121,8 +121,9 @@ def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
     steps = loop.rows * (_SOME if loop.every is None else loop.every)
     threads = 1 if members * steps * found.length <= _SHORT else _ALL
     call = jax.ffi.ffi_call(found.name, [shape_of(x) for x in shapes])
-    every = -1 - loop.carried if loop.every is None else loop.every  # or the place of the argument that it is
-    sizes = {"every": every, "members": members, "stored": loop.rows, "threads": threads}
+    sizes = {"every": loop.every, "members": members, "stored": loop.rows, "threads": threads}
+    if loop.every is None:  # the places of the arguments that they are
+        sizes |= {"every": -1 - loop.carried, "stored": -2 - loop.carried}
     return list(call(*arguments, **{name: np.int64(x) for name, x in sizes.items()}))
 
 

@@ -22,7 +22,7 @@ _Batched = tuple[list[Value], list[Axis]]
 
 def _batch(axis_data: Any, arguments: Values, axes: Sequence[Axis], *, loop: Loop) -> _Batched:
     """The results of a loop, and their axes, if some of its arguments have another axis."""
-    if loop.every is None and axes[loop.carried] is not None:
+    if loop.every is None and any(axis is not None for axis in axes[loop.carried : loop.carried + 2]):
         return _batch_counts(axis_data, arguments, axes, loop)
     has = [axis is not None for axis in axes]
     varying = varying_in_loop(loop.step, [False, *has], 1, loop.carried)
@@ -39,20 +39,22 @@ batching.fancy_primitive_batchers[march_p] = _batch
 
 def _batch_counts(axis_data: Any, arguments: Values, axes: Sequence[Axis], loop: Loop) -> _Batched:
     """`_batch` where members have their own numbers of steps: each runs as many as the one with the most."""
-    if loop.rows > 1 or len(loop.results) > loop.carried:
+    n, place = loop.carried, loop.carried + 2  # of the number of a member's steps, among the arguments of a step
+    if loop.rows > 1 or len(loop.results) > n or axes[n + 1] is not None:
         raise NotImplementedError("members with their own numbers of steps between rows of results")
-    function, n, counts = jaxpr_as_fun(loop.step), loop.carried, arguments[loop.carried]
+    function = jaxpr_as_fun(loop.step)
 
     def step(number: Value, *arguments: Value) -> list[Value]:
-        before, count = arguments[:n], arguments[n + 1]
-        after = function(number, *before, *arguments[n + 1 :])
+        before, count = arguments[:n], arguments[place]
+        after = function(number, *arguments[:place], *arguments[place + 1 :])
         return [jnp.where(number < count, x, y) for x, y in zip(after, before, strict=True)]
 
-    shapes = [shape_of(x) for x in loop.step.in_avals]
-    made = jax.make_jaxpr(step)(*shapes[: n + 1], shapes[n + 1], *shapes[n + 1 :])
+    number, *shapes = map(shape_of, loop.step.in_avals)
+    made = jax.make_jaxpr(step)(number, *shapes[:place], shapes[n], *shapes[place:])
     longer = loop._replace(step=made, fixed=loop.fixed + 1, own=(False, *loop.own), origin=None)
-    most = jnp.max(counts, initial=0)
-    return _batch(axis_data, [*arguments[:n], most, *arguments[n:]], [*axes[:n], None, *axes[n:]], loop=longer)
+    counts = arguments[n]
+    given = [*arguments[:n], jnp.max(counts, initial=0), arguments[n + 1], counts, *arguments[place:]]
+    return _batch(axis_data, given, [*axes[:n], None, None, axes[n], *axes[place:]], loop=longer)
 
 
 def _as_members(size: int, arguments: Values, axes: Sequence[Axis], varying: list[bool], loop: Loop) -> _Batched:
