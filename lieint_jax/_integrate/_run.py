@@ -246,10 +246,12 @@ def _at_output_times(
 
 
 def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
-    """The trajectory of an initial state, the states and reports after it, and the times of all; None: the states'."""
+    """The trajectory of an initial state, the states and reports after it; `t` are the times of states without one."""
     first = (state, StepInfo.empty(state.p))
     states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
-    return Trajectory(states.t if t is None else t, states, info)
+    times = states.t if states.t is not None else t
+    assert times is not None  # a state or a clock has the time
+    return Trajectory(times, states, info)
 
 
 def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:

@@ -26,6 +26,56 @@ march_p = Primitive("march")
 march_p.multiple_results = True
 
 
+class Deferred:
+    """A step that JAX traces when it is first needed: of tangents, reverse mode needs the shapes only.
+
+    Attributes:
+        in_avals, out_avals: as those of a jaxpr.
+    """
+
+    def __init__(self, function: Callable[..., Values], arguments: Values, results: Values):
+        self._function = function
+        self.in_avals = [ShapedArray(x.shape, x.dtype) for x in arguments]
+        self.out_avals = [ShapedArray(x.shape, x.dtype) for x in results]
+
+    @functools.cached_property
+    def jaxpr(self) -> ClosedJaxpr:
+        """The step."""
+        return jax.make_jaxpr(self._function)(*map(shape_of, self.in_avals))
+
+
+def jaxpr_of(step: ClosedJaxpr | Deferred) -> ClosedJaxpr:
+    """A step as a jaxpr."""
+    return step.jaxpr if isinstance(step, Deferred) else step
+
+
+def function_of(step: ClosedJaxpr | Deferred) -> Callable[..., list[Value]]:
+    """A step as a function of arrays."""
+    return lambda *arguments: list(jaxpr_as_fun(jaxpr_of(step))(*arguments))
+
+
+def with_results(step: ClosedJaxpr | Deferred, results: Callable[[Values, Values], Values]) -> ClosedJaxpr:
+    """A step with other results: those of (its arguments, its results)."""
+    closed = jaxpr_of(step)
+    inner, unnamed = closed.jaxpr, closed.jaxpr.debug_info.with_unknown_names()
+    return ClosedJaxpr(
+        inner.replace(outvars=results(inner.invars, inner.outvars), debug_info=unnamed), list(closed.consts)
+    )
+
+
+@functools.lru_cache(256)
+def without_results(step: ClosedJaxpr | Deferred, carried: int) -> ClosedJaxpr:
+    """A step that changes the carries only."""
+    return with_results(step, lambda _, results: results[:carried])
+
+
+@functools.lru_cache(256)
+def ends_that_are_results(step: ClosedJaxpr | Deferred, carried: int) -> tuple[int, ...] | None:
+    """For each result of a step, the place of the carry that it is, too; None if one is no carry."""
+    out = list(map(id, jaxpr_of(step).jaxpr.outvars))
+    return tuple(map(out.index, out[carried:])) if set(out[carried:]) <= set(out[:carried]) else None
+
+
 class Origin(NamedTuple):
     """The loop of which another is the derivative.
 
@@ -58,7 +108,7 @@ class Loop(NamedTuple):
         is_piece: whether it is a piece of a longer loop, of which reverse mode stores the carries before all steps.
     """
 
-    step: ClosedJaxpr
+    step: ClosedJaxpr | Deferred
     carried: int
     fixed: int
     rows: int
@@ -148,9 +198,13 @@ def march(
     arguments = [*starts, *fixed, *jax.tree.leaves(xs)]
     own = (False,) * (len(arguments) - len(starts))
     loop = Loop(closed, len(starts), len(fixed), stored, None if count else every, reverse, own=own)
+    ends = ends_that_are_results(closed, len(starts)) if stored == 1 else None
+    if ends is not None:
+        loop = loop._replace(step=without_results(closed, len(starts)))
     found = by_xla(*arguments, loop=loop) if has_effects else loop.bind(arguments)  # such as jax.debug.print
+    ys = found[len(starts) :] if ends is None else [found[k][None] for k in ends]
     ends = jax.tree.unflatten(jax.tree.structure(carry), found[: len(starts)])
-    return ends, jax.tree.unflatten(jax.tree.structure(out), found[len(starts) :])
+    return ends, jax.tree.unflatten(jax.tree.structure(out), ys)
 
 
 class _Checked(NamedTuple):
@@ -208,18 +262,15 @@ def _strong(x: Value) -> Value:
 
 def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[Value]]:
     """A jaxpr in which the tracers that it closes over are arguments, from position `place` on; and these tracers."""
-    traced = [isinstance(x, Tracer) for x in closed.consts]
-    tracers = [x for x, t in zip(closed.consts, traced, strict=True) if t]
-    if not tracers:
+    consts, inner = list(closed.consts), closed.jaxpr
+    traced = [isinstance(x, Tracer) for x in consts]
+    if not any(traced):
         return closed, []
-
-    def function(*arguments: Value) -> list[Value]:
-        given = iter(arguments[place : place + len(tracers)])
-        consts = [next(given) if t else x for x, t in zip(closed.consts, traced, strict=True)]
-        return jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))(*arguments[:place], *arguments[place + len(tracers) :])
-
-    shapes = [shape_of(x) for x in closed.in_avals]
-    return jax.make_jaxpr(function)(*shapes[:place], *map(shape_of, tracers), *shapes[place:]), tracers
+    moved, kept = ([v for v, t in zip(inner.constvars, traced, strict=True) if t == which] for which in (True, False))
+    invars, unnamed = [*inner.invars[:place], *moved, *inner.invars[place:]], inner.debug_info.with_unknown_names()
+    made = inner.replace(constvars=kept, invars=invars, debug_info=unnamed)
+    tracers = [x for x, t in zip(consts, traced, strict=True) if t]
+    return ClosedJaxpr(made, [x for x, t in zip(consts, traced, strict=True) if not t]), tracers
 
 
 def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..., Tree], list[Value]]:
@@ -257,7 +308,7 @@ def _jitted(loop: Loop) -> Callable[..., list[Value]]:
 def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
     """The loop by XLA: a scan over rows, of a loop over the steps of each."""
     carry, fixed, series = loop.split(arguments)
-    step = jaxpr_as_fun(loop.step)
+    step = function_of(loop.step)
     if loop.members is not None:
         axes = [0 if own else None for own in loop.owns]
         step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)

@@ -6,14 +6,15 @@ import functools
 import logging
 import os
 import time
+from typing import NamedTuple
 
 import jax
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr
 from jax.interpreters import mlir
 
 from lieint_jax.native._handler import handler
-from lieint_jax.native._march import Loop, Value, Values, by_xla, march_p, shape_of
+from lieint_jax.native._march import Deferred, Loop, Value, Values, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._traced import Traced, make_once
 
@@ -36,22 +37,22 @@ class LoopCode:
         seconds: what it took to make, by "walk" and "llvm".
     """
 
-    def __init__(self, function: _Step, kinds: Values, examples: Values):
+    def __init__(self, body: _Body, kinds: Values, examples: Values):
         from lieint_jax.native import _machine
         from lieint_jax.native._calls import Functions
         from lieint_jax.native._emit import emit
 
-        loop, begin = function.loop, time.perf_counter()
-        traced = Traced(function, kinds, examples)
+        begin = time.perf_counter()
+        traced = Traced(jaxpr_of(body.step), kinds, examples)
         if traced.outside:
             names = ", ".join(sorted({x.equation.primitive.name for x in traced.outside}))
             raise UnsupportedError(f"{names} has no formula in machine code")
         with unsupported_if_it_fails():
             results = jax.tree.leaves(traced.results)
-            sizes = [int(np.prod(x.shape)) for x in results[loop.carried :]]
+            sizes = [int(np.prod(x.shape)) for x in results[body.carried :]]
             pressure = traced.program.pressure() or sum(leaf.size for leaf in traced.leaves if leaf.varies)
-            lanes, functions = 1 if function.single else _machine.lanes(traced.leaves, pressure), Functions()
-            text = emit(traced.program, traced.leaves, sizes, lanes, functions, reverse=loop.reverse)
+            lanes, functions = 1 if body.is_single else _machine.lanes(traced.leaves, pressure), Functions()
+            text = emit(traced.program, traced.leaves, sizes, lanes, functions, reverse=body.reverse)
             arrays = sum(leaf.kind != "counter" for leaf in traced.leaves)
             around = handler(arrays, len(results), lanes)
             walked = time.perf_counter()
@@ -60,24 +61,13 @@ class LoopCode:
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
 
-class _Step:
-    """A step of a loop as a function (carries, constants, number of the step, row) ↦ (carries, results)."""
+class _Body(NamedTuple):
+    """What machine code has of a loop; `is_single`: whether it has one member."""
 
-    def __init__(self, loop: Loop):
-        self.loop, self.single = loop, loop.members in (None, 1)
-        self._key = loop.step, loop.carried, loop.reverse, self.single, loop.owns
-
-    def __call__(
-        self, carry: list[Value], fixed: list[Value], n: Value, row: list[Value]
-    ) -> tuple[list[Value], list[Value]]:
-        found = list(jaxpr_as_fun(self.loop.step)(n, *carry, *fixed, *row))
-        return found[: self.loop.carried], found[self.loop.carried :]
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Step) and self._key == other._key
+    step: ClosedJaxpr | Deferred
+    carried: int
+    reverse: bool
+    is_single: bool
 
 
 def loop_code(loop: Loop) -> LoopCode:
@@ -87,15 +77,15 @@ def loop_code(loop: Loop) -> LoopCode:
         ImportError: llvmlite is missing.
         UnsupportedError: its step is not a program of numbers.
     """
-    carry, fixed, row = loop.split([shape_of(x) for x in loop.arguments])
     _, of_fixed, of_rows = loop.split(loop.owns)
-    kinds = (
-        ["carry"] * loop.carried,
-        ["member" if own else "shared" for own in of_fixed],
+    kinds = [
         "counter",
-        ["series" if own else "row" for own in of_rows],
-    )
-    return make_once(LoopCode, _Step(loop), kinds, (carry, fixed, shape_of(loop.step.in_avals[0]), row))
+        *["carry"] * loop.carried,
+        *("member" if own else "shared" for own in of_fixed),
+        *("series" if own else "row" for own in of_rows),
+    ]
+    body = _Body(loop.step, loop.carried, loop.reverse, loop.members in (None, 1))
+    return make_once(LoopCode, body, kinds, [shape_of(x) for x in loop.step.in_avals])
 
 
 def machine_code(loop: Loop) -> LoopCode | str:

@@ -15,15 +15,28 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import ClosedJaxpr, DropVar, JaxprEqn, Var, jaxpr_as_fun, new_jaxpr_eqn, set_current_trace
+from jax.extend.core import ClosedJaxpr, DropVar, JaxprEqn, Var, new_jaxpr_eqn, set_current_trace
 from jax.interpreters import ad, partial_eval
 
 from lieint_jax.native._dependence import varying_in_loop
-from lieint_jax.native._march import Loop, Origin, Value, Values, march_p, shape_of
+from lieint_jax.native._march import (
+    Deferred,
+    Loop,
+    Origin,
+    Value,
+    Values,
+    ends_that_are_results,
+    function_of,
+    jaxpr_of,
+    march_p,
+    with_results,
+    without_results,
+)
 
 _MOST_STORED = 64  # steps of a loop whose carries are all stored
 Mask = Sequence[bool]
 _Function = Callable[..., list[Value]]
+_Step = ClosedJaxpr | Deferred
 
 
 def _chosen(items: Values, mask: Mask) -> list[Value]:
@@ -34,9 +47,9 @@ def _is_real(x: Value) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating)
 
 
-def _traced(function: _Function, loop: Loop, *arguments: Value) -> ClosedJaxpr:
-    """A step, (number, arguments) ↦ results, of arguments like these."""
-    return jax.make_jaxpr(function)(shape_of(loop.step.in_avals[0]), *map(shape_of, arguments))
+def _deferred(function: _Function, loop: Loop, arguments: Values, results: Values) -> Deferred:
+    """A step, (number, arguments) ↦ results, of arrays like these."""
+    return Deferred(function, [loop.step.in_avals[0], *arguments], results)
 
 
 def _mask_of_results(loop: Loop, active: tuple[bool, ...]) -> tuple[bool, ...]:
@@ -45,8 +58,8 @@ def _mask_of_results(loop: Loop, active: tuple[bool, ...]) -> tuple[bool, ...]:
 
 
 @functools.lru_cache(256)
-def _varying_and_real(step: ClosedJaxpr, carried: int, active: tuple[bool, ...]) -> tuple[bool, ...]:
-    varying = varying_in_loop(step, [False, *active], 1, carried)
+def _varying_and_real(step: _Step, carried: int, active: tuple[bool, ...]) -> tuple[bool, ...]:
+    varying = varying_in_loop(jaxpr_of(step), [False, *active], 1, carried)
     return tuple(v and _is_real(x) for v, x in zip(varying, step.out_avals, strict=True))
 
 
@@ -105,18 +118,22 @@ def _tangent_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
 
 
 @functools.lru_cache(256)
-def _tangent_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool, ...]) -> ClosedJaxpr:
+def _tangent_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
     loop = Loop(step, carried, fixed, 1, 1, False)
-    mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
+    mask, function = _mask_of_results(loop, active), function_of(step)
 
-    def pushed(n: Value, *arguments: Value) -> list[Value]:
-        plain, dots = _parted(loop, arguments, active)
-        out, out_dots = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
+    def with_dots(out: Values, out_dots: Values) -> list[Value]:
         ends, ys = _chosen(out_dots[:carried], mask[:carried]), _chosen(out_dots[carried:], mask[carried:])
         return [*out[:carried], *ends, *out[carried:], *ys]
 
+    def pushed(n: Value, *arguments: Value) -> list[Value]:
+        plain, dots = _parted(loop, arguments, active)
+        of_active = _of_active(function, n, plain, active)
+        return with_dots(*jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots)))
+
     shapes = loop.arguments
-    return _traced(pushed, loop, *_interleaved(loop, shapes, _chosen(shapes, active), active))
+    arguments = _interleaved(loop, shapes, _chosen(shapes, active), active)
+    return _deferred(pushed, loop, arguments, with_dots(loop.results, loop.results))
 
 
 def _of_active(function: _Function, n: Value, plain: Values, active: Mask) -> _Function:
@@ -191,10 +208,9 @@ def _recorded(loop: Loop, arguments: Values) -> tuple[list[Value], list[Value]]:
 
 
 @functools.lru_cache(256)
-def _recording(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
+def _recording(step: _Step, carried: int) -> ClosedJaxpr:
     """The step with the carries before it among its results."""
-    function = jaxpr_as_fun(step)
-    return jax.make_jaxpr(lambda n, *x: [*function(n, *x), *x[:carried]])(*map(shape_of, step.in_avals))
+    return with_results(step, lambda arguments, results: [*results, *arguments[1 : 1 + carried]])
 
 
 def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
@@ -221,9 +237,9 @@ def _linear_arguments(loop: Loop, active: Mask, plain: Values, stored: Values, d
 
 
 @functools.lru_cache(256)
-def _linear_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool, ...]) -> ClosedJaxpr:
+def _linear_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
     loop = Loop(step, carried, fixed, 1, 1, False)
-    mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
+    mask, function = _mask_of_results(loop, active), function_of(step)
     carries, of_fixed, of_rows = loop.split(active)
 
     def pushed(n: Value, *arguments: Value) -> list[Value]:
@@ -238,7 +254,7 @@ def _linear_step(step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool
 
     c, k, x = loop.split(loop.arguments)
     shapes = [*_chosen(c, carries), *k, *_chosen(k, of_fixed), *c, *x, *_chosen(x, of_rows)]
-    return _traced(pushed, loop, *shapes)
+    return _deferred(pushed, loop, shapes, _chosen(loop.results, mask))
 
 
 def _transpose(bars: Values, *arguments: Value, loop: Loop) -> list[Value]:
@@ -291,13 +307,11 @@ def _spread(y_bar: Value, loop: Loop) -> Value:
 
 
 @functools.lru_cache(256)
-def _backward_step(
-    step: ClosedJaxpr, carried: int, fixed: int, active: tuple[bool, ...], seen: tuple[bool, ...]
-) -> ClosedJaxpr:
+def _backward_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...], seen: tuple[bool, ...]) -> Deferred:
     """(λ, sums, constants, carries before it, row, cotangents of results) ↦ (λ, sums, cotangents of the row)."""
     loop = Loop(step, carried, fixed, 1, 1, False)
-    mask, function = _mask_of_results(loop, active), jaxpr_as_fun(step)
-    carries, of_fixed, _ = loop.split(active)
+    mask, function = _mask_of_results(loop, active), function_of(step)
+    carries, of_fixed, of_rows = loop.split(active)
     n, m = sum(carries), sum(carries) + sum(of_fixed)
     results = iter(seen)
     wanted = [*mask[:carried], *(r and next(results) for r in mask[carried:])]
@@ -313,7 +327,8 @@ def _backward_step(
 
     c, k, x = loop.split(loop.arguments)
     ys = _chosen(loop.results[carried:], wanted[carried:])
-    return _traced(pulled, loop, *_chosen(c, carries), *_chosen(k, of_fixed), *k, *c, *x, *ys)
+    bars = [*_chosen(c, carries), *_chosen(k, of_fixed)]
+    return _deferred(pulled, loop, [*bars, *k, *c, *x, *ys], [*bars, *_chosen(x, of_rows)])
 
 
 def _partial_eval_of_equation(
@@ -356,12 +371,14 @@ def _in_pieces(loop: Loop, *arguments: Value) -> list[Value]:
     if loop.known_every <= length:
         rows = length // loop.known_every
         return _pieces_and_rest(loop, loop._replace(rows=rows), loop.rows // rows, carry, first, fixed, series)
-    silent = loop._replace(step=_without_results(loop.step, loop.carried), rows=1, every=length)
-    whole = loop._replace(rows=1)
+    silent = loop._replace(step=without_results(loop.step, loop.carried), rows=1, every=length)
+    ends = ends_that_are_results(loop.step, loop.carried)
+    whole = loop._replace(rows=1) if ends is None else silent._replace(every=loop.every)
 
     def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
         found = _pieces_and_rest(whole, silent, (loop.known_every - 1) // length, carry, given[0], fixed, given[1])
-        return found[: loop.carried], [y[0] for y in found[loop.carried :]]
+        ys = [y[0] for y in found[loop.carried :]] if ends is None else [found[k] for k in ends]
+        return found[: loop.carried], ys
 
     starts = loop.known_every * jnp.arange(loop.rows, dtype=first.dtype)
     in_rows = [x.reshape(loop.rows, loop.known_every, *x.shape[1:]) for x in series]
@@ -405,17 +422,11 @@ def _numbered(loop: Loop) -> Loop:
 
 
 @functools.lru_cache(256)
-def _numbered_step(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
-    function = jaxpr_as_fun(step)
-    number, *shapes = map(shape_of, step.in_avals)
+def _numbered_step(step: _Step, carried: int) -> Deferred:
+    function = function_of(step)
+    number, *shapes = step.in_avals
 
     def numbered(n: Value, *arguments: Value) -> list[Value]:
         return function(n + arguments[carried], *arguments[:carried], *arguments[carried + 1 :])
 
-    return jax.make_jaxpr(numbered)(number, *shapes[:carried], number, *shapes[carried:])
-
-
-@functools.lru_cache(256)
-def _without_results(step: ClosedJaxpr, carried: int) -> ClosedJaxpr:
-    function = jaxpr_as_fun(step)
-    return jax.make_jaxpr(lambda *x: function(*x)[:carried])(*map(shape_of, step.in_avals))
+    return Deferred(numbered, [number, *shapes[:carried], number, *shapes[carried:]], step.out_avals)

@@ -8,11 +8,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
 from jax.interpreters import batching
 
 from lieint_jax.native._dependence import varying_in_loop
-from lieint_jax.native._march import Loop, Value, Values, march_p, shape_of
+from lieint_jax.native._march import Loop, Value, Values, function_of, jaxpr_of, march_p, shape_of
 
 _SHORT = 12  # the longest axis, such as that of tangent vectors, that may go inside of a step
 _COMMON = 0.3  # the least part of a carry without the axis, such as the point of the tangents, for which it does
@@ -25,7 +24,7 @@ def _batch(axis_data: Any, arguments: Values, axes: Sequence[Axis], *, loop: Loo
     if loop.every is None and any(axis is not None for axis in axes[loop.carried : loop.carried + 2]):
         return _batch_counts(axis_data, arguments, axes, loop)
     has = [axis is not None for axis in axes]
-    varying = varying_in_loop(loop.step, [False, *has], 1, loop.carried)
+    varying = varying_in_loop(jaxpr_of(loop.step), [False, *has], 1, loop.carried)
     has[: loop.carried] = varying[: loop.carried]
     size = [int(np.prod(x.shape)) * jnp.issubdtype(x.dtype, jnp.floating) for x in loop.arguments[: loop.carried]]
     common = sum(n for n, v in zip(size, varying, strict=False) if not v)
@@ -42,7 +41,7 @@ def _batch_counts(axis_data: Any, arguments: Values, axes: Sequence[Axis], loop:
     n, place = loop.carried, loop.carried + 2  # of the number of a member's steps, among the arguments of a step
     if loop.rows > 1 or len(loop.results) > n or axes[n + 1] is not None:
         raise NotImplementedError("members with their own numbers of steps between rows of results")
-    function = jaxpr_as_fun(loop.step)
+    function = function_of(loop.step)
 
     def step(number: Value, *arguments: Value) -> list[Value]:
         before, count = arguments[:n], arguments[place]
@@ -104,7 +103,7 @@ def _inside(
             x = jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
         given.append(x)
     inner_axes = [None, *(0 if h else None for h in has)]
-    batched = jax.vmap(jaxpr_as_fun(loop.step), inner_axes, 0, axis_name=axis_data.name, axis_size=size)
+    batched = jax.vmap(function_of(loop.step), inner_axes, 0, axis_name=axis_data.name, axis_size=size)
 
     def step(*arguments: Value) -> list[Value]:
         return [x if v else x[0] for x, v in zip(batched(*arguments), varying, strict=True)]

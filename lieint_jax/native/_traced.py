@@ -51,7 +51,7 @@ class Traced:
     """A function of one member as a program of numbers.
 
     Args:
-        function: of trees of arrays.
+        function: of trees of arrays; or a jaxpr.
         kinds: for each argument, or for its parts, what it is: "carry" (changed from row to row, the first result, of
             the same tree), "member" (each member has its own), "shared", "row" (shared, another one for each row),
             "series" (each member has its own for each row), or "counter" (the number of the row).
@@ -72,9 +72,12 @@ class Traced:
         UnsupportedError: the function cannot be a program of numbers.
     """
 
-    def __init__(self, function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]):
+    def __init__(self, function: Callable[..., Tree] | ClosedJaxpr, kinds: Sequence[Tree], examples: Sequence[Tree]):
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x), _dtype(x)), tuple(examples))
-        self.jaxpr, self.results = jax.make_jaxpr(function, return_shape=True)(*shapes)
+        if isinstance(function, ClosedJaxpr):
+            self.jaxpr, self.results = function, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in function.out_avals]
+        else:
+            self.jaxpr, self.results = jax.make_jaxpr(function, return_shape=True)(*shapes)
         with unsupported_if_it_fails():
             self._walk(self.jaxpr, kinds, shapes)
 
@@ -165,7 +168,7 @@ _cache: collections.OrderedDict[object, object] = collections.OrderedDict()
 
 
 def make_once(
-    kind: Callable[..., _Compiled], function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]
+    kind: Callable[..., _Compiled], function: object, kinds: Sequence[Tree], examples: Sequence[Tree]
 ) -> _Compiled:
     """`kind(function, kinds, examples)`, made once for all arguments of the same shapes; failures are stored too.
 

@@ -173,6 +173,7 @@ class Links(html.parser.HTMLParser):
         self.found += [value for name, value in attrs if name in ("src", "href", "data") and value]
 
 
+@pytest.mark.long
 def test_an_animated_page_needs_no_other_file(store, tmp_path):
     pytest.importorskip("plotly")
     out = tmp_path / "turn.html"

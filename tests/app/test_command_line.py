@@ -121,6 +121,7 @@ def test_measured_periods_of_symmetric_bodies_are_the_closed_form():
             np.testing.assert_allclose(rotation, 2 * np.pi / abs(0.9 * (J[2] - J[0]) / J[0]), rtol=1e-3)
 
 
+@pytest.mark.long
 def test_a_custom_scenario_file_runs(capsys, monkeypatch):
     assert cli.main(["run", book()]) == 0
     out = capsys.readouterr().out

@@ -123,6 +123,7 @@ def test_the_printed_initial_configuration_of_5a_gives_another_variation():
     assert not any(np.ptp(run.series) == pytest.approx(printed, rel=0.1) for printed in (1.6, 2.0e-2))
 
 
+@pytest.mark.long
 def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
     """The points (x_n, x_{n+N}, x_{n+2N}) for the delay N of its panel."""
     series, drawn = np.arange(50.0) ** 2, []

@@ -98,6 +98,7 @@ def test_figures_are_saved_in_one_place_and_never_by_pyplot():
             assert name not in ("savefig", "set_size_inches") or path == ROOT / "app" / "plots.py", path
 
 
+@pytest.mark.long
 def test_the_style_ends_with_the_figure_and_import_changes_nothing(tmp_path):
     code = (
         "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax import plots;"

@@ -238,6 +238,7 @@ BOMBS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOMBS)
 def test_no_toml_file_stops_python(name, capsys):
     """One line, quickly and in little memory: 0.1 s and a few MB of an idle core for the slowest."""

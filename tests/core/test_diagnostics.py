@@ -149,6 +149,7 @@ def test_verdicts_distinguish_random_rounding_from_one_rounding_per_step(energy,
     assert line.endswith("   " + verdict)
 
 
+@pytest.mark.long
 def test_a_certificate_has_no_number_for_a_momentum_that_the_system_lacks():
     certificate = diagnostics.Certificate(
         **dict.fromkeys(diagnostics.Certificate._fields, 0.0)

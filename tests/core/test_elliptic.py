@@ -78,6 +78,7 @@ def test_carlson_rj_agrees_with_mpmath():
             assert abs(mpmath.mpf(float(value)) / exact - 1) < 2e-15  # floor 6e-16
 
 
+@pytest.mark.long
 def test_derivatives_of_carlson_rj_agree_with_mpmath():
     """By all four arguments, forwards and in reverse, where x = 0 and where p = z too; observed 8e-16."""
     cases = [(x, y, p) for x in (0, 1e-10, 0.2) for y in (0.5, 1e-3) for p in (1.0, 1.001, 1e2)]

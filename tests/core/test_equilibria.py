@@ -77,7 +77,7 @@ def test_newton_finds_the_satellite_at_rest_in_its_orbit():
         li.equilibrium(eccentric, eccentric.state(angular_velocity=[0.0, 0.0, 1.0], t=0.0))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("over", [0.999, 1.001, 1.5])
 def test_a_sleeping_top_wakes_at_its_threshold(over):
     """Π₃² = 4J₁Mgl; above it, tilts rotate in space at (Π₃ ± √(Π₃² − 4J₁Mgl))/2J₁, here in axes that spin at Ω₃."""

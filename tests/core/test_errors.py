@@ -286,16 +286,12 @@ def _narrow_torque(t, q, omega):
     return (-0.1 * jnp.sin(omega)).astype(jnp.float32)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("law", "Omega", "message"),
     [
         (_drag_with_a_corner, [0.0, 0, 0], "the torque _drag_with_a_corner has no finite derivative by .* no smaller"),
-        pytest.param(
-            _narrow_torque,
-            [0.1, 0.2, 0.3],
-            "the torque _narrow_torque returns float32, so that no step converges",
-            marks=pytest.mark.long,
-        ),
+        (_narrow_torque, [0.1, 0.2, 0.3], "the torque _narrow_torque returns float32, so that no step converges"),
     ],
 )
 def test_a_step_that_no_smaller_dt_helps_names_the_function_and_the_cure(law, Omega, message):

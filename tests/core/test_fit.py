@@ -269,6 +269,7 @@ def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
         li.fit(loss, {"a": -1.0, "b": 0.0}, bounds=bounds)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bound", "edge", "condition", "inside"),
     [

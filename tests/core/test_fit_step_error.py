@@ -43,6 +43,7 @@ def fitted(loss):
     return li.fit(loss, 1.02 * TRUTH, bounds=li.fitting.inertia_ratios, standardized=True, progress=False)
 
 
+@pytest.mark.long
 def test_a_fit_warns_if_the_steps_move_a_parameter_by_more_than_a_fifth_of_its_error():
     """The loss is jitted and was called before; the estimated shift is that from a fit with a sixteenth of the step."""
     coarse = residuals()

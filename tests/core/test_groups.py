@@ -84,6 +84,7 @@ def close(a, b, bound):
     assert np.abs(np.asarray(a) - np.asarray(b)).max() < bound
 
 
+@pytest.mark.long
 @catalogue
 def test_group_axioms_and_adjoint_actions(name):
     """Against the matrices themselves. Floors: 4e-15 of numbers of size 10."""

@@ -59,6 +59,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MADE)
 def test_objects_can_be_made_inside_jit_from_arrays_made_outside(name):
     assert jax.eval_shape(lambda: jax.tree.leaves(MADE[name]()))

@@ -24,6 +24,7 @@ def run(*members):
     return both if members else both._replace(**jax.tree.map(lambda x: x[:, 0], both._asdict() | {"t": T[:, None]}))
 
 
+@pytest.mark.long
 def test_a_run_becomes_a_dataset_with_coordinates():
     found = run().to_xarray(BODY, units={"time": "d", "energy": "J"})
     assert found.q.dims == ("time", "quaternion")

@@ -65,6 +65,7 @@ def test_a_part_makes_its_own_members_only_and_all_parts_are_one_run(tmp_path, r
     assert_same(ensemble.open(store)[0], whole)
 
 
+@pytest.mark.long
 def test_members_of_one_part_that_start_together_do_not_share_a_time(tmp_path):
     """Only a scalar time is shared: the members of a part, or of a block, do not show whether all start together."""
 
@@ -185,6 +186,7 @@ def test_scenarios_make_the_states_of_the_members_they_are_asked_for():
         assert jax.tree.map(lambda x: (x.shape, x.dtype), shapes) == jax.tree.map(lambda x: (x.shape, x.dtype), whole)
 
 
+@pytest.mark.long
 def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("book.toml").write_text(scenario_files.book(members="members = 40"))
@@ -207,6 +209,7 @@ def test_a_part_is_refused_if_its_own_members_do_not_fit_the_memory(monkeypatch)
         run_command._check_size(scenario, Path("x.zarr"), 10)
 
 
+@pytest.mark.long
 def test_a_store_needs_the_memory_of_two_buffers_of_rows(tmp_path, monkeypatch):
     """One is filled while the other is written; rows are joined along time a few chunks at once."""
     internals.small_chunks(monkeypatch, 1000, joined=2)

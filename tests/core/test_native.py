@@ -103,6 +103,7 @@ def test_derivatives_of_elementary_functions_are_programs_of_numbers():
     check_against_jax(function, (normal(), np.abs(normal(seed=1))), rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", TYPES)
 def test_integers_wrap_and_divide_as_in_xla(dtype):
     """They wrap, and their quotients by 0 and −1 and shifts by any number of bits are XLA's, and stop no machine."""
@@ -156,6 +157,7 @@ def test_indexing_and_stacking_move_entries():
     check_against_jax(function, [normal(4, 3)])
 
 
+@pytest.mark.long
 def test_reductions_and_products_are_those_of_jax():
     whole = np.random.default_rng(1).integers(-9, 9, (MEMBERS, 3, 4))
     with_nan = normal(3, 4)
@@ -421,7 +423,7 @@ def test_constants_carries_and_rows_are_recognized_by_number_and_shape(monkeypat
     check_against_jax(function, [normal(3), np.arange(MEMBERS)], [1.5], rtol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("broken", [(CONTROL_FLOW, "while"), (ELEMENTWISE, "mul"), (_emit, "emit")])
 def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, caplog, broken):
     """A failure of the walk or of what writes LLVM's text, as by a primitive that a later JAX has changed."""

@@ -35,6 +35,7 @@ def cases():
     return [pytest.param(*rest, id=name, marks=marks[name]) for name, *rest in grid.steps()]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("step", "state", "dt"), cases())
 def test_members_step_as_by_jax(step, state, dt):
     """Round-off apart, with the same verdicts; members that fail or are NaN change no bit of the others."""

@@ -140,7 +140,7 @@ def assert_members_run_as_one(step, state):
     np.testing.assert_allclose(run.state.p[-1, 0], one.state.p[-1], rtol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", DRAWS)
 @pytest.mark.parametrize("kind", ["potential", "law"])
 def test_random_numbers_and_narrow_ones_give_the_same_run_to_members(kind, name):
@@ -154,6 +154,7 @@ def test_random_numbers_and_narrow_ones_give_the_same_run_to_members(kind, name)
     assert_members_run_as_one(step, state)
 
 
+@pytest.mark.long
 def test_a_step_may_have_a_key_among_its_arrays(caplog):
     def potential(key, axis):
         return axis @ jax.random.normal(key, (3,))

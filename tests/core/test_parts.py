@@ -72,6 +72,7 @@ def removed(storage, name):
         storage._store.delete(name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_parts_in_any_order_are_one_process(place, reduce):
     whole = run(reduce=reduce)
@@ -413,6 +414,7 @@ def test_the_part_of_a_task_follows_the_variables_of_its_scheduler():
             run(part=bad)
 
 
+@pytest.mark.long
 def test_the_command_line_runs_parts(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("book.toml").write_text(scenario_files.book(members="members = 10"))

@@ -26,6 +26,7 @@ def one_of_each_scheme():
     return {module: (step, state, dt) for module, _, step, state, dt in reversed(cases())}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", one_of_each_scheme())
 def test_a_step_of_each_scheme(module):
     """Traced only: a promotion is refused while JAX traces."""
@@ -71,6 +72,7 @@ RUNS = {
 COMPUTED = {"ensemble", "certify", "shapes"}  # the others are traced only
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run(name):
     with strict():

@@ -151,6 +151,7 @@ SLOPES = [
 CASES = [pytest.param(*case, marks=[pytest.mark.long] * (k not in (0, 1, 2, 5, 8))) for k, case in enumerate(SLOPES)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("own", "other", "rows"), CASES, ids=lambda x: getattr(x, "__name__", ""))
 def test_derivatives_by_every_argument_agree_with_differences_at_50_digits(own, other, rows):
     """By every argument, forwards and in reverse, against differences at 50 digits; observed 2e-15."""
@@ -177,6 +178,7 @@ def test_derivatives_are_right_where_an_argument_is_0_or_the_integral_infinite()
     assert jax.grad(elliptic.E)(1.0) == -np.inf
 
 
+@pytest.mark.long
 def test_second_derivatives_at_zero_are_those_of_the_power_series():
     """K″ and E″ at m = 0, from the power series: 9π/64 and −3π/64."""
     assert float(jax.grad(jax.grad(elliptic.K))(0.0)) == pytest.approx(9 * np.pi / 64, rel=1e-14)

@@ -56,6 +56,7 @@ def test_a_store_gives_the_trajectory_and_the_system_back(tmp_path):
     assert (shown.attrs["format"], shown.attrs["leaves"]) == (3, ["q", "p"])
 
 
+@pytest.mark.long
 def test_systems_of_members_are_read_back(tmp_path):
     J = np.array([[1.0, 2.0, 3.0], [2.0, 2.0, 3.0], [2.0, 4.0, 5.0]])
     steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.RigidBody(J)))(J)

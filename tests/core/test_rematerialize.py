@@ -35,6 +35,7 @@ def run(p, body, way):
 PLAIN, REMATERIALIZED = (partial(run, body=lambda x: x, way=way) for way in (lambda step: step, rematerialized))
 
 
+@pytest.mark.long
 def test_derivatives_of_any_order_are_the_same():
     for way in (jax.grad, jax.jacfwd):
         assert float(way(REMATERIALIZED)(1.3)) == pytest.approx(float(jax.jacfwd(PLAIN)(1.3)), rel=1e-15)

@@ -128,6 +128,7 @@ def test_functions_of_a_step_may_close_over_what_is_differentiated():
     assert abs(slopes[0]) > 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("derivative", ["reversible", "checkpoint"])
 def test_a_run_of_zero_steps_has_the_derivative_of_the_identity(derivative):
     def end(q):
@@ -136,6 +137,7 @@ def test_a_run_of_zero_steps_has_the_derivative_of_the_identity(derivative):
     np.testing.assert_array_equal(jax.grad(end)(STATE.q), [0, 1, 0, 0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("times", [[], [0.0, 0.0]])
 def test_observations_of_no_time_and_at_the_start(times):
     def seen(q):

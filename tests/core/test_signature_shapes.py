@@ -54,6 +54,7 @@ def first(hint):
     return hint if hasattr(hint, "dim_str") else hint.__args__[0]
 
 
+@pytest.mark.long
 def test_systems_and_phase_spaces_have_the_shapes_that_they_declare(monkeypatch):
     called = shape_checks.check_all(monkeypatch)
     for system, state in KINDS.values():
@@ -75,7 +76,7 @@ def _geometry(system, state):
     return tangent, there, space.omega(state), space.defect(state)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("part", range(2))
 def test_steps_call_nothing_with_another_shape(monkeypatch, part):
     """One step of every class of steps, traced: the arrays have shapes, and no value is computed."""

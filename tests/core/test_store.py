@@ -141,7 +141,7 @@ def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks
     assert same_folders(path, tmp_path / "whole.zarr")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_path, small_chunks, reduce):
     """A crash at one wait for the disk after another, between which lie all writes and renames."""
@@ -253,6 +253,7 @@ def test_a_function_that_has_captured_another_number_is_another_run(tmp_path):
             begin(path, others[0], reduce=others[1], resume=True)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_loop")
 def test_a_function_that_cannot_be_compared_draws_a_warning_and_is_refused_at_a_resume(tmp_path):
     with (tmp_path / "file").open("w") as file:
@@ -267,6 +268,7 @@ def test_a_function_that_cannot_be_compared_draws_a_warning_and_is_refused_at_a_
         begin(tmp_path / "partial.zarr", jax.tree_util.Partial(weighed, 0.7), resume=True)
 
 
+@pytest.mark.long
 def test_bytecode_of_another_python_is_refused_by_its_name(tmp_path, monkeypatch, no_loop):
     with pytest.raises(Begun):
         begin(tmp_path / "run.zarr", damped(0.1))

@@ -263,6 +263,7 @@ FIRST = {type(step): name for name, step, _, _ in reversed(steps()) if not dear(
 GRID = [pytest.param(*s, id=s[0], marks=[pytest.mark.long] * (s[0] not in FIRST.values())) for s in steps()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "step", "state", "dt"), GRID)
 def test_the_grid_of_systems_and_schemes_runs(name, step, state, dt):
     """The contract of every step: a pytree with its system as a child, a flag, and an order and symmetry stated."""

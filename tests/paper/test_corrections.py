@@ -149,6 +149,7 @@ def test_2_21_and_2_22_hold_with_corrected_coefficients(alpha):
 # Section 3.1 ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_3_3_3_4_the_step_solves_the_paper_s_equations(s):
     assert close(s.Q1, s.Q0 @ s.T) < 2e-15  # (3.3), floor 4e-16
     assert close(s.J @ s.bar, DT / 2 * (s.Pi0 + s.T.T @ s.Pi0)) < 2e-15  # (3.4)

@@ -93,7 +93,7 @@ def test_4_1_and_4_2_the_torque_is_gamma_cross_e():
     assert close(np.cross(GAMMA, e), slope) > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_4_3_and_4_4_hold_for_the_step(s):
     assert close(s.Q1, s.Q0 @ s.T) < 2e-15
     assert close(s.pi1, s.pi0 + DT * np.cross(GAMMA, s.e)) < 1e-15

@@ -159,6 +159,7 @@ def test_result_05_symplectic_kappa_preserves_the_form(J, q, axis, turn, sign):
     assert defect < 6e-15 * size**2  # floor 1.5e-15
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "printed"), [("cayley", 2.5e-5), ("exponential", 1.7e-5)])
 def test_result_05_refutation_cayley_and_exponential_are_not_symplectic(name, printed):
     """Their defect is O(Δt³) per step."""

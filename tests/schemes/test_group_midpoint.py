@@ -232,7 +232,7 @@ def test_5_29_5_30_6_27_the_linearized_step(name, tau):
     assert np.abs(C - same).max() < bound
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.paper(
     "5.2: (5.28)–(5.33), Result 11", "the condition of the form on a group", "diagnostics/_conditions.py"
 )
@@ -420,6 +420,7 @@ def test_a_map_that_is_not_symmetric_makes_a_step_that_is_not():
     assert group_midpoint(rotations, jax.jit(lambda g, x: g.exp(x), static_argnums=0)).symmetric
 
 
+@pytest.mark.long
 def test_maps_that_do_not_fit_are_refused():
     system, _ = system_and_state("SL(3)")
     with pytest.raises(ValueError, match="Cayley map does not land in SL"):
@@ -490,6 +491,7 @@ def test_hyperbolic_motion_is_flagged_before_digits_run_out():
     assert not good[~np.isfinite(error)].any()
 
 
+@pytest.mark.long
 def test_a_step_past_the_range_of_its_map_is_flagged():
     system, state = system_and_state("SO(3)")
     step = group_midpoint(system)

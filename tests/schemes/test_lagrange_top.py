@@ -88,7 +88,7 @@ def test_a_released_top_nutates_with_the_closed_form_s_period_and_amplitude():
         assert errors[1] < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("fast", [False, True])
 def test_steady_precession_is_possible_at_both_rates(fast):
     """A cos θ Ω² − CΩ₃ Ω + Mgl = 0: the axis keeps its tilt and turns at Ω, for both roots, to O(Δt²)."""

@@ -76,6 +76,7 @@ def test_the_smallest_uniform_number_is_not_zero_and_the_largest_not_above_one()
         assert float(x[1]) <= 1
 
 
+@pytest.mark.long
 def test_the_heat_of_free_bodies_is_the_change_of_their_energy():
     """There is nothing else that changes it: round-off of energies of a few kT in 200 steps."""
     body = systems.rigid_body(J)
@@ -87,6 +88,7 @@ def test_the_heat_of_free_bodies_is_the_change_of_their_energy():
     assert np.ptp(K) > 1
 
 
+@pytest.mark.long
 def test_runs_in_parts_resumed_and_of_some_members_have_the_same_bits():
     """By machine code: 300 members × 40 steps at once; in 17 and 23 steps; and the members from 123 on."""
     step = thermostat()

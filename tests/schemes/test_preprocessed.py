@@ -86,7 +86,7 @@ def forms(step, state):
     return jax.lax.map(lambda dt: there_and_back(step, state, dt)[:3], jnp.array([0.4, 0.2]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("order", [4, 6])
 def test_reduced_lie_poisson_structure_is_exact_and_the_canonical_form_is_not(order):
     """The map of Π alone is Poisson, DΠ̂₀Dᵀ = Π̂₁, to round-off; on T*SO(3) the defect is O(Δt^{order+1})."""

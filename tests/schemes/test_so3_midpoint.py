@@ -93,6 +93,7 @@ def test_the_symplectic_step_is_the_discrete_moser_veselov_map():
     assert np.abs(R.T @ M @ R - paper.hat(0.3 * momenta[1])).max() < 2e-15
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", [*KAPPAS, lambda x: 1 + x / 5], ids=["cayley", "exponential", "symplectic", "user"])
 def test_so3_midpoint_is_time_symmetric(kappa):
     step = li.schemes.so3_midpoint(BODY, kappa)

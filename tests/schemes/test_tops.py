@@ -389,6 +389,7 @@ def test_a_top_made_inside_jit_checks_what_is_concrete():
         jax.jit(lambda J: energy(J, [0.0, 0.0, 0.0]))(J)
 
 
+@pytest.mark.long
 def test_bad_arguments_of_tops_raise_errors():
     with pytest.raises(ValueError, match="axis must not be zero"):
         li.systems.potential_top([1.0, 2.0, 3.0], quartic, [0.0, 0.0, 0.0])

@@ -17,6 +17,7 @@ START = BODY.state(
 )
 
 
+@pytest.mark.long
 def test_momentum_and_the_energy_with_what_is_lost_are_conserved_and_every_step_loses_some():
     """Observed over 500 steps: H + lost 4e-15 with 0.68 lost, momentum 1e-15; least loss 1e-5 a step."""
     path = jax.jit(lambda z: li.integrate(STEP, z, 0.02, 500))(START)

@@ -471,7 +471,7 @@ def single(tree):
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tree)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_gyrostats_in_single_precision_have_its_accuracy(name):
     step, state = (single(x) for x in STEPS[name])

@@ -102,6 +102,7 @@ def test_polyhedra_attract_as_their_tetrahedra_do():
         assert np.log2(near / far) == pytest.approx(n + 2, abs=0.35), (n, sizes)
 
 
+@pytest.mark.long
 def test_spheres_and_points_attract_exactly_and_an_ellipsoid_to_order_6():
     ball = shapes.ellipsoid([2.0, 2.0, 2.0], mass=3.0)
     x = jnp.array([[0.0, 0, 0], [3.0, 4.0, 0.0]])
@@ -116,6 +117,7 @@ def test_spheres_and_points_attract_exactly_and_an_ellipsoid_to_order_6():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(7, abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("order", [2, 3, 4])
 def test_the_discrete_gradient_gives_the_difference(order):
     """Between distant and close invariants, consistent ones or not; and it is symmetric."""

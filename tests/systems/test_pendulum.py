@@ -310,6 +310,7 @@ def test_the_pendulum_in_float32_stays_in_float32():
         assert np.abs(energy[:51]).max() < 2e-5
 
 
+@pytest.mark.long
 def test_bad_arguments_of_the_pendulum_raise_errors():
     bob = BOBS["linear"]
     for make, message in (

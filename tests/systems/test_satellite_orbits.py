@@ -19,6 +19,7 @@ ORBIT = orbits.kepler(1.3, 1.1, 0.1, 0.7, node=0.4, periapsis=0.2, periapsis_tim
 LOW = orbits.kepler(orbits.EARTH_GM, 6878.137, 0.001, 0.9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("a", "e"), [(1.1, 0.6), (-1.1, 1.4), (2.0, 1e-3)])
 def test_a_state_gives_the_orbit_that_its_elements_give(a, e):
     """Observed: 2e-15 over a revolution. The elements come back too."""
@@ -68,6 +69,7 @@ def hyperbola_in_many_digits(r, v, t):
         return np.array([float(f * p + g * q) for p, q in zip(r, v, strict=True)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("e", [1.3, 3.0])
 def test_a_hyperbola_from_far_to_far(e):
     """From 4500 a on one side to the other, to the center, and back; observed: 9 ulp of a(1 + r₀r/a²)."""
@@ -335,6 +337,7 @@ def far_from_sgp4(elements, semi_major_axis):
     return float(np.linalg.norm(positions - np.array(SGP4[elements]), axis=1).max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("elements", "twice"), list(zip(SGP4, (400, 70), strict=True)))
 def test_the_mean_motion_of_a_tle_without_its_drift_gives_the_orbit_of_sgp4(elements, twice):
     """By the function of the page; with the drift counted twice the orbits are hundreds of kilometers apart."""

@@ -154,6 +154,7 @@ def test_a_body_may_lie_in_a_cavity():
     assert float(shapes.mesh(*deep, density=1.0).mass) == pytest.approx(125 - 27 + 1, rel=1e-14)
 
 
+@pytest.mark.long
 def test_meshes_of_an_ellipsoid_approach_it_to_second_order():
     exact, errors = shapes.ellipsoid([3.0, 2.0, 1.0], density=1.0), []
     for levels in (2, 3, 4):
@@ -256,6 +257,7 @@ def test_single_precision_stays_single_and_has_its_digits():
     assert_same(single, double, 2e-6)  # observed 4e-7
 
 
+@pytest.mark.long
 def test_systems_and_potentials_accept_a_shape():
     at, faces = hull(7)
     shape = shapes.mesh(at, faces, mass=2.0)

@@ -76,6 +76,7 @@ def test_what_is_declared_conserved_has_no_derivative_along_the_motion(name, key
     assert all(rate < 1e-14 for rate in more)
 
 
+@pytest.mark.long
 def test_energy_alone_is_declared_where_no_work_is_done():
     for name, found in EXAMPLES.items():
         works = [with_work(system, state).work is not None for system, state, _ in found.values()]
