@@ -46,14 +46,19 @@ def cases() -> list[tuple[str, Any, Any, bool]]:
         lambda t, q, w: 0.02 * jnp.array([w[1], -w[0], 0.0]),
     ]
     satellite = li.systems.torqued_body(J, li.torques.total(laws))
-    here = {"angular_velocity": W}
-    two = li.State(*(jnp.asarray(x[0]) for x in binaries.start(1)))
+    q, p = binaries.start(1)
+    two = li.State(jnp.asarray(q[0]), jnp.asarray(p[0]))
     return [
-        ("free body, so3_midpoint", li.schemes.so3_midpoint(body), body.state(**here), True),
-        ("heavy top, splitting", li.schemes.splitting(top), top.state(**here), True),
-        ("heavy top, compose 4", li.schemes.compose(li.schemes.splitting(top), 4), top.state(**here), True),
-        ("heavy top, nystrom 6", li.schemes.nystrom(top, 6), top.state(**here), False),
-        ("satellite, three laws", li.schemes.torqued_midpoint(satellite), satellite.state(**here, t=0, work=0), False),
+        ("free body, so3_midpoint", li.schemes.so3_midpoint(body), body.state(angular_velocity=W), True),
+        ("heavy top, splitting", li.schemes.splitting(top), top.state(angular_velocity=W), True),
+        ("heavy top, compose 4", li.schemes.compose(li.schemes.splitting(top), 4), top.state(angular_velocity=W), True),
+        ("heavy top, nystrom 6", li.schemes.nystrom(top, 6), top.state(angular_velocity=W), False),
+        (
+            "satellite, three laws",
+            li.schemes.torqued_midpoint(satellite),
+            satellite.state(angular_velocity=W, t=0, work=0),
+            False,
+        ),
         (
             "body in a fluid, SE(3)",
             li.schemes.group_midpoint(fluid),

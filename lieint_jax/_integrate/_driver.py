@@ -137,8 +137,9 @@ def saved_states(
     `most`, the length of the rows, of which those beyond `num_saves` are undefined, the two numbers may be traced; then
     there is no reverse mode.
     """
-    given = isinstance(clock, GridClock) and most is None
-    nodes = (clock.times[1:] - clock.times[:-1], clock.times[1:]) if given else None
+    nodes = None
+    if isinstance(clock, GridClock) and most is None:
+        nodes = (clock.times[1:] - clock.times[:-1], clock.times[1:])
 
     def step_once(n: Array, at: Progress, node: tuple[Array, Array] | None) -> tuple[Progress, tuple[State, StepInfo]]:
         state, info = step_at_node(step, clock if node is None else _Node(*node), at.state, n)
