@@ -53,9 +53,9 @@ def integrate(
     """The trajectory of `num_steps` steps of size `dt`, or of steps from one of the `times` to the next.
 
     It can be jitted, vmapped over states, and differentiated in forward and reverse mode. On a CPU it is machine code,
-    and so are its derivatives; the page "Your own loop in machine code" has the exceptions. A call outside of jit on a CPU is
-    compiled once per structure of the step, whatever the numbers in the step and `save_every`, for up to 4096 saved
-    states of one body; again for up to 16384, and so on; and for each number of `times`.
+    and so are its derivatives; the page "Your own loop in machine code" has the exceptions. A call outside of jit on a
+    CPU is compiled once per structure of the step, whatever the numbers in the step and `save_every`, for up to 4096
+    saved states of one body; again for up to 16384, and so on; and for each number of `times`.
 
     The state at an output time between two steps comes from a shorter step from the last node before. So it has every
     invariant of the step, and its error is that of the trajectory plus one of higher order, that of a single step. The
