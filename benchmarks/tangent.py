@@ -82,7 +82,9 @@ def measure(name: str, step: Any, state: Any, is_closed: bool, bodies: int, step
     states = jax.jit(jax.vmap(lambda x: space.perturb(state, x)))(shifts)
     given = {key: (states, vectors(space.dim, 6 if "6" in key else 1)) for key in (*ways(step), EXPONENTS)}
     runs = {key: jax.jit(loop(one, steps)) for key, one in ways(step).items()}
-    runs[EXPONENTS] = jax.jit(lambda z, T: jax.vmap(lambda z: li.lyapunov(step, z, DT, steps, 6).exponents)(z))
+    runs[EXPONENTS] = jax.jit(
+        lambda z, T: jax.vmap(lambda z: li.diagnostics.lyapunov(step, z, DT, steps, exponents=6).exponents)(z)
+    )
     engines = {key: sorted(li.explain(runs[key], *given[key]).engines) for key in runs}
     ends = {key: jax.block_until_ready(run(*given[key])) for key, run in runs.items()}
     pairs = ((TANGENT, JVP), (TANGENTS, JACFWD))
