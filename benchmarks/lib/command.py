@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,17 +44,3 @@ def on_one_core(doc: str | None) -> argparse.Namespace:
     options = parsed(parser(doc))
     pin()
     return options
-
-
-def least_cpu_times(contestants: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """The CPU seconds of each, after a first call that compiles."""
-    import jax
-
-    seconds = dict.fromkeys(contestants, float("inf"))
-    for k in range(rounds + 1):
-        for name, call in contestants.items():
-            start = time.process_time()
-            jax.block_until_ready(call())
-            if k:
-                seconds[name] = min(seconds[name], time.process_time() - start)
-    return seconds
