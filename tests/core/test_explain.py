@@ -31,6 +31,15 @@ def test_a_loop_of_a_function_is_explained():
         assert (loop.engine, loop.reason) == ("xla", "chosen by li.engine or LIEINT_ENGINE")
 
 
+def test_pieces_and_rest_of_a_gradient_are_the_same_machine_code():
+    def end(x):  # 13 pieces of 15 steps and a rest of 5, whose last result is the carry
+        return li.scan(lambda x, _: ((y := 3.2 * x * (1 - x)), y), x, length=200, every=200)[1][0]
+
+    loops = li.explain(jax.grad(end), 0.3).loops
+    assert {loop.steps for loop in loops} == {5, 15}
+    assert len({(loop.reverse, loop.operations) for loop in loops}) == 2, loops
+
+
 def test_loops_that_xla_runs_are_explained():
     def mixed(x):
         y, _ = jax.lax.scan(lambda x, _: (x / 2, None), x, None, length=3)
