@@ -19,6 +19,7 @@ from lieint_jax.native._primitives.abstract_walk import LARGEST, AbstractWalk, T
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
 from lieint_jax.native._primitives.indexing import INDEXING, look_up
+from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
 from lieint_jax.native._primitives.moves import MOVES
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder
@@ -86,6 +87,8 @@ class Walk(AbstractWalk):
         if name in MOVES:
             found = MOVES[name](*inputs, **parameters)
             return found if isinstance(found, list) else [found]
+        if name in LINEAR_ALGEBRA:
+            return LINEAR_ALGEBRA[name](self, inputs, out, **parameters)
         if name in REDUCTIONS:
             return [REDUCTIONS[name](self, inputs, out[0], **parameters)]
         if name in INDEXING:

@@ -17,6 +17,7 @@ from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled
 from lieint_jax import ensemble, schemes, systems
 from lieint_jax.ensemble import _comparison
 from lieint_jax.native import Kernel, _emit, _machine
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
 
@@ -385,6 +386,31 @@ def test_solves_and_calls_are_those_of_jax():
         }
 
     check_against_jax(function, [normal(3)], rtol=1e-13)
+
+
+@pytest.mark.parametrize(("dtype", "error"), [(np.float64, 2e-14), (np.float32, 5e-6)])
+def test_linear_algebra_and_sorts_are_those_of_jax(dtype, error):
+    """By LAPACK there. Matrices need pivots, or have some of equal size; several at once. NaN stays NaN."""
+    A = (normal(2, 4, 4, seed=1) / 2 + 3 * np.eye(4)[[2, 0, 3, 1]]).astype(dtype)
+    A[2, 0] = np.eye(4)[::-1]
+    b = normal(2, 4, seed=2, dtype=dtype)
+    b[3, 0, 1], b[4, 0, 1] = np.nan, b[4, 0, 0]
+
+    def one(A, b):
+        P = A @ A.T
+        found = {"L": jnp.linalg.cholesky(P), "no L": jnp.linalg.cholesky(-P), "det": jnp.linalg.det(A / 3)}
+        found |= {"inverse": jnp.linalg.inv(A), "transposed": jnp.linalg.solve(A.T, b)}
+        found |= {"slope": jax.grad(lambda A: jnp.linalg.solve(A, b) @ b)(A)}
+        right = lax.linalg.triangular_solve(A + 6 * np.eye(4, dtype=dtype), A, left_side=False, lower=True)
+        return found | {"from the right": right, "sorted": jnp.sort(b), "order": jnp.argsort(-b)}
+
+    check_against_jax(jax.vmap(one), [A, b], atol=error)
+    A[0, 0, 1, 1], A[1, 0, 2] = np.nan, 0.0  # of these LAPACK, by its own order, may find other numbers finite
+    inverse, det = compiled(lambda A: (jnp.linalg.inv(A), jnp.linalg.det(A)), [A[:, 0]])([A[:, 0]])
+    np.testing.assert_array_equal(np.isfinite(inverse).all((1, 2)), [False, False, *[True] * (len(A) - 2)])
+    np.testing.assert_array_equal([np.isnan(det[0]), det[1]], [True, 0.0])
+    with pytest.raises(UnsupportedError, match="of shape \\(13,\\)"):
+        compiled(jnp.sort, [normal(13)])
 
 
 READ = {  # the parameters of control flow that the walk reads: releases of JAX differ in the others

@@ -206,6 +206,14 @@ def _iota(
     return walk.constant_array(np.broadcast_to(np.arange(n).reshape(sizes), shape), dtype)
 
 
+def _platform(
+    walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, platforms: Sequence[Sequence[str] | None]
+) -> np.ndarray:
+    """The first of these sets of platforms that has the CPU; None stands for all others."""
+    chosen = next(k for k, several in enumerate(platforms) if several is None or "cpu" in several)
+    return walk.constant_array(np.array(chosen), out.dtype)
+
+
 def look_up(
     walk: AbstractWalk, name: str, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
 ) -> np.ndarray:
@@ -227,6 +235,7 @@ INDEXING: dict[str, Callable[..., np.ndarray]] = {
     "dynamic_update_slice": _dynamic_update_slice,
     "gather": _gather,
     "iota": _iota,
+    "platform_index": _platform,
     "scatter": _scatter(None),
     "scatter-add": _scatter("add"),
     "scatter-max": _scatter("max"),
