@@ -118,6 +118,11 @@ class _Evaluation:
         vector = self.varies(x)
         if x.op == "array":
             return None if vector else jnp.stack([self.value(y) for y in x.inputs])
+        if x.op == "empty":
+            return jnp.zeros(x.data, x.dtype)
+        if x.op == "put":
+            array, k, y = (self.value(y, vector and n != 1) for n, y in enumerate(x.inputs))
+            return array.at[..., k].set(y)
         if x.op == "entry":
             return self.entry(x)
         if x.op in ("table", "values"):
@@ -131,6 +136,8 @@ class _Evaluation:
         """The entry of an array of numbers; by selection if they vary, since memory access would split the kernel."""
         if not self.varies(x.inputs[1]):
             return self.value(x.inputs[1])[self.value(x.inputs[0])]
+        if x.inputs[1].op != "array":
+            return self.value(x.inputs[1])[jnp.arange(self.members), self.value(x.inputs[0])]
         index, array = self.value(x.inputs[0]), [self.value(y, True) for y in x.inputs[1].inputs]
         found = array[-1]
         for k in range(len(array) - 1):
@@ -209,7 +216,7 @@ _OPERATIONS: dict[str, Callable[..., Array]] = {
     "select": lax.select,
     "xor": lax.bitwise_xor,
 }
-_READS = frozenset({"array", "entry", "table", "values", "convert"})
+_READS = frozenset({"array", "convert", "empty", "entry", "put", "table", "values"})
 
 
 def _check(block: Block, program: Program) -> None:

@@ -13,6 +13,8 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
 Data = Any  # the value of a constant, the exponent of a power, the place of an argument
+# Arrays in memory: of given numbers; not written yet; with one more entry; as a loop carries it; after the loop.
+_ARRAYS = frozenset({"array", "empty", "put", "carry array", "result array"})
 COMMUTATIVE = frozenset({"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"})
 _COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
 
@@ -37,6 +39,11 @@ class Number:
     def is_constant(self) -> bool:
         """True if it is a constant."""
         return self.op == "const"
+
+    @property
+    def is_array(self) -> bool:
+        """True if it stands for an array in memory, whose entries are numbers of its type."""
+        return self.op in _ARRAYS
 
     def equals(self, value: float) -> bool:
         """True if it is a constant of this value."""
@@ -78,10 +85,16 @@ class Loop:
         self.starts = list(starts)
         self.head = Block(parent)
         self.body = Block(self.head, tested=True)
-        self.carries = [Number("carry", (), x.dtype, self, self.head) for x in starts]
-        self.results = [Number("result", (), x.dtype, self, parent) for x in starts]
+        self.carries = [_carried(x, "carry", self.head) for x in starts]
+        self.results = [_carried(x, "result", parent) for x in starts]
         self.test: Number
         self.following: list[Number] = []
+
+
+def _carried(start: Number, op: str, block: Block) -> Number:
+    """A number, or an array of the same length, that a loop carries."""
+    name, length = (f"{op} array", start.data) if start.is_array else (op, None)
+    return Number(name, (), start.dtype, length, block)
 
 
 class Branch:
@@ -121,6 +134,12 @@ class Builder:
     def argument(self, dtype: DTypeLike, data: Data) -> Number:
         """An argument of the program."""
         return self._new("argument", (), np.dtype(dtype), data, self.root)
+
+    def empty(self, length: int, dtype: DTypeLike) -> Number:
+        """A new array in memory, of which one loop writes each entry."""
+        found = self._new("empty", (), np.dtype(dtype), length, self.block.floor)
+        self.block.floor.items.append(found)
+        return found
 
     def number(self, op: str, *inputs: Number, dtype: DTypeLike | None = None, data: Data = None) -> Number:
         """The result of an operation."""
@@ -356,7 +375,8 @@ class Program:
         items = [x for block in (loop.head, loop.body) for x in block.items if x in self.live]
         inside = {loop.head, loop.body}
         outer = {x for item in items for x in item.inputs if x.block not in inside}
-        return sum(x in self.varying for x in (*outer, *(x for x in loop.carries if x in self.live)))
+        alive = (*outer, *(x for x in loop.carries if x in self.live))
+        return sum(x in self.varying and not x.is_array for x in alive)
 
 
 def blocks_of(item: Loop | Branch) -> tuple[Block, Block]:

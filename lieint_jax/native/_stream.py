@@ -37,7 +37,7 @@ def split(program: Program) -> Stream | None:
         x
         for loop in loops
         for x in _numbers(loop.body)
-        if x in program.live and x not in program.varying and x.dtype.kind == "f" and x.op != "array"
+        if x in program.live and x not in program.varying and x.dtype.kind == "f" and not x.is_array
     }
     if not shared:
         return None

@@ -123,7 +123,7 @@ class Traced:
         """True if a number does not change during a call, provided that its inputs do not."""
         if x.op == "argument":
             return self.leaves[x.data[0]].kind in ("member", "shared")
-        return x.block in (None, self._builder.root) and x.op not in ("carry", "result")
+        return x.block in (None, self._builder.root) and x.op not in ("carry", "result") and not x.is_array
 
 
 class Operation(NamedTuple):

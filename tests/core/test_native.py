@@ -12,7 +12,7 @@ from jax import lax
 
 pytest.importorskip("llvmlite")
 
-from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled
+from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled, stacking
 
 from lieint_jax import ensemble, schemes, systems
 from lieint_jax.ensemble import _comparison
@@ -292,6 +292,14 @@ def test_loops_of_a_known_length_are_those_of_jax():
 
     flags = np.random.default_rng(6).integers(0, 2, (MEMBERS, 30)).astype(bool)
     check_against_jax(function, (normal(30, 2), flags, normal(2, seed=1)), [series[::-1].copy()[:30]], rtol=1e-12)
+
+
+def test_rows_that_a_step_writes_and_reads_are_those_of_jax():
+    k = np.random.default_rng(3).integers(0, 20, MEMBERS)
+    weights = normal(20, 2)[0] + 0.5
+    check_against_jax(lambda x, k, w: stacking(x, w, k), [normal(2), k], [weights], rtol=1e-12, atol=1e-13)
+    examples = np.zeros(2), weights, np.asarray(3)
+    assert Kernel(stacking, ("member", "shared", "shared"), examples).length < 3000  # not each iteration by itself
 
 
 def test_loops_of_an_unknown_length_are_those_of_jax():

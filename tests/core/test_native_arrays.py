@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from internals import ENGINES, by_engine, engine_on, limit_flat_engine, runs_by
 from jax import lax
+from native_members import stacking
 from small_steps import Oscillators
 
 import lieint_jax as li
@@ -51,6 +52,16 @@ def test_loops_and_branches_are_those_of_vmap(k):
     assert len(np.unique(found[0]["turns"])) > 3  # members leave the loop at different times
     assert flat.kinds_of_results[3] == "shared"
     assert set(jax.tree.leaves(flat.kinds_of_results[0])) == {"member"}
+
+
+def test_rows_that_a_step_writes_and_reads_are_those_of_vmap():
+    rng = np.random.default_rng(0)
+    x, weights, k = rng.normal(size=(40, 2)), rng.normal(size=(20, 2)) + 0.5, rng.integers(0, 20, 40)
+    flat = Flattened(stacking, ("member", "shared", "member"), (x[0], weights, k[0]))
+    found, expected = (jax.jit(f)(x, weights, k) for f in (flat, jax.vmap(stacking, (0, None, 0))))
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert (a.dtype, a.shape) == (b.dtype, b.shape)
+        np.testing.assert_allclose(a, b, **ROUND_OFF)
 
 
 def test_the_width_counts_simultaneous_values_and_those_carried_by_loops():

@@ -1,7 +1,9 @@
 """Functions of one member as machine code for many, beside what JAX makes of them, for tests."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from lieint_jax.native import Kernel
 
@@ -51,3 +53,23 @@ def check_against_jax(function, member, shared=(), *, rtol=0.0, atol=0.0, signs=
 def bits(tree):
     """The bytes of all arrays of a tree."""
     return [np.asarray(x).tobytes() for x in jax.tree.leaves(tree)]
+
+
+def stacking(x, weights, k):
+    """Rows that loops write and other loops read, in any order; a gradient through 40 stages; entries by an index."""
+
+    def stage(c, row):
+        return jnp.sin(c) + row, (c[0] * c, c > 0, jnp.int32(3) * row[0].astype(int), row[:, None] * weights[0], 2.5)
+
+    end, rows = lax.scan(stage, x, weights)
+    back = lax.scan(lambda c, row: (0.9 * c + row[0] * row[1] + row[3][:, 0] * row[4], c), end, rows, reverse=True)
+
+    def through(x):
+        return lax.fori_loop(0, 40, lambda n, y: y + 0.1 * weights[n % 20] * jnp.sin(y) * y[::-1], x).sum()
+
+    def repeated(c):  # rows inside of a loop of each member
+        c, inner = lax.scan(lambda c, row: (c + 0.1 * row, jnp.cos(c)), c, weights)
+        return c - 3.0 * lax.scan(lambda s, row: (s + row, None), jnp.zeros(2), inner)[0] / 20
+
+    many = lax.while_loop(lambda c: c[1] < 2 + x[0], lambda c: (repeated(c[0]), c[1] + 1), (x, 0))[0]
+    return back, rows[0][k], rows[1][3], rows[2], rows[3][::-2], rows[4].sum(), jax.grad(through)(x), many

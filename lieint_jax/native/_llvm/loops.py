@@ -51,6 +51,11 @@ class Loops(Operations):
         carried = self.program.needed_positions(loop.carries)
         if not carried:
             return
+        for k in carried:
+            if loop.starts[k].is_array:
+                array = self.new_array(loop.starts[k].data, loop.carries[k])
+                self.names[loop.carries[k]] = self.names[loop.results[k]] = array
+        carried = [k for k in carried if not loop.starts[k].is_array]
         masked = self.varies(loop.test)
         starts = [self.into_phi(loop.starts[k], loop.carries[k]) for k in carried]
         before, head, body, exit_ = self.label, *(self.new_label(x) for x in ("loop.head", "loop.body", "loop.exit"))

@@ -178,29 +178,55 @@ class Operations(Memory):
         return self.gather_at(at, x.dtype)
 
     def op_array(self, x: Number, vector: bool) -> str:
-        kind, name = self.type(np.int8 if x.dtype.kind == "b" else x.dtype, vector), self.new()
-        self.front.append(f"  {name} = alloca [{len(x.inputs)} x {kind}], align 64")
+        name = self.new_array(len(x.inputs), x)
         for k, y in enumerate(x.inputs):
-            value = self.value(y, vector)
-            if x.dtype.kind == "b":
-                value = self.add(f"zext {self.type(bool, vector)} {value} to {kind}")
-            at = self.add(f"getelementptr {kind}, ptr {name}, i64 {k}")
-            self.lines.append(f"  store {kind} {value}, ptr {at}")
+            self.write(name, str(k), y, vector)
         return name
+
+    def op_empty(self, x: Number, vector: bool) -> str:
+        return ""  # the loop that writes it knows whether its entries vary
+
+    def op_put(self, x: Number, vector: bool) -> str:
+        array, k, y = x.inputs
+        self.write(self.names[array], self.value(k, False), y, vector)
+        return self.names[array]
+
+    def new_array(self, length: int, x: Number) -> str:
+        """Memory for the array that a number stands for; booleans are bytes there."""
+        name = self.new()
+        self.front.append(f"  {name} = alloca [{length} x {self.stored_type(x, self.varies(x))}], align 64")
+        return name
+
+    def stored_type(self, x: Number, vector: bool) -> str:
+        return self.type(np.int8 if x.dtype.kind == "b" else x.dtype, vector)
+
+    def write(self, array: str, k: str, x: Number, vector: bool) -> None:
+        kind, value = self.stored_type(x, vector), self.value(x, vector)
+        if x.dtype.kind == "b":
+            value = self.add(f"zext {self.type(bool, vector)} {value} to {kind}")
+        at = self.add(f"getelementptr {kind}, ptr {array}, i64 {k}")
+        self.lines.append(f"  store {kind} {value}, ptr {at}")
 
     def op_entry(self, x: Number, vector: bool) -> str:
         index, array = x.inputs
         if not self.varies(index):
-            stored, vector = np.int8 if x.dtype.kind == "b" else x.dtype, self.varies(array)
-            kind = self.type(stored, vector)
-            at = self.add(f"getelementptr {kind}, ptr {self.names[array]}, i64 {self.value(index, False)}")
-            found = self.add(f"load {kind}, ptr {at}")
-            return found if x.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, vector)}")
-        kind, found = self.type(x.dtype, True), self.value(array.inputs[0], True)
-        for k, y in enumerate(array.inputs[1:], 1):
+            return self.entry(array, self.value(index, False), self.varies(array))
+        if array.op == "array":
+            entries = [self.value(y, True) for y in array.inputs]
+        else:
+            entries = [self.entry(array, str(k), self.varies(array)) for k in range(array.data)]
+            entries = entries if self.varies(array) else [self.splat(y, x.dtype) for y in entries]
+        kind, found = self.type(x.dtype, True), entries[0]
+        for k, y in enumerate(entries[1:], 1):
             here = self.add(f"icmp eq <{self.lanes} x i64> {self.value(index, True)}, splat (i64 {k})")
-            found = self.add(f"select <{self.lanes} x i1> {here}, {kind} {self.value(y, True)}, {kind} {found}")
+            found = self.add(f"select <{self.lanes} x i1> {here}, {kind} {y}, {kind} {found}")
         return found
+
+    def entry(self, array: Number, k: str, vector: bool) -> str:
+        kind = self.stored_type(array, vector)
+        at = self.add(f"getelementptr {kind}, ptr {self.names[array]}, i64 {k}")
+        found = self.add(f"load {kind}, ptr {at}")
+        return found if array.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, vector)}")
 
 
 def _fusions(program: Program) -> tuple[dict[Number, tuple[Number, Number, str]], set[Number]]:

@@ -16,13 +16,14 @@ from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, names
-from lieint_jax.native._primitives.indexing import row_of
+from lieint_jax.native._primitives.indexing import empty_rows, row_of, rows_of, write_rows
 from lieint_jax.native._primitives.moves import MOVES, stack
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Number
 
 _UNROLLED = 4  # the longest counted loop that is unrolled in any case
 _UNROLLED_NUMBERS = 400  # the most numbers of a longer unrolled loop, in all iterations together
+_MOST_STACKED = 4096  # the most numbers that a loop writes to memory, of each member
 
 
 def _while(
@@ -70,8 +71,10 @@ def _scan(
     fixed = sum(map(have_same_rank, inputs, closed.in_avals))
     consts, starts, series = _split(inputs, fixed - carried, carried)
     order = range(length)[::-1] if parameters["reverse"] else range(length)
-    stacked = len(closed.out_avals) > len(starts)
-    if stacked or length <= _UNROLLED or length * _size(closed.jaxpr) <= _UNROLLED_NUMBERS:
+    stacked = closed.out_avals[len(starts) :]
+    size = length * sum(int(np.prod(x.shape)) for x in stacked)
+    is_short = length <= _UNROLLED or length * _size(closed.jaxpr) <= _UNROLLED_NUMBERS
+    if is_short or size > _MOST_STACKED:
         carry, rows = starts, []
         for k in order:
             found = walk.jaxpr(closed, [*consts, *carry, *(x[k] for x in map(_arrays, series))])
@@ -80,7 +83,7 @@ def _scan(
         if not stacked:
             return carry
         if not length:
-            return [*carry, *(array_of([], (0, *x.shape)) for x in closed.out_avals[len(starts) :])]
+            return [*carry, *(array_of([], (0, *x.shape)) for x in stacked)]
         rows = rows[::-1] if parameters["reverse"] else rows
         return [*carry, *(stack(*column, axis=0) for column in zip(*rows, strict=True))]
     zero, one, end = map(walk.index, (0, 1, length))
@@ -89,12 +92,18 @@ def _scan(
         k = carry[0].item()
         at = walk.number("sub", walk.index(length - 1), k) if parameters["reverse"] else k
         rows = [row_of(walk, x, at) for x in series]
-        after = walk.jaxpr(closed, [*consts, *carry[1:], *rows])
-        return [array_of([walk.number("add", k, one)], ()), *after]
+        after = walk.jaxpr(closed, [*consts, *carry[1 : len(starts) + 1], *rows])
+        written = [
+            write_rows(walk, *pair, at) for pair in zip(carry[len(starts) + 1 :], after[len(starts) :], strict=True)
+        ]
+        return [array_of([walk.number("add", k, one)], ()), *after[: len(starts)], *written]
 
-    return walk.loop_over_arrays(
-        [array_of([zero], ()), *starts], lambda c: walk.number("lt", c[0].item(), end), next_carry
+    found = walk.loop_over_arrays(
+        [array_of([zero], ()), *starts, *(empty_rows(walk, length, x) for x in stacked)],
+        lambda c: walk.number("lt", c[0].item(), end),
+        next_carry,
     )[1:]
+    return [*found[: len(starts)], *(rows_of(walk, length, x) for x in found[len(starts) :])]
 
 
 def have_same_rank(x: Any, y: Any) -> bool:

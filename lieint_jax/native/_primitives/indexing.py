@@ -32,11 +32,38 @@ def _entry(walk: AbstractWalk, column: list[Number], k: Number) -> Number:
     """An entry of a long column of numbers: if they are constants, they are data of the program."""
     if all(x is column[0] for x in column):
         return column[0]
+    if _is_array_in_order(column):
+        return walk.number("entry", k, column[0].inputs[1], dtype=column[0].dtype)
     if all(x.is_constant for x in column):
         values = np.array([x.data for x in column], column[0].dtype)
         return walk.number("values", k, dtype=values.dtype, data=(values.dtype.str, values.tobytes()))
     array = walk.number("array", *column, dtype=column[0].dtype)
     return walk.number("entry", k, array, dtype=column[0].dtype)
+
+
+def _is_array_in_order(column: list[Number]) -> bool:
+    """True if these are all entries of an array that a loop has written, in order."""
+    if not all(x.op == "entry" and x.inputs[1] is column[0].inputs[1] for x in column):
+        return False
+    order = [int(x.inputs[0].data) if x.inputs[0].is_constant else -1 for x in column]
+    return column[0].inputs[1].data == len(column) and order == list(range(len(column)))
+
+
+def empty_rows(walk: AbstractWalk, length: int, row: ShapedArray) -> np.ndarray:
+    """Arrays in memory for a loop that writes such a row in each iteration: one array for each entry of a row."""
+    return array_of([walk.builder.empty(length, row.dtype) for _ in range(int(np.prod(row.shape)))], row.shape)
+
+
+def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Number) -> np.ndarray:
+    """The arrays with row k written."""
+    pairs = zip(arrays.flat, row.flat, strict=True)
+    return array_of([walk.number("put", array, k, x, dtype=array.dtype) for array, x in pairs], arrays.shape)
+
+
+def rows_of(walk: AbstractWalk, length: int, arrays: np.ndarray) -> np.ndarray:
+    """The rows that a loop has written, as numbers; what is not used is not read."""
+    numbers = [walk.number("entry", walk.index(k), x, dtype=x.dtype) for k in range(length) for x in arrays.flat]
+    return array_of(numbers, (length, *arrays.shape))
 
 
 def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Number]) -> Number:
