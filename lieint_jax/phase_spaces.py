@@ -66,6 +66,11 @@ class CotangentGroup(_ByPerturbation):
         q = jnp.stack(materialized(q.ravel())).reshape(q.shape)  # a step from here would compute it again and again
         return state._replace(q=q, p=state.p + delta[d:])
 
+    def tangent(self, state: State, delta: PhaseVector) -> tuple[Array, Array]:
+        """(δq, δπ) in the coordinates of `State`, δq = δθ q."""
+        d = self.group.dim
+        return self.group.spatial_tangent(state.q, delta[:d]), delta[d:]
+
     def displacement(self, start: State, end: State) -> PhaseVector:
         """The δ, shape (2d,), with perturb(start, δ) = end, of the least δθ."""
         turn = self.group.log(self.group.multiply(end.q, self.group.inverse(start.q)))
@@ -254,6 +259,12 @@ class CotangentMotions(_ByPerturbation):
         along_q, along_p = delta.reshape(2, self.count, 6)
         turned = jax.vmap(so3.multiply)(jax.vmap(so3.exp)(along_q[:, 3:]), state.q[:, 3:])
         return state._replace(q=_join_bodies(state.q[:, :3] + along_q[:, :3], turned), p=state.p + along_p)
+
+    def tangent(self, state: State, delta: PhaseVector) -> tuple[Array, Array]:
+        """(δq, δp) in the coordinates of `State`, δq = δθ q for the quaternions."""
+        along_q, along_p = delta.reshape(2, self.count, 6)
+        turned = jax.vmap(so3.spatial_tangent)(state.q[:, 3:], along_q[:, 3:])
+        return _join_bodies(along_q[:, :3], turned), along_p
 
     def displacement(self, start: State, end: State) -> Array:
         """The δ, shape (12N,), with perturb(start, δ) = end, of the least δθ."""

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax.types import PhaseSpace, State
+from lieint_jax.types import PhaseSpace, State, push_forward
 from lieint_jax.types.shapes import PhaseVector, Scalar, TangentVectors
 
 _Aux = TypeVar("_Aux")
@@ -24,18 +24,16 @@ def value_and_jacobian(
     space: PhaseSpace, function: Callable[[State], tuple[State, _Aux]], state: State
 ) -> tuple[State, _Aux, Array]:
     """end, aux = function(state), and the derivative of end, (2d, 2d), in the coordinates of the phase space."""
+    one = jnp.eye(space.dim, dtype=state.p.dtype)
+    if space.dim <= _LARGE:
+        return push_forward(space, function, state, one)
 
-    def push(delta: Array) -> tuple[State, tuple[State, _Aux]]:
+    def of_perturbed(delta: Array) -> tuple[State, tuple[State, _Aux]]:
         end, aux = function(space.perturb(state, delta))
         return end, (end, aux)
 
-    start = jnp.zeros(space.dim, state.p.dtype)
-    if space.dim > _LARGE:
-        _, along, (end, aux) = jax.linearize(push, start, has_aux=True)
-        columns = jax.lax.map(lambda delta: space.trivialize(end, along(delta)), jnp.eye(space.dim, dtype=start.dtype))
-        return end, aux, columns.T
-    tangents, (end, aux) = jax.jacfwd(push, has_aux=True)(start)
-    return end, aux, jax.vmap(lambda tangent: space.trivialize(end, tangent), in_axes=-1, out_axes=-1)(tangents)
+    _, push, (end, aux) = jax.linearize(of_perturbed, jnp.zeros_like(one[0]), has_aux=True)
+    return end, aux, jax.lax.map(lambda delta: space.trivialize(end, push(delta)), one).T
 
 
 def distance(a: State, b: State, space: PhaseSpace | None = None) -> Scalar:

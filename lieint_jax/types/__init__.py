@@ -45,6 +45,7 @@ from lieint_jax.types._pytree import Partitioned, callable_pytree, pytree, stati
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
 from lieint_jax.types._system import System, energy_less_work, time_derivative
+from lieint_jax.types._tangents import push_forward
 from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, labels, parts, total
 
 __all__ = [
@@ -101,6 +102,7 @@ __all__ = [
     "pair_forces",
     "parts",
     "promoted",
+    "push_forward",
     "pytree",
     "start_time",
     "static",

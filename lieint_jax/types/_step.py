@@ -20,6 +20,7 @@ from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled, materialized_arrays, with_materialized_derivatives
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
+from lieint_jax.types._tangents import push_forward
 from lieint_jax.types.shapes import Flag, PyTree, Time
 
 _T = TypeVar("_T")
@@ -113,14 +114,7 @@ class Step(abc.ABC):
 
     def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         """`advance`, and LT, for a scheme with L in closed form; by default by forward mode through the step."""
-        space = self.system.phase_space
-
-        def perturbed_step(delta: Array) -> tuple[State, tuple[State, StepInfo]]:
-            end, info = self(space.perturb(state, delta), dt)
-            return end, (end, info)
-
-        _, push, (end, info) = jax.linearize(perturbed_step, jnp.zeros(space.dim, state.p.dtype), has_aux=True)
-        return end, info, jax.vmap(lambda delta: space.trivialize(end, push(delta)), -1, -1)(T)
+        return push_forward(self.system.phase_space, lambda z: self(z, dt), state, T)
 
     @property
     def velocity_weight(self) -> ArrayLike:
