@@ -97,8 +97,8 @@ class PhaseSpace(Protocol):
     `origin` is a state at rest, from which `perturb` leads to others. `displacement(a, b)` returns smooth coordinates
     of b in which a is 0, and `displaced(a, ·)` is the inverse. A space whose coordinates have different units defines
     `units(state)`, the units (dim/2,) of δq and those of δp; by default these are 1 and the largest component of p. A
-    space may define `tangent(state, δ)`, the tangent vector (δq, δp) in the coordinates of `State`; by default it is the
-    derivative of `perturb`.
+    space may define `tangent(state, δ)`, the tangent vector (δq, δp) in the coordinates of `State`: the derivative of
+    `perturb`, which is used otherwise.
     """
 
     @property

@@ -37,6 +37,25 @@ def check(step, state, dt):
     return own
 
 
+@pytest.mark.parametrize("name", ["rotations", "motions of a body in a fluid", "three bodies"])
+def test_a_tangent_vector_is_the_derivative_of_a_perturbation(name):
+    """And `trivialize` gives its coordinates back."""
+    fluid = systems.kirchhoff((3.0, 2.0, 1.0))
+    space, state = {
+        "rotations": (BODY.phase_space, STATE),
+        "motions of a body in a fluid": (fluid.phase_space, fluid.state(velocity=[0.2, 0.1, 0.5, 0.3, 0.1, 0.2])),
+        "three bodies": ((bodies := li.phase_spaces.CotangentMotions(3)), bodies.origin),
+    }[name]
+    state = space.perturb(state, jnp.sin(jnp.arange(float(space.dim))))
+    delta = jnp.cos(jnp.arange(float(space.dim)))
+    tangent = space.tangent(state, delta)
+    by_jvp = jax.jvp(lambda x: space.perturb(state, x), (0 * delta,), (delta,))[1]
+    near = dict(rtol=0, atol=1e-15 * float(jnp.abs(by_jvp.q).max()))
+    np.testing.assert_allclose(tangent[0], by_jvp.q, **near)
+    np.testing.assert_array_equal(tangent[1], by_jvp.p)
+    np.testing.assert_allclose(space.trivialize(state, by_jvp), delta, rtol=0, atol=1e-14)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("step", "state"),
