@@ -22,7 +22,7 @@ TANGENTS, JACFWD, EXPONENTS = "tangent, 6 vectors", "jacfwd, 6 vectors", "6 expo
 
 def main() -> None:
     options = command.on_one_core(__doc__)
-    bodies, steps, rounds = (64, 20, 1) if options.quick else (1024, 400, 5)
+    bodies, steps, rounds = (64, 20, 1) if options.quick else (1024, 200, 4)
     data = command.under_load(
         lambda: {"steps": steps, "rows": [measure(*case, bodies, steps, rounds) for case in cases()]}
     )

@@ -10,6 +10,7 @@ Give `fit` one `Bound` for all parameters, or a tree of them that is a prefix of
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -73,6 +74,7 @@ def _itself(p: Array) -> Array:
     return p
 
 
+@functools.lru_cache(maxsize=256)  # equal intervals are one bound, so that a fit within them is compiled once
 def interval(low: float, high: float) -> Bound:
     """The bound low < parameter < high for each component; either end may be infinite."""
     if not low < high:

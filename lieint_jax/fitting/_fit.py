@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Hashable
+from functools import cached_property, lru_cache, partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from optax import GradientTransformation
 
 LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton")
+_MOST_KEPT = 16  # compiled fits
+_Flat = tuple[Any, tuple[Hashable, ...]]  # the structure and the leaves of a tree
 
 
 def fit(
@@ -63,6 +65,9 @@ def fit(
     progress: bool = True,
 ) -> Fit:
     """Fit parameters: minimize a loss, or the sum of squares of residuals, within bounds.
+
+    A fit of the same loss, with arrays of the same shapes, is compiled once. As with `jax.jit`, numbers that a function
+    reads from outside are then those of its first call: give numbers that change as `data`.
 
     Args:
         loss: parameters ↦ a scalar; for "levenberg_marquardt" and "gauss_newton" ↦ residuals, an array of any shape
@@ -104,48 +109,47 @@ def fit(
             bounds, or the loss is not a scalar where the optimizer needs one.
     """
     iterations = _checks.count("iterations", iterations, 0)
-    y, unravel, box = _vector(bounds, params, data, starts)
-    problem = _Problem(loss, bounds, unravel, box, optimizer, tolerance, target)
+    y, tree = _vector(bounds, params, data, starts)
+    problem = _Problem(loss, _flat(bounds), _flat(tree), optimizer, tolerance, target)
     if standardized and not problem.has_residuals:
         raise ValueError(f"standardized=True needs residuals: use one of the optimizers {', '.join(LEAST_SQUARES)}")
-    compiled = partial(over_members, mesh=mesh) if starts else jax.jit
-    iterate = compiled(problem.iterate)
-    search = compiled(problem.begin)(y, data)
+    programs = _programs(problem, starts, mesh)
+    search = programs.begin(y, data)
     if problem.has_residuals:  # their first iteration only evaluates y
-        search = iterate(search, data)
+        search = programs.iterate(search, data)
         search = search._replace(made=0 * search.made)
-    search, history = _iterate(lambda s: iterate(s, data), search, iterations, progress)
-    at_side, matrix, rank = compiled(problem.finish)(search, y)
+    search, history = _iterate(lambda s: programs.iterate(s, data), search, iterations, progress)
+    at_side, matrix, rank = programs.finish(search, y)
     degrees = None if rank is None else search.carry.memory.r.shape[-1] - rank
     end = End(at_side, search.least, search.carry.code, search.made, search.carry.failures, matrix, degrees)
     end = jax.tree.map(np.asarray, end)
-    estimates = jax.jit(jax.vmap(problem.params))(search.best) if starts else problem.params(search.best)
-    names = parameter_names(jax.eval_shape(unravel, jax.ShapeDtypeStruct(y.shape[-1:], y.dtype)))
+    estimates = programs.params(search.best)
+    names = parameter_names(tree)
     found = outcome(estimates, names, end, history, starts, standardized)
     if not (standardized and found.stopped in [REASONS[k] for k in GOOD]):
         return found
     if starts:
         k = int(np.nanargmin(end.loss))
         search, end, data = jax.tree.map(lambda leaf: leaf[k], (search, end, data))
-    wrong = problem.step_error(search, end, data)
+    wrong = problem.step_error(programs.halved, search, end, data)
     if wrong:
         warnings.warn(wrong, UserWarning, stacklevel=2)
     return found._replace(message="; ".join(filter(None, [found.message, wrong])))
 
 
-def _vector(bounds: PyTree, params: PyTree, data: PyTree, starts: bool) -> tuple[Array, Callable[[Array], PyTree], Box]:
-    """The coordinates of the first guess, (p,) or (starts, p), the map of a vector to a tree of them, and their box."""
+def _vector(bounds: PyTree, params: PyTree, data: PyTree, starts: bool) -> tuple[Array, PyTree]:
+    """The coordinates of the first guess, (p,) or (starts, p), and the tree of their shapes for one start."""
     if not sum(np.size(leaf) for leaf in jax.tree.leaves(params)):
         raise ValueError(f"params holds no numbers: give a tree with at least one parameter to fit, got {params!r}")
     if not starts:
         tree = _bounds.coordinates(bounds, params)
-        return *ravel_pytree(tree), _bounds.box(bounds, tree)
+        return ravel_pytree(tree)[0], jax.eval_shape(lambda: tree)
     _check_starts(params, data)
     y = jax.jit(jax.vmap(lambda p: _bounds.coordinates(bounds, p)))(params)
     if not _bounds.is_inside(bounds, y):
         raise ValueError("some of the starts are not inside their bounds")
-    one = jax.tree.map(lambda leaf: leaf[0], y)
-    return jax.vmap(lambda tree: ravel_pytree(tree)[0])(y), ravel_pytree(one)[1], _bounds.box(bounds, one)
+    one = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], y))
+    return jax.vmap(lambda tree: ravel_pytree(tree)[0])(y), one
 
 
 def _check_starts(params: PyTree, data: PyTree) -> None:
@@ -166,21 +170,38 @@ class _Search(NamedTuple):
     made: Array
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True)
 class _Problem:
     """A loss as a function of a vector x, and the optimizer that minimizes it from one start.
 
     For residuals x holds the coordinates y of the bounds, for other losses all real numbers that `Box.inside` maps to
-    them.
+    them. Equal problems have the same programs; so trees are (structure, leaves), which can be compared.
     """
 
     loss: Callable[..., PyTree]
-    bounds: PyTree
-    unravel: Callable[[Array], PyTree]
-    box: Box
+    flat_bounds: _Flat
+    flat_tree: _Flat
     optimizer: str | GradientTransformation
     tolerance: float
     target: float | None
+
+    @cached_property
+    def bounds(self) -> PyTree:
+        return jax.tree.unflatten(*self.flat_bounds)
+
+    @cached_property
+    def tree(self) -> PyTree:
+        """The shapes of the tree of coordinates."""
+        return jax.tree.unflatten(*self.flat_tree)
+
+    @cached_property
+    def box(self) -> Box:
+        return _bounds.box(self.bounds, self.tree)
+
+    @cached_property
+    def unravel(self) -> Callable[[Array], PyTree]:
+        """The map of a vector to a tree of coordinates."""
+        return ravel_pytree(jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), self.tree))[1]
 
     @property
     def has_residuals(self) -> bool:
@@ -230,19 +251,51 @@ class _Problem:
         """The Jacobian of the parameters by the coordinates."""
         return jax.jacfwd(lambda y: ravel_pytree(self._of_coordinates(y))[0])(y)
 
-    def step_error(self, search: _Search, end: End, data: PyTree) -> str:
+    def halved(self, x: Array, data: PyTree) -> tuple[Array, Array, float] | None:
+        """See `with_halved_steps`."""
+        more = () if data is None else (data,)
+        return with_halved_steps(lambda p: self.loss(p, *more), self.params(x))
+
+    def step_error(self, halved: Callable[..., Any], search: _Search, end: End, data: PyTree) -> str:
         """What the error of the simulation's steps does to the estimate of residuals, and remedies; "" if little."""
         x, r, J = search.carry.x, search.carry.memory.r, search.carry.memory.J
-        more = () if data is None else (data,)
-        halved = jax.jit(lambda x: with_halved_steps(lambda p: self.loss(p, *more), self.params(x)))
-        if jax.eval_shape(halved, x) is None:
+        found = halved(x, data)
+        if found is None or not found[1]:
             return ""
-        finer, ok, factor = halved(x)
-        if not ok:
-            return ""
+        finer, _, factor = found
         moved = shift(*map(np.asarray, (J, self._parameters_by(x), end.at_side, factor * (finer - r))))
         params = self.params(x)
         return complaint(number_names(params), np.asarray(ravel_pytree(params)[0]), moved, np.asarray(end.covariance))
+
+
+def _flat(tree: PyTree) -> _Flat:
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, tuple(leaves)
+
+
+class _Programs(NamedTuple):
+    """The compiled methods of a problem; `params` for all starts."""
+
+    begin: Callable[..., _Search]
+    iterate: Callable[..., _Search]
+    finish: Callable[..., tuple[Array, Array | None, Array | None]]
+    params: Callable[[Array], PyTree]
+    halved: Callable[..., tuple[Array, Array, float] | None]
+
+
+def _programs(problem: _Problem, starts: bool, mesh: Mesh | None) -> _Programs:
+    """The programs of a problem, those of an earlier and equal one where there are any."""
+    try:
+        return _kept_programs(problem, starts, mesh)
+    except TypeError:  # a loss or an optimizer that cannot be compared
+        return _kept_programs.__wrapped__(problem, starts, mesh)
+
+
+@lru_cache(maxsize=_MOST_KEPT)
+def _kept_programs(problem: _Problem, starts: bool, mesh: Mesh | None) -> _Programs:
+    compiled = partial(over_members, mesh=mesh) if starts else jax.jit
+    params = jax.jit(jax.vmap(problem.params)) if starts else problem.params
+    return _Programs(*map(compiled, (problem.begin, problem.iterate, problem.finish)), params, jax.jit(problem.halved))
 
 
 def _iterate(

@@ -98,6 +98,7 @@ def uniform(t, rate=1.0):
     return stored(BODY, q, np.tile([0.0, 0.0, 3.0 * rate], (len(t), 1)), t)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
 def test_a_span_begins_and_ends_at_the_requested_times(sign):
     run = uniform(sign * np.linspace(0, 8, 9))

@@ -46,6 +46,7 @@ def test_lines_of_a_series_have_their_frequencies_and_amplitudes():
     assert np.isnan(line(t, columns, np.array([0.1, 0.1]), np.array([0.1001, 0.1001]))[0]).all()
 
 
+@pytest.mark.long
 def test_members_have_bodies_of_their_own_and_the_first_is_the_nominal_one():
     scenario = scenarios.load("didymos", members=3)
     step, states = scenarios.build(scenario)

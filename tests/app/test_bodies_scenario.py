@@ -144,6 +144,7 @@ def test_a_sum_of_potentials_agrees_with_the_same_bodies_by_the_library():
     assert float(kept[2]) == 0  # P along the field is not conserved
 
 
+@pytest.mark.long
 def test_one_body_falls_in_a_field():
     """x = x₀ + vt + gt²/2 after ten steps; the splitting is exact there. Observed 2e-15."""
     only = [body("A", 1.0, velocity_m_s=[0.0, 3.0, 4.0])]

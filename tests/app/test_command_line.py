@@ -134,6 +134,7 @@ def test_a_custom_scenario_file_runs(capsys, monkeypatch):
     assert files.load(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
 
 
+@pytest.mark.long
 def test_a_run_can_omit_the_certificate_and_the_pictures(capsys):
     assert cli.main(["run", book(), "--no-certificate", "--no-pictures"]) == 0
     out = capsys.readouterr().out
@@ -218,6 +219,7 @@ BAD = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:30] for _, m in BAD])
 def test_a_bad_key_of_a_rigid_body_is_named_in_one_line(changes, message, capsys):
     assert cli.main(["run", book(**changes)]) == 2

@@ -129,6 +129,7 @@ def test_pendulum_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
         assert Path(name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_the_closed_form_of_the_pendulum_has_three_known_limits():
     """Three limits of it, by other formulas.
 
@@ -153,6 +154,7 @@ def test_the_closed_form_of_the_pendulum_has_three_known_limits():
     assert period == pytest.approx(np.pi / x / np.sqrt(G), rel=1e-6)
 
 
+@pytest.mark.long
 def test_the_pendulum_as_a_top_has_its_energy_and_momentum():
     scenario = scenarios.load("pendulum", members=5, axis=[0.6, 0.0, 0.8], mass=2.0)
     step, states = scenarios.build(scenario)

@@ -15,7 +15,7 @@ LARGEST = {("A", 0): 5.88e-3, ("A", 1): 3.92e-3, ("S", 0): 6.24e-3, ("S", 1): 4.
 
 @pytest.mark.paper("3.3: Figs. 1, 2", "Poisson errors of three κ's", "app/command/figures.py")
 @pytest.mark.parametrize(("body", "kappa"), LARGEST)
-@pytest.mark.slow
+@pytest.mark.long
 def test_figure_1_largest_poisson_errors(body, kappa):
     run = free_body_run(body, kappa, 0.05)
     assert len(run.poisson) == 1001
@@ -23,13 +23,13 @@ def test_figure_1_largest_poisson_errors(body, kappa):
     assert np.ptp(run.energy) < 8e-15  # floor 1.8e-15, of energies of size 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("body", ["A", "S"])
 def test_figure_1_the_symplectic_kappa_is_at_round_off(body):
     assert free_body_run(body, 2, 0.05).poisson.max() < 1e-14  # floor 2.4e-15
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("body", "kappa"), LARGEST)
 def test_figure_2_a_tenth_of_the_step_is_a_hundredth_of_the_error(body, kappa):
     run = free_body_run(body, kappa, 0.005)
@@ -98,7 +98,7 @@ def test_panels_are_those_of_the_captions(figure):
 
 
 @pytest.mark.paper("6.3, Figs. 3 to 5", "delay plots", "app/command/figures.py")
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", VARIATIONS)
 def test_figures_3_4_5_have_the_variations_of_their_captions(name):
     ours, printed = VARIATIONS[name]
@@ -109,6 +109,7 @@ def test_figures_3_4_5_have_the_variations_of_their_captions(name):
     assert PANELS[name].printed == pytest.approx(float(printed), rel=4e-3)
 
 
+@pytest.mark.long
 def test_figure_5c_is_not_reproduced_and_the_table_says_so():
     run = delay_run(PANELS["5c"])
     assert run.converged

@@ -45,6 +45,7 @@ def axes(*angles):
     return Rotation.from_euler("ZXZ", angles, degrees=True).as_matrix()
 
 
+@pytest.mark.long
 def test_the_hyperbola_has_the_published_distance_speed_and_date():
     """38 000 km; 7.42 km/s follows from the elements; 21:46 TDB, 69 s of which are not in UTC."""
     orbit = apophis().orbit
@@ -57,6 +58,7 @@ def test_the_hyperbola_has_the_published_distance_speed_and_date():
     assert f"{utc:%Y-%m-%d}" == "2029-04-13"
 
 
+@pytest.mark.long
 def test_the_elements_are_ecliptic():
     """Apophis less Earth, both on Kepler's ellipses, where the Earth is on that day: from there the hyperbola comes.
 
@@ -169,6 +171,7 @@ def test_errors_to_one_side_are_drawn_to_that_side():
     assert latitude.min() < -80
 
 
+@pytest.mark.long
 def test_members_without_a_mode_are_an_error():
     """Periods at the ratio of a small wobble, and moments and periods that err away from it only."""
     edge = dict(

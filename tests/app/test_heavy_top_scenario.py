@@ -98,6 +98,7 @@ def test_the_shipped_run_shows_the_closed_form():
     assert re.search(r"nutation period \(s\) +0.6822560158 +0.0\d+ +0.6822560158 +-?[\d.]+e(-1\d|\+00) *$", text, re.M)
 
 
+@pytest.mark.long
 def test_nutation_of_sparsely_saved_states_is_not_measured():
     top, path = as_shipped()
     period, rate, least, greatest = heavy_top.motion(top, jax.tree.map(lambda x: x[::4], path))
@@ -118,6 +119,7 @@ def test_heavy_top_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
         assert Path(name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_tops_without_closed_form_report_what_they_have():
     top, state = jax.jit(lambda: examples_of("heavy_top")["kovalevskaya"][:2])()
     assert not heavy_top.is_lagrange(top)

@@ -1,5 +1,7 @@
 """`lieint list`: every scenario and study is on it, with its cost; long commands print their expected time."""
 
+import pytest
+
 import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, study
@@ -7,6 +9,7 @@ from lieint_jax.app.command import list as listing
 from lieint_jax.app.command.list import Cost
 
 
+@pytest.mark.long
 def test_the_list_describes_every_scenario_and_study(capsys):
     assert cli.main(["list"]) == 0
     shown = capsys.readouterr().out

@@ -73,6 +73,7 @@ def call_of(node, name):
     return isinstance(node, ast.Call) and ast.unparse(node.func) == f"plots.{name}"
 
 
+@pytest.mark.long
 def test_every_function_that_makes_a_figure_has_the_style():
     """Pictures of scenarios have it from their decorator `picture`."""
     made = 0
@@ -90,6 +91,7 @@ def test_every_function_that_makes_a_figure_has_the_style():
     assert made > 30
 
 
+@pytest.mark.long
 def test_figures_are_saved_in_one_place_and_never_by_pyplot():
     for path in FILES:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -113,6 +115,7 @@ def test_the_style_ends_with_the_figure_and_import_changes_nothing(tmp_path):
     assert dict(matplotlib.rcParams) == before
 
 
+@pytest.mark.long
 def test_a_picture_is_a_png_and_a_pdf_with_the_same_bytes_every_time(tmp_path):
     def written(name):
         with plots.style():
@@ -273,6 +276,7 @@ def write_at_once(fig, path):
         fig.savefig(path.with_suffix(".pdf"))
 
 
+@pytest.mark.long
 def test_the_png_and_the_pdf_have_the_same_layout(tmp_path, monkeypatch):
     """The refutation: without `plots.save` the panels of the PDF are elsewhere, by 0.01 of the figure."""
     for write, same in ((plots.save, True), (write_at_once, False)):

@@ -50,6 +50,7 @@ def test_a_plate_has_lambert_s_light_and_a_lobe_in_the_mirror_direction():
     assert 0 < float(light(-top, right)) < edge
 
 
+@pytest.mark.long
 def test_the_light_of_the_satellite_is_the_sum_over_its_facets():
     """Beside a loop in NumPy with max(0, x); the ramp differs from it by ε/2 of a facet at an edge, here by 1e-3."""
     f = SCENE.facets
@@ -185,6 +186,7 @@ def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_
     assert names[own.index("mirror")] == "as it is"
 
 
+@pytest.mark.long
 def test_periods_of_a_double_series_are_found_from_irregular_data():
     rng = np.random.default_rng(6)
     t, true = np.sort(rng.uniform(0, 400, 150)), np.array([0.0613, 0.0771])

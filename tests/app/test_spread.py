@@ -170,6 +170,7 @@ def test_a_spread_of_zero_changes_nothing():
     assert scenarios.step_axis(load("toutatis", {"inertia": 0.1})) == 0
 
 
+@pytest.mark.long
 def test_a_member_with_an_inertia_of_its_own_is_that_body_alone():
     """Observed: 5e-16 after 200 steps, where it differs from the nominal body by 1e-2."""
     scenario = load("toutatis", {"inertia_percent": 1.0}, members=3, steps=200, save_every=200)

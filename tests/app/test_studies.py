@@ -22,6 +22,7 @@ def test_an_unknown_study_is_refused_in_one_line(capsys):
     assert "study 'pluto' is not one of gyro, kappa" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_ratios_of_inertia_satisfy_the_triangle_inequality():
     x = 3 * jax.random.normal(jax.random.key(1), (50, 2))
     J = np.sort(np.concatenate([jax.vmap(li.fitting.inertia_ratios.inside)(x), np.ones((50, 1))], axis=1))

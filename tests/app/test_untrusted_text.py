@@ -59,6 +59,7 @@ def shown(capsys, *arguments):
     return code, out
 
 
+@pytest.mark.long
 def test_a_report_of_a_scenario_prints_no_control_characters(capsys):
     """A run with odd texts in every key that is printed: title, unit, sources, remarks and labels."""
     text = texts(1)
@@ -84,6 +85,7 @@ angular_velocity_deg = [1.0, 2.0, 3.0]"""
         Path("odd.npz").unlink()
 
 
+@pytest.mark.long
 def test_errors_of_scenario_files_print_no_control_characters(capsys):
     text = texts(2)
     for _ in range(12):
@@ -148,6 +150,7 @@ def test_info_of_an_archive_prints_no_control_characters(capsys):
         Path("odd.npz").unlink()
 
 
+@pytest.mark.long
 def test_info_of_a_store_prints_no_control_characters(capsys):
     states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
     step = li.schemes.so3_midpoint(BODY)

@@ -42,7 +42,7 @@ def a_step(dt=0.05):
     return li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, dt, 1.0]), dt
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "call",
     [
@@ -123,6 +123,7 @@ def run_and_scale(p, factor=1.0, count=4):
     return factor * jnp.sum(li.integrate(step, state._replace(p=p), dt, count, save_every=count).state.q ** 3)
 
 
+@pytest.mark.long
 def test_li_jit_gives_the_values_of_jax_jit_and_serves_inside_transformations():
     p, ours, theirs = a_step()[1].p, li.jit(run_and_scale, static_argnums=2), jax.jit(run_and_scale, static_argnums=2)
     assert float(ours(p, 2.0, 5)) == pytest.approx(float(theirs(p, 2.0, 5)), rel=1e-15)
@@ -266,7 +267,7 @@ NEW = {  # of each, a system of a new function
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", NEW)
 def test_checks_of_new_functions_keep_no_programs(monkeypatch, name):
     monkeypatch.setattr(_compile, "_MOST_KEPT", 1)

@@ -165,6 +165,7 @@ def test_the_unaltered_run_is_read(tmp_path):
         assert files.load(tmp_path / "run.npz")[0].state.q.shape == (11, 2, 4)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("bounded")
 def test_altered_archives_are_refused_with_a_sentence(tmp_path, capsys):
     cases = list(archives())
@@ -276,7 +277,7 @@ def stores(good):
     yield "no folder q", in_place_of("q", lambda _: None)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("part", range(4))
 @pytest.mark.usefixtures("bounded")
 def test_altered_stores_are_refused_with_a_sentence(part, good, tmp_path, capsys):

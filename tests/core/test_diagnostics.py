@@ -58,7 +58,7 @@ def _turn(a, b):
 
 
 @pytest.mark.paper("3: (3.1), (3.2)", "symplectic maps", "diagnostics/_symplectic.py")
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [name for name in GRID if "full_tensor-" in name and "-exact" not in name and "-cal" not in name]
 )
@@ -201,7 +201,7 @@ def test_certificate_of_the_paper_s_schemes(name):
     assert step.name in str(c)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "order"), [("compose[commuting_8]", 8), ("preprocessed[4]", 4), ("preprocessed[6]", 6)]
 )

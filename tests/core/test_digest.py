@@ -83,6 +83,7 @@ print(*map(digest, mine.values()))
 """
 
 
+@pytest.mark.long
 def test_another_process_another_folder_and_other_lines_have_the_same_digests(tmp_path):
     """Each process has its own hashes, so sets have another order there; and it reads a module compiled before."""
     (tmp_path / "mine.py").write_text("# a comment\n\n\n" + SOURCE)

@@ -40,6 +40,7 @@ def law(t, q, Omega):
     return -0.3 * Omega + xp.array([0.2, 0.0, 0.1]) * xp.sin(2 * t) - 0.5 * q[0] * q[1:]
 
 
+@pytest.mark.long
 def test_a_torqued_body_is_that_of_the_package():
     J, dt = [1.0, 2.0, 2.5], 0.1
     body = li.systems.torqued_body(J, law)
@@ -52,6 +53,7 @@ def test_a_torqued_body_is_that_of_the_package():
     assert work == pytest.approx(float(run.state.work[-1, 0]), abs=1e-14)
 
 
+@pytest.mark.long
 @given(
     st.lists(st.floats(-3, 3), min_size=3, max_size=3),
     st.lists(st.floats(0.5, 1.0), min_size=3, max_size=3),

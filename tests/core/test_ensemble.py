@@ -64,6 +64,7 @@ def test_a_late_failure_names_member_and_step():
     assert not np.asarray(run.info.converged)[:, 2].all()
 
 
+@pytest.mark.long
 def test_the_first_failure_of_each_member_is_found():
     """Bodies that hang from a heavy point fall faster than the scheme can turn, each after its own number of steps."""
     top = li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, 12.0])

@@ -170,6 +170,7 @@ def test_a_reduced_quantity_is_that_of_the_states_at_their_own_times():
     np.testing.assert_allclose(found.greatest[1:], [0.15, 0.3], rtol=1e-14)
 
 
+@pytest.mark.long
 def test_a_store_and_a_file_hold_what_memory_would(tmp_path, small_chunks):
     memory, stored = run(), run(tmp_path / "run.zarr")
     opened, system = ensemble.open(

@@ -185,6 +185,7 @@ def test_a_free_body_has_rates_and_a_spin_about_the_middle_axis_grows():
         jax.jit(lambda z: li.normal_modes(body, z).frequencies)(body.state(angular_velocity=[0.0, 1.0, 0.0]))
 
 
+@pytest.mark.long
 def test_modes_are_those_of_the_motion():
     """A small displacement along a mode of a Kirchhoff-like system on SE(3) returns after its period."""
     top = li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, -1.0])

@@ -107,6 +107,7 @@ def unusable(tmp_path, monkeypatch):
     files.save(Path("start.npz"), start, {"scenario": {}})
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unusable")
 @pytest.mark.parametrize(("call", "sentence"), SENTENCES, ids=[sentence[:30] for _, sentence in SENTENCES])
 def test_bad_arguments_raise_an_error_that_names_them(call, sentence):

@@ -163,7 +163,7 @@ def crossings(dtype):
     return jax.jit(jax.vmap(event_of))(jnp.arange(len(CONDITIONS)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("dtype", "tolerance"),
     [

@@ -95,6 +95,7 @@ def test_levenberg_marquardt_needs_as_many_evaluations_as_minpack(name):
     assert found.iterations + 1 <= 1.8 * theirs.nfev  # 0.75 to 1.7
 
 
+@pytest.mark.long
 def test_what_the_residuals_do_not_determine_has_an_infinite_variance():
     found = li.fit(lambda x: jnp.array([x[0] + x[1] - 3, x[2] - 1, 2 * x[2] - 2]), jnp.zeros(3))
     assert found.success
@@ -138,6 +139,7 @@ def test_the_best_parameters_of_the_search_are_returned():
     assert found.loss == found.history.min() < found.history[-1]
 
 
+@pytest.mark.long
 def test_a_pair_of_residuals_is_no_value_with_a_flag():
     found = li.fit(lambda x: (x - 1, x - 3), jnp.array(0.0))
     assert float(found.params) == pytest.approx(2)
@@ -148,6 +150,7 @@ def rosenbrock(p):
     return (1 - p[0]) ** 2 + 100 * (p[1] - p[0] ** 2) ** 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("optimizer", "iterations"), [("lbfgs", 60), (optax.adam(0.05), 1500)], ids=["lbfgs", "adam"])
 def test_scalar_losses_are_minimized_without_a_covariance(optimizer, iterations):
     found = li.fit(rosenbrock, jnp.array([0.5, 0.5]), optimizer, iterations=iterations)
@@ -157,7 +160,7 @@ def test_scalar_losses_are_minimized_without_a_covariance(optimizer, iterations)
         _ = found.standard_errors
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "optimizer",
     [
@@ -335,6 +338,7 @@ def test_an_implausible_chi_square_is_no_success():
         li.fit(rosenbrock, jnp.zeros(2), "lbfgs", standardized=True)
 
 
+@pytest.mark.long
 def test_a_search_that_ends_at_a_bound_with_the_loss_falling_inwards_is_no_success():
     """Steps of gradient descent through the logistic map are nothing there."""
     found = li.fit(lambda p: (p - 0.5) ** 2, 1 - 1e-9, optax.sgd(1.0), bounds=li.fitting.interval(0.0, 1.0))
@@ -411,6 +415,7 @@ def test_observations_at_irregular_times_are_fitted_as_first_written():
     )
 
 
+@pytest.mark.long
 def test_a_fit_that_did_not_converge_has_no_standard_errors():
     def loss(p):
         return jnp.stack([10 * (p["y"][0] - p["x"] ** 2), 1 - p["x"]])

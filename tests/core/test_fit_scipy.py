@@ -246,6 +246,7 @@ def compared(name):
 QUICK = "period"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name == QUICK else pytest.mark.long) for name in PROBLEMS]
 )

@@ -61,6 +61,7 @@ def test_a_fit_warns_if_the_steps_move_a_parameter_by_more_than_a_fifth_of_its_e
     assert float(biased.message.split(" by about ")[1].split(",")[0]) == pytest.approx(moved, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scheme", [None, li.schemes.calibrated, li.schemes.exact], ids=["solution", "calibrated", "exact"]
 )

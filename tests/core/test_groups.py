@@ -160,6 +160,7 @@ def test_exp_is_nan_beyond_its_range_and_near_is_false():
     assert groups.special_euclidean(3).near(jnp.array([0.5, 0, 0, 1e4, 0, 0]))  # a long translation is no obstacle
 
 
+@pytest.mark.long
 def test_entry_by_entry_and_whole_are_the_same_group():
     rng = np.random.default_rng(1)
     for g in (groups.special_euclidean(3), groups.heisenberg(2)):
@@ -247,6 +248,7 @@ def test_groups_by_their_known_structure():
     assert groups.special_unitary(3).dim == 8
 
 
+@pytest.mark.long
 def test_the_defect_detects_matrices_off_the_group():
     for name, wrong in {
         "SO(3)": np.diag([1.0, 1.0, -1.001]),

@@ -47,6 +47,7 @@ def test_a_run_of_zero_steps_is_its_start():
     np.testing.assert_array_equal(run.state.q, [STATE.q])
 
 
+@pytest.mark.long
 def test_a_whole_run_compiles_batches_and_differentiates():
     def end(J, dt):
         step = li.schemes.so3_midpoint(li.systems.RigidBody(J))
@@ -81,6 +82,7 @@ def test_bad_numbers_of_steps_are_refused(num_steps, save_every, message):
         li.integrate(STEP, STATE, 0.1, num_steps, save_every=save_every)
 
 
+@pytest.mark.long
 def test_bad_states_and_steps_are_refused_before_anything_runs():
     for state, message in (
         (State(STATE.q * 1.001, STATE.p), r"state\.q must be a unit quaternion.*norm is 1.001"),

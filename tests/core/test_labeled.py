@@ -42,6 +42,7 @@ def test_a_run_becomes_a_dataset_with_coordinates():
         run().to_xarray(units={"t": "s"})
 
 
+@pytest.mark.long
 def test_a_batch_as_a_dataset_has_members():
     found = run("members").to_xarray(BODY)
     assert dict(found.sizes) == {"time": 5, "member": 2, "quaternion": 4, "axis": 3, "momentum_map_component": 3}
@@ -59,6 +60,7 @@ def test_several_bodies_and_matrices_have_axes_of_their_own():
     assert elastic.extra_rotor.dims == ("time", "extra_rotor_component")
 
 
+@pytest.mark.long
 def test_attitudes_become_rotations_and_euler_angles():
     path = run()
     turns = path.rotations()

@@ -88,6 +88,7 @@ def test_members_of_one_part_that_start_together_do_not_share_a_time(tmp_path):
     assert found.t[0] == 3.0
 
 
+@pytest.mark.long
 def test_each_member_may_have_a_system_of_its_own(tmp_path):
     J = np.linspace(1.0, 1.5, MEMBERS)[:, None] * [1.0, 2.0, 2.5]
     steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)

@@ -33,6 +33,7 @@ def batch(members, full=False):
 CASES = [(5, False, "auto"), pytest.param(3, True, "auto", marks=pytest.mark.long), (3, False, 0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("members", "full", "axis"), CASES)
 def test_each_member_is_measured_with_its_own_system(members, full, axis):
     bodies, run, rates, energies = batch(members, full)
@@ -45,6 +46,7 @@ def test_each_member_is_measured_with_its_own_system(members, full, axis):
         assert np.abs(error).max() < 2e-14  # observed: 4e-15
 
 
+@pytest.mark.long
 def test_three_bodies_of_three_moments_look_like_one_full_tensor_and_are_asked_for():
     bodies, run, *_ = batch(3)
     for measure in (run.to_xarray, *(lambda s, f=f: f(s, run) for f in OFF.values())):
@@ -116,6 +118,7 @@ def test_steps_with_a_member_axis_need_step_axis_0(members):
             li.ensemble.run(step, states, 0.1, 2, step_axis=0, progress=False)
 
 
+@pytest.mark.long
 def test_a_vmapped_integrate_has_its_axes_the_other_way_round():
     _, run, *_ = batch(5)
     turned = jax.tree.map(lambda x: np.swapaxes(x, 0, 1), (run.state, run.info))

@@ -81,6 +81,7 @@ def test_elementary_functions_have_the_names_types_and_arguments_of_jax(dtype, r
     check_against_jax(function, (normal(dtype=dtype), np.abs(normal(seed=1, dtype=dtype))), rtol=rtol)
 
 
+@pytest.mark.long
 def test_derivatives_of_elementary_functions_are_programs_of_numbers():
     """First and second ones: releases of JAX write them with primitives of different names."""
     names = {

@@ -38,6 +38,7 @@ def control(x, table, k, c):
     return {"z": z, "each": each, "turns": turns, "chosen": chosen}, jnp.round(w) + jnp.sign(y), y > w, jnp.array(2.5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("k", [2, 3])
 def test_loops_and_branches_are_those_of_vmap(k):
     rng = np.random.default_rng(k)
@@ -112,6 +113,7 @@ HANDFUL = (
 )
 
 
+@pytest.mark.long
 def test_a_step_is_that_of_vmap_and_of_machine_code():
     compared(li.schemes.splitting(TOP), TOP.state(angular_velocity=[0.3, 0.2, 1.0]), 0.05)
 
@@ -215,6 +217,7 @@ class Leaps(Step):
         return state._replace(q=q, p=p), StepInfo(jnp.abs(p).max(), q[0, 1] < 0.5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options",
     [{}, pytest.param({"step_axis": 0}, marks=pytest.mark.long), {"save_at": np.array([0.1, 0.52, 0.71, 2.4])}],

@@ -43,6 +43,7 @@ def test_root_residual_and_derivatives_in_dimensions_0_to_5(c):
     np.testing.assert_allclose(last, x, rtol=0, atol=4e-16)
 
 
+@pytest.mark.long
 def test_second_derivatives_of_a_scalar_root_in_every_nesting():
     """x + x³ = c has x″ = −6x/(1 + 3x²)³; so has a run of steps, forward over reverse through a scan."""
 
@@ -83,7 +84,7 @@ def by_chords(c, iterations=8, wrong=0.0):
     return newton.chords(residual, factored, largest, largest, [x / 2 for x in c], iterations)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("wrong", [0.0, 0.05])
 def test_chords_end_at_round_off_whatever_the_matrix(wrong):
     """Root, derivatives and batches as in `root`; a matrix off by 5 % costs turns, not digits."""
@@ -116,6 +117,7 @@ def test_a_fixed_count_that_is_too_small_shows_in_the_residual():
     assert np.abs(residual).max() > 0.1
 
 
+@pytest.mark.long
 def test_roots_differentiate_in_nested_transformations():
     """grad of a scan of roots, forward over reverse, under jit and vmap."""
 

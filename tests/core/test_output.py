@@ -36,6 +36,7 @@ def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):
         assert distance(jax.tree.map(lambda x: x[k + 1], seen.state), one) < 2e-16  # noqa: B023
 
 
+@pytest.mark.long
 def test_times_of_another_epoch_are_refused_in_a_sentence():
     """In seconds since 1970, for a state without a time; traced ones are flagged."""
     sentence = r"{}: 3\.4e\+10 steps lead there.*and 2147483647 are too many.*count from t = 0\.0, .*at their epoch"
@@ -47,6 +48,7 @@ def test_times_of_another_epoch_are_refused_in_a_sentence():
     assert info.converged.tolist() == [True, False]
 
 
+@pytest.mark.long
 def test_the_clock_is_that_of_the_state():
     start = STATE._replace(t=jnp.asarray(3.0))
     seen = li.integrate(SPLITTING, start, 0.1, 10, save_at=3 + OUTPUTS)
@@ -115,6 +117,7 @@ def test_derivatives_by_output_times_and_step_boundaries():
     assert float(slope) == pytest.approx(float(forward), rel=1e-9)
 
 
+@pytest.mark.long
 def test_observe_is_the_same_function():
     seen = li.integrate(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), 0.1, 10, save_at=3 + OUTPUTS)
     state, info = li.observe(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), 0.1, 3 + OUTPUTS[::-1])
@@ -123,6 +126,7 @@ def test_observe_is_the_same_function():
         np.testing.assert_allclose(a[::-1], b[1:], rtol=0, atol=5e-16)
 
 
+@pytest.mark.long
 def test_traced_times_outside_the_run_are_flagged():
     run = jax.jit(lambda t: li.integrate(SPLITTING, STATE, 0.1, 10, save_at=t))
     seen = run(jnp.array([-0.1, 0.5, 0.3, 1.2, jnp.nan, 0.7]))

@@ -72,7 +72,7 @@ def removed(storage, name):
         storage._store.delete(name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_parts_in_any_order_are_one_process(place, reduce):
     whole = run(reduce=reduce)
@@ -105,6 +105,7 @@ def test_any_number_of_parts_is_one_process(place, count, options):
     assert_same(ensemble.open(place, own=own)[0], run(**options))
 
 
+@pytest.mark.long
 def test_the_xla_engine_has_the_same_bits_in_parts_of_one_member(tmp_path, monkeypatch):
     internals.by_engine(monkeypatch, "xla")
     states = jax.tree.map(lambda x: x[:3], STATES)
@@ -187,7 +188,7 @@ class Mortal:
             raise Crash
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_an_end_at_any_write_of_any_part_leaves_the_same_bits(place, monkeypatch, reduce):
     """Parts in random order, each ended after a random number of files, and begun again; nothing published is lost."""
@@ -305,7 +306,7 @@ DAMAGE = {  # what is done to part 1 of 3 in the store, with another run's; what
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_part_is_named_and_refused_and_the_others_are_read(place, damage, no_loop_after):
     change, sentence = DAMAGE[damage]

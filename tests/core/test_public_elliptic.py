@@ -38,6 +38,7 @@ def test_complete_integrals_agree_with_mpmath():
     assert max(errors(elliptic.Pi, mpmath.ellippi, *columns(n, M))) < 2e-15  # observed 5.7e-16
 
 
+@pytest.mark.long
 def test_incomplete_integrals_agree_with_mpmath():
     """Beyond a quarter period too."""
     assert max(errors(elliptic.F, mpmath.ellipf, *columns(PHI, M))) < 2e-15  # observed 5.9e-16
@@ -110,6 +111,7 @@ def test_principal_values_agree_with_quadrature():
         assert float(forward[k]) == pytest.approx(float(differences), rel=1e-11)
 
 
+@pytest.mark.long
 def test_the_ends_of_the_domain_are_those_of_scipy():
     inf, special = np.inf, scipy.special
     cases = [
@@ -167,6 +169,7 @@ def test_derivatives_by_every_argument_agree_with_differences_at_50_digits(own, 
             assert float(forward[k][i]) == pytest.approx(exact, rel=5e-14, abs=1e-15), (row, k)
 
 
+@pytest.mark.long
 def test_derivatives_are_right_where_an_argument_is_0_or_the_integral_infinite():
     """∂R_F/∂y = −R_D(x, z, y)/6 at x = 0 too, where ∂R_F/∂x is infinite: a very large number stands for it."""
     for slopes in (jax.jacfwd(elliptic.RF, (0, 1, 2))(0.0, 1.0, 2.0), jax.grad(elliptic.RF, (0, 1, 2))(0.0, 1.0, 2.0)):

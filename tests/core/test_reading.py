@@ -44,6 +44,7 @@ def test_every_system_of_the_package_is_made_again_from_its_description(name, bo
     jax.tree.map(np.testing.assert_array_equal, again, body)
 
 
+@pytest.mark.long
 def test_a_store_gives_the_trajectory_and_the_system_back(tmp_path):
     path, run = stored(tmp_path)
     again, body = li.ensemble.open(path)
@@ -129,6 +130,7 @@ def old(tmp_path, name):
     return tmp_path / name.replace("-0.1", "").replace("-0.2", "")
 
 
+@pytest.mark.long
 def test_results_of_version_0_1_still_open(tmp_path, capsys):
     path = old(tmp_path, "toutatis-0.1.npz")
     run, _ = files.load(Path(path))

@@ -59,6 +59,7 @@ def test_stored_values_are_not_computed_again():
     assert gradient(saved) < gradient(lambda x: x)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("materialize", [materialized_arrays, with_materialized_derivatives])
 def test_materialized_arrays_have_the_same_values_and_derivatives_of_any_order(materialize):
     def cube(mark, x):
@@ -127,6 +128,7 @@ def test_forward_mode_differentiates_loops_in_both_modes():
     np.testing.assert_allclose(of_sum, [7.4, 7.4], rtol=1e-15)
 
 
+@pytest.mark.long
 def test_a_value_and_its_slopes_share_a_loop():
     @forward_mode
     def function(x, y):

@@ -101,6 +101,7 @@ def end(J, state, dt, num_steps=40, **options):
     return li.reversible(step, state, dt, num_steps, **options).state.q[-1, 0]
 
 
+@pytest.mark.long
 def test_the_trajectory_is_that_of_integrate():
     ours, theirs = li.reversible(STEP, STATE, 0.05, 12, save_every=4), li.integrate(STEP, STATE, 0.05, 12, save_every=4)
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
@@ -245,6 +246,7 @@ def test_observations_at_any_times():
         li.observe(exact, STATE, 0.0, times)
 
 
+@pytest.mark.long
 def test_traced_times_that_are_not_reached_are_flagged_and_harm_no_other():
     seen = jax.jit(lambda dt, t: li.observe(STEP, STATE, dt, t))
     state, info = seen(0.05, jnp.array([-0.5, 0.5, 0.52]))
@@ -299,6 +301,7 @@ def test_the_clock_of_checkpoints_is_that_of_the_run():
 ADJOINTS = {"reversible": li.adjoints.ReversibleAdjoint(), "checkpoint": li.adjoints.RecursiveCheckpointAdjoint()}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ADJOINTS)
 def test_an_adjoint_of_integrate_is_the_function_of_the_same_derivative(name):
     """Run and gradient to the bit; and they are those of the loop to round-off."""

@@ -60,6 +60,7 @@ def test_the_noise_error_is_the_spread_of_the_score():
     assert li.fitting.student_t_noise_error(50, 3, 1e9) == pytest.approx((2 * 3 * 50) ** -0.5)  # normal errors
 
 
+@pytest.mark.long
 def test_the_estimate_is_the_fixed_point_of_reweighting_and_leaves_an_outlier_out():
     seen = np.vstack([ERRORS, [[40.0, 0.0, 0.0]]])
 

@@ -129,6 +129,7 @@ def test_members_are_those_of_lax_scan(case, batch, name, caplog):
     assert not caplog.records
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["jvp", "grad", "jacrev"])
 def test_members_of_derivatives(name, caplog):
     x = [jax.tree.map(lambda x: jnp.stack([x, 0.9 * x, 1.1 * x]), x) for x in arguments(12)]
@@ -175,6 +176,7 @@ def test_a_while_loop_around_it():
     assert jax.jit(lambda x: lax.while_loop(lambda x: x > 1, halve, x))(100.0) == 100 / 4**4
 
 
+@pytest.mark.long
 def test_types_tables_and_what_is_closed_over():
     """float32, integers, booleans, a table of 300 entries, an array of each member in a closure, in one loop."""
     table = jnp.sin(jnp.arange(300.0))
@@ -266,6 +268,7 @@ def test_the_engine_is_the_users_choice(monkeypatch):
         li.engine("gpu")
 
 
+@pytest.mark.long
 def test_other_platforms_run_the_loop_by_xla():
     lowered = jax.jit(chaotic).trace(0.3).lower(lowering_platforms=("cuda",))
     assert "lieint_" not in lowered.as_text()

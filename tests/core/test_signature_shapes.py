@@ -30,6 +30,7 @@ def test_a_wrong_shape_raises_a_type_error():
         shape_checks.checked(groups.MatrixGroup.ad)(groups.special_euclidean(2), jnp.zeros(3), jnp.zeros(4))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("group", [so3, groups.special_euclidean(3)], ids=["SO(3)", "SE(3)"])
 def test_the_functions_of_a_group_return_the_shapes_that_they_declare(group):
     """Each is traced with arguments of the shapes that it declares."""
@@ -87,6 +88,7 @@ def test_steps_call_nothing_with_another_shape(monkeypatch, part):
     assert len(called) >= 40
 
 
+@pytest.mark.long
 def test_diagnostics_have_the_shapes_that_they_declare(monkeypatch):
     called = shape_checks.check_all(monkeypatch)
     body = li.systems.rigid_body([1.0, 2.0, 3.0])

@@ -35,6 +35,7 @@ def test_elimination_solves_as_numpy_and_finds_the_signs_of_pivots(d):
             assert float(la.determinant(made)) == pytest.approx(np.linalg.det(K), rel=1e-13)
 
 
+@pytest.mark.long
 def test_materialized_changes_no_number():
     x = [jnp.array(3.0), 0.0, jnp.array(-0.1), 1.0]
     held = la.materialized(x)

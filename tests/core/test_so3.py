@@ -218,6 +218,7 @@ def test_angle_is_the_length_of_the_logarithm(q, v):
 SEQUENCES = [a + b + c for a in "xyz" for b in "xyz" for c in "xyz" if a != b != c]
 
 
+@pytest.mark.long
 def test_euler_angles_of_all_sequences_against_scipy():
     """There, and back to the same angles in their ranges; observed 9e-16."""
     from scipy.spatial.transform import Rotation
@@ -233,6 +234,7 @@ def test_euler_angles_of_all_sequences_against_scipy():
         same(so3.to_euler(-q, sequence), angles, 1e-13)
 
 
+@pytest.mark.long
 def test_euler_angles_where_only_a_sum_is_determined():
     """They give the same attitude again, with finite derivatives."""
     for sequence, middle in (("ZXZ", 0.0), ("zyz", np.pi), ("ZYX", np.pi / 2), ("xyz", -np.pi / 2)):

@@ -86,6 +86,7 @@ def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
         run(reduce="momentum")
 
 
+@pytest.mark.long
 def test_xarray_reads_a_store(tmp_path, small_chunks):
     xarray = pytest.importorskip("xarray")
     memory = run()
@@ -172,6 +173,7 @@ def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_pa
     assert same_folders(path, whole)
 
 
+@pytest.mark.long
 def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunks, monkeypatch):
     path = tmp_path / "run.zarr"
     run(ensemble.StoreOptions(path, {"scenario": {"seed": 1}}))
@@ -480,6 +482,7 @@ def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
         run(tmp_path / "run.zarr", resume=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", range(5), ids=["check", "open", "compare", "clean", "check again"])
 def test_a_run_releases_its_store_where_another_process_fails(tmp_path, monkeypatch, step):
     """Another process reports a failure after one of the steps that processes take together to resume a store."""
@@ -525,6 +528,7 @@ def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_ch
         assert same_folders(path, tmp_path / "whole.zarr")
 
 
+@pytest.mark.long
 def test_a_limit_on_the_size_of_files_ends_a_run_that_resumes_to_the_same_bits(tmp_path, monkeypatch):
     """What needs no root: the system refuses files above a size, below that of the metadata or that of the chunks."""
     internals.commit_every(monkeypatch, 13)
@@ -542,6 +546,7 @@ def test_a_limit_on_the_size_of_files_ends_a_run_that_resumes_to_the_same_bits(t
     assert same_folders(path, tmp_path / "whole.zarr")
 
 
+@pytest.mark.long
 def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     internals.commit_every(monkeypatch, 50)
     path, steps, before = tmp_path / "run.zarr", 20_000_000, signal.getsignal(signal.SIGINT)

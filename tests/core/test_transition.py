@@ -54,6 +54,7 @@ def test_the_matrix_of_a_symplectic_step_is_symplectic(name):
         assert float(jnp.max(jnp.abs(defect))) < 2e-13 * scale
 
 
+@pytest.mark.long
 def test_the_matrix_of_another_step_is_not_symplectic():
     body, state, dt = EXAMPLES["rigid_body.asymmetric"]
     step = li.schemes.so3_midpoint(body, li.maps.kappa_cayley)

@@ -154,6 +154,7 @@ def test_a_fit_finds_the_weight_of_a_network():
     np.testing.assert_allclose(found.params, 1.0, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_an_ensemble_of_a_network_and_its_store(tmp_path):
     """The run of members, a reduced quantity that is a network too, and the system rebuilt from the store."""
     given = net(3)

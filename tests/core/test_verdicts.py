@@ -80,6 +80,7 @@ def repeats_a_constant_number_of_times(function):
     return any(is_constant(x.args[-1] if name_of(x) == "range" else x.args[1]) for x in ranges)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("finds", "reasons"), [(drops_a_verdict, ROOTS), (repeats_a_constant_number_of_times, LOOPS)])
 def test_iterations_have_a_verdict_or_a_reason(finds, reasons):
     found = {place for place, function in places() if finds(function)}

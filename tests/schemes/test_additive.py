@@ -199,6 +199,7 @@ def _order(step):
 _flow = jax.jit(lambda z: flow(SOFT, z, 0.4, 40))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("alpha", "order"), [(0.5, 2), (0.3, 1), (1.0, 1)])
 def test_6_17_is_second_order_at_one_half_only(alpha, order):
     assert _order(dataclasses.replace(LABELED, alpha=jnp.array(alpha))) == pytest.approx(order, abs=0.12)
@@ -316,7 +317,7 @@ def test_6_13_gamma_is_not_below_one_half():
 # The bars of Figures 3c and 4c ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("dt", "Phi"), [(0.005, 6.0), (0.05, 10.0)], ids=["3c", "4c"])
 def test_average_conserves_energy_and_momentum_in_the_runs_of_the_figures(dt, Phi):
     """λ = 2000 makes rounding visible. Of 4c it is a random walk of 5e-14 per step once the motion has lost its

@@ -620,7 +620,7 @@ def attacked(name, dtype):
     return CASES, int(converged.sum()), wrong | {"finite": np.flatnonzero(converged & ~found["finite"])}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
 @pytest.mark.parametrize("name", ATTACKS)
 def test_wrong_results_are_flagged(name, dtype):

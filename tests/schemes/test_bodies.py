@@ -56,6 +56,7 @@ def test_gravity_to_second_order_leaves_out_terms_of_fourth_order():
     assert np.log2(differences[0] / differences[1]) == pytest.approx(5, abs=0.05)
 
 
+@pytest.mark.long
 def test_full_tensors_are_rotated_principal_moments():
     full = jnp.stack([jnp.diag(J) for J in BINARY.inertias])
     V = potentials.maccullagh(1.0, BINARY.masses, full)
@@ -78,7 +79,7 @@ def test_gravity_s_forces_in_closed_form_are_its_derivative(count, full):
     np.testing.assert_allclose(jax.jit(V.force)(x, R), exact, rtol=0, atol=1e-14 * float(jnp.abs(exact).max()))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_forces_and_torques_are_the_derivatives_of_the_potential(name):
     system, state, _ = EXAMPLES[name]
@@ -109,6 +110,7 @@ def eight():
     return bodies, bodies.state(1.0 * place, turn, angular_velocities=np.full((8, 3), 0.3))
 
 
+@pytest.mark.long
 def test_many_bodies_are_kicked_once_a_step(monkeypatch):
     bodies, state = eight()
     step, forces, force = schemes.splitting(bodies), [], type(bodies).force

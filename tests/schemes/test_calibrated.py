@@ -60,7 +60,7 @@ def both_derivatives(J, Pi, dt):
     return jax.lax.map(lambda case: derivatives(*case), (Pi, dt))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "J", [*itertools.permutations([1.0, 2.0, 3.0], 3), [1, 1, 2], [2, 1, 1], [1, 1, 1], [1, 2, 9], FULL]
 )

@@ -120,7 +120,7 @@ def rate(errors):
     return np.log2(errors[0] / errors[1])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
 def test_commuting_compositions_have_their_order(order):
     step = compose(SYMPLECTIC, order)

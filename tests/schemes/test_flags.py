@@ -103,6 +103,7 @@ class Careless(Step):
         return state._replace(p=state.p.at[1].set(self.last)), StepInfo(dt * 0, jnp.array(True))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("last", [jnp.nan, jnp.inf, -jnp.inf])
 def test_no_step_reports_convergence_with_an_end_that_is_not_finite(last):
     """Whatever the scheme: the flag is set where all steps are wrapped."""
@@ -116,6 +117,7 @@ def _to_the_other(x, R):
     return -1 / jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2))
 
 
+@pytest.mark.long
 def test_bodies_at_one_place_and_infinite_ends_are_flagged():
     """Two bodies fall on one another; one leaves the numbers of its type."""
     bodies = li.systems.rigid_bodies([1.0, 1.0], [[0.1] * 3] * 2, _to_the_other)
@@ -130,6 +132,7 @@ def test_bodies_at_one_place_and_infinite_ends_are_flagged():
     assert taken(resting, 0.1)[1].converged
 
 
+@pytest.mark.long
 def test_a_force_that_is_no_number_is_named_at_the_start():
     """V is finite there and its gradient is not: the slope of the root of 0."""
     kinked = lambda x, R: jnp.sum((x[0] - x[1]) ** 2) + jnp.sqrt(jnp.sum(jnp.abs(x[0])))  # noqa: E731
@@ -154,7 +157,7 @@ UNDEFINED = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", UNDEFINED)
 def test_no_step_ends_where_the_potential_is_not_defined(scheme):
     """log(Γ₃ − 0.2) has a slope where Γ₃ < 0.2, and no value."""
@@ -213,6 +216,7 @@ def test_exact_is_flagged_when_no_digits_are_left():
     assert not schemes.exact(body)(State(q, p), 1e300)[1].converged  # NaN
 
 
+@pytest.mark.long
 def test_exact_is_flagged_when_it_passed_the_separatrix_too_closely():
     """1e-10 from the separatrix, each passage of the middle axis loses digits: rounding the state decides the rest."""
     step, later = schemes.exact(BODY), jnp.linspace(0, 300, 60)

@@ -36,6 +36,7 @@ def _measured(step, state, dt):
     return run, energy, li.diagnostics.constraint_error(body, run)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:Explicitly requested dtype float64:UserWarning")  # of JAX
 def test_a_step_and_a_state_made_with_x64_run_in_float32_without_it():
     with jax.enable_x64(True):
@@ -60,6 +61,7 @@ def test_runs_in_single_precision_conserve_to_its_round_off(kappa):
     assert not _measured(step, START, 1.2 if kappa.name == "symplectic" else 40.0)[0].info.converged[1]
 
 
+@pytest.mark.long
 def test_the_form_in_single_precision_is_conserved_to_its_round_off():
     defect = jax.jit(li.diagnostics.symplectic_defect)
     defects = [

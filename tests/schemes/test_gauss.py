@@ -239,6 +239,7 @@ def test_too_few_sweeps_and_too_long_steps_are_flagged():
         li.integrate(STEP, STATE, 30.0, 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [1e-50, 1e50])
 def test_a_step_of_gauss_is_independent_of_units(size):
     """A step does not depend on the unit of momentum; observed: 3e-16."""

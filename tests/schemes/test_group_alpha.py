@@ -168,6 +168,7 @@ def test_any_group_and_derivatives_by_alpha_dt_and_the_metric():
     np.testing.assert_allclose(p, jax.jit(end, compiler_options=QUICK)(x)[0], rtol=0, atol=2e-6)
 
 
+@pytest.mark.long
 def test_bad_arguments_of_group_alpha_raise_errors():
     with pytest.raises(ValueError, match=r"alpha must be in \[0, 1\], got 1.2"):
         li.schemes.group_alpha(FREE, 1.2)

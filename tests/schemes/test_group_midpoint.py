@@ -82,7 +82,7 @@ def measured(step, state, dt):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.paper("5.2: (5.23)–(5.27), Results 9, 10", "energy and momentum on a group", "schemes/_group_midpoint.py")
 @pytest.mark.parametrize(
     ("name", "tau"),
@@ -258,6 +258,7 @@ def test_5_31_with_the_inverse_5_33_and_6_28(name, tau):
     assert np.abs(o["Ad1"].T @ o["alpha"] @ o["Ad1"] - o["A1"]).max() < 1e-13  # (6.28)
 
 
+@pytest.mark.long
 @pytest.mark.paper("App. B: (6.24)–(6.32)", "the linearized step, (5.31)", "diagnostics/_conditions.py")
 @formulas
 def test_6_31_and_6_32_explain_why_5_31_and_6_30_vanish_together(name, tau):

@@ -88,7 +88,7 @@ def cases():
         seen.add(scheme)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("scheme", "name", "step", "state", "dt"), list(cases()))
 def test_long_runs_conserve_what_their_scheme_declares_at_its_order(scheme, name, step, state, dt):
     system_name, _, step_name = name.partition("-")

@@ -135,7 +135,7 @@ def test_the_series_of_the_clock_are_those_that_exact_arithmetic_gives(kind):
         assert all(terms[p][e] == float(x) for p, polynomial in found.items() for e, x in polynomial.items())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("order", [10, 8, 6, 4])
 def test_a_converged_step_is_near_the_exact_flow(order):
     """Of 3000 steps with |ΔtΩ| from 0.05 to 5 none that converged is off by 0.1 rad, and all below 0.5 converge."""
@@ -161,6 +161,7 @@ def _from_exact(order, J, Omega):
     return so3.angle(end.q, li.schemes.exact(body)(start, 1.0)[0].q), info.converged
 
 
+@pytest.mark.long
 def test_the_canonical_defect_is_that_of_the_literature():
     """4.2e-7 at Δt = 0.1, order 4, is the size of the canonical defect."""
     body = BODIES["principal"]
@@ -168,6 +169,7 @@ def test_the_canonical_defect_is_that_of_the_literature():
     assert 1e-8 < defect < 1e-6
 
 
+@pytest.mark.long
 def test_preprocessed_steps_have_derivatives_and_vmap():
     J = BODIES["principal"].inertia
     state = moving(J)
@@ -184,6 +186,7 @@ def test_preprocessed_steps_have_derivatives_and_vmap():
         assert slope == pytest.approx(float(plus - minus) / (2 * h), rel=1e-7)
 
 
+@pytest.mark.long
 def test_bad_arguments_of_preprocessed_raise_errors():
     body = BODIES["principal"]
     with pytest.raises(ValueError, match="order must be 4, 6, 8 or 10, got 12"):

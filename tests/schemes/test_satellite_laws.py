@@ -122,6 +122,7 @@ def numpy_plates(force_of):
     return sum(np.cross(r, force_of(A, n, r)) for A, n, r in zip(*(np.asarray(x) for x in PLATES), strict=True))
 
 
+@pytest.mark.long
 def test_drag_and_sunlight_are_those_of_single_plates():
     t, R = jnp.asarray(0.7), np.asarray(so3.to_matrix(Q))
     density, v = AIR(t)

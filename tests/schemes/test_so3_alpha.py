@@ -36,6 +36,7 @@ def _steps(J, alpha, q, Omega, dt):
     return run, energy, li.diagnostics.momentum_error(body, run)
 
 
+@pytest.mark.long
 @pytest.mark.paper("2.2: (2.14)–(2.18), Result 1", "the α-family in L(3): momentum", "schemes/_so3_alpha.py")
 @hypothesis.given(st.floats(0, 1), vectors, vectors, st.sampled_from([-0.3, 0.3]))
 def test_result_01_and_2_27_momentum_and_energy_for_every_alpha(alpha, axis, Omega, dt):
@@ -116,7 +117,7 @@ def test_alpha_one_half_is_symplectic_with_the_symplectic_kappa_only():
     assert min(defect[:2]) > 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("alpha", "axis"), [(0.1, 0), (0.9, 2)])
 def test_other_alphas_end_in_a_spin_about_an_axis(alpha, axis):
     """|Π| falls or grows monotonically, at constant energy, to its least or greatest value √(2HJ)."""

@@ -135,7 +135,7 @@ def gradient_by_columns(at, kappa):
     return np.array(columns)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kappa", "full"),
     [(kappa_symplectic, False), (kappa_symplectic, True), (kappa_cayley, True), (kappa_exponential, False)],

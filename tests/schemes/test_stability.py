@@ -90,6 +90,7 @@ def swing(moments):
     return 2 * jnp.arcsin(jnp.minimum(jnp.linalg.norm(error, axis=1), 1)).max(), run.info.converged.all()
 
 
+@pytest.mark.long
 def test_stable_satellites_swing_a_little_and_the_others_turn_over():
     """In the nonlinear equations, both regions. Observed: at most 7.1e-3 rad, and at least 1.5."""
     several = [

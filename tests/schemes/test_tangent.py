@@ -88,6 +88,7 @@ def test_every_step_maps_tangent_vectors_by_its_derivative(step, state, dt):
     check(step, jax.tree.map(jnp.asarray, state), dt)
 
 
+@pytest.mark.long
 def test_tangent_can_be_vmapped_and_keeps_its_dtype():
     """One tangent vector of each member, in single precision."""
     step, state = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (schemes.so3_midpoint(BODY), STATE))

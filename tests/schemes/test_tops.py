@@ -135,7 +135,7 @@ def test_result_07_holds_for_a_custom_kappa():
     assert np.abs(energy).max() < 5e-14
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
 def test_steps_of_tops_are_of_second_order_and_reversible(name, kappas):
     top = TOPS[name]
@@ -148,6 +148,7 @@ def test_steps_of_tops_are_of_second_order_and_reversible(name, kappas):
         assert float(distance(state_after(run(step, there, -0.1)[0], 1), state)) < 1e-15
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS)
 @pytest.mark.parametrize("kappas", [SHARED, pytest.param(KAPPAS, marks=pytest.mark.long)], ids=["shared", "own"])
 def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):
@@ -159,7 +160,7 @@ def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*TOPS, "three_wells"])
 def test_splitting_is_symplectic_and_conserves_gamma_dot_pi(name):
     top, state = three_wells() if name == "three_wells" else (TOPS[name], start(TOPS[name]))
@@ -200,6 +201,7 @@ def test_splitting_has_no_drift_of_energy_where_the_top_is_integrable(top):
     assert second == pytest.approx(first, rel=0.05)
 
 
+@pytest.mark.long
 def test_splitting_has_no_drift_of_energy_where_the_top_is_chaotic():
     """The mean slope of 16 runs of 10⁵ steps, fitted to means over blocks, is within 3 of its standard errors of 0.
 

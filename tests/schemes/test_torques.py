@@ -789,6 +789,7 @@ def test_other_schemes_refuse_torques_and_friction_and_name_the_scheme_that_acce
             make(body)
 
 
+@pytest.mark.long
 def test_torqued_bodies_with_an_altered_vector_field_are_refused():
     class Faster:
         def vector_field(self, state):

@@ -172,6 +172,7 @@ def test_in_close_encounters_step_control_needs_a_third_of_the_steps():
     assert run.info.converged.all()
 
 
+@pytest.mark.long
 def test_the_times_of_a_run_are_those_of_its_states():
     run = li.integrate(CONTROLLED, CONTROLLED.start(START), 0.1, 60)
     np.testing.assert_array_equal(run.t, run.state.t)
@@ -324,6 +325,7 @@ def test_the_local_error_of_an_exact_step_is_of_fifth_order_and_dt_is_that_of_ti
 # What is no such step ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_given_times_raise_an_error_for_steps_with_their_own_time():
     state = CONTROLLED.start(START)
     for wrong in (dict(times=[0.0, 0.1, 0.2]), dict(dt=0.1, num_steps=2, save_at=[0.1])):

@@ -336,6 +336,7 @@ def test_jacobi_s_integral_on_a_circular_orbit():
     assert satellite.energy(end) - end.p @ normal == pytest.approx(float(jacobi[0]), abs=2e-13)
 
 
+@pytest.mark.long
 def test_the_axis_of_an_oblate_body_precesses_by_the_mean_torque():
     """ψ̇ = −(3/2) n² (C − A)/(C ω) cos ε, averaged over orbits; off by 0.31 n/ω of itself, 5.5e-4 here."""
     A, C, spin, obliquity = 1.0, 1.2, 600.0, 0.4

@@ -47,6 +47,7 @@ def test_casimirs_are_constant_on_coadjoint_orbits(name):
         assert np.abs(after - mu).max() > 1e-2
 
 
+@pytest.mark.long
 def test_the_computed_casimirs_are_the_known_ones():
     """By name; the same numbers up to a constant. On Aff(1) there is none, on SU(2) and quaternions |Π|²."""
     rng = np.random.default_rng(1)

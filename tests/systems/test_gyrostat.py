@@ -122,7 +122,7 @@ DTS = np.array([0.05, 0.025, 0.0125, -0.1])
 ROTORS = H_R * np.array([0, 0.01, 0.02, 1])[:, None]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_refuted_no_kappa_is_symplectic_for_a_gyrostat(kappa):
     """The defect of a step is O(Δt³), and of the first order in the rotor's momentum. Without it, the symplectic κ
@@ -259,6 +259,7 @@ def test_each_step_balances_the_power(kappa):
         assert abs(gain - float(end.work)) < 2e-14
 
 
+@pytest.mark.long
 def test_a_wheel_absorbs_all_momentum_and_the_body_stops():
     """A spin about a principal axis, whose wheel gains all of it: the body rests, and the work is −½JΩ²."""
     wheel = systems.driven_gyrostat(J, systems.SpinUpMotor(jnp.array([0.0, 0.0, 3 * 0.4]), jnp.array(4.0)))
@@ -269,6 +270,7 @@ def test_a_wheel_absorbs_all_momentum_and_the_body_stops():
     assert float(end.work) == pytest.approx(-0.5 * 3 * 0.4**2, rel=1e-13)
 
 
+@pytest.mark.long
 def test_a_slow_wheel_turns_the_satellite_about_its_momentum():
     """A satellite that spins about its major axis 1 spins up a wheel along axis 3. The spin stays steady, about an axis
     between: Ω₁ = Π₁/J₁ and Ω₃ = (Π₃ − h)/J₃ are as Π₁ to Π₃, so Π₃ = h/(1 − J₃/J₁) (Barba & Aubrun 1976)."""

@@ -79,6 +79,7 @@ def test_mutual_gravity_of_order_2_is_maccullagh_s_formula():
     np.testing.assert_allclose(a[1], b[1], rtol=0, atol=1e-14 * float(jnp.abs(a[1]).max()))
 
 
+@pytest.mark.long
 def test_polyhedra_attract_as_their_tetrahedra_do():
     """By quadrature within each tetrahedron, of 1/r itself: the error falls as the first power that is left out."""
     parts = []

@@ -152,6 +152,7 @@ NO_ORBITS = [
 ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_traced_elements_of_no_orbit_give_nan_and_do_not_touch_their_neighbors():
     """Positions, velocities and their derivatives; those of two orbits in the same batch are finite."""
 

@@ -65,6 +65,7 @@ def test_a_sum_over_sites_is_the_sum_over_all_pairs_of_different_bodies(kind):
     assert float(jax.jit(potential)(PLACES, TURNS)) == pytest.approx(total, rel=1e-13)
 
 
+@pytest.mark.long
 def test_one_number_a_body_is_a_point_at_its_center():
     V = potentials.point_masses(1.0, [2.0, 3.0])
     assert float(V(jnp.array([[0.0, 0, 0], [0, 0, 2]]), TURNS[:2])) == -3
@@ -174,6 +175,7 @@ def test_a_distant_ellipsoid_attracts_by_maccullagh_s_formula():
     assert np.log2(differences[0] / differences[1]) == pytest.approx(5, abs=0.05)
 
 
+@pytest.mark.long
 def test_outer_fields_declare_the_momenta_that_they_conserve():
     """P across a uniform field and L about it; of two fields P across both; of a central one what is declared."""
     z, x = (potentials.uniform_field(g, np.ones(6)) for g in ([0.0, 0, -2], [1.0, 0, 0]))
@@ -274,6 +276,7 @@ def test_a_molecule_built_from_its_sites_has_its_moments_in_any_axes():
             potentials.molecule(*arguments)
 
 
+@pytest.mark.long
 def test_the_tip4p_dimer_has_the_published_energy():
     """Its energy least by minimization: −26.04 kJ/mol are published (Jorgensen 1983), found are −26.09."""
     V = WATER.potential(2)

@@ -33,7 +33,7 @@ def matrix(S):
     return np.array(vec3.rows(S))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", MATERIALS)
 def test_stress_is_twice_the_gradient_and_the_mean_stress_gives_the_difference(name):
     W = MATERIALS[name]
@@ -101,7 +101,7 @@ def test_small_matrices_are_eliminated_and_multiplied_as_by_numpy():
 
 
 @pytest.mark.paper("6, 6.1: (6.1)–(6.4)", "pseudo-rigid bodies", "systems/_pseudo_rigid_body.py")
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", MATERIALS)
 def test_the_equations_of_motion_are_hamilton_s(name):
     """(6.3) against the derivatives of (6.2), with a full E."""

@@ -143,6 +143,7 @@ def test_derivatives_by_the_metric_agree_with_differences_and_steps_vmap():
     )
 
 
+@pytest.mark.long
 def test_bad_arguments_of_euler_raise_errors():
     system, state = system_and_state("SO(3)")
     with pytest.raises(ValueError, match=r"invariance must be 'left' or 'right', got 'both'"):

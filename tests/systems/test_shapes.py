@@ -167,6 +167,7 @@ def test_meshes_of_an_ellipsoid_approach_it_to_second_order():
     assert np.all(np.abs(orders[-1] - 2) < 0.05), orders
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_convex_polyhedron_is_its_quadrature(seed):
     at, faces = hull(seed)
@@ -187,6 +188,7 @@ def test_a_convex_polyhedron_is_its_monte_carlo_sum():
         assert abs(float(value) - samples.mean()) < 4 * samples.std() / np.sqrt(len(r))
 
 
+@pytest.mark.long
 def test_slopes_by_the_vertices():
     """Of all moments along a random direction, against sixth-order differences, forwards and in reverse."""
     at, faces = hull(4)
@@ -209,6 +211,7 @@ def test_slopes_by_the_vertices():
     assert float(forward) == pytest.approx(differences, rel=1e-9)  # observed 1e-11
 
 
+@pytest.mark.long
 def test_sums_and_moves():
     """Two halves are the whole; a rotated body's moments are those of its rotated points."""
     whole = shapes.box([4, 2, 1], density=3.0)
@@ -250,6 +253,7 @@ def test_obj_files_are_read(tmp_path):
         shapes.obj(path, mass=1.0)
 
 
+@pytest.mark.long
 def test_single_precision_stays_single_and_has_its_digits():
     at, faces = hull(9)
     double, single = (shapes.mesh(jnp.asarray(at, dtype), faces, mass=2.0) for dtype in ("float64", "float32"))

@@ -77,7 +77,7 @@ class AbstractWalk(abc.ABC):
         """An array of constants."""
         if jax.numpy.issubdtype(dtype, jax.dtypes.prng_key):
             raise UnsupportedError("random keys have no formula in machine code")
-        x = np.asarray(x, dtype)
+        x = np.asarray(x, bool if dtype == jax.dtypes.float0 else dtype)
         if x.size > LARGEST:
             raise UnsupportedError(f"an array of {x.size} entries")
         return array_of([self.builder.constant(value) for value in x.flat], x.shape)

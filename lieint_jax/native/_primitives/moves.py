@@ -53,6 +53,7 @@ MOVES: dict[str, Callable[..., Any]] = {
     "expand_dims": lambda x, dimensions: np.expand_dims(x, dimensions),
     "pad": _pad,
     "reshape": _reshape,
+    "reshard": lambda x, dst_sharding: x,
     "rev": lambda x, dimensions: np.flip(x, dimensions),
     "slice": _slice,
     "split": lambda x, sizes, axis: np.split(x, np.cumsum(sizes)[:-1], axis),
