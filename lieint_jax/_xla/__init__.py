@@ -32,17 +32,22 @@ from lieint_jax._xla._materialize import (
     with_materialized_derivatives,
 )
 from lieint_jax._xla._rematerialize import rematerialized, saved
+from lieint_jax._xla._varying import alike, differ, result_like, unchecked
 
 __all__ = [
     "UNKNOWN_ONE",
+    "alike",
     "compiled",
     "compiled_for",
+    "differ",
     "forward_mode",
     "jit",
     "materialized",
     "materialized_arrays",
     "rematerialized",
+    "result_like",
     "saved",
+    "unchecked",
     "unfused",
     "with_materialized_derivatives",
 ]

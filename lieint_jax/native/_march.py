@@ -18,6 +18,7 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
 from lieint_jax._checks import outermost
+from lieint_jax._xla import alike, result_like, unchecked
 
 Tree = Any  # a tree of arrays
 Value = Any  # an array, a tracer, a shape or a tangent
@@ -156,7 +157,7 @@ class Loop(NamedTuple):
 
     def bind(self, arguments: Values) -> list[Value]:
         """The carries after the last step, and the stored rows of results, of axes (rows, members, …)."""
-        return march_p.bind(*arguments, loop=self)
+        return march_p.bind(*alike(arguments), loop=self)
 
 
 def shape_of(x: Value) -> jax.ShapeDtypeStruct:
@@ -190,8 +191,9 @@ def march(
     known = isinstance(rows, int) and isinstance(every, int) and most is None
     stored: Any = rows if most is None else most
     count = [] if known else [jnp.asarray(every, jnp.int32), jnp.minimum(jnp.asarray(rows, jnp.int32), stored)]
-    shapes = number, carry, [shape_of(x) for x in count], row
-    closed, (_, out) = _traced(_Checked(step), shapes)
+    shapes = number, jax.tree.map(shape_of, carry), [shape_of(x) for x in count], row
+    with unchecked():
+        closed, (_, out) = _traced(_Checked(step), shapes)
     starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)
     closed, closed_over = _with_arguments(closed, 1 + len(starts) + len(count))
     fixed = [*count, *closed_over]
@@ -278,7 +280,8 @@ def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..
 
     It is traced once: calls, and their derivatives, evaluate its jaxpr.
     """
-    closed, out = jax.make_jaxpr(function, return_shape=True)(*examples)
+    with unchecked():
+        closed, out = jax.make_jaxpr(function, return_shape=True)(*examples)
     closed, tracers = _with_arguments(closed, 0)
 
     def explicit(tracers: Values, *arguments: Tree) -> Tree:
@@ -289,10 +292,10 @@ def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..
 
 
 @march_p.def_abstract_eval
-def _shapes(*_: ShapedArray, loop: Loop) -> list[ShapedArray]:
+def _shapes(*given: ShapedArray, loop: Loop) -> list[ShapedArray]:
     lead = () if loop.members is None else (loop.members,)
     rows = [()] * loop.carried + [(loop.rows,)] * (len(loop.results) - loop.carried)
-    return [ShapedArray((*r, *lead, *x.shape), x.dtype) for r, x in zip(rows, loop.results, strict=True)]
+    return [result_like(given, (*r, *lead, *x.shape), x.dtype) for r, x in zip(rows, loop.results, strict=True)]
 
 
 @march_p.def_impl

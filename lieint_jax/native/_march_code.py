@@ -6,13 +6,16 @@ import functools
 import logging
 import os
 import time
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr
 from jax.interpreters import mlir
 
+from lieint_jax._xla import unchecked
 from lieint_jax.native._handler import handler
 from lieint_jax.native._march import Deferred, Loop, Value, Values, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
@@ -129,5 +132,17 @@ def _say_once(reason: str) -> None:
     _log.warning("XLA runs a loop, which is slower than machine code: %s", reason)
 
 
-mlir.register_lowering(march_p, mlir.lower_fun(_compiled, multiple_results=True), platform="cpu")
-mlir.register_lowering(march_p, mlir.lower_fun(by_xla, multiple_results=True))
+def _lowering(function: Callable[..., list[Value]]) -> Callable[..., Any]:
+    """The rule of a loop that `function` computes; it sees no types of arrays that differ between devices."""
+    rule = mlir.lower_fun(function, multiple_results=True)
+
+    def lower(ctx: mlir.LoweringRuleContext, *operands: Any, loop: Loop) -> Any:
+        given, found = ([ShapedArray(x.shape, x.dtype) for x in of] for of in (ctx.avals_in, ctx.avals_out))
+        with unchecked():
+            return rule(ctx.replace(avals_in=given, avals_out=found), *operands, loop=loop)
+
+    return lower
+
+
+mlir.register_lowering(march_p, _lowering(_compiled), platform="cpu")
+mlir.register_lowering(march_p, _lowering(by_xla))

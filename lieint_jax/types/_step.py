@@ -17,7 +17,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete, real_array, step_size
 from lieint_jax._deprecated import warn_of_removal
-from lieint_jax._xla import compiled, materialized_arrays, with_materialized_derivatives
+from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
+from lieint_jax.native import scan
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
 from lieint_jax.types._tangents import push_forward
@@ -62,6 +63,8 @@ class Step(abc.ABC):
     @final
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step: the state at t + dt, and a report, which is `converged` only if that state is finite."""
+        if differ((self, state, dt)):  # as a loop of one step, which JAX need not trace with the types of shards
+            return jax.tree.map(lambda x: x[0], scan(lambda _, x: ((), self(state, dt)), (), length=1)[1])
         end, info = Step.substep(self, state, dt)  # also where a class with a `__call__` of its own has another
         return end, _finite_or_flagged(info, end)
 

@@ -368,6 +368,31 @@ def test_the_step_in_a_box_is_that_of_bounded_least_squares(side):
 
 
 @pytest.mark.long
+def test_a_loss_is_traced_again_for_other_shapes_only():
+    traced = []
+
+    def misfits(p, data):
+        traced.append(data.shape)
+        return p["a"] * jnp.exp(-p["k"] * jnp.arange(data.size) / 10) - data
+
+    def fitted(size, a=2.0, **options):
+        data = jnp.asarray(a * np.exp(-0.07 * np.arange(size)))
+        bounds = {"a": li.fitting.positive, "k": li.fitting.interval(0.1, 3.0)}
+        found = li.fit(misfits, {"a": 1.0, "k": 0.2}, bounds=bounds, data=data, progress=False, **options)
+        assert found.success
+        np.testing.assert_allclose([found.params["a"], found.params["k"]], [a, 0.7], rtol=1e-7)
+
+    fitted(20)
+    once = len(traced)
+    fitted(20)
+    fitted(20, a=1.5)
+    assert len(traced) == once > 0
+    fitted(25)
+    assert len(traced) == 2 * once
+    fitted(20, tolerance=1e-9)
+    assert len(traced) == 3 * once
+
+
 def test_covariance_does_not_depend_on_the_bound():
     plain = li.fit(residuals, TRUTH)
     bounded = li.fit(residuals, TRUTH, bounds=li.fitting.positive)

@@ -1,0 +1,56 @@
+"""Arrays that differ between the devices of a `jax.shard_map`, which by its default check have types of their own."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+from jax import lax
+from jax.core import ShapedArray
+from jax.sharding import PartitionSpec
+
+from lieint_jax._xla._compile import Tree
+
+try:
+    from jax._src.config import _check_vma as _checked  # no public name
+except ImportError:  # no such types, or others: JAX says what it cannot trace
+    _checked = None
+Value = Any  # an array, a tracer or an abstract value
+
+
+def differ(tree: Tree) -> bool:
+    """Whether some of these arrays may differ between devices, and their types say so."""
+    return _checked is not None and _checked.value and any(map(_axes_of, jax.tree.leaves(tree)))
+
+
+def alike(arguments: Sequence[Value]) -> list[Value]:
+    """The same arrays, all of which may differ where one does."""
+    axes = frozenset().union(*map(_axes_of, arguments))
+    return [lax.pcast(x, tuple(axes - _axes_of(x)), to="varying") if axes - _axes_of(x) else x for x in arguments]
+
+
+def result_like(given: Sequence[Value], shape: Sequence[int], dtype: Any) -> ShapedArray:
+    """The type of a result of arguments that are `alike`."""
+    like = next((_type(x) for x in given if _axes_of(x)), None)
+    if like is None:
+        return ShapedArray(tuple(shape), dtype)
+    sharding = like.sharding.update(spec=PartitionSpec(*[None] * len(shape)))
+    return like.update(shape=tuple(shape), dtype=dtype, weak_type=False, sharding=sharding)
+
+
+def unchecked() -> contextlib.AbstractContextManager[Any]:
+    """Traces functions without these types; then their loops need not say of each array that it may differ."""
+    return contextlib.nullcontext() if _checked is None else _checked(False)
+
+
+def _axes_of(x: Value) -> frozenset[str]:
+    kind = _type(x)
+    return (
+        kind.vma if hasattr(kind, "vma") else getattr(getattr(kind, "manual_axis_type", None), "varying", frozenset())
+    )
+
+
+def _type(x: Value) -> Any:
+    return x if isinstance(x, ShapedArray) else jax.typeof(x)

@@ -1,0 +1,64 @@
+"""Inside `jax.shard_map` with its default check, which follows what differs between devices."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+SCRIPT = """
+import jax, jax.numpy as jnp, numpy as np
+import lieint_jax as li
+from jax.sharding import Mesh, PartitionSpec as P
+
+jax.config.update("jax_enable_x64", True)
+mesh = Mesh(np.array(jax.devices()), ("m",))
+body = li.systems.rigid_body([1.0, 2.0, 2.5])
+top = li.schemes.nystrom(li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, 1.0]), 6)
+midpoint = li.schemes.so3_midpoint(body)
+W = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
+
+def run(step, w, **options):
+    return li.integrate(step, step.system.state(angular_velocity=w), 0.05, 30, save_every=10, **options).state.p[-1]
+
+def event(w):
+    return li.event(midpoint, body.state(angular_velocity=w), 0.05, lambda z: z.q[0] - 0.5, max_steps=100).t
+
+functions = {
+    "one step": lambda w: midpoint(body.state(angular_velocity=w), 0.05)[0].p,
+    "run": lambda w: run(top, w),
+    "gradient": jax.grad(lambda w: run(top, w).sum()),
+    "tangents": lambda w: jax.jacfwd(lambda w: run(midpoint, w))(w),
+    "exponents": lambda w: li.diagnostics.lyapunov(midpoint, body.state(angular_velocity=w), 0.05, 20).exponents,
+    "event": event,
+}
+for engine in ("native", "xla"):
+    with li.engine(engine):
+        for name, of_member in functions.items():
+            mapped = jax.vmap(of_member)
+            found = jax.jit(jax.shard_map(mapped, mesh=mesh, in_specs=P("m"), out_specs=P("m")))(W)
+            np.testing.assert_allclose(found, mapped(W), rtol=1e-10, atol=1e-12, err_msg=f"{engine} {name}")
+
+def loss(scan, a, x):  # a is the same on all devices
+    return jax.vmap(lambda x: scan(lambda c, _: (jnp.sin(a * c), None), x, length=10)[0])(x).sum()
+
+x = jnp.linspace(0.1, 1.0, 8)
+for scan in (li.scan, jax.lax.scan):
+    total = jax.shard_map(lambda a, x: jax.lax.psum(loss(scan, a, x), "m"), mesh=mesh, in_specs=(P(), P("m")), out_specs=P())
+    of_shards = jax.shard_map(lambda a, x: jax.grad(loss, 1)(scan, a, x), mesh=mesh, in_specs=(P(), P("m")), out_specs=P())
+    expected = jax.grad(loss, 1)(jax.lax.scan, 1.3, x)
+    for found in (jax.jit(jax.grad(total))(1.3, x), jax.jit(of_shards)(1.3, x)):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
+    try:  # what differs is not passed off as the same
+        jax.jit(jax.shard_map(lambda a, x: loss(scan, a, x), mesh=mesh, in_specs=(P(), P("m")), out_specs=P()))(1.3, x)
+    except ValueError as error:
+        print("refused" if "replicat" in str(error) else error)
+"""
+
+
+@pytest.mark.long
+def test_runs_and_derivatives_pass_the_check_and_are_those_without_shards():
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["refused", "refused"]
