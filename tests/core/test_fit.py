@@ -367,7 +367,6 @@ def test_the_step_in_a_box_is_that_of_bounded_least_squares(side):
         assert float(fall[k]) == pytest.approx(r[k] @ r[k] / 2 - best.cost, rel=1e-10)
 
 
-@pytest.mark.long
 def test_a_loss_is_traced_again_for_other_shapes_only():
     traced = []
 
@@ -393,6 +392,7 @@ def test_a_loss_is_traced_again_for_other_shapes_only():
     assert len(traced) == 3 * once
 
 
+@pytest.mark.long
 def test_covariance_does_not_depend_on_the_bound():
     plain = li.fit(residuals, TRUTH)
     bounded = li.fit(residuals, TRUTH, bounds=li.fitting.positive)

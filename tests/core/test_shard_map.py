@@ -44,13 +44,16 @@ def loss(scan, a, x):  # a is the same on all devices
 
 x = jnp.linspace(0.1, 1.0, 8)
 for scan in (li.scan, jax.lax.scan):
-    total = jax.shard_map(lambda a, x: jax.lax.psum(loss(scan, a, x), "m"), mesh=mesh, in_specs=(P(), P("m")), out_specs=P())
-    of_shards = jax.shard_map(lambda a, x: jax.grad(loss, 1)(scan, a, x), mesh=mesh, in_specs=(P(), P("m")), out_specs=P())
+    def shards(f):
+        return jax.jit(jax.shard_map(f, mesh=mesh, in_specs=(P(), P("m")), out_specs=P()))
+
+    total = shards(lambda a, x: jax.lax.psum(loss(scan, a, x), "m"))
+    of_shards = shards(lambda a, x: jax.grad(loss, 1)(scan, a, x))
     expected = jax.grad(loss, 1)(jax.lax.scan, 1.3, x)
-    for found in (jax.jit(jax.grad(total))(1.3, x), jax.jit(of_shards)(1.3, x)):
+    for found in (jax.grad(total)(1.3, x), of_shards(1.3, x)):
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
     try:  # what differs is not passed off as the same
-        jax.jit(jax.shard_map(lambda a, x: loss(scan, a, x), mesh=mesh, in_specs=(P(), P("m")), out_specs=P()))(1.3, x)
+        shards(lambda a, x: loss(scan, a, x))(1.3, x)
     except ValueError as error:
         print("refused" if "replicat" in str(error) else error)
 """
