@@ -189,6 +189,7 @@ def test_an_animated_page_needs_no_other_file(store, tmp_path):
     assert out.stat().st_size < 7e6  # 4.9 MB, nearly all of it plotly
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -215,6 +215,7 @@ def test_every_scheme_can_be_chosen(scheme):
     assert abs(path.state.q[-1] - fine.state.q[-1]).max() < error
 
 
+@pytest.mark.long
 def test_members_spread_as_the_file_says_and_the_first_is_the_nominal_one():
     spread = dict(position_m=1e-3, velocity_m_s=1e-2, mass_percent=1.0, attitude_deg=2.0)
     scenario = scenarios.parse(

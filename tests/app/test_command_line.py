@@ -149,6 +149,7 @@ def test_a_run_can_omit_the_certificate_and_the_pictures(capsys):
     assert re.search(r"at 11 of 11 saved times: \S+ in the run's units \(\S+ of the largest energy\)", out)
 
 
+@pytest.mark.long
 def test_rigid_body_scenarios_accept_every_scheme_of_a_free_body():
     body = systems.rigid_body([1.0, 2.0, 3.0])
     takes = {name for name, module in _discover.modules_with_examples(schemes).items() if module.examples(body)}
@@ -159,6 +160,7 @@ def test_rigid_body_scenarios_accept_every_scheme_of_a_free_body():
         assert (built.name.partition("[")[0], built.order) == (scheme, step)
 
 
+@pytest.mark.long
 def test_the_same_seed_is_the_same_ensemble():
     a, b, c = (scenarios.build(scenarios.load(book(seed=f"seed = {s}")))[1] for s in (1, 1, 2))
     np.testing.assert_array_equal(a.p, b.p)
@@ -388,6 +390,7 @@ def test_check_accepts_a_group(capsys):
     assert "conserved bit for bit" in out
 
 
+@pytest.mark.long
 def test_groups_are_found_by_any_spelling_of_their_names():
     assert check_groups.find_group("heis 5").dim == 5
     assert check_groups.find_group("SO(3)xAff(1)").dim == 5

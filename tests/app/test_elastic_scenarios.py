@@ -79,6 +79,7 @@ def test_pseudo_rigid_members_are_spread_about_the_nominal_state():
     assert np.abs(np.asarray(other.q)[1] - states.q[1]).max() > 1e-3
 
 
+@pytest.mark.long
 def test_a_nominal_velocity_is_that_of_all_members():
     """A body that stretches: V F₀⁻¹ is theirs too, so without spread they are the nominal one."""
     state = {"deformation": np.diag([1.1, 1.0, 0.9]).tolist(), "velocity": np.diag([0.1, 0.0, -0.2]).tolist()}

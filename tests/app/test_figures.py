@@ -118,6 +118,7 @@ def test_figure_5c_is_not_reproduced_and_the_table_says_so():
     assert "not reproduced" in PANELS["5c"].note
 
 
+@pytest.mark.long
 def test_the_printed_initial_configuration_of_5a_gives_another_variation():
     """With F₃₃ = 0.99 as printed neither caption is met."""
     run = delay_run(PANELS["5a"]._replace(F33=0.99))

@@ -259,7 +259,7 @@ BAD = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("tables", "message"), BAD, ids=[message[:30] for _, message in BAD])
 def test_a_bad_key_of_a_flyby_is_named(tables, message):
     with pytest.raises(ValueError, match=message):

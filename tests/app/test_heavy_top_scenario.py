@@ -38,6 +38,7 @@ def _facts(top, Omega):
     return found, top.momentum(state)[0], top.body_momentum(state), top.energy(state), east
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", TOPS, ids=["fast", "tilted", "hanging", "looping"])
 def test_lagrange_s_top_agrees_with_quadrature_in_30_digits_and_with_the_flow(case):
     """Floors: period 3e-16, precession 3e-13 (roots close together), recurrence 2e-15."""

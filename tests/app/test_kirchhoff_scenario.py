@@ -48,6 +48,7 @@ def test_the_spin_needed_is_where_the_linearized_equations_turn_unstable():
     assert kirchhoff.spin_needed(ellipsoid((3.0, 2.0, 1.0))) is None
 
 
+@pytest.mark.long
 def test_kirchhoff_s_members_have_the_given_spread_and_their_axes_tilt():
     scenario = scenarios.load("kirchhoff", members=500)
     step, states = scenarios.build(scenario)

@@ -30,6 +30,7 @@ def test_the_list_of_a_catalogue_is_the_catalogue(capsys):
     assert tuple(listing.CATALOGUES) == ("schemes", "systems")
 
 
+@pytest.mark.long
 def test_the_list_has_every_measured_cost_and_marks_the_others():
     """`python benchmarks/commands.py --only "run NAME"` times a command."""
     every = {f"run {name}" for name in scenarios.scenario_names()} | {

@@ -224,6 +224,7 @@ def apart(labels):
     return len(boxes) > 1 and not any(a.overlaps(b) for a, b in itertools.pairwise(boxes))
 
 
+@pytest.mark.long
 def test_labels_of_the_ticks_of_study_gyro_do_not_overlap():
     rng = np.random.default_rng(0)
     truth = np.array([0.3, 0.2, 0.4, 0.6, 0.8, 0.0, 0.0, 0.0])

@@ -46,6 +46,7 @@ def test_every_case_names_its_source_and_its_limit():
         assert bounds_of(case)
 
 
+@pytest.mark.long
 def test_nasa_s_tumbling_brick_agrees_with_the_published_run():
     case = next(case for code, case in CASES.items() if "brick" in code)
     assert max(found.difference for found in case.compare()) < 6e-10

@@ -116,6 +116,7 @@ def test_symmetric_solutions_have_the_same_light_to_round_off():
     assert moving[1:].min() > 0.1
 
 
+@pytest.mark.long
 def test_every_change_of_a_motion_is_a_motion():
     """Turned in space, relabeled in the body: still a solution of Euler's equations, with the moments relabeled."""
     _, sun, observer = directions(4, 1)

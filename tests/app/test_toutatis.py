@@ -51,6 +51,7 @@ def published(name):
     return np.array(scenario.inertia), body_to_space(scenario.state.attitude()), np.rad2deg(scenario.state.rate())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "rms", "least", "most"), PUBLISHED)
 def test_residuals_of_radar_fixes_agree_with_scipy_for_both_published_states(name, rms, least, most):
     """Torque-free, at the 17 epochs of 1992; and no other convention of angles or rates would do."""
@@ -77,6 +78,7 @@ def test_residuals_of_radar_fixes_agree_with_scipy_for_both_published_states(nam
 MODES = {"long axis": ([3.0836, 3.235, 1.0], [0.25, 0.59, -1.72]), "short axis": ([0.61, 0.965, 1.0], [0.3, 0.2, 1.0])}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", MODES)
 def test_mean_periods_in_closed_form_are_those_of_a_trajectory(mode):
     J, rate = MODES[mode]

@@ -123,6 +123,7 @@ def test_names_of_files_and_arguments_print_no_control_characters(capsys):
     assert "\x1b" not in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_info_of_an_archive_prints_no_control_characters(capsys):
     text = texts(3, surrogates=True)
     run = Trajectory(
@@ -175,6 +176,7 @@ def test_info_of_a_store_prints_no_control_characters(capsys):
             shutil.rmtree("odd.zarr")
 
 
+@pytest.mark.long
 def test_list_and_warnings_print_no_control_characters(capsys):
     assert shown(capsys, "list")[0] == 0
     with warnings.catch_warnings():  # the command has replaced how they are shown
@@ -183,6 +185,7 @@ def test_list_and_warnings_print_no_control_characters(capsys):
     assert "\x1b" not in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_application_prints_in_one_place_and_one_module_reads_toml():
     root = Path(li.__file__).parent
     prints, readers = set(), set()
@@ -262,6 +265,7 @@ def test_no_toml_file_stops_python(name, capsys):
     assert memory < 60e6
 
 
+@pytest.mark.long
 def test_honest_toml_is_read():
     """At the limits: 16 brackets, keys of 16 parts, marks in strings and comments, and 9000 times."""
     many = "".join(f"{k / 7!r}, " for k in range(9000))

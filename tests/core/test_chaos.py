@@ -251,6 +251,7 @@ BAD = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("change", "message"), BAD, ids=[message for _, message in BAD])
 def test_bad_arguments_are_refused(change, message):
     step, state = REGULAR["free"]

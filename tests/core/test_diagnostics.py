@@ -109,6 +109,7 @@ def test_flow_converges_and_preserves_what_it_should():
     np.testing.assert_allclose(back.q, STATE.q, rtol=0, atol=2e-14)
 
 
+@pytest.mark.long
 def test_the_reference_flow_agrees_with_25_digits():
     """A Taylor integration with mpmath, of the body momentum and the attitude together."""
     body_momentum = jax.jit(BODY.body_momentum)
@@ -180,7 +181,7 @@ def test_order_of_explicit_euler_and_its_certificate_shows_every_loss():
     assert "order                 0.98   measured 0.98" in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in PAPER if "asymmetric-" in name])
 def test_certificate_of_the_paper_s_schemes(name):
     step, state, dt = GRID[name]

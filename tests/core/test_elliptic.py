@@ -58,6 +58,7 @@ def test_derivatives_of_jacobi_functions_are_exact_also_at_the_ends(m1):
         assert float(value) == pytest.approx(float(mpmath.re(up - down) / (2 * h)), abs=2e-15)
 
 
+@pytest.mark.long
 def test_jacobi_functions_are_elementary_at_the_ends_of_the_parameter():
     u = jnp.linspace(-3, 3, 13)
     circle = elliptic.jacobi(u, jnp.ones_like(u))
@@ -66,6 +67,7 @@ def test_jacobi_functions_are_elementary_at_the_ends_of_the_parameter():
     assert np.abs(np.array(line) - np.array([np.tanh(u), 1 / np.cosh(u), 1 / np.cosh(u)])).max() < 5e-16
 
 
+@pytest.mark.long
 def test_carlson_rj_agrees_with_mpmath():
     cases = [
         (x, y, p) for x in (0, 1e-30, 1e-5, 0.2, 1) for y in (1, 0.5, 1e-3, 1e-20, 1e-60) for p in (1, 1.001, 2, 1e2)
@@ -99,6 +101,7 @@ def _rj(a, b, c, p):
     return mpmath.elliprj(a * a, b * b, c * c, p)
 
 
+@pytest.mark.long
 def test_elliptic_functions_are_finite_in_float32():
     m1 = jnp.array([*M1, 0.0], "float32")
     for x in (*elliptic.jacobi(jnp.full_like(m1, 1.3), m1), elliptic.quarter_period(m1)):

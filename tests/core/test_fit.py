@@ -27,7 +27,7 @@ def residuals(p):
     return (decay(p) - DATA - NOISE) / 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton"])
 def test_least_squares_finds_what_scipy_finds(optimizer):
     from scipy.optimize import curve_fit
@@ -77,7 +77,7 @@ PUBLISHED = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_levenberg_marquardt_needs_as_many_evaluations_as_minpack(name):
     from scipy.optimize import least_squares

@@ -298,6 +298,7 @@ def test_a_bad_basis_is_refused_with_the_faulty_matrix():
         groups.product(groups.so3, groups.affine(1))
 
 
+@pytest.mark.long
 def test_custom_groups_are_made_from_a_basis():
     """Complex matrices too: the unit quaternions from Pauli matrices are SU(2)."""
     x, y, z = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])

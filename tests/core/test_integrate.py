@@ -28,6 +28,7 @@ def test_saves_every_kth_state_and_the_worst_of_the_steps_between():
         state, _ = step(state, 0.1)
 
 
+@pytest.mark.long
 def test_a_run_is_one_loop():
     for save_every in (1, 4, 8):
         made = jax.make_jaxpr(lambda z, every=save_every: li.integrate(STEP, z, 0.1, 8, save_every=every))(STATE)
@@ -102,6 +103,7 @@ def test_bad_states_and_steps_are_refused_before_anything_runs():
         li.integrate(STEP, State(STATE.q * 1.001, STATE.p), times=[0.0, 4.0])
 
 
+@pytest.mark.long
 def test_mixed_precisions_and_integers_are_promoted():
     single = jax.tree.map(lambda x: np.asarray(x, "float32"), STATE)
     assert integrate(STEP, single, 0.1, 2, save_every=1).state.q.dtype == jnp.float64

@@ -76,6 +76,7 @@ def test_attitudes_become_rotations_and_euler_angles():
             Trajectory(T, State(jnp.ones(shape), jnp.zeros((5, 3))), flags).rotations()
 
 
+@pytest.mark.long
 def test_states_print_in_a_line(capsys):
     state = State(np.array([1.0, 0, 0, 0]), np.array([0.2, 0, 3]), extra={"rho": np.float64(0.5)})
     assert str(state) == "State(q=[1., 0., 0., 0.], p=[0.2, 0. , 3. ], extra={rho: 0.5})"

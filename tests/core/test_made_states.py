@@ -202,6 +202,7 @@ def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch,
     assert_same(ensemble.open("parts.zarr")[0], ensemble.open("whole.zarr")[0])
 
 
+@pytest.mark.long
 def test_a_part_is_refused_if_its_own_members_do_not_fit_the_memory(monkeypatch):
     internals.memory_of(monkeypatch, 1e9)
     scenario = scenarios.load("toutatis", members=10**9)

@@ -397,6 +397,7 @@ def test_solves_and_calls_are_those_of_jax():
     check_against_jax(function, [normal(3)], rtol=1e-13)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("dtype", "error"), [(np.float64, 2e-14), (np.float32, 5e-6)])
 def test_linear_algebra_and_sorts_are_those_of_jax(dtype, error):
     """By LAPACK there. Matrices need pivots, or have some of equal size; several at once. NaN stays NaN."""

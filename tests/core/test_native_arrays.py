@@ -55,6 +55,7 @@ def test_loops_and_branches_are_those_of_vmap(k):
     assert set(jax.tree.leaves(flat.kinds_of_results[0])) == {"member"}
 
 
+@pytest.mark.long
 def test_rows_that_a_step_writes_and_reads_are_those_of_vmap():
     rng = np.random.default_rng(0)
     x, weights, k = rng.normal(size=(40, 2)), rng.normal(size=(20, 2)) + 0.5, rng.integers(0, 20, 40)

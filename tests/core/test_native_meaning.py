@@ -72,6 +72,7 @@ def test_a_constant_0_drops_nothing():
     check_against_jax(function, (x, np.arange(MEMBERS)), signs=True)
 
 
+@pytest.mark.long
 def test_a_verdict_sees_what_is_multiplied_by_0():
     """The gradient of 0·log Γ₁ is 0/0 at Γ₁ = 0."""
     top = li.systems.potential_top(J, lambda axis: 0.1 * axis[2] + 0.0 * jnp.log(axis[0]))

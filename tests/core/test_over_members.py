@@ -79,6 +79,7 @@ def test_devices_and_processes_give_what_one_device_gives():
         np.testing.assert_allclose(found["sigma"], one["sigma"], rtol=1e-9)
 
 
+@pytest.mark.long
 def test_over_members_is_vmap():
     def slope(k, a):
         return jax.grad(lambda k: jnp.sum(a * jnp.exp(-k * jnp.arange(5.0))))(k)

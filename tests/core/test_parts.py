@@ -140,6 +140,7 @@ def test_every_member_is_in_one_part_of_about_equal_size():
         run(part=(0, 42))
 
 
+@pytest.mark.long
 def test_finished_parts_are_read_and_missing_parts_are_named(place, capsys):
     whole, found = run(), None
     for k in (4, 1):

@@ -72,7 +72,7 @@ RUNS = {
 COMPUTED = {"ensemble", "certify", "shapes"}  # the others are traced only
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run(name):
     with strict():

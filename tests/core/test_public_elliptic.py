@@ -63,6 +63,7 @@ def test_jacobi_s_functions_agree_with_mpmath():
             assert abs(mpmath.mpf(float(value)) - x) < allowed, (a, b)
 
 
+@pytest.mark.long
 def test_carlson_s_integrals_agree_with_mpmath():
     """For arguments of any ratio, one of which may be 0, and principal values."""
     sizes = [0.0, 1e-150, 1e-3, 1.0, 1.1, 1e60]
@@ -188,6 +189,7 @@ def test_second_derivatives_at_zero_are_those_of_the_power_series():
     assert float(jax.jacfwd(jax.grad(elliptic.E))(0.0)) == pytest.approx(-3 * np.pi / 64, rel=1e-14)
 
 
+@pytest.mark.long
 def test_elliptic_functions_accept_float32_batches_and_integers():
     m = jnp.array([[0.0, 0.5, 1 - 1e-6], [-1.0, -1e4, 0.9]], "float32")
     for found, exact in (

@@ -19,7 +19,7 @@ def flipped(M):
     return M.at[-2:].multiply(-1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("d", [1, 2, 3, 4, 6, 7])
 def test_elimination_solves_as_numpy_and_finds_the_signs_of_pivots(d):
     """Of a metric less something nearly skew, as Newton's matrices are; whole ones go to the library."""

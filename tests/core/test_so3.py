@@ -38,6 +38,7 @@ EXP, LOG, MUL, INVERSE, AD, AD_STAR, MATRIX, EULER, FROM_EULER = map(
 DEFECT = jax.jit(so3.defect)
 
 
+@pytest.mark.long
 @hypothesis.given(units, units, units)
 def test_quaternions_satisfy_the_group_axioms(a, b, c):
     same(MUL(MUL(a, b), c), MUL(a, MUL(b, c)))

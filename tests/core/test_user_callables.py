@@ -75,6 +75,7 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_system_of_a_network_is_a_pytree_of_arrays_and_has_states(name):
     system, motion, field = SYSTEMS[name]()

@@ -199,7 +199,7 @@ def _order(step):
 _flow = jax.jit(lambda z: flow(SOFT, z, 0.4, 40))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("alpha", "order"), [(0.5, 2), (0.3, 1), (1.0, 1)])
 def test_6_17_is_second_order_at_one_half_only(alpha, order):
     assert _order(dataclasses.replace(LABELED, alpha=jnp.array(alpha))) == pytest.approx(order, abs=0.12)

@@ -748,7 +748,7 @@ QUICK = {  # whose steps compile soon, or are compiled for the others
 NAMES = [pytest.param(name, marks=[pytest.mark.long] * (name not in QUICK)) for name in ATTACKS]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:principal moments")
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=6)

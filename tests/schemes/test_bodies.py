@@ -41,6 +41,7 @@ def lumps(J):
     return np.concatenate([np.diag(np.sqrt(squares)), -np.diag(np.sqrt(squares))])
 
 
+@pytest.mark.long
 def test_gravity_to_second_order_leaves_out_terms_of_fourth_order():
     """Beside the sum over points that have the same moments: the difference falls by 2⁵ from r to 2r."""
     J = np.array([[1.0, 1.2, 1.5], [0.7, 0.9, 1.1]])

@@ -125,6 +125,7 @@ def with_other_moments(system):
     return dataclasses.replace(system, **changed) if changed else None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "names"),
     [
@@ -170,6 +171,7 @@ class Doubled:
         return State(q, 2 * p + 0.1)
 
 
+@pytest.mark.long
 def test_an_altered_motion_is_refused_by_every_scheme_with_a_field_of_its_own():
     """A subclass of each system with a force, doubled."""
     flat = li.groups.special_euclidean(2)
@@ -191,6 +193,7 @@ def test_an_altered_motion_is_refused_by_every_scheme_with_a_field_of_its_own():
             scheme(changed(**fields))
 
 
+@pytest.mark.long
 def test_extrapolation_integrates_an_altered_motion():
     """Not as that of the class from which it inherits, whose unknowns of one body it knows."""
     changed = li.pytree(type("Changed", (Doubled, type(BODY)), {}))(BODY.inertia)
@@ -200,6 +203,7 @@ def test_extrapolation_integrates_an_altered_motion():
     np.testing.assert_allclose(end.p - state.p, dt * changed.vector_field(state).p, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_traced_inertias_are_accepted():
     """An inertia that is traced cannot be looked at: the step is made."""
 
@@ -329,6 +333,7 @@ def _custom_step(parent, advance, constants, tangents):
     return made, methods
 
 
+@pytest.mark.long
 def test_a_custom_step_that_overrides_the_final_methods_works_for_one_release():
     """Its values are those with the new names, and digests still find the functions as they were written."""
     state = BODY.state(angular_velocity=[0.2, 0.0, 1.0])._replace(t=jnp.array(1.5))

@@ -155,7 +155,7 @@ def test_suzuki_s_composition_has_a_smaller_error_than_the_triple_jump():
     assert jump / suzuki == pytest.approx(71, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
 def test_every_invariant_of_the_base_step_is_conserved(order):
     run, (energy, momentum, constraint), (form, back) = _measured(compose(SYMPLECTIC, order), 0.4)
@@ -167,6 +167,7 @@ def test_every_invariant_of_the_base_step_is_conserved(order):
     assert back < 4e-15  # floor 8e-16
 
 
+@pytest.mark.long
 def test_the_defect_of_a_base_step_that_is_not_symplectic_stays():
     """Composing raises the order of the defect with that of the scheme; it does not make it vanish."""
     step = compose(CAYLEY, 4)

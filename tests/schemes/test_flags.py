@@ -29,7 +29,7 @@ FREE = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", FREE)
 def test_a_narrower_inertia_is_widened_to_the_state(scheme):
     """float32 moments are the numbers that they are: same bits as from their float64 values."""
@@ -69,7 +69,7 @@ STEPS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_step_sizes_that_are_no_number_of_the_type(name):
     step = STEPS[name]

@@ -527,6 +527,7 @@ def test_derivatives_forward_reverse_and_finite_differences():
             assert (ends[0] - ends[1]) / 2e-5 == pytest.approx(float(np.ravel(forward[k])[i]), abs=1e-9)
 
 
+@pytest.mark.long
 def test_a_root_past_the_fold_is_flagged():
     """SO(3), J = e^±2, near the middle axis: Newton finds roots with det F′ < 0. None is called converged."""
     J = jnp.exp(jnp.array([-2.0, 0.0, 2.0]))

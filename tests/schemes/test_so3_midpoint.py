@@ -270,7 +270,7 @@ def test_every_nan_comes_with_the_flag(kappa):
     assert np.abs(energy[good]).max() < 1e-14  # whatever is called converged is right
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("J", "Omega", "dt", "kappa"),
     [
@@ -286,6 +286,7 @@ def test_a_root_past_a_fold_of_the_branch_is_not_called_converged(J, Omega, dt, 
     assert not after(li.schemes.so3_midpoint(body, kappa, iterations=8), state, dt, 1)[1].converged
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", [kappa_cayley, kappa_exponential], ids=lambda k: k.name)
 def test_converged_roots_are_those_of_the_branch_from_zero(kappa):
     """Against continuation in 60 increments of dt, each from the root before, near the intermediate axis."""
@@ -337,6 +338,7 @@ def test_kappa_must_be_one_at_zero():
     li.schemes.so3_midpoint(BODY, lambda x: 1)
 
 
+@pytest.mark.long
 def test_advice_for_rods_names_the_vector_form():
     rod = li.systems.rigid_body([1.0, 1.0, 1e-4])
     state = rod.state(angular_velocity=[0.5846, 0.8113, 4e-6])  # residual 1e-7, far above its bound of 7e-16

@@ -181,6 +181,7 @@ def test_a_rod_in_a_field_at_rest_never_gains_and_loses_the_area_of_its_loop():
     assert -area > 0.5
 
 
+@pytest.mark.long
 def test_the_rate_of_a_rod_is_that_of_its_play():
     """A body that rotates steadily in a field across: x = 2 cos t, and ẇ = ẋ where the rod is dragged along, else 0."""
     body = torqued_body([1.0, 1.0, 1.0], torques.hysteresis([1.0, 0, 0], 0.5, 0.3, 0.4, field=[2.0, 0, 0]))

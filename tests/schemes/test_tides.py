@@ -107,6 +107,7 @@ def test_any_law_of_pairs_is_balanced(seed):
     assert lost.sum() > 1e-2
 
 
+@pytest.mark.long
 def test_the_constant_lag_law_is_mignard_s():
     """Equations (5) and (6) of the paper: −(3C/r¹⁰)[2r(r·v) + r²(r×ω + v)], and its part that loses nothing."""
     rng = np.random.default_rng(0)
@@ -203,6 +204,7 @@ def test_a_constant_q_is_a_lag_by_a_constant_angle_and_a_slow_tide_lags_by_a_con
     assert float(LAW_Q.potential(jnp.stack([0 * x, x]), None)) == float(LAW.potential(jnp.stack([0 * x, x]), None))
 
 
+@pytest.mark.long
 def test_derivatives_of_the_loss_at_a_constant_q_by_differences_at_rest_too():
     """By Q and the threshold, and by the velocity where the bodies are at rest; differences are good to about 1e-9."""
 

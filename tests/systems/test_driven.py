@@ -99,6 +99,7 @@ def test_a_composition_and_the_adjoints_preserve_the_clock():
     np.testing.assert_allclose(seen.t, state.t + np.array([0.25, 1.13]), rtol=2 * EPS)
 
 
+@pytest.mark.long
 def test_a_step_that_drops_work_raises_an_error():
     class Forgetful(schemes.SO3Midpoint):
         def advance(self, state, dt):

@@ -188,7 +188,7 @@ def dop853(J, z, t, motor=None, rtol=1e-13):
     return scipy.integrate.solve_ivp(f, (0, t), start, "DOP853", rtol=rtol, atol=1e-13).y[:, -1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["cayley", "symplectic", "splitting"])
 def test_gyrostat_schemes_are_of_second_order_against_another_package(scheme):
     step = {
@@ -207,6 +207,7 @@ def spin_up(t):
     return np.asarray(MOTOR.momentum) / 4 * (1 - np.cos(2 * np.pi * min(max(t / 4, 0), 1)))
 
 
+@pytest.mark.long
 def test_a_driven_gyrostat_against_another_package_and_the_reference_flow():
     step, errors = schemes.so3_midpoint(DRIVEN, kappa_cayley), []
     expected = dop853(J, START, 3.0, spin_up)
@@ -513,6 +514,7 @@ def test_bad_input_is_refused_in_a_sentence():
         DRIVEN.state(Q, angular_velocity=OMEGA, rotor=[0, np.inf, 0])
 
 
+@pytest.mark.long
 def test_a_driven_state_without_time_or_rotor_is_refused():
     step = schemes.so3_midpoint(DRIVEN)
     for state, message in (

@@ -95,6 +95,7 @@ def test_the_acceleration_of_an_orbit_is_that_of_gravity(e, a):
     np.testing.assert_allclose(v @ v / 2 - 3.0 / np.linalg.norm(x), -3.0 / (2 * a), rtol=1e-14)  # vis viva
 
 
+@pytest.mark.long
 def test_an_orbit_repeats_after_a_period_and_ellipses_and_hyperbolas_batch_together():
     orbit = orbits.kepler(1.0, 2.0, 0.6)
     period = 2 * np.pi / float(orbit.mean_motion)

@@ -281,7 +281,7 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
     np.testing.assert_allclose(omega.T @ field, slope, rtol=0, atol=1e-14)  # ω(X_H, ·) = dH
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("normalized", [False, True])
 def test_gradients_through_a_step_of_the_pendulum_agree_with_differences(normalized):
     """By the implicit function, with respect to m, mG, γ (leaves of the step) and Δt: against differences, by a jvp."""

@@ -73,6 +73,7 @@ def test_the_mean_stress_does_not_cancel(size):
     assert np.sum(mean * D) / 2 == pytest.approx(quotient, rel=1e-12)
 
 
+@pytest.mark.long
 def test_log1p_ratio_is_accurate_on_both_sides_of_its_threshold():
     for y in (-0.5, -0.1000001, -0.0999999, -1e-9, 0.0, 1e-300, 1e-9, 0.0999999, 0.1000001, 3.0):
         value, slope = power_series.log1p_ratio(jnp.array(y)), jax.grad(power_series.log1p_ratio)(jnp.array(y))

@@ -145,6 +145,7 @@ def test_a_time_outside_of_a_table_is_an_error_or_a_failed_step():
     assert path.info.converged.tolist() == [True, True, True, True, False, False]
 
 
+@pytest.mark.long
 def test_secular_rates_are_the_drift_of_an_integrated_orbit():
     """Of the node over 15 revolutions, by DOP853 with J₂ alone; the first order is right to about J₂."""
     mu, a, e, i = orbits.EARTH_GM, 7178.137, 1e-3, 1.0
@@ -258,6 +259,7 @@ def test_shadows_of_a_cylinder_and_of_a_cone():
     assert np.isfinite(jax.vmap(jax.grad(orbits.eclipse(circle, sun, 1.0)))(t[::40])).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shadow", ["conical", "cylindrical"])
 def test_the_shadow_of_a_direction_does_not_depend_on_its_length(shadow):
     """That of a function of time, which is not checked when the eclipse is made."""

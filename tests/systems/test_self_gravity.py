@@ -63,6 +63,7 @@ def spheroid(e):
     return np.diag([a, a, a * np.sqrt(1 - e * e)]), np.sqrt(square)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("e", [0.1, 0.5, 0.812670, 0.95])
 def test_maclaurins_spheroids_rotate_rigidly(e):
     """The acceleration of a rigid rotation is −Ω² of the horizontal part; the floor is 4e-16."""

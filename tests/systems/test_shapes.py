@@ -175,6 +175,7 @@ def test_a_convex_polyhedron_is_its_quadrature(seed):
     assert_same(shapes.mesh(at, faces, density=1.5), shapes.sites(1.5 * weights, points), 1e-13)  # observed 1e-14
 
 
+@pytest.mark.long
 def test_a_convex_polyhedron_is_its_monte_carlo_sum():
     """Within four standard errors: an independent definition of inside, by the planes of the faces."""
     at, faces = hull(3)
