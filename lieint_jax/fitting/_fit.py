@@ -295,7 +295,8 @@ def _programs(problem: _Problem, starts: bool, mesh: Mesh | None) -> _Programs:
 def _kept_programs(problem: _Problem, starts: bool, mesh: Mesh | None) -> _Programs:
     compiled = partial(over_members, mesh=mesh) if starts else jax.jit
     params = jax.jit(jax.vmap(problem.params)) if starts else problem.params
-    return _Programs(*map(compiled, (problem.begin, problem.iterate, problem.finish)), params, jax.jit(problem.halved))
+    begin, iterate, finish = map(compiled, (problem.begin, problem.iterate, problem.finish))
+    return _Programs(begin, iterate, finish, params, jax.jit(problem.halved))
 
 
 def _iterate(

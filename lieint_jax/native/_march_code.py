@@ -137,7 +137,8 @@ def _lowering(function: Callable[..., list[Value]]) -> Callable[..., Any]:
     rule = mlir.lower_fun(function, multiple_results=True)
 
     def lower(ctx: mlir.LoweringRuleContext, *operands: Any, loop: Loop) -> Any:
-        given, found = ([ShapedArray(x.shape, x.dtype) for x in of] for of in (ctx.avals_in, ctx.avals_out))
+        types: Any = ctx.avals_in, ctx.avals_out
+        given, found = ([ShapedArray(x.shape, x.dtype) for x in of] for of in types)
         with unchecked():
             return rule(ctx.replace(avals_in=given, avals_out=found), *operands, loop=loop)
 
