@@ -18,7 +18,7 @@ import llvmlite.binding as llvm
 from lieint_jax.native._traced import Leaf
 
 _FEW = 26  # the most numbers in an innermost loop for which two vectors of each are faster than one
-_ONE = 2  # the most of them for which eight vectors are; twice as many need half as many vectors
+_VERY_FEW = 4  # the most of them for which four vectors are faster than two: they wait less for each other's results
 _lock = threading.Lock()
 _functions: weakref.WeakValueDictionary[str, MachineFunction] = weakref.WeakValueDictionary()  # by their texts
 
@@ -39,7 +39,7 @@ def register_bytes() -> int:
 def lanes(leaves: Sequence[Leaf], pressure: int) -> int:
     """Members in a vector of a program that reads these arrays, with so many numbers in an innermost loop."""
     widths = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
-    vectors = next((8 >> k for k in range(2) if pressure <= _ONE << k), 2 if pressure <= _FEW else 1)
+    vectors = 4 if pressure <= _VERY_FEW else 2 if pressure <= _FEW else 1
     return register_bytes() // max(widths, default=8) * vectors
 
 

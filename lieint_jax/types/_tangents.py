@@ -25,8 +25,9 @@ def push_forward(
     """
 
     def push(delta: Array) -> tuple[Array, State, _Aux]:
-        start = (state.q, state.p), _tangent_vector(space, state, delta)
-        end, tangent, aux = jax.jvp(lambda q, p: function(state._replace(q=q, p=p)), *start, has_aux=True)
+        start = state.q, state.p
+        along = jax.tree.map(lambda x, slope: slope.astype(x.dtype), start, _tangent_vector(space, state, delta))
+        end, tangent, aux = jax.jvp(lambda q, p: function(state._replace(q=q, p=p)), start, along, has_aux=True)
         return space.trivialize(end, tangent), end, aux
 
     LT, *values = jax.vmap(push, -1, -1)(T)
