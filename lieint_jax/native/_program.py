@@ -121,7 +121,7 @@ class Builder:
         self.root = self.block = Block()
         self._constants: dict[object, Number] = {}
         self._order: dict[Number, int] = {}
-        self.length = 0
+        self.length = self.stacked = 0  # operations; entries of arrays that loops write
 
     def constant(self, value: ArrayLike, dtype: DTypeLike | None = None) -> Number:
         """A constant."""
@@ -139,6 +139,7 @@ class Builder:
         """A new array in memory, of which one loop writes each entry."""
         found = self._new("empty", (), np.dtype(dtype), length, self.block.floor)
         self.block.floor.items.append(found)
+        self.stacked += length
         return found
 
     def number(self, op: str, *inputs: Number, dtype: DTypeLike | None = None, data: Data = None) -> Number:

@@ -23,7 +23,7 @@ from lieint_jax.native._program import Number
 
 _UNROLLED = 4  # the longest counted loop that is unrolled in any case
 _UNROLLED_NUMBERS = 400  # the most numbers of a longer unrolled loop, in all iterations together
-_MOST_STACKED = 4096  # the most numbers that a loop writes to memory, of each member
+_MOST_STACKED = 8192  # the most numbers of each member that all loops write to memory: they are on the stack
 
 
 def _while(
@@ -74,7 +74,7 @@ def _scan(
     stacked = closed.out_avals[len(starts) :]
     size = length * sum(int(np.prod(x.shape)) for x in stacked)
     is_short = length <= _UNROLLED or length * _size(closed.jaxpr) <= _UNROLLED_NUMBERS
-    if is_short or size > _MOST_STACKED:
+    if is_short or walk.builder.stacked + size > _MOST_STACKED:
         carry, rows = starts, []
         for k in order:
             found = walk.jaxpr(closed, [*consts, *carry, *(x[k] for x in map(_arrays, series))])
