@@ -25,6 +25,7 @@ TITLES = {
     "gradients": "Gradients",
     "one_body": "One body",
     "tangent": "Tangent vectors",
+    "scan": "Loops of others",
     "ensemble": "Ensembles",
     "first_ensembles": "First ensembles",
     "compile": "First calls",
