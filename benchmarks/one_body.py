@@ -9,25 +9,10 @@ of `integrate` by `jax.jit`. CPU time of one core, the contestants in turn in on
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 from lib import command
-
-
-def least_cpu_times(contestants: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """The CPU seconds of each, after a first call that compiles."""
-    import jax
-
-    seconds = dict.fromkeys(contestants, float("inf"))
-    for k in range(rounds + 1):
-        for name, call in contestants.items():
-            start = time.process_time()
-            jax.block_until_ready(call())
-            if k:
-                seconds[name] = min(seconds[name], time.process_time() - start)
-    return seconds
 
 
 def long_runs(steps: int, rounds: int) -> list[dict[str, Any]]:
@@ -51,7 +36,7 @@ def long_runs(steps: int, rounds: int) -> list[dict[str, Any]]:
     for name, (step, more) in cases.items():
         state = step.system.state(angular_velocity=[0.2, 0.1, 1.0], **more)
         member = jax.tree.map(lambda x: x[None], state)
-        found = least_cpu_times(
+        found = command.least_cpu_times(
             {
                 "integrate": lambda: li.integrate(step, state, 0.02, steps, save_every=steps).state.q,  # noqa: B023
                 "ensemble": lambda: li.ensemble.run(step, member, 0.02, steps, progress=False).state.q,  # noqa: B023
@@ -86,7 +71,7 @@ def gradients(steps: int, rounds: int, sizes: tuple[int, ...]) -> list[dict[str,
         arguments = [jnp.asarray(x) for x in (common.INERTIA, q, p)]
         compiled = {"forward": jax.jit(forward), "jax": jax.jit(jax.grad(backward)), "li": li.jit(jax.grad(backward))}
         calls = {name: (lambda f=f: f(*arguments)) for name, f in compiled.items()}  # noqa: B023
-        rows.append({"bodies": bodies, **least_cpu_times(calls, rounds)})
+        rows.append({"bodies": bodies, **command.least_cpu_times(calls, rounds)})
     return rows
 
 

@@ -18,6 +18,9 @@ which runs single bodies, gradients and accelerators, handles the same equations
     a long one in reverse mode, and none in reverse mode if it is a `while_loop`. So it is always differentiated in
     forward mode.
 
+`differ`, `with_common_axes`, `result_like`, `unchecked`: Inside `jax.shard_map` the types of arrays say between which
+    devices they differ. A loop of the package has them, the step that it repeats is traced without.
+
 `compiled` is `jax.jit` with options that halve the compile time of the package's own programs; `jit` is the same for
 those of users.
 """
@@ -32,11 +35,10 @@ from lieint_jax._xla._materialize import (
     with_materialized_derivatives,
 )
 from lieint_jax._xla._rematerialize import rematerialized, saved
-from lieint_jax._xla._varying import alike, differ, result_like, unchecked
+from lieint_jax._xla._varying import differ, result_like, unchecked, with_common_axes
 
 __all__ = [
     "UNKNOWN_ONE",
-    "alike",
     "compiled",
     "compiled_for",
     "differ",
@@ -49,5 +51,6 @@ __all__ = [
     "saved",
     "unchecked",
     "unfused",
+    "with_common_axes",
     "with_materialized_derivatives",
 ]

@@ -25,14 +25,14 @@ def differ(tree: Tree) -> bool:
     return _checked is not None and _checked.value and any(map(_axes_of, jax.tree.leaves(tree)))
 
 
-def alike(arguments: Sequence[Value]) -> list[Value]:
+def with_common_axes(arguments: Sequence[Value]) -> list[Value]:
     """The same arrays, all of which may differ where one does."""
     axes = frozenset().union(*map(_axes_of, arguments))
     return [lax.pcast(x, tuple(axes - _axes_of(x)), to="varying") if axes - _axes_of(x) else x for x in arguments]
 
 
 def result_like(given: Sequence[Value], shape: Sequence[int], dtype: Any) -> ShapedArray:
-    """The type of a result of arguments that are `alike`."""
+    """The type of a result, given all arguments, which are of `with_common_axes`."""
     like = next((_type(x) for x in given if _axes_of(x)), None)
     if like is None:
         return ShapedArray(tuple(shape), dtype)
@@ -47,9 +47,9 @@ def unchecked() -> contextlib.AbstractContextManager[Any]:
 
 def _axes_of(x: Value) -> frozenset[str]:
     kind = _type(x)
-    return (
-        kind.vma if hasattr(kind, "vma") else getattr(getattr(kind, "manual_axis_type", None), "varying", frozenset())
-    )
+    if hasattr(kind, "vma"):  # JAX 0.9
+        return kind.vma
+    return getattr(getattr(kind, "manual_axis_type", None), "varying", frozenset())
 
 
 def _type(x: Value) -> Any:

@@ -74,11 +74,15 @@ def _itself(p: Array) -> Array:
     return p
 
 
-@functools.lru_cache(maxsize=256)  # equal intervals are one bound, so that a fit within them is compiled once
 def interval(low: float, high: float) -> Bound:
     """The bound low < parameter < high for each component; either end may be infinite."""
     if not low < high:
         raise ValueError(f"an interval needs low < high, got {low} and {high}")
+    return _interval(float(low), float(high))
+
+
+@functools.lru_cache(maxsize=256)  # equal intervals are one bound, so that a fit within them is compiled once
+def _interval(low: float, high: float) -> Bound:
     return _bound(f"interval({low:g}, {high:g})", Chart(_itself, _itself, Box(low, high)))
 
 

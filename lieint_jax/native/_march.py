@@ -18,7 +18,7 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
 from lieint_jax._checks import outermost
-from lieint_jax._xla import alike, result_like, unchecked
+from lieint_jax._xla import result_like, unchecked, with_common_axes
 
 Tree = Any  # a tree of arrays
 Value = Any  # an array, a tracer, a shape or a tangent
@@ -157,7 +157,7 @@ class Loop(NamedTuple):
 
     def bind(self, arguments: Values) -> list[Value]:
         """The carries after the last step, and the stored rows of results, of axes (rows, members, …)."""
-        return march_p.bind(*alike(arguments), loop=self)
+        return march_p.bind(*with_common_axes(arguments), loop=self)
 
 
 def shape_of(x: Value) -> jax.ShapeDtypeStruct:
