@@ -64,7 +64,8 @@ class Step(abc.ABC):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step: the state at t + dt, and a report, which is `converged` only if that state is finite."""
         if differ((self, state, dt)):  # as a loop of one step, which JAX need not trace with the types of shards
-            return jax.tree.map(lambda x: x[0], scan(lambda _, x: ((), self(state, dt)), (), length=1)[1])
+            found = scan(lambda given, _: (given, self(*given)), (state, dt), length=1)[1]
+            return jax.tree.map(lambda x: x[0], found)
         end, info = Step.substep(self, state, dt)  # also where a class with a `__call__` of its own has another
         return end, _finite_or_flagged(info, end)
 

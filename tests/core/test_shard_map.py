@@ -13,8 +13,9 @@ from jax.sharding import Mesh, PartitionSpec as P
 
 jax.config.update("jax_enable_x64", True)
 mesh = Mesh(np.array(jax.devices()), ("m",))
-body = li.systems.rigid_body([1.0, 2.0, 2.5])
-top = li.schemes.nystrom(li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, 1.0]), 6)
+J = jnp.array([1.0, 2.0, 2.5])
+body = li.systems.rigid_body(J)
+top = li.schemes.nystrom(li.systems.heavy_top(J, [0.0, 0.0, 1.0]), 6)
 midpoint = li.schemes.so3_midpoint(body)
 W = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
 
@@ -26,7 +27,9 @@ def event(w):
 
 functions = {
     "one step": lambda w: midpoint(body.state(angular_velocity=w), 0.05)[0].p,
+    "one step with loops": lambda w: top(top.system.state(angular_velocity=w), 0.05)[0].p,
     "run": lambda w: run(top, w),
+    "run of a body of its own": lambda w: run(li.schemes.so3_midpoint(li.systems.RigidBody(J * (1 + w[0] ** 2))), w),
     "gradient": jax.grad(lambda w: run(top, w).sum()),
     "tangents": lambda w: jax.jacfwd(lambda w: run(midpoint, w))(w),
     "exponents": lambda w: li.diagnostics.lyapunov(midpoint, body.state(angular_velocity=w), 0.05, 20).exponents,
