@@ -300,7 +300,9 @@ def test_rows_that_a_step_writes_and_reads_are_those_of_jax():
     weights = normal(20, 2)[0] + 0.5
     check_against_jax(lambda x, k, w: stacking(x, w, k), [normal(2), k], [weights], rtol=1e-12, atol=1e-13)
     examples = np.zeros(2), weights, np.asarray(3)
-    assert Kernel(stacking, ("member", "shared", "shared"), examples).length < 3000  # not each iteration by itself
+    assert (
+        Kernel(stacking, ("member", "shared", "shared"), examples).length < 1400
+    )  # 1083; 1850 with each iteration by itself
 
 
 def test_loops_of_an_unknown_length_are_those_of_jax():
@@ -398,9 +400,12 @@ def test_solves_and_calls_are_those_of_jax():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("dtype", "error"), [(np.float64, 2e-14), (np.float32, 5e-6)])
+@pytest.mark.parametrize(("dtype", "error"), [(np.float64, 4e-15), (np.float32, 1e-6)])
 def test_linear_algebra_and_sorts_are_those_of_jax(dtype, error):
-    """By LAPACK there. Matrices need pivots, or have some of equal size; several at once. NaN stays NaN."""
+    """By LAPACK there. Matrices need pivots, or have some of equal size; several at once. NaN stays NaN.
+
+    Observed: 9e-16 and 2.4e-7.
+    """
     A = (normal(2, 4, 4, seed=1) / 2 + 3 * np.eye(4)[[2, 0, 3, 1]]).astype(dtype)
     A[2, 0] = np.eye(4)[::-1]
     b = normal(2, 4, seed=2, dtype=dtype)
