@@ -14,7 +14,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, potentials
-from lieint_jax._checks import concrete
+from lieint_jax._checks import at_once, concrete, outermost
 from lieint_jax._numerics import vec3
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
@@ -223,8 +223,10 @@ class RigidBodies(_Many, AbstractRigidBodies):
         """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
         super().check(state)
         if concrete(state.q, self.potential):
-            V = _potential_energy(self, jnp.asarray(state.q))
-            if not np.isfinite(np.asarray(V)):
+            energy = _potential_energy if outermost() else RigidBodies.potential_energy  # jit keeps all programs
+            with at_once():
+                V = energy(self, jnp.asarray(state.q))
+            if concrete(V) and not np.isfinite(np.asarray(V)):
                 raise ValueError(f"the potential must be finite at the start, got {float(V)}")
 
 

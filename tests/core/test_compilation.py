@@ -282,3 +282,19 @@ def test_checks_of_new_functions_keep_no_programs(monkeypatch, name):
         gc.collect()
         counts.append(len(jax.devices()[0].client.live_executables()))
     assert counts[-1] == counts[1], counts
+
+
+def test_a_potential_s_parameter_may_be_varied():
+    """A check of concrete bodies computed the energy inside of jit, and with tracers that the potential closes over."""
+
+    def energy(k):
+        bodies = NEW["gravity"](k)
+        start = bodies.state(np.eye(3)[:2], velocities=np.zeros((2, 3)), angular_velocities=np.eye(3)[:2])
+        bodies.check(jax.tree.map(np.asarray, fixed))
+        return bodies.energy(start)
+
+    fixed = NEW["gravity"](1.0).state(np.eye(3)[:2], velocities=np.zeros((2, 3)), angular_velocities=np.eye(3)[:2])
+    one = energy(1.0)
+    for value in jax.jit(energy)(1.0), jax.vmap(energy)(jnp.ones(2))[0]:
+        assert abs(value - one) < 1e-15
+    assert abs(jax.grad(energy)(1.0) + 1 / np.sqrt(2)) < 1e-15
