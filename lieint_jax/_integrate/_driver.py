@@ -18,7 +18,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import native
-from lieint_jax._integrate._clock import Clock, GridClock, at_time, uniform_clock
+from lieint_jax._integrate._clock import Clock, GridClock, StateClock, at_time, uniform_clock
 from lieint_jax._xla import rematerialized
 from lieint_jax.types import State, Step, StepInfo
 
@@ -135,18 +135,24 @@ def saved_states(
 
     Forward mode, and reverse mode, which stores the states before about 2√N of N steps, are in machine code too. With
     `most`, the length of the rows, of which those beyond `num_saves` are undefined, the two numbers may be traced; then
-    there is no reverse mode.
+    there is no reverse mode. A time that follows from the number of steps is not carried: members may share it.
     """
     nodes = None
     if isinstance(clock, GridClock) and most is None:
-        nodes = (clock.times[1:] - clock.times[:-1], clock.times[1:])
+        nodes = clock.times[:-1], _Node(clock.times[1:] - clock.times[:-1], clock.times[1:])
+    timed = state.t is not None and not isinstance(clock, StateClock)
 
-    def step_once(n: Array, at: Progress, node: tuple[Array, Array] | None) -> tuple[Progress, tuple[State, StepInfo]]:
-        state, info = step_at_node(step, clock if node is None else _Node(*node), at.state, n)
+    def step_once(n: Array, at: Progress, node: tuple[Array, _Node] | None) -> tuple[Progress, tuple[State, StepInfo]]:
+        t, here = (clock.time(n), clock) if node is None else node
+        begin = at.state._replace(t=t) if timed else at.state
+        state, info = step_at_node(step, here, begin, n)
         info = info_since(n, save_every, at.info, info)
-        return Progress(state, info), (state, info)
+        return Progress(without_time(state), info), (state, info)
 
-    start = Progress.begin(state)
+    def without_time(state: State) -> State:
+        return state._replace(t=None) if timed else state
+
+    start = Progress.begin(without_time(state))
     return native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
 
 

@@ -36,7 +36,7 @@ _Program = TypeVar("_Program", Kernel, Flattened)
 
 _log = logging.getLogger(__name__)
 _SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
-_MOST_SHARED = 4_000_000  # the most numbers shared by all members in a call: they are held in memory
+_MOST_SHARED = 200_000  # the most numbers shared by all members in a call: each thread holds them in memory
 _WIDEST = 160  # the most registers of 32 bits; a GPU's thread has 255, and the order of its instructions uses the rest
 _MOST_CARRIED = 24  # the most numbers that an iteration of a loop reads and writes, and XLA may copy between kernels
 _SHORT_STEP, _TOGETHER = 600, 4  # steps of at most so many operations are computed so many to an iteration
@@ -239,6 +239,8 @@ class NativeEngine(Engine):
             self._compare_first_step(preparation)
         if self._interval.refusal:
             raise UnsupportedError(self._interval.refusal)
+        if self._interval.shared:
+            self.most_steps = max(1, _MOST_SHARED // self._interval.shared)
 
     def _compare_first_step(self, preparation: Kernel | None) -> None:
         """Compare a first step with XLA's."""
@@ -302,8 +304,6 @@ class NativeEngine(Engine):
         work = members * steps * self._interval.length
         threads = layout.threads if work > _SHORT else 1
         after, saved = self._interval(arguments, members, len(spans.first), threads)
-        if self._interval.shared:
-            self.most_steps = max(1, _MOST_SHARED * steps // self._interval.shared)
         return [after], [saved]
 
 

@@ -16,7 +16,7 @@ from jax import Array, lax
 
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
-from lieint_jax.native._traced import Traced, Tree, make_once
+from lieint_jax.native._traced import Leaf, Operation, Traced, Tree, make_once
 
 
 def flatten(function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]) -> Flattened:
@@ -53,33 +53,48 @@ class Flattened:
         """The results, each with the leading axis (members,) if any argument has it."""
         traced = self._traced
         leaves = zip(jax.tree.leaves(arguments), traced.leaves[: traced.given], strict=True)
-        arrays = [jnp.asarray(x, leaf.dtype) for x, leaf in leaves]
+        arrays: list[Any] = [jnp.asarray(x, leaf.dtype) for x, leaf in leaves]
         lengths = [len(x) for x, leaf in zip(arrays, traced.leaves, strict=False) if leaf.varies]
         members = lengths[0] if lengths else None
-        for operation in traced.outside:
-            varies = operation.kind == "member"
-            operands = self._results(operation.program, arrays, members if varies else None, operation.operands)
-            arrays += operation.results(operands)
-        found = self._results(traced.program, arrays, members, jax.tree.leaves(self.results))
+        arrays += computed_before(traced.outside, traced.leaves, arrays, members)
+        found = _evaluate(traced.program, traced.leaves, arrays, members, jax.tree.leaves(self.results))
         return jax.tree.unflatten(jax.tree.structure(self.results), found)
 
-    def _results(
-        self, program: Program, arrays: list[Array], members: int | None, shapes: Sequence[jax.ShapeDtypeStruct]
-    ) -> list[Array]:
-        """The outputs of a program as arrays (members, …), or (…) if they are shared."""
-        leaves = zip(arrays, self._traced.leaves, strict=False)
-        flat = [x.reshape(len(x), -1) if leaf.varies else x.reshape(-1) for x, leaf in leaves]
-        axes = () if members is None else (members,)
-        values = {x: flat[x.data[0]][..., x.data[1]] for x in program.live if x.op == "argument"}
-        evaluation = _Evaluation(program, members or 1, dict(enumerate(arrays)), values)
-        evaluation.block(program.block)
-        outputs = iter(program.outputs)
-        found = []
-        for shape in shapes:
-            entries = [evaluation.value(next(outputs), bool(axes)) for _ in range(int(np.prod(shape.shape)))]
-            stacked = jnp.stack(entries, -1) if entries else jnp.zeros(0, shape.dtype)
-            found.append(stacked.reshape(*axes, *shape.shape))
-        return found
+
+def computed_before(
+    operations: Sequence[Operation], leaves: Sequence[Leaf], arrays: Sequence[Any], members: int | None
+) -> list[Array]:
+    """The results of the operations that JAX computes before a program runs; arrays that are in no memory are None."""
+    arrays, given = list(arrays), len(arrays)
+    for x in operations:
+        varies = x.kind == "member"
+        arrays += x.results(_evaluate(x.program, leaves, arrays, members if varies else None, x.operands))
+    return arrays[given:]
+
+
+def _evaluate(
+    program: Program,
+    leaves: Sequence[Leaf],
+    arrays: Sequence[Any],
+    members: int | None,
+    shapes: Sequence[jax.ShapeDtypeStruct],
+) -> list[Array]:
+    """The outputs of a program as arrays (members, …), or (…) if they are shared."""
+
+    def entry(k: int, at: int) -> Array:
+        return arrays[k].reshape(*([len(arrays[k])] if leaves[k].varies else []), -1)[..., at]
+
+    axes = () if members is None else (members,)
+    values = {x: entry(*x.data) for x in program.live if x.op == "argument"}
+    evaluation = _Evaluation(program, members or 1, dict(enumerate(arrays)), values)
+    evaluation.block(program.block)
+    outputs = iter(program.outputs)
+    found = []
+    for shape in shapes:
+        entries = [evaluation.value(next(outputs), bool(axes)) for _ in range(int(np.prod(shape.shape)))]
+        stacked = jnp.stack(entries, -1) if entries else jnp.zeros(0, shape.dtype)
+        found.append(stacked.reshape(*axes, *shape.shape))
+    return found
 
 
 Carry = tuple[list[Array], Array | None]  # what a loop carries: its numbers, and which members go on

@@ -21,6 +21,7 @@ from lieint_jax.native._traced import Leaf
 
 
 def emit(
+    name: str,
     program: Program,
     leaves: Sequence[Leaf],
     results: Sequence[int],
@@ -29,9 +30,10 @@ def emit(
     tape: Tape | None = None,
     reverse: bool = False,
 ) -> str:
-    """The text of a module with the function `run`.
+    """The text of a module with a function that runs a part of the rows.
 
     Args:
+        name: of the function.
         program: its first outputs are the numbers carried to the next row, one for each entry of the leaves of kind
             "carry"; the others are the results of each row.
         leaves: the arrays that it reads; the data of an argument is (number of the leaf, number of the entry).
@@ -41,12 +43,12 @@ def emit(
         tape: the numbers that it writes for another program, or reads.
         reverse: whether the last row comes first.
 
-    The function's arguments are the first block and the one after the last, the numbers of members and of rows, how
-    many rows each stored one stands for, and pointers to: the leaves that are in memory; the carries after the last
-    row, leaf by leaf; the results; the tape, of 8 bytes per number, and two integers, its capacity and how many numbers
-    there were to write. Nothing is written beyond its end.
+    The function's arguments are the first block and the one after the last, the number of members, the first row and
+    the one after the last, the number of all rows, how many rows each stored one stands for, and pointers to: the
+    leaves that are in memory; the carries after these rows, leaf by leaf; the results; the tape, of 8 bytes per number,
+    and two integers, its capacity and how many numbers there were to write. Nothing is written beyond its end.
     """
-    return _Writer(program, leaves, results, lanes, functions, tape, reverse).text()
+    return _Writer(program, leaves, results, lanes, functions, tape, reverse).text(name)
 
 
 class _Writer(Loops):
@@ -64,13 +66,16 @@ class _Writer(Loops):
         self.results, self.reverse = results, reverse
         self.carried = len(program.outputs) - sum(results)
 
-    def text(self) -> str:
+    def text(self, name: str) -> str:
         slots = itertools.count()
         self.inputs = ["" if leaf.kind == "counter" else self.pointer(next(slots)) for leaf in self.leaves]
         self.carry_outputs = [self.pointer(next(slots)) for _ in _carry_leaves(self.leaves)]
         self.row_outputs = [self.pointer(next(slots)) for _ in self.results]
         if self.results:
             self.lines.append("  %stored = sdiv i64 %rows, %every")
+            self.lines.append("  %first.stored = sdiv i64 %begin, %every")
+            self.lines.append("  %behind = srem i64 %begin, %every")
+            self.lines.append("  %first.left = sub i64 %every, %behind")
         if self.tape is not None:
             self.tape_pointer, counts = self.pointer(next(slots)), self.pointer(next(slots))
             self.front.append("  %cursor = alloca i64")
@@ -102,9 +107,8 @@ class _Writer(Loops):
         if self.tape is not None and self.tape.writes:
             self.lines.append(f"  store i64 {self.add('load i64, ptr %cursor')}, ptr {self.count_pointer}")
         self.lines.append("  ret void")
-        head = (
-            "define void @run(i64 %first, i64 %last, i64 %members, i64 %rows, i64 %every, ptr %pointers) #0 {\nentry:"
-        )
+        numbers = ", ".join(f"i64 %{x}" for x in ("first", "last", "members", "begin", "end", "rows", "every"))
+        head = f"define void @{name}({numbers}, ptr %pointers) #0 {{\nentry:"
         tail = "}\nattributes #0 = { nounwind }"
         parts = [*self.globals.values(), *self.declared, head, *self.front, *self.lines, tail]
         return "\n".join(parts) + "\n"
@@ -130,20 +134,20 @@ class _Writer(Loops):
             if x is not None:
                 self.names[x] = inside[k]
         more = self.new()
-        self.lines.append(f"  {more} = icmp slt i64 {row}, %rows")
+        self.lines.append(f"  {more} = icmp slt i64 {row}, %end")
         self.lines.append(f"  br i1 {more}, label %row.body, label %row.exit")
         self.begin("row.body")
         at = self.from_the_end("%rows", row) if self.reverse else row
         for x in used:
             self.read_row(x, at)
-        self.block(self.program.block)
+        self.body(self.program.block)
         following = {k: self.value(x, True) for k, x in enumerate(self.program.outputs[: self.carried])}
         store = self.store_rows() if self.results else []
         after = self.add(f"add i64 {row}, 1")
         end = self.label
         self.jump(head)
         entries = list(_carry_entries(self.leaves))
-        phis = [f"  {row} = phi i64 [ 0, %{before} ], [ {after}, %{end} ]"]
+        phis = [f"  {row} = phi i64 [ %begin, %{before} ], [ {after}, %{end} ]"]
         for k, (leaf, _) in enumerate(entries):
             kind = self.type(self.leaves[leaf].dtype, True)
             start = starts.get(k) or whole[k]
@@ -190,8 +194,8 @@ class _Writer(Loops):
         fewer = self.add(f"select i1 {due}, i64 %every, i64 {fewer}")
         more = self.add(f"add i64 {stored}, {self.add(f'zext i1 {due} to i64')}")
         return [
-            f"  {left} = phi i64 [ %every, %{{before}} ], [ {fewer}, %{{end}} ]",
-            f"  {stored} = phi i64 [ 0, %{{before}} ], [ {more}, %{{end}} ]",
+            f"  {left} = phi i64 [ %first.left, %{{before}} ], [ {fewer}, %{{end}} ]",
+            f"  {stored} = phi i64 [ %first.stored, %{{before}} ], [ {more}, %{{end}} ]",
         ]
 
 

@@ -27,6 +27,7 @@ class LoopReport(NamedTuple):
         operations: the number of operations of a step, 0 without machine code.
         numbers: how many numbers of a step are alive at once; those beyond the processor's registers go to memory.
         lanes: the members of a vector.
+        shared: how many numbers of a step the members share, such as a position on an orbit; computed once for all.
         seconds: what making the machine code took, once in this process: "walk" (from JAX's program to numbers), "llvm"
             (less from a cache on disk).
     """
@@ -40,6 +41,7 @@ class LoopReport(NamedTuple):
     operations: int
     numbers: int
     lanes: int
+    shared: int
     seconds: dict[str, float]
 
 
@@ -68,7 +70,7 @@ class Explanation(NamedTuple):
             line = f"{x.kind}{', backward' * x.reverse}: {steps} steps, members {x.members}, {x.engine}"
             if x.engine == "native":
                 made = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in x.seconds.items())
-                line += f", operations {x.operations}, alive at once {x.numbers}, lanes {x.lanes}, {made}"
+                line += f", operations {x.operations}, alive at once {x.numbers}, lanes {x.lanes}, shared {x.shared}, {made}"
             lines.append(line + (f" ({x.reason})" if x.reason else ""))
         return "\n".join([*lines, *([f"other loops, by XLA: {self.others}"] if self.others else [])])
 
@@ -117,7 +119,8 @@ def _loops(closed: ClosedJaxpr | Jaxpr) -> Iterator[Loop | None]:
 def _report(loop: Loop) -> LoopReport:
     found = machine_code(loop) if jax.default_backend() == "cpu" else f"a {jax.default_backend()}, not a CPU"
     engine, reason = (ENGINES[0], "") if isinstance(found, LoopCode) else (ENGINES[1], found)
-    code = (found.length, found.pressure, found.lanes, found.seconds) if isinstance(found, LoopCode) else (0, 0, 0, {})
+    native = isinstance(found, LoopCode)
+    code = (found.length, found.pressure, found.lanes, found.shared, found.seconds) if native else (0, 0, 0, 0, {})
     steps = None if loop.every is None else loop.steps
     kind = "values" if loop.origin is None else "tangents"
     return LoopReport(kind, loop.reverse, steps, loop.members or 1, engine, reason, *code)

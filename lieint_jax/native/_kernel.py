@@ -15,8 +15,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from lieint_jax._xla import compiled_for
 from lieint_jax.native._primitives.abstract_walk import unsupported_if_it_fails
 from lieint_jax.native._program import Program
-from lieint_jax.native._stream import Stream, split
-from lieint_jax.native._traced import Leaf, Operation, Traced, Tree, leaves_before_rows, make_once
+from lieint_jax.native._traced import Leaf, Operation, Traced, Tree, make_once
 
 _CHUNKS = 4  # parts of the members per thread, so that all threads end at about the same time
 
@@ -56,7 +55,7 @@ class Kernel:
 
     @property
     def shared(self) -> int:
-        """The number of values shared by all members in the last call, of 8 bytes each."""
+        """About how many numbers of a step the members share."""
         return self._code.shared
 
     def with_reference(self, arguments: Sequence[Tree], members: int) -> tuple[Tree, Tree]:
@@ -125,24 +124,13 @@ class Code:
         self, program: Program, leaves: Sequence[Leaf], results: Sequence[jax.ShapeDtypeStruct], lanes: int = 0
     ):
         from lieint_jax.native import _machine
-        from lieint_jax.native._calls import Functions
-        from lieint_jax.native._emit import Tape, emit
+        from lieint_jax.native._pieces import modules
 
         self._results, self.carried = results, sum(leaf.kind == "carry" for leaf in leaves)
         self.lanes = lanes or _machine.lanes(leaves, program.pressure())
         sizes = [int(np.prod(x.shape)) for x in results[self.carried :]]
-        parts, tape, functions = split(program), None, Functions()
-        self._shared = None
-        if parts is not None:
-            self._shared = SharedNumbers(parts, leaves)
-            program, tape = parts.rest, Tape(parts.numbers, writes=False)
-        text = emit(program, leaves, sizes, self.lanes, functions, tape)
-        self._run = _machine.compile_modules(text, functions.text())
-
-    @property
-    def shared(self) -> int:
-        """The number of values shared by all members in the last call."""
-        return self._shared.count if self._shared else 0
+        texts, self.shared = modules(program, leaves, sizes, self.lanes)
+        self._run = _machine.compile_modules(*texts)
 
     def __call__(self, inputs: Sequence[np.ndarray], members: int, rows: int, threads: int) -> list[np.ndarray]:
         """The results, with the axes (members, …) of carries and (rows, members, …) of others."""
@@ -150,9 +138,7 @@ class Code:
             np.empty((members, *x.shape) if n < self.carried else (rows, members, *x.shape), x.dtype)
             for n, x in enumerate(self._results)
         ]
-        given = _addresses(inputs)
-        shared = [] if self._shared is None else self._shared(given, rows)
-        self._over_blocks(members, rows, _pointers(given + _addresses([*outputs, *shared])), threads)
+        self._over_blocks(members, rows, _pointers(_addresses([*inputs, *outputs])), threads)
         return outputs
 
     def _over_blocks(self, members: int, rows: int, pointers: Any, threads: int) -> None:
@@ -164,35 +150,6 @@ class Code:
         parts = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
         for _ in _pool(threads).map(lambda part: self._run(*part, members, rows, 1, pointers), parts):
             pass
-
-
-class SharedNumbers:
-    """The numbers that all members share in each iteration of a program's loops, computed once: see `_stream`.
-
-    Attributes:
-        count: how many numbers there were in the last call.
-    """
-
-    def __init__(self, parts: Stream, leaves: Sequence[Leaf]):
-        from lieint_jax.native import _machine
-        from lieint_jax.native._calls import Functions
-        from lieint_jax.native._emit import Tape, emit
-
-        functions = Functions()
-        text = emit(parts.first, leaves_before_rows(leaves), [], 1, functions, Tape(parts.numbers, writes=True))
-        self._run = _machine.compile_modules(text, functions.text())
-        self._most = max(map(len, parts.numbers.values()))
-        self.count = 0
-
-    def __call__(self, given: list[int], rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """The numbers, each in 8 bytes, from the addresses of the inputs; and two counts, of the room and of them."""
-        while True:  # two passes at most: the first call finds out how many there are
-            tape = np.empty(max(self.count, self._most))
-            counts = np.array([len(tape), 0])
-            self._run(0, 1, 1, rows, 1, _pointers(given + _addresses([tape, counts])))
-            self.count = int(counts[1])
-            if self.count <= len(tape):
-                return tape, counts
 
 
 def _addresses(arrays: Sequence[np.ndarray]) -> list[int]:

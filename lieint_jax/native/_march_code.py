@@ -16,6 +16,7 @@ from jax.extend.core import ClosedJaxpr
 from jax.interpreters import mlir
 
 from lieint_jax._xla import unchecked
+from lieint_jax.native._arrays import computed_before
 from lieint_jax.native._handler import handler
 from lieint_jax.native._march import Deferred, Loop, Value, Values, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
@@ -37,31 +38,32 @@ class LoopCode:
         length: the number of operations of a step.
         pressure: how many numbers of a step are alive at once.
         lanes: the members of a vector.
+        shared: about how many numbers of a step the members share.
         seconds: what it took to make, by "walk" and "llvm".
     """
 
     def __init__(self, body: _Body, kinds: Values, examples: Values):
         from lieint_jax.native import _machine
-        from lieint_jax.native._calls import Functions
-        from lieint_jax.native._emit import emit
+        from lieint_jax.native._pieces import modules
 
         begin = time.perf_counter()
         traced = Traced(jaxpr_of(body.step), kinds, examples)
-        if traced.outside:
-            names = ", ".join(sorted({x.equation.primitive.name for x in traced.outside}))
-            raise UnsupportedError(f"{names} has no formula in machine code")
+        self._outside, self._leaves = traced.outside, traced.leaves
         with unsupported_if_it_fails():
             results = jax.tree.leaves(traced.results)
             sizes = [int(np.prod(x.shape)) for x in results[body.carried :]]
             pressure = traced.program.pressure() or sum(leaf.size for leaf in traced.leaves if leaf.varies)
-            lanes, functions = 1 if body.is_single else _machine.lanes(traced.leaves, pressure), Functions()
-            text = emit(traced.program, traced.leaves, sizes, lanes, functions, reverse=body.reverse)
-            arrays = sum(leaf.kind != "counter" for leaf in traced.leaves)
-            around = handler(arrays, len(results), lanes)
+            lanes = 1 if body.is_single else _machine.lanes(traced.leaves, pressure)
+            texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse)
+            around = handler(len(traced.leaves) - 1, len(results), lanes)  # all but the counter are in memory
             walked = time.perf_counter()
-            self.name = _machine.compile_handler(text, functions.text(), around)
+            self.name = _machine.compile_handler(*texts, around)
         self.length, self.pressure, self.lanes = traced.length, pressure, lanes
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
+
+    def more_arguments(self, arguments: Values, members: int | None) -> list[Value]:
+        """What JAX computes before the loop, such as an eigendecomposition of the inertia, from its arguments."""
+        return computed_before(self._outside, self._leaves, [None, *arguments], members)
 
 
 class _Body(NamedTuple):
@@ -117,6 +119,7 @@ def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
     sizes = {"every": loop.every, "members": members, "stored": loop.rows, "threads": threads}
     if loop.every is None:  # the places of the arguments that they are
         sizes |= {"every": -1 - loop.carried, "stored": -2 - loop.carried}
+    arguments = *arguments, *found.more_arguments(arguments, loop.members)
     return list(call(*arguments, **{name: np.int64(x) for name, x in sizes.items()}))
 
 

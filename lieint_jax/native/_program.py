@@ -354,6 +354,10 @@ class Program:
         """This program, with some of its numbers computed by another one."""
         return Program(self.block, self.outputs, self._varying_arguments, given=frozenset(given))
 
+    def depending_on(self, arguments: Callable[[Number], bool]) -> set[Number]:
+        """The numbers that depend on some of the arguments."""
+        return _varying_numbers(self.block, self.live, arguments)
+
     def needed_positions(self, numbers: Sequence[Number]) -> list[int]:
         """The positions of the numbers that must be computed: outputs depend on them, and they are not given."""
         return [k for k, x in enumerate(numbers) if x in self.live and x not in self.given]

@@ -3,15 +3,16 @@
 The position on an orbit at the time of a step costs a few hundred operations, as many as the step of a vector of
 members that uses it. So a program in which such numbers depend on the counter of a loop only is split in two. The first
 program computes and writes them, the second reads them. Both run through the same loops and have no other control flow
-that depends on data, so the order of writing is the order of reading.
+that depends on data, so the order of writing is the order of reading. The rows of a kernel are such a loop, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator, Sequence
 from typing import NamedTuple
 
 from lieint_jax.native._program import Block, Branch, Loop, Number, Program
+from lieint_jax.native._traced import Leaf
 
 _FEW = 30  # the most shared operations that are computed in every block instead
 
@@ -30,25 +31,32 @@ class Stream(NamedTuple):
     numbers: dict[Block, list[Number]]
 
 
-def split(program: Program) -> Stream | None:
-    """Split a program in two; None if hardly anything is shared inside loops."""
+def split(program: Program, leaves: Sequence[Leaf]) -> Stream | None:
+    """Split a program in two; None if hardly anything is shared inside loops.
+
+    Args:
+        program: of one row.
+        leaves: the arrays that it reads.
+    """
     loops = list(_loops(program.block, program))
-    shared = {
-        x
-        for loop in loops
-        for x in _numbers(loop.body)
-        if x in program.live and x not in program.varying and x.dtype.kind == "f" and not x.is_array
-    }
-    if not shared:
-        return None
+    of_rows = program.depending_on(lambda x: leaves[x.data[0]].kind in ("counter", "row"))
+    shared = {x for x in _numbers(program.block) if x in of_rows} | {x for loop in loops for x in _numbers(loop.body)}
+    shared = {x for x in shared if _is_shared(x, program)}
     rest = program.with_given(shared)
-    numbers = {loop.body: [x for x in _numbers(loop.body) if x in shared and x in rest.live] for loop in loops}
+    bodies = program.block, *(loop.body for loop in loops)
+    numbers = {body: [x for x in _numbers(body) if x in shared and x in rest.live] for body in bodies}
     numbers = {body: inside for body, inside in numbers.items() if inside}
     tests = [loop.test for loop in loops]  # included so that both programs run through the same loops
     first = program.part_that_computes([*tests, *(x for inside in numbers.values() for x in inside)])
-    if sum(_length(body, first) for body in numbers) <= _FEW:
+    if sum(_length(body, first, numbers) for body in numbers) <= _FEW:
         return None
     return Stream(first, rest, numbers)
+
+
+def _is_shared(x: Number, program: Program) -> bool:
+    if x.op in ("argument", "constant") or x not in program.live or x in program.varying:
+        return False
+    return x.dtype.kind == "f" and not x.is_array
 
 
 def _loops(block: Block, program: Program) -> Iterator[Loop]:
@@ -70,14 +78,17 @@ def _numbers(body: Block) -> Iterator[Number]:
             yield from item.results
 
 
-def _length(block: Block, program: Program) -> int:
-    """The number of operations of a block that a program needs; those of inner loops count four times."""
+def _length(block: Block, program: Program, others: Container[Block]) -> int:
+    """The number of operations of a block that a program needs, without those of other bodies of loops.
+
+    Those of inner loops count four times.
+    """
     found = 0
     for item in block.items:
         if isinstance(item, Number):
             found += item in program.live
         elif isinstance(item, Branch):
-            found += sum(_length(side, program) for side in item.blocks)
-        elif any(x in program.live for x in item.carries):
-            found += 4 * (_length(item.head, program) + _length(item.body, program))
+            found += sum(_length(side, program, others) for side in item.blocks)
+        elif item.body not in others and any(x in program.live for x in item.carries):
+            found += 4 * (_length(item.head, program, others) + _length(item.body, program, others))
     return found

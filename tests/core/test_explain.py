@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("llvmlite")
 
 import lieint_jax as li
+from lieint_jax import orbits
 
 J = np.array([1.0, 2.0, 2.5])
 W = jnp.array([[0.3, 0.2, 1.0], [0.1, -0.2, 0.9]])
@@ -116,3 +117,45 @@ def test_exponents_and_transition_matrices_are_machine_code(name):
 
     for f in (exponents, matrix):
         assert li.explain(jax.vmap(f), W).engines == {"native"}
+
+
+def test_what_does_not_change_in_a_loop_is_computed_before():
+    """LAPACK's eigendecomposition has no formula in machine code; all of a loop without it was XLA's."""
+    inertias = np.stack([np.diag(J) + 0.1 * k * np.outer(W[0], W[1]) for k in range(3)])
+
+    def end(inertia, x, length=20):
+        def step(x, _):
+            values, vectors = jnp.linalg.eigh(inertia)
+            return x + 0.01 * jnp.sin(vectors @ (values * x)), None
+
+        return jnp.sum(li.scan(step, x, length=length)[0] ** 2)
+
+    for axes in (0, 0), (None, 0), (0, None):
+        arguments = (inertias if axes[0] == 0 else inertias[0], W[jnp.array([0, 1, 0])] if axes[1] == 0 else W[0])
+        of_all = jax.vmap(jax.value_and_grad(end), axes)
+        assert li.explain(of_all, *arguments).engines == {"native"}
+        found = of_all(*arguments)
+        with li.engine("xla"):
+            expected = of_all(*arguments)
+        for x, y in zip(found, expected, strict=True):
+            np.testing.assert_allclose(x, y, rtol=0, atol=4e-15)
+
+
+def test_members_share_an_orbit_whose_time_is_not_mapped():
+    """The time was carried, one of each member, and so was the position on the orbit."""
+    orbit = li.systems.gravity_gradient(J, orbits.kepler(1.0, 1.0, 0.1))
+    step = li.schemes.splitting(orbit)
+    states = jax.vmap(lambda w: orbit.state(angular_velocity=w, t=0.0))(W)
+
+    def run(state):
+        return li.integrate(step, state, 0.05, 40, save_every=20).state
+
+    mapped = jax.vmap(run)
+    shared = jax.vmap(run, in_axes=(li.State(0, 0, None),))
+    [one], [common] = (li.explain(*x).loops for x in ((mapped, states), (shared, states._replace(t=0.0))))
+    assert (one.engine, common.engine, one.shared) == ("native", "native", 0)
+    assert common.shared > 0
+    assert common.operations == one.operations
+    found, expected = shared(states._replace(t=0.0)), mapped(states)
+    np.testing.assert_allclose(found.q, expected.q, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(found.t, expected.t[0] if found.t.ndim == 1 else expected.t)
