@@ -70,7 +70,8 @@ class Explanation(NamedTuple):
             line = f"{x.kind}{', backward' * x.reverse}: {steps} steps, members {x.members}, {x.engine}"
             if x.engine == "native":
                 made = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in x.seconds.items())
-                line += f", operations {x.operations}, alive at once {x.numbers}, lanes {x.lanes}, shared {x.shared}, {made}"
+                code = f"operations {x.operations}, alive at once {x.numbers}, lanes {x.lanes}, shared {x.shared}"
+                line += f", {code}, {made}"
             lines.append(line + (f" ({x.reason})" if x.reason else ""))
         return "\n".join([*lines, *([f"other loops, by XLA: {self.others}"] if self.others else [])])
 
