@@ -124,7 +124,9 @@ _HALVINGS = 20  # the most that `more_times` tries
 
 def _times(n: ArrayLike, dt: Array) -> Array:
     """n Δt, also where JAX does not promote integers."""
-    return (n if isinstance(n, int) else jnp.asarray(n, dt.dtype)) * dt
+    if isinstance(n, int):
+        return n * dt
+    return (n.astype(dt.dtype) if isinstance(n, np.ndarray) else jnp.asarray(n, dt.dtype)) * dt
 
 
 def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) -> Array:

@@ -38,16 +38,14 @@ _BLOCK = 1024  # the most members in a block on a CPU: their states and temporar
 
 
 class Place(NamedTuple):
-    """The devices and threads that compute a run.
+    """The devices that compute a run.
 
     Attributes:
         mesh: the devices of all processes.
-        threads: the number of threads of machine code in this process.
         whole: True if all members of a process are one block.
     """
 
     mesh: Mesh
-    threads: int
     whole: bool
 
 
@@ -76,11 +74,6 @@ class Layout(NamedTuple):
     def mesh(self) -> Mesh:
         """The devices of all processes."""
         return self.place.mesh
-
-    @property
-    def threads(self) -> int:
-        """The number of threads of machine code in this process."""
-        return self.place.threads
 
     @property
     def padded_block_size(self) -> int:

@@ -1,9 +1,9 @@
-"""One member's part of a run: its save intervals, its carry; and XLA's loop over all members."""
+"""One member's part of a run: its save intervals, its carry; and the compiled loop over all members."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, partial
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from platform import machine
 from typing import Any, NamedTuple, TypeVar
 
@@ -11,8 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.extend.core import jaxpr_as_fun
 from jax.typing import ArrayLike
 
+from lieint_jax import native
 from lieint_jax._integrate import (
     Body,
     GridClock,
@@ -24,7 +26,8 @@ from lieint_jax._integrate import (
     prepared,
     step_at_node,
 )
-from lieint_jax.ensemble._layout import Numbers
+from lieint_jax._xla import compiled_for
+from lieint_jax.ensemble._layout import Numbers, Tree
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
 _T = TypeVar("_T")
@@ -66,7 +69,6 @@ class Carry(NamedTuple):
 
 
 Saved = tuple[StepInfo, State | Range | None]  # a saved row: the report, and the states or the reduced change
-MappedInterval = Callable[..., tuple[Carry, Saved]]  # `Interval` or a loop of it, for all members
 
 
 class Origin(NamedTuple):
@@ -229,41 +231,77 @@ def compiler_options(platform: str | None = None) -> dict[str, str | int]:
     return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
 
 
-@cache
-def compile_for_members(function: Callable[..., _T], axes: Axes) -> Callable[..., _T]:
-    """A function of one member, compiled by XLA for many; `axes` as in `jax.vmap`."""
-    return jax.jit(jax.vmap(function, axes), compiler_options=compiler_options())
+@lru_cache(32)
+def compile_for_members(function: Callable[..., Tree], axes: Axes) -> Callable[..., Tree]:
+    """A function of one member, compiled for many as a loop of one step; `axes` as in `jax.vmap`."""
+
+    def once(*arguments: Tree) -> Tree:
+        found = native.march(lambda n, carry, _: (carry, function(*arguments)), (), rows=1)[1]
+        return jax.tree.map(lambda x: x[0], found)
+
+    return jax.jit(jax.vmap(once, axes), compiler_options=compiler_options())
 
 
-@cache
-def compile_intervals(interval: MappedInterval) -> MappedInterval:
-    """`over_intervals`, compiled by XLA."""
-    return jax.jit(over_intervals(interval), compiler_options=compiler_options())
-
-
-def over_intervals(interval: MappedInterval) -> MappedInterval:
-    """The loop over save intervals: (carry, step, plain step, origin, spans, number of spans) ↦ (carry, saved).
+def intervals(interval: Interval, axes: Axes, examples: Sequence[Tree]) -> Intervals:
+    """The loop over save intervals of all members, made once for arguments of the same shapes.
 
     Args:
-        interval: `Interval` for all members, vmapped or flattened.
+        interval: the function of one member.
+        axes: the member axes of its arguments, as in `jax.vmap`, but for the span.
+        examples: its arguments, as arrays or shapes.
+    """
+    return native.make_once(Intervals, interval, axes, examples)
+
+
+class Known(NamedTuple):
+    """What an engine makes of a loop.
+
+    Attributes:
+        refusal: why it cannot compute it; empty if it can.
+        shared: about how many numbers of a step the members share.
+        length: the number of operations of a step.
     """
 
-    def loop(
-        carry: Carry, step: Step, plain: Step | None, origin: Origin, spans: Span, count: Array
+    refusal: str
+    shared: int = 0
+    length: int = 0
+
+
+class Intervals:
+    """The loop over save intervals: (carry, step, plain step, origin, spans, number of spans) ↦ (carry, saved).
+
+    Attributes:
+        known: what is known of it by engines, by their names.
+    """
+
+    def __init__(self, interval: Interval, axes: Axes, _: Sequence[Tree]):
+        self._of_member = jax.jit(interval.__call__, inline=True)
+        self._of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
+        self.known: dict[str, Known] = {}
+
+    def __call__(self, *arguments: Tree) -> tuple[Carry, Saved]:
+        return self._of_all(*arguments)
+
+    def _loop(
+        self, carry: Carry, step: Step, plain: Step | None, origin: Origin, spans: Span, count: Array
     ) -> tuple[Carry, Saved]:
-        def body(k: Array, both: tuple[Carry, Saved]) -> tuple[Carry, Saved]:
-            carry, saved = both
-            carry, row = interval(carry, step, plain, origin, jax.tree.map(lambda x: x[k], spans))
-            return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, row)
+        return native.march(self._next, carry, spans, (step, plain, origin), rows=count, most=len(spans.first))
 
-        row = carry.info, carry.state if carry.change is None else carry.change
-        saved = jax.tree.map(lambda x: jnp.zeros((len(spans.first), *x.shape), x.dtype), row)
-        return lax.fori_loop(0, count, body, (carry, saved))
+    def _next(
+        self, n: Array, carry: Carry, span: Span, step: Step, plain: Step | None, origin: Origin
+    ) -> tuple[Carry, Saved]:
+        return self._of_member(carry, step, plain, origin, span)
 
-    return loop
+    def loop(self, *arguments: Tree) -> native.Loop:
+        """The loop for arguments of these shapes."""
+        [loop] = native.loops_of(self._of_all.trace(*arguments).jaxpr)
+        assert loop is not None
+        return loop
 
-
-@cache
-def vmap_interval(reduction: Reduction | None, axes: Axes) -> MappedInterval:
-    """`Interval` for all members."""
-    return jax.vmap(Interval(reduction), axes)
+    def by_xla(self, *arguments: Tree) -> Callable[..., tuple[Carry, Saved]]:
+        """The function of one member, compiled by XLA for arguments of these shapes."""
+        traced = self._of_member.trace(*arguments)
+        structure = jax.tree.structure(traced.out_info)
+        with native.engine("xla"):
+            compiled = compiled_for(jaxpr_as_fun(traced.jaxpr), *jax.tree.leaves(arguments))
+        return lambda *x: jax.tree.unflatten(structure, compiled(*jax.tree.leaves(x)))

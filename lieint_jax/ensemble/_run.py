@@ -157,8 +157,8 @@ def run(
     )
     with _checks.on_host():
         whole, job, split = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
-    engine = engine_of(job, mesh)
-    place = _layout.Place(mesh, threads or _layout.count_cores(), engine.whole)
+    engine = engine_of(job, mesh, threads or _layout.count_cores())
+    place = _layout.Place(mesh, engine.whole)
 
     def integrate(layout: Layout, output: Output) -> object:
         return execute(engine, layout, output, progress)

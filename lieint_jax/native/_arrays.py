@@ -49,13 +49,13 @@ class Flattened:
         _check(self._traced.program.block, self._traced.program)
 
     @unsupported_if_it_fails()
-    def __call__(self, *arguments: Tree) -> Tree:
-        """The results, each with the leading axis (members,) if any argument has it."""
+    def __call__(self, *arguments: Tree, members: int | None = None) -> Tree:
+        """The results, each with the leading axis (members,) if any argument has it, or if their number is given."""
         traced = self._traced
         leaves = zip(jax.tree.leaves(arguments), traced.leaves[: traced.given], strict=True)
         arrays: list[Any] = [jnp.asarray(x, leaf.dtype) for x, leaf in leaves]
         lengths = [len(x) for x, leaf in zip(arrays, traced.leaves, strict=False) if leaf.varies]
-        members = lengths[0] if lengths else None
+        members = lengths[0] if lengths else members
         arrays += computed_before(traced.outside, traced.leaves, arrays, members)
         found = _evaluate(traced.program, traced.leaves, arrays, members, jax.tree.leaves(self.results))
         return jax.tree.unflatten(jax.tree.structure(self.results), found)

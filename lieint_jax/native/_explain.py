@@ -97,21 +97,21 @@ def explain(f: Callable[..., Any], *args: Any) -> Explanation:
     begin = time.perf_counter()
     traced = jax.jit(f).trace(*args)
     seconds = {"trace": time.perf_counter() - begin}
-    found = list(_loops(traced.jaxpr))
+    found = list(loops_of(traced.jaxpr))
     reports = tuple(_report(loop) for loop in dict.fromkeys(x for x in found if x is not None))
     begin = time.perf_counter()
     traced.lower().compile()
     return Explanation(reports, found.count(None), seconds | {"xla": time.perf_counter() - begin})
 
 
-def _loops(closed: ClosedJaxpr | Jaxpr) -> Iterator[Loop | None]:
+def loops_of(closed: ClosedJaxpr | Jaxpr) -> Iterator[Loop | None]:
     """The loops of a jaxpr; None for one of XLA's own."""
     jaxpr: Any = closed.jaxpr if isinstance(closed, ClosedJaxpr) else closed
     for equation in jaxpr.eqns:
         if equation.primitive is march_p:
             yield equation.params["loop"]
             continue
-        inner = [x for jaxpr in jaxprs_of(equation.params) for x in _loops(jaxpr)]
+        inner = [x for jaxpr in jaxprs_of(equation.params) for x in loops_of(jaxpr)]
         yield from inner
         if equation.primitive.name in ("while", "scan") and not any(inner):
             yield None

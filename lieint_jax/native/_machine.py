@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import hashlib
 import os
 import threading
-import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,6 @@ from lieint_jax.native._traced import Leaf
 _FEW = 26  # the most numbers in an innermost loop for which two vectors of each are faster than one
 _VERY_FEW = 4  # the most of them for which four vectors are faster than two: they wait less for each other's results
 _lock = threading.Lock()
-_functions: weakref.WeakValueDictionary[str, MachineFunction] = weakref.WeakValueDictionary()  # by their texts
 
 
 @functools.cache
@@ -41,31 +38,6 @@ def lanes(leaves: Sequence[Leaf], pressure: int) -> int:
     widths = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
     vectors = 4 if pressure <= _VERY_FEW else 2 if pressure <= _FEW else 1
     return register_bytes() // max(widths, default=8) * vectors
-
-
-class MachineFunction:
-    """A function of machine code, which is freed with this object.
-
-    Args:
-        engine: owns the code.
-    """
-
-    def __init__(self, engine: Any):
-        self._engine = engine
-        self._call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5, ctypes.c_void_p)(engine.get_function_address("run"))
-
-    def __call__(self, *arguments: Any) -> None:
-        self._call(*arguments)
-
-
-def compile_modules(*texts: str) -> MachineFunction:
-    """The function `run` of the first module, compiled together with the others; empty modules are left out."""
-    key = _key(texts)
-    with _lock:
-        found = _functions.get(key)
-        if found is None:
-            found = _functions[key] = MachineFunction(_engine(key, [x for x in texts if x]))
-    return found
 
 
 _handlers: dict[str, Any] = {}  # by their names; XLA holds their addresses, and nothing shows when it is done with one

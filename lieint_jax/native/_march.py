@@ -95,7 +95,7 @@ class Loop(NamedTuple):
     """A loop of `rows` × `every` steps; its arguments are the carries, the constants, and the rows of each step.
 
     If `every` is None, it is counted: its first constants, of which a step makes no use, are `every` and how many of
-    the `rows` are run. Then no rows are given, and the stored rows that are not run are undefined.
+    the `rows` are run. Then rows may be given if `every` is 1, and the stored rows that are not run are undefined.
 
     Attributes:
         step: a step, (n, carries, constants, a row) ↦ (carries, results), with n = 0, 1, …, of one member.
@@ -166,37 +166,40 @@ def shape_of(x: Value) -> jax.ShapeDtypeStruct:
 
 
 def march(
-    step: Callable[[Value, Tree, Tree], tuple[Tree, Tree]],
+    step: Callable[..., tuple[Tree, Tree]],
     carry: Tree,
     xs: Tree = None,
+    consts: Sequence[Tree] | None = None,
     *,
     rows: int | Value,
     every: int | Value = 1,
     most: int | None = None,
     reverse: bool = False,
 ) -> tuple[Tree, Tree]:
-    """The carry after rows × every steps, carry, y = step(n, carry, x), and the last y of each row.
+    """The carry after rows × every steps, carry, y = step(n, carry, x, *consts), and the last y of each row.
 
     Args:
         step: a pure function. Traced arrays that it closes over become arguments of the loop.
         carry, xs: trees of arrays; those of xs have a leading axis of steps.
-        rows, every, reverse: see `Loop`. If one of the numbers is an array, one program serves all; then there are no
-            xs, no derivative in reverse mode, and, if `every` is 0, undefined rows of y. Under vmap `every` may differ
-            from member to member where a step returns no y.
-        most: the length of the rows of y, of which those beyond `rows` are undefined; needed if `rows` is an array.
+        consts: trees of arrays. With them a step closes over no traced array, and JAX traces equal ones once.
+        rows, every, reverse: see `Loop`. If one of the numbers is an array, one program serves all; then there is no
+            derivative in reverse mode, there are xs only if `every` is 1, and, if `every` is 0, undefined rows of y.
+            Under vmap `every` may differ from member to member where a step returns no y.
+        most: the length of the rows of y and of xs, of which those beyond `rows` are undefined; needed if `rows` is an
+            array.
     """
-    carry, xs = jax.tree.map(_strong, (carry, xs))
+    carry, xs, given = jax.tree.map(_strong, (carry, xs, consts or ()))
     row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
     number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
     known = isinstance(rows, int) and isinstance(every, int) and most is None
     stored: Any = rows if most is None else most
     count = [] if known else [jnp.asarray(every, jnp.int32), jnp.minimum(jnp.asarray(rows, jnp.int32), stored)]
-    shapes = number, jax.tree.map(shape_of, carry), [shape_of(x) for x in count], row
+    shapes = number, *jax.tree.map(shape_of, (carry, count, tuple(given))), row
     with unchecked():
-        closed, (_, out) = _traced(_Checked(step), shapes)
-    starts, has_effects = jax.tree.leaves(carry), bool(closed.effects)
-    closed, closed_over = _with_arguments(closed, 1 + len(starts) + len(count))
-    fixed = [*count, *closed_over]
+        closed, (_, out) = _traced(_Checked(step), shapes, consts is not None or outermost())
+    starts, fixed, has_effects = jax.tree.leaves(carry), [*count, *jax.tree.leaves(given)], bool(closed.effects)
+    closed, closed_over = _with_arguments(closed, 1 + len(starts) + len(fixed))
+    fixed += closed_over
     arguments = [*starts, *fixed, *jax.tree.leaves(xs)]
     own = (False,) * (len(arguments) - len(starts))
     loop = Loop(closed, len(starts), len(fixed), stored, None if count else every, reverse, own=own)
@@ -212,15 +215,17 @@ def march(
 class _Checked(NamedTuple):
     """A step that is equal to another if it has the same function, so that JAX traces it once."""
 
-    step: Callable[[Value, Tree, Tree], tuple[Tree, Tree]]
+    step: Callable[..., tuple[Tree, Tree]]
 
-    def __call__(self, n: Value, carry: Tree, count: list[Value], x: Tree) -> tuple[Tree, Tree]:
-        return _checked(self.step(n, carry, x), carry)
+    def __call__(
+        self, n: Value, carry: Tree, count: list[Value], consts: tuple[Tree, ...], x: Tree
+    ) -> tuple[Tree, Tree]:
+        return _checked(self.step(n, carry, x, *consts), carry)
 
 
-def _traced(step: _Checked, shapes: Values) -> tuple[ClosedJaxpr, Tree]:
+def _traced(step: _Checked, shapes: Values, is_closed: bool) -> tuple[ClosedJaxpr, Tree]:
     """The jaxpr of a step, and the shapes of its results; where no tracer can be closed over, the one of before."""
-    if outermost() and _has_hash(step):
+    if is_closed and _has_hash(step):
         traced = _jitted_step(step).trace(*shapes)
         return traced.jaxpr, traced.out_info
     return jax.make_jaxpr(step, return_shape=True)(*shapes)
@@ -308,13 +313,14 @@ def _jitted(loop: Loop) -> Callable[..., list[Value]]:
     return jax.jit(lambda *arguments: loop.bind(arguments))
 
 
-def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
-    """The loop by XLA: a scan over rows, of a loop over the steps of each."""
+def by_xla(*arguments: Value, loop: Loop, step: Callable[..., list[Value]] | None = None) -> list[Value]:
+    """The loop by XLA: a scan over rows, of a loop over the steps of each; `step` is one of all members."""
     carry, fixed, series = loop.split(arguments)
-    step = function_of(loop.step)
-    if loop.members is not None:
-        axes = [0 if own else None for own in loop.owns]
-        step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
+    if step is None:
+        step = function_of(loop.step)
+        if loop.members is not None:
+            axes = [0 if own else None for own in loop.owns]
+            step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
 
     def step_once(n: Value, carry: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
         found = list(step(n, *carry, *fixed, *row))
@@ -322,7 +328,7 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
 
     if loop.every is None:
         every, count = (x.astype(loop.step.in_avals[0].dtype) for x in fixed[:2])
-        return _counted_by_xla(step_once, carry, every, count, loop.rows)
+        return _counted_by_xla(step_once, carry, series, every, count, loop.rows)
     numbers = jnp.arange(loop.rows, dtype=loop.step.in_avals[0].dtype)
     if loop.every == 1:
         carry, ys = lax.scan(lambda c, x: step_once(x[0], c, x[1]), carry, (numbers, series), reverse=loop.reverse)
@@ -349,16 +355,20 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
 def _counted_by_xla(
     step: Callable[[Value, list[Value], list[Value]], tuple[list[Value], list[Value]]],
     carry: list[Value],
+    series: list[Value],
     every: Value,
     count: Value,
     rows: int,
 ) -> list[Value]:
-    shapes = jax.eval_shape(lambda carry: step(jnp.zeros_like(every), carry, [])[1], carry)
+    def given(n: Value) -> list[Value]:
+        return [lax.dynamic_index_in_dim(x, n, keepdims=False) for x in series]
+
+    shapes = jax.eval_shape(lambda carry: step(jnp.zeros_like(every), carry, given(0))[1], carry)
     empty = [jnp.zeros(s.shape, s.dtype) for s in shapes]
 
     def row(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
         begin = both[0], empty
-        carry, found = lax.fori_loop(0, every, lambda i, both: step(k * every + i, both[0], []), begin)
+        carry, found = lax.fori_loop(0, every, lambda i, both: step(k * every + i, both[0], given(k)), begin)
         return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], found, strict=True)]
 
     carry, ys = lax.fori_loop(0, count, row, (carry, [jnp.zeros((rows, *x.shape), x.dtype) for x in empty]))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -16,18 +17,24 @@ from jax.extend.core import ClosedJaxpr
 from jax.interpreters import mlir
 
 from lieint_jax._xla import unchecked
-from lieint_jax.native._arrays import computed_before
+from lieint_jax.native._arrays import Flattened, computed_before, flatten
 from lieint_jax.native._handler import handler
 from lieint_jax.native._march import Deferred, Loop, Value, Values, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._traced import Traced, make_once
 
 _log = logging.getLogger(__name__)
+_WIDEST = 160  # the most registers of 32 bits; a GPU's thread has 255, and the order of its instructions uses the rest
+_MOST_CARRIED = 24  # the most numbers that an iteration of a loop reads and writes, and XLA may copy between kernels
+_FLAT_KINDS = {True: "member", False: "shared"}
 _SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
 _SOME = 100  # steps of a row, if their number is not known here
 _ALL = 2**30  # threads: as many as XLA's pool has
+_EXPECTED = "chosen by li.engine or LIEINT_ENGINE", "no steps"  # reasons for XLA of which the log says nothing
 ENGINES = ("native", "xla")
-chosen_engine = jax.make_user_context(None)  # one of them, or None; JAX traces again where it differs
+_FLAT = "flat"  # XLA's loop over arrays of the members, one for each number of a step: the one for accelerators
+chosen_engine = jax.make_user_context(None)  # one of these, or None; JAX traces again where it differs
+_chosen_threads = jax.make_user_context(None)  # a number, or None
 
 
 class LoopCode:
@@ -95,26 +102,56 @@ def loop_code(loop: Loop) -> LoopCode:
 
 def machine_code(loop: Loop) -> LoopCode | str:
     """The machine code of a loop, or why XLA runs it."""
-    if _engine() == "xla":
-        return "chosen by li.engine or LIEINT_ENGINE"
+    if engine_name() == "xla":
+        return _EXPECTED[0]
     if not loop.rows or loop.every == 0:
-        return "no steps"
+        return _EXPECTED[1]
     try:
         return loop_code(loop)
     except (ImportError, UnsupportedError) as reason:
-        _say_once(str(reason))
         return str(reason)
+
+
+def flat_step(loop: Loop) -> Flattened | str:
+    """The step of a loop on arrays of the members, one for each number, or why XLA's plain loop is better.
+
+    XLA compiles the operations between two loops of the step into one kernel, if their numbers fit a GPU's registers.
+    """
+    _, of_fixed, of_rows = loop.split(loop.owns)
+    kinds = ["shared", *(_FLAT_KINDS[own] for own in (*[True] * loop.carried, *of_fixed, *of_rows))]
+    try:
+        flat = flatten(jaxpr_of(loop.step), kinds, [shape_of(x) for x in loop.step.in_avals])
+    except UnsupportedError as reason:
+        return str(reason)
+    if flat.width > _WIDEST:
+        return f"about {flat.width} registers, more than {_WIDEST}"
+    if flat.carried > _MOST_CARRIED:
+        return f"a loop with {flat.carried} numbers, more than {_MOST_CARRIED}"
+    return flat
+
+
+def _by_arrays(*arguments: Value, loop: Loop) -> list[Value]:
+    """The loop by XLA, on flat arrays if that is better."""
+    flat = "no members" if loop.members is None or engine_name() == "xla" else flat_step(loop)
+    if isinstance(flat, str):
+        _log.debug("XLA's plain loop: %s", flat)
+        return by_xla(*arguments, loop=loop)
+    return by_xla(*arguments, loop=loop, step=functools.partial(flat, members=loop.members))
 
 
 def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
     """The loop in machine code; by XLA if its step is not a program of numbers, or if the user wants it."""
+    if engine_name() == _FLAT:
+        return _by_arrays(*arguments, loop=loop)
     found = machine_code(loop)
     if isinstance(found, str):
+        if found not in _EXPECTED:
+            _say_once(found)
         return by_xla(*arguments, loop=loop)
     shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
     members = loop.members or 1
     steps = loop.rows * (_SOME if loop.every is None else loop.every)
-    threads = 1 if members * steps * found.length <= _SHORT else _ALL
+    threads = 1 if members * steps * found.length <= _SHORT else _chosen_threads.value or _ALL
     call = jax.ffi.ffi_call(found.name, [shape_of(x) for x in shapes])
     sizes = {"every": loop.every, "members": members, "stored": loop.rows, "threads": threads}
     if loop.every is None:  # the places of the arguments that they are
@@ -123,11 +160,19 @@ def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
     return list(call(*arguments, **{name: np.int64(x) for name, x in sizes.items()}))
 
 
-def _engine() -> str:
+def engine_name() -> str:
+    """The engine of loops that are lowered here."""
     found = chosen_engine.value or os.environ.get("LIEINT_ENGINE", ENGINES[0])
-    if found not in ENGINES:
+    if found not in (*ENGINES, _FLAT):
         raise ValueError(f"LIEINT_ENGINE must be one of {', '.join(ENGINES)}, got {found!r}")
     return found
+
+
+@contextlib.contextmanager
+def computed_by(engine: str, threads: int) -> Iterator[None]:
+    """A context in which loops run by an engine, and machine code in so many threads."""
+    with chosen_engine(engine), _chosen_threads(threads):
+        yield
 
 
 @functools.cache
@@ -149,4 +194,4 @@ def _lowering(function: Callable[..., list[Value]]) -> Callable[..., Any]:
 
 
 mlir.register_lowering(march_p, _lowering(_compiled), platform="cpu")
-mlir.register_lowering(march_p, _lowering(by_xla))
+mlir.register_lowering(march_p, _lowering(_by_arrays))

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
+from lieint_jax import native
 from lieint_jax._xla import _compile
 from lieint_jax.app.command.compilation import use_program_cache
 from lieint_jax.native import _traced
-from lieint_jax.native._kernel import kernel
 
 NAMES = (
     "jax_compilation_cache_dir",
@@ -238,24 +238,23 @@ def test_derivatives_outside_of_jit_go_through_the_package_s_own_programs():
 
 
 def test_programs_of_functions_that_are_gone_are_freed(monkeypatch):
-    """Each new function of a user kept some MiB for ever: XLA's program of a check, and machine code."""
-    pytest.importorskip("llvmlite")
+    """Each new function of a user kept some MiB for ever: XLA's program of a check, and what was walked."""
     monkeypatch.setattr(_compile, "_MOST_KEPT", 2)
     monkeypatch.setattr(_traced, "_MOST_KEPT", 2)
     monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
     check = _compile.compiled(lambda function, x: function(x), static_argnums=0, once=True)
-    kernels, functions = [], []
+    programs, functions = [], []
     for k in range(6):
         function = lambda x, k=k: x + k  # noqa: E731
         assert check(function, jnp.ones(())) == 1 + k
-        made = kernel(function, ("member",), (np.ones(()),))
-        assert made((np.ones(3),), 3)[0, 0] == 1 + k
-        kernels.append(weakref.ref(made._code._run))
+        made = native.flatten(function, ("member",), (np.ones(()),))
+        assert made(np.ones(3))[0] == 1 + k
+        programs.append(weakref.ref(made))
         functions.append(weakref.ref(function))
         del made, function
     gc.collect()
     assert [x() is not None for x in functions] == [False] * 4 + [True] * 2
-    assert [x() is not None for x in kernels] == [False] * 4 + [True] * 2
+    assert [x() is not None for x in programs] == [False] * 4 + [True] * 2
 
 
 NEW = {  # of each, a system of a new function

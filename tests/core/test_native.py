@@ -12,11 +12,12 @@ from jax import lax
 
 pytest.importorskip("llvmlite")
 
+from kernels import Kernel, MachineFunction
 from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled, stacking
 
 from lieint_jax import ensemble, schemes, systems
 from lieint_jax.ensemble import _comparison
-from lieint_jax.native import Kernel, _emit, _machine, _pieces
+from lieint_jax.native import _emit, _machine, _pieces
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
@@ -675,9 +676,9 @@ def test_machine_code_on_disk_is_checked(tmp_path, monkeypatch):
 def test_other_processors_have_other_keys(tmp_path, monkeypatch):
     monkeypatch.setattr(_machine, "_folder", lambda: tmp_path)
     text = "define void @run(i64 %a, i64 %b, i64 %c, i64 %d, ptr %p) {\n  ret void\n}\n"
-    _machine.compile_modules(text)
+    MachineFunction(text)
     monkeypatch.setattr(_machine, "_features", lambda: "+sse2")
-    _machine.compile_modules(text)
+    MachineFunction(text)
     assert len(list(tmp_path.iterdir())) == 2
 
 

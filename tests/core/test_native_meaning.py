@@ -8,10 +8,11 @@ from jax import lax
 
 pytest.importorskip("llvmlite")
 
+from kernels import Kernel
 from native_members import MEMBERS, check_against_jax, compiled, member_shape
 
 import lieint_jax as li
-from lieint_jax.native import Kernel, UnsupportedError
+from lieint_jax.native import UnsupportedError
 from lieint_jax.native._program import Builder
 from lieint_jax.native._walk import Walk
 

@@ -3,6 +3,7 @@
 Each change is made by pytest's `monkeypatch`, which undoes it.
 """
 
+import collections
 import json
 from types import SimpleNamespace
 from unittest import mock
@@ -25,20 +26,19 @@ from lieint_jax.ensemble import (
     _store,
     _store_output,
 )
-from lieint_jax.native import _march_code
+from lieint_jax.native import _march_code, _traced
 from lieint_jax.schemes._shared import accepts
 
-ENGINES = {"flat": _engine.FlatEngine, "native": _engine.NativeEngine, "xla": _engine.XlaEngine}
-_COMPARE = _engine.NativeEngine._compare_first_step
+_DIFFERENCE = _engine.Engine._difference
 
 
 def by_engine(monkeypatch, name, jobs=None):
     """Let the engine of this name compute all runs; their jobs are appended to `jobs`."""
 
-    def engine_of(job, _):
+    def engine_of(job, _, threads):
         if jobs is not None:
             jobs.append(job)
-        return ENGINES[name](job)
+        return _engine.Engine(job, name, threads)
 
     monkeypatch.setattr(_run, "engine_of", engine_of)
 
@@ -54,17 +54,23 @@ def runs_by(monkeypatch, engines, *arguments, **options):
 
 def engine_on(platform, job):
     """The name of the engine that computes a job on a platform, "cpu" or "gpu"."""
-    return _engine.engine_of(job, SimpleNamespace(devices=np.array([SimpleNamespace(platform=platform)]))).name
+    return _engine.engine_of(job, SimpleNamespace(devices=np.array([SimpleNamespace(platform=platform)])), 1).name
+
+
+def refusal(name, job):
+    """Why an engine cannot compute a job."""
+    return _engine.Engine(job, name, 1).refusal
 
 
 def limit_flat_engine(monkeypatch, what, most):
     """Let steps of more than so many "registers", or numbers "carried" through a loop, be too large for flat arrays."""
-    monkeypatch.setattr(_engine, {"registers": "_WIDEST", "carried": "_MOST_CARRIED"}[what], most)
+    monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())  # of what is known of loops
+    monkeypatch.setattr(_march_code, {"registers": "_WIDEST", "carried": "_MOST_CARRIED"}[what], most)
 
 
 def compare_machine_code(compares):
     """Whether the first step of machine code is compared with XLA from now on."""
-    _engine.NativeEngine._compare_first_step = _COMPARE if compares else lambda *_: None
+    _engine.Engine._difference = _DIFFERENCE if compares else lambda *_: ""
 
 
 def forget_fallbacks():

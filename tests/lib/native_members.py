@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-
-from lieint_jax.native import Kernel
+from kernels import Kernel
 
 MEMBERS = 13  # not a multiple of the members in a vector
 

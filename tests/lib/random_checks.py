@@ -6,10 +6,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from internals import compiled_once
+from kernels import Kernel
 from perturbed import draws, flushed, perturbed
 from random_functions import arguments, random_function
 
-from lieint_jax.native import Kernel, UnsupportedError
+from lieint_jax.native import UnsupportedError
 
 MEMBERS = 61
 DRAWS = 8

@@ -1,0 +1,72 @@
+"""Machine code of any function of one member, called without JAX: so that thousands of random functions run in time."""
+
+import collections
+import ctypes
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import numpy as np
+
+from lieint_jax.native._arrays import computed_before
+from lieint_jax.native._primitives.abstract_walk import unsupported_if_it_fails
+from lieint_jax.native._traced import Traced
+
+_PARTS = 4  # of the members for each thread
+
+
+class Kernel:
+    """A function of one member, as machine code for many.
+
+    Args:
+        function, kinds, examples: see `Traced`.
+        lanes: members in a vector; by default it follows from the machine.
+    """
+
+    @unsupported_if_it_fails()
+    def __init__(self, function, kinds, examples, lanes=0):
+        from lieint_jax.native import _machine
+        from lieint_jax.native._pieces import modules
+
+        traced = Traced(function, kinds, examples)
+        self._outside, self.length = traced.outside, traced.length
+        self._leaves, self._structure = traced.leaves, jax.tree.structure(traced.results)
+        self._results = jax.tree.leaves(traced.results)
+        self._carried = sum(leaf.kind == "carry" for leaf in self._leaves)
+        self.lanes = lanes or _machine.lanes(self._leaves, traced.program.pressure())
+        sizes = [int(np.prod(x.shape)) for x in self._results[self._carried :]]
+        texts, self.shared = modules(traced.program, self._leaves, sizes, self.lanes)
+        self._run = MachineFunction(*texts)
+
+    def __call__(self, arguments, members, rows=1, threads=1):
+        """The results of all members, with the axes (members, …) of carries and (rows, members, …) of others."""
+        given = [np.asarray(x) for part in arguments for x in jax.tree.leaves(part)]
+        given += map(np.asarray, computed_before(self._outside, self._leaves, given, members))
+        given = [np.ascontiguousarray(x, leaf.dtype) for x, leaf in zip(given, self._leaves, strict=True)]
+        for x, leaf in zip(given, self._leaves, strict=True):
+            copies = collections.defaultdict(lambda: 1, carry=members, member=members, row=rows)[leaf.kind]
+            assert x.size == copies * leaf.size, leaf
+        outputs = [
+            np.empty((members, *x.shape) if n < self._carried else (rows, members, *x.shape), x.dtype)
+            for n, x in enumerate(self._results)
+        ]
+        parts = 1 if threads == 1 else _PARTS * threads
+        ends = np.linspace(0, -(-members // self.lanes), parts + 1).astype(int)
+        with ThreadPoolExecutor(threads) as pool:
+            run = pool.map(lambda a, b: self._run(int(a), int(b), members, rows, 1, [*given, *outputs]), ends, ends[1:])
+            list(run)
+        return jax.tree.unflatten(self._structure, outputs)
+
+
+class MachineFunction:
+    """The function `run` of modules that are compiled together; it takes five integers and a list of arrays."""
+
+    def __init__(self, *texts):
+        from lieint_jax.native import _machine
+
+        self._engine = _machine._engine(_machine._key(texts), [x for x in texts if x])
+        kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5, ctypes.c_void_p)
+        self._call = kind(self._engine.get_function_address("run"))
+
+    def __call__(self, *arguments):
+        *numbers, arrays = arguments
+        self._call(*numbers, (ctypes.c_void_p * len(arrays))(*(x.ctypes.data for x in arrays)))
