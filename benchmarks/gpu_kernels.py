@@ -88,8 +88,8 @@ def counts(quick: bool, only: list[str] | None, dump: Path) -> Iterator[list[Any
     """A row for each step and each kind of loop."""
     import jax
 
-    from lieint_jax.ensemble import _engine
-    from lieint_jax.native import UnsupportedError, flatten
+    from lieint_jax.ensemble._engine import Engine
+    from lieint_jax.native import flat_step
 
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_x64", True)
@@ -97,18 +97,17 @@ def counts(quick: bool, only: list[str] | None, dump: Path) -> Iterator[list[Any
         if only and not any(part in name for part in only):
             continue
         job = _job(step, state, dt)
-        engine = _engine.XlaEngine(job)
-        yield [name, "plain", "", *_counted(engine.interval(), job, 1, dump)]
+        engine = Engine(job, "xla", 1)
+        yield [name, "plain", "", *_counted(engine, job, "xla", 1, dump)]
         for together in (1, 4):
-            try:
-                _, interval = engine.make_programs(flatten, together)
-            except UnsupportedError as reason:
-                yield [name, f"none: {reason}", *[""] * 7]
+            flat = flat_step(engine.intervals(together).loop(*_arguments(job)))
+            if isinstance(flat, str):
+                yield [name, f"none: {flat}", *[""] * 7]
                 break
-            if together > 1 and interval.length > _LONGEST:
+            if together > 1 and flat.length > _LONGEST:
                 continue
-            size = f"{interval.length}, {interval.width}, {interval.carried}"
-            yield [name, f"flat, {together} an iteration", size, *_counted(interval, job, together, dump)]
+            size = f"{flat.length}, {flat.width}, {flat.carried}"
+            yield [name, f"flat, {together} an iteration", size, *_counted(engine, job, "flat", together, dump)]
 
 
 def problems(quick: bool) -> dict[str, Any]:
@@ -163,17 +162,12 @@ def _job(step: Any, state: Any, dt: float) -> Any:
     )
 
 
-def _counted(interval: Callable[..., Any], job: Any, together: int, dump: Path) -> list[Any]:
-    """Kernels and bytes of a step, the most registers and spilled bytes, and seconds of compilation."""
+def _arguments(job: Any, sharding: Any = None) -> tuple[Any, ...]:
+    """The shapes of the arguments of a loop over one save interval of all members."""
     import jax
     import numpy as np
-    from jax.experimental import topologies
-    from jax.sharding import SingleDeviceSharding
 
     from lieint_jax.ensemble import _loop
-
-    topology = topologies.get_topology_desc(platform="cuda", target_config=H100, topology="1 x 1 x 1")
-    sharding = SingleDeviceSharding(topology.devices[0])
 
     def shape(x: Any, *lead: int) -> Any:
         return jax.ShapeDtypeStruct((*lead, *np.shape(x)), jax.numpy.result_type(x), sharding=sharding)
@@ -185,18 +179,31 @@ def _counted(interval: Callable[..., Any], job: Any, together: int, dump: Path) 
         return jax.tree.map(lambda x: shape(x, *lead), tree)
 
     zero = np.zeros((), _loop.step_dtype())
-    arguments = (
+    return (
         of_members(_loop.start(job.states, None)),
         shared(job.step),
         None,
         shared(_loop.Origin(job.t0, job.clock, None)),
         shared(_loop.Span(zero, zero, None, np.bool_(True)), 1),
-        shared(zero),
+        shared(np.zeros((), np.int32)),
     )
+
+
+def _counted(engine: Any, job: Any, name: str, together: int, dump: Path) -> list[Any]:
+    """Kernels and bytes of a step, the most registers and spilled bytes, and seconds of compilation."""
+    from jax.experimental import topologies
+    from jax.sharding import SingleDeviceSharding
+
+    from lieint_jax.ensemble import compiler_options
+    from lieint_jax.native import computed_by
+
+    topology = topologies.get_topology_desc(platform="cuda", target_config=H100, topology="1 x 1 x 1")
+    arguments = _arguments(job, SingleDeviceSharding(topology.devices[0]))
     before = set(dump.iterdir())
     start = time.perf_counter()
-    compiled = jax.jit(_loop.over_intervals(interval), compiler_options=_loop.compiler_options("gpu"))
-    text = compiled.trace(*arguments).lower(lowering_platforms=("cuda",)).compile().as_text()
+    with computed_by(name, 1):
+        lowered = engine.intervals(together).traced(*arguments).lower(lowering_platforms=("cuda",))
+    text = lowered.compile(compiler_options("gpu")).as_text()
     seconds = time.perf_counter() - start
     assert text is not None  # a compiled program has one
     program = Program(text)

@@ -64,7 +64,7 @@ def engine_of(job: Job, mesh: Mesh, threads: int) -> Engine:
     if not reason:
         return engine
     if on_cpu:
-        _warn_once("ensembles" if reason.startswith("llvmlite") else job.step.name, reason)
+        _warn_once("ensembles" if "llvmlite" in reason else job.step.name, reason)
     else:
         _log.debug("%s runs in XLA's plain loop: %s", job.step.name, reason)
     return Engine(job, "xla", threads)
@@ -97,19 +97,20 @@ class Engine:
         self._origin: Axes = Origin(0 if own_time else None, None, None)  # pyright: ignore[reportArgumentType]
         own, reduced = job.step_axis, None if job.reduction is None else 0
         self._axes = 0, 0 if self.prepares else own, own, self._origin._replace(quantity=reduced)
-        self._intervals = self._made(Interval(job.reduction))
+        self._intervals = self.intervals()
         self.refusal, self.most_steps = "", 2**30
         if name != "xla" and job.num_steps:
             known = self._intervals.known
             if name not in known:
                 known[name] = self._examined()
             self.refusal, shared, length = known[name]
-            self.most_steps = max(1, _MOST_SHARED // max(1, shared))
+            if shared:
+                self.most_steps = max(1, _MOST_SHARED // shared)
             if name == "flat" and length <= _SHORT_STEP:
-                self._intervals = self._made(Interval(job.reduction, _TOGETHER))
+                self._intervals = self.intervals(_TOGETHER)
 
-    def _made(self, interval: Interval) -> Intervals:
-        """The compiled loop of an interval."""
+    def intervals(self, together: int = 1) -> Intervals:
+        """The loop over save intervals, whose loops compute so many steps in an iteration."""
         job = self.job
         step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
         state = jax.tree.map(_member_shape, job.states)
@@ -125,7 +126,7 @@ class Engine:
             origin._replace(quantity=value),
             Span(count, count, rest, np.bool_(True)),
         )
-        return _loop.intervals(interval, self._axes, examples)
+        return _loop.intervals(Interval(job.reduction, together), self._axes, examples)
 
     def _examined(self) -> Known:
         """What this engine makes of the loop."""

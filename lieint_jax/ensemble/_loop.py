@@ -292,9 +292,13 @@ class Intervals:
     ) -> tuple[Carry, Saved]:
         return self._of_member(carry, step, plain, origin, span)
 
+    def traced(self, *arguments: Tree) -> jax.stages.Traced:
+        """The program for arguments of these shapes, as JAX traces it."""
+        return self._of_all.trace(*arguments)
+
     def loop(self, *arguments: Tree) -> native.Loop:
-        """The loop for arguments of these shapes."""
-        [loop] = native.loops_of(self._of_all.trace(*arguments).jaxpr)
+        """Its loop."""
+        [loop] = native.loops_of(self.traced(*arguments).jaxpr)
         assert loop is not None
         return loop
 
