@@ -96,7 +96,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
     mesh = ensemble.first_devices(None)
     engine = engine_of(job, mesh, devices)
-    layout = _layout.layout_of(_layout.Place(mesh, engine.whole), len(states.p))
+    layout = _layout.layout_of(mesh, len(states.p))
     loop = CompiledLoop(engine, layout, buffer_rows=1, progress=False)
 
     def call() -> Any:

@@ -1,11 +1,11 @@
-"""The engines of a run: machine code over blocks of members on a CPU, or XLA's loop over all members of a device."""
+"""The engines of a run: machine code on a CPU, or XLA."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -40,18 +40,18 @@ _SHORT_STEP, _TOGETHER = 600, 4  # steps of at most so many operations are compu
 
 
 class Start(NamedTuple):
-    """The initial data of the blocks of a layout; each field is a list with an item per block.
+    """The initial data of a process's members.
 
     Attributes:
         step, plain: the steps with the constants of whole steps, and without.
         origin: see `Origin`.
-        carry: the carries.
+        carry: the carry.
     """
 
-    step: list[Step]
-    plain: list[Step]
-    origin: list[Origin]
-    carry: list[Carry]
+    step: Step
+    plain: Step
+    origin: Origin
+    carry: Carry
 
 
 def engine_of(job: Job, mesh: Mesh, threads: int) -> Engine:
@@ -80,18 +80,17 @@ class Engine:
 
     Args:
         job: the run.
+        name: of the engine of its loops: "native" (machine code), "flat" (XLA, with an array (members,) for each number
+            of a step) or "xla".
         threads: the number of threads of machine code.
-        name: of the engine of its loops: "native" (machine code, all members of a process in one block), or on the
-            devices of a layout "flat" (XLA, with an array (members,) for each number of a step) or "xla".
 
     Attributes:
-        whole: True if a process has all of its members in one block.
         most_steps: the most steps in a call.
         refusal: why the engine cannot compute the run; empty if it can.
     """
 
     def __init__(self, job: Job, name: str, threads: int):
-        self.job, self.name, self.whole, self._threads = job, name, name == "native", threads
+        self.job, self.name, self._threads = job, name, threads
         self.prepares = job.step.prepares and isinstance(job.clock, UniformClock)
         own_time = job.t0 is not None and not job.shares_time
         self._origin: Axes = Origin(0 if own_time else None, None, None)  # pyright: ignore[reportArgumentType]
@@ -145,8 +144,7 @@ class Engine:
         job = few_members(self.job)
         step, plain, origin = job.step, None, Origin(job.t0, job.clock, None)  # pyright: ignore[reportArgumentType]
         if self.prepares:
-            with self._computing():
-                plain, step = step, self._compiled(Preparation())(step, job.states, origin)
+            plain, step = step, self._of_members(Preparation())(step, job.states, origin)
         value = None if job.reduction is None else np.zeros(job.members, job.dtype)
         ends = np.ones(2, _loop.step_dtype())
         rests = None if job.rests is None else np.full(ends.shape, job.first_dt / 2, job.dtype)
@@ -173,57 +171,43 @@ class Engine:
         return difference(ours, jax.tree.map(lambda *x: np.stack(x), *theirs))
 
     def start(self, layout: Layout) -> Start:
-        """The initial data of the blocks of a layout."""
+        """The initial data of the members of a process."""
         job = self.job
-        step = (_layout.replicate if job.step_axis is None else _layout.scatter)(layout, job.step)
-        states = _layout.scatter(layout, job.states)
-        t0 = (_layout.replicate if job.shares_time else _layout.scatter)(layout, job.t0)
-        start = Start(step, step, [Origin(t, job.clock, None) for t in t0], [])
-        if self.prepares:
-            start = start._replace(step=self._of_members(layout, Preparation(), start, states))
-        origin = start.origin
+        plain = (_layout.replicated if job.step_axis is None else _layout.placed)(layout, job.step)
+        states = _layout.placed(layout, job.states)
+        origin = Origin((_layout.replicated if job.shares_time else _layout.placed)(layout, job.t0), job.clock, None)
+        step = self._of_members(Preparation())(plain, states, origin) if self.prepares else plain
+        value = None
         if job.reduction is not None:
-            reduced = self.quantity(layout, job.reduction, start, states, 0)
-            origin = [o._replace(quantity=x) for o, x in zip(origin, reduced, strict=True)]
-        carry = [_loop.start(z, o.quantity) for z, o in zip(states, origin, strict=True)]
-        return start._replace(origin=origin, carry=carry)
+            value = self.quantity(job.reduction, Start(step, plain, origin, _loop.start(states, None)), states, 0)
+            origin = origin._replace(quantity=value)
+        return Start(step, plain, origin, _loop.start(states, value))
 
-    def quantity(self, layout: Layout, function: Reduction, start: Start, states: list[State], n: int) -> list[Numbers]:
+    def quantity(self, function: Reduction, start: Start, states: State, n: int) -> Numbers:
         """A function of step and state at node n, for all members."""
-        start = start._replace(origin=[o._replace(quantity=None) for o in start.origin])
-        return self._of_members(layout, Quantity(function), start, states, np.asarray(n, _loop.step_dtype()))
+        origin, node = start.origin._replace(quantity=None), np.asarray(n, _loop.step_dtype())
+        return self._of_members(Quantity(function), None)(start.plain, states, origin, node)
+
+    def _of_members(self, function: Callable[..., Tree], *more: Axes) -> Callable[..., Tree]:
+        """A function of (step, state, origin, …) of one member, for all members."""
+        compiled = _loop.compile_for_members(function, (self.job.step_axis, 0, self._origin, *more))
+
+        def call(*arguments: Tree) -> Tree:
+            with self._computing():
+                return compiled(*arguments)
+
+        return call
+
+    def run_spans(self, start: Start, carry: Carry, spans: Span, rows: int) -> tuple[Carry, Saved]:
+        """The carry after these save intervals, at most `rows`, and the saved rows."""
+        count = np.int32(len(spans.first))
+        spans = jax.tree.map(lambda x: np.resize(x, _power_of_two(rows)), spans)
+        plain = start.plain if self.prepares else None
+        with self._computing():
+            return jax.block_until_ready(self._intervals(carry, start.step, plain, start.origin, spans, count))
 
     def _computing(self) -> contextlib.AbstractContextManager[None]:
         return computed_by(self.name, self._threads)
-
-    def _of_members(
-        self, layout: Layout, function: Callable[..., Tree], start: Start, states: list[State], *more: Numbers
-    ) -> list[Tree]:
-        compiled = self._compiled(function, len(more))
-        return self._map(layout, lambda *x: compiled(*x, *more), start.plain, states, start.origin)
-
-    def _compiled(self, function: Callable[..., Tree], more: int = 0) -> Callable[..., Tree]:
-        """A function of (step, state, origin) and more that members share, compiled for all members."""
-        return _loop.compile_for_members(function, (self.job.step_axis, 0, self._origin, *[None] * more))
-
-    def run_spans(
-        self, layout: Layout, start: Start, carry: list[Carry], spans: Span, rows: int
-    ) -> tuple[list[Carry], list[Saved]]:
-        """The carries after these save intervals, at most `rows`, and the saved rows."""
-        count, rows = np.int32(len(spans.first)), _power_of_two(rows) if self.whole else rows
-        spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
-        plain = start.plain if self.prepares else [None] * len(carry)
-        results = self._map(
-            layout, lambda *x: self._intervals(*x, spans, count), carry, start.step, plain, start.origin
-        )
-        return [c for c, _ in results], [rows for _, rows in results]
-
-    def _map(self, layout: Layout, function: Callable[..., Tree], *arguments: Sequence[object]) -> list[Tree]:
-        def computed(*arguments: object) -> Tree:
-            with self._computing():
-                return function(*arguments)
-
-        return _layout.map_blocks(layout, computed, *arguments)
 
 
 def _member(axes: Axes, tree: Tree, m: int) -> Tree:

@@ -44,7 +44,7 @@ def execute(engine: Engine, layout: Layout, output: Output, progress: bool) -> R
         if not job.num_saves:
             output.checkpoint(carry, 0, 0.0, stop=False)
         result = output.result(carry)
-    _warn_of_failures(_layout.gather(layout, [c.failed for c in carry]), job.first_member)
+    _warn_of_failures(_layout.gather(layout, carry.failed), job.first_member)
     return result
 
 
@@ -56,7 +56,7 @@ def _next_call(job: Job, done: int, saved: int, most: int, free_rows: int) -> tu
 
 
 class CompiledLoop:
-    """The loop of a run over the blocks of a layout."""
+    """The loop of a run over the members of a layout."""
 
     def __init__(self, engine: Engine, layout: Layout, buffer_rows: int, progress: bool) -> None:
         self._engine, self._job, self._layout, self._rows = engine, engine.job, layout, buffer_rows
@@ -66,10 +66,8 @@ class CompiledLoop:
         if self._shown:
             self._H0 = self._energies(self.start, 0)
 
-    def run_intervals(
-        self, carry: list[Carry], done: int, saved: int, ends: np.ndarray
-    ) -> tuple[list[Carry], list[Saved]]:
-        """The carries and the saved rows, a list item per block, of the save intervals that end at the nodes `ends`.
+    def run_intervals(self, carry: Carry, done: int, saved: int, ends: np.ndarray) -> tuple[Carry, Saved]:
+        """The carry and the saved rows of the save intervals that end at the nodes `ends`.
 
         Before them there were `done` steps, and `saved` entries after the start.
         """
@@ -79,27 +77,25 @@ class CompiledLoop:
         if rests is not None:
             rests = np.resize(rests[saved + 1 :], len(ends)).astype(self._job.dtype)
         spans = _loop.Span(first, ends.astype(dtype), rests, begins)
-        return self._engine.run_spans(self._layout, self._start, carry, spans, self._rows)
+        return self._engine.run_spans(self._start, carry, spans, self._rows)
 
     def check_first_step(self) -> None:
         """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
         if self._job.reduction is not None:
-            _check_start(
-                _layout.gather(self._layout, [origin.quantity for origin in self._start.origin]), self._job.first_member
-            )
+            _check_start(_layout.gather(self._layout, self._start.origin.quantity), self._job.first_member)
         if self._job.num_steps:
             after, _ = self.run_intervals(self.start, 0, 0, np.ones(1, int))
-            _check_first(_layout.gather(self._layout, [c.failed for c in after]), self._job)
+            _check_first(_layout.gather(self._layout, after.failed), self._job)
 
-    def _energies(self, carry: list[Carry], done: int) -> list[_layout.Numbers]:
+    def _energies(self, carry: Carry, done: int) -> _layout.Numbers:
         """The energies minus work after `done` steps."""
-        return self._engine.quantity(self._layout, _loop.energy, self._start, [c.state for c in carry], done)
+        return self._engine.quantity(_loop.energy, self._start, carry.state, done)
 
-    def show_progress(self, carry: list[Carry], done: int, bar: Bar) -> None:
+    def show_progress(self, carry: Carry, done: int, bar: Bar) -> None:
         """Show the energy error and the failures so far on the progress bar, if it is visible."""
         if self._shown:
             H = self._energies(carry, done)
-            bar.show(*_layout.worst_energy_error(self._layout, self._H0, H, [c.failed for c in carry]))
+            bar.show(*_layout.worst_energy_error(self._layout, self._H0, H, carry.failed))
 
 
 def _check_start(quantity: np.ndarray, first: int) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+from jax.sharding import Mesh
 
 from lieint_jax.ensemble import _identity, _layout, _store
 from lieint_jax.ensemble._columns import (
@@ -25,7 +26,7 @@ from lieint_jax.ensemble._dyadic_sum import blocks
 from lieint_jax.ensemble._engine import Engine
 from lieint_jax.ensemble._integrity import Table
 from lieint_jax.ensemble._job import CHUNK_MEMBERS, Job
-from lieint_jax.ensemble._layout import Layout, Place
+from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._open_store import check_store
 from lieint_jax.ensemble._part_writer import PartWriter, join, skeleton
 from lieint_jax.ensemble._parts import PartsRoot, Split, read_root
@@ -37,18 +38,17 @@ from lieint_jax.ensemble._store_output import StoreOutput
 
 def run_into_store(
     engine: Engine,
-    place: Place,
+    mesh: Mesh,
     options: StoreOptions,
     resume: bool,
     integrate: Callable[[Layout, StoreOutput], object],
 ) -> Any:
     """Let `integrate` fill a store from the start or from its last checkpoint, and return the stored results."""
-    job, mesh = engine.job, place.mesh
+    job = engine.job
     path, leader = checked_path(options.path), jax.process_index() == 0
     check_json(options.attributes)
-    layout = _layout.layout_of(place, job.members)
     described = _identity.description(job, engine.name, options.attributes.get("scenario"))
-    chunk = _layout.chunk_of(layout, CHUNK_MEMBERS)
+    chunk = min(_layout.layout_of(mesh, job.members).each, CHUNK_MEMBERS)
     attributes = attributes_of(job, options, described, chunk, job.buffer_rows(chunk))
     _identity.check_processes(mesh, described, store=path.name, resume=resume)
     exists = bool(_layout.all_reduce_max(mesh, os.path.exists(path))[0])
@@ -65,7 +65,7 @@ def run_into_store(
         if exists:
             _layout.fail_together(mesh, lambda: _identity.check_same(path, writer.attributes, described))
         _layout.fail_together(mesh, lambda: leader and _store.clean(path))
-        layout = _layout.layout_of(place, job.members, writer.attributes["member_chunk"])
+        layout = _layout.layout_of(mesh, job.members, writer.attributes["member_chunk"])
         _layout.fail_together(mesh, lambda: _store.check(path))
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
@@ -86,7 +86,7 @@ def _refuse_parts(path: Path, attributes: Table) -> None:
 def run_part_into_store(
     engine: Engine,
     whole: Job,
-    place: Place,
+    mesh: Mesh,
     options: StoreOptions,
     split: Split,
     k: int,
@@ -100,7 +100,7 @@ def run_part_into_store(
     Args:
         engine: that of the part's job.
         whole: the job of all members.
-        place: the devices and threads.
+        mesh: the devices.
         options: the store.
         split: the parts.
         k: which one.
@@ -120,7 +120,7 @@ def run_part_into_store(
             storage.create(_store.ROOT, files[_store.ROOT])
         root = _same_run(storage, found or read_root(storage), described, split)
         join(storage, root, files)
-        layout = _layout.layout_of(place, engine.job.members, alone=whole.members == 1)
+        layout = _layout.layout_of(mesh, engine.job.members)
         with contextlib.closing(PartWriter(root, k, _identity.digest_of_states(engine.job.initial))) as writer:
             if not writer.progress["complete"]:
                 integrate(layout, StoreOutput(engine.job, layout, writer))

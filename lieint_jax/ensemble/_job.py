@@ -204,16 +204,16 @@ class Output(Protocol):
         """The largest number of saves in the next call."""
         ...
 
-    def restore(self) -> tuple[list[Carry], int, int] | None:
+    def restore(self) -> tuple[Carry, int, int] | None:
         """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
 
-    def begin(self, carry: list[Carry]) -> None:
+    def begin(self, carry: Carry) -> None:
         """Receive the entry of the start; not called for a resumed run."""
 
-    def append(self, saved: list[Saved], number: int) -> None:
+    def append(self, saved: Saved, number: int) -> None:
         """Receive `number` saved rows."""
 
-    def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
+    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
         """Receive, after each call of the loop, a carry from which the run can be resumed, and write it if it is time.
 
         Args:
@@ -231,7 +231,7 @@ class Output(Protocol):
         """The message for a user who interrupted the run."""
         ...
 
-    def result(self, carry: list[Carry]) -> Trajectory | Summary | None:
+    def result(self, carry: Carry) -> Trajectory | Summary | None:
         """The result, after the last step."""
 
 
@@ -262,8 +262,8 @@ def chunk_members(members: int, count: int, row: int, entries: int, remote: bool
     return max(CHUNK_MEMBERS, members // (count * _CHUNKS_OF_BUFFER), _OBJECT_BYTES // (row * entries))
 
 
-def local_rows(saved: list[Saved], number: int) -> list[Saved]:
-    """The first `number` saved rows of each block on the host; only a part of a longer buffer is copied."""
+def local_rows(saved: Saved, number: int) -> Saved:
+    """The first `number` saved rows on the host; a part of a longer buffer is copied, so that it can be freed."""
 
     def first_rows(x: Numbers) -> np.ndarray:
         x = np.asarray(x)
@@ -272,9 +272,9 @@ def local_rows(saved: list[Saved], number: int) -> list[Saved]:
     return jax.tree.map(first_rows, saved)
 
 
-def gather_rows(layout: Layout, saved: list[Saved], number: int) -> Saved:
+def gather_rows(layout: Layout, saved: Saved, number: int) -> Saved:
     """The first `number` saved rows of all members, on every process."""
-    return _layout.gather(layout, local_rows(saved, number), 1)
+    return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
 
 
 def first_entry(job: Job) -> dict[str, np.ndarray]:

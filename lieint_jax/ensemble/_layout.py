@@ -1,26 +1,16 @@
-"""Members over devices: a batch is cut into blocks, padded, and placed.
+"""Members over processes and devices.
 
-The mesh axis "members" runs over devices and processes. The members of a device are divided into blocks, and the bits
-of a result depend neither on the number of devices nor on the place of a member:
-
-* The same program (`_loop`), compiled for one device, advances every block. (XLA would fuse one program for all
-  devices, by `shard_map`, differently for each number of devices, and its results would round differently.)
-* The size of a block is a multiple of 16, so that it fills whole vector registers. It is followed by 32 copies of a
-  member, whose results are dropped: on a CPU the remainder of a vectorized loop runs as scalar code, which rounds
-  differently.
-
-On a CPU a block fits the cache. Machine code (`lieint_jax.native`) needs none of this: there the members of a process
-are one block (`Place.whole`).
+The mesh axis "members" runs over devices and processes; each process has consecutive members. On a CPU one program
+computes them all, in threads. The accelerators of a process share them; there the batch is padded with copies of its
+last member, so that each has equally many.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from math import lcm
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
@@ -32,79 +22,38 @@ _T = TypeVar("_T")
 Tree = Any  # a tree of arrays
 Numbers = Array | np.ndarray
 AXIS = "members"
-LANES = 16  # members in a vector register: 16 float32 in 512 bits
-_TAIL = 32  # padding after a block, for the remainder of vectorized loops
-_BLOCK = 1024  # the most members in a block on a CPU: their states and temporaries fit the cache
-
-
-class Place(NamedTuple):
-    """The devices that compute a run.
-
-    Attributes:
-        mesh: the devices of all processes.
-        whole: True if all members of a process are one block.
-    """
-
-    mesh: Mesh
-    whole: bool
-
-
-class Block(NamedTuple):
-    """A block of members on a device of this process; `start` is its first member."""
-
-    device: Any  # jax.Device | None
-    start: int
 
 
 class Layout(NamedTuple):
-    """The placement of members on the devices of a mesh.
+    """The members of each process.
 
-    Each device holds `blocks_per_device` blocks of `block_size` members, in order. Places beyond the last member are
-    padding, copies of that member. A block that would contain only padding is left out. If `place.whole`, the members
-    of a process are one block without padding.
+    Attributes:
+        mesh: the devices of all processes.
+        members: the number of members.
+        each: the number of places of a process; the last ones may have no members.
     """
 
-    place: Place
+    mesh: Mesh
     members: int
-    block_size: int
-    blocks_per_device: int
-    tail: int = 0
+    each: int
 
     @property
-    def mesh(self) -> Mesh:
-        """The devices of all processes."""
-        return self.place.mesh
-
-    @property
-    def padded_block_size(self) -> int:
-        """The number of members of a block and of the copies after it. A single member needs no copies."""
-        return self.block_size + self.tail
-
-    @property
-    def per_device(self) -> int:
-        """The number of members on a device, padding included."""
-        return self.block_size * self.blocks_per_device
-
-    @property
-    def local_devices(self) -> list[int]:
-        """The positions in the mesh of the devices of this process."""
-        return [k for k, device in enumerate(self.mesh.devices.flat) if device.process_index == jax.process_index()]
+    def local_devices(self) -> list[Any]:
+        """The devices of this process."""
+        return [device for device in self.mesh.devices.flat if device.process_index == jax.process_index()]
 
     @property
     def local_members(self) -> range:
-        """The members on the devices of this process, without padding."""
-        devices = self.local_devices
-        first, last = min(devices) * self.per_device, (max(devices) + 1) * self.per_device
-        return range(min(first, self.members), min(last, self.members))
+        """The members of this process."""
+        processes = dict.fromkeys(device.process_index for device in self.mesh.devices.flat)
+        first = list(processes).index(jax.process_index()) * self.each
+        return range(min(first, self.members), min(first + self.each, self.members))
 
     @property
-    def local_blocks(self) -> list[Block]:
-        """The blocks of this process, in the order of their members; one block of padding if it has no members."""
-        if self.place.whole:
-            return [Block(None, min(self.local_members.start, self.members - 1))]
-        devices, starts = self.mesh.devices.flat, range(0, self.per_device, self.block_size)
-        found = [Block(devices[k], k * self.per_device + start) for k in self.local_devices for start in starts]
-        return [block for block in found if block.start < self.members] or found[:1]
+    def computed_members(self) -> range:
+        """The members that this process computes: the last one, if it has none."""
+        mine = self.local_members
+        return mine or range(self.members - 1, self.members)
 
 
 def checked_mesh(mesh: Mesh | None) -> Mesh:
@@ -158,97 +107,63 @@ def first_devices(count: int | None) -> Mesh:
     return Mesh(devices, (AXIS,))
 
 
-def layout_of(place: Place, members: int, chunk: int | None = None, alone: bool = True) -> Layout:
-    """The layout of `members` members; with `chunk`, each process holds whole chunks of members.
-
-    A single member is computed without padding, unless it is not `alone` but part of a run of more.
-    """
-    if members == 1 and alone:
-        return Layout(place, 1, 1, 1)
-    mesh = place.mesh
+def layout_of(mesh: Mesh, members: int, chunk: int = 1) -> Layout:
+    """The layout of so many members, of which each process but the last one has whole chunks."""
     processes = count_processes(mesh)
-    on_cpu = mesh.devices.flat[0].platform == "cpu" and not place.whole
-    unit, tail = (1, 0) if place.whole else (LANES, _TAIL)
-    if chunk is None or processes == 1:
-        each = -(-members // mesh.size)
-        blocks = -(-each // _BLOCK) if on_cpu else 1
-        return Layout(place, members, unit * -(-each // (unit * blocks)), blocks, tail)
-    devices = mesh.size // processes
-    row = lcm(chunk, unit * devices)
-    each = row * -(-members // (processes * row)) // devices
-    block = max(b for b in range(unit, _BLOCK + 1, unit) if each % b == 0) if on_cpu else each
-    return Layout(place, members, block, each // block, tail)
+    return Layout(mesh, members, chunk * -(-members // (processes * chunk)))
 
 
-def chunk_of(layout: Layout, most: int) -> int:
-    """The number of members in a chunk of a store: at most `most`, but at least one block of each local device."""
-    if layout.place.whole:
-        return min(layout.per_device * len(layout.local_devices), most)
-    row = len(layout.local_devices) * layout.block_size
-    return row * min(layout.blocks_per_device, max(1, most // row))
+def placed(layout: Layout, tree: _T, first: int = 0) -> _T:
+    """The part of this process of host arrays that begin at member `first`, on its devices."""
+    mine = layout.computed_members
+    mine = slice(mine.start - first, mine.stop - first)
+    tree = jax.tree.map(lambda x: np.asarray(x)[mine], tree)
+    return (
+        tree
+        if _on_cpu(layout)
+        else jax.device_put(jax.tree.map(partial(_padded, layout), tree), _sharding(layout, AXIS))
+    )
 
 
-def scatter(layout: Layout, tree: _T, first: int = 0) -> list[_T]:
-    """Split host arrays that begin at member `first` into this process' blocks, pad them, and copy them to devices."""
+def replicated(layout: Layout, tree: _T) -> _T:
+    """What all members share, on all devices of this process."""
     tree = jax.tree.map(np.asarray, tree)
-    if layout.place.whole:
-        [start] = [block.start - first for block in layout.local_blocks]
-        end = start + max(len(layout.local_members), 1)
-        return [jax.tree.map(lambda x: x[start:end], tree)]
-
-    def put_block(block: Block) -> _T:
-        rows = np.arange(block.start, block.start + layout.padded_block_size) - first
-        return jax.device_put(jax.tree.map(lambda x: x[np.clip(rows, 0, len(x) - 1)], tree), block.device)
-
-    return [put_block(block) for block in layout.local_blocks]
+    return tree if _on_cpu(layout) else jax.device_put(tree, _sharding(layout))
 
 
-def replicate(layout: Layout, tree: _T) -> list[_T]:
-    """A copy of `tree` for each block of this process, on the block's device."""
-    if layout.place.whole:
-        return [jax.tree.map(np.asarray, tree)]
-    copies = {block.device: jax.device_put(tree, block.device) for block in layout.local_blocks}
-    return [copies[block.device] for block in layout.local_blocks]
+def _on_cpu(layout: Layout) -> bool:
+    return layout.local_devices[0].platform == "cpu"
 
 
-def map_blocks(layout: Layout, function: Callable[..., _T], *arguments: Sequence[object]) -> list[_T]:
-    """Apply `function` to the arguments of each block, on all devices at the same time, and wait for all results."""
-    work: dict[object, list[int]] = {}
-    for k, block in enumerate(layout.local_blocks):
-        work.setdefault(block.device, []).append(k)
-
-    def on_device(which: list[int]) -> list[tuple[int, _T]]:
-        return jax.block_until_ready([(k, function(*(x[k] for x in arguments))) for k in which])
-
-    if len(work) == 1:
-        return [result for which in work.values() for _, result in on_device(which)]
-    with ThreadPoolExecutor(len(work)) as pool:
-        return [result for done in pool.map(on_device, work.values()) for _, result in done]
+def _sharding(layout: Layout, *axes: str) -> NamedSharding:
+    return NamedSharding(Mesh(np.array(layout.local_devices), (AXIS,)), PartitionSpec(*axes))
 
 
-def local_part(layout: Layout, blocks: Sequence[Numbers], axis: int = 0) -> np.ndarray:
-    """The members of this process as one host array, without padding, from their blocks; `axis` is the member axis."""
-    before = (slice(None),) * axis
-    size = None if layout.place.whole else layout.block_size
-    parts = [np.asarray(x)[*before, :size] for x in blocks]
-    return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.local_members)]
+def _padded(layout: Layout, x: np.ndarray) -> np.ndarray:
+    missing = -len(x) % len(layout.local_devices)
+    return np.concatenate([x, np.repeat(x[-1:], missing, axis=0)]) if missing else x
 
 
-def gather(layout: Layout, trees: Sequence[Tree], axis: int = 0) -> Tree:
-    """The arrays of all members on every process, without padding, from a tree per block; `axis` is the member axis."""
-    if layout.place.whole and count_processes(layout.mesh) == 1:
-        return jax.tree.map(np.asarray, trees[0])
-    return jax.tree.map(lambda *blocks: _gather_leaf(layout, blocks, axis), *trees)
+def local_part(layout: Layout, x: Numbers, axis: int = 0) -> np.ndarray:
+    """The members of this process as a host array, without padding; `axis` is the member axis."""
+    return np.asarray(x)[*(slice(None),) * axis, : len(layout.local_members)]
 
 
-def _gather_leaf(layout: Layout, blocks: Sequence[Numbers], axis: int) -> np.ndarray:
-    mine = local_part(layout, blocks, axis)
-    if count_processes(layout.mesh) == 1:
+def gather(layout: Layout, tree: Tree, axis: int = 0) -> Tree:
+    """The arrays of all members on every process, without padding; `axis` is the member axis."""
+    return jax.tree.map(lambda x: _gather_leaf(layout, x, axis), tree)
+
+
+def _gather_leaf(layout: Layout, x: Numbers, axis: int) -> np.ndarray:
+    mine, processes = local_part(layout, x, axis), count_processes(layout.mesh)
+    if processes == 1:
         return mine
-    mine, devices = np.moveaxis(mine, axis, 0), len(layout.local_devices)
-    mine = np.concatenate([mine, np.zeros((devices * layout.per_device - len(mine), *mine.shape[1:]), mine.dtype)])
-    whole = _all_gather_rows(layout.mesh, mine.reshape(devices, layout.per_device, *mine.shape[1:]))
-    return np.moveaxis(whole.reshape(-1, *mine.shape[1:])[: layout.members], 0, axis)
+    mine, devices = np.moveaxis(mine, axis, 0), layout.mesh.size // processes
+    per_device = -(-layout.each // devices)
+    mine = np.concatenate([mine, np.zeros((devices * per_device - len(mine), *mine.shape[1:]), mine.dtype)])
+    whole = _all_gather_rows(layout.mesh, mine.reshape(devices, per_device, *mine.shape[1:]))
+    whole = whole.reshape(processes, -1, *mine.shape[1:])[:, : layout.each].reshape(-1, *mine.shape[1:])
+    return np.moveaxis(whole[: layout.members], 0, axis)
 
 
 def _all_gather_rows(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
@@ -313,9 +228,7 @@ def barrier(mesh: Mesh) -> None:
     all_gather(mesh, 0.0)
 
 
-def worst_energy_error(
-    layout: Layout, H0: Sequence[Numbers], H: Sequence[Numbers], failed: Sequence[Numbers]
-) -> tuple[float, int]:
+def worst_energy_error(layout: Layout, H0: Numbers, H: Numbers, failed: Numbers) -> tuple[float, int]:
     """max|H − H₀| / max|H₀| over all members, and the number of members that have failed."""
     H0_, H_, failed_ = (local_part(layout, x) for x in (H0, H, failed))
     change, size = (np.max(np.abs(x), initial=0.0) for x in (H_ - H0_, H0_))

@@ -28,15 +28,15 @@ class MemoryOutput:
     def restore(self) -> None:
         return None
 
-    def begin(self, carry: list[Carry]) -> None:
+    def begin(self, carry: Carry) -> None:
         if self._job.reduction is not None:
             self._series.append(first_entry(self._job))
             return
-        first = _layout.gather(self._layout, [(c.info, c.state) for c in carry])
+        first = _layout.gather(self._layout, (carry.info, carry.state))
         self._out = jax.tree.map(lambda x: np.empty((self._job.num_saves + 1, *x.shape), x.dtype), first)
         self._put(jax.tree.map(lambda x: x[None], first))
 
-    def append(self, saved: list[Saved], number: int) -> None:
+    def append(self, saved: Saved, number: int) -> None:
         rows = gather_rows(self._layout, saved, number)
         if self._job.reduction is None:
             self._put(rows)
@@ -49,7 +49,7 @@ class MemoryOutput:
             target[self._entries : self._entries + number] = x
         self._entries += number
 
-    def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
+    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
         pass
 
     def can_stop(self) -> bool:
@@ -58,11 +58,11 @@ class MemoryOutput:
     def interrupt_message(self, done: int, num_steps: int) -> str:
         return f"stopped after {done} of {num_steps} steps; a run with a store can be resumed"
 
-    def result(self, carry: list[Carry]) -> Result:
+    def result(self, carry: Carry) -> Result:
         if self._job.reduction is None and self._out is not None:
             info, state = self._out
             return Trajectory(self._job.times, self._job.with_times(state), info)  # pyright: ignore[reportArgumentType]
         names = set(Summary._fields) & set(self._series[0])
         series = {name: np.concatenate([part[name] for part in self._series]) for name in names}
-        state, failed = _layout.gather(self._layout, [(c.state, c.failed) for c in carry])
+        state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
         return Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed)

@@ -60,14 +60,13 @@ class CallLength:
 
     def __init__(self, layout: Layout) -> None:
         self._mesh = layout.mesh
-        self._call = _CALL + 1e-3 * layout.blocks_per_device  # each block is dispatched separately
         self.steps, self.seconds = max(1, 100_000 // layout.members), 0.0
 
     def measure(self, steps: int, seconds: float, interrupted: bool) -> bool:
         """Adapt the number of steps to the duration of a call; return True if a process was interrupted."""
         self.seconds, stop = _layout.all_reduce_max(self._mesh, seconds, interrupted)
-        if steps == self.steps or self.seconds > self._call:
-            grown = self.steps * min(4.0, self._call / max(self.seconds, 1e-6))
+        if steps == self.steps or self.seconds > _CALL:
+            grown = self.steps * min(4.0, _CALL / max(self.seconds, 1e-6))
             self.steps = int(min(max(1, grown), 2**30))
         return bool(stop)
 

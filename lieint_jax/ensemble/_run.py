@@ -158,7 +158,6 @@ def run(
     with _checks.on_host():
         whole, job, split = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
     engine = engine_of(job, mesh, threads or _layout.count_cores())
-    place = _layout.Place(mesh, engine.whole)
 
     def integrate(layout: Layout, output: Output) -> object:
         return execute(engine, layout, output, progress)
@@ -167,12 +166,12 @@ def run(
         if options is None:
             if _layout.count_processes(mesh) > 1:
                 _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
-            layout = _layout.layout_of(place, job.members, alone=whole.members == 1)
+            layout = _layout.layout_of(mesh, job.members)
             return execute(engine, layout, MemoryOutput(job, layout), progress)
         if in_parts or remote:
             resume = resume or part is not None
-            return run_part_into_store(engine, whole, place, options, split, k, resume, integrate)
-        return run_into_store(engine, place, options, resume or part is not None, integrate)
+            return run_part_into_store(engine, whole, mesh, options, split, k, resume, integrate)
+        return run_into_store(engine, mesh, options, resume or part is not None, integrate)
 
 
 def _check_options(step_axis: int | None, reduce: object, resume: bool, store: object) -> None:

@@ -17,7 +17,7 @@ from lieint_jax.ensemble._loop import Carry, Range, Saved
 from lieint_jax.ensemble._store import leaves_by_name, state_from_leaves, store_name
 from lieint_jax.types import StepInfo
 
-Pending = Any  # saved rows by block, or the series of a reduction by name
+Pending = Any  # saved rows, or the series of a reduction by name
 SLAB = 8  # chunks of members that are joined along time, and written, at once
 _CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save interval
 
@@ -44,13 +44,12 @@ class StoreOutput:
         """The number of saves until the current chunk is full."""
         return self.buffer_rows - (self._entries + self._pending_rows) % self.buffer_rows
 
-    def restore(self) -> tuple[list[Carry], int, int] | None:
+    def restore(self) -> tuple[Carry, int, int] | None:
         """The carry and the numbers of steps and of saves of the run in the store, or None."""
         done = self._writer.progress
         if not done["commits"]:
             return None
-        mine = self._layout.local_members
-        part = range(max(min(mine.start, self._layout.members - 1), 0), max(mine.stop, mine.start + 1))
+        part = self._layout.computed_members
 
         def read(name: str) -> Any:
             return self._writer.read(f"checkpoint/{name}", (self._writer.slot, slice(part.start, part.stop)))
@@ -59,16 +58,16 @@ class StoreOutput:
         info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
         state = state_from_leaves({name: read(name) for name in leaves_by_name(self._job.states)})
         carry = Carry(state, info, read("failed"), change)  # pyright: ignore[reportArgumentType]
-        return _layout.scatter(self._layout, carry, part.start), done["steps"], done["entries"] - 1
+        return _layout.placed(self._layout, carry, part.start), done["steps"], done["entries"] - 1
 
-    def begin(self, carry: list[Carry]) -> None:
+    def begin(self, carry: Carry) -> None:
         """Receive the entry of the start."""
         if self._job.reduction is None:
-            self._pending.append(([jax.tree.map(lambda x: np.asarray(x)[None], (c.info, c.state)) for c in carry], 1))
+            self._pending.append((jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state)), 1))
         else:
             self._pending.append((first_entry(self._job), 1))
 
-    def append(self, saved: list[Saved], number: int) -> None:
+    def append(self, saved: Saved, number: int) -> None:
         """Receive `number` saved rows."""
         if self._job.reduction is not None:
             rows: Pending = reduce_rows(gather_rows(self._layout, saved, number), self._job)
@@ -76,7 +75,7 @@ class StoreOutput:
             rows = local_rows(saved, number)
         self._pending.append((rows, number))
 
-    def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
+    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
         self._settle(wait=False)
         self._since += seconds
@@ -85,7 +84,7 @@ class StoreOutput:
         if last or whole or (not self._pending_rows and (stop or self._since > _CHECKPOINT_EVERY)):
             self._commit(carry, done, last)
 
-    def _commit(self, carry: list[Carry], done: int, last: bool) -> None:
+    def _commit(self, carry: Carry, done: int, last: bool) -> None:
         self._settle(wait=True)
         pending, first, writer = self._pending, self._entries, self._writer
         number = writer.progress["commits"] + 1
@@ -110,7 +109,7 @@ class StoreOutput:
                 time.sleep(0.002)
 
     def _parts(
-        self, carry: list[Carry], pending: list[tuple[Pending, int]], first: int, commit: tuple[int, int], last: bool
+        self, carry: Carry, pending: list[tuple[Pending, int]], first: int, commit: tuple[int, int], last: bool
     ) -> Any:
         """The parts of a commit (its number, number of steps), one by one, computed by the background thread."""
         layout, part, slot = self._layout, _store.Part, commit[0] % 2
@@ -145,9 +144,9 @@ class StoreOutput:
         """The rows of this process' members, joined along time for a few chunks at once: memory has no copy of all."""
         members, across = self._layout.local_members, SLAB * int(self._writer.attributes["member_chunk"])
         slabs = [members[k : k + across] for k in range(0, len(members), across)]
-        blocks = [[leaves_by_name(state) | info._asdict() for info, state in saved] for saved, _ in pending]
-        for name in blocks[0][0]:
-            pieces = [_layout.local_part(self._layout, [block[name] for block in saved], 1) for saved in blocks]
+        saved = [leaves_by_name(state) | info._asdict() for (info, state), _ in pending]
+        for name in saved[0]:
+            pieces = [_layout.local_part(self._layout, rows[name], 1) for rows in saved]
             for slab in slabs:
                 own = slice(slab.start - members.start, slab.stop - members.start)
                 rows = [piece[:, own] for piece in pieces]
@@ -177,17 +176,13 @@ class StoreOutput:
         """The message for a user who interrupted the run."""
         return f"stopped after {done} of {num_steps} steps, all of them in {self._writer.path}; resume to continue"
 
-    def result(self, carry: list[Carry]) -> None:
+    def result(self, carry: Carry) -> None:
         """Wait until everything is written."""
         self._settle(wait=True)
         _layout.barrier(self._layout.mesh)
 
 
-def _leaves_of_carry(carry: list[Carry]) -> dict[str, list[Numbers]]:
-    """The arrays of a carry by name, each as a list of its blocks."""
-    found: dict[str, list[Numbers]] = {}
-    for c in carry:
-        change = c.change._asdict() if c.change is not None else {}
-        for name, x in {**leaves_by_name(c.state), "failed": c.failed, **c.info._asdict(), **change}.items():
-            found.setdefault(name, []).append(x)
-    return found
+def _leaves_of_carry(carry: Carry) -> dict[str, Numbers]:
+    """The arrays of a carry by name."""
+    change = carry.change._asdict() if carry.change is not None else {}
+    return {**leaves_by_name(carry.state), "failed": carry.failed, **carry.info._asdict(), **change}
