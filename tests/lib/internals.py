@@ -19,6 +19,7 @@ from lieint_jax.ensemble import (
     _integrity,
     _into_store,
     _job,
+    _layout,
     _made_states,
     _parts,
     _run,
@@ -60,6 +61,11 @@ def engine_on(platform, job):
 def refusal(name, job):
     """Why an engine cannot compute a job."""
     return _engine.Engine(job, name, 1).refusal
+
+
+def spread_over_devices(monkeypatch):
+    """Let a process spread its members over its devices, as over accelerators."""
+    monkeypatch.setattr(_layout, "_on_cpu", lambda _: False)
 
 
 def limit_flat_engine(monkeypatch, what, most):
