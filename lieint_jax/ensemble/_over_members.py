@@ -21,7 +21,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
 
     For example `over_members(jax.grad(loss))(params, states)`. The result may be jitted and differentiated again. With
     `jax.distributed`, every process calls it with the same arguments and gets the same results. All devices run one
-    program, so the last bits may depend on the number of devices; those of `ensemble.run` do not.
+    program, so the last bits may depend on the number of devices; those of machine code in `ensemble.run` do not.
 
     LAPACK calls (`svd`, `qr`, `solve`, …) inside `function` need `jax.custom_batching.sequential_vmap`: where each core
     of a CPU is a device, XLA runs a batch of them on the threads that already wait for it, and hangs.

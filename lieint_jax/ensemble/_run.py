@@ -75,11 +75,12 @@ def run(
 ) -> Any:
     """Integrate a batch of initial states in one compiled loop, in memory or into a store that can be resumed.
 
-    The bits of the results depend neither on the number of devices and processes nor on whether the run was resumed.
-    With `jax.distributed`, every process calls this with the same arguments and gets the same results.
-
     On a CPU the loop is machine code for vectors of members, in one thread per core (`lieint_jax.native`). Steps that
     cannot be compiled this way (a LAPACK call that depends on the state, very many bodies) and other devices use XLA.
+
+    The bits of machine code depend neither on threads, processes and parts nor on whether the run was resumed; those of
+    XLA may depend on the numbers of members and devices. With `jax.distributed`, every process calls this with the same
+    arguments and gets the same results.
 
     Args:
         step: a scheme's step; with `step_axis=0` its leaves carry the member axis too (one inertia per member).
@@ -110,7 +111,7 @@ def run(
         part: (k, n) integrates part k = 0 … n − 1 of the members only, as one of n processes that need not run at the
             same time or communicate. Each writes its own part of `store`; it continues this part, if the store
             has it, and starts it otherwise. "auto" is the number of this task in an array of tasks: see
-            `part_of_task`. All parts have the bits of one process.
+            `part_of_task`. In machine code all parts have the bits of one process.
         members: the number of members, where `states` is a function.
 
     Returns:
