@@ -126,7 +126,8 @@ def _times(n: ArrayLike, dt: Array) -> Array:
     """n Δt, also where JAX does not promote integers."""
     if isinstance(n, int):
         return n * dt
-    return (n.astype(dt.dtype) if isinstance(n, np.ndarray) else jnp.asarray(n, dt.dtype)) * dt
+    n = n.astype(dt.dtype) if isinstance(n, np.ndarray) else jnp.asarray(n, dt.dtype)
+    return n * dt  # pyright: ignore[reportReturnType]  # numpy's on the host
 
 
 def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) -> Array:

@@ -13,13 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.extend.core import ClosedJaxpr
 
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
 from lieint_jax.native._traced import Leaf, Operation, Traced, Tree, make_once
 
 
-def flatten(function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]) -> Flattened:
+def flatten(function: Callable[..., Tree] | ClosedJaxpr, kinds: Sequence[Tree], examples: Sequence[Tree]) -> Flattened:
     """The `Flattened` of a function that can be hashed, made once for all arguments of the same shapes."""
     return make_once(Flattened, function, kinds, examples)
 
@@ -41,7 +42,7 @@ class Flattened:
         UnsupportedError: the function cannot be a program of numbers, or an operation has no counterpart in JAX.
     """
 
-    def __init__(self, function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]):
+    def __init__(self, function: Callable[..., Tree] | ClosedJaxpr, kinds: Sequence[Tree], examples: Sequence[Tree]):
         self._traced = Traced(function, kinds, examples)
         self.results, self.kinds_of_results = self._traced.results, self._traced.kinds_of_results
         self.length = self._traced.length
