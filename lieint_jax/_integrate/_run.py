@@ -8,7 +8,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -17,10 +17,7 @@ from lieint_jax._integrate._adjoint import Adjoint, checked_adjoint
 from lieint_jax._integrate._clock import (
     Clock,
     GridClock,
-    RoundedClock,
     StateClock,
-    UniformClock,
-    at_time,
     clock_of,
     halved,
     more_times,
@@ -28,8 +25,9 @@ from lieint_jax._integrate._clock import (
     refuse_far_times,
     refuse_times,
 )
-from lieint_jax._integrate._driver import prepared, saved_states, step_at_node
+from lieint_jax._integrate._driver import prepared, saved_states
 from lieint_jax._integrate._halved import splits
+from lieint_jax._integrate._outputs import at_output_times
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 from lieint_jax.types.shapes import PyTree
@@ -112,7 +110,8 @@ def integrate(
     refuse_far_times("save_at", num_steps, clock.time(0))
     _check_first(step, state, clock, first)
     _check_size(state, wanted.size + 1)
-    return _at_output_times(step, state, clock, wanted, num_steps)
+    later = at_output_times(step, state, clock, wanted, num_steps)
+    return join_start(state, later, jnp.concatenate([clock.time(0)[None], wanted]))
 
 
 def _after_every(
@@ -209,40 +208,6 @@ def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_ever
     """The trajectory of a state, saved `num_saves` times after the start."""
     later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every)
     return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
-
-
-@partial(compiled, static_argnums=4)
-def _at_output_times(
-    step: Step, state: State, clock: UniformClock | RoundedClock | GridClock, save_at: Array, num_steps: int
-) -> Trajectory:
-    """The trajectory at output times: whole steps, and before each a shorter one from its node to every output."""
-    count = save_at.size
-    span = clock.time(num_steps) - clock.time(0)
-    inside = jnp.abs(save_at - clock.time(0) - span / 2) <= jnp.abs(span) / 2 * (1 + 1e-12)  # False for NaN
-    own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
-    nodes = lax.cummax(own)
-    rests = save_at - clock.time(nodes)
-    whole, fresh = prepared(step, state, clock), StepInfo.empty(state.p)
-    outputs = jnp.zeros(num_steps + count, bool).at[nodes + jnp.arange(count)].set(True)
-    buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), (state, fresh))
-
-    def step_to_output(carry: PyTree, is_output: Array) -> tuple[PyTree, None]:
-        (state, so_far), n, k, buffer = carry
-        rest = rests[jnp.minimum(k, count - 1)]
-        end, info = lax.cond(is_output, lambda: step(state, rest), lambda: step_at_node(whole, clock, state, n))
-        reached = end, so_far.merge(info)
-        slot = jnp.where(is_output, k, count)
-        buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, reached)
-        outputs_here = is_output.astype(n.dtype)
-        following = jax.tree.map(lambda a, b: jnp.where(is_output, a, b), (state, fresh), reached)
-        return (following, n + 1 - outputs_here, k + outputs_here, buffer), None
-
-    zero = jnp.zeros((), int)
-    if count:
-        buffer = lax.scan(step_to_output, ((state, fresh), zero, zero, buffer), outputs)[0][-1]
-    later, info = buffer
-    info = info._replace(converged=info.converged & inside & (own == nodes))  # else a traced time is out of order
-    return join_start(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
 
 
 def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:

@@ -211,6 +211,7 @@ def test_bad_requests_are_refused_with_a_sentence(store, tmp_path, monkeypatch, 
     assert error.count("\n") == 1
 
 
+@pytest.mark.long
 def test_missing_packages_for_animations_are_named(store, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
     assert animate(store, ["--out", tmp_path / "turn.html"]) == 2

@@ -241,6 +241,7 @@ def test_the_key_that_a_message_names_for_a_list_of_standard_deviations_accepts_
         scenarios.load("several.toml")
 
 
+@pytest.mark.long
 def test_a_warning_is_shown_once(capsys):
     """The triangle inequality is checked where the file is read and where the system is made."""
     import warnings

@@ -65,6 +65,7 @@ def test_the_light_of_the_satellite_is_the_sum_over_its_facets():
         assert float(light) == pytest.approx(theirs, abs=3e-3 * float(jnp.max(ours)))
 
 
+@pytest.mark.long
 def test_derivatives_of_the_light_are_those_of_differences():
     q, sun, observer = (x[0] for x in directions(2))
 
@@ -80,6 +81,7 @@ def test_derivatives_of_the_light_are_those_of_differences():
             assert float(found) == pytest.approx(float(more - less) / (2 * h), abs=2e-8)  # seen: 1e-9
 
 
+@pytest.mark.long
 def test_derivatives_of_the_fit_by_the_gradient_are_those_of_the_light():
     """By the attitude alone, and by all at once."""
     q, sun, observer = (jnp.asarray(x[0]) for x in directions(8))
@@ -138,6 +140,7 @@ def _later(J, q, rate, t):
     return li.integrate(step, state, t / 20, 20).state.q[-1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("normals", [[0, 2], [1, 2, 3]])
 def test_relabeled_bodies_have_the_light_that_their_turns_leave(normals):
     """Facets without the satellite's symmetries: all turns of one change have one light, and no two changes a name."""

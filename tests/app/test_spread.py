@@ -107,6 +107,7 @@ def test_draws_have_the_given_mean_and_deviation():
     assert abs(np.corrcoef(np.concatenate([x, y], axis=1).T) - np.eye(6)).max() < 4 / np.sqrt(4000)
 
 
+@pytest.mark.long
 def test_a_member_is_the_same_in_ensembles_of_every_size_and_with_other_spreads():
     many = _spread.draw_members(load("toutatis", {"inertia": 0.01}, members=50))
     few = _spread.draw_members(load("toutatis", {"inertia": 0.01, "state.euler_313_deg": 1.0}, members=7))
@@ -115,6 +116,7 @@ def test_a_member_is_the_same_in_ensembles_of_every_size_and_with_other_spreads(
     assert (other[("inertia",)][1:] != few[("inertia",)][1:]).all()
 
 
+@pytest.mark.long
 def test_every_draw_belongs_to_a_body_an_orbit_a_direction():
     """However wide the spread: draws that no file could have are drawn again."""
     own = _spread.draw_members(load("driven", {"inertia": 1.0, "orbit.eccentricity": 0.5}, members=2000))

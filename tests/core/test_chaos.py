@@ -307,6 +307,7 @@ def _of(states, m):
     return jax.tree.map(lambda x: x[m], states)
 
 
+@pytest.mark.long
 def test_a_section_refuses_one_body_and_a_first_step_that_fails():
     step, state = REGULAR["free"]
     with pytest.raises(ValueError, match="leading member axis"):

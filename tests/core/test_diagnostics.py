@@ -215,7 +215,7 @@ def test_the_certificate_measures_orders_even_where_the_given_step_is_at_round_o
     assert c.energy < 4e-15
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("scale", [1e-20, 1e-4, 1e20])
 def test_verdicts_do_not_depend_on_units(scale):
     """The same body in other units of mass, and its clock run backwards: the same certificate."""
@@ -249,6 +249,7 @@ def test_delay_lists_values_at_equal_distances():
         diagnostics.delay(jnp.arange(10.0), 5)
 
 
+@pytest.mark.long
 def test_series_start_at_zero_and_show_a_planted_error():
     made = jax.jit(lambda z: li.integrate(li.schemes.so3_midpoint(BODY), z, 0.1, 20))(STATE)
     run = jax.tree.map(np.array, made)

@@ -27,6 +27,7 @@ def test_the_quarter_period_agrees_with_mpmath():
     assert np.isfinite(elliptic.quarter_period(jnp.array(0.0)))
 
 
+@pytest.mark.long
 def test_jacobi_functions_agree_with_mpmath():
     """Each function to a few eps of itself and of its change over u·eps."""
     function = jax.jit(jax.vmap(elliptic.jacobi))
@@ -45,6 +46,7 @@ def test_jacobi_functions_agree_with_mpmath():
             assert abs(mpmath.mpf(float(value)) - exact) < 6 * allowed, (m1, u)  # floor 2.4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("m1", [1.0, 0.7, 0.5, 0.2, 1e-6, 0.0])
 def test_derivatives_of_jacobi_functions_are_exact_also_at_the_ends(m1):
     """In u, the defining equations; in m1 against mpmath. At 0 and at 1 too."""

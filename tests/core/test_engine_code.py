@@ -16,7 +16,7 @@ def energy(body, q, p):
     return float(body.energy(li.State(jnp.asarray(q), jnp.asarray(p))))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("call", "scheme"), [("midpoint", "so3_midpoint"), ("explicit", "so3_explicit")])
 @pytest.mark.parametrize("J", [[1.0, 2.0, 2.5], [2.0, 0.3, 2.1], [1.0, 1.0, 1.0], [1.0, 1.0, 1.7]])
 @pytest.mark.parametrize("dt", [0.1, -0.25])

@@ -39,6 +39,7 @@ def test_the_batch_is_the_bodies_one_by_one():
         np.testing.assert_array_equal(np.asarray(run.state.p)[:, m], one.state.p)
 
 
+@pytest.mark.long
 def test_an_ensemble_may_save_the_last_state_only_and_give_each_member_an_inertia():
     batch = states(4)
     J = np.array([[1.0, 2, 3], [1, 1, 2], [2, 2, 2], [1, 1.5, 2]])

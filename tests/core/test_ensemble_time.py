@@ -210,6 +210,7 @@ def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, make)
     assert filecmp.cmpfiles(path, whole, names, shallow=False)[1:] == ([], [])
 
 
+@pytest.mark.long
 def test_a_run_at_another_time_does_not_resume(tmp_path):
     path = tmp_path / "run.zarr"
     run(path)

@@ -144,6 +144,7 @@ SIZES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("call", "sentence"), SIZES, ids=[sentence[:30] for _, sentence in SIZES])
 def test_a_size_is_refused_before_it_is_allocated(call, sentence, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -70,10 +70,10 @@ def satellite(J):
     return li.schemes.torqued_midpoint(li.systems.torqued_body(J, li.torques.total(laws))), {"t": 0.0, "work": 0.0}
 
 
-def end(make, J, w, adjoint=None):
+def end(make, J, w, **options):
     step, more = make(J)
     start = step.system.state(angular_velocity=w, **more)
-    return li.integrate(step, start, 0.05, 12, save_every=12, adjoint=adjoint).state.p[-1]
+    return li.integrate(step, start, 0.05, 12, **({"save_every": 12} | options)).state.p[-1]
 
 
 RUNS = {"free body": free_body, "heavy top": top, "satellite": satellite, "heavy top, order 6": nystrom}
@@ -96,9 +96,22 @@ def test_runs_and_their_derivatives_are_machine_code(name, use):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
+def test_runs_with_output_times_are_machine_code(name):
+    """They were XLA's, since they recorded into an array that the loop carried."""
+
+    def last(J, w):
+        return end(RUNS[name], J, w, save_every=1, save_at=np.array([0.0, 0.07, 0.1, 0.1, 0.52]))
+
+    for f in last, jax.jacfwd(last), jax.grad(lambda J, w: last(J, w).sum()):
+        found = li.explain(f, J, W[0])
+        assert found.engines == {"native"}, str(found)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", RUNS)
 def test_gradients_by_undoing_steps_are_machine_code(name):
     adjoint = li.adjoints.ReversibleAdjoint()
-    gradient = jax.grad(lambda J, W: jax.vmap(lambda w: end(RUNS[name], J, w, adjoint))(W).sum())
+    gradient = jax.grad(lambda J, W: jax.vmap(lambda w: end(RUNS[name], J, w, adjoint=adjoint))(W).sum())
     assert {loop.engine for loop in li.explain(gradient, J, W).loops} == {"native"}
 
 

@@ -117,7 +117,7 @@ CASES = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_no_success_where_the_gradient_has_not_vanished(name):
     loss, optimizer = CASES[name]
@@ -134,6 +134,7 @@ def test_the_unit_of_a_loss_does_not_matter():
         np.testing.assert_allclose(found.params, 0.3, rtol=0, atol=2e-3 if dtype == jnp.float64 else 1e-2)
 
 
+@pytest.mark.long
 def test_the_best_parameters_of_the_search_are_returned():
     found = li.fit(lambda x: jnp.sum((x - 0.3) ** 2), jnp.ones(2), optax.adam(1.0), iterations=11)
     assert found.loss == found.history.min() < found.history[-1]
@@ -190,6 +191,7 @@ def test_a_failed_trial_never_poisons_the_fit(optimizer):
             assert found.failures > 0
 
 
+@pytest.mark.long
 def test_a_first_guess_that_fails_is_reported():
     found = li.fit(lambda x: jnp.sqrt(x), jnp.array([-1.0]), "levenberg_marquardt")
     assert not found.success
@@ -258,6 +260,7 @@ def test_bounds_are_inverse_maps_onto_their_domain(name):
         assert (moments[:, 2] <= (1 + 1e-12) * (moments[:, 0] + moments[:, 1])).all()
 
 
+@pytest.mark.long
 def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
     def loss(p):
         return {"a": p["a"] + 1, "b": p["b"] - 3}  # the minimum of a is at −1, outside
@@ -272,7 +275,7 @@ def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
         li.fit(loss, {"a": -1.0, "b": 0.0}, bounds=bounds)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("bound", "edge", "condition", "inside"),
     [
@@ -302,6 +305,7 @@ def test_the_covariance_is_that_of_the_parameters_not_of_their_coordinates():
 A = np.array([[1.0, 0.2], [0.3, 2.0], [0.5, -0.4]])
 
 
+@pytest.mark.long
 def test_a_bound_changes_neither_steps_nor_covariance_where_it_is_not_active():
     """A linear problem in coordinates that are no parameters: the covariance is (AᵀA)⁻¹."""
     found = li.fit(lambda p: A @ p - A @ np.array([0.5, 0.7]), jnp.array([0.6, 0.8]), bounds=li.fitting.inertia_ratios)
@@ -311,6 +315,7 @@ def test_a_bound_changes_neither_steps_nor_covariance_where_it_is_not_active():
     np.testing.assert_allclose(found.covariance, np.linalg.inv(A.T @ A), rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_parameter_at_its_bound_has_no_standard_error_and_the_others_are_those_of_a_fit_without_it():
     bounds = {"a": li.fitting.positive, "k": li.fitting.interval(0.1, 0.6)}
     found = li.fit(residuals, {"a": 1.0, "k": 0.2}, bounds=bounds)
@@ -326,6 +331,7 @@ def test_a_parameter_at_its_bound_has_no_standard_error_and_the_others_are_those
     assert str(found).splitlines()[2].startswith("  k = 0.6 ± nan")
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the fit is no success")
 def test_an_implausible_chi_square_is_no_success():
     """Of residuals that are standardized: 40 of them, with ten times the noise."""
@@ -350,6 +356,7 @@ def test_a_search_that_ends_at_a_bound_with_the_loss_falling_inwards_is_no_succe
     assert 0 < outside.params < 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_the_step_in_a_box_is_that_of_bounded_least_squares(side):
     """20 random problems, with a trust region that does not matter; sides that are near hold some coordinates."""
@@ -367,6 +374,7 @@ def test_the_step_in_a_box_is_that_of_bounded_least_squares(side):
         assert float(fall[k]) == pytest.approx(r[k] @ r[k] / 2 - best.cost, rel=1e-10)
 
 
+@pytest.mark.long
 def test_a_loss_is_traced_again_for_other_shapes_only():
     traced = []
 

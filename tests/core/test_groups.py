@@ -137,6 +137,7 @@ def exp_and_tangents(xi):
     return g.exp(xi), jax.jacfwd(g.exp)(xi)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [1e-8, 1.9, 2.1, 7.0, 60.0, 120.0])
 def test_exp_and_its_derivative_on_both_sides_of_every_scaling(size):
     g = groups.special_euclidean(3)
@@ -153,6 +154,7 @@ def test_exp_and_its_derivative_on_both_sides_of_every_scaling(size):
         close(g.exp_near(xi), expm(X), 2e-15)
 
 
+@pytest.mark.long
 def test_exp_is_nan_beyond_its_range_and_near_is_false():
     g = groups.special_orthogonal(3)
     assert np.isnan(g.exp(jnp.array([200.0, 0, 0]))).all()
@@ -234,6 +236,7 @@ def test_closed_forms_where_there_is_one_pair_of_eigenvalues():
     assert cosine == pytest.approx([1 / 2, 1 / 24])
 
 
+@pytest.mark.long
 def test_groups_by_their_known_structure():
     cross = groups.special_orthogonal(3)
     u, v = np.array([[0.3, -0.5, 0.4], [0.1, 0.7, -0.2]])

@@ -35,6 +35,7 @@ def test_a_run_is_one_loop():
         assert str(made).count("march[") == 1
 
 
+@pytest.mark.long
 def test_a_run_forward_and_backward_returns_to_its_start():
     there = jax.device_get(integrate(STEP, STATE, 0.1, 500, save_every=500))
     back = jax.device_get(integrate(STEP, jax.tree.map(lambda x: x[-1], there.state), -0.1, 500, save_every=500))

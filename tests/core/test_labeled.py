@@ -49,6 +49,7 @@ def test_a_batch_as_a_dataset_has_members():
     assert found.energy.dims == found.residual.dims == ("time", "member")
 
 
+@pytest.mark.long
 def test_several_bodies_and_matrices_have_axes_of_their_own():
     flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
     two = Trajectory(T, State(jnp.ones((5, 2, 7)), jnp.zeros((5, 2, 6)), jnp.asarray(T)), flags).to_xarray()
@@ -90,6 +91,7 @@ def test_states_print_in_a_line(capsys):
     assert "1 not converged" in str(run()._replace(info=StepInfo(np.zeros(5), np.arange(5) > 0)))
 
 
+@pytest.mark.long
 def test_a_missing_package_is_named_in_a_sentence(monkeypatch):
     def missing(name):
         raise ModuleNotFoundError(name)

@@ -98,6 +98,7 @@ def test_each_member_may_have_a_system_of_its_own(tmp_path):
     assert_same(ensemble.open(tmp_path / "run.zarr")[0], ensemble.run(steps, states_of, **options))
 
 
+@pytest.mark.long
 def test_a_part_with_another_function_of_states_is_refused(tmp_path):
     store = tmp_path / "run.zarr"
     run(scaled(1.0), store, (0, 2))

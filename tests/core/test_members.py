@@ -59,12 +59,14 @@ def test_three_bodies_of_three_moments_look_like_one_full_tensor_and_are_asked_f
     np.testing.assert_allclose(shared, apart(run.state))
 
 
+@pytest.mark.long
 def test_one_system_of_all_members_stays_so():
     _, run, *_ = batch(3)
     body = li.systems.rigid_body([1.0, 2.0, 2.5])  # of shape (3,), as many as members
     assert energy_error(body, run).shape == (3, 3)
 
 
+@pytest.mark.long
 def test_contradictions_and_what_is_not_an_axis_are_refused():
     bodies, run, *_ = batch(5)
     body, others = li.systems.rigid_body([1.0, 2.0, 2.5]), batch(9)[0]

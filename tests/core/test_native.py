@@ -41,6 +41,7 @@ def single(names, count):
     return lambda *x: {name: getattr(lax, name)(*x[:count]) for name in names.split()}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_real_arithmetic_has_the_bits_of_jax(dtype):
     """Signed zeros, infinities and NaN too."""
@@ -63,6 +64,7 @@ def test_greatest_and_least_show_nan():
     check_against_jax(function, pairs(SPECIAL, np.float64))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("dtype", "rtol"), [(np.float64, 4e-15), (np.float32, 2e-6)])
 def test_elementary_functions_have_the_names_types_and_arguments_of_jax(dtype, rtol):
     """Their errors in ulp are measured elsewhere; here their names, types and arguments."""
@@ -135,6 +137,7 @@ def test_booleans_have_the_values_of_jax():
     check_against_jax(function, pairs([True, False], bool))
 
 
+@pytest.mark.long
 def test_indexing_and_stacking_move_entries():
     def function(x):
         y = x[:, :2]
@@ -242,6 +245,7 @@ def test_indices_of_any_kind_are_those_of_jax(mode, dtype):
     check_against_jax(function, (x, long, k, inside, update), [np.array([2, 7])], rtol=1e-15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [np.float64, np.bool_])
 def test_slices_at_computed_indices_are_those_of_jax(dtype):
     def function(x, update, k, shared):
@@ -264,6 +268,7 @@ def test_slices_at_computed_indices_are_those_of_jax(dtype):
 _WINDOW = lax.ScatterDimensionNumbers((0, 1), (), (0, 1))
 
 
+@pytest.mark.long
 def test_loops_of_a_known_length_are_those_of_jax():
     """Written out and rolled, forwards and backwards, over what is known, shared, and a member's, with results."""
     series = jnp.array(np.random.default_rng(5).normal(size=(200, 2)))
@@ -296,6 +301,7 @@ def test_loops_of_a_known_length_are_those_of_jax():
     check_against_jax(function, (normal(30, 2), flags, normal(2, seed=1)), [series[::-1].copy()[:30]], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_rows_that_a_step_writes_and_reads_are_those_of_jax():
     k = np.random.default_rng(3).integers(0, 20, MEMBERS)
     weights = normal(20, 2)[0] + 0.5
@@ -305,6 +311,7 @@ def test_rows_that_a_step_writes_and_reads_are_those_of_jax():
     assert made.length < 1400  # 1083; 1850 with each iteration by itself
 
 
+@pytest.mark.long
 def test_loops_of_an_unknown_length_are_those_of_jax():
     """As long as a shared number says, or a member's; nested, in a map over entries, with all kinds of carries."""
 
@@ -376,6 +383,7 @@ def test_branches_are_those_of_lax_cond():
         check_against_jax(function, (normal(2), k, flag), [np.int64(n), np.bool_(on)], rtol=1e-14)
 
 
+@pytest.mark.long
 def test_solves_and_calls_are_those_of_jax():
     def function(x):
         root = lax.custom_root(
@@ -608,6 +616,7 @@ def _orbiting(x, e, steps):
     return lax.fori_loop(0, steps, step_once, x)
 
 
+@pytest.mark.long
 def test_what_members_share_in_a_loop_is_computed_once(monkeypatch):
     monkeypatch.setattr(_pieces, "_CAPACITY", 1)
     x, e = normal(), np.float64(0.3)
@@ -620,6 +629,7 @@ def test_what_members_share_in_a_loop_is_computed_once(monkeypatch):
     assert [kernels[lanes].shared for lanes in (4, 8)] == [22, 22]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", [22, 88, 4096])
 def test_what_members_share_goes_on_from_row_to_row(monkeypatch, room):
     monkeypatch.setattr(_pieces, "_CAPACITY", room)

@@ -246,6 +246,7 @@ def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypa
         assert (runs[0].failed < 0).any()
 
 
+@pytest.mark.long
 def test_an_accelerator_uses_arrays_for_short_steps_and_the_plain_loop_for_others(monkeypatch):
     jobs = []
     by_engine(monkeypatch, "xla", jobs)

@@ -86,7 +86,7 @@ def test_parts_in_any_order_are_one_process(place, reduce):
     assert before == {name: storage.read(name) for name in storage.sizes()}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("count", "options"), [(3, {"save_every": None}), (41, {}), (5, {"step_axis": 0}), (2, {})])
 def test_any_number_of_parts_is_one_process(place, count, options):
     if "step_axis" in options:
@@ -161,6 +161,7 @@ def test_finished_parts_are_read_and_missing_parts_are_named(place, capsys):
     assert "part 2 (members 18 … 26) is missing" in shown
 
 
+@pytest.mark.long
 def test_published_arrays_have_the_indexing_of_numpy(place):
     for k in (0, 2):
         run(place, (k, 3))

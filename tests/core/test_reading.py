@@ -70,6 +70,7 @@ def test_systems_of_members_are_read_back(tmp_path):
     np.testing.assert_allclose(energies(bodies, last), energies(bodies, STATES), rtol=2e-15)  # seen: 4e-16
 
 
+@pytest.mark.long
 def test_a_summary_is_read_back_with_its_system(tmp_path):
     path, run = stored(tmp_path, reduce="energy")
     again, body = li.ensemble.open(path)
@@ -81,6 +82,7 @@ def my_wells(R):
     return jnp.sum(R**4)
 
 
+@pytest.mark.long
 def test_a_custom_function_is_requested_by_its_name():
     top = li.systems.potential_top([1.0, 2.0, 3.0], my_wells, axis=None)
     description, arrays = describe(li.schemes.splitting(top))

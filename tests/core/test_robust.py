@@ -29,6 +29,7 @@ def test_half_the_sum_of_squares_is_the_negative_log_likelihood(freedom):
     assert ours(0.7) - ours(2.5) == pytest.approx(theirs(0.7) - theirs(2.5), rel=1e-12)
 
 
+@pytest.mark.long
 def test_it_is_smooth_where_an_error_vanishes():
     def short(e):
         return li.fitting.student_t(e, 2.0, 0.01)[0]

@@ -161,7 +161,7 @@ def around(scan, kind):
     return value
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["scan", "cond", "map", "calls"])
 def test_inside_of_control_flow(kind):
     x = arguments(12)
@@ -372,6 +372,7 @@ def test_reverse_mode_refuses_a_number_of_steps_that_is_an_argument():
         jax.grad(lambda r: counted(jnp.array([0.3, 0.2]), jnp.array(4), r)[0].sum())(0.9)
 
 
+@pytest.mark.long
 def test_a_scan_inside_of_a_scan_is_machine_code(caplog):
     def nested(scan):
         def outer(c, x):
@@ -416,6 +417,7 @@ def test_gradients_of_a_sum_over_members():
     near(*(jax.jit(jax.grad(total(scan), **GRADIENT))(zs, r, xs) for scan in (by_li, by_lax)))
 
 
+@pytest.mark.long
 def test_gradients_of_a_checkpoint_around_a_long_loop_in_a_scan():
     def total(scan):
         @jax.checkpoint

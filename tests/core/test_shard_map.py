@@ -20,7 +20,7 @@ midpoint = li.schemes.so3_midpoint(body)
 W = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
 
 def run(step, w, **options):
-    return li.integrate(step, step.system.state(angular_velocity=w), 0.05, 30, save_every=10, **options).state.p[-1]
+    return li.integrate(step, step.system.state(angular_velocity=w), 0.05, 30, **{"save_every": 10} | options).state.p[-1]
 
 def event(w):
     return li.event(midpoint, body.state(angular_velocity=w), 0.05, lambda z: z.q[0] - 0.5, max_steps=100).t
@@ -34,6 +34,7 @@ functions = {
     "tangents": lambda w: jax.jacfwd(lambda w: run(midpoint, w))(w),
     "exponents": lambda w: li.diagnostics.lyapunov(midpoint, body.state(angular_velocity=w), 0.05, 20).exponents,
     "event": event,
+    "outputs": lambda w: run(top, w, save_every=1, save_at=[0.1, 0.12, 1.01]),
 }
 for engine in ("native", "xla"):
     with li.engine(engine):

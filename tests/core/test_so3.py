@@ -93,6 +93,7 @@ def _exp_and_log(v):
     return both(v), jax.jacfwd(both)(v), H, jax.jacfwd(first)(v)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-160, 1e-9, 1e-4, 0.19999, 0.2, 1.0, 1.99, 2.0, 2.01, 3.1, 3.1415926])
 def test_exp_and_log_and_their_derivatives_at_every_size(angle):
     """Right up to both sides of every series threshold: values, and D log ∘ D exp = 1."""
@@ -125,6 +126,7 @@ def _by_matrix(v):
     return so3.multiply(so3.inverse(back), q), velocity
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("angle", [np.pi, np.pi - 1e-9, np.pi - 1e-4, 3.0, 1e-9, 0.0])
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0.8, 0), (0.6, -0.48, 0.64)])
 def test_quaternion_of_a_matrix_near_half_turns(axis, angle):
@@ -251,6 +253,7 @@ def test_another_sequence_is_refused(sequence):
         so3.from_euler(jnp.zeros(3), sequence)
 
 
+@pytest.mark.long
 def test_modified_rodrigues_parameters_are_those_of_the_shorter_rotation():
     """tan(φ/4) along the axis, of the shorter rotation; its shadow −σ/|σ|² is the same attitude."""
     e, angle = np.array([0.48, -0.6, 0.64]), 2.7

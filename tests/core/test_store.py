@@ -440,6 +440,7 @@ def test_a_reduced_quantity_is_traced_in_the_first_call_only():
     assert not traced
 
 
+@pytest.mark.long
 def test_a_quantity_that_is_nan_is_nan_in_all_of_its_interval_and_refused_at_the_start():
     """Above the values of the first half of the run it is NaN, for some members."""
     whole = run(num_steps=20, save_every=1).state.q[1:, :, 0]

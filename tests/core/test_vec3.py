@@ -70,7 +70,7 @@ def test_series_branches_have_accurate_values_and_two_derivatives(name):
                 assert abs(value - true) <= bound * EPS, (k, x)  # closed forms lose a digit a derivative, no more
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_series_branches_are_exact_at_zero(name):
     ours, exact, _ = FUNCTIONS[name]

@@ -218,6 +218,7 @@ def test_6_4_the_momentum_map_is_twice_rot():
     np.testing.assert_allclose(SOFT.angular_momentum(SOFT_STATE), 2 * rot(P0 @ F0.T), rtol=0, atol=1e-15)
 
 
+@pytest.mark.long
 def test_6_15_and_6_16_with_beta_of_6_9():
     """Ψ_n = αE⁻¹, and α ∂S/∂F_n = (1−α) ∂S/∂F_{n+1} for the stress of (6.17); as printed α and 1 − α are exchanged."""
     alpha, beta = 0.3, 0.7
@@ -262,6 +263,7 @@ def _defect_by_differences(step, state, dt, h=1e-5):
     return np.abs(L.T @ OMEGA @ L - OMEGA).max()
 
 
+@pytest.mark.long
 def test_the_midpoint_rule_loses_energy_and_none_of_the_form():
     step = dataclasses.replace(LABELED, alpha=jnp.array(0.5))
     H, _, _, _ = run(step, SOFT_STATE, 0.05, 300)

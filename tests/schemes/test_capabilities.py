@@ -125,7 +125,7 @@ def with_other_moments(system):
     return dataclasses.replace(system, **changed) if changed else None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "names"),
     [

@@ -96,6 +96,7 @@ def test_the_table_of_commuting_methods_lists_their_stages_and_errors(order, sta
     assert np.abs(np.cumsum(gammas)).max() < 1.1  # the sub-steps do not stray
 
 
+@pytest.mark.long
 def test_steps_of_the_symplectic_scheme_commute_and_others_do_not():
     for step, bound in ((SYMPLECTIC, (0, 1e-15)), (CAYLEY, (1e-5, 1))):
         ends = [np.asarray(after(step, after(step, STATE, a, 1)[0], b, 1)[0].q) for a, b in ((0.5, 0.2), (0.2, 0.5))]
@@ -134,7 +135,7 @@ def errors_at(t, step, counts):
     return [float(np.abs(after(step, STATE, t / n, n)[0].q - exact(t)).max()) for n in counts]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("order", "method"),
     [(4, "triple_jump"), (4, "suzuki"), (6, "yoshida_6"), (6, "kahan_li_6"), (8, "suzuki_umeno_8"), (8, "kahan_li_8")],
@@ -143,12 +144,14 @@ def test_published_orders_on_steps_that_do_not_commute(order, method):
     assert rate(errors_at(3.2, compose(CAYLEY, order, method), (8, 16))) == pytest.approx(order, abs=0.3)
 
 
+@pytest.mark.long
 def test_published_order_10_on_steps_that_do_not_commute():
     errors = errors_at(6.4, compose(CAYLEY, 10), (7, 14))
     assert rate(errors) == pytest.approx(10, abs=0.3)  # 9.84
     assert errors[1] > 3e-13  # 1e-12, above the floor of 3e-15
 
 
+@pytest.mark.long
 def test_suzuki_s_composition_has_a_smaller_error_than_the_triple_jump():
     """70 times smaller on the symplectic step, as the power sums say: 5.29 / 0.0744 = 71."""
     jump, suzuki = (errors_at(3.2, compose(SYMPLECTIC, 4, m), (32,))[0] for m in ("triple_jump", "suzuki"))
@@ -220,6 +223,7 @@ def test_bad_arguments_of_compose_raise_errors():
             call()
 
 
+@pytest.mark.long
 def test_a_sub_step_past_the_branch_is_flagged():
     step = compose(SYMPLECTIC, 8)
     assert after(step, STATE, 2.0, 1)[1].converged  # sub-steps are small: 0.39 of it at most

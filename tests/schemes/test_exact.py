@@ -136,6 +136,7 @@ def test_a_symmetric_body_and_a_sphere_move_by_the_elementary_closed_form():
             assert difference(solve(J, state, t).q, closed_form(J, state, t)) < 5e-14  # floor 1e-14
 
 
+@pytest.mark.long
 def test_half_a_rotation_about_the_middle_axis_lasts_two_quarter_periods():
     """From Π₂ = 0 the body momentum has Π₃ → 0 … and Π₁, Π₂ change sign after 2K/λ."""
     J, Pi = np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.0, 1.0])  # about the third axis: λ² = (b₁ − b₃)(b₂ − b₃)Π₃²
@@ -185,6 +186,7 @@ flow_of_body = jax.jit(lambda body, state, t: diagnostics.flow(body, state, t, 1
 defect = jax.jit(lambda body, state, dt: diagnostics.symplectic_defect(exact(body), state, dt))
 
 
+@pytest.mark.long
 def test_the_angular_velocity_stays_on_poinsot_s_invariable_plane():
     """Ω rolls: its end stays on the plane 2H = π·ω, |Π| is constant, for 200 times in one batch."""
     J, state = setting([1, 2, 3], [0.1, 1, 0.2])

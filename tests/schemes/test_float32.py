@@ -48,7 +48,7 @@ def test_a_step_and_a_state_made_with_x64_run_in_float32_without_it():
     assert li.observe(step, state, 0.05, [0.07])[0].p.dtype == SINGLE
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", [kappa_cayley, kappa_exponential, kappa_symplectic], ids=lambda k: k.name)
 def test_runs_in_single_precision_conserve_to_its_round_off(kappa):
     step = li.schemes.so3_midpoint(_body(), kappa)

@@ -303,6 +303,7 @@ def omega(alpha):
     return np.block([[alpha, one], [-one, 0 * one]])
 
 
+@pytest.mark.long
 @pytest.mark.paper("5.1.7: (5.15)–(5.20)", "left-invariant energy", "systems/_euler.py")
 def test_5_9_5_19_5_20_the_sign_of_the_equations_of_motion():
     """(q̇, π̇) = −ω⁻¹DH, not +: against the equations of motion, with DH by autodiff in (δθ, δπ)."""
@@ -468,6 +469,7 @@ def test_arcsine_scale_on_both_sides_of_its_series(x):
     assert derivative == pytest.approx(float(slope), rel=1e-12)
 
 
+@pytest.mark.long
 def test_hyperbolic_motion_is_flagged_before_digits_run_out():
     """SL(2): Ad_q grows exponentially. What is called converged keeps six digits of energy; no NaN without the flag."""
     g = groups.special_linear(2)

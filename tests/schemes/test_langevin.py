@@ -47,6 +47,7 @@ def body_momenta(q, p):
     return np.array(turn(q.reshape(-1, 4), p.reshape(-1, 3))).reshape(p.shape)
 
 
+@pytest.mark.long
 def test_random_bits_are_those_of_jax_random():
     for seed, n, j in ((0, 0, 0), (12345, 77, 5), (2**31, 2**32 - 1, 3)):
         key = jax.random.key(seed)
@@ -130,6 +131,7 @@ def test_a_step_back_is_flagged_and_refused():
         step.check(state, -0.1)
 
 
+@pytest.mark.long
 def test_a_bad_key_of_random_numbers_is_refused():
     step = thermostat()
     state = step.start(BEGIN)

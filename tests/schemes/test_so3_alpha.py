@@ -71,7 +71,7 @@ def test_the_equations_2_17_hold_as_they_stand(alpha, kappa):
     np.testing.assert_allclose(T @ T.T, ONE + nu * X @ X, rtol=0, atol=4e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_alpha_one_half_is_so3_midpoint(kappa):
     body = li.systems.rigid_body([1.0, 2.0, 3.0])

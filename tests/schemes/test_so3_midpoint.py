@@ -41,7 +41,7 @@ def test_the_reference_flow_agrees_with_another_package():
     np.testing.assert_allclose(body_momentum(end), Pi, rtol=0, atol=5e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_so3_midpoint_is_of_second_order_against_another_package(kappa):
     q, _ = dop853([1.0, 2, 3], STATE.q, STATE.p, 10.0)
@@ -62,7 +62,7 @@ def test_scalar_and_vector_forms_agree_to_round_off():
         np.testing.assert_allclose(a[0].q, b[0].q, rtol=0, atol=2e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_full_inertia_is_the_same_body_in_other_axes(kappa):
     @jax.jit
@@ -170,6 +170,7 @@ def test_nested_derivatives_agree_in_either_order():
     np.testing.assert_allclose(hessians[0], hessians[0].T, rtol=0, atol=1e-14)
 
 
+@pytest.mark.long
 def test_the_derivative_by_a_parameter_of_kappa_agrees_with_differences():
     """A κ with a parameter of its own is a Partial; its derivative goes through the step's leaves."""
 
@@ -187,7 +188,7 @@ def test_the_derivative_by_a_parameter_of_kappa_agrees_with_differences():
     assert attitude(0.2)[1] == pytest.approx(float((ahead - behind) / (2 * h)), rel=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_a_body_at_rest_has_finite_values_and_derivatives(kappa):
     """No momentum, no step, no 0/0: and it converges."""
@@ -202,6 +203,7 @@ def test_a_body_at_rest_has_finite_values_and_derivatives(kappa):
 # Batches -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_vmap_over_states_steps_and_inertias():
     rng = np.random.default_rng(2)
     J, q, Omega = rng.uniform(1, 1.9, (8, 3)), rng.normal(size=(8, 4)), rng.uniform(-1, 1, (8, 3))

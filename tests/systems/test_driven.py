@@ -303,6 +303,7 @@ def test_the_potential_of_gravity_s_gradient_at_any_distance():
     assert float(satellite.potential_energy(jnp.array(Q), jnp.array(0.4))) == pytest.approx(expected, rel=1e-14)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("amplitude", [1e-5, 0.5, 1.4])
 def test_the_period_of_pitch_libration_is_the_closed_form(amplitude):
     """B α̈ = −(3/2)(A − C) sin 2α: n√(3(A − C)/B) where it is small, 4K(sin²α₀)/that where it is large.

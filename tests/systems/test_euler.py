@@ -67,6 +67,7 @@ def test_the_computed_casimirs_are_the_known_ones():
     assert groups.upper_triangular(3).casimirs(np.arange(6.0)).tolist() == [8]  # the trace
 
 
+@pytest.mark.slow
 @pytest.mark.paper("5.1.6: (5.13), (5.14)", "Euler's equations on a group", "systems/_euler.py")
 @pytest.mark.parametrize("name", ["SL(2)", "SE(2)", "Heis(3)"])
 def test_body_and_spatial_pictures_agree(name):

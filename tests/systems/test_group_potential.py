@@ -214,6 +214,7 @@ def test_a_metric_that_couples_the_factors_has_no_known_drift(axis):
         li.schemes.splitting(li.systems.group_potential(system.group, m, system.potential))
 
 
+@pytest.mark.long
 @pytest.mark.paper("5.4: (5.41), (5.42)", "a potential on a group", "systems/_group_potential.py")
 def test_the_equations_of_motion_are_hamiltonian():
     system, state = system_and_state(groups.special_euclidean(2))

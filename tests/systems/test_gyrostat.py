@@ -226,7 +226,7 @@ def test_a_driven_gyrostat_against_another_package_and_the_reference_flow():
 # A motor --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_the_work_of_a_motor_is_the_gain_of_energy(kappa):
     step = schemes.so3_midpoint(DRIVEN, kappa)
@@ -304,7 +304,7 @@ STEPS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_steps_of_a_gyrostat_are_time_symmetric(name):
     step, state = STEPS[name]

@@ -108,6 +108,7 @@ def test_an_orbit_repeats_after_a_period_and_ellipses_and_hyperbolas_batch_toget
     assert np.isfinite(slopes).all()
 
 
+@pytest.mark.long
 def test_an_orbit_of_a_known_kind_compiles_the_equation_of_that_kind_only():
     """As an argument of a jitted function too. Elements of the other kind that are put into it there give NaN."""
     at = jax.jit(lambda orbit: jnp.concatenate(orbit(0.7)))

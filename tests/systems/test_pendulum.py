@@ -84,6 +84,7 @@ def test_claim_3_the_plain_rule_is_not_symplectic_the_normalized_one_is(field):
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.paper("1.1: (1.6), claims 1, 2", "the midpoint rule on T*S²", "schemes/_sphere_midpoint.py")
 def test_1_6_as_printed_does_not_conserve_energy():
     """∇H(½(z_n + z_n)), an explicit gradient, for ∇H(½(z_n + z_{n+1})): of first order, and energy is lost."""
@@ -214,6 +215,7 @@ def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
         li.schemes.sphere_chart(bob, [0.0, 0.0, 2.0])
 
 
+@pytest.mark.long
 @pytest.mark.paper("1.1: claim 5", "spherical coordinates: energy, the pole", "schemes/_sphere_chart.py")
 def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     """A swing through the axis: in the chart the momentum's term blows up, on T*S² nothing happens."""
@@ -239,6 +241,7 @@ def test_second_order_against_the_flow_and_reversible():
         np.testing.assert_allclose(state_after(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
 
 
+@pytest.mark.long
 @pytest.mark.paper("1.1: (1.4)", "the form of T*S²", "phase_spaces.py")
 def test_the_flow_is_symplectic_for_the_form_of_1_4():
     """The exact flow preserves the frame form, so the form is the right one; with its blocks exchanged it would not."""
@@ -267,6 +270,7 @@ def _in_the_frame(state):
     return tangents, space.omega(state), space.trivialize(state, bob.vector_field(state)), slope
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_the_frame_form_is_q_dot_the_cross_products(seed):
     """ω(δ₁, δ₂) = q·(δq₁ × δπ₂ + δπ₁ × δq₂) for tangent vectors, and J of (1.4) is its inverse on them."""

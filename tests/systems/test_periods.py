@@ -78,6 +78,7 @@ def test_the_motion_has_these_periods(Pi):
     assert 2 * np.pi * end / (longitude[-1] - longitude[0]) == pytest.approx(float(expected.precession), rel=1e-9)
 
 
+@pytest.mark.long
 def test_order_of_the_axes_a_full_tensor_and_units_do_not_matter():
     Pi = np.array([0.2, 0.3, 0.6])
     plain = periods(jnp.asarray(APOPHIS), jnp.asarray(Pi))
@@ -170,6 +171,7 @@ def test_the_derivative_of_a_state_by_its_periods_is_inverse_to_theirs():
     np.testing.assert_allclose(slopes[:, :3], 0, rtol=0, atol=1e-6)
 
 
+@pytest.mark.long
 def test_periods_that_no_motion_has_are_refused():
     body = systems.rigid_body(APOPHIS)
     with pytest.raises(

@@ -95,7 +95,7 @@ def gradients(potential):
     return *found, slope, jax.tree.map(jnp.subtract, far, start), V.value(start), V.value(far)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*KINDS, "springs", "field", "MacCullagh", "sum"])
 def test_discrete_gradients_give_the_difference_without_cancellation(name):
     """D·(I₁ − I₀) = V₁ − V₀ far apart; between states 1e-9 apart D is the mean gradient to round-off."""

@@ -43,6 +43,7 @@ def test_energy_and_body_momentum_are_conserved_and_the_order_is_two(name):
     assert np.abs(after.p - state.p).max() > 1e-3  # π is not conserved
 
 
+@pytest.mark.long
 @pytest.mark.paper("5.1.8: (5.21), (5.22)", "momentum maps", "systems/_euler.py")
 @pytest.mark.parametrize("name", NAMES)
 def test_the_vector_field_is_hamiltonian(name):

@@ -172,6 +172,7 @@ def test_secular_rates_are_the_drift_of_an_integrated_orbit():
     np.testing.assert_allclose(orbit(t)[1], rate, rtol=0, atol=1e-13)
 
 
+@pytest.mark.long
 def test_the_local_frame_points_down_and_rotates_as_it_says():
     frame = orbits.lvlh(ORBIT)
     t, dt = 0.8, 1e-4

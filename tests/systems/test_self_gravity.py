@@ -41,6 +41,7 @@ def mean_work(C, D):
     return vec3.inner(W.mean_stress(vec3.symmetric(C), D), D) / 2
 
 
+@pytest.mark.long
 @given(st.lists(st.floats(0.1, 4.0), min_size=3, max_size=3), ANGLES)
 def test_the_stress_is_twice_the_gradient(c, angles):
     C = jnp.asarray(rotated(c, angles))
@@ -48,6 +49,7 @@ def test_the_stress_is_twice_the_gradient(c, angles):
     np.testing.assert_allclose(stress(C), slope + slope.T, rtol=0, atol=1e-12 * float(abs(slope).max()))
 
 
+@pytest.mark.long
 @given(st.lists(st.floats(0.3, 3.0), min_size=3, max_size=3), ANGLES, st.floats(1e-9, 0.2))
 def test_the_mean_stress_does_the_work_of_the_energy(c, angles, size):
     C = rotated(c, angles)

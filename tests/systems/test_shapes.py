@@ -299,6 +299,7 @@ def test_bad_arguments(make, sentence):
         make()
 
 
+@pytest.mark.long
 def test_inertia_integrals_of_the_moon_of_1999_kw4_are_those_of_gubas():
     """∫ xˡyᵐzⁿ dm about the origin to order 4, and the moments of inertia, which GUBAS published for this polyhedron.
 
