@@ -82,6 +82,7 @@ def test_a_top_has_the_given_inertia():
     np.testing.assert_array_equal(found.corners[0], 0)
 
 
+@pytest.mark.long
 def test_sparsely_saved_states_are_shown_without_interpolation():
     """At 2.8 rad between saved states the frames are saved states, and a note says so."""
     t = 2.8 * np.arange(6.0)

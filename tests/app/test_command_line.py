@@ -413,6 +413,7 @@ def test_help_names_every_command(capsys):
         assert word in out
 
 
+@pytest.mark.long
 def test_the_command_turns_float64_on():
     jax.config.update("jax_enable_x64", False)
     try:

@@ -147,6 +147,7 @@ def test_half_a_turn_about_the_axis_that_the_momentum_goes_round_is_half_a_turn_
     assert given.same_passage_deg == turn
 
 
+@pytest.mark.long
 def test_a_ratio_of_periods_is_refused_where_no_mode_has_it():
     """Least is that of small wobbles; next to the separatrix rounding leaves no digits of an immense one."""
     mode_exists = jax.jit(motion.mode_exists, static_argnums=2)

@@ -108,6 +108,7 @@ def test_the_symmetries_of_the_facets_are_found():
     assert not _facets.is_symmetry(painted, -np.eye(3))
 
 
+@pytest.mark.long
 def test_symmetric_solutions_have_the_same_light_to_round_off():
     """Under directions that are held; under moving ones mirror and exchange alter it, half turns of the body never."""
     q, sun, observer = directions(3)

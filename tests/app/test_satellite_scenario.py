@@ -116,6 +116,7 @@ def test_the_members_have_inertias_and_dipoles_of_their_own():
     np.testing.assert_allclose(step.system.inertia[0], body, rtol=0, atol=1e-17)
 
 
+@pytest.mark.long
 def test_a_state_relative_to_the_orbit_rotates_with_its_axes():
     """At rest in the axes of the orbit z points to the nadir, and the body rotates with the orbit."""
     state = {"quaternion": [1.0, 0, 0, 0], "angular_velocity_rad": [0.0, 0.0, 0.0], "relative_to": "orbit"}

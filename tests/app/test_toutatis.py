@@ -91,6 +91,7 @@ def test_mean_periods_in_closed_form_are_those_of_a_trajectory(mode):
     np.testing.assert_allclose([precession, rotation], measured, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_published_periods_are_those_of_the_published_state():
     """7.40 ± 0.03 d and 5.38 ± 0.03 d (Zhao et al. 2015); the other state's are no farther from 7.35 and 5.41."""
     values = {}

@@ -228,6 +228,7 @@ def test_verdicts_do_not_depend_on_units(scale):
         assert c.reversibility < 1e-15
 
 
+@pytest.mark.long
 def test_diagnostics_past_the_branch_raise_errors():
     step = li.schemes.so3_midpoint(BODY)
     for measure in (

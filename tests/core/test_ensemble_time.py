@@ -218,6 +218,7 @@ def test_a_run_at_another_time_does_not_resume(tmp_path):
         run(path, states=started(0.8), resume=True)
 
 
+@pytest.mark.long
 def test_states_without_what_they_need_are_refused():
     states = started()
     cases = {

@@ -91,7 +91,7 @@ RUNS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("run", RUNS.values(), ids=RUNS)
 def test_every_run_in_the_context_has_steps_of_half_the_size(run):
     with halved_steps() as runs:

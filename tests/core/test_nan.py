@@ -308,7 +308,7 @@ def changed(x, index):
     return [x.at[index].set(x[index] * f + (f - 1) / 10) for f in (0.2, 1.7, -1.0, jnp.nan)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_nan_in_nan_out(name):
     function, given = CASES[name]

@@ -358,6 +358,7 @@ def test_loops_of_an_unknown_length_are_those_of_jax():
     check_against_jax(function, (x, k), [np.int64(7)], rtol=1e-13)
 
 
+@pytest.mark.long
 def test_branches_are_those_of_lax_cond():
     def function(x, k, flag, n, on):
         def sides(test):
@@ -629,7 +630,7 @@ def test_what_members_share_in_a_loop_is_computed_once(monkeypatch):
     assert [kernels[lanes].shared for lanes in (4, 8)] == [22, 22]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("room", [22, 88, 4096])
 def test_what_members_share_goes_on_from_row_to_row(monkeypatch, room):
     monkeypatch.setattr(_pieces, "_CAPACITY", room)

@@ -261,6 +261,7 @@ def test_an_unfinished_file_of_a_killed_part_is_removed_when_the_part_starts_aga
         assert not list(tmp_path.rglob("*.partial"))
 
 
+@pytest.mark.long
 def test_a_creator_that_is_killed_leaves_a_store_that_the_next_part_completes(place, monkeypatch):
     mortal = Mortal(monkeypatch)
     mortal.left = 5
@@ -355,6 +356,7 @@ def no_loop_after(complete_stores, tmp_path):
     return make
 
 
+@pytest.mark.long
 def test_an_altered_chunk_is_named_on_a_disk_and_an_error_when_it_is_read_from_a_bucket(place):
     for k in range(2):
         run(place, (k, 2))
@@ -368,6 +370,7 @@ def test_an_altered_chunk_is_named_on_a_disk_and_an_error_when_it_is_read_from_a
         assert "part 1 (members 21 … 40) is damaged: q/c/1/1/0 is altered" in warning
 
 
+@pytest.mark.long
 def test_a_part_of_another_run_is_refused_before_it_integrates(place, monkeypatch):
     run(place, (0, 2))
     storage = archives.open_storage(place)

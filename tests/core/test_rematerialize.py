@@ -96,6 +96,7 @@ def of_stages(z, way):
     return lax.scan(step, z, None, length=5)[0]
 
 
+@pytest.mark.long
 def test_carries_are_found_without_running_the_stages():
     def plain(stage, z, each):
         return lax.scan(rematerialized(stage), z, each)[0]

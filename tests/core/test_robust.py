@@ -80,6 +80,7 @@ def test_the_estimate_is_the_fixed_point_of_reweighting_and_leaves_an_outlier_ou
     assert np.abs(mean).max() < 1 < seen.mean(axis=0)[0]
 
 
+@pytest.mark.long
 def test_member_by_member_is_the_same_function_with_the_same_derivatives():
     def plain(p, data):
         return jnp.sin(p["a"] * data["t"]) + p["b"][0] * data["t"]

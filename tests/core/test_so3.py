@@ -108,6 +108,7 @@ def test_exp_and_log_and_their_derivatives_at_every_size(angle):
     assert np.isfinite(second).all()
 
 
+@pytest.mark.long
 def test_second_derivative_of_exp_at_zero():
     """exp(v) = 1 + v/2 − |v|²/8 + …"""
     second = np.asarray(jax.jit(jax.jacfwd(jax.jacrev(so3.exp)))(np.zeros(3)))

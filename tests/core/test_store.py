@@ -54,6 +54,7 @@ def same_folders(a, b):
     return not different and not missing
 
 
+@pytest.mark.long
 def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
     memory, disk = run(), run(tmp_path / "run.zarr")
     assert_same(memory, disk)
@@ -328,7 +329,7 @@ MIXTURES = {  # which commit, what is done to it, what is said of it
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("mixture", MIXTURES)
 def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_path, commits, mixture, no_loop):
     which, change, sentence = MIXTURES[mixture]

@@ -288,6 +288,7 @@ def test_a_step_is_the_one_that_the_paper_s_equations_have(rule, force, conditio
     np.testing.assert_allclose([ours.q, ours.p], [F1, P1], rtol=0, atol=1e-10)  # scipy's own floor
 
 
+@pytest.mark.long
 def test_6_14_as_printed_loses_energy_and_with_the_symmetrized_condition_does_not():
     """γ of (6.13) put into the symmetrized force (6.14); the right γ tends to ½ − 1/√12."""
     lost = {}

@@ -310,6 +310,7 @@ def test_motors_that_look_at_the_momentum_are_solved_with_the_step():
     assert not converged[4:, 1:].any()
 
 
+@pytest.mark.long
 def test_directions_and_attitudes_from_functions_are_normalized():
     """They cannot be checked when a law is made."""
     t, pairs = jnp.array(0.3), []

@@ -79,6 +79,7 @@ def test_an_ensemble_prepares_every_member_and_every_inertia():
     assert np.abs(np.asarray(found.state.q) - expected.state.q).max() < 1e-13
 
 
+@pytest.mark.long
 def test_a_step_prepared_for_another_run_does_not_converge():
     body = RigidBody(INERTIAS["principal"])
     state = moving(body.inertia)

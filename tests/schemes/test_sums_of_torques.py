@@ -231,6 +231,7 @@ def test_runge_kutta_with_a_rod_tends_to_the_step():
         assert abs(body.energy(end) - end.work - body.energy(first)) < balance
 
 
+@pytest.mark.long
 def test_the_rates_at_a_limit_of_momentum_conserve_the_momentum_of_body_and_wheels():
     """The first wheel is driven beyond its limit and is blocked; the second is driven back, the third is free."""
     body, state = start(wheels(max_momentum=[0.12, 0.12, 0.5], speeds=0.0), works=False)
@@ -297,6 +298,7 @@ def test_a_step_back_undoes_a_step_where_the_laws_are_symmetric():
     assert not torqued_midpoint(start(LAWS["wheels"] + torques.viscous(0.1))[0]).symmetric
 
 
+@pytest.mark.long
 def test_functions_and_laws_add_in_any_order():
     push = lambda t, q, omega: 0.1 * jnp.sin(t) * jnp.array([1.0, 0, 0])  # noqa: E731
     a, b = push + torques.viscous(0.1), torques.viscous(0.1) + push

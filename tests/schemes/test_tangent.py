@@ -37,7 +37,7 @@ def check(step, state, dt):
     return own
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rotations", "motions of a body in a fluid", "three bodies"])
 def test_a_tangent_vector_is_the_derivative_of_a_perturbation(name):

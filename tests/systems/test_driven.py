@@ -401,6 +401,7 @@ def test_derivatives_by_every_number_of_the_satellite_and_its_orbit(kind):
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_bad_input_is_refused_in_a_sentence():
     satellite, state, _ = example("satellite")
     orbit = satellite.orbit

@@ -80,6 +80,7 @@ def test_second_derivatives_obey_laplace():
         np.testing.assert_allclose(trace[-3:], 3 / jnp.prod(a), rtol=1e-13)
 
 
+@pytest.mark.long
 def test_a_root_that_is_not_found_is_nan(monkeypatch):
     """So that a step reports it."""
     monkeypatch.setattr(_ellipsoid_sphere, "_MOST", 2)

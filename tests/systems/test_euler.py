@@ -28,6 +28,7 @@ CASIMIRS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASIMIRS)
 def test_casimirs_are_constant_on_coadjoint_orbits(name):
     """Constant on coadjoint orbits, so along every motion and every step, whatever the metric."""

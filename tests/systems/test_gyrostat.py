@@ -243,7 +243,7 @@ def test_the_work_of_a_motor_is_the_gain_of_energy(kappa):
     assert float(end.t) == pytest.approx(4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_each_step_balances_the_power(kappa):
     """ΔH = −Ω̄·Δh_r with Ω̄ = J⁻¹(mean of Π − h_r), by numpy, in one step of random motion."""

@@ -72,6 +72,7 @@ def test_forces_and_torques_in_closed_form_are_the_derivative(order):
     np.testing.assert_allclose(force, expected, rtol=0, atol=2e-14 * float(jnp.abs(expected).max()))  # observed 1e-15
 
 
+@pytest.mark.long
 def test_mutual_gravity_of_order_2_is_maccullagh_s_formula():
     V = potentials.maccullagh(2.0, BODIES, BODIES)
     a, b = (evaluate(f, PLACES, TURNS) for f in (V, potentials.mutual_gravity(2.0, BODIES, 2)))

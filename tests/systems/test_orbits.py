@@ -85,6 +85,7 @@ def test_derivatives_by_every_element_and_time_agree_with_differences(e, a):
                 assert np.abs(J[:, k] - slope).max() < 1e-11 * np.abs(slope).max(), ELEMENTS[k : k + 1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("e", "a"), [(0.3, 2.0), (1.4, -2.0)])
 def test_the_acceleration_of_an_orbit_is_that_of_gravity(e, a):
     """By autodiff: the velocity is ẋ, and ẍ = −μx/r³."""
@@ -188,6 +189,7 @@ def test_numbers_are_refused_although_another_element_is_traced():
             jax.eval_shape(lambda x: orbits.kepler(*(x if y is None else y for y in elements)), 1.0)  # noqa: B023
 
 
+@pytest.mark.long
 def test_the_anomaly_of_any_hyperbola_is_right_to_round_off():
     """e − 1 from 1e-12 to 1e15 and M from 1e-12 to 1e12, against Newton's method in 50 digits; seen: 3.5e-16."""
     rng = np.random.default_rng(1)

@@ -35,6 +35,7 @@ def test_every_way_to_give_a_state_and_to_read_it():
     np.testing.assert_array_equal(identity.q, so3.identity)
 
 
+@pytest.mark.long
 @pytest.mark.paper("2.1: (2.11)–(2.13)", "the free rigid body", "systems/_rigid_body.py")
 def test_vector_field_is_hamiltonian_for_the_form_2_9():
     """ω(X, ·) = dH in the spatial trivialization, for a full inertia tensor."""

@@ -198,6 +198,7 @@ def test_days_and_the_rotation_of_the_earth():
     assert later == pytest.approx(2 * np.pi * 0.7790572732640, abs=1e-8)
 
 
+@pytest.mark.long
 def test_the_field_is_the_gradient_of_its_potential_and_rotates():
     """In axes of the Earth: V = R(R/r)²[g₁⁰ cos θ + (g₁¹ cos φ + h₁¹ sin φ) sin θ], b = −∇V."""
     date = orbits.julian_date(2025, 1, 1)
@@ -222,6 +223,7 @@ def test_the_field_is_the_gradient_of_its_potential_and_rotates():
     assert float(halfway) == pytest.approx(1e-9 * (-29403.41 - 29350.0) / 2, rel=1e-7)
 
 
+@pytest.mark.long
 def test_the_air_thins_with_height_and_rotates_with_the_earth():
     air = orbits.atmosphere(LOW, 6.967e-13, 63.822, 500.0)
     density, velocity = air(1000.0)

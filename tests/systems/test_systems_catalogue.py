@@ -48,7 +48,7 @@ def test_every_system_has_an_entry_with_a_source():
     assert li.systems.catalogue().markdown().count("\n| `") == len(ENTRIES)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "key"), CASES)
 def test_what_is_declared_conserved_has_no_derivative_along_the_motion(name, key):
     """dF·X = 0 at a state without symmetry, for the energy, the momentum map and the Casimirs."""
