@@ -26,6 +26,8 @@ from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
 from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
 from lieint_jax.fitting._outcome import End, Fit, number_names, outcome, parameter_names
+from lieint_jax.fitting._scipy import Look
+from lieint_jax.fitting._scipy import least_squares as by_scipy
 from lieint_jax.fitting._search import (
     GOOD,
     NOWHERE,
@@ -44,7 +46,7 @@ from lieint_jax.types.shapes import PyTree
 if TYPE_CHECKING:
     from optax import GradientTransformation
 
-LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton")
+LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton", "scipy")
 _MOST_KEPT = 16  # compiled fits
 _Flat = tuple[Any, tuple[Hashable, ...]]  # the structure and the leaves of a tree
 
@@ -70,14 +72,15 @@ def fit(
     reads from outside are then those of its first call: give numbers that change as `data`.
 
     Args:
-        loss: parameters ↦ a scalar; for "levenberg_marquardt" and "gauss_newton" ↦ residuals, an array of any shape
-            or a tree of them, whose sum of squares is minimized. Either may be returned as a pair (value, converged),
-            where `converged` holds the flags or the `StepInfo` of the solves; a trial that did not converge has failed.
+        loss: parameters ↦ a scalar; for least squares ("levenberg_marquardt", "gauss_newton", "scipy") ↦ residuals, an
+            array of any shape or a tree of them, whose sum of squares is minimized. Either may be returned as a pair
+            (value, converged), where `converged` holds the flags or the `StepInfo` of the solves; a trial that did not
+            converge has failed.
             Residuals are differentiated in forward mode (in reverse mode through `li.observe` and `reversible`),
             scalars in reverse mode.
         params: the first guess, a tree of arrays. With `starts`, each leaf has a leading axis of starts.
-        optimizer: "levenberg_marquardt", "gauss_newton", "lbfgs" (optax, zoom line search), "adam", or any
-            `optax.GradientTransformation`.
+        optimizer: "levenberg_marquardt", "gauss_newton", "scipy" (`scipy.optimize.least_squares`, for one start),
+            "lbfgs" (optax, zoom line search), "adam", or any `optax.GradientTransformation`.
         bounds: a `Bound`, or a tree of them that is a prefix of the tree of parameters. No trial leaves them.
         iterations: the largest number of iterations.
         tolerance: a relative tolerance. Least squares stops when the Gauss–Newton step within the bounds would lower
@@ -111,6 +114,8 @@ def fit(
     iterations = _checks.count("iterations", iterations, 0)
     y, tree = _vector(bounds, params, data, starts)
     problem = _Problem(loss, _flat(bounds), _flat(tree), optimizer, tolerance, target)
+    if optimizer == "scipy" and starts:
+        raise ValueError('optimizer="scipy" fits one start: use "levenberg_marquardt" with starts=True')
     if standardized and not problem.has_residuals:
         raise ValueError(f"standardized=True needs residuals: use one of the optimizers {', '.join(LEAST_SQUARES)}")
     programs = _programs(problem, starts, mesh)
@@ -118,7 +123,10 @@ def fit(
     if problem.has_residuals:  # their first iteration only evaluates y
         search = programs.iterate(search, data)
         search = search._replace(made=0 * search.made)
-    search, history = _iterate(lambda s: programs.iterate(s, data), search, iterations, progress)
+    if optimizer == "scipy":
+        search, history = _by_scipy(problem, programs, search, data, iterations)
+    else:
+        search, history = _iterate(lambda s: programs.iterate(s, data), search, iterations, progress)
     at_side, matrix, rank = programs.finish(search, y)
     degrees = None if rank is None else search.carry.memory.r.shape[-1] - rank
     end = End(at_side, search.least, search.carry.code, search.made, search.carry.failures, matrix, degrees)
@@ -317,6 +325,27 @@ def _iterate(
     return search, np.stack(history)
 
 
+def _by_scipy(
+    problem: _Problem, programs: _Programs, search: _Search, data: PyTree, iterations: int
+) -> tuple[_Search, np.ndarray]:
+    """The search, of which the first guess is evaluated, after that of scipy; and the losses of its trials."""
+    if int(search.carry.code) == NOWHERE:
+        return search, np.asarray([search.carry.loss])
+
+    def evaluated(x: np.ndarray) -> _Search:
+        return programs.iterate(programs.begin(jnp.asarray(x), data), data)
+
+    def look(x: np.ndarray) -> Look:
+        at = evaluated(x).carry
+        return Look(np.asarray(at.memory.r), np.asarray(at.memory.J), bool(np.isfinite(at.loss)))
+
+    found = by_scipy(look, np.asarray(search.carry.x), problem.box, problem.tolerance, iterations)
+    end = evaluated(found.x)
+    code = TARGET if problem.target is not None and float(end.least) <= problem.target else found.code
+    carry = end.carry._replace(code=np.int32(code), failures=np.int32(found.failures))
+    return end._replace(carry=carry, made=np.int32(len(found.history) - 1)), found.history  # pyright: ignore
+
+
 def covariance(residuals: Callable[..., PyTree], params: PyTree) -> Array:
     """The covariance of parameters, (JᵀJ)⁻¹ with J the Jacobian of the residuals.
 
@@ -356,7 +385,8 @@ def _method(
         optimizer = optax.adam(1e-2)
     if isinstance(optimizer, str) or not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
         raise ValueError(
-            'optimizer must be "levenberg_marquardt", "gauss_newton", "lbfgs", "adam" or an optax transformation, got '
+            'optimizer must be "levenberg_marquardt", "gauss_newton", "scipy", "lbfgs", "adam" or an optax '
+            "transformation, got "
             f"{optimizer!r}"
         )
     return descent(scalar, box, optimizer, tolerance)

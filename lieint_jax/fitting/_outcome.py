@@ -80,14 +80,14 @@ class Fit(NamedTuple):
     def chi_square(self) -> float:
         """Twice the loss: χ² of residuals in units of their standard deviation."""
         if self.degrees_of_freedom is None:
-            raise ValueError("only least-squares fits have a χ²: levenberg_marquardt, gauss_newton")
+            raise ValueError("only least-squares fits have a χ²: levenberg_marquardt, gauss_newton, scipy")
         return 2 * self.loss
 
     @property
     def standard_errors(self) -> PyTree:
         """Square roots of the variances, in the structure of the parameters."""
         if self.covariance is None:
-            raise ValueError("only least-squares fits have a covariance: levenberg_marquardt, gauss_newton")
+            raise ValueError("only least-squares fits have a covariance: levenberg_marquardt, gauss_newton, scipy")
         return ravel_pytree(self.params)[1](jnp.sqrt(jnp.diagonal(jnp.asarray(self.covariance))))
 
     @property

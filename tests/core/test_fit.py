@@ -27,8 +27,8 @@ def residuals(p):
     return (decay(p) - DATA - NOISE) / 0.01
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton"])
+@pytest.mark.slow
+@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton", "scipy"])
 def test_least_squares_finds_what_scipy_finds(optimizer):
     from scipy.optimize import curve_fit
 
@@ -167,6 +167,7 @@ def test_scalar_losses_are_minimized_without_a_covariance(optimizer, iterations)
     [
         "levenberg_marquardt",
         "gauss_newton",
+        "scipy",
         pytest.param("lbfgs", marks=pytest.mark.long),
         optax.adam(0.3),
         optax.sgd(5.0),
@@ -187,13 +188,15 @@ def test_a_failed_trial_never_poisons_the_fit(optimizer):
         assert float(found.params) <= 1.05
         assert abs(found.params - 1) < 0.06
         assert np.isfinite(found.history).all()
+        assert optimizer != "scipy" or found.success
         if not isinstance(optimizer, str):
             assert found.failures > 0
 
 
 @pytest.mark.long
-def test_a_first_guess_that_fails_is_reported():
-    found = li.fit(lambda x: jnp.sqrt(x), jnp.array([-1.0]), "levenberg_marquardt")
+@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "scipy"])
+def test_a_first_guess_that_fails_is_reported(optimizer):
+    found = li.fit(lambda x: jnp.sqrt(x), jnp.array([-1.0]), optimizer)
     assert not found.success
     assert found.stopped == "the first guess failed"
     assert found.params[0] == -1
@@ -221,6 +224,23 @@ def test_each_start_may_have_data_of_its_own():
     assert (found.params, found.loss, found.message) == (found.starts.params[1], 0.5, "")  # the best
     assert list(found.starts.success) == [True, True, False]  # χ² = 4, 1, 900 of 1 degree of freedom
     np.testing.assert_allclose(found.starts.covariance, [[[1]], [[1]], [[np.nan]]])
+
+
+@pytest.mark.long
+def test_scipy_keeps_to_bounds_trials_and_one_start():
+    bounds = {"a": li.fitting.interval(0.5, 1.9), "k": li.fitting.positive}
+    ours, theirs = (
+        li.fit(residuals, {"a": 1.0, "k": 0.2}, name, bounds=bounds) for name in ("levenberg_marquardt", "scipy")
+    )
+    assert theirs.success
+    assert theirs.at_bound
+    np.testing.assert_allclose(theirs.params["k"], ours.params["k"], rtol=1e-6)
+    np.testing.assert_allclose(theirs.standard_errors["k"], ours.standard_errors["k"], rtol=1e-5)
+    few = li.fit(residuals, {"a": 1.0, "k": 0.2}, "scipy", iterations=3)
+    assert (few.success, few.stopped, few.iterations) == (False, "the iterations were used up", 2)
+    assert li.fit(residuals, TRUTH, "scipy", target=1e6).stopped == "the target was reached"
+    with pytest.raises(ValueError, match="fits one start"):
+        li.fit(residuals, {"a": np.ones(2), "k": np.ones(2)}, "scipy", starts=True)
 
 
 @pytest.mark.long

@@ -19,8 +19,9 @@ top = li.schemes.nystrom(li.systems.heavy_top(J, [0.0, 0.0, 1.0]), 6)
 midpoint = li.schemes.so3_midpoint(body)
 W = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
 
-def run(step, w, **options):
-    return li.integrate(step, step.system.state(angular_velocity=w), 0.05, 30, **{"save_every": 10} | options).state.p[-1]
+def run(step, w, save_every=10, **options):
+    start = step.system.state(angular_velocity=w)
+    return li.integrate(step, start, 0.05, 30, save_every=save_every, **options).state.p[-1]
 
 def event(w):
     return li.event(midpoint, body.state(angular_velocity=w), 0.05, lambda z: z.q[0] - 0.5, max_steps=100).t

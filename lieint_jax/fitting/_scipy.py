@@ -1,0 +1,67 @@
+"""Least squares by `scipy.optimize.least_squares`, for one start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from lieint_jax.fitting._box import Box
+from lieint_jax.fitting._search import FLAT, RUNNING, SETTLED, STILL
+
+_CODES = {0: RUNNING, 1: FLAT, 2: STILL, 3: SETTLED, 4: STILL}  # by scipy's status
+
+
+class Look(NamedTuple):
+    """Residuals r and their Jacobian J at a point, and whether the trial converged."""
+
+    r: np.ndarray
+    J: np.ndarray
+    ok: bool
+
+
+class Found(NamedTuple):
+    """The end of a search: the point, why it stopped, the least losses up to each trial, the first guess first."""
+
+    x: np.ndarray
+    code: int
+    history: np.ndarray
+    failures: int
+
+
+def least_squares(look: Callable[[np.ndarray], Look], x: np.ndarray, box: Box, tolerance: float, trials: int) -> Found:
+    """Minimize |r(x)|²/2 inside a box by scipy's trust region; a trial that fails shortens the next step.
+
+    Args:
+        look: evaluates a point.
+        x: the first guess, which does not fail.
+        box: the bounds.
+        tolerance: scipy's `ftol`, `xtol` and `gtol`, where they are not below the round-off.
+        trials: the most trials after the first guess.
+    """
+    try:
+        from scipy.optimize import least_squares as by_scipy
+    except ImportError as error:
+        raise ImportError('optimizer="scipy" needs scipy: python -m pip install scipy') from error
+    looks: dict[bytes, Look] = {}
+    losses, failures = [], 0
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        nonlocal failures
+        seen = look(x)
+        looks.clear()
+        looks[x.tobytes()] = seen
+        losses.append(float(seen.r @ seen.r) / 2 if seen.ok else np.nan)
+        failures += not seen.ok
+        return seen.r if seen.ok else np.full(seen.r.shape, np.nan)
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return (looks.get(x.tobytes()) or look(x)).J
+
+    least = max(tolerance, 2 * np.finfo(x.dtype).eps)
+    sides = [np.broadcast_to(np.asarray(side, float), x.shape) for side in box]
+    found = by_scipy(
+        residuals, x, jacobian, sides, ftol=least, xtol=least, gtol=least, x_scale="jac", max_nfev=max(trials, 1)
+    )
+    return Found(found.x.astype(x.dtype), _CODES[found.status], np.fmin.accumulate(losses), failures)
