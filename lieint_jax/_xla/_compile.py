@@ -15,7 +15,8 @@ Tree = Any  # a tree of arrays
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
 _QUICKLY = {"xla_cpu_use_fusion_emitters": False}
 _ONCE = {**_QUICKLY, "xla_backend_optimization_level": 0}
-_MOST_KEPT = 24
+_MOST_KEPT = 24  # programs of a check
+_MOST_STRUCTURES = 16  # of the arguments of a function whose programs are kept: JAX keeps all, some MiB for each
 _refused: set[str] = set()  # options that this XLA does not have
 
 
@@ -53,7 +54,8 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
 
     On CPUs XLA's older emitters compile in half of the time, and loops over steps run as fast; an XLA without them, as
     in jaxlib beyond 0.10, compiles as usual. XLA accepts such options for whole programs only, and JAX does not
-    differentiate programs with options: inside jit, grad and other transformations there are none.
+    differentiate programs with options: inside jit, grad and other transformations there are none. The programs for the
+    structures of arguments used last are kept: a user's new functions in a step are new structures.
 
     Args:
         function, static_argnums: as in `jax.jit`.
@@ -62,14 +64,17 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
     """
     plain = jax.jit(function, static_argnums=static_argnums, inline=True)
 
-    @functools.cache
-    def quick(*names: str) -> _Function:
+    @functools.lru_cache(_MOST_STRUCTURES)
+    def quick(names: tuple[str, ...], _: object) -> _Function:
         options = {name: _QUICKLY[name] for name in names}
-        return cast("_Function", jax.jit(function, static_argnums=static_argnums, compiler_options=options))
+        own = functools.wraps(function)(lambda *arguments, **named: function(*arguments, **named))  # freed with its jit
+        return cast("_Function", jax.jit(own, static_argnums=static_argnums, compiler_options=options or None))
 
     def call_quick(*arguments: Tree, **named: Tree) -> Tree:
+        structure = jax.tree.structure((arguments, named))
+
         def attempt(options: Sequence[str]) -> Tree:
-            return quick(*options)(*arguments, **named) if options else plain(*arguments, **named)
+            return quick(tuple(options), structure)(*arguments, **named)
 
         return _with_known(_QUICKLY, attempt)
 

@@ -87,6 +87,15 @@ class _Undoable(NamedTuple):
     def pull_back(self, residuals: PyTree, cotangents: tuple[State, PyTree]) -> tuple[PyTree, ...]:
         """The cotangents of the arguments of `states`; that of dt, which its clock has too, is the one of dt."""
         arrays, state, dt, clock, counts, later = residuals
+        lam, (sums, h) = _backward(self, arrays, state, dt, jnp.asarray(counts), later, cotangents[0])
+        nothing = jax.tree.map(_no_cotangent, (arrays, clock, counts))
+        sums = [_no_cotangent(x) if c is None else c for x, c in zip(arrays[1], sums, strict=True)]
+        return (nothing[0][0], sums, nothing[0][2]), lam, h, *nothing[1:]  # those of a step are those of its stages
+
+    def backward(
+        self, arrays: PyTree, state: State, dt: Array, counts: Array, later: State, cotangents: State
+    ) -> tuple[State, PyTree]:
+        """The cotangents of the state, and of the real arrays of a stage and of dt."""
         real = jax.tree.map(lambda x: x if jnp.issubdtype(x.dtype, jnp.floating) else None, list(arrays[1]))
         undo = partial(self._undo, arrays[1], real, dt)
 
@@ -99,13 +108,10 @@ class _Undoable(NamedTuple):
 
         starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
         zero = jax.tree.map(jnp.zeros_like, (state, (real, dt)))
-        found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
+        found, errors = lax.scan(interval, zero, (starts, later, cotangents, counts), reverse=True)
         # added to every result, or XLA may remove the warning
         none = _zero_with_warning(jnp.max(errors, initial=0), self.tolerance)
-        lam, (sums, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
-        nothing = jax.tree.map(_no_cotangent, (arrays, clock, counts))
-        sums = [_no_cotangent(x) if c is None else c for x, c in zip(arrays[1], sums, strict=True)]
-        return (nothing[0][0], sums, nothing[0][2]), lam, h, *nothing[1:]  # those of a step are those of its stages
+        return jax.tree.map(lambda x: x + none.astype(x.dtype), found)
 
     def _undo(self, arrays: PyTree, real: PyTree, dt: Array, n: Array, carry: PyTree) -> PyTree:
         """Undo sub-step n from the end, and pull its cotangents back."""
@@ -127,6 +133,7 @@ def _no_cotangent(x: Array) -> Array | np.ndarray:
     return jnp.zeros_like(x) if jnp.issubdtype(x.dtype, jnp.floating) else np.zeros(np.shape(x), jax.dtypes.float0)
 
 
+_backward = jax.jit(_Undoable.backward, static_argnums=0)  # a gradient outside of jit compiles it once
 _run: Callable[..., PyTree] = jax.custom_vjp(_Undoable.states, nondiff_argnums=(0,))
 _run.defvjp(_Undoable.forward, _Undoable.pull_back)
 

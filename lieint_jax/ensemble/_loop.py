@@ -275,7 +275,7 @@ class Intervals:
     """
 
     def __init__(self, interval: Interval, axes: Axes, _: Sequence[Tree]):
-        self._of_member = jax.jit(interval.__call__, inline=True)
+        self._of_member = jax.jit(interval.__call__)
         self._of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
         self.known: dict[str, Known] = {}
 

@@ -64,13 +64,13 @@ def with_results(step: ClosedJaxpr | Deferred, results: Callable[[Values, Values
     )
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(32)
 def without_results(step: ClosedJaxpr | Deferred, carried: int) -> ClosedJaxpr:
     """A step that changes the carries only."""
     return with_results(step, lambda _, results: results[:carried])
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(32)
 def ends_that_are_results(step: ClosedJaxpr | Deferred, carried: int) -> tuple[int, ...] | None:
     """For each result of a step, the place of the carry that it is, too; None if one is no carry."""
     out = list(map(id, jaxpr_of(step).jaxpr.outvars))
@@ -239,7 +239,7 @@ def _has_hash(x: object) -> bool:
     return True
 
 
-@functools.lru_cache(64)
+@functools.lru_cache(12)
 def _jitted_step(step: _Checked) -> Any:
     return jax.jit(lambda *arguments: step(*arguments))
 

@@ -57,7 +57,7 @@ def _mask_of_results(loop: Loop, active: tuple[bool, ...]) -> tuple[bool, ...]:
     return _varying_and_real(loop.step, loop.carried, active)
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(32)
 def _varying_and_real(step: _Step, carried: int, active: tuple[bool, ...]) -> tuple[bool, ...]:
     varying = varying_in_loop(jaxpr_of(step), [False, *active], 1, carried)
     return tuple(v and _is_real(x) for v, x in zip(varying, step.out_avals, strict=True))
@@ -117,7 +117,7 @@ def _tangent_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
     )
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(32)
 def _tangent_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
     loop = Loop(step, carried, fixed, 1, 1, False)
     mask, function = _mask_of_results(loop, active), function_of(step)
@@ -207,7 +207,7 @@ def _recorded(loop: Loop, arguments: Values) -> tuple[list[Value], list[Value]]:
     return [*found[: loop.carried], *(y[last] for y in ys)], found[count:]
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(32)
 def _recording(step: _Step, carried: int) -> ClosedJaxpr:
     """The step with the carries before it among its results."""
     return with_results(step, lambda arguments, results: [*results, *arguments[1 : 1 + carried]])
@@ -236,7 +236,7 @@ def _linear_arguments(loop: Loop, active: Mask, plain: Values, stored: Values, d
     return [*dots[:n], *constants, *dots[n:m], *stored, *rows, *dots[m:]]
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(32)
 def _linear_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
     loop = Loop(step, carried, fixed, 1, 1, False)
     mask, function = _mask_of_results(loop, active), function_of(step)
@@ -306,7 +306,7 @@ def _spread(y_bar: Value, loop: Loop) -> Value:
     return zeros.at[:, 0 if loop.reverse else -1].set(y_bar).reshape(loop.steps, *y_bar.shape[1:])
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(32)
 def _backward_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...], seen: tuple[bool, ...]) -> Deferred:
     """(λ, sums, constants, carries before it, row, cotangents of results) ↦ (λ, sums, cotangents of the row)."""
     loop = Loop(step, carried, fixed, 1, 1, False)
@@ -421,7 +421,7 @@ def _numbered(loop: Loop) -> Loop:
     return loop._replace(step=step, fixed=loop.fixed + 1, own=(False, *loop.own), origin=None, is_piece=True)
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(32)
 def _numbered_step(step: _Step, carried: int) -> Deferred:
     function = function_of(step)
     number, *shapes = step.in_avals

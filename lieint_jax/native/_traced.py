@@ -163,16 +163,19 @@ def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
     return jax.dtypes.canonicalize_dtype(dtype)
 
 
-_MOST_KEPT = 64  # programs made last; each holds some 5 MiB
-_cache: collections.OrderedDict[object, object] = collections.OrderedDict()
+_MOST_KEPT = 12  # of what is made once; each holds a jaxpr or a program of numbers, some MiB
+_cache: collections.OrderedDict[tuple[object, ...], object] = collections.OrderedDict()
 
 
 def make_once(
-    kind: Callable[..., _Compiled], function: object, kinds: Sequence[Tree], examples: Sequence[Tree]
+    kind: Callable[..., _Compiled],
+    function: object,
+    kinds: Sequence[Tree],
+    examples: Sequence[Tree],
 ) -> _Compiled:
     """`kind(function, kinds, examples)`, made once for all arguments of the same shapes; failures are stored too.
 
-    The programs used last are kept, so that a session that makes ever new functions does not fill the memory.
+    Those of each kind used last are kept, so that a session that makes ever new functions does not fill the memory.
 
     Raises:
         UnsupportedError: see `Traced`.
@@ -187,8 +190,9 @@ def make_once(
             _cache[key] = reason
     found = _cache[key]
     _cache.move_to_end(key)
-    while len(_cache) > _MOST_KEPT:
-        _cache.popitem(last=False)
+    alike = [key for key in _cache if key[0] is kind]
+    for old in alike[: max(0, len(alike) - _MOST_KEPT)]:
+        del _cache[old]
     if isinstance(found, UnsupportedError):
         raise found
     return cast("_Compiled", found)

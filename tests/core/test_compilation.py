@@ -297,3 +297,24 @@ def test_a_potential_s_parameter_may_be_varied():
     for value in jax.jit(energy)(1.0), jax.vmap(energy)(jnp.ones(2))[0]:
         assert abs(value - one) < 1e-15
     assert abs(jax.grad(energy)(1.0) + 1 / np.sqrt(2)) < 1e-15
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("engine", ["integrate", "ensemble"])
+def test_runs_of_new_functions_keep_few_of_them(monkeypatch, engine):
+    """Each new function of a user kept some 10 MiB of jaxprs for ever, in caches of JAX and of machine code."""
+    monkeypatch.setattr(_compile, "_MOST_KEPT", 1)
+    monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
+    kept = []
+    for k in range(36):
+        law = lambda g, k=k: k * g[2]  # noqa: E731
+        body = li.systems.potential_top([1.0, 2.0, 3.0], law)
+        step, start = li.schemes.splitting(body), body.state(angular_velocity=[0.1, 0.2, 0.3])
+        if engine == "integrate":
+            li.integrate(step, start, 0.1, 2)
+        else:
+            li.ensemble.run(step, jax.tree.map(lambda x: x[None], start), 0.1, 2, progress=False)
+        if k in (17, 35):
+            gc.collect()
+            kept.append(sum(isinstance(x, jax.extend.core.JaxprEqn) for x in gc.get_objects()))
+    assert kept[1] < 1.05 * kept[0], kept
