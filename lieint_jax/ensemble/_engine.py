@@ -25,7 +25,6 @@ from lieint_jax.ensemble._loop import (
     Intervals,
     Known,
     Origin,
-    Preparation,
     Quantity,
     Reduction,
     Saved,
@@ -120,7 +119,7 @@ class Engine:
         count, rest = np.zeros((), _loop.step_dtype()), None if job.rests is None else np.zeros((), job.dtype)
         examples = (
             jax.tree.map(_member_shape, start),
-            jax.eval_shape(Preparation().__call__, step, state, origin) if self.prepares else step,
+            jax.eval_shape(_loop.prepare, step, state, origin) if self.prepares else step,
             step if self.prepares else None,
             origin._replace(quantity=value),
             Span(count, count, rest, np.bool_(True)),
@@ -144,7 +143,7 @@ class Engine:
         job = few_members(self.job)
         step, plain, origin = job.step, None, Origin(job.t0, job.clock, None)  # pyright: ignore[reportArgumentType]
         if self.prepares:
-            plain, step = step, self._of_members(Preparation())(step, job.states, origin)
+            plain, step = step, self._of_members(_loop.prepare)(step, job.states, origin)
         value = None if job.reduction is None else np.zeros(job.members, job.dtype)
         ends = np.ones(2, _loop.step_dtype())
         rests = None if job.rests is None else np.full(ends.shape, job.first_dt / 2, job.dtype)
@@ -176,7 +175,7 @@ class Engine:
         plain = (_layout.replicated if job.step_axis is None else _layout.placed)(layout, job.step)
         states = _layout.placed(layout, job.states)
         origin = Origin((_layout.replicated if job.shares_time else _layout.placed)(layout, job.t0), job.clock, None)
-        step = self._of_members(Preparation())(plain, states, origin) if self.prepares else plain
+        step = self._of_members(_loop.prepare)(plain, states, origin) if self.prepares else plain
         value = None
         if job.reduction is not None:
             value = self.quantity(job.reduction, Start(step, plain, origin, _loop.start(states, None)), states, 0)

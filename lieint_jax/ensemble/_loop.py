@@ -185,11 +185,9 @@ class Quantity(NamedTuple):
         return self.function(step, origin.add_time(n, state))
 
 
-class Preparation(NamedTuple):
-    """(step, state, origin) ↦ the step with its constants for whole steps."""
-
-    def __call__(self, step: Step, state: State, origin: Origin) -> Step:
-        return prepared(step, origin.add_time(0, state), origin.clock)
+def prepare(step: Step, state: State, origin: Origin) -> Step:
+    """The step with its constants for whole steps."""
+    return prepared(step, origin.add_time(0, state), origin.clock)
 
 
 def start(states: State, reduced: Numbers | None) -> Carry:
