@@ -49,9 +49,7 @@ def at_output_times(
     entries, rows, length = _entries(clock, save_at, nodes, num_steps)
     whole, has_time = prepared(step, state, clock), state.t is not None
 
-    def step_once(
-        _: Array, at: tuple[State, StepInfo], x: _Entry
-    ) -> tuple[tuple[State, StepInfo], tuple[State, StepInfo]]:
+    def step_once(_: Array, at: _Reached, x: _Entry) -> tuple[_Reached, _Reached]:
         begin = at[0]._replace(t=x.t if has_time else None)
         dt = clock.dt if isinstance(clock, UniformClock) else x.dt
 
@@ -89,7 +87,6 @@ def _entries(
     output = jnp.cumsum(jnp.zeros(num_steps + 1, int).at[nodes].add(1))[:-1]  # to which the step from node n leads
     before = jnp.concatenate([jnp.zeros(1, rows.dtype), rows + 1])[output] * length
     place = before + n - jnp.concatenate([jnp.zeros(1, nodes.dtype), nodes])[output]
-
     place = jnp.where(output < count, place, size)  # beyond the end where no output follows
 
     def spread(nothing: ArrayLike, of_steps: ArrayLike, of_outputs: ArrayLike) -> Array:

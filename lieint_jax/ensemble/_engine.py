@@ -200,7 +200,10 @@ class Engine:
     def run_spans(self, start: Start, carry: Carry, spans: Span, rows: int) -> tuple[Carry, Saved]:
         """The carry after these save intervals, at most `rows`, and the saved rows."""
         count = np.int32(len(spans.first))
-        spans = jax.tree.map(lambda x: np.resize(x, _power_of_two(rows)), spans)
+        rows = (
+            _power_of_two(rows) if self.name == "native" else rows
+        )  # XLA's loops fill all rows, and need their memory
+        spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
         plain = start.plain if self.prepares else None
         with self._computing():
             return jax.block_until_ready(self._intervals(carry, start.step, plain, start.origin, spans, count))
@@ -225,5 +228,5 @@ def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:
 
 
 def _power_of_two(count: int) -> int:
-    """The least power of two that is not less, and at least 2, so that runs of different lengths share programs."""
+    """The least power of two that is not less, or 2; so runs of different lengths share programs."""
     return 1 << max(1, (count - 1).bit_length())
