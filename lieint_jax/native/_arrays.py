@@ -33,7 +33,6 @@ class Flattened:
 
     Attributes:
         results: the shapes of the results of one member and one row.
-        kinds_of_results: for each of them "member" or "shared".
         length: the number of operations.
         width: about how many registers of 32 bits the program needs, if each kernel covers the code between two loops.
         carried: the largest number of values of a member that a loop carries: an iteration reads and writes them.
@@ -44,8 +43,7 @@ class Flattened:
 
     def __init__(self, function: Callable[..., Tree] | ClosedJaxpr, kinds: Sequence[Tree], examples: Sequence[Tree]):
         self._traced = Traced(function, kinds, examples)
-        self.results, self.kinds_of_results = self._traced.results, self._traced.kinds_of_results
-        self.length = self._traced.length
+        self.results, self.length = self._traced.results, self._traced.length
         self.width, self.carried = width(self._traced.program), count_carried(self._traced.program)
         _check(self._traced.program.block, self._traced.program)
 

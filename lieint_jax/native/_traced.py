@@ -65,7 +65,6 @@ class Traced:
         program: its outputs are the entries of the results, leaf by leaf.
         length: the number of its operations.
         results: the shapes of the results of one member and one row.
-        kinds_of_results: for each of them "member" or "shared".
         jaxpr: the function as JAX traces it.
 
     Raises:
@@ -92,9 +91,6 @@ class Traced:
         outputs = Walk(self._builder, self._compute_before).jaxpr(closed, arguments)
         self.program = self._program([x for array in outputs for x in array.flat])
         self.length = self._builder.length
-        varying = [any(x in self.program.varying for x in array.flat) for array in outputs]
-        structure = jax.tree.structure(self.results)
-        self.kinds_of_results = jax.tree.unflatten(structure, ["member" if x else "shared" for x in varying])
 
     def _argument(self, kind: str, x: jax.ShapeDtypeStruct | ShapedArray) -> np.ndarray | Table:
         """A new argument, as numbers of the program."""
