@@ -1,8 +1,10 @@
 """Programs of numbers against JAX: each primitive, loops, branches and indices, for members that differ."""
 
 import itertools
+import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -647,6 +649,15 @@ def test_what_members_share_goes_on_from_row_to_row(monkeypatch, room):
         expected = by_jax(_orbiting, [expected], [e, count])
         np.testing.assert_allclose(found, expected + e, rtol=0, atol=1e-13)
     np.testing.assert_allclose(last, expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="mprotect of Linux")
+def test_an_array_of_a_kernel_ends_at_an_unreadable_page():
+    code = "import numpy as np, kernels, ctypes; x = kernels.guarded((5,), float); ctypes.memset(x.ctypes.data, 0, {})"
+    lib = Path(__file__).parents[1] / "lib"
+    ends = [subprocess.run([sys.executable, "-c", code.format(n)], cwd=lib).returncode for n in (40, 41)]
+    assert ends == [0, -signal.SIGSEGV]
 
 
 @pytest.mark.parametrize("lanes", [4, 8, 16])

@@ -1,7 +1,12 @@
-"""Machine code of any function of one member, called without JAX: so that thousands of random functions run in time."""
+"""Machine code of any function of one member, called without JAX: so that thousands of random functions run in time.
+
+All arrays end at a page that can be neither read nor written: on Linux a kernel that goes beyond one ends the process.
+"""
 
 import collections
 import ctypes
+import mmap
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -41,12 +46,12 @@ class Kernel:
         """The results of all members, with the axes (members, …) of carries and (rows, members, …) of others."""
         given = [np.asarray(x) for part in arguments for x in jax.tree.leaves(part)]
         given += map(np.asarray, computed_before(self._outside, self._leaves, given, members))
-        given = [np.ascontiguousarray(x, leaf.dtype) for x, leaf in zip(given, self._leaves, strict=True)]
+        given = [guarded(np.shape(x), leaf.dtype, x) for x, leaf in zip(given, self._leaves, strict=True)]
         for x, leaf in zip(given, self._leaves, strict=True):
             copies = collections.defaultdict(lambda: 1, carry=members, member=members, row=rows)[leaf.kind]
             assert x.size == copies * leaf.size, leaf
         outputs = [
-            np.empty((members, *x.shape) if n < self._carried else (rows, members, *x.shape), x.dtype)
+            guarded((members, *x.shape) if n < self._carried else (rows, members, *x.shape), x.dtype)
             for n, x in enumerate(self._results)
         ]
         parts = 1 if threads == 1 else _PARTS * threads
@@ -70,3 +75,17 @@ class MachineFunction:
     def __call__(self, *arguments):
         *numbers, arrays = arguments
         self._call(*numbers, (ctypes.c_void_p * len(arrays))(*(x.ctypes.data for x in arrays)))
+
+
+def guarded(shape, dtype, values=0):
+    """An array that ends where memory can be neither read nor written."""
+    count, dtype = int(np.prod(shape)), np.dtype(dtype)
+    pages = -(-count * dtype.itemsize // mmap.PAGESIZE) + 1
+    region = mmap.mmap(-1, pages * mmap.PAGESIZE)
+    end = (pages - 1) * mmap.PAGESIZE
+    if sys.platform == "linux":
+        last = ctypes.addressof(ctypes.c_char.from_buffer(region)) + end
+        assert ctypes.CDLL(None).mprotect(ctypes.c_void_p(last), ctypes.c_size_t(mmap.PAGESIZE), 0) == 0
+    found = np.frombuffer(region, dtype, count, end - count * dtype.itemsize).reshape(shape)
+    found[...] = values
+    return found
