@@ -84,7 +84,7 @@ def test_long_runs_with_constants_computed_once_stay_exact():
         converged, off, energy, momentum = measured(calibrated(RigidBody(J)), moving(J))
         assert converged.all()
         assert off < 3e-12  # floor 1e-12
-        assert np.abs(energy).max() < 1e-14  # floor 2e-15
+        assert np.abs(energy).max() < 4e-14  # floor 1.2e-14, 1.7e-14 by XLA: a tenth of a rounding in each step
         assert np.abs(momentum).max() == 0
 
 
