@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,7 +61,8 @@ def least_squares(look: Callable[[np.ndarray], Look], x: np.ndarray, box: Box, t
 
     least = max(tolerance, 2 * np.finfo(x.dtype).eps)
     sides = [np.broadcast_to(np.asarray(side, float), x.shape) for side in box]
-    found = by_scipy(
+    find: Any = by_scipy  # whose types take the name of a rule for the Jacobian only
+    found = find(
         residuals, x, jacobian, sides, ftol=least, xtol=least, gtol=least, x_scale="jac", max_nfev=max(trials, 1)
     )
     return Found(found.x.astype(x.dtype), _CODES[found.status], np.fmin.accumulate(losses), failures)
