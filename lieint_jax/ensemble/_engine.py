@@ -6,7 +6,7 @@ import contextlib
 import functools
 import logging
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -113,18 +113,8 @@ class Engine:
         step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
         state = jax.tree.map(_member_shape, job.states)
         t0 = job.t0 if job.t0 is None or job.shares_time else _member_shape(job.t0)
-        origin = Origin(t0, job.clock, None)  # pyright: ignore[reportArgumentType]
-        value: Any = None if job.reduction is None else jax.ShapeDtypeStruct((), job.dtype)
-        start = _loop.start(jax.tree.map(lambda x: x[:1], job.states), value)
-        count, rest = np.zeros((), _loop.step_dtype()), None if job.rests is None else np.zeros((), job.dtype)
-        examples = (
-            jax.tree.map(_member_shape, start),
-            jax.eval_shape(_loop.prepare, step, state, origin) if self.prepares else step,
-            step if self.prepares else None,
-            origin._replace(quantity=value),
-            Span(count, count, rest, np.bool_(True)),
-        )
-        return _loop.intervals(Interval(job.reduction, together), self._axes, examples)
+        rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
+        return _loop.intervals(Interval(job.reduction, together), self._axes, (step, state, t0, job.clock, rests))
 
     def _examined(self) -> Known:
         """What this engine makes of the loop."""
@@ -200,9 +190,8 @@ class Engine:
     def run_spans(self, start: Start, carry: Carry, spans: Span, rows: int) -> tuple[Carry, Saved]:
         """The carry after these save intervals, at most `rows`, and the saved rows."""
         count = np.int32(len(spans.first))
-        rows = (
-            _power_of_two(rows) if self.name == "native" else rows
-        )  # XLA's loops fill all rows, and need their memory
+        if self.name == "native":  # XLA's loops fill all rows, and need their memory
+            rows = _power_of_two(rows)
         spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
         plain = start.plain if self.prepares else None
         with self._computing():

@@ -118,11 +118,9 @@ def placed(layout: Layout, tree: _T, first: int = 0) -> _T:
     mine = layout.computed_members
     mine = slice(mine.start - first, mine.stop - first)
     tree = jax.tree.map(lambda x: np.asarray(x)[mine], tree)
-    return (
-        tree
-        if _on_cpu(layout)
-        else jax.device_put(jax.tree.map(partial(_padded, layout), tree), _sharding(layout, AXIS))
-    )
+    if _on_cpu(layout):
+        return tree
+    return jax.device_put(jax.tree.map(partial(_padded, layout), tree), _sharding(layout, AXIS))
 
 
 def replicated(layout: Layout, tree: _T) -> _T:

@@ -233,22 +233,22 @@ def compiler_options(platform: str | None = None) -> dict[str, str | int]:
 def compile_for_members(function: Callable[..., Tree], axes: Axes) -> Callable[..., Tree]:
     """A function of one member, compiled for many as a loop of one step; `axes` as in `jax.vmap`."""
 
-    def once(*arguments: Tree) -> Tree:
+    def by_one_step(*arguments: Tree) -> Tree:
         found = native.march(lambda n, carry, _: (carry, function(*arguments)), (), rows=1)[1]
         return jax.tree.map(lambda x: x[0], found)
 
-    return jax.jit(jax.vmap(once, axes), compiler_options=compiler_options())
+    return jax.jit(jax.vmap(by_one_step, axes), compiler_options=compiler_options())
 
 
-def intervals(interval: Interval, axes: Axes, examples: Sequence[Tree]) -> Intervals:
-    """The loop over save intervals of all members, made once for arguments of the same shapes.
+def intervals(interval: Interval, axes: Axes, data: Sequence[Tree]) -> Intervals:
+    """The loop over save intervals of all members, made once for data of one member of the same shapes.
 
     Args:
         interval: the function of one member.
         axes: the member axes of its arguments, as in `jax.vmap`, but for the span.
-        examples: its arguments, as arrays or shapes.
+        data: what its arguments are made of, as arrays or shapes.
     """
-    return native.make_once(Intervals, interval, axes, examples)
+    return native.make_once(Intervals, interval, axes, data)
 
 
 class Known(NamedTuple):

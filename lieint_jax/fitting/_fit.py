@@ -333,7 +333,7 @@ def _by_scipy(
         return search, np.asarray([search.carry.loss])
 
     def evaluated(x: np.ndarray) -> _Search:
-        return programs.iterate(programs.begin(jnp.asarray(x), data), data)
+        return programs.iterate(programs.begin(jnp.asarray(x, search.carry.x.dtype), data), data)
 
     def look(x: np.ndarray) -> Look:
         at = evaluated(x).carry

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -38,26 +39,27 @@ def least_squares(look: Callable[[np.ndarray], Look], x: np.ndarray, box: Box, t
         x: the first guess, which does not fail.
         box: the bounds.
         tolerance: scipy's `ftol`, `xtol` and `gtol`, where they are not below the round-off.
-        trials: the most trials after the first guess.
+        trials: the most trials, the first guess included; at least that one is made.
     """
     try:
         from scipy.optimize import least_squares as by_scipy
     except ImportError as error:
         raise ImportError('optimizer="scipy" needs scipy: python -m pip install scipy') from error
-    looks: dict[bytes, Look] = {}
     losses, failures = [], 0
+
+    @functools.lru_cache(2)  # scipy asks for the Jacobian where it has asked for the residuals
+    def seen_at(numbers: bytes) -> Look:
+        return look(np.frombuffer(numbers))
 
     def residuals(x: np.ndarray) -> np.ndarray:
         nonlocal failures
-        seen = look(x)
-        looks.clear()
-        looks[x.tobytes()] = seen
+        seen = seen_at(x.tobytes())
         losses.append(float(seen.r @ seen.r) / 2 if seen.ok else np.nan)
         failures += not seen.ok
         return seen.r if seen.ok else np.full(seen.r.shape, np.nan)
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        return (looks.get(x.tobytes()) or look(x)).J
+        return seen_at(x.tobytes()).J
 
     least = max(tolerance, 2 * np.finfo(x.dtype).eps)
     sides = [np.broadcast_to(np.asarray(side, float), x.shape) for side in box]

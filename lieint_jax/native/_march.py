@@ -360,15 +360,15 @@ def _counted_by_xla(
     count: Value,
     rows: int,
 ) -> list[Value]:
-    def given(n: Value) -> list[Value]:
+    def row_of(n: Value) -> list[Value]:
         return [lax.dynamic_index_in_dim(x, n, keepdims=False) for x in series]
 
-    shapes = jax.eval_shape(lambda carry: step(jnp.zeros_like(every), carry, given(0))[1], carry)
+    shapes = jax.eval_shape(lambda carry: step(jnp.zeros_like(every), carry, row_of(0))[1], carry)
     empty = [jnp.zeros(s.shape, s.dtype) for s in shapes]
 
     def row(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
         begin = both[0], empty
-        carry, found = lax.fori_loop(0, every, lambda i, both: step(k * every + i, both[0], given(k)), begin)
+        carry, found = lax.fori_loop(0, every, lambda i, both: step(k * every + i, both[0], row_of(k)), begin)
         return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], found, strict=True)]
 
     carry, ys = lax.fori_loop(0, count, row, (carry, [jnp.zeros((rows, *x.shape), x.dtype) for x in empty]))

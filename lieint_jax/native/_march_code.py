@@ -26,7 +26,6 @@ from lieint_jax.native._traced import Traced, make_once
 _log = logging.getLogger(__name__)
 _WIDEST = 160  # the most registers of 32 bits; a GPU's thread has 255, and the order of its instructions uses the rest
 _MOST_CARRIED = 24  # the most numbers that an iteration of a loop reads and writes, and XLA may copy between kernels
-_FLAT_KINDS = {True: "member", False: "shared"}
 _SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
 _SOME = 100  # steps of a row, if their number is not known here
 _ALL = 2**30  # threads: as many as XLA's pool has
@@ -117,8 +116,7 @@ def flat_step(loop: Loop) -> Flattened | str:
 
     XLA compiles the operations between two loops of the step into one kernel, if their numbers fit a GPU's registers.
     """
-    _, of_fixed, of_rows = loop.split(loop.owns)
-    kinds = ["shared", *(_FLAT_KINDS[own] for own in (*[True] * loop.carried, *of_fixed, *of_rows))]
+    kinds = ["shared", *("member" if own else "shared" for own in loop.owns)]  # the number of a step comes first
     try:
         flat = flatten(jaxpr_of(loop.step), kinds, [shape_of(x) for x in loop.step.in_avals])
     except UnsupportedError as reason:
