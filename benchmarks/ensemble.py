@@ -84,11 +84,10 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     import numpy as np
 
     from lieint_jax import ensemble
-    from lieint_jax._integrate import UniformClock
-    from lieint_jax.ensemble import _layout
-    from lieint_jax.ensemble._engine import engine_of
-    from lieint_jax.ensemble._execute import CompiledLoop
-    from lieint_jax.ensemble._job import Job
+    from lieint_jax.runs import UniformClock, _layout
+    from lieint_jax.runs._engine import engine_of
+    from lieint_jax.runs._execute import CompiledLoop
+    from lieint_jax.runs._job import Job
 
     nodes = np.array([0, num_steps])
     clock = jax.tree.map(np.asarray, UniformClock(jnp.zeros(()), jnp.asarray(dt)))

@@ -88,8 +88,8 @@ def counts(quick: bool, only: list[str] | None, dump: Path) -> Iterator[list[Any
     """A row for each step and each kind of loop."""
     import jax
 
-    from lieint_jax.ensemble._engine import Engine
     from lieint_jax.native import flat_step
+    from lieint_jax.runs._engine import Engine
 
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_x64", True)
@@ -141,8 +141,8 @@ def _job(step: Any, state: Any, dt: float) -> Any:
     import jax
     import jax.numpy as jnp
 
-    from lieint_jax.ensemble import _make_job
-    from lieint_jax.ensemble._job import Job
+    from lieint_jax.runs import _make_job
+    from lieint_jax.runs._job import Job
     from lieint_jax.types import checked_step, promoted
 
     states = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *jnp.shape(x))), step.start(state))
@@ -167,7 +167,7 @@ def _arguments(job: Any, sharding: Any = None) -> tuple[Any, ...]:
     import jax
     import numpy as np
 
-    from lieint_jax.ensemble import _loop
+    from lieint_jax.runs import _loop
 
     def shape(x: Any, *lead: int) -> Any:
         return jax.ShapeDtypeStruct((*lead, *np.shape(x)), jax.numpy.result_type(x), sharding=sharding)

@@ -1,6 +1,6 @@
 """Conserving time integrators for Hamiltonian systems on Lie groups, in JAX.
 
-A system and a scheme make a step; a step makes everything else.
+A system and a scheme make a step; a step and states make a run.
 
     import jax, lieint_jax as li
 
@@ -9,15 +9,17 @@ A system and a scheme make a step; a step makes everything else.
     body = li.systems.rigid_body(inertia=[1.0, 2.0, 3.0])
     step = li.schemes.so3_midpoint(body, kappa=li.maps.kappa_symplectic)
     state = body.state(attitude=[1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0])
-    run = li.integrate(step, state, dt=0.05, num_steps=1000)
+    run = li.run(step, state, dt=0.05, num_steps=1000)
+    print(run, abs(run.energy_error()).max())
     print(li.diagnostics.certify(step, state, dt=0.05, num_steps=1000))  # what is conserved, to how many digits
 
 | | |
 |---|---|
 | `systems` | rigid bodies, tops, satellites, several bodies, elastic bodies, any matrix group |
 | `schemes` | the integrators: `help(li.schemes)` lists which one fits which system |
-| `integrate`, `event`, `interpolate` | runs of one body: states at any times, and when a condition changes its sign |
-| `ensemble` | many bodies, over cores, devices and processes; results in memory or on disk |
+| `run`, `open` | runs that you keep, of one body or of many, over cores, devices and processes, in memory or on disk |
+| `integrate`, `event`, `interpolate` | inside jit, vmap, grad: trajectories, and when a condition changes its sign |
+| `ensemble` | older names of `run` and `open`; `over_members`, processes, parts of a run |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
@@ -29,7 +31,7 @@ A system and a scheme make a step; a step makes everything else.
 | `scan`, `engine`, `explain` | `jax.lax.scan` in machine code, for your own loops; which engine runs a loop, and why |
 | `jit`, `cache_programs` | `jax.jit` that compiles sooner; compiled programs on disk for the next process |
 
-By default `integrate` saves every step, and `ensemble.run` only the last one: `save_every` changes that.
+`run` and `integrate` save every step by default: `save_every` changes that.
 Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in the axes of space. Any consistent units may
 be used. `lieint list` on the command line lists systems, schemes and scenarios.
 """
@@ -55,17 +57,19 @@ from lieint_jax import (
 )
 from lieint_jax._cache import cache_programs
 from lieint_jax._deprecated import renamed as _renamed
-from lieint_jax._integrate import Event, event, integrate, interpolate
 from lieint_jax._version import __version__
 from lieint_jax._xla import jit
 from lieint_jax.adjoints import observe, reversible, transition
 from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
+from lieint_jax.runs import Event, Run, event, integrate, interpolate, run
+from lieint_jax.runs import open_run as open  # noqa: A004
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 __all__ = [
     "Event",
+    "Run",
     "State",
     "Step",
     "StepInfo",
@@ -89,11 +93,13 @@ __all__ = [
     "maps",
     "normal_modes",
     "observe",
+    "open",
     "orbits",
     "phase_spaces",
     "potentials",
     "pytree",
     "reversible",
+    "run",
     "scan",
     "schemes",
     "shapes",

@@ -18,11 +18,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import lieint_jax as li
-from lieint_jax.ensemble import _identity, _into_store, _job, _make_job, _store_options, archives
-from lieint_jax.ensemble._part_writer import PartWriter, join
-from lieint_jax.ensemble._parts import PartsRoot, read_root
-from lieint_jax.ensemble._storage import Bucket, Url, address
-from lieint_jax.ensemble._store import Commit, Part
+from lieint_jax.ensemble import archives
+from lieint_jax.runs import _job, _make_job
+from lieint_jax.runs.store import _identity, _into_store, _store_options
+from lieint_jax.runs.store._part_writer import PartWriter, join
+from lieint_jax.runs.store._parts import PartsRoot, read_root
+from lieint_jax.runs.store._storage import Bucket, Url, address
+from lieint_jax.runs.store._store import Commit, Part
 
 MEMBERS = 2  # of a simulated worker; its requests are timed as if they had the bytes of all members
 

@@ -25,11 +25,11 @@ All agree to round-off, since they are derivatives of the same discrete flow. On
 the trajectory itself is accurate.
 """
 
-from lieint_jax._integrate import Adjoint
 from lieint_jax.adjoints._observe import observe
 from lieint_jax.adjoints._options import RecursiveCheckpointAdjoint, ReversibleAdjoint
 from lieint_jax.adjoints._reversible import reversible, round_trip_error
 from lieint_jax.adjoints._transition import Ellipse, Transition, transition
+from lieint_jax.runs import Adjoint
 
 __all__ = [
     "Adjoint",

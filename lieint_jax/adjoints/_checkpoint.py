@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax._integrate import Body, Clock, Progress, counted, march, prepared, saved_states, step_at_node
 from lieint_jax._xla import compiled
+from lieint_jax.runs import Body, Clock, Progress, counted, march, prepared, saved_states, step_at_node
 from lieint_jax.types import State, Step, StepInfo
 from lieint_jax.types.shapes import PyTree
 

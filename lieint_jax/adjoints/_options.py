@@ -8,10 +8,10 @@ import numpy as np
 
 from lieint_jax import _checks
 from lieint_jax._deprecated import warn_of_removal
-from lieint_jax._integrate import Adjoint, Clock, GridClock
 from lieint_jax.adjoints._arguments import check_symmetric
 from lieint_jax.adjoints._checkpoint import checkpointed
 from lieint_jax.adjoints._undo import undoable
+from lieint_jax.runs import Adjoint, Clock, GridClock
 from lieint_jax.types import State, Step, StepInfo
 
 

@@ -7,11 +7,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import integrate, intervals, steps
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, check_derivative, checked
 from lieint_jax.adjoints._options import RecursiveCheckpointAdjoint, ReversibleAdjoint
 from lieint_jax.diagnostics.tangent import distance
+from lieint_jax.runs import integrate, intervals, steps
 from lieint_jax.types import State, Step, Trajectory
 
 

@@ -21,8 +21,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
-from lieint_jax._integrate import at_time, info_since, intervals, join_start, uniform_clock
 from lieint_jax._xla import compiled
+from lieint_jax.runs import at_time, info_since, intervals, join_start, uniform_clock
 from lieint_jax.types import (
     PhaseSpace,
     State,

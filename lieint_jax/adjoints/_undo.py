@@ -24,10 +24,10 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._integrate import Clock, Progress, counted, march, step_at_node, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.native import hoisted
+from lieint_jax.runs import Clock, Progress, counted, march, step_at_node, uniform_clock
 from lieint_jax.schemes import Composition
 from lieint_jax.types import State, Step, StepInfo
 from lieint_jax.types.shapes import PyTree

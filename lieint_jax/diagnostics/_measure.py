@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._integrate import clock_of, of_any_length, rows_for, trajectory
+from lieint_jax.runs import clock_of, of_any_length, rows_for, trajectory
 from lieint_jax.types import State, Step, StepError, Trajectory, checked_step, promoted
 
 

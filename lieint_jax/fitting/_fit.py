@@ -20,7 +20,6 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh
 
 from lieint_jax import _checks
-from lieint_jax.ensemble import over_members
 from lieint_jax.fitting import _bounds
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
@@ -41,6 +40,7 @@ from lieint_jax.fitting._search import (
     where,
 )
 from lieint_jax.fitting._step_error import complaint, shift, with_halved_steps
+from lieint_jax.runs import over_members
 from lieint_jax.types.shapes import PyTree
 
 if TYPE_CHECKING:

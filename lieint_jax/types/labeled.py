@@ -63,12 +63,7 @@ def trajectory(run: Run) -> str:
 
 def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axis) -> Any:
     """An `xarray.Dataset` of a trajectory; see `Trajectory.to_xarray`."""
-    leading = axes(run)
-    extra = {f"extra_{name}": x for name, x in (run.state.extra or {}).items()}
-    leaves = {**run.state._asdict(), **extra, **run.info._asdict()}
-    arrays = {name: x for name, x in leaves.items() if name != "extra" and x is not None}
-    if system is not None:
-        arrays |= _invariants(run, system, system_axis)
+    leading, arrays = axes(run), _arrays(run, system, system_axis)
     labels: dict[str, PyTree] = {"time": np.asarray(run.t)}
     variables: dict[str, PyTree] = {}
     for name, x in arrays.items():
@@ -85,6 +80,30 @@ def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axi
     for name, unit in units.items():
         found[name].attrs["units"] = unit
     return found
+
+
+def _arrays(run: Run, system: PyTree, system_axis: Axis) -> dict[str, PyTree]:
+    """The arrays along a run by name; with a system, also what it conserves."""
+    extra = {f"extra_{name}": x for name, x in (run.state.extra or {}).items()}
+    leaves = {**run.state._asdict(), **extra, **run.info._asdict()}
+    arrays = {name: x for name, x in leaves.items() if name != "extra" and x is not None}
+    return arrays if system is None else arrays | _invariants(run, system, system_axis)
+
+
+def frame(run: Run, system: PyTree, system_axis: Axis) -> Any:
+    """A `pandas.DataFrame` of a trajectory: a row for each time and member, a column for each component."""
+    leading = axes(run)
+    shape = (len(run.t), *np.shape(run.info.residual)[1:])
+    columns: dict[str, np.ndarray] = {"time": np.broadcast_to(np.reshape(run.t, (-1, *[1] * (len(shape) - 1))), shape)}
+    if len(shape) > 1:
+        columns["member"] = np.broadcast_to(np.arange(shape[1]), shape)
+    for name, x in _arrays(run, system, system_axis).items():
+        dims, labels = state_axes(name, x.shape[len(leading) :], system)
+        texts = [labels.get(dim, np.arange(n)) for dim, n in zip(dims, x.shape[len(leading) :], strict=True)]
+        for where in np.ndindex(x.shape[len(leading) :]):
+            text = "_".join([name, *(str(own[k]) for own, k in zip(texts, where, strict=True))])
+            columns[text] = np.asarray(x[(..., *where)])
+    return _package("pandas").DataFrame({name: np.ravel(x) for name, x in columns.items()})
 
 
 def rotations(run: Run) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax.ensemble._digest import NotDigestible, digest, python_of
+from lieint_jax.runs.store._digest import NotDigestible, digest, python_of
 
 SOURCE = """
 import dataclasses, functools, jax, jax.numpy as jnp
@@ -78,7 +78,7 @@ ELSEWHERE = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import mine
-from lieint_jax.ensemble._digest import digest
+from lieint_jax.runs.store._digest import digest
 print(*map(digest, mine.values()))
 """
 

@@ -20,7 +20,9 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
 from lieint_jax.app.command import info as info_command
 from lieint_jax.app.command import run as run_command
-from lieint_jax.ensemble import _identity, _layout, archives, processes
+from lieint_jax.ensemble import archives, processes
+from lieint_jax.runs import _layout
+from lieint_jax.runs.store import _identity
 from lieint_jax.types import State, StepInfo, Trajectory
 
 ONE = np.array([1.0, 0.0, 0.0, 0.0])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax._integrate import halved_steps
 from lieint_jax.fitting._step_error import with_halved_steps
+from lieint_jax.runs import halved_steps
 
 RATE, DT, READINGS, NOISE = jnp.array([15.0, 9.0, 10.0]), 0.01, 60, 0.3  # a gyro of 100 Hz on a body of 20 rad/s
 TRUTH = jnp.array([0.1940, 0.9])

@@ -18,11 +18,11 @@ from kernels import Kernel, MachineFunction
 from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled, stacking
 
 from lieint_jax import ensemble, schemes, systems
-from lieint_jax.ensemble import _comparison
 from lieint_jax.native import _emit, _machine, _pieces
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
+from lieint_jax.runs import _comparison
 
 SPECIAL = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.5, -2.5]  # XLA takes subnormal numbers for 0
 TYPES = [np.int32, np.int64, np.uint32, np.uint8, np.int8, np.uint64, np.int16, np.uint16]

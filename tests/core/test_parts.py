@@ -31,7 +31,9 @@ from stores import Crash, assert_same
 import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
-from lieint_jax.ensemble import _dyadic_sum, _parts, _storage, archives
+from lieint_jax.ensemble import archives
+from lieint_jax.runs import _dyadic_sum
+from lieint_jax.runs.store import _parts, _storage
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)

@@ -15,7 +15,7 @@ import xarray
 
 import lieint_jax as li
 from lieint_jax.app.command import cli, files
-from lieint_jax.ensemble._description import describe, make
+from lieint_jax.runs.store._description import describe, make
 from lieint_jax.systems._pseudo_rigid_body import examples as pseudo_rigid_bodies
 from lieint_jax.systems._shared.older_laws import OlderLaw
 
@@ -108,7 +108,7 @@ def test_names_that_earlier_versions_stored_are_found(stored, present):
 
 @pytest.mark.parametrize(
     "name",
-    ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.ensemble._store.shutil"],
+    ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.runs.store._store.shutil"],
 )
 def test_a_description_cannot_name_code_outside_the_package(name):
     with pytest.raises(ValueError, match="does not belong to this package"):

@@ -29,7 +29,9 @@ from stores import Crash, assert_same, disk_for
 import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
-from lieint_jax.ensemble import _identity, _layout, _store, archives
+from lieint_jax.ensemble import archives
+from lieint_jax.runs import _layout
+from lieint_jax.runs.store import _identity, _store
 
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)

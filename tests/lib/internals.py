@@ -12,22 +12,9 @@ import numpy as np
 
 from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
-from lieint_jax.ensemble import (
-    _engine,
-    _execute,
-    _identity,
-    _integrity,
-    _into_store,
-    _job,
-    _layout,
-    _made_states,
-    _parts,
-    _run,
-    _storage,
-    _store,
-    _store_output,
-)
 from lieint_jax.native import _march_code, _traced
+from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _run
+from lieint_jax.runs.store import _identity, _integrity, _into_store, _parts, _storage, _store, _store_output
 from lieint_jax.schemes._shared import accepts
 
 _DIFFERENCE = _engine.Engine._difference

@@ -18,7 +18,7 @@ from lieint_jax.app.command import check_groups
 from lieint_jax.app.command.compilation import use_program_cache
 from lieint_jax.app.printer import show
 from lieint_jax.diagnostics import certify
-from lieint_jax.ensemble import count_cores
+from lieint_jax.runs import count_cores
 
 # Each program runs once, so its compilation dominates: with XLA's older emitters it needs a third of the time
 _QUICK: dict[str, str | bool] = {

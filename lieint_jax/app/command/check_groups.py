@@ -39,10 +39,10 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import _discover, groups, maps
-from lieint_jax._integrate import integrate
 from lieint_jax.diagnostics import certify, energy_error, symplectic_defect
 from lieint_jax.groups import MatrixGroup
 from lieint_jax.maps import Map
+from lieint_jax.runs import integrate
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.systems import Euler
 from lieint_jax.types import State

@@ -241,7 +241,7 @@ def _address(text: str) -> Any:
     """The path or URL of results, from the command line."""
     if "://" not in text:
         return Path(text)
-    from lieint_jax.ensemble import archives
+    from lieint_jax.runs import store as archives
 
     try:
         return archives.address(text)
@@ -260,7 +260,7 @@ def _run(options: argparse.Namespace) -> None:
     from lieint_jax import ensemble
     from lieint_jax.app.command import list as listing
     from lieint_jax.app.command import run
-    from lieint_jax.ensemble import processes
+    from lieint_jax.runs import processes
 
     group = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in group):

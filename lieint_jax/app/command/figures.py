@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
 from lieint_jax.diagnostics import delay, energy_error, poisson_error
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS
+from lieint_jax.runs import integrate
 from lieint_jax.schemes import additive, so3_midpoint
 from lieint_jax.systems import mooney_rivlin, pseudo_rigid_body, rigid_body, saint_venant_kirchhoff
 from lieint_jax.types import State, Step

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.app import plots
-from lieint_jax.ensemble import archives
-from lieint_jax.ensemble.archives import Address, Url
+from lieint_jax.runs import store as archives
+from lieint_jax.runs.store import Address, Url
 from lieint_jax.types import Trajectory
 
 _NO_PATH = str.maketrans("/\\", "__")  # of the characters that the name of an array cannot have

@@ -17,7 +17,7 @@ from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.printer import readable, show
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.app.scenarios._runs import POINTS
-from lieint_jax.ensemble.archives import Address, UnreadableError, check_system, system_from_store
+from lieint_jax.runs.store import Address, UnreadableError, check_system, system_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
 _SHOWN = 2**28  # largest number of bytes that are read from a store to draw it

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax._integrate import interpolate
+from lieint_jax.runs import interpolate
 from lieint_jax.systems import LinearPotential
 from lieint_jax.types import Trajectory
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios._common import Common
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 
 _PACKAGE = __name__.partition(".")[0]
 _RENAMED = {  # since version 0.2

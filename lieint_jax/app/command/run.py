@@ -16,7 +16,7 @@ from lieint_jax.app.printer import show
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.app.scenarios._runs import nominal_member, nominal_state
 from lieint_jax.diagnostics import certify
-from lieint_jax.ensemble.archives import Address, Url
+from lieint_jax.runs.store import Address, Url
 
 _NOTED = 10**8  # bytes; the command prints the memory that it needs, if it is more
 _WATCHED = 10_000  # largest number of steps of a certificate

@@ -13,7 +13,7 @@ from lieint_jax._version import __version__
 from lieint_jax.app import plots, studies
 from lieint_jax.app.command import files, result_file
 from lieint_jax.app.printer import readable, show
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 
 
 def studies_by_name() -> dict[str, ModuleType]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lieint_jax import schemes, systems, torques
-from lieint_jax._integrate import integrate
 from lieint_jax.app.published._case import Case
 from lieint_jax.app.published._free_bodies import modified_rodrigues
+from lieint_jax.runs import integrate
 
 
 def basilisk_constant_torque() -> Case:

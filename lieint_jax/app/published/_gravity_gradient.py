@@ -6,8 +6,8 @@ import jax
 import numpy as np
 
 from lieint_jax import orbits, schemes, systems
-from lieint_jax._integrate import integrate
 from lieint_jax.app.published._case import Case
+from lieint_jax.runs import integrate
 
 _HEAD = "verif/SIM_dyncomp/SET_test_val"
 _T0 = [

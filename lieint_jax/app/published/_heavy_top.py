@@ -6,9 +6,9 @@ import jax
 import numpy as np
 
 from lieint_jax import schemes, systems
-from lieint_jax._integrate import integrate
 from lieint_jax.app.published._case import Case
 from lieint_jax.groups import so3
+from lieint_jax.runs import integrate
 
 _MASS, _GRAVITY = 15.0, 9.81
 

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import schemes, systems, torques
-from lieint_jax._integrate import integrate
 from lieint_jax.app.published._case import Case
 from lieint_jax.app.published._free_bodies import modified_rodrigues
+from lieint_jax.runs import integrate
 
 _AXIAL = 100 / (6000 * 2 * np.pi / 60)  # kg m², of each wheel: 100 N m s at 6000 rpm
 

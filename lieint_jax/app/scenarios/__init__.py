@@ -39,7 +39,7 @@ from lieint_jax.app.printer import readable
 from lieint_jax.app.scenarios import _report, _spread
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.app.scenarios._runs import select_member
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 from lieint_jax.types import State, Step, Trajectory
 
 _OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1

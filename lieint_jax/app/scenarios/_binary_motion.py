@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._integrate import integrate
 from lieint_jax._numerics import vec3
 from lieint_jax.app.scenarios._runs import cached_for_last_run, over_members
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
+from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
 

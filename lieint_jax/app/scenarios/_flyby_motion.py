@@ -16,12 +16,12 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body, orbits, schemes, systems
-from lieint_jax._integrate import integrate
 from lieint_jax._numerics import elliptic, vec3
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.scenarios._common import compose_to_order
 from lieint_jax.app.scenarios._runs import Numbers, map_on_local_devices
 from lieint_jax.groups import so3
+from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
 

@@ -10,9 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from lieint_jax._integrate import integrate
-from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
+from lieint_jax.runs import compiler_options, integrate
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 _BODIES, _STEPS, _ROUNDS = 256, 50, 5

@@ -12,7 +12,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax import ensemble
-from lieint_jax._integrate import integrate
+from lieint_jax.runs import integrate
 from lieint_jax.types import State, Step, Trajectory
 from lieint_jax.types.shapes import PyTree
 

@@ -11,7 +11,6 @@ from jax import Array
 from pydantic import model_validator
 
 from lieint_jax import diagnostics, maps, schemes, systems
-from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._body import (
@@ -30,6 +29,7 @@ from lieint_jax.app.scenarios._runs import angles_deg, drawn_steps, drawn_trajec
 from lieint_jax.app.scenarios._spread import for_member
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
+from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
 

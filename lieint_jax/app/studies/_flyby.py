@@ -15,10 +15,10 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import orbits, schemes, systems
-from lieint_jax._integrate import integrate
 from lieint_jax._numerics import vec3
 from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.groups import so3
+from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 

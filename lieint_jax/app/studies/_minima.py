@@ -10,10 +10,10 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import schemes
-from lieint_jax._integrate import Event, events
 from lieint_jax.app.studies._facets import Facets, magnitude
 from lieint_jax.app.studies._satellite_sky import Scene, closed_form, directions
 from lieint_jax.groups import so3
+from lieint_jax.runs import Event, events
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 

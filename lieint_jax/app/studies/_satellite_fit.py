@@ -19,14 +19,13 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import schemes
-from lieint_jax._integrate import integrate
 from lieint_jax.app.studies._facets import Facets, magnitude
 from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, true_magnitudes
 from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, distance, solutions
 from lieint_jax.app.studies._tumbling import mean_periods, model, rotation_between
-from lieint_jax.ensemble import over_members
 from lieint_jax.fitting import Fit, fit, free, inertia_ratios, principal_inertia
 from lieint_jax.groups import so3
+from lieint_jax.runs import integrate, over_members
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.studies._facets import Facets, facets, magnitude
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 from lieint_jax.systems import RigidBody, rigid_body
 from lieint_jax.types import State
 

@@ -18,10 +18,10 @@ from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
 from lieint_jax import schemes
-from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
 from lieint_jax.app.studies._pulls import ELLIPSOID, squared_distances
 from lieint_jax.fitting import Fit, fit, free, inertia_ratios
+from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
 
 TRUTH = {

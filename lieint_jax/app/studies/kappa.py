@@ -19,10 +19,10 @@ from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, maps, schemes, systems
-from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.fitting import Fit, fit
+from lieint_jax.runs import integrate
 from lieint_jax.types import State
 
 DT = 0.1

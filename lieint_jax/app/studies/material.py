@@ -18,10 +18,10 @@ from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, schemes, systems
-from lieint_jax._integrate import integrate
 from lieint_jax.adjoints import reversible
 from lieint_jax.app import plots
 from lieint_jax.fitting import Fit, fit, positive
+from lieint_jax.runs import integrate
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State
 

@@ -21,10 +21,10 @@ from jax import Array, lax
 from matplotlib.figure import Figure
 
 from lieint_jax import _discover, diagnostics, schemes, systems
-from lieint_jax._integrate import saves
 from lieint_jax.app import plots
 from lieint_jax.diagnostics import flow
 from lieint_jax.diagnostics.tangent import orthonormalize, units, value_and_jacobian
+from lieint_jax.runs import saves
 from lieint_jax.types import State, Step, System
 
 _BLOCKS = 10

@@ -1,0 +1,105 @@
+"""A step and states make a run: of one body or many, in memory or on disk, with events and output at any times.
+
+`integrate` is for the inside of jit, vmap and grad; `run` for results that are kept. `store` reads and writes runs on
+disk, and `processes` are those of a run on several machines.
+"""
+
+from lieint_jax.runs import processes, store
+from lieint_jax.runs._adjoint import Adjoint
+from lieint_jax.runs._clock import (
+    MOST_TO_OUTPUTS,
+    Clock,
+    GridClock,
+    RoundedClock,
+    StateClock,
+    UniformClock,
+    at_time,
+    clock_of,
+    more_times,
+    outputs,
+    refuse_far_times,
+    refuse_times,
+    uniform_clock,
+)
+from lieint_jax.runs._driver import (
+    Body,
+    Progress,
+    counted,
+    info_since,
+    march,
+    prepared,
+    saved_states,
+    step_at_node,
+    steps,
+)
+from lieint_jax.runs._event import Event, event, events
+from lieint_jax.runs._halved import halved_steps, splits
+from lieint_jax.runs._integrate import integrate, intervals, join_start, of_any_length, rows_for, saves, trajectory
+from lieint_jax.runs._interpolate import interpolate
+from lieint_jax.runs._job import Summary
+from lieint_jax.runs._layout import count_cores, first_devices, want_devices
+from lieint_jax.runs._loop import Reduction, compiler_options, energy
+from lieint_jax.runs._made_states import MakeStates
+from lieint_jax.runs._memory import peak_memory
+from lieint_jax.runs._over_members import over_members
+from lieint_jax.runs._part_of_task import part_of_task, part_of_text
+from lieint_jax.runs._results import compute, untransformed
+from lieint_jax.runs._run import Run, open_run, run
+
+__all__ = [
+    "MOST_TO_OUTPUTS",
+    "Adjoint",
+    "Body",
+    "Clock",
+    "Event",
+    "GridClock",
+    "MakeStates",
+    "Progress",
+    "Reduction",
+    "RoundedClock",
+    "Run",
+    "StateClock",
+    "Summary",
+    "UniformClock",
+    "at_time",
+    "clock_of",
+    "compiler_options",
+    "compute",
+    "count_cores",
+    "counted",
+    "energy",
+    "event",
+    "events",
+    "first_devices",
+    "halved_steps",
+    "info_since",
+    "integrate",
+    "interpolate",
+    "intervals",
+    "join_start",
+    "march",
+    "more_times",
+    "of_any_length",
+    "open_run",
+    "outputs",
+    "over_members",
+    "part_of_task",
+    "part_of_text",
+    "peak_memory",
+    "prepared",
+    "processes",
+    "refuse_far_times",
+    "refuse_times",
+    "rows_for",
+    "run",
+    "saved_states",
+    "saves",
+    "splits",
+    "step_at_node",
+    "steps",
+    "store",
+    "trajectory",
+    "uniform_clock",
+    "untransformed",
+    "want_devices",
+]

@@ -1,0 +1,175 @@
+"""The loop over steps on which all runs are built: of one body or many, with output, events or derivatives.
+
+`saved_states` makes a trajectory, in machine code (`native.march`). `march` runs from node to node of a clock by
+`step_at_node`, in a loop of one of several kinds: `counted`, in machine code, may run a number of steps that is known
+only at run time, so that one program serves all lengths, but then it has no derivative in reverse mode; `scanned`, by
+XLA, is for runs that record into arrays. Ensembles define their own loop, of several steps per iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import native
+from lieint_jax._xla import rematerialized
+from lieint_jax.runs._clock import Clock, GridClock, StateClock, at_time, uniform_clock
+from lieint_jax.types import State, Step, StepInfo
+
+Tree = Any  # a tree of arrays
+_Carry = TypeVar("_Carry")
+Body = Callable[[Array, _Carry], _Carry]  # (n, carry at node n) ↦ carry at node n + 1
+Repeat = Callable[[Body, Any, Any, Any], Any]  # (body, first node, number of steps, carry) ↦ carry
+
+
+class Progress(NamedTuple):
+    """The progress of a run.
+
+    Attributes:
+        state: the state at the last node.
+        info: the merged report of the steps up to it.
+        seen: what the run has recorded of these steps; None if nothing is recorded.
+    """
+
+    state: State
+    info: StepInfo
+    seen: Tree = None
+
+    @classmethod
+    def begin(cls, state: State, seen: Tree = None) -> Progress:
+        """A run before its first step."""
+        return cls(state, StepInfo.empty(state.p), seen)
+
+
+def step_at_node(
+    step: Callable[..., tuple[Any, ...]], clock: Clock | _Node, state: State, n: Array, *more: Array
+) -> tuple[Any, ...]:
+    """The step from node n, where `state` is: the state at the next node, and the step's report.
+
+    Args:
+        step: (state, dt, …) ↦ state, report, …: a step, or its `tangent`.
+        clock, state, n: the times of the nodes, the state at node n, and n.
+        more: further arguments of `step`, such as tangent vectors.
+    """
+    end, *report = step(state, clock.size(n), *more)
+    return at_time(end, clock.time(n + 1)), *report
+
+
+def scanned(body: Body, first: ArrayLike, count: int, carry: _Carry) -> _Carry:
+    """`body` in a `lax.scan`, where reverse mode stores the carries and computes each step again."""
+
+    @rematerialized
+    def step_once(numbered: tuple[Array, _Carry], _: None) -> tuple[tuple[Array, _Carry], None]:
+        n, carry = numbered
+        return (n + 1, body(n, carry)), None
+
+    return lax.scan(step_once, (jnp.asarray(first), carry), None, length=count)[0][1]
+
+
+def counted(body: Body, first: ArrayLike, count: ArrayLike, carry: _Carry) -> _Carry:
+    """`body` in a loop whose number of steps may be traced."""
+
+    def step(k: Array, carry: _Carry, _: None) -> tuple[_Carry, None]:
+        return body(jnp.asarray(first, k.dtype) + k, carry), None
+
+    return native.march(step, carry, rows=1, every=count)[0]
+
+
+def march(
+    advance_once: Callable[[State, Array], tuple[State, StepInfo]],
+    first: ArrayLike,
+    count: ArrayLike,
+    start: Progress,
+    *,
+    observe: Callable[[Array, Progress, Progress, StepInfo], Tree] | None = None,
+    repeat: Repeat = counted,
+) -> Progress:
+    """The run after `count` further steps.
+
+    Args:
+        advance_once: (state at node n, n) ↦ state at node n + 1 and report, such as
+            `partial(step_at_node, step, clock)`.
+        first: the node where the run is.
+        count: the number of steps.
+        start: the run there.
+        observe: (n, the run before the step from node n, the run after it, the step's report) ↦ the new `seen`.
+        repeat: the kind of the loop.
+    """
+
+    def step_once(n: Array, before: Progress) -> Progress:
+        state, info = advance_once(before.state, n)
+        after = Progress(state, before.info.merge(info), before.seen)
+        return after if observe is None else after._replace(seen=observe(n, before, after, info))
+
+    return repeat(step_once, first, count, start)
+
+
+class _Node(NamedTuple):
+    """The clock of one step.
+
+    Attributes:
+        dt: its size.
+        end: the time of the node that it leads to.
+    """
+
+    dt: Array
+    end: Array
+
+    def size(self, n: ArrayLike) -> Array:
+        return self.dt
+
+    def time(self, n: ArrayLike) -> Array:
+        return self.end
+
+
+def saved_states(
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int | None = None
+) -> tuple[State, StepInfo]:
+    """The states after every `save_every` steps, and the reports of the steps between them.
+
+    Forward mode, and reverse mode, which stores the states before about 2√N of N steps, are in machine code too. With
+    `most`, the length of the rows, of which those beyond `num_saves` are undefined, the two numbers may be traced; then
+    there is no reverse mode. A time that follows from the number of steps is not carried: members may share it.
+    """
+    nodes = None
+    if isinstance(clock, GridClock) and most is None:
+        nodes = clock.times[:-1], _Node(clock.times[1:] - clock.times[:-1], clock.times[1:])
+    timed = state.t is not None and not isinstance(clock, StateClock)
+
+    def step_once(n: Array, at: Progress, node: tuple[Array, _Node] | None) -> tuple[Progress, tuple[State, StepInfo]]:
+        t, here = (clock.time(n), clock) if node is None else node
+        begin = at.state._replace(t=t) if timed else at.state
+        state, info = step_at_node(step, here, begin, n)
+        info = info_since(n, save_every, at.info, info)
+        return Progress(without_time(state), info), (state, info)
+
+    def without_time(state: State) -> State:
+        return state._replace(t=None) if timed else state
+
+    start = Progress.begin(without_time(state))
+    return native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
+
+
+def info_since(n: Array, every: ArrayLike, so_far: StepInfo, info: StepInfo) -> StepInfo:
+    """The merged report of the steps since the last multiple of `every`: those before step n, and step n."""
+    fresh = StepInfo.empty(info.residual)
+    before = jax.tree.map(lambda new, old: jnp.where(n % every == 0, new, old), fresh, so_far)
+    return (fresh if isinstance(every, int) and every == 1 else before).merge(info)
+
+
+def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> tuple[State, StepInfo]:
+    """The state after `count` steps, which may be traced, and the merged report of the steps."""
+    clock = uniform_clock(step, state, jnp.asarray(dt, state.p.dtype))
+    end = march(partial(step_at_node, step, clock), 0, count, Progress.begin(state))
+    return end.state, end.info
+
+
+def prepared(step: Step, state: State, clock: Clock) -> Step:
+    """The step with its constants computed in advance, if the clock has one step size."""
+    return step if isinstance(clock, GridClock) else step.prepare(state, clock.dt)

@@ -1,0 +1,210 @@
+"""The engines of a run: machine code on a CPU, or XLA."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import logging
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+
+from lieint_jax import native
+from lieint_jax.native import Flattened, UnsupportedError, computed_by, unsupported_if_it_fails
+from lieint_jax.runs import _layout, _loop
+from lieint_jax.runs._clock import UniformClock
+from lieint_jax.runs._comparison import difference, few_members
+from lieint_jax.runs._job import Job
+from lieint_jax.runs._layout import Layout, Numbers, Tree
+from lieint_jax.runs._loop import Axes, Carry, Interval, Intervals, Known, Origin, Quantity, Reduction, Saved, Span
+from lieint_jax.types import State, Step
+
+_log = logging.getLogger(__name__)
+_MOST_SHARED = 200_000  # the most numbers shared by all members in a call: each thread holds them in memory
+_SHORT_STEP, _TOGETHER = 600, 4  # steps of at most so many operations are computed so many to an iteration
+
+
+class Start(NamedTuple):
+    """The initial data of a process's members.
+
+    Attributes:
+        step, plain: the steps with the constants of whole steps, and without.
+        origin: see `Origin`.
+        carry: the carry.
+    """
+
+    step: Step
+    plain: Step
+    origin: Origin
+    carry: Carry
+
+
+def engine_of(job: Job, mesh: Mesh, threads: int) -> Engine:
+    """The engine of a run: machine code on a CPU, flat arrays elsewhere, XLA's plain loop where neither is possible."""
+    on_cpu = mesh.devices.flat[0].platform == "cpu"
+    if native.engine_name() == "xla":
+        return Engine(job, "xla", threads)
+    engine = Engine(job, "native" if on_cpu else "flat", threads)
+    reason = engine.refusal
+    if not reason:
+        return engine
+    if on_cpu:
+        _warn_once("ensembles" if "llvmlite" in reason else job.step.name, reason)
+    else:
+        _log.debug("%s runs in XLA's plain loop: %s", job.step.name, reason)
+    return Engine(job, "xla", threads)
+
+
+@functools.cache
+def _warn_once(what: str, reason: str) -> None:
+    _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
+
+
+class Engine:
+    """The compiled functions of a run.
+
+    Args:
+        job: the run.
+        name: of the engine of its loops: "native" (machine code), "flat" (XLA, with an array (members,) for each number
+            of a step) or "xla".
+        threads: the number of threads of machine code.
+
+    Attributes:
+        most_steps: the most steps in a call.
+        refusal: why the engine cannot compute the run; empty if it can.
+    """
+
+    def __init__(self, job: Job, name: str, threads: int):
+        self.job, self.name, self._threads = job, name, threads
+        self.prepares = job.step.prepares and isinstance(job.clock, UniformClock)
+        own_time = job.t0 is not None and not job.shares_time
+        self._origin: Axes = Origin(0 if own_time else None, None, None)  # pyright: ignore[reportArgumentType]
+        own, reduced = job.step_axis, None if job.reduction is None else 0
+        self._axes = 0, 0 if self.prepares else own, own, self._origin._replace(quantity=reduced)
+        self._intervals = self.intervals()
+        self.refusal, self.most_steps = "", 2**30
+        if name != "xla" and job.num_steps:
+            known = self._intervals.known
+            if name not in known:
+                known[name] = self._examined()
+            self.refusal, shared, length = known[name]
+            if shared:
+                self.most_steps = max(1, _MOST_SHARED // shared)
+            if name == "flat" and length <= _SHORT_STEP:
+                self._intervals = self.intervals(_TOGETHER)
+
+    def intervals(self, together: int = 1) -> Intervals:
+        """The loop over save intervals, whose loops compute so many steps in an iteration."""
+        job = self.job
+        step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
+        state = jax.tree.map(_member_shape, job.states)
+        t0 = job.t0 if job.t0 is None or job.shares_time else _member_shape(job.t0)
+        rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
+        return _loop.intervals(Interval(job.reduction, together), self._axes, (step, state, t0, job.clock, rests))
+
+    def _examined(self) -> Known:
+        """What this engine makes of the loop."""
+        arguments = self._first_step()
+        with self._computing():
+            loop = self._intervals.loop(*arguments)
+            code = native.machine_code(loop) if self.name == "native" else native.flat_step(loop)
+        if isinstance(code, str):
+            return Known(code)
+        if isinstance(code, Flattened):
+            return Known("", 0, code.length)
+        return Known(self._difference(arguments), code.shared, code.length)
+
+    def _first_step(self) -> tuple[Tree, ...]:
+        """The arguments of a first step of a few members."""
+        job = few_members(self.job)
+        step, plain, origin = job.step, None, Origin(job.t0, job.clock, None)  # pyright: ignore[reportArgumentType]
+        if self.prepares:
+            plain, step = step, self._of_members(_loop.prepare)(step, job.states, origin)
+        value = None if job.reduction is None else np.zeros(job.members, job.dtype)
+        ends = np.ones(2, _loop.step_dtype())
+        rests = None if job.rests is None else np.full(ends.shape, job.first_dt / 2, job.dtype)
+        spans = Span(0 * ends, ends, rests, np.ones(ends.shape, bool))
+        return _loop.start(job.states, value), step, plain, origin._replace(quantity=value), spans, np.int32(1)
+
+    def _difference(self, arguments: tuple[Tree, ...]) -> str:
+        """In what a first step of a few members differs from XLA's; or ""."""
+        *of_members, spans, _ = arguments
+
+        def of_member(m: int) -> tuple[Tree, ...]:
+            parts = [_member(axes, part, m) for axes, part in zip(self._axes, of_members, strict=True)]
+            return *parts, jax.tree.map(lambda x: x[0], spans)
+
+        try:
+            with unsupported_if_it_fails():
+                with self._computing():
+                    carry, saved = self._intervals(*arguments)
+                    by_xla = self._intervals.by_xla(*of_member(0))
+                theirs = [by_xla(*of_member(m)) for m in range(len(carry.failed))]
+        except UnsupportedError as reason:
+            return str(reason)
+        ours = carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)
+        return difference(ours, jax.tree.map(lambda *x: np.stack(x), *theirs))
+
+    def start(self, layout: Layout) -> Start:
+        """The initial data of the members of a process."""
+        job = self.job
+        plain = (_layout.replicated if job.step_axis is None else _layout.placed)(layout, job.step)
+        states = _layout.placed(layout, job.states)
+        origin = Origin((_layout.replicated if job.shares_time else _layout.placed)(layout, job.t0), job.clock, None)
+        step = self._of_members(_loop.prepare)(plain, states, origin) if self.prepares else plain
+        value = None
+        if job.reduction is not None:
+            value = self.quantity(job.reduction, Start(step, plain, origin, _loop.start(states, None)), states, 0)
+            origin = origin._replace(quantity=value)
+        return Start(step, plain, origin, _loop.start(states, value))
+
+    def quantity(self, function: Reduction, start: Start, states: State, n: int) -> Numbers:
+        """A function of step and state at node n, for all members."""
+        origin, node = start.origin._replace(quantity=None), np.asarray(n, _loop.step_dtype())
+        return self._of_members(Quantity(function), None)(start.plain, states, origin, node)
+
+    def _of_members(self, function: Callable[..., Tree], *more: Axes) -> Callable[..., Tree]:
+        """A function of (step, state, origin, …) of one member, for all members."""
+        compiled = _loop.compile_for_members(function, (self.job.step_axis, 0, self._origin, *more))
+
+        def call(*arguments: Tree) -> Tree:
+            with self._computing():
+                return compiled(*arguments)
+
+        return call
+
+    def run_spans(self, start: Start, carry: Carry, spans: Span, rows: int) -> tuple[Carry, Saved]:
+        """The carry after these save intervals, at most `rows`, and the saved rows."""
+        count = np.int32(len(spans.first))
+        if self.name == "native":  # XLA's loops fill all rows, and need their memory
+            rows = _power_of_two(rows)
+        spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
+        plain = start.plain if self.prepares else None
+        with self._computing():
+            return jax.block_until_ready(self._intervals(carry, start.step, plain, start.origin, spans, count))
+
+    def _computing(self) -> contextlib.AbstractContextManager[None]:
+        return computed_by(self.name, self._threads)
+
+
+def _member(axes: Axes, tree: Tree, m: int) -> Tree:
+    """The part of one member; `axes` as in `jax.vmap`."""
+    return jax.tree.map(
+        lambda axis, part: part if axis is None else jax.tree.map(lambda x: np.asarray(x)[m], part),
+        axes,
+        tree,
+        is_leaf=lambda x: x is None,
+    )
+
+
+def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:
+    """The shape of one member's part of an array."""
+    return jax.ShapeDtypeStruct(np.shape(x)[1:], x.dtype)
+
+
+def _power_of_two(count: int) -> int:
+    """The least power of two that is not less, or 2; so runs of different lengths share programs."""
+    return 1 << max(1, (count - 1).bit_length())

@@ -1,0 +1,234 @@
+"""Trajectories: the states that a run saves."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._deprecated import old_calls
+from lieint_jax._xla import compiled
+from lieint_jax.runs._adjoint import Adjoint, checked_adjoint
+from lieint_jax.runs._clock import (
+    Clock,
+    GridClock,
+    StateClock,
+    clock_of,
+    halved,
+    more_times,
+    outputs,
+    refuse_far_times,
+    refuse_times,
+)
+from lieint_jax.runs._driver import prepared, saved_states
+from lieint_jax.runs._halved import splits
+from lieint_jax.runs._outputs import at_output_times
+from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
+from lieint_jax.types.shapes import PyTree
+
+_LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
+_SHORT = 256  # steps of a run that is made before its first step is looked at
+
+
+@old_calls()
+def integrate(
+    step: Step,
+    state: State,
+    dt: ArrayLike | None = None,
+    num_steps: int | None = None,
+    *,
+    save_every: int = 1,
+    times: ArrayLike | None = None,
+    save_at: ArrayLike | None = None,
+    adjoint: Adjoint | None = None,
+) -> Trajectory:
+    """The trajectory of `num_steps` steps of size `dt`, or of steps from one of the `times` to the next.
+
+    It can be jitted, vmapped over states, and differentiated in forward and reverse mode. On a CPU it is machine code,
+    and so are its derivatives; the page "Your own loop in machine code" has the exceptions. A call outside of jit on a
+    CPU is compiled once per structure of the step, whatever the numbers in the step and `save_every`, for up to 4096
+    saved states of one body; again for up to 16384, and so on; and for each number of `times`.
+
+    The state at an output time between two steps comes from a shorter step from the last node before. So it has every
+    invariant of the step, and its error is that of the trajectory plus one of higher order, that of a single step. The
+    trajectory does not continue from it.
+
+    Args:
+        step: a scheme's step.
+        state: the initial state; one body (use jax.vmap or `ensemble.run` for many).
+        dt: step size, either sign.
+        num_steps: a multiple of `save_every`.
+        save_every: steps between saved states.
+        times: in place of dt and num_steps, the times (N+1,) between which steps lead, increasing or decreasing; the
+            first is that of the state. If the times do not depend on the state, a symplectic step remains symplectic.
+        save_at: in place of save_every, output times (m,) in the order of the run, inside it; they may repeat.
+        adjoint: how the derivative in reverse mode is computed. None stores about 2√N of N states, and computes
+            the steps between them again. `li.adjoints.ReversibleAdjoint()` stores the saved states only, and requires a
+            symmetric step and save_every; give a large one.
+
+    Returns:
+        A `Trajectory`: the initial state, then the states after every `save_every` steps or at the times `save_at`. Its
+        times, and those of the states if they have a time, are t₀ + nΔt, where t₀ is the time of the initial state or
+        0; or the given `times` or `save_at`; or those of the states, if the step has its `own_time`.
+
+    Raises:
+        ValueError: a count is not allowed; times are not finite, not in order or outside the run; a concrete state is
+            not one of the system; a concrete dt exceeds the scheme's limit at the first step; the trajectory is larger
+            than this machine's memory; save_at is given with an adjoint, or with 2³¹ − 1 steps or more; or the adjoint
+            cannot differentiate the step. Later failures, and all failures inside jit, show in `info.converged`.
+
+    Warns:
+        RuntimeWarning: a state's time is so large that its floating-point spacing exceeds dt/10⁶.
+    """
+    step, state, dtype = promoted(checked_step(step), state)
+    clock, num_steps = clock_of(step, state, dtype, dt, num_steps, times)
+    if (parts := splits(step)) > 1:
+        dt, clock, num_steps = None, halved(clock), parts * num_steps
+    if adjoint is not None:
+        checked_adjoint(adjoint).check(step, clock)
+        if save_at is not None:
+            raise ValueError(
+                f"save_at cannot be given with adjoint={adjoint}: give save_every, or use "
+                "li.observe(step, state, dt, times), which has the same derivatives at any times"
+            )
+    first = dt if dt is not None else clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
+    _checks.time_resolution(start_time(step, state), first, num_steps)
+    if save_at is None:
+        save_every = parts * _checks.count("save_every", save_every, 1)
+        return _after_every(save_every, step, state, clock, num_steps, first, adjoint)
+    if save_every != 1:
+        raise ValueError("give save_every or save_at, not both")
+    refuse_times(step, "save_at")
+    assert not isinstance(clock, StateClock)
+    wanted = outputs(save_at, clock, num_steps, dtype)
+    refuse_far_times("save_at", num_steps, clock.time(0))
+    _check_first(step, state, clock, first)
+    _check_size(state, wanted.size + 1)
+    later = at_output_times(step, state, clock, wanted, num_steps)
+    return join_start(state, later, jnp.concatenate([clock.time(0)[None], wanted]))
+
+
+def _after_every(
+    save_every: int,
+    step: Step,
+    state: State,
+    clock: Clock,
+    num_steps: int,
+    first: ArrayLike,
+    adjoint: Adjoint | None,
+) -> Trajectory:
+    """The trajectory saved after every `save_every` steps, the first of them of size `first`."""
+    num_saves = saves(num_steps, save_every)
+    _check_size(state, num_saves + 1)
+    if adjoint is not None:
+        _check_first(step, state, clock, first)
+        later = adjoint.run(step, state, clock, num_saves, save_every)
+        return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+    rows, is_short = rows_for(state, num_saves), num_steps <= _SHORT or isinstance(clock, GridClock)
+    run = None
+    if rows and num_steps and not step.approximate and _stands_alone(step, state, clock):
+        step.system.check(state)
+        tried = (num_saves, rows, save_every) if is_short else (1, rows, 1)  # the whole run, or its first step
+        run = of_any_length(step, state, clock, *tried)
+    if run is None or not run.info.converged[1]:
+        _check_first(step, state, clock, first)
+    if run is None or not is_short:
+        run = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
+    return trajectory(step, state, clock, num_saves, save_every) if run is None else jax.device_put(run)
+
+
+def _check_size(state: State, entries: int) -> None:
+    """ValueError if the trajectory of a concrete state has more bytes than this machine's memory."""
+    if _checks.concrete(state):
+        size = _checks.entry_size(state) + state.p.dtype.itemsize  # and the time
+        advice = "give a larger save_every, or write to disk by ensemble.run(…, store=PATH)"
+        _checks.fits_memory(entries, size, advice, copies=2)  # the start is joined to the rest
+
+
+def _check_first(step: Step, state: State, clock: Clock, size: ArrayLike) -> None:
+    """`Step.check` of the first step, of this size."""
+    try:
+        step.check(state, size)
+    except StepError as failed:
+        more = more_times(step, state, size) if isinstance(clock, GridClock) else ""
+        raise StepError(f"{failed}{more}") from None
+
+
+def _stands_alone(*arguments: PyTree) -> bool:
+    """Whether a call with these arguments is not part of another function."""
+    return _checks.concrete(arguments) and not _checks.staged()
+
+
+def rows_for(state: State, num_saves: int) -> int:
+    """For how many saved states the loop of a run is compiled, a power of 4; 0 on a GPU, and where it wastes memory."""
+    if jax.default_backend() != "cpu":
+        return 0
+    size = _checks.entry_size(state)
+    rows = 4 ** max(1, int(math.log(_LEAST_BYTES / size, 4)))
+    while rows < num_saves:
+        rows *= 4
+    return rows if rows * size <= _MOST_BYTES else 0
+
+
+def of_any_length(
+    step: Step, state: State, clock: Clock, num_saves: int, most: int, save_every: int
+) -> Trajectory | None:
+    """The trajectory with `num_saves` saved states after the first, on the host, by one program for all up to `most`.
+
+    None unless all is concrete: a loop of unknown length has no derivative in reverse mode.
+    """
+    if not _stands_alone(step, state, clock):
+        return None
+    if isinstance(clock, GridClock):  # its nodes are rows of the loop, which has their number
+        found = trajectory(step, state, clock, num_saves, save_every)
+    else:
+        found = _padded_trajectory(step, state, clock, num_saves, save_every, most)
+    if not _checks.concrete(found):  # a function of the step closes over a tracer
+        return None
+    return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
+
+
+@partial(compiled, static_argnums=5)
+def _padded_trajectory(
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int
+) -> Trajectory:
+    """`trajectory` for any number of saves up to `most`; the entries after the saves are undefined."""
+    later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every, most)
+    return join_start(state, later, clock.time(save_every * jnp.arange(most + 1)))
+
+
+@partial(compiled, static_argnums=(3, 4))
+def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
+    """The trajectory of a state, saved `num_saves` times after the start."""
+    later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every)
+    return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+
+
+def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
+    """The trajectory of an initial state, the states and reports after it; `t` are the times of states without one."""
+    first = (state, StepInfo.empty(state.p))
+    states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
+    times = states.t if states.t is not None else t
+    assert times is not None  # a state or a clock has the time
+    return Trajectory(times, states, info)
+
+
+def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
+    """The number of steps between saved states (None: all steps) and of saved states after the initial one."""
+    num_steps = _checks.count("num_steps", num_steps, 0)
+    save_every = max(num_steps, 1) if save_every is None else _checks.count("save_every", save_every, 1)
+    return save_every, saves(num_steps, save_every)
+
+
+def saves(num_steps: int, save_every: int) -> int:
+    """The number of saved states after the initial one; ValueError if `save_every` does not divide `num_steps`."""
+    if num_steps % save_every:
+        near = _checks.nearest_multiples(num_steps, save_every)
+        raise ValueError(f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; use {near} steps")
+    return num_steps // save_every

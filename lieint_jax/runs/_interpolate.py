@@ -1,0 +1,154 @@
+"""States between those of a trajectory, by Hermite interpolation on the phase space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._xla import compiled
+from lieint_jax.types import State, System, Trajectory, time_derivative
+from lieint_jax.types.members import axes
+
+
+def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> State:
+    """The states of a trajectory at any times inside it, for pictures.
+
+    Between two saved states this is the quintic Hermite polynomial of their values and first and second derivatives, in
+    coordinates of the phase space about the first state: those of exp on groups. So the result lies on the phase space.
+    For saved states at intervals h its error is O(h⁶), in addition to that of the trajectory. It conserves no
+    invariant; `integrate(…, save_at=…)` does, at the cost of one step for each time.
+
+    Args:
+        system: the system of the trajectory.
+        trajectory: a trajectory of one body (use jax.vmap for several), with less than half a rotation between saved
+            states.
+        times: any times (m,) from the first to the last of `trajectory.t`, in any order.
+
+    Returns:
+        The states, every leaf with a leading axis (m,). Traced times outside the trajectory give NaN.
+
+    Raises:
+        ValueError: concrete times outside the trajectory; a single entry; several members; too few saved states for
+            interpolation.
+    """
+    if not isinstance(system, System):
+        raise ValueError(f"system must be that of the trajectory, got a {type(system).__name__}")
+    if len(axes(trajectory)) > 1:
+        raise ValueError(
+            f"the trajectory is of {np.shape(trajectory.info.residual)[1]} members, and interpolate accepts one: "
+            "Trajectory(run.t, *jax.tree.map(lambda x: x[:, k], (run.state, run.info))), and the system of member k"
+        )
+    system.check(jax.tree.map(lambda x: x[0], trajectory.state))
+    trajectory, wanted = _checked(trajectory, times)
+    found, gaps = _states_and_gaps(system, trajectory, wanted)
+    _refuse_gaps(gaps, wanted)
+    return found
+
+
+def interpolate_members(system: System, trajectory: Trajectory, times: ArrayLike, system_axis: int | None) -> State:
+    """The states of the members of a batch at the same times, (times, member, …).
+
+    Args:
+        system: the system of the trajectory; with the member axis first if `system_axis` is 0.
+        trajectory: a trajectory with the axes (time, member, …).
+        times: as in `interpolate`; since the start, if the members start at different times.
+        system_axis: None or 0.
+    """
+    trajectory, wanted = _checked(trajectory, times)
+    found, gaps = _of_members(system, trajectory, wanted, system_axis)
+    _refuse_gaps(gaps.max(axis=1), wanted)
+    return found
+
+
+@partial(compiled, static_argnums=3)
+def _of_members(system: System, trajectory: Trajectory, times: Array, system_axis: int | None) -> tuple[State, Array]:
+    axes = (system_axis, Trajectory(None, 1, 1), None)  # pyright: ignore[reportArgumentType]
+    return jax.vmap(_states_and_gaps, axes, 1)(system, trajectory, times)
+
+
+def _checked(trajectory: Trajectory, times: ArrayLike) -> tuple[Trajectory, Array]:
+    """The trajectory with a checked array of its times, and the wanted times."""
+    t = jnp.asarray(trajectory.t)
+    wanted = _checks.real_array("times", times).astype(t.dtype)
+    if wanted.ndim != 1:
+        raise ValueError(f"times must have shape (m,), got {wanted.shape}")
+    if t.ndim != 1 or len(t) < 2:
+        raise ValueError(f"a trajectory of two entries or more is needed, got times of shape {t.shape}")
+    if concrete(wanted, t):
+        first, last = min(float(t[0]), float(t[-1])), max(float(t[0]), float(t[-1]))
+        if wanted.size and not first <= float(wanted.min()) <= float(wanted.max()) <= last:
+            raise ValueError(f"times must lie in the trajectory, from {first} to {last}, got {wanted}")
+    return trajectory._replace(t=t, state=jax.tree.map(jnp.asarray, trajectory.state)), wanted
+
+
+def _refuse_gaps(gaps: Array, wanted: Array) -> None:
+    """Raise ValueError if the saved states about a time are too far apart."""
+    if concrete(gaps) and wanted.size and not float(np.max(gaps)) < 1:
+        k = int(np.argmax(gaps))
+        raise ValueError(
+            f"the saved states about t = {float(wanted[k]):.6g} are too far apart to interpolate: their derivatives do "
+            "not predict the next state; save more often"
+        )
+
+
+@compiled
+def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
+    """The states, and the relative error of the trapezoidal rule from one saved state to the next; ≥ 1 is too large."""
+    t, space = trajectory.t, system.phase_space
+    sign = jnp.where(t[-1] < t[0], -1, 1)
+    left = jnp.clip(jnp.searchsorted(sign * t, sign * times, side="right") - 1, 0, len(t) - 2)
+    inside = (sign * t[0] <= sign * times) & (sign * times <= sign * t[-1])
+
+    def interpolate_at(k: Array, time: Array, inside: Array) -> tuple[State, Array]:
+        a, b = (jax.tree.map(lambda x: x[n], trajectory.state) for n in (k, k + 1))  # noqa: B023
+        h = t[k + 1] - t[k]
+        rest, unravel = _raveled(a)
+
+        def coordinates(z: State) -> Array:
+            return jnp.concatenate([space.displacement(a, z), _raveled(z)[0] - rest])
+
+        (_, v0, w0), (end, v1, w1) = (_jet(system, coordinates, z) for z in (a, b))
+        d = _quintic((time - t[k]) / h, end, h * v0, h * v1, h * h * w0, h * h * w1)
+        n = d.size - rest.size
+        found = space.displaced(a, d[:n])._replace(**unravel(rest + d[n:]))
+        found = found if a.t is None else found._replace(t=jnp.where(a.t == t[k], time, a.t + (time - t[k])))
+        found = jax.tree.map(lambda x: jnp.where(inside, x, jnp.nan), found)
+        gap = jnp.abs(h * (v0 + v1) / 2 - end) / (1 + jnp.abs(end))
+        return found, jnp.where(inside, jnp.max(gap[: space.dim // 2]), 0)
+
+    return jax.vmap(interpolate_at)(left, times, inside)
+
+
+def _raveled(state: State) -> tuple[Array, Callable[[Array], dict[str, Any]]]:
+    """The work and the extra parts of a state as one array, and the function that separates them again."""
+    flat, unravel = ravel_pytree({"work": state.work, "extra": state.extra})
+    return flat.astype(state.p.dtype), unravel  # an empty one is float32
+
+
+def _jet(system: System, function: Callable[[State], Array], state: State) -> tuple[Array, Array, Array]:
+    """A function of the state, and its first and second time derivatives along the flow."""
+    flow = partial(time_derivative, system)
+
+    def rate(z: State) -> tuple[Array, Array]:
+        return jax.jvp(function, (z,), (flow(z),))
+
+    (value, first), (_, second) = jax.jvp(rate, (state,), (flow(state),))
+    return value, first, second
+
+
+def _quintic(s: Array, end: Array, v0: Array, v1: Array, w0: Array, w1: Array) -> Array:
+    """The quintic from 0 at s = 0 to `end` at s = 1 with first derivatives v and second derivatives w."""
+    u = 1 - s
+    rises = s**3 * (10 - 15 * s + 6 * s * s)
+    first = s * u**3 * (1 + 3 * s) * v0 - u * s**3 * (4 - 3 * s) * v1
+    return rises * end + first + s * s * u * u / 2 * (u * w0 + s * w1)

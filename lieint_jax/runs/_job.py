@@ -1,0 +1,327 @@
+"""The description of an integration, and the interface of its outputs in memory and on disk."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import jax
+import numpy as np
+
+from lieint_jax.runs import _layout
+from lieint_jax.runs._clock import GridClock, RoundedClock, UniformClock
+from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
+from lieint_jax.runs._layout import Layout, Numbers
+from lieint_jax.runs._loop import Carry, Range, Reduction, Saved
+from lieint_jax.runs._made_states import MakeStates
+from lieint_jax.runs.store._store import shared_time
+from lieint_jax.types import State, Step, Trajectory
+
+_CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
+_CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save interval has more
+_OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
+CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
+MAX_NAMED = 5  # members in a message
+_CHUNKS_OF_BUFFER = _BUFFER_BYTES // _OBJECT_BYTES  # so many such chunks fill the buffer
+
+
+class Summary(NamedTuple):
+    """The result of a run with `reduce`. Time is the axis of all fields but the last two; entry 0 is the start.
+
+    Attributes:
+        t: times, shape (n+1,).
+        least, greatest, mean: the least, greatest and mean change of the reduced quantity since the start, over all
+            members and all steps since the previous entry.
+        residual: the largest residual over the same members and steps.
+        unconverged: the number of members with a step that did not converge since the previous entry.
+        state: the states at the end, (members, …).
+        failed: the first step of each member that did not converge, or −1.
+    """
+
+    t: np.ndarray
+    least: np.ndarray
+    greatest: np.ndarray
+    mean: np.ndarray
+    residual: np.ndarray
+    unconverged: np.ndarray
+    state: State
+    failed: np.ndarray
+
+
+class Saves(NamedTuple):
+    """The saves of a run in memory, complete up to its last step.
+
+    Attributes:
+        found: the states, or what was made of them.
+        failed: the first step of each member that did not converge, or −1.
+    """
+
+    found: Trajectory | Summary
+    failed: np.ndarray
+
+
+class Job(NamedTuple):
+    """An integration that is to be computed.
+
+    Attributes:
+        step: the step; with the member axis on its leaves if `step_axis` is 0.
+        states: the initial states without their time, with the member axis on every leaf.
+        t0: the time of the initial states: shape () if the members share it, else (members,). None if they have no
+            time, or if the step has a time of its own, which then is part of the states.
+        dt: the step size given by the caller; None if times were given.
+        clock: the times of the steps; since the start, if the states have no time or each member has its own.
+        planned_steps: the number of steps that the caller asked for; the run ends at its last entry.
+        times: the times of all entries on this clock, that of the start first.
+        nodes: the number of whole steps before each entry.
+        rests: the size of the shorter step from its node to each entry, 0 for the start; None if all entries are at
+            nodes.
+        save_every: the number of steps between saves; None with `rests`.
+        step_axis: None or 0.
+        reduction: the quantity to reduce, or None.
+        part: the members of the run to which this job is restricted, one of its parts; None if it is the whole run.
+        batch: False for a run of one body, which is a batch of one member.
+        make_states: the function that makes the states of each part; `states` of the whole run are those of its first
+            member, repeated. None if `states` are those of all members.
+    """
+
+    step: Step
+    states: State
+    t0: Numbers | None
+    dt: float | None
+    clock: UniformClock | RoundedClock | GridClock
+    planned_steps: int
+    times: np.ndarray
+    nodes: np.ndarray
+    rests: np.ndarray | None
+    save_every: int | None
+    step_axis: int | None
+    reduction: Reduction | None
+    part: range | None = None
+    batch: bool = True
+    make_states: MakeStates | None = None
+
+    def with_members(self, members: int, make_states: MakeStates) -> Job:
+        """The job of a run of so many members, which describes its arrays, from that of the first of them."""
+
+        def repeat(x: Numbers) -> np.ndarray:
+            return np.broadcast_to(np.asarray(x)[:1], (members, *x.shape[1:]))  # a view that needs no memory
+
+        t0 = self.t0 if self.t0 is None or self.shares_time else repeat(self.t0)
+        return self._replace(states=jax.tree.map(repeat, self.states), t0=t0, make_states=make_states)
+
+    def restricted(self, members: range) -> Job:
+        """The job of these members only."""
+        own = slice(members.start, members.stop)
+        step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[own], self.step)
+        t0 = self.t0 if self.t0 is None or self.shares_time else self.t0[own]
+        return self._replace(step=step, states=jax.tree.map(lambda x: x[own], self.states), t0=t0, part=members)
+
+    @property
+    def first_member(self) -> int:
+        """The number in the run of the first member of this job."""
+        return 0 if self.part is None else self.part.start
+
+    @property
+    def initial(self) -> State:
+        """The initial states with their time."""
+        return self.states if self.t0 is None else self.states._replace(t=self.t0)
+
+    @property
+    def num_steps(self) -> int:
+        """The total number of steps."""
+        return int(self.nodes[-1])
+
+    @property
+    def num_saves(self) -> int:
+        """The number of entries after the start."""
+        return len(self.nodes) - 1
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The dtype of the states."""
+        return np.dtype(self.states.p.dtype)
+
+    @property
+    def first_dt(self) -> float:
+        """The size of the first step."""
+        return self.dt or (float(self.clock.size(0)) if self.planned_steps else 0.0)
+
+    @property
+    def shares_time(self) -> bool:
+        """True if the states have a time, the same for all members."""
+        return self.t0 is not None and not np.ndim(self.t0)
+
+    def state_times(self, entries: slice = slice(None), members: slice = slice(None)) -> np.ndarray:
+        """The times of these members at these entries, (entries, members), where the states have a time."""
+        if self.t0 is None or self.shares_time:
+            return shared_time(self.times[entries], self.members)[:, members]
+        return np.asarray(self.t0)[members] + self.times[entries, None]
+
+    def with_times(self, states: State) -> State:
+        """The states of all entries with their time."""
+        return states if self.t0 is None else states._replace(t=self.state_times())  # pyright: ignore[reportArgumentType]
+
+    def with_last_time(self, state: State) -> State:
+        """The states at the end of the run with their time."""
+        last = slice(-1, None)
+        return state if self.t0 is None else state._replace(t=self.state_times(last)[0])
+
+    def member(self, m: int) -> tuple[Step, State]:
+        """The step and the initial state of one member."""
+        step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[m], self.step)
+        return step, self.member_state(m)
+
+    def member_state(self, m: int) -> State:
+        """The initial state of one member."""
+        state = jax.tree.map(lambda leaf: np.asarray(leaf)[m], self.states)
+        if self.t0 is not None:
+            state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
+        return state
+
+    @property
+    def members(self) -> int:
+        """The number of members."""
+        return self.states.p.shape[0]
+
+    def buffer_rows(self, across: int) -> int:
+        """The number of saves per call of the loop and per chunk of a store with `across` members to a chunk."""
+        return self._rows_of_call(across, False)
+
+    def bucket_rows(self, across: int) -> int:
+        """The same of a store in object storage, where a chunk is an object and each of them a request."""
+        return self._rows_of_call(across, True)
+
+    def _rows_of_call(self, across: int, remote: bool) -> int:
+        interval = max(self.num_steps // max(self.num_saves, 1), 1)
+        return rows_of_call(across, self.members, self.row_bytes, interval, self.num_saves + 1, remote)
+
+    @property
+    def row_bytes(self) -> int:
+        """The bytes of a member in a saved row: its states, a residual and a flag."""
+        return max(sum(leaf.nbytes for leaf in jax.tree.leaves(self.states)) // self.members + 9, 24)
+
+
+class Output(Protocol):
+    """The destination of a run's saved rows: memory (`_memory_output`) or disk (`_store_output`)."""
+
+    @property
+    def defers_interrupts(self) -> bool:
+        """True if an interrupt waits until the run `can_stop`."""
+        ...
+
+    @property
+    def buffer_rows(self) -> int:
+        """The largest number of saves in one call of the compiled loop: the length of its buffer."""
+        ...
+
+    @property
+    def free_rows(self) -> int:
+        """The largest number of saves in the next call."""
+        ...
+
+    def restore(self) -> tuple[Carry, int, int] | None:
+        """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
+
+    def begin(self, carry: Carry) -> None:
+        """Receive the entry of the start; not called for a resumed run."""
+
+    def append(self, saved: Saved, number: int) -> None:
+        """Receive `number` saved rows."""
+
+    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
+        """Receive, after each call of the loop, a carry from which the run can be resumed, and write it if it is time.
+
+        Args:
+            carry: the carry.
+            done: the number of steps so far.
+            seconds: the duration of the call.
+            stop: True if the run was asked to stop.
+        """
+
+    def can_stop(self) -> bool:
+        """True if everything that a resumed run needs has been written."""
+        ...
+
+    def interrupt_message(self, done: int, num_steps: int) -> str:
+        """The message for a user who interrupted the run."""
+        ...
+
+    def result(self, carry: Carry) -> Saves | None:
+        """The saves, after the last step; None if they are to be read from the store."""
+
+
+def rows_of_call(across: int, members: int, row: int, interval: int, entries: int, remote: bool) -> int:
+    """The number of saves per call of the loop and per chunk.
+
+    Args:
+        across: the members of a chunk.
+        members: those of the process.
+        row: the bytes of a member in a saved row.
+        interval: the steps between two saves.
+        entries: the entries of the run.
+        remote: whether a chunk is an object in object storage.
+    """
+    most_bytes, most_work = (_OBJECT_BYTES, _OBJECT_WORK) if remote else (_CHUNK_BYTES, _CHUNK_WORK)
+    enough = min(most_bytes // (across * row), _BUFFER_BYTES // (members * row))
+    return int(max(1, min(enough, most_work // (members * interval), entries)))
+
+
+def chunk_members(members: int, count: int, row: int, entries: int, remote: bool) -> int:
+    """The most members in a chunk of a run of `count` parts, of which a saved row has `row` bytes for each member.
+
+    Where a chunk is an object in a bucket it has members enough that it can become as large as it should: a part holds
+    the rows of all of its members in memory, which limits the number of rows.
+    """
+    if not remote:
+        return CHUNK_MEMBERS
+    return max(CHUNK_MEMBERS, members // (count * _CHUNKS_OF_BUFFER), _OBJECT_BYTES // (row * entries))
+
+
+def local_rows(saved: Saved, number: int) -> Saved:
+    """The first `number` saved rows on the host; a part of a longer buffer is copied, so that it can be freed."""
+
+    def first_rows(x: Numbers) -> np.ndarray:
+        x = np.asarray(x)
+        return x if len(x) == number else x[:number].copy()
+
+    return jax.tree.map(first_rows, saved)
+
+
+def gather_rows(layout: Layout, saved: Saved, number: int) -> Saved:
+    """The first `number` saved rows of all members, on every process."""
+    return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
+
+
+def first_entry(job: Job) -> dict[str, np.ndarray]:
+    """The entry of the start in the series of a reduction."""
+    zero = np.zeros(1, job.dtype)
+    found = dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
+    return found if job.part is None else found | {"sums": np.zeros((1, len(blocks(*_ends(job.part)))), job.dtype)}
+
+
+def reduce_rows(rows: Saved, job: Job) -> dict[str, np.ndarray]:
+    """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
+
+    For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.
+    """
+    info, change = rows
+    assert isinstance(change, Range)
+    sums = block_sums(np.asarray(change.total), job.first_member)
+    members = range(job.first_member, job.first_member + job.members)
+    found = {
+        "least": change.least.min(axis=1),
+        "greatest": change.greatest.max(axis=1),
+        "mean": total([(members, sums)]) / (job.members * (job.save_every or 1)),
+        "residual": info.residual.max(axis=1),
+        "unconverged": (~np.asarray(info.converged)).sum(axis=1),
+    }
+    return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
+
+
+def _ends(members: range) -> tuple[int, int]:
+    return members.start, members.stop
+
+
+def list_members(which: np.ndarray) -> str:
+    """The number of some members and the numbers of the first of them, for messages."""
+    more = ", …" if which.size > MAX_NAMED else ""
+    return f"{which.size} member(s): {', '.join(map(str, which[:MAX_NAMED]))}{more}"

@@ -1,0 +1,258 @@
+"""The checked description of a run, from the arguments of `ensemble.run`."""
+
+from __future__ import annotations
+
+import inspect
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax.native import make_once
+from lieint_jax.runs import _layout
+from lieint_jax.runs._clock import GridClock, RoundedClock, StateClock, UniformClock, clock_of, outputs, refuse_times
+from lieint_jax.runs._integrate import intervals
+from lieint_jax.runs._job import Job, chunk_members, list_members
+from lieint_jax.runs._loop import Reduction, energy
+from lieint_jax.runs._made_states import MadeStates, MakeStates
+from lieint_jax.runs.store._parts import Split
+from lieint_jax.runs.store._store import leaves_by_name
+from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, promoted
+from lieint_jax.types.members import member_axis
+
+_ENTRY, _SERIES = 2 * 8, 5 * 8  # bytes of an entry's time and node, and of its numbers in the series of `reduce`
+_SCALARS = ("t", "work")  # the leaves of states that are scalars for each member, or one scalar for all
+
+
+def make_jobs(
+    make_job: partial[Job],
+    step: Step,
+    states: State | MakeStates,
+    made: MadeStates | None,
+    part: tuple[int, int] | None,
+    remote: bool,
+) -> tuple[Job, Job, Split]:
+    """The job of all members, that of this process, and how members are split into parts."""
+    if made is None:
+        whole = make_job(step, states)
+    elif part is not None:
+        whole = _describe_whole(make_job, step, made)
+    else:
+        whole = _make_members(make_job, step, made, range(made.members))
+    split = split_into_parts(whole, 1 if part is None else part[1], remote)
+    if part is None:
+        return whole, whole, split
+    own = split.part(part[0])
+    job = whole.restricted(own) if made is None else _make_members(make_job, step, made, own)._replace(part=own)
+    return whole, job, split
+
+
+def split_into_parts(job: Job, count: int, remote: bool) -> Split:
+    """The split of a run into `count` parts, and its chunks."""
+    return Split.into_parts(
+        job.members, count, chunk_members(job.members, count, job.row_bytes, job.num_saves + 1, remote)
+    )
+
+
+def _make_members(make_job: partial[Job], step: Step, made: MadeStates, members: range) -> Job:
+    """The job of members whose states a function makes."""
+    own = slice(members.start, members.stop)
+    if make_job.keywords["step_axis"] is not None:
+        step = jax.tree.map(lambda leaf: leaf[own], step)
+    return make_job(step, made.make(members), made=members)
+
+
+def _describe_whole(make_job: partial[Job], step: Step, made: MadeStates) -> Job:
+    """The description of a run in parts whose states a function makes; only the first member's are made."""
+    first = _make_members(make_job, step, made, range(1))
+    step, _, _ = promoted(checked_step(step), first.initial)
+    return first.with_members(made.members, made.function)._replace(step=step)
+
+
+def checked_job(
+    step: Step,
+    states: State,
+    dt: float | None,
+    num_steps: int | None,
+    save_every: int | None,
+    step_axis: int | None,
+    reduce: Reduction | Literal["energy"] | None,
+    store: str | Path | StoreOptions | None,
+    times: ArrayLike | None,
+    save_at: ArrayLike | None,
+    made: range | None = None,
+    batch: bool = True,
+) -> Job:
+    """The checked description of a run from the arguments of `run`; `made` are the members that a function has made."""
+    first = 0 if made is None else made.start
+    step, states, dtype = promoted(checked_step(step), states)
+    states, t0 = _split_time(step, states, first, merge=made is None)
+    reduction = energy if reduce == "energy" else reduce
+    if reduction is not None and not jax.tree_util.all_leaves([reduction]):
+        reduction = callable_pytree(reduction)
+    clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)
+    if save_at is None:
+        _check_size(states, intervals(planned_steps, save_every)[1] + 1, reduction, store)
+        entries = _entries_by_count(clock, planned_steps, save_every, dtype)
+    else:
+        refuse_times(step, "save_at")
+        if save_every is not None or reduce is not None:
+            raise ValueError(f"pass save_at or {'save_every' if reduce is None else 'reduce'}, not both")
+        entries = _entries_at_times(save_at, clock, planned_steps, dtype)
+        _check_size(states, len(entries[0]), reduction, store)
+    size = None if dt is None else float(dt)
+    job = Job(step, states, t0, size, clock, planned_steps, *entries, step_axis, reduction, batch=batch)
+    _check_job(job, first)
+    _check_reduction(job)
+    _checks.time_resolution(t0, job.first_dt, planned_steps)
+    return job
+
+
+def _check_size(states: State, entries: int, reduction: Reduction | None, store: object) -> None:
+    """Raise ValueError if the results of a run exceed this machine's memory: its states or series, and its times."""
+    size, advice = _ENTRY, "use a larger save_every"
+    if reduction is not None:
+        size += _SERIES
+    elif store is None:
+        size += _checks.entry_size(states, len(states.p))
+        advice += " or store=PATH.zarr, which needs memory for one chunk only"
+    _checks.fits_memory(entries, size, advice)
+
+
+def _make_clock(
+    step: Step,
+    states: State,
+    t0: _layout.Numbers | None,
+    dtype: np.dtype,
+    dt: ArrayLike | None,
+    num_steps: int | None,
+    times: ArrayLike | None,
+) -> tuple[UniformClock | RoundedClock | GridClock, int]:
+    """The clock of the steps, as host arrays, and their number; since the start if members start at different times."""
+    if t0 is not None and t0.ndim:
+        if times is not None:
+            raise ValueError("times hold for all members: give all members the same states.t, or none")
+        t0 = None
+    clock, planned_steps = clock_of(step, states._replace(t=t0), dtype, dt, num_steps, times)
+    if isinstance(clock, StateClock):
+        clock = UniformClock(jnp.zeros((), dtype), clock.dt)
+    return jax.tree.map(np.asarray, clock), planned_steps
+
+
+_Entries = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]  # times, nodes, rests, save_every of a `Job`
+
+
+def _entries_by_count(
+    clock: UniformClock | RoundedClock | GridClock, planned_steps: int, save_every: int | None, dtype: np.dtype
+) -> _Entries:
+    """The entries after every `save_every` steps."""
+    interval, num_saves = intervals(planned_steps, save_every)
+    nodes = interval * np.arange(num_saves + 1)
+    times = clock.time(nodes if isinstance(clock, GridClock) else nodes.astype(dtype))
+    return np.asarray(times), nodes, None, interval
+
+
+def _entries_at_times(
+    save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, planned_steps: int, dtype: np.dtype
+) -> _Entries:
+    """The entries at given times, that of the start first."""
+    wanted = outputs(save_at, clock, planned_steps, dtype)
+    times = np.concatenate([[clock.time(0)], wanted])
+    nodes = np.asarray(jax.vmap(lambda t: clock.node(t, planned_steps))(times))
+    return times, nodes, times - np.asarray(clock.time(nodes)).astype(dtype), None
+
+
+def _split_time(step: Step, states: State, first: int = 0, merge: bool = True) -> tuple[State, _layout.Numbers | None]:
+    """The checked states without their time, with the member axis on every leaf, and their time: a scalar if shared.
+
+    If the step has a time of its own, it stays in the states, one for each member.
+
+    Args:
+        step: the step.
+        states: the states.
+        first: the number of the first of these members, for messages.
+        merge: whether equal times of all members are a shared one. Those of a part do not show whether all are equal.
+    """
+    shapes = {name: np.shape(x) for name, x in leaves_by_name(states).items()}
+    for key in states.extra or {}:
+        if not str(key).isidentifier():
+            raise ValueError(f'a key of states.extra must be an identifier, such as "rotor", got {key!r}')
+    counts = {shape[:1] for name, shape in shapes.items() if shape or name not in _SCALARS}
+    short = [name for name in ("q", "p") if len(shapes[name]) < 2]
+    if len(counts) != 1 or (0,) in counts or short or any(len(shapes.get(name, ())) > 1 for name in _SCALARS):
+        given = ", ".join(f"{_python_name(name)} {shape}" for name, shape in shapes.items())
+        raise ValueError(f"states need a leading member axis on every leaf, but t and work may be scalars; got {given}")
+    [(members,)] = counts
+    for name, x in leaves_by_name(states).items():
+        bad = np.flatnonzero(~np.isfinite(np.asarray(x)).reshape(len(x) if x.ndim else 1, -1).all(axis=1))
+        if bad.size:
+            where = f", and is not finite for {list_members(bad + first)}" if x.ndim else f", got {x}"
+            raise ValueError(f"states.{_python_name(name)} must be finite{where}")
+    states = jax.tree.map(np.asarray, states)
+    t, work = states.t, states.work
+    if work is not None:
+        work = np.broadcast_to(work, (members,))
+    if step.own_time and t is not None:
+        return states._replace(t=np.broadcast_to(t, (members,)), work=work), None  # pyright: ignore
+    if merge and t is not None and t.ndim and np.all(t == t[0]):
+        t = t[0]
+    return states._replace(t=None, work=work), t
+
+
+def _check_job(job: Job, first: int) -> None:
+    step, state = job.member(0)
+    member_axis(job.step.system, state, job.members, job.step_axis, "step_axis")
+    defect = np.abs(np.asarray(_defects(job.step.system.phase_space, job.states)))
+    bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
+    if bad.size:
+        raise ValueError(
+            f"states.q is off the configuration space by more than {_checks.UNIT_TOLERANCE:g}: "
+            f"{list_members(bad + first)} (worst defect {defect.max():.3g}); make states with system.state(...)"
+        )
+    step.system.check(state)  # the shapes, and the time of a driven system, are the same for all members
+
+
+@jax.jit
+def _defects(phase_space: PhaseSpace, states: State) -> Array:
+    return jax.vmap(phase_space.defect)(states)
+
+
+def _check_reduction(job: Job) -> None:
+    """Raise ValueError unless the reduced quantity is a real scalar function of a step and a state."""
+    if job.reduction is not None:
+        make_once(_check_result, job.reduction, (), job.member(0))
+
+
+def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, State]) -> None:
+    try:
+        inspect.signature(reduction).bind(*arguments)
+    except TypeError as error:
+        raise ValueError(f"reduce must be a function of two arguments, (step, state) ↦ scalar: {error}") from None
+    except ValueError:  # a function without a signature
+        pass
+    found: list[object] = []
+    jax.eval_shape(lambda step, state: found.append(reduction(step, state)), *arguments)  # pyright: ignore
+    [value] = found
+    array = isinstance(value, Array | np.ndarray | np.generic)
+    if not ((array or isinstance(value, float)) and _is_real_scalar(value)):
+        shown = f"{value.dtype} of shape {value.shape}" if array else repr(value)
+        raise ValueError(
+            f"reduce must return a real floating-point scalar, got {shown}; return one component of a vector or "
+            "its norm, and 1.0 * x for an integer x"
+        )
+
+
+def _is_real_scalar(value: _layout.Numbers | np.generic | float) -> bool:
+    return np.shape(value) == () and jnp.issubdtype(jnp.result_type(value), jnp.floating)
+
+
+def _python_name(name: str) -> str:
+    """The name of an array of the states, as written in Python."""
+    return f'extra["{name.removeprefix("extra.")}"]' if name.startswith("extra.") else name

@@ -1,0 +1,70 @@
+"""The peak memory of a run, before it starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from lieint_jax.runs._job import chunk_members, rows_of_call
+from lieint_jax.runs._made_states import MakeStates, made_states
+from lieint_jax.runs._part_of_task import checked_part
+from lieint_jax.runs.store._storage import Url, address
+from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._store_output import SLAB
+from lieint_jax.types import State
+
+_STATES = 6  # copies of a part's states: of the carries, of a checkpoint, and while they are made and checked
+_ROWS = 2  # copies of the rows of a call: a store's are written while others are computed
+_CHUNKS = 3  # copies of the chunks that are joined and encoded at once
+_IMPORTS = 50_000_000  # bytes of zarr
+_REDUCED = 5 * 8 + 1  # bytes of a member in a row of a run with `reduce`
+
+
+def peak_memory(
+    states: State | MakeStates,
+    entries: int,
+    *,
+    store: str | Path | StoreOptions | None = None,
+    reduce: bool = False,
+    part: tuple[int, int] | None = None,
+    save_every: int = 1,
+    members: int | None = None,
+) -> int:
+    """The bytes that `ensemble.run` will need at most, beyond those of the process and of the states before it.
+
+    It is an estimate for machine code on a CPU, whose numbers of copies were fitted to the peaks of free bodies that
+    `benchmarks/scale.py` measures; other systems may need more. With `store` it grows by only 16 bytes per entry, with
+    `reduce` by 56. The memory of a part grows with the number of its own members only, if `states` is a function.
+
+    Args:
+        states: the initial states of all members, or their shapes; or the function of member numbers.
+        entries: the number of saved entries, that of the start included.
+        store: as in `run`.
+        reduce: whether the run reduces.
+        part: as in `run`.
+        save_every: the number of steps between two saves.
+        members: as in `run`.
+
+    Returns:
+        The number of bytes.
+    """
+    _, count = checked_part(part)
+    made = made_states(states, members)
+    first: Any = states if made is None else made.make(range(1))
+    given = len(first.p)
+    state = sum(np.dtype(x.dtype).itemsize * int(np.size(x)) for x in jax.tree.leaves(first)) // given
+    members = given if made is None else made.members
+    own = -(-members // count)
+    row = max(state + 9, 24)
+    place: Any = store.path if isinstance(store, StoreOptions) else store
+    remote = place is not None and isinstance(address(place), Url)
+    across = chunk_members(members, count, row, entries, remote) if store is not None else members
+    rows = rows_of_call(min(across, own), own, row, save_every, entries, remote)
+    kept = entries * (members if part is None else own) * row if store is None and not reduce else 0
+    held = _ROWS * rows * own * (_REDUCED if reduce else row)
+    if store is not None:
+        held += _IMPORTS + _CHUNKS * rows * min(own, SLAB * across) * row * (not reduce)
+    return kept + held + _STATES * own * state + entries * (16 + 40 * reduce)

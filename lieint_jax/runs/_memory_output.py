@@ -1,0 +1,90 @@
+"""Results in memory."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+
+from lieint_jax.runs import _layout, _loop
+from lieint_jax.runs._job import Job, Saves, Summary, first_entry, gather_rows, reduce_rows
+from lieint_jax.runs._layout import Layout
+from lieint_jax.runs._loop import Carry, Saved
+from lieint_jax.types import State, Trajectory
+
+_SERIES = ("least", "greatest", "mean", "residual", "unconverged")
+
+
+class MemoryOutput:
+    """Results as numpy arrays; `earlier` are those of a run of which this one is the continuation."""
+
+    defers_interrupts = False
+
+    def __init__(self, job: Job, layout: Layout, earlier: Saves | None = None) -> None:
+        self._job, self._layout, self._entries, self._earlier = job, layout, 0, earlier
+        self.buffer_rows = self.free_rows = job.buffer_rows(job.members)
+        self._series: list[dict[str, np.ndarray]] = []
+        self._out: Saved | None = None
+
+    def restore(self) -> tuple[Carry, int, int] | None:
+        if self._earlier is None:
+            return None
+        found, failed = self._earlier
+        if isinstance(found, Summary):
+            last, reduced = found.state, found.least
+            self._series.append({name: np.asarray(getattr(found, name)) for name in _SERIES})
+        else:
+            states, reduced = self._without_time(found.state), None
+            last = jax.tree.map(lambda x: x[-1], states)
+            self._allocate((found.info, states), 1)
+            self._put((found.info, states))
+        saved = len(found.t) - 1
+        carry = _loop.start(self._without_time(last), reduced)
+        carry = carry._replace(failed=failed.astype(_loop.step_dtype()))  # pyright: ignore[reportArgumentType]
+        return _layout.placed(self._layout, carry), int(self._job.nodes[saved]), saved
+
+    def _without_time(self, state: State) -> State:
+        return state if self._job.t0 is None else state._replace(t=None)
+
+    def _allocate(self, rows: Saved, leading: int) -> None:
+        """Arrays for all entries like these rows, which have so many leading axes."""
+        entries = self._job.num_saves + 1
+        self._out = jax.tree.map(lambda x: np.empty((entries, *x.shape[leading:]), x.dtype), rows)
+
+    def begin(self, carry: Carry) -> None:
+        if self._job.reduction is not None:
+            self._series.append(first_entry(self._job))
+            return
+        first = _layout.gather(self._layout, (carry.info, carry.state))
+        self._allocate(first, 0)
+        self._put(jax.tree.map(lambda x: x[None], first))
+
+    def append(self, saved: Saved, number: int) -> None:
+        rows = gather_rows(self._layout, saved, number)
+        if self._job.reduction is None:
+            self._put(rows)
+        else:
+            self._series.append(reduce_rows(rows, self._job))
+
+    def _put(self, rows: Saved) -> None:
+        number = len(jax.tree.leaves(rows)[0])
+        for target, x in zip(jax.tree.leaves(self._out), jax.tree.leaves(rows), strict=True):
+            target[self._entries : self._entries + number] = x
+        self._entries += number
+
+    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
+        pass
+
+    def can_stop(self) -> bool:
+        return True
+
+    def interrupt_message(self, done: int, num_steps: int) -> str:
+        return f"stopped after {done} of {num_steps} steps; a run with a store can be resumed"
+
+    def result(self, carry: Carry) -> Saves:
+        state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
+        if self._job.reduction is None and self._out is not None:
+            info, states = self._out
+            found = Trajectory(self._job.times, self._job.with_times(states), info)  # pyright: ignore[reportArgumentType]
+            return Saves(found, failed)
+        series = {name: np.concatenate([part[name] for part in self._series]) for name in _SERIES}
+        return Saves(Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed), failed)

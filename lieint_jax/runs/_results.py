@@ -1,0 +1,154 @@
+"""The results of a batch, computed in one compiled loop, in memory or in a store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial, wraps
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar
+
+from jax.errors import ConcretizationTypeError, TracerArrayConversionError
+from jax.sharding import Mesh
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax.runs import _layout, processes
+from lieint_jax.runs._engine import engine_of
+from lieint_jax.runs._execute import execute
+from lieint_jax.runs._job import Job, Output, Saves
+from lieint_jax.runs._layout import Layout
+from lieint_jax.runs._loop import Reduction
+from lieint_jax.runs._made_states import MakeStates, made_states
+from lieint_jax.runs._make_job import checked_job, make_jobs
+from lieint_jax.runs._memory_output import MemoryOutput
+from lieint_jax.runs._part_of_task import checked_part, part_of_task
+from lieint_jax.runs.store import _identity
+from lieint_jax.runs.store._into_store import run_into_store, run_part_into_store
+from lieint_jax.runs.store._reading import Stored
+from lieint_jax.runs.store._storage import Url, address
+from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.types import State, Step
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+class Results(NamedTuple):
+    """What a run gives.
+
+    Attributes:
+        job: the run, or the part of it that this process has computed.
+        engine: the name of the engine that computed it.
+        saves: the saved states, or a `Summary`.
+        stored: the run as its store has it, and the path of the store; None of a run in memory.
+    """
+
+    job: Job
+    engine: str
+    saves: Saves
+    stored: Stored | None = None
+    path: str = ""
+
+
+def untransformed(name: str) -> Callable[[_F], _F]:
+    """Raise TypeError where a function is called with tracers, or meets those of a function that closes over them."""
+    advice = (
+        f"{name} computes with numbers, outside of jax.jit, jax.vmap, jax.grad and jax.jvp: "
+        "inside of them use li.integrate, for a batch jax.vmap(lambda z: li.integrate(step, z, dt, num_steps))(states)"
+    )
+
+    def decorate(function: _F) -> _F:
+        @wraps(function)
+        def call(*args: object, **kwargs: object) -> object:
+            numbers = {name: x for name, x in kwargs.items() if name != "store"}  # whose attributes may hold anything
+            if _checks.staged() or not _checks.concrete(args, numbers):
+                raise TypeError(advice)
+            try:
+                return function(*args, **kwargs)
+            except (ConcretizationTypeError, TracerArrayConversionError) as error:
+                if _checks.outermost():
+                    raise
+                raise TypeError(advice) from error
+
+        return call  # pyright: ignore[reportReturnType]
+
+    return decorate
+
+
+def compute(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None,
+    num_steps: int | None,
+    *,
+    save_every: int | None,
+    step_axis: int | None,
+    reduce: Reduction | Literal["energy"] | None = None,
+    mesh: Mesh | None = None,
+    store: str | Path | StoreOptions | None = None,
+    progress: bool = True,
+    resume: bool = False,
+    times: ArrayLike | None = None,
+    save_at: ArrayLike | None = None,
+    part: tuple[int, int] | Literal["auto"] | None = None,
+    members: int | None = None,
+    threads: int | None = None,
+    batch: bool = True,
+    earlier: Saves | None = None,
+) -> Results:
+    """The results of a run; arguments as in `ensemble.run`.
+
+    Args:
+        batch: whether it is of a batch, not of one body; states have the member axis in either case.
+        earlier: the saves in memory of a run that this one continues.
+    """
+    _check_options(step_axis, reduce, resume, store)
+    k, count = part_of_task() if part == "auto" else checked_part(part)
+    threads = threads or (None if mesh is None else len(mesh.local_devices))
+    mesh = _layout.checked_mesh(mesh)
+    options = store if isinstance(store, StoreOptions) or store is None else StoreOptions(store)
+    in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
+    if (in_parts or remote) and _layout.count_processes(mesh) > 1:
+        raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
+    made = made_states(states, members)
+    make_job = partial(
+        checked_job,
+        dt=dt,
+        num_steps=num_steps,
+        save_every=save_every,
+        step_axis=step_axis,
+        reduce=reduce,
+        store=store,
+        times=times,
+        save_at=save_at,
+        batch=batch,
+    )
+    with _checks.on_host():
+        whole, job, split = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
+    engine = engine_of(job, mesh, threads or _layout.count_cores())
+
+    def integrate(layout: Layout, output: Output) -> object:
+        return execute(engine, layout, output, progress)
+
+    with processes.name_lost(mesh):
+        if options is None:
+            if _layout.count_processes(mesh) > 1:
+                _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
+            layout = _layout.layout_of(mesh, job.members)
+            saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
+            assert saves is not None
+            return Results(job, engine.name, saves)
+        resume = resume or part is not None
+        if in_parts or remote:
+            stored = run_part_into_store(engine, whole, mesh, options, split, k, resume, integrate)
+        else:
+            stored = run_into_store(engine, mesh, options, resume, integrate)
+    return Results(job, engine.name, Saves(stored.found, stored.failed), stored, str(options.path))
+
+
+def _check_options(step_axis: int | None, reduce: object, resume: bool, store: object) -> None:
+    if step_axis not in (None, 0):
+        raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
+    if reduce is not None and reduce != "energy" and not callable(reduce):
+        raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
+    if resume and store is None:
+        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")

@@ -1,0 +1,33 @@
+"""Read files that others wrote: archives NAME.npz and stores NAME.zarr, checked before they are read, and TOML.
+
+The application reads its files through these names. A file that cannot be read raises `UnreadableError`, a ValueError
+whose message is one sentence that names the file.
+"""
+
+from lieint_jax.runs.store._open_archive import TIME, Archive, open_archive, read_trajectory
+from lieint_jax.runs.store._reading import check_system, load_store, open_run, system_from_store
+from lieint_jax.runs.store._storage import Address, Url, address, open_storage
+from lieint_jax.runs.store._store import leaves_by_name
+from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._untrusted import SUFFIXES, UnreadableError, read_toml, wrap_errors
+
+__all__ = [
+    "SUFFIXES",
+    "TIME",
+    "Address",
+    "Archive",
+    "StoreOptions",
+    "UnreadableError",
+    "Url",
+    "address",
+    "check_system",
+    "leaves_by_name",
+    "load_store",
+    "open_archive",
+    "open_run",
+    "open_storage",
+    "read_toml",
+    "read_trajectory",
+    "system_from_store",
+    "wrap_errors",
+]

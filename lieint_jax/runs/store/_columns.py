@@ -1,0 +1,156 @@
+"""The arrays of a store, and its attributes: names, axes, units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from lieint_jax.runs._job import Job
+from lieint_jax.runs._layout import Numbers
+from lieint_jax.runs._loop import Range, step_dtype
+from lieint_jax.runs.store import _store
+from lieint_jax.runs.store._integrity import Table
+from lieint_jax.runs.store._store import leaves_by_name, store_name
+from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.types import labeled
+
+_RESIDUAL = "largest residual of a step since the entry before"
+_OWN = {
+    "constants",
+    "description",
+    "progress",
+    "digests",
+    "checksum",
+    "parts",
+    "missing",
+}  # more attributes of every store
+
+
+class Axes:
+    """The axes that the arrays of a store share, each a name with its length and chunk length."""
+
+    def __init__(self, job: Job, chunk: int, rows: int) -> None:
+        self.times = {"time": (job.num_saves + 1, rows)}  # name: (length, chunk)
+        self.members = {"member": (job.members, chunk)}
+        self.slots = {"slot": (2, 1)}
+        self._number = job.dtype
+
+    def column(
+        self, axes: Mapping[str, tuple[int, int]], dtype: DTypeLike | None = None, **attributes: str
+    ) -> _store.Column:
+        """The description of an array of scalars along `axes`."""
+        (shape, chunks), kind = zip(*axes.values(), strict=True), np.dtype(self._number if dtype is None else dtype)
+        return _store.Column(shape, kind, chunks, tuple(axes), attributes)
+
+    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> _store.Column:
+        """The description of an array of one leaf of the states along `axes`."""
+        dims, _ = labeled.state_axes(store_name(name), leaf.shape[1:])
+        return self.column({**axes, **{dim: (n, n) for dim, n in zip(dims, leaf.shape[1:], strict=True)}}, **attributes)
+
+
+def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, _store.Column]:
+    """The arrays that readers see."""
+    times, members = axes.times, axes.members
+    series = job.reduction is not None
+    texts = {"q": "configuration", "p": "momentum", "work": "work done on the body", "t": "time of each member"}
+    text = "time" if job.t0 is None or job.shares_time else "time since the start"
+    if job.step.own_time:
+        text = "fictitious time since the start"
+    columns = {"time": axes.column(times, units=options.time_unit, long_name=text)}
+    for name, leaf in leaves_by_name(job.states if job.shares_time else job.initial).items():
+        along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
+        columns[store_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
+    columns["first_failure"] = axes.column(
+        members, np.int64, long_name="first step that did not converge, or -1", units="1"
+    )
+    return columns | (series_columns(job, axes, times) if series else _report_columns(axes))
+
+
+def _report_columns(axes: Axes) -> dict[str, _store.Column]:
+    both = {**axes.times, **axes.members}
+    return {
+        "residual": axes.column(both, long_name=_RESIDUAL, units="1"),
+        "converged": axes.column(both, bool, long_name="whether all steps since the entry before did"),
+    }
+
+
+def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, _store.Column]:
+    what = getattr(job.reduction, "__name__", "reduced quantity")
+    text = "{} change of {} since the start, over members and steps"
+    return {
+        **{name: axes.column(along, long_name=text.format(name, what)) for name in ("least", "greatest", "mean")},
+        "residual": axes.column(along, long_name=_RESIDUAL, units="1"),
+        "unconverged": axes.column(along, np.int64, long_name="members with a step that did not", units="1"),
+    }
+
+
+def constant(name: str, values: np.ndarray, job: Job) -> tuple[_store.Column, np.ndarray]:
+    """The description and the values of an array of the step, with the member axis first if it has one."""
+    along = ("member",) if job.step_axis is not None else ()
+    dims = (*along, *(f"{name}_axis{k}" for k in range(values.ndim - len(along))))
+    return _store.Column(values.shape, values.dtype, values.shape, dims, {"long_name": f"{name} of the run"}), values
+
+
+def labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
+    """The coordinates that name the components of the states, such as x, y, z along the dimension "axis"."""
+    found: dict[str, tuple[_store.Column, np.ndarray]] = {}
+    for name, leaf in leaves_by_name(job.states).items():
+        system = getattr(job.step, "system", None)
+        for dim, labels in labeled.state_axes(store_name(name), leaf.shape[1:], system)[1].items():
+            values = np.asarray(labels)
+            if values.dtype.kind == "U":
+                values = values.astype(np.dtypes.StringDType())
+            found[dim] = _store.Column(values.shape, values.dtype, values.shape, (dim,), {}), values
+    return found
+
+
+def checkpoint_columns(job: Job, axes: Axes) -> dict[str, _store.Column]:
+    """The arrays of the checkpoint: those of a carry, in two slots that are written alternately."""
+    along = {**axes.slots, **axes.members}
+    return {
+        **{name: axes.state(along, name, leaf) for name, leaf in leaves_by_name(job.states).items()},
+        "commit": axes.column({**axes.slots, "number and steps": (2, 2)}, np.int64),
+        "failed": axes.column(along, step_dtype()),
+        "residual": axes.column(along),
+        "converged": axes.column(along, bool),
+        **({name: axes.column(along) for name in Range._fields} if job.reduction is not None else {}),
+    }
+
+
+def _unit(name: str, job: Job, options: StoreOptions) -> str:
+    if name == "t":
+        return options.time_unit
+    rigid = hasattr(job.step.system, "inertia") and job.states.q.shape[1:] == (4,)
+    power = {"p": "", "work": "^2"}.get(name)
+    return f"unit of inertia / {options.time_unit}{power}" if rigid and power is not None else "1"
+
+
+def attributes_of(job: Job, options: StoreOptions, described: Table, chunk: int, rows: int) -> Table:
+    """The attributes of a store, except those that describe its arrays and its progress.
+
+    Raises:
+        ValueError: a name of the user's attributes is reserved.
+    """
+    own = {
+        "format": _store.FORMAT,
+        "leaves": list(leaves_by_name(job.initial)),
+        "time_unit": options.time_unit,
+        "scheme": job.step.name,
+        "system": type(job.step.system).__name__,
+        "dt": job.dt,
+        "save_every": job.save_every,
+        "num_steps": job.num_steps,
+        "num_entries": job.num_saves + 1,
+        "members": job.members,
+        "batch": job.batch,
+        "reduce": described["reduce"],
+        "time_chunk": rows,
+        "member_chunk": chunk,
+        "run": described,
+    }
+    reserved = sorted(map(str, options.attributes.keys() & (own.keys() | _OWN)))
+    if reserved:
+        raise ValueError(f"attributes of a store may not be called {', '.join(reserved)}: these names are reserved")
+    return {"title": job.step.name} | own | dict(options.attributes)

@@ -1,0 +1,115 @@
+"""What the description of a run must have, and which arrays belong together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+_MAX_LENGTH = 10**15  # of an axis of an array
+REALS, _FLAGS, COUNTS = ("float32", "float64"), ("bool",), ("int32", "int64")  # of arrays
+_Kinds = Mapping[str, tuple[tuple[int, ...], str]]  # shape and dtype by name
+
+
+class _Kind(NamedTuple):
+    """The values that a description may have for a key: a test, and the test in words."""
+
+    accepts: Callable[[object], bool]
+    words: str
+    required: bool = True
+
+
+def _is_count(x: object) -> bool:
+    return isinstance(x, int) and not isinstance(x, bool) and 0 <= x <= _MAX_LENGTH
+
+
+NAME = re.compile(r"(?!\.)[^/\\\0]+")
+_NATURAL = _Kind(_is_count, "an integer ≥ 0")
+COUNT = _Kind(lambda x: _is_count(x) and x > 0, "a positive integer")
+_TEXT = _Kind(lambda x: isinstance(x, str), "text")
+_TABLE = _Kind(lambda x: isinstance(x, dict), "a table")
+_TABLES = _Kind(lambda x: isinstance(x, list) and bool(x) and all(map(_TABLE.accepts, x)), "a list of tables")
+_LIST = _Kind(lambda x: isinstance(x, list), "a list", required=False)
+LENGTHS = _Kind(lambda x: isinstance(x, list) and all(map(_is_count, x)), "a list of lengths")
+_TEXT_OR_TABLE = _Kind(lambda x: isinstance(x, str | dict), "text")
+_FLAG = _Kind(lambda x: isinstance(x, bool), "true or false")
+ARCHIVE_KEYS = {
+    "scenario": _TABLE._replace(required=False),
+    **dict.fromkeys(("title", "study", "lieint_jax", "jax"), _TEXT._replace(required=False)),
+    "quick": _FLAG._replace(required=False),
+    "tree": _Kind(lambda _: True, "a tree", required=False),
+}
+STORE_KEYS = {
+    "progress": _TABLE,
+    "run": _TABLE,
+    "members": COUNT,
+    "batch": _FLAG._replace(required=False),
+    "num_steps": _NATURAL,
+    "num_entries": _NATURAL._replace(required=False),
+    "save_every": _Kind(lambda x: x is None or COUNT.accepts(x), "a positive integer or null"),
+    "dt": _Kind(
+        lambda x: x is None or (isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e300),
+        "a number or null",
+    ),
+    "reduce": _Kind(lambda x: x is None or isinstance(x, str), "text or null"),
+    "scheme": _TEXT,
+    "system": _TEXT,
+    "time_unit": _TEXT._replace(required=False),
+    "leaves": _LIST,
+    "constants": _LIST,
+    "description": _TABLE._replace(required=False),
+}
+PARTS_KEYS = dict.fromkeys(("parts", "num_entries", "member_chunk", "time_chunk"), COUNT) | {"digests": _TABLE}
+PROGRESS_KEYS = dict.fromkeys(("commits", "entries", "steps"), _NATURAL) | {"complete": _FLAG}
+ARRAY_KEYS = {"shape": LENGTHS, "data_type": _TEXT_OR_TABLE, "codecs": _TABLES, "node_type": _TEXT}
+RUN_KEYS = {
+    "versions": _Kind(lambda x: isinstance(x, dict) and all(map(_TEXT.accepts, x.values())), "a table of text"),
+    "device": _TEXT,
+    "step_axis": _Kind(lambda x: x is None or (_is_count(x) and x == 0), "null or 0"),
+    "engine": _TEXT._replace(required=False),
+    "compiler_options": _TABLE,
+}
+
+
+def check_table(where: str, found: object, kinds: Mapping[str, _Kind]) -> None:
+    """Raise ValueError if a table in a description lacks a key, or has a value of another kind."""
+    if not isinstance(found, dict):
+        raise ValueError(f"{where} is not a table")
+    for key, (accepts, words, required) in kinds.items():
+        if key not in found and required:
+            raise ValueError(f"{where} has no {key}")
+        if key in found and not accepts(found[key]):
+            raise ValueError(f"{key} of {where} is not {words}")
+
+
+def check_run(kinds: _Kinds, leaves: set[str], time: str) -> None:
+    """Raise ValueError unless all arrays of a run have the same number of entries and of members."""
+    missing = ({time, "residual", "converged"} | leaves) - set(kinds)
+    if missing:
+        raise ValueError(f"it has no array {min(missing)}")
+    (n, *_), (members, *_) = kinds["p"][0] or (0,), kinds["p"][0][1:] or (0,)
+    if not members or (time == "t" and not n):
+        raise ValueError(f"p has shape {kinds['p'][0]}, not (entries, members, …)")
+    expect(time, kinds, REALS, (n,))
+    expect("residual", kinds, REALS, (n, members))
+    expect("converged", kinds, _FLAGS, (n, members))
+    for name in sorted(leaves):
+        expect(name, kinds, REALS, (n, members), least=3 if name in ("q", "p") else 2)
+
+
+def expect(name: str, kinds: _Kinds, dtypes: tuple[str, ...], *shapes: tuple[int, ...], least: int = 0) -> None:
+    """Raise ValueError unless an array has one of these dtypes and shapes; with `least`, at least so many axes."""
+    shape, dtype = kinds[name]
+    if dtype not in dtypes:
+        raise ValueError(f"{name} is of {dtype}, not {' or '.join(dtypes)}")
+    found = shape[: len(shapes[0])] if least else shape
+    if found not in shapes or len(shape) < least:
+        wanted = f"({', '.join(map(str, shapes[0]))}, …)" if least > len(shapes[0]) else " or ".join(map(str, shapes))
+        raise ValueError(f"{name} has shape {shape}, not {wanted}")
+
+
+def check_times(t: np.ndarray) -> None:
+    if not (np.isfinite(t).all() and ((np.diff(t) >= 0).all() or (np.diff(t) <= 0).all())):
+        raise ValueError("its times are not finite and in order")

@@ -1,0 +1,175 @@
+"""The check of a store NAME.zarr against its own description, before it is read."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lieint_jax import _checks
+from lieint_jax.runs.store import _integrity, _store
+from lieint_jax.runs.store._integrity import Table
+from lieint_jax.runs.store._kinds import (
+    ARRAY_KEYS,
+    COUNTS,
+    LENGTHS,
+    NAME,
+    PARTS_KEYS,
+    PROGRESS_KEYS,
+    REALS,
+    RUN_KEYS,
+    STORE_KEYS,
+    check_run,
+    check_table,
+    expect,
+)
+from lieint_jax.runs.store._parts import PartsRoot, read_root
+from lieint_jax.runs.store._storage import Address, Bucket, Disk, Storage, Url
+from lieint_jax.runs.store._store import store_name
+from lieint_jax.runs.store._untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
+
+_CHUNK_BYTES = 2**30
+_MAX_PARTS = 10**6
+_SERIES = ("least", "greatest", "mean", "residual")
+
+
+def check_store(path: Address) -> Table:
+    """Check every file of the store at `path`, and return the store's attributes.
+
+    For a store in parts only the description of the run is checked: `_part_reading.load` checks its parts one by one.
+
+    Raises:
+        UnreadableError: not a store of lieint, or its description does not fit its arrays.
+        ValueError: a damaged store; the message names the files.
+    """
+    if isinstance(path, Url):
+        return _check_bucket(path)
+    refuse_special(path)
+    if not path.is_dir():
+        raise UnreadableError(f"{path} does not exist, or is not the store of a run: that is a folder NAME.zarr")
+    with wrap_errors(path):
+        count = _check_files(path)
+    with wrap_errors(path, passed=(ValueError,)):
+        root = _store.read_root(path)
+    if "parts" in root["attributes"]:
+        return _check_parts(Disk(path), root)
+    with wrap_errors(path):
+        shown = _check_arrays(root["consolidated_metadata"]["metadata"], count)
+        _check_attributes(root["attributes"], shown)
+    with wrap_errors(path, passed=(ValueError,)):
+        _store.check(path)
+    with wrap_errors(path):
+        for name in root["attributes"].get("constants", ()):  # whose lengths do not grow
+            if parse_json((path / name / "zarr.json").read_bytes())["shape"] != shown[name]["shape"]:
+                raise ValueError(f"the shape of {name} differs from its description")
+    return root["attributes"]
+
+
+def _check_bucket(url: Url) -> Table:
+    """Check the description of the run in a store in object storage, and return its attributes."""
+    storage = Bucket(url)
+    root = read_root(storage)
+    if root is None:
+        raise UnreadableError(f"there is no store {url}; lieint run NAME --out {url} writes one")
+    if "parts" not in root["attributes"]:
+        raise UnreadableError(f"{url} is a copy of a store that was written on a disk: copy it to a disk to read it")
+    return _check_parts(storage, root)
+
+
+def _check_parts(storage: Storage, root: Table) -> Table:
+    """Check the description of a store in parts, and return its attributes."""
+    found = root["attributes"]
+    with wrap_errors(storage.address):
+        shown = _check_arrays(root["consolidated_metadata"]["metadata"], None)
+        check_table("the description", found, PARTS_KEYS)
+        if found["parts"] > min(found["members"], _MAX_PARTS):
+            raise ValueError(f"it has {found['parts']} parts of {found['members']} members")
+        _check_attributes(found, shown)
+        own = PartsRoot(storage, root)
+        lost = list(own.damage_of_root())
+    _integrity.raise_if_damaged(storage.address, lost)
+    return found
+
+
+def _check_files(path: Path) -> int:
+    """The number of files in a store, which must be ordinary files, with descriptions of bounded size."""
+    count = 0
+    for folder, _, names in os.walk(path):
+        for file in (Path(folder, name) for name in names):
+            try:
+                status = file.stat()
+            except FileNotFoundError:
+                if file.is_symlink():
+                    raise ValueError(f"{file.relative_to(path)} is a link to nothing") from None
+                continue  # a temporary file of a run that is writing
+            if not stat.S_ISREG(status.st_mode):
+                raise ValueError(f"{file.relative_to(path)} is a device, a pipe or a socket")
+            count += 1
+            if file.name == "zarr.json":
+                if status.st_size > JSON_BYTES:
+                    raise ValueError(f"{file.relative_to(path)} has {_checks.spoken_size(status.st_size)}")
+                with contextlib.suppress(json.JSONDecodeError, UnicodeDecodeError, FileNotFoundError):
+                    parse_json(file.read_bytes())  # text that is not JSON is reported later, with what can be read
+    return count
+
+
+def _check_arrays(shown: Any, files: int | None) -> Table:
+    """The descriptions of a store's arrays by name, which must be valid and need no more files than the store has.
+
+    Args:
+        shown: the consolidated metadata.
+        files: the number of files in the store; None if it may lack some.
+    """
+    for name, array in shown.items():
+        if not NAME.fullmatch(name):
+            raise ValueError(f"{name!r} is not the name of an array")
+        check_table(name, array, ARRAY_KEYS)
+        grid = array["chunk_grid"]
+        chunk = grid["configuration"]["chunk_shape"]
+        if grid["name"] != "regular" or not LENGTHS.accepts(chunk) or len(chunk) != len(array["shape"]) or 0 in chunk:
+            raise ValueError(f"{name} has chunks that do not fit its shape {tuple(array['shape'])}")
+        if math.prod(chunk) * 8 > _CHUNK_BYTES:
+            raise ValueError(f"{name} has chunks of {_checks.spoken_size(math.prod(chunk) * 8)}")
+        chunks = math.prod(-(-n // size) for n, size in zip(array["shape"], chunk, strict=True))
+        if files is not None and chunks > files:
+            raise ValueError(f"{name} of shape {tuple(array['shape'])} has more chunks than there are files")
+    return shown
+
+
+def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
+    """Raise ValueError unless the attributes of a store describe a run with these arrays."""
+    check_table("the description", found, STORE_KEYS)
+    check_table("progress", found["progress"], PROGRESS_KEYS)
+    check_table("run", found["run"], RUN_KEYS)
+    leaves, constants = found.get("leaves", ["q", "p"]), found.get("constants", [])
+    bad = [name for name in (*leaves, *constants) if not (isinstance(name, str) and NAME.fullmatch(name))]
+    if bad:
+        raise ValueError(f"{bad[0]!r} is not the name of an array")
+    kinds = {name: (tuple(array["shape"]), str(array["data_type"])) for name, array in shown.items()}
+    leaves = [name if name in kinds else store_name(name) for name in leaves]  # format 2 has the names of states
+    missing = set(constants) - set(kinds)
+    if missing:
+        raise ValueError(f"it has no array {min(missing)}")
+    in_parts = "parts" in found
+    entries, members = found["num_entries"] if in_parts else found["progress"]["entries"], found["members"]
+    if found["reduce"] is not None:
+        names = {*_SERIES, "unconverged", "time"}
+        if not names <= set(kinds):
+            raise ValueError(f"it has no array {min(names - set(kinds))}")
+        for name in names:
+            shape = (found["parts"], entries) if in_parts and name != "time" else (entries,)
+            expect(name, kinds, COUNTS if name == "unconverged" else REALS, shape)
+        if in_parts and kinds.get("sums", ((),))[0][:2] != (found["parts"], entries):
+            raise ValueError("it has no sums of its parts")
+        if found["progress"]["complete"] or in_parts:
+            for name in {*leaves, "first_failure"} - ({"t"} - set(kinds)):
+                expect(name, kinds, COUNTS if name == "first_failure" else REALS, (members,), least=1)
+        return
+    check_run(kinds, set(leaves) - ({"t"} - set(kinds)), "time")
+    if kinds["p"][0][:2] != (entries, members):
+        raise ValueError(f"p has shape {kinds['p'][0]}, not ({entries}, {members}, …)")

@@ -1,0 +1,170 @@
+"""The results of a store in parts: those that its parts have published, read lazily."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from lieint_jax.runs._dyadic_sum import blocks, total
+from lieint_jax.runs.store import _store
+from lieint_jax.runs.store._parts import PartsRoot, PartStatus, first_of
+from lieint_jax.runs.store._store import Loaded
+from lieint_jax.types import StepInfo, Trajectory
+
+
+class PublishedArray:
+    """An array of a store in parts, (time, member, …), read where it is indexed; it is NaN where nothing is published.
+
+    Flags are False there, and counts −1. It has the attributes and the indexing of a Zarr array.
+
+    Attributes:
+        dtype, shape: those of the array.
+    """
+
+    def __init__(self, array: Any, entries: int, members: range, statuses: list[PartStatus]) -> None:
+        self._array, self._members, self._statuses = array, members, statuses
+        self.dtype: np.dtype = array.dtype
+        self.shape: tuple[int, ...] = (entries, len(members), *array.shape[2:])
+
+    @property
+    def ndim(self) -> int:
+        """The number of axes."""
+        return len(self.shape)
+
+    @property
+    def size(self) -> int:
+        """The number of values."""
+        return math.prod(self.shape)
+
+    @property
+    def nbytes(self) -> int:
+        """The number of bytes of all values."""
+        return self.size * self.dtype.itemsize
+
+    @property
+    def first_published(self) -> int:
+        """The first member with entries; 0 if there is none."""
+        found = [status.members.start for status in self._statuses if status.progress["entries"]]
+        return found[0] - self._members.start if found else 0
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.asarray(self[...], dtype)
+
+    def __getitem__(self, index: Any) -> np.ndarray:
+        index = _expand_index(index if isinstance(index, tuple) else (index,), self.ndim)
+        times, members = index[0], index[1]
+        if np.ndim(times) > 0 and np.ndim(members) > 0:  # points, not a rectangle
+            return self[...][index]
+        if any(x is None or np.ndim(x) > 1 for x in index[:2]):
+            raise IndexError("the first two indices must be integers, slices or lists of integers")
+        t, m = np.arange(self.shape[0])[times], np.arange(self.shape[1])[members]
+        rows, columns = np.atleast_1d(t), np.atleast_1d(m) + self._members.start
+        if not (rows.size and columns.size):
+            return np.empty((len(rows), len(columns), *self.shape[2:]), self.dtype)[_squeeze(t, m)]
+        block = np.asarray(self._array.oindex[_as_slice(rows), _as_slice(columns)])
+        published = self._published(rows, columns).reshape(*block.shape[:2], *[1] * (self.ndim - 2))
+        block = np.where(published, block, np.asarray(self._fill, self.dtype))
+        return block[_squeeze(t, m)][(*[slice(None)] * (np.ndim(t) + np.ndim(m)), *index[2:])]
+
+    @property
+    def _fill(self) -> Any:
+        return {"f": np.nan, "i": -1}.get(self.dtype.kind, 0)
+
+    def _published(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        starts = [status.members.start for status in self._statuses]
+        entries = np.array([status.progress["entries"] for status in self._statuses])
+        return rows[:, None] < entries[np.searchsorted(starts, columns, side="right") - 1]
+
+
+def _expand_index(index: tuple[Any, ...], ndim: int) -> tuple[Any, ...]:
+    """An index with as many items as there are axes."""
+    where = [k for k, x in enumerate(index) if x is Ellipsis]
+    k = where[0] if where else len(index)
+    after = index[k + 1 :]
+    return (*index[:k], *[slice(None)] * (ndim - len(index) + bool(where)), *after)
+
+
+def _squeeze(t: np.ndarray, m: np.ndarray) -> tuple[Any, ...]:
+    return tuple(0 if np.ndim(x) == 0 else slice(None) for x in (t, m))
+
+
+def _as_slice(numbers: np.ndarray) -> Any:
+    """Consecutive numbers as a slice, which Zarr reads chunk by chunk."""
+    if len(numbers) == numbers[-1] - numbers[0] + 1 and (np.diff(numbers) == 1).all():
+        return slice(int(numbers[0]), int(numbers[-1]) + 1)
+    return numbers
+
+
+def load(root: PartsRoot, thorough: bool, part: int | None = None) -> Loaded:
+    """The published results of all parts or of one, as `_store.load`.
+
+    The attributes have "missing" too, a sentence for each part that is missing, damaged or incomplete.
+
+    Args:
+        root: the root of the store.
+        thorough: look at every file, and count a damaged part as missing.
+        part: which part; None means all.
+
+    Raises:
+        ValueError: a run with `reduce` whose parts are not all complete.
+    """
+    import zarr
+
+    statuses = root.statuses(thorough) if part is None else [root.status(part, thorough)]
+    members = range(statuses[0].members.start, statuses[-1].members.stop)
+    progress = {
+        "commits": sum(status.progress["commits"] for status in statuses),
+        "entries": max(status.progress["entries"] for status in statuses),
+        "steps": min(status.progress["steps"] for status in statuses),
+        "complete": all(status.progress["complete"] for status in statuses),
+    }
+    missing = [sentence for sentence in (status.sentence(root.entries) for status in statuses) if sentence]
+    attributes = root.attributes | {"progress": progress, "missing": missing}
+    group: Any = zarr.open_group(root.storage.arrays(), mode="r", use_consolidated=True)
+    if attributes["reduce"] is not None:
+        if missing:
+            raise ValueError(
+                f"{root.storage.address} is an incomplete run with `reduce`: {first_of(missing)}. Run these parts, "
+                "or read it by xarray.open_zarr"
+            )
+        return Loaded(_series(root, group, statuses, members), None, attributes)
+    arrays = {
+        name: PublishedArray(array, progress["entries"], members, statuses)
+        for name, array in group.arrays()
+        if root.metas[name]["dimension_names"][:2] == ["time", "member"]
+    }
+    times = group["time"][: progress["entries"]]
+    state = _store.states_in(arrays, times, attributes | {"members": len(members)})
+    info: Any = StepInfo(arrays["residual"], arrays["converged"])  # pyright: ignore[reportArgumentType]
+    failed = None if missing else np.asarray(group["first_failure"][members.start : members.stop])
+    return Loaded(Trajectory(times, state, info), failed, attributes)
+
+
+def _series(root: PartsRoot, group: Any, statuses: list[PartStatus], members: range) -> dict[str, np.ndarray]:
+    """The arrays of a complete run with `reduce`, with the series of its parts merged to those of all members."""
+    own = slice(members.start, members.stop)
+    per_part = [name for name, meta in root.metas.items() if meta["dimension_names"][0] == "part"]
+    of = {name: np.asarray(group[name][statuses[0].number : statuses[-1].number + 1]) for name in per_part}
+    along = [
+        name
+        for name, meta in root.metas.items()
+        if meta["dimension_names"][0] == "member" and name not in root.constants
+    ]
+    found = {name: np.asarray(group[name][own]) for name in along} | {"time": group["time"][...]}
+    sums = [
+        (status.members, x[:, : len(blocks(status.members.start, status.members.stop))])
+        for status, x in zip(statuses, of["sums"], strict=True)
+    ]
+    mean = total(sums) / (len(members) * (root.attributes["save_every"] or 1))
+    return found | {
+        "least": of["least"].min(axis=0),
+        "greatest": of["greatest"].max(axis=0),
+        "mean": mean,
+        "residual": of["residual"].max(axis=0),
+        "unconverged": of["unconverged"].sum(axis=0),
+    }

@@ -1,0 +1,195 @@
+"""Runs, read from their stores."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from lieint_jax.runs._job import Summary
+from lieint_jax.runs.store import _part_reading, _store
+from lieint_jax.runs.store._description import UnknownNameError, make
+from lieint_jax.runs.store._integrity import Table
+from lieint_jax.runs.store._open_store import check_store
+from lieint_jax.runs.store._part_reading import PublishedArray
+from lieint_jax.runs.store._parts import PartsRoot, first_of, read_root
+from lieint_jax.runs.store._storage import Address, address, open_storage
+from lieint_jax.runs.store._store import Loaded
+from lieint_jax.runs.store._untrusted import wrap_errors
+from lieint_jax.types import Step, System, Trajectory
+
+_T = TypeVar("_T")
+
+
+def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> tuple[Any, System]:
+    """Open the run in a store, and rebuild its system, for energies and all other quantities.
+
+    Args:
+        path: a folder NAME.zarr, or a URL such as s3://bucket/NAME.zarr, that `ensemble.run` or `lieint run` has
+            written or is writing.
+        own: classes and functions of the system from outside this package, such as a custom potential, by their names
+            in the store. If one is missing, the error message contains its name.
+
+    Returns:
+        The result of `ensemble.run` so far: a `Trajectory` of arrays on disk, which are read when they are indexed, or
+        a `Summary`; and the system with the numbers in the store. With `step_axis=0` they have the member axis. In a
+        store in parts, members of a missing or damaged part, and entries that a part has not reached, are NaN.
+
+    Raises:
+        ValueError: no store, a damaged one (the message lists the files), one of version 0.1, or a name missing in
+            `own`.
+
+    Warns:
+        RuntimeWarning: parts that are missing, damaged or incomplete, by number. Objects in a bucket are not read for
+            this: a damaged one raises an error when it is read, and `lieint info` checks each.
+
+    Example: the energies of all members at the end.
+
+        run, system = li.ensemble.open("run.zarr")
+        energies = jax.vmap(system.energy)(jax.tree.map(lambda x: x[-1], run.state))
+    """
+    path = address(path)
+    stored = read_run(path)
+    system = system_from_store(path, stored.attributes, own)
+    _check_states(path, system, stored)
+    return stored.found, system
+
+
+def open_with_step(path: Address, own: Mapping[str, object] | None = None) -> tuple[Stored, Step]:
+    """The run in a store and its step; arguments and errors as in `open_run`."""
+    stored = read_run(path)
+    system = system_from_store(path, stored.attributes, own)
+    step = _from_store(path, stored.attributes, "step", Step, own, system)
+    _check_states(path, step.system, stored)
+    return stored, step
+
+
+class Stored(NamedTuple):
+    """A run in a store.
+
+    Attributes:
+        found: a `Trajectory` of arrays on disk, or a `Summary`.
+        failed: the first step of each member that did not converge, or −1; before the run is complete, the first step
+            between two of its saves.
+        attributes: those of the store.
+    """
+
+    found: Any
+    failed: np.ndarray
+    attributes: Table
+
+
+def read_run(path: Address) -> Stored:
+    """The run in a store, checked as far as its arrays show."""
+    loaded = _load(path)
+    found, attributes = loaded.found, loaded.attributes
+    if attributes.get("missing"):
+        warnings.warn(f"{path} is incomplete: {first_of(attributes['missing'])}", RuntimeWarning, stacklevel=3)
+    if not isinstance(found, Trajectory) and not attributes["progress"]["complete"]:
+        raise ValueError(f"{path} is an incomplete run with `reduce`: resume it, or read it by xarray.open_zarr")
+    return _stored(loaded)
+
+
+def _check_states(path: Address, system: System, stored: Stored) -> None:
+    if isinstance(stored.found, Trajectory) and len(stored.found.t):
+        check_system(path, system, stored.found, stored.attributes["run"]["step_axis"] == 0)
+
+
+def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]:
+    """The published part of the run in a store, checked, and the store's attributes.
+
+    It is a `Trajectory` of arrays that are read where they are indexed, or the arrays of a reduced run by name.
+
+    Args:
+        path: the store.
+        thorough: of a store in parts, look at every file; None does so on a disk.
+    """
+    loaded = _load(path, thorough)
+    return loaded.found, loaded.attributes
+
+
+def _load(path: Address, thorough: bool | None = None) -> Loaded:
+    if "parts" in check_store(path):
+        storage = open_storage(path)
+        root = read_root(storage)
+        assert root is not None
+        return _part_reading.load(PartsRoot(storage, root), not storage.is_remote if thorough is None else thorough)
+    assert isinstance(path, Path)
+    with wrap_errors(path):
+        return _store.load(path)
+
+
+def read_part(root: PartsRoot, k: int) -> Stored:
+    """The run of part k of a store."""
+    return _stored(_part_reading.load(root, False, k))
+
+
+def system_from_store(path: Address, attributes: Table, own: Mapping[str, object] | None = None) -> System:
+    """The system of the run in a store of these attributes."""
+    return _from_store(path, attributes, "system", System, own)
+
+
+def _from_store(
+    path: Address,
+    attributes: Table,
+    what: str,
+    kind: type[_T],
+    own: Mapping[str, object] | None,
+    system: System | None = None,
+) -> _T:
+    """The step, with this system, or the system of the run in a store."""
+    constants = _store.constants(path, attributes["constants"])
+    with wrap_errors(path, passed=(UnknownNameError,)):
+        found = make(attributes["description"][what], constants, own or {}, system)
+        if not isinstance(found, kind):
+            raise ValueError(f"its description is not that of a {what}")
+        return found
+
+
+def open_complete(path: Path) -> Stored:
+    """The run in a complete store."""
+    return _stored(_store.load(path))
+
+
+def _stored(loaded: Loaded) -> Stored:
+    found, failed, attributes = loaded
+    if isinstance(found, Trajectory):
+        failed = _failures(found, attributes["save_every"]) if failed is None else failed
+        return Stored(found, failed, attributes)
+    state = _store.states_in(found, found["time"][-1], attributes)
+    series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
+    failed = found["first_failure"]
+    return Stored(Summary(found["time"], **series, state=state, failed=failed), failed, attributes)
+
+
+def _failures(found: Trajectory, save_every: int | None) -> np.ndarray:
+    """The first step of the first save interval in which a step of each member failed, or −1, from the reports."""
+    bad = ~np.asarray(found.info.converged[...])
+    first = np.maximum(bad.argmax(axis=0) - 1, 0) * (save_every or 1)
+    return np.where(bad.any(axis=0), first, -1)
+
+
+def check_system(path: Address, system: System, run: Trajectory, own_system: bool) -> None:
+    """Raise UnreadableError unless the run in a file has states of this system.
+
+    Args:
+        path: the file.
+        system: the system; with the member axis on its numbers if `own_system`.
+        run: the run.
+        own_system: True if each member has a system of its own.
+    """
+    members = run.state.p.shape[1]
+    with wrap_errors(path):
+        if own_system and any(np.shape(leaf)[:1] != (members,) for leaf in jax.tree.leaves(system)):
+            raise ValueError(f"its system does not have one value for each of its {members} members")
+        m = run.state.p.first_published if isinstance(run.state.p, PublishedArray) else 0
+        first = jax.tree.map(lambda x: x[m], system) if own_system else system
+        state = jax.tree.map(lambda x: jnp.asarray(x[0, m]), run.state)
+        first.check(state)
+        if jax.eval_shape(lambda s, z: s.energy(z), first, state).shape != ():
+            raise ValueError("the energy of its system is not defined for these states")

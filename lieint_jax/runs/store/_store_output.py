@@ -1,0 +1,189 @@
+"""Results in a store, and its checkpoints."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from lieint_jax.runs import _layout
+from lieint_jax.runs._job import Job, first_entry, gather_rows, local_rows, reduce_rows
+from lieint_jax.runs._layout import Layout, Numbers
+from lieint_jax.runs._loop import Carry, Range, Saved
+from lieint_jax.runs.store import _store
+from lieint_jax.runs.store._store import leaves_by_name, state_from_leaves, store_name
+from lieint_jax.types import StepInfo
+
+Pending = Any  # saved rows, or the series of a reduction by name
+SLAB = 8  # chunks of members that are joined along time, and written, at once
+_CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save interval
+
+
+class StoreOutput:
+    """Results in a store, written chunk by chunk, with a checkpoint after each chunk."""
+
+    defers_interrupts = True
+
+    def __init__(self, job: Job, layout: Layout, writer: _store.BackgroundWriter) -> None:
+        self._job, self._layout, self._writer = job, layout, writer
+        self._entries = writer.progress["entries"]  # committed so far
+        self._pending: list[tuple[Pending, int]] = []
+        self._since = 0.0
+        self._next: _store.Commit | None = None  # the commit that is being written
+        self.buffer_rows = int(writer.attributes["time_chunk"])
+
+    @property
+    def _pending_rows(self) -> int:
+        return sum(number for _, number in self._pending)
+
+    @property
+    def free_rows(self) -> int:
+        """The number of saves until the current chunk is full."""
+        return self.buffer_rows - (self._entries + self._pending_rows) % self.buffer_rows
+
+    def restore(self) -> tuple[Carry, int, int] | None:
+        """The carry and the numbers of steps and of saves of the run in the store, or None."""
+        done = self._writer.progress
+        if not done["commits"]:
+            return None
+        part = self._layout.computed_members
+
+        def read(name: str) -> Any:
+            return self._writer.read(f"checkpoint/{name}", (self._writer.slot, slice(part.start, part.stop)))
+
+        change = Range(*map(read, Range._fields)) if self._job.reduction is not None else None
+        info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
+        state = state_from_leaves({name: read(name) for name in leaves_by_name(self._job.states)})
+        carry = Carry(state, info, read("failed"), change)  # pyright: ignore[reportArgumentType]
+        return _layout.placed(self._layout, carry, part.start), done["steps"], done["entries"] - 1
+
+    def begin(self, carry: Carry) -> None:
+        """Receive the entry of the start."""
+        if self._job.reduction is None:
+            self._pending.append((jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state)), 1))
+        else:
+            self._pending.append((first_entry(self._job), 1))
+
+    def append(self, saved: Saved, number: int) -> None:
+        """Receive `number` saved rows."""
+        if self._job.reduction is not None:
+            rows: Pending = reduce_rows(gather_rows(self._layout, saved, number), self._job)
+        else:
+            rows = local_rows(saved, number)
+        self._pending.append((rows, number))
+
+    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
+        """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
+        self._settle(wait=False)
+        self._since += seconds
+        last = self._entries + self._pending_rows > self._job.num_saves
+        whole = self._pending_rows and (self._entries + self._pending_rows) % self.buffer_rows == 0
+        if last or whole or (not self._pending_rows and (stop or self._since > _CHECKPOINT_EVERY)):
+            self._commit(carry, done, last)
+
+    def _commit(self, carry: Carry, done: int, last: bool) -> None:
+        self._settle(wait=True)
+        pending, first, writer = self._pending, self._entries, self._writer
+        number = writer.progress["commits"] + 1
+        self._entries, self._pending, self._since = first + self._pending_rows, [], 0.0
+        row = first // self.buffer_rows if pending else None
+        commits = 0 if last else number  # reset: it depends on interruptions
+        progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
+        self._next = _store.Commit(row, progress)
+        writer.write(partial(self._parts, carry, pending, first, (number, done), last), self._next)
+
+    def _settle(self, wait: bool) -> None:
+        """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
+        while self._next is not None:
+            missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.is_written)[0]
+            if not missing:
+                checksums = _layout.gather_row(self._layout.mesh, self._writer.checksums(self._next))
+                self._writer.publish(self._next, checksums.max(axis=0))
+                self._next = None
+            elif not wait:
+                return
+            else:
+                time.sleep(0.002)
+
+    def _parts(
+        self, carry: Carry, pending: list[tuple[Pending, int]], first: int, commit: tuple[int, int], last: bool
+    ) -> Any:
+        """The parts of a commit (its number, number of steps), one by one, computed by the background thread."""
+        layout, part, slot = self._layout, _store.Part, commit[0] % 2
+        mine = layout.local_members.start
+        series = self._job.reduction is not None
+        if len(layout.local_members):
+            host = {name: _layout.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
+            for name, x in host.items():
+                yield part(f"checkpoint/{name}", (slot, mine), x[None])
+            if last:
+                kept = {"first_failure": host["failed"]}
+                if series:
+                    kept |= {name: host[name] for name in leaves_by_name(self._job.states)}
+                    if self._has_own_times:
+                        kept["t"] = self._own_times(slice(-1, None), layout.local_members)[0]
+                for name, x in kept.items():
+                    yield part(store_name(name), (mine,), x)
+        if jax.process_index() == 0:
+            yield part("checkpoint/commit", (slot,), np.array([commit]))
+        if not pending:
+            return
+        end = first + sum(number for _, number in pending)
+        if jax.process_index() == 0:
+            yield part("time", (first,), self._job.times[first:end])
+        if not series:
+            yield from self._slabs(pending, slice(first, end))
+        elif jax.process_index() == 0:
+            for name in pending[0][0]:
+                yield part(name, (first,), np.concatenate([values[name] for values, _ in pending]))
+
+    def _slabs(self, pending: list[tuple[Pending, int]], entries: slice) -> Iterator[_store.Part]:
+        """The rows of this process' members, joined along time for a few chunks at once: memory has no copy of all."""
+        members, across = self._layout.local_members, SLAB * int(self._writer.attributes["member_chunk"])
+        slabs = [members[k : k + across] for k in range(0, len(members), across)]
+        saved = [leaves_by_name(state) | info._asdict() for (info, state), _ in pending]
+        for name in saved[0]:
+            pieces = [_layout.local_part(self._layout, rows[name], 1) for rows in saved]
+            for slab in slabs:
+                own = slice(slab.start - members.start, slab.stop - members.start)
+                rows = [piece[:, own] for piece in pieces]
+                joined = np.concatenate(rows) if len(rows) > 1 else rows[0]
+                yield _store.Part(store_name(name), (entries.start, slab.start), joined)
+        if self._has_own_times:
+            for slab in slabs:
+                yield _store.Part("t", (entries.start, slab.start), self._own_times(entries, slab))
+
+    @property
+    def _has_own_times(self) -> bool:
+        """True if the store has an array "t", since members start at different times."""
+        return self._job.t0 is not None and not self._job.shares_time
+
+    def _own_times(self, entries: slice, members: range) -> np.ndarray:
+        """The values of the array "t" for these members."""
+        return self._job.state_times(entries, slice(members.start, members.stop))
+
+    def can_stop(self) -> bool:
+        """True if everything so far is committed."""
+        if self._pending:
+            return False
+        self._settle(wait=True)
+        return True
+
+    def interrupt_message(self, done: int, num_steps: int) -> str:
+        """The message for a user who interrupted the run."""
+        return f"stopped after {done} of {num_steps} steps, all of them in {self._writer.path}; resume to continue"
+
+    def result(self, carry: Carry) -> None:
+        """Wait until everything is written."""
+        self._settle(wait=True)
+        _layout.barrier(self._layout.mesh)
+
+
+def _leaves_of_carry(carry: Carry) -> dict[str, Numbers]:
+    """The arrays of a carry by name."""
+    change = carry.change._asdict() if carry.change is not None else {}
+    return {**leaves_by_name(carry.state), "failed": carry.failed, **carry.info._asdict(), **change}
