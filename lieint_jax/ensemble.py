@@ -1,9 +1,10 @@
 """The older names of `li.run` and `li.open`, and what runs of many processes and machines need.
 
 `run` and `open` return the arrays of a run, a `Trajectory` or a `Summary`, without its step; `li.run` and `li.open`
-return a `li.Run`, which answers questions. `archives` reads files of results one array at a time. `over_members` applies any function of one member to all members, over all
-devices; `count_cores` returns the number of cores that this process may use, `part_of_task` the part of this task in a
-job array, `part_of_text` that of an option K/N or auto; `peak_memory` the memory of a run, beforehand.
+return a `li.Run`, which answers questions. `archives` reads files of results one array at a time. `over_members`
+applies any function of one member to all members, over all devices; `count_cores` returns the number of cores that this
+process may use, `part_of_task` the part of this task in a job array, `part_of_text` that of an option K/N or auto;
+`peak_memory` the memory of a run, beforehand.
 """
 
 from __future__ import annotations

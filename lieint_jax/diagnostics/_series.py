@@ -5,16 +5,19 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from lieint_jax import _checks
+from lieint_jax.runs import Run
 from lieint_jax.types import System, Trajectory, energy_less_work
 from lieint_jax.types.members import Axis, map_over_run
 from lieint_jax.types.shapes import DelayPlot, InvariantSeries, MomentumSeries, TimeSeries
 
 
-def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> InvariantSeries:
+def energy_error(
+    system: System | Run, trajectory: Trajectory | None = None, system_axis: Axis = "auto"
+) -> InvariantSeries:
     """H(z_n) − W_n − H(z₀) + W₀ in units of energy; W is `state.work`, 0 if it is not counted.
 
     Args:
-        system: the system of the trajectory.
+        system: a run, and nothing else; or the system of a trajectory.
         trajectory: a trajectory of one body, or of a batch with the axes (time, member) of `ensemble.run`.
         system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading axis
             of the leaves (`step_axis=0` of `ensemble.run`); "auto" infers it from the shapes.
@@ -25,22 +28,38 @@ def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "au
     Raises:
         ValueError: the shapes contradict `system_axis`, or are ambiguous; the axes are (member, time).
     """
-    kept = map_over_run(energy_less_work, system, trajectory, system_axis)
+    if isinstance(system, Run):
+        return system.energy_error()
+    kept = map_over_run(energy_less_work, system, _given(trajectory), system_axis)
     return kept - kept[:1]
 
 
-def momentum_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> MomentumSeries:
+def momentum_error(
+    system: System | Run, trajectory: Trajectory | None = None, system_axis: Axis = "auto"
+) -> MomentumSeries:
     """Φ(z_n) − Φ(z₀) of the momentum map Φ, (n+1, k) or (n+1, members, k); arguments as in `energy_error`."""
-    momentum = map_over_run(lambda own, z: own.momentum(z), system, trajectory, system_axis)
+    if isinstance(system, Run):
+        return system.momentum_error()
+    momentum = map_over_run(lambda own, z: own.momentum(z), system, _given(trajectory), system_axis)
     return momentum - momentum[:1]
 
 
-def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> InvariantSeries:
+def constraint_error(
+    system: System | Run, trajectory: Trajectory | None = None, system_axis: Axis = "auto"
+) -> InvariantSeries:
     """The distance of q from the configuration space, (n+1,) or (n+1, members): |q|² − 1 for unit quaternions.
 
     Arguments as in `energy_error`.
     """
-    return map_over_run(lambda own, z: own.phase_space.defect(z), system, trajectory, system_axis)
+    if isinstance(system, Run):
+        return system.constraint_error()
+    return map_over_run(lambda own, z: own.phase_space.defect(z), system, _given(trajectory), system_axis)
+
+
+def _given(trajectory: Trajectory | None) -> Trajectory:
+    if trajectory is None:
+        raise ValueError("give a li.Run, or a system and its trajectory")
+    return trajectory
 
 
 def delay(series: TimeSeries, lag: int) -> DelayPlot:

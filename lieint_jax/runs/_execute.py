@@ -10,7 +10,7 @@ import numpy as np
 from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._clock import GridClock, more_times
 from lieint_jax.runs._engine import Engine
-from lieint_jax.runs._job import MAX_NAMED, Job, Output, Saves, list_members
+from lieint_jax.runs._job import MAX_NAMED, Job, Output, Saves, gather_rows, list_members, reduce_rows
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Carry, Saved
 from lieint_jax.runs._progress import Bar, CallLength, Interrupts
@@ -32,7 +32,9 @@ def execute(engine: Engine, layout: Layout, output: Output, progress: bool) -> S
             carry, rows = loop.run_intervals(carry, done, saved, ends)
             done, saved = done + steps, saved + saves
             if saves:
-                output.append(rows, saves)
+                output.append(
+                    rows if job.reduction is None else reduce_rows(gather_rows(layout, rows, saves), job), saves
+                )
             del rows  # while the next call computes others
             bar.update(steps)
             loop.show_progress(carry, done, bar)

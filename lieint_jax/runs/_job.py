@@ -21,6 +21,7 @@ _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save int
 _OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
 CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
 MAX_NAMED = 5  # members in a message
+Series = dict[str, np.ndarray]  # of a reduction, by name
 _CHUNKS_OF_BUFFER = _BUFFER_BYTES // _OBJECT_BYTES  # so many such chunks fill the buffer
 
 
@@ -224,8 +225,8 @@ class Output(Protocol):
     def begin(self, carry: Carry) -> None:
         """Receive the entry of the start; not called for a resumed run."""
 
-    def append(self, saved: Saved, number: int) -> None:
-        """Receive `number` saved rows."""
+    def append(self, saved: Saved | Series, number: int) -> None:
+        """Receive `number` saved rows, or those of the series of a reduction."""
 
     def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
         """Receive, after each call of the loop, a carry from which the run can be resumed, and write it if it is time.
@@ -291,14 +292,14 @@ def gather_rows(layout: Layout, saved: Saved, number: int) -> Saved:
     return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
 
 
-def first_entry(job: Job) -> dict[str, np.ndarray]:
+def first_entry(job: Job) -> Series:
     """The entry of the start in the series of a reduction."""
     zero = np.zeros(1, job.dtype)
     found = dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
     return found if job.part is None else found | {"sums": np.zeros((1, len(blocks(*_ends(job.part)))), job.dtype)}
 
 
-def reduce_rows(rows: Saved, job: Job) -> dict[str, np.ndarray]:
+def reduce_rows(rows: Saved, job: Job) -> Series:
     """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
 
     For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.

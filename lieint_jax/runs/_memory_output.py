@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from lieint_jax.runs import _layout, _loop
-from lieint_jax.runs._job import Job, Saves, Summary, first_entry, gather_rows, reduce_rows
+from lieint_jax.runs._job import Job, Saves, Series, Summary, first_entry, gather_rows
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Carry, Saved
 from lieint_jax.types import State, Trajectory
@@ -22,7 +22,7 @@ class MemoryOutput:
     def __init__(self, job: Job, layout: Layout, earlier: Saves | None = None) -> None:
         self._job, self._layout, self._entries, self._earlier = job, layout, 0, earlier
         self.buffer_rows = self.free_rows = job.buffer_rows(job.members)
-        self._series: list[dict[str, np.ndarray]] = []
+        self._series: list[Series] = []
         self._out: Saved | None = None
 
     def restore(self) -> tuple[Carry, int, int] | None:
@@ -58,12 +58,11 @@ class MemoryOutput:
         self._allocate(first, 0)
         self._put(jax.tree.map(lambda x: x[None], first))
 
-    def append(self, saved: Saved, number: int) -> None:
-        rows = gather_rows(self._layout, saved, number)
-        if self._job.reduction is None:
-            self._put(rows)
+    def append(self, saved: Saved | Series, number: int) -> None:
+        if isinstance(saved, dict):
+            self._series.append(saved)
         else:
-            self._series.append(reduce_rows(rows, self._job))
+            self._put(gather_rows(self._layout, saved, number))
 
     def _put(self, rows: Saved) -> None:
         number = len(jax.tree.leaves(rows)[0])

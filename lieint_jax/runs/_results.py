@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable
 from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
+import jax
+import numpy as np
 from jax.errors import ConcretizationTypeError, TracerArrayConversionError
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.runs import _layout, processes
+from lieint_jax.runs import _layout, _loop, processes
 from lieint_jax.runs._engine import engine_of
 from lieint_jax.runs._execute import execute
-from lieint_jax.runs._job import Job, Output, Saves
+from lieint_jax.runs._job import Job, Output, Saves, first_entry
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates, made_states
@@ -24,10 +28,10 @@ from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._part_of_task import checked_part, part_of_task
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._into_store import run_into_store, run_part_into_store
-from lieint_jax.runs.store._reading import Stored
+from lieint_jax.runs.store._reading import Stored, open_complete
 from lieint_jax.runs.store._storage import Url, address
-from lieint_jax.runs.store._store_options import StoreOptions
-from lieint_jax.types import State, Step
+from lieint_jax.runs.store._store_options import StoreOptions, checked_path
+from lieint_jax.types import State, Step, Trajectory
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -139,10 +143,52 @@ def compute(
             return Results(job, engine.name, saves)
         resume = resume or part is not None
         if in_parts or remote:
-            stored = run_part_into_store(engine, whole, mesh, options, split, k, resume, integrate)
+            stored = run_part_into_store(job, engine.name, whole, mesh, options, split, k, resume, integrate)
         else:
-            stored = run_into_store(engine, mesh, options, resume, integrate)
+            stored = run_into_store(job, engine.name, mesh, options, resume, integrate)
     return Results(job, engine.name, Saves(stored.found, stored.failed), stored, str(options.path))
+
+
+def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions) -> Stored:
+    """The run of these saves, which an engine of this name computed, written into a new store: all of it or nothing."""
+    options = store if isinstance(store, StoreOptions) else StoreOptions(store)
+    path = checked_path(options.path)
+    if isinstance(path, Url):
+        raise ValueError(f"a run is saved to a folder NAME.zarr; li.run(…, store={str(path)!r}) writes to a bucket")
+    if path.exists():
+        raise ValueError(f"{path.name} exists and is not overwritten: choose another path")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
+    try:
+        hidden = StoreOptions(unfinished, options.attributes)
+        run_into_store(job, engine, _layout.checked_mesh(None), hidden, False, partial(_feed, job, saves))
+        os.rename(unfinished, path)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return open_complete(path)
+
+
+def _feed(job: Job, saves: Saves, layout: Layout, output: Output) -> None:
+    """Give an output all saves of a run."""
+    found, saved = saves.found, 0
+    if isinstance(found, Trajectory):
+        rows: Any = found.info, found.state if job.t0 is None else found.state._replace(t=None)
+        states, reduced = jax.tree.map(lambda x: x[0], rows[1]), None
+    else:
+        rows = {name: getattr(found, name) for name in first_entry(job)}
+        states, reduced = found.state if job.t0 is None else found.state._replace(t=None), found.least
+    carry = _loop.start(states, reduced)._replace(failed=saves.failed)  # pyright: ignore[reportArgumentType]
+    output.begin(carry)
+    while saved < job.num_saves:
+        number = min(output.free_rows, job.num_saves - saved)
+        block = jax.tree.map(lambda x: np.asarray(x)[saved + 1 : saved + 1 + number], rows)  # noqa: B023
+        output.append(block, number)
+        saved += number
+        if isinstance(found, Trajectory):
+            carry = carry._replace(state=jax.tree.map(lambda x: x[-1], block[1]))
+        output.checkpoint(carry, int(job.nodes[saved]), 0.0, stop=False)
+    if not job.num_saves:
+        output.checkpoint(carry, 0, 0.0, stop=False)
+    output.result(carry)
 
 
 def _check_options(step_axis: int | None, reduce: object, resume: bool, store: object) -> None:

@@ -12,7 +12,6 @@ from jax.sharding import Mesh
 
 from lieint_jax.runs import _layout
 from lieint_jax.runs._dyadic_sum import blocks
-from lieint_jax.runs._engine import Engine
 from lieint_jax.runs._job import CHUNK_MEMBERS, Job
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs.store import _identity, _store
@@ -37,17 +36,17 @@ from lieint_jax.runs.store._store_output import StoreOutput
 
 
 def run_into_store(
-    engine: Engine,
+    job: Job,
+    engine: str,
     mesh: Mesh,
     options: StoreOptions,
     resume: bool,
     integrate: Callable[[Layout, StoreOutput], object],
 ) -> Stored:
-    """Let `integrate` fill a store from the start or from its last checkpoint, and return the stored results."""
-    job = engine.job
+    """Let `integrate`, by the engine of this name, fill a store from the start or from its last checkpoint."""
     path, leader = checked_path(options.path), jax.process_index() == 0
     check_json(options.attributes)
-    described = _identity.description(job, engine.name, options.attributes.get("scenario"))
+    described = _identity.description(job, engine, options.attributes.get("scenario"))
     chunk = min(_layout.layout_of(mesh, job.members).each, CHUNK_MEMBERS)
     attributes = attributes_of(job, options, described, chunk, job.buffer_rows(chunk))
     _identity.check_processes(mesh, described, store=path.name, resume=resume)
@@ -84,7 +83,8 @@ def _refuse_parts(path: Path, attributes: Table) -> None:
 
 
 def run_part_into_store(
-    engine: Engine,
+    job: Job,
+    engine: str,
     whole: Job,
     mesh: Mesh,
     options: StoreOptions,
@@ -98,7 +98,8 @@ def run_part_into_store(
     The first part to come creates the store; every part checks that the store is that of its own run.
 
     Args:
-        engine: that of the part's job.
+        job: that of the part.
+        engine: the name of its engine.
         whole: the job of all members.
         mesh: the devices.
         options: the store.
@@ -109,7 +110,7 @@ def run_part_into_store(
     """
     storage = open_storage(checked_path(options.path))
     check_json(options.attributes)
-    described = _identity.description(whole, engine.name, options.attributes.get("scenario"))
+    described = _identity.description(whole, engine, options.attributes.get("scenario"))
     found = read_root(storage)
     _refuse_overwriting(storage.address, found is not None, resume)
     if found is not None:
@@ -120,10 +121,10 @@ def run_part_into_store(
             storage.create(_store.ROOT, files[_store.ROOT])
         root = _same_run(storage, found or read_root(storage), described, split)
         join(storage, root, files)
-        layout = _layout.layout_of(mesh, engine.job.members)
-        with contextlib.closing(PartWriter(root, k, _identity.digest_of_states(engine.job.initial))) as writer:
+        layout = _layout.layout_of(mesh, job.members)
+        with contextlib.closing(PartWriter(root, k, _identity.digest_of_states(job.initial))) as writer:
             if not writer.progress["complete"]:
-                integrate(layout, StoreOutput(engine.job, layout, writer))
+                integrate(layout, StoreOutput(job, layout, writer))
     return read_part(root, k)
 
 

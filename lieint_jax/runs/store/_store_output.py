@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from lieint_jax.runs import _layout
-from lieint_jax.runs._job import Job, first_entry, gather_rows, local_rows, reduce_rows
+from lieint_jax.runs._job import Job, Series, first_entry, local_rows
 from lieint_jax.runs._layout import Layout, Numbers
 from lieint_jax.runs._loop import Carry, Range, Saved
 from lieint_jax.runs.store import _store
@@ -68,13 +68,9 @@ class StoreOutput:
         else:
             self._pending.append((first_entry(self._job), 1))
 
-    def append(self, saved: Saved, number: int) -> None:
+    def append(self, saved: Saved | Series, number: int) -> None:
         """Receive `number` saved rows."""
-        if self._job.reduction is not None:
-            rows: Pending = reduce_rows(gather_rows(self._layout, saved, number), self._job)
-        else:
-            rows = local_rows(saved, number)
-        self._pending.append((rows, number))
+        self._pending.append((saved if isinstance(saved, dict) else local_rows(saved, number), number))
 
     def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""

@@ -1,0 +1,151 @@
+"""`li.run` makes a run, and `li.open` reads one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from jax.sharding import Mesh
+from jax.typing import ArrayLike
+
+from lieint_jax.runs._loop import Reduction
+from lieint_jax.runs._made_states import MakeStates
+from lieint_jax.runs._member_axis import is_batch, with_member_axis
+from lieint_jax.runs._results import compute, untransformed
+from lieint_jax.runs._run import Run, computed_run, stored_run
+from lieint_jax.runs.store._reading import open_with_step
+from lieint_jax.runs.store._storage import address
+from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.types import State, Step
+
+
+@untransformed("li.run")
+def run(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = None,
+    num_steps: int | None = None,
+    *,
+    save_every: int | None = 1,
+    own_step: bool = False,
+    reduce: Reduction | Literal["energy"] | None = None,
+    mesh: Mesh | None = None,
+    store: str | Path | StoreOptions | None = None,
+    progress: bool = True,
+    resume: bool = False,
+    times: ArrayLike | None = None,
+    save_at: ArrayLike | None = None,
+    part: tuple[int, int] | Literal["auto"] | None = None,
+    members: int | None = None,
+    threads: int | None = None,
+) -> Run:
+    """Run a step from initial states, of one body or of many, in memory or into a store that can be resumed.
+
+    On a CPU the loop is machine code for vectors of members, in one thread per core (`lieint_jax.native`). Steps that
+    cannot be compiled this way (a LAPACK call that depends on the state, very many bodies) and other devices use XLA.
+
+    The bits of machine code depend neither on threads, processes and parts nor on whether the run was resumed; those of
+    XLA may depend on the numbers of members and devices. With `jax.distributed`, every process calls this with the same
+    arguments and gets the same results.
+
+    Args:
+        step: a scheme's step; with `own_step=True` its leaves carry the member axis too (one inertia per member).
+        states: the initial state of one body; or those of a batch, whose arrays have a leading member axis, so one axis
+            more. A time t of shape () is shared by all members, and so is one of shape (members,) whose values are
+            equal: then what depends on it alone, such as the position on an orbit, is computed once per step. `work` of
+            shape () is that of every member. Or a function of member numbers (m,), which returns the states of these
+            members: then a part makes only its own. It is called for consecutive numbers, up to 65 536 at once, must
+            return the same for the same numbers in every process, and shares a time only by one of shape ().
+        dt: step size, the same for all members.
+        num_steps: number of steps, a multiple of `save_every`.
+        save_every: number of steps between saved states; None saves the last state only.
+        own_step: each member has a step of its own, made by `jax.vmap`.
+        reduce: a quantity, "energy" (minus the work, where states have it) or a function (step, state) ↦ scalar.
+            Intermediate states are not saved; the result has instead, for each save interval, the least, greatest and
+            mean change of the quantity over all steps and members. All three are NaN where the quantity was NaN.
+        mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all. Machine code uses as many threads
+            as the mesh has devices of this process, by default one per core.
+        store: a folder NAME.zarr, a URL (s3://, gs://, az:// or memory://BUCKET/NAME.zarr), or `StoreOptions`, to which
+            results are written during the run; memory then holds two rows of chunks of them: see `peak_memory`.
+            Credentials for a URL are those in the environment.
+        progress: show a progress bar on stderr, if that is a terminal.
+        resume: continue the run in `store` from its last checkpoint; start it if there is no store.
+        times: in place of dt and num_steps, the times (N+1,) of the boundaries of all members' steps, as in
+            `integrate`.
+        save_at: in place of save_every, output times (m,) as in `integrate`; since the start, if the members start at
+            different times. The run ends at the last of them.
+        part: (k, n) integrates part k = 0 … n − 1 of the members only, as one of n processes that need not run at the
+            same time or communicate. Each writes its own part of `store`; it continues this part, if the store
+            has it, and starts it otherwise. "auto" is the number of this task in an array of tasks: see
+            `part_of_task`. In machine code all parts have the bits of one process.
+        members: the number of members, where `states` is a function.
+        threads: the number of threads of machine code.
+
+    Returns:
+        A `Run`. Its t is t₀ + nΔt, where t₀ is the shared time of the members, or 0; times since the start, if members
+        start at different times; nΔt, if the step has its `own_time` and the run is a batch, whose members have their
+        own times in `run.state.t`. With `store`, its arrays are read from disk when they are indexed. With `part`, it
+        is that of the members of the part; `li.open` returns that of all.
+
+    Raises:
+        TypeError: the call is inside of jit, vmap, grad or jvp: use `integrate` there.
+        ValueError: invalid counts or times; states off the group, not finite, or without the time that a driven system
+            needs; members whose first step fails; results larger than this machine's memory; a store that exists
+            (without `resume`), or that is damaged, holds another run or cannot be compared with this one (with
+            `resume`); attributes that a store cannot hold; `reduce` does not return a real scalar, or not a finite one
+            at the start; processes that were given different runs.
+        KeyboardInterrupt: interrupted; with `store`, after the chunk has been written.
+        processes.LostProcess: another process of this run is gone.
+
+    Warns:
+        RuntimeWarning: a store that cannot be resumed, since the step refers to something that cannot be compared;
+            members that fail to converge later, with the first such step of each; a time of the states
+            so large that neighboring floating-point numbers differ by more than dt/10⁶.
+    """
+    batch = callable(states) or is_batch(step, states, own_step)
+    if own_step and not batch:
+        raise ValueError("own_step=True is for a batch, and these states are of one body")
+    computed = compute(
+        step,
+        states if batch else with_member_axis(states),
+        dt,
+        num_steps,
+        save_every=None if save_at is not None and save_every == 1 else save_every,
+        step_axis=0 if own_step else None,
+        reduce=reduce,
+        mesh=mesh,
+        store=store,
+        progress=progress,
+        resume=resume,
+        times=times,
+        save_at=save_at,
+        part=part,
+        members=members,
+        threads=threads,
+        batch=batch,
+    )
+    return computed_run(computed, batch)
+
+
+def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> Run:
+    """The run in a store, as `run` has written it or is writing it. Its arrays are read when they are indexed.
+
+    Args:
+        path: a folder NAME.zarr, or a URL such as s3://bucket/NAME.zarr.
+        own: classes and functions of the step and its system from outside this package, such as a custom potential, by
+            their names in the store. If one is missing, the error message contains its name.
+
+    Returns:
+        The run as far as it is in the store. In a store in parts, members of a missing or damaged part, and entries
+        that a part has not reached, are NaN.
+
+    Raises:
+        ValueError: no store, a damaged one (the message lists the files), one of version 0.1, or a name missing in
+            `own`; a reduced run that is not complete.
+
+    Warns:
+        RuntimeWarning: parts that are missing, damaged or incomplete, by number.
+    """
+    place = address(path)
+    return stored_run(str(place), *open_with_step(place, own))
