@@ -88,6 +88,10 @@ def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
     return made
 
 
+def _cayley(x: Scalar) -> Scalar:
+    return jnp.ones_like(x)
+
+
 def _symplectic(x: Scalar) -> Scalar:
     return 2 / (1 + jnp.sqrt(1 - x))
 
@@ -113,7 +117,7 @@ def _exponential(x: Scalar) -> Scalar:
     return numerator / denominator
 
 
-kappa_cayley = Kappa(callable_pytree(jnp.ones_like), name="cayley", constant=True)
+kappa_cayley = Kappa(callable_pytree(_cayley), name="cayley", constant=True)
 kappa_exponential = Kappa(callable_pytree(_exponential), name="exponential", limit=math.pi)
 kappa_symplectic = Kappa(callable_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar", symplectic=True)
 KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)

@@ -103,7 +103,9 @@ class Engine:
         state = jax.tree.map(_member_shape, job.states)
         t0 = job.t0 if job.t0 is None or job.shares_time else _member_shape(job.t0)
         rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
-        return _loop.intervals(Interval(job.reduction, together), self._axes, (step, state, t0, job.clock, rests))
+        return _loop.intervals(
+            Interval(job.reduction, job.condition, together), self._axes, (step, state, t0, job.clock, rests)
+        )
 
     def _examined(self) -> Known:
         """What this engine makes of the loop."""
@@ -127,7 +129,14 @@ class Engine:
         ends = np.ones(2, _loop.step_dtype())
         rests = None if job.rests is None else np.full(ends.shape, job.first_dt / 2, job.dtype)
         spans = Span(0 * ends, ends, rests, np.ones(ends.shape, bool))
-        return _loop.start(job.states, value), step, plain, origin._replace(quantity=value), spans, np.int32(1)
+        return (
+            _loop.start(job.states, job.first_change(value, None)),
+            step,
+            plain,
+            origin._replace(quantity=value),
+            spans,
+            np.int32(1),
+        )
 
     def _difference(self, arguments: tuple[Tree, ...]) -> str:
         """In what a first step of a few members differs from XLA's; or ""."""
@@ -155,11 +164,13 @@ class Engine:
         states = _layout.placed(layout, job.states)
         origin = Origin((_layout.replicated if job.shares_time else _layout.placed)(layout, job.t0), job.clock, None)
         step = self._of_members(_loop.prepare)(plain, states, origin) if self.prepares else plain
-        value = None
-        if job.reduction is not None:
-            value = self.quantity(job.reduction, Start(step, plain, origin, _loop.start(states, None)), states, 0)
-            origin = origin._replace(quantity=value)
-        return Start(step, plain, origin, _loop.start(states, value))
+        start = Start(step, plain, origin, _loop.start(states, None))
+        if job.reduction is None:
+            return start
+        value = self.quantity(job.reduction, start, states, 0)
+        reached = None if job.condition is None else self.quantity(job.condition, start, states, 0)
+        carry = start.carry._replace(change=job.first_change(value, reached))
+        return start._replace(origin=origin._replace(quantity=value), carry=carry)
 
     def quantity(self, function: Reduction, start: Start, states: State, n: int) -> Numbers:
         """A function of step and state at node n, for all members."""

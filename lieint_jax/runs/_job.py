@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -11,7 +12,7 @@ from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock, RoundedClock, UniformClock
 from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
 from lieint_jax.runs._layout import Layout, Numbers
-from lieint_jax.runs._loop import Carry, Range, Reduction, Saved
+from lieint_jax.runs._loop import Carry, MemberRange, Range, Reduction, Saved
 from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs.store._store import shared_time
 from lieint_jax.types import State, Step, Trajectory
@@ -56,8 +57,44 @@ class Saves(NamedTuple):
         failed: the first step of each member that did not converge, or −1.
     """
 
-    found: Trajectory | Summary
+    found: Trajectory | Summary | MemberSummary
     failed: np.ndarray
+
+
+class MemberSummary(NamedTuple):
+    """The result of a run with `reduce` and `per="member"`, over all steps of each member, the start included.
+
+    Attributes:
+        t: the times of the start and of the end, (2,).
+        least, greatest, total, last: the least, the greatest, the sum and the last value of the quantity, (members,).
+        first: the first time at which the condition `first` was true, NaN if never, (members,); None without one.
+        residual, unconverged: of the start and of all steps, as in `Summary`, (2,).
+        count: the number of values of a member.
+        state: the states at the end, (members, …).
+        failed: the first step of each member that did not converge, or −1.
+    """
+
+    t: np.ndarray
+    least: np.ndarray
+    greatest: np.ndarray
+    total: np.ndarray
+    last: np.ndarray
+    first: np.ndarray | None
+    residual: np.ndarray
+    unconverged: np.ndarray
+    count: int
+    state: State
+    failed: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """The mean of the quantity over the values, (members,)."""
+        return self.total / self.count
+
+    @property
+    def range(self) -> MemberRange:
+        """The values of the quantity."""
+        return MemberRange(self.least, self.greatest, self.total, self.last, self.first)  # pyright: ignore
 
 
 class Job(NamedTuple):
@@ -78,6 +115,8 @@ class Job(NamedTuple):
         save_every: the number of steps between saves; None with `rests`.
         step_axis: None or 0.
         reduction: the quantity to reduce, or None.
+        per_member: whether the reduction is of each member over all steps.
+        condition: the condition (step, state) ↦ flag whose first time is recorded for each member, or None.
         part: the members of the run to which this job is restricted, one of its parts; None if it is the whole run.
         batch: False for a run of one body, which is a batch of one member.
         make_states: the function that makes the states of each part; `states` of the whole run are those of its first
@@ -96,6 +135,8 @@ class Job(NamedTuple):
     save_every: int | None
     step_axis: int | None
     reduction: Reduction | None
+    per_member: bool = False
+    condition: Reduction | None = None
     part: range | None = None
     batch: bool = True
     make_states: MakeStates | None = None
@@ -165,6 +206,33 @@ class Job(NamedTuple):
         """The states at the end of the run with their time."""
         last = slice(-1, None)
         return state if self.t0 is None else state._replace(t=self.state_times(last)[0])
+
+    def first_change(self, value: Any, reached: Any) -> Range | MemberRange | None:
+        """The range of the reduced quantity at the start, of this value, where the condition is `reached` or not."""
+        if value is None:
+            return None
+        if not self.per_member:
+            return Range.begin(len(value), self.dtype)
+        first = None
+        if self.condition is not None:
+            t = self.times[0] if self.t0 is None or self.shares_time else np.asarray(self.t0)
+            never = np.full(len(value), np.nan, self.dtype)
+            first = never if reached is None else np.where(np.asarray(reached), t, never).astype(self.dtype)
+        return MemberRange.begin(value, first)
+
+    @property
+    def change_names(self) -> tuple[str, ...]:
+        """The names of the arrays of that range."""
+        if not self.per_member:
+            return () if self.reduction is None else Range._fields
+        return MemberRange._fields if self.condition is not None else MemberRange._fields[:-1]
+
+    def range_of(self, arrays: Callable[[str], Any]) -> Range | MemberRange | None:
+        """That range, from its arrays by name."""
+        if self.reduction is None:
+            return None
+        found = {name: arrays(name) for name in self.change_names}
+        return MemberRange(**({"first": None} | found)) if self.per_member else Range(**found)
 
     def member(self, m: int) -> tuple[Step, State]:
         """The step and the initial state of one member."""
@@ -295,6 +363,8 @@ def gather_rows(layout: Layout, saved: Saved, number: int) -> Saved:
 def first_entry(job: Job) -> Series:
     """The entry of the start in the series of a reduction."""
     zero = np.zeros(1, job.dtype)
+    if job.per_member:
+        return {"residual": zero, "unconverged": np.zeros(1, np.int64)}
     found = dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
     return found if job.part is None else found | {"sums": np.zeros((1, len(blocks(*_ends(job.part)))), job.dtype)}
 
@@ -305,15 +375,19 @@ def reduce_rows(rows: Saved, job: Job) -> Series:
     For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.
     """
     info, change = rows
-    assert isinstance(change, Range)
+    reports = {
+        "residual": info.residual.max(axis=1),
+        "unconverged": (~np.asarray(info.converged)).sum(axis=1),
+    }
+    if not isinstance(change, Range):
+        return reports  # pyright: ignore[reportReturnType]
     sums = block_sums(np.asarray(change.total), job.first_member)
     members = range(job.first_member, job.first_member + job.members)
     found = {
         "least": change.least.min(axis=1),
         "greatest": change.greatest.max(axis=1),
         "mean": total([(members, sums)]) / (job.members * (job.save_every or 1)),
-        "residual": info.residual.max(axis=1),
-        "unconverged": (~np.asarray(info.converged)).sum(axis=1),
+        **reports,
     }
     return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
 

@@ -34,6 +34,11 @@ class Range(NamedTuple):
     total: Array
 
     @classmethod
+    def begin(cls, members: int, dtype: np.dtype) -> Range:
+        """The ranges of so many members over no steps, arrays of the host."""
+        return cls(*(np.full(members, x, dtype) for x in (np.inf, -np.inf, 0)))  # pyright: ignore[reportArgumentType]
+
+    @classmethod
     def empty(cls, like: Array) -> Range:
         """The range over no steps."""
         return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
@@ -43,6 +48,33 @@ class Range(NamedTuple):
         return Range(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x)
 
 
+class MemberRange(NamedTuple):
+    """The values of a quantity of each member over all steps so far, the start included.
+
+    Attributes:
+        least, greatest, total, last: the least, the greatest, the sum and the last of them.
+        first: the first time at which a condition was true, NaN before; None if there is no condition.
+    """
+
+    least: Array
+    greatest: Array
+    total: Array
+    last: Array
+    first: Array | None
+
+    @classmethod
+    def begin(cls, x: Numbers, first: Numbers | None) -> MemberRange:
+        """The range at the start, where the quantity is x."""
+        return cls(x, x, x, x, first)  # pyright: ignore[reportArgumentType]
+
+    def include(self, x: Array, reached: Array | None, t: Array) -> MemberRange:
+        """The range with the value at time t, when the condition is `reached` or not; NaN makes all but `first` NaN."""
+        first = self.first
+        if first is not None and reached is not None:
+            first = jnp.where(jnp.isnan(first) & reached, t.astype(first.dtype), first)
+        return MemberRange(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x, x, first)
+
+
 class Carry(NamedTuple):
     """The values that a run carries from one step to the next, for one member, or with the member axis first.
 
@@ -50,16 +82,19 @@ class Carry(NamedTuple):
         state: the states, without their time, which follows from the number of steps unless the step has its own.
         info: the merged `StepInfo` since the last save.
         failed: the first step that did not converge, or −1.
-        change: the range of the reduced quantity's change since the last save; None if nothing is reduced.
+        change: the range of the reduced quantity's change since the last save, or, reduced for each member, of its
+            values since the start; None if nothing is reduced.
     """
 
     state: State
     info: StepInfo
     failed: Array
-    change: Range | None
+    change: Range | MemberRange | None
 
 
-Saved = tuple[StepInfo, State | Range | None]  # a saved row: the report, and the states or the reduced change
+Saved = tuple[
+    StepInfo, State | Range | MemberRange | None
+]  # a saved row: the report, and the states or the reduced change
 
 
 class Origin(NamedTuple):
@@ -112,28 +147,34 @@ class Interval(NamedTuple):
 
     The plain step, without the constants of whole steps, is for shorter steps to outputs; None if it is the same step.
     The saved values are the report, and the state or the change of the reduced quantity since the origin. An iteration
-    of the loop computes `together` steps, as long as so many remain.
+    of the loop computes `together` steps, as long as so many remain. A run that is reduced for each member may have a
+    condition, of which the first time is recorded at which it is true.
     """
 
     reduction: Reduction | None
+    condition: Reduction | None = None
     together: int = 1
 
     def __call__(self, carry: Carry, step: Step, plain: Step | None, origin: Origin, span: Span) -> tuple[Carry, Saved]:
         info, change = carry.info, carry.change
-        empty = StepInfo.empty(info.residual), None if change is None else Range.empty(change.total)
-        info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), empty, (info, change))
+        begun = StepInfo.empty(info.residual), Range.empty(change.total) if isinstance(change, Range) else change
+        info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), begun, (info, change))
 
         def advance_once(state: State, n: Array) -> tuple[State, StepInfo]:
             end, info = step_at_node(step, origin.own_clock, origin.add_time(n, state), n)
             return origin.remove_time(end), info
 
-        def record(n: Array, before: Progress, after: Progress, info: StepInfo) -> tuple[Array, Range | None]:
+        def record(n: Array, before: Progress, after: Progress, info: StepInfo) -> tuple[Array, Any]:
             failed, change = before.seen
             failed = _first_failure(failed, n, info)
             if self.reduction is None or change is None or origin.quantity is None:
                 return failed, change
-            quantity = self.reduction(step, origin.add_time(n + 1, after.state))
-            return failed, change.include(quantity - origin.quantity)
+            now = origin.add_time(n + 1, after.state)
+            quantity = self.reduction(step, now)
+            if isinstance(change, Range):
+                return failed, change.include(quantity - origin.quantity)
+            reached = None if self.condition is None else self.condition(step, now)
+            return failed, change.include(quantity, reached, origin.clock.time(n + 1) if now.t is None else now.t)
 
         start = Progress(carry.state, info, (carry.failed, change))
         count, repeat = span.end - span.first, partial(_several_at_once, together=self.together)
@@ -181,13 +222,10 @@ def prepare(step: Step, state: State, origin: Origin) -> Step:
     return prepared(step, origin.add_time(0, state), origin.clock)
 
 
-def start(states: State, reduced: Numbers | None) -> Carry:
+def start(states: State, change: Range | MemberRange | None) -> Carry:
     """The carry of a run that begins with `states`, arrays of the host."""
     members, dtype = states.p.shape[0], states.p.dtype
     info = StepInfo(np.zeros(members, dtype), np.ones(members, bool))  # pyright: ignore[reportArgumentType]
-    change = None
-    if reduced is not None:
-        change = Range(*(np.full(members, x, dtype) for x in (np.inf, -np.inf, 0)))  # pyright: ignore
     return Carry(states, info, np.full(members, -1, step_dtype()), change)  # pyright: ignore[reportArgumentType]
 
 

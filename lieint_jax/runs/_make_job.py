@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -89,14 +89,14 @@ def checked_job(
     save_at: ArrayLike | None,
     made: range | None = None,
     batch: bool = True,
+    per: Literal["member"] | None = None,
+    first: Reduction | None = None,
 ) -> Job:
     """The checked description of a run from the arguments of `run`; `made` are the members that a function has made."""
-    first = 0 if made is None else made.start
+    first_member = 0 if made is None else made.start
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _split_time(step, states, first, merge=made is None)
-    reduction = energy if reduce == "energy" else reduce
-    if reduction is not None and not jax.tree_util.all_leaves([reduction]):
-        reduction = callable_pytree(reduction)
+    states, t0 = _split_time(step, states, first_member, merge=made is None)
+    reduction, condition = _function(energy if reduce == "energy" else reduce), _function(first)
     clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)
     if save_at is None:
         _check_size(states, intervals(planned_steps, save_every)[1] + 1, reduction, store)
@@ -108,11 +108,17 @@ def checked_job(
         entries = _entries_at_times(save_at, clock, planned_steps, dtype)
         _check_size(states, len(entries[0]), reduction, store)
     size = None if dt is None else float(dt)
-    job = Job(step, states, t0, size, clock, planned_steps, *entries, step_axis, reduction, batch=batch)
-    _check_job(job, first)
+    job = Job(step, states, t0, size, clock, planned_steps, *entries, step_axis, reduction)
+    job = job._replace(per_member=per is not None, condition=condition, batch=batch)
+    _check_job(job, first_member)
     _check_reduction(job)
     _checks.time_resolution(t0, job.first_dt, planned_steps)
     return job
+
+
+def _function(given: Reduction | None) -> Reduction | None:
+    """A function of the user's, as a pytree if it has numbers."""
+    return given if given is None or jax.tree_util.all_leaves([given]) else callable_pytree(given)
 
 
 def _check_size(states: State, entries: int, reduction: Reduction | None, store: object) -> None:
@@ -228,18 +234,31 @@ def _check_reduction(job: Job) -> None:
     """Raise ValueError unless the reduced quantity is a real scalar function of a step and a state."""
     if job.reduction is not None:
         make_once(_check_result, job.reduction, (), job.member(0))
+    if job.condition is not None:
+        make_once(_check_condition, job.condition, (), job.member(0))
 
 
-def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, State]) -> None:
+def _value(name: str, function: Reduction, arguments: tuple[Step, State]) -> object:
+    """What a function of the user's returns for a step and a state, in shape and type."""
     try:
-        inspect.signature(reduction).bind(*arguments)
+        inspect.signature(function).bind(*arguments)
     except TypeError as error:
-        raise ValueError(f"reduce must be a function of two arguments, (step, state) ↦ scalar: {error}") from None
+        raise ValueError(f"{name} must be a function of two arguments, (step, state) ↦ scalar: {error}") from None
     except ValueError:  # a function without a signature
         pass
     found: list[object] = []
-    jax.eval_shape(lambda step, state: found.append(reduction(step, state)), *arguments)  # pyright: ignore
-    [value] = found
+    jax.eval_shape(lambda step, state: found.append(function(step, state)), *arguments)  # pyright: ignore
+    return found[0]
+
+
+def _check_condition(condition: Reduction, _: tuple[()], arguments: tuple[Step, State]) -> None:
+    value: Any = _value("first", condition, arguments)
+    if np.shape(value) != () or jnp.result_type(value).kind != "b":
+        raise ValueError(f"first must return True or False for a step and a state, got {value!r}")
+
+
+def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, State]) -> None:
+    value: Any = _value("reduce", reduction, arguments)
     array = isinstance(value, Array | np.ndarray | np.generic)
     if not ((array or isinstance(value, float)) and _is_real_scalar(value)):
         shown = f"{value.dtype} of shape {value.shape}" if array else repr(value)

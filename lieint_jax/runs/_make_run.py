@@ -30,6 +30,8 @@ def run(
     save_every: int | None = 1,
     own_step: bool = False,
     reduce: Reduction | Literal["energy"] | None = None,
+    per: Literal["member"] | None = None,
+    first: Reduction | None = None,
     mesh: Mesh | None = None,
     store: str | Path | StoreOptions | None = None,
     progress: bool = True,
@@ -64,6 +66,10 @@ def run(
         reduce: a quantity, "energy" (minus the work, where states have it) or a function (step, state) ↦ scalar.
             Intermediate states are not saved; the result has instead, for each save interval, the least, greatest and
             mean change of the quantity over all steps and members. All three are NaN where the quantity was NaN.
+        per: "member" reduces each member over all steps, the start included: `run.summary` has the least, greatest,
+            mean and last value (not change) of the quantity for each.
+        first: with `per="member"`, a condition (step, state) ↦ flag: `run.summary.first` is the first time at which it
+            is true, NaN if never.
         mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all. Machine code uses as many threads
             as the mesh has devices of this process, by default one per core.
         store: a folder NAME.zarr, a URL (s3://, gs://, az:// or memory://BUCKET/NAME.zarr), or `StoreOptions`, to which
@@ -111,9 +117,11 @@ def run(
         states if batch else with_member_axis(states),
         dt,
         num_steps,
-        save_every=None if save_at is not None and save_every == 1 else save_every,
+        save_every=None if save_every == 1 and (save_at is not None or per is not None) else save_every,
         step_axis=0 if own_step else None,
         reduce=reduce,
+        per=per,
+        first=first,
         mesh=mesh,
         store=store,
         progress=progress,

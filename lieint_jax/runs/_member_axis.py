@@ -7,7 +7,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs._job import Saves
+from lieint_jax.runs._job import MemberSummary, Saves, Summary
+from lieint_jax.runs._loop import MemberRange
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 
 Tree = Any  # a tree of arrays
@@ -18,7 +19,13 @@ def member_of(found: Any, k: int) -> Any:
     if isinstance(found, Trajectory):
         state, info = jax.tree.map(lambda x: np.asarray(x[:, k]), (found.state, found.info))
         return Trajectory(found.t if state.t is None else state.t, state, info)
-    return found._replace(state=jax.tree.map(lambda x: x[k], found.state), failed=found.failed[k])
+    return found._replace(**jax.tree.map(lambda x: x[k], _of_members(found)))
+
+
+def _of_members(summary: Summary | MemberSummary) -> dict[str, Tree]:
+    """The fields of a summary that have a member axis."""
+    names = ("state", "failed", *(MemberRange._fields if isinstance(summary, MemberSummary) else ()))
+    return {name: getattr(summary, name) for name in names}
 
 
 def with_member_axis(tree: Tree, axis: int = 0) -> Tree:
@@ -31,7 +38,7 @@ def saves_of_batch(saves: Saves) -> Saves:
     if isinstance(found, Trajectory):
         found = Trajectory(found.t, *with_member_axis((found.state, found.info), 1))
     else:
-        found = found._replace(**with_member_axis({"state": found.state, "failed": found.failed}))
+        found = found._replace(**with_member_axis(_of_members(found)))
     return Saves(found, with_member_axis(saves.failed))
 
 

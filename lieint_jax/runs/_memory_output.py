@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import numpy as np
 
 from lieint_jax.runs import _layout, _loop
-from lieint_jax.runs._job import Job, Saves, Series, Summary, first_entry, gather_rows
+from lieint_jax.runs._job import Job, MemberSummary, Saves, Series, Summary, first_entry, gather_rows
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Carry, Saved
-from lieint_jax.types import State, Trajectory
+from lieint_jax.types import State, StepInfo, Trajectory
 
 _SERIES = ("least", "greatest", "mean", "residual", "unconverged")
 
@@ -29,18 +31,23 @@ class MemoryOutput:
         if self._earlier is None:
             return None
         found, failed = self._earlier
-        if isinstance(found, Summary):
-            last, reduced = found.state, found.least
+        change, info, saved = None, None, len(found.t) - 1
+        done = int(self._job.nodes[saved])
+        if isinstance(found, MemberSummary):
+            last, change, done, saved = found.state, found.range, int(found.count) - 1, 0
+            self._series.append(first_entry(self._job))
+            info = StepInfo(np.full(failed.shape, found.residual[-1]), failed < 0)  # pyright: ignore
+        elif isinstance(found, Summary):
+            last, change = found.state, self._job.first_change(failed, None)
             self._series.append({name: np.asarray(getattr(found, name)) for name in _SERIES})
         else:
-            states, reduced = self._without_time(found.state), None
+            states = self._without_time(found.state)
             last = jax.tree.map(lambda x: x[-1], states)
             self._allocate((found.info, states), 1)
             self._put((found.info, states))
-        saved = len(found.t) - 1
-        carry = _loop.start(self._without_time(last), reduced)
-        carry = carry._replace(failed=failed.astype(_loop.step_dtype()))  # pyright: ignore[reportArgumentType]
-        return _layout.placed(self._layout, carry), int(self._job.nodes[saved]), saved
+        carry = _loop.start(self._without_time(last), change)
+        carry = carry._replace(failed=failed.astype(_loop.step_dtype()), info=info or carry.info)  # pyright: ignore
+        return _layout.placed(self._layout, carry), done, saved
 
     def _without_time(self, state: State) -> State:
         return state if self._job.t0 is None else state._replace(t=None)
@@ -85,5 +92,13 @@ class MemoryOutput:
             info, states = self._out
             found = Trajectory(self._job.times, self._job.with_times(states), info)  # pyright: ignore[reportArgumentType]
             return Saves(found, failed)
-        series = {name: np.concatenate([part[name] for part in self._series]) for name in _SERIES}
-        return Saves(Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed), failed)
+        series = {
+            name: np.concatenate([part[name] for part in self._series]) for name in self._series[0] if name != "sums"
+        }
+        state = self._job.with_last_time(state)
+        if self._job.per_member:
+            change: Any = _layout.gather(self._layout, carry.change)
+            values, count = change._asdict() | series, self._job.num_steps + 1
+            found = MemberSummary(self._job.times, **values, count=count, state=state, failed=failed)
+            return Saves(found, failed)
+        return Saves(Summary(self._job.times, **series, state=state, failed=failed), failed)

@@ -19,7 +19,7 @@ from lieint_jax import _checks
 from lieint_jax.runs import _layout, _loop, processes
 from lieint_jax.runs._engine import engine_of
 from lieint_jax.runs._execute import execute
-from lieint_jax.runs._job import Job, Output, Saves, first_entry
+from lieint_jax.runs._job import Job, MemberSummary, Output, Saves, first_entry
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates, made_states
@@ -96,16 +96,21 @@ def compute(
     part: tuple[int, int] | Literal["auto"] | None = None,
     members: int | None = None,
     threads: int | None = None,
+    per: Literal["member"] | None = None,
+    first: Reduction | None = None,
     batch: bool = True,
     earlier: Saves | None = None,
 ) -> Results:
     """The results of a run; arguments as in `ensemble.run`.
 
     Args:
+        threads, per, first: as in `li.run`.
         batch: whether it is of a batch, not of one body; states have the member axis in either case.
         earlier: the saves in memory of a run that this one continues.
     """
     _check_options(step_axis, reduce, resume, store)
+    if per is not None or first is not None:
+        save_every = _check_per_member(per, first, reduce, save_every, save_at)
     k, count = part_of_task() if part == "auto" else checked_part(part)
     threads = threads or (None if mesh is None else len(mesh.local_devices))
     mesh = _layout.checked_mesh(mesh)
@@ -125,6 +130,8 @@ def compute(
         times=times,
         save_at=save_at,
         batch=batch,
+        per=per,
+        first=first,
     )
     with _checks.on_host():
         whole, job, split = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
@@ -172,11 +179,14 @@ def _feed(job: Job, saves: Saves, layout: Layout, output: Output) -> None:
     found, saved = saves.found, 0
     if isinstance(found, Trajectory):
         rows: Any = found.info, found.state if job.t0 is None else found.state._replace(t=None)
-        states, reduced = jax.tree.map(lambda x: x[0], rows[1]), None
+        states = jax.tree.map(lambda x: x[0], rows[1])
+        change = None
     else:
         rows = {name: getattr(found, name) for name in first_entry(job)}
-        states, reduced = found.state if job.t0 is None else found.state._replace(t=None), found.least
-    carry = _loop.start(states, reduced)._replace(failed=saves.failed)  # pyright: ignore[reportArgumentType]
+        states = found.state if job.t0 is None else found.state._replace(t=None)
+        change = found.range if isinstance(found, MemberSummary) else job.first_change(saves.failed, None)
+    carry = _loop.start(states, change)
+    carry = carry._replace(failed=saves.failed)  # pyright: ignore[reportArgumentType]
     output.begin(carry)
     while saved < job.num_saves:
         number = min(output.free_rows, job.num_saves - saved)
@@ -198,3 +208,15 @@ def _check_options(step_axis: int | None, reduce: object, resume: bool, store: o
         raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
     if resume and store is None:
         raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
+
+
+def _check_per_member(per: object, first: object, reduce: object, save_every: int | None, save_at: object) -> None:
+    """Raise ValueError unless the options of a reduction for each member fit; None, since such a run saves its end."""
+    if per != "member":
+        raise ValueError(f'per must be None or "member", which `first` needs; got {per!r}')
+    if reduce is None:
+        raise ValueError('per="member" is of a quantity: give reduce="energy" or a function (step, state) ↦ scalar')
+    if first is not None and not callable(first):
+        raise ValueError(f"first must be a function (step, state) ↦ True or False, got {first!r}")
+    if save_every is not None or save_at is not None:
+        raise ValueError('per="member" is over all steps: give no save_every and no save_at')

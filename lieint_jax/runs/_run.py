@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
-from lieint_jax.runs._job import Saves
+from lieint_jax.runs._job import MemberSummary, Saves
 from lieint_jax.runs._make_job import checked_job
 from lieint_jax.runs._member_axis import member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._results import Results, compute, write
@@ -82,7 +82,7 @@ class Run:
             reduced.
         summary: a `Summary` of a reduced run, else None.
         failed: the first step that did not converge, or −1, for each member.
-        reduction: the quantity that was reduced, or None.
+        reduction, condition: the functions `reduce` and `first` of a reduced run, or None.
         times: the times of the boundaries of steps, if they were given.
         facts: see `Facts`.
     """
@@ -93,6 +93,7 @@ class Run:
     summary: Any
     failed: Array
     reduction: Any
+    condition: Any
     times: Array | None
     facts: Facts = static()
 
@@ -161,7 +162,7 @@ class Run:
         found = member_of(self._saved, k)
         step = jax.tree.map(lambda x: x[k], self.step) if self.own_step else self.step
         facts = self.facts._replace(batch=False, own_step=False, source="")
-        return Run(step, None, found, None, self.failed[k], None, self.times, facts)
+        return Run(step, None, found, None, self.failed[k], None, None, self.times, facts)
 
     def load(self) -> Run:
         """The run with its arrays in memory, so that it can be passed to functions under jit."""
@@ -298,17 +299,17 @@ class Run:
     @property
     def _options(self) -> dict[str, Any]:
         """The arguments of `compute` that made the run, beside step and states."""
-        facts, reduction = self.facts, self.reduction
-        if isinstance(reduction, jax.tree_util.Partial) and not jax.tree.leaves(reduction):
-            reduction = reduction.func
+        facts, of_members = self.facts, isinstance(self.summary, MemberSummary)
         return {
             "dt": facts.dt,
             "num_steps": None if facts.dt is None else facts.num_steps,
             "times": self.times,
-            "save_every": facts.save_every,
+            "save_every": None if of_members else facts.save_every,
             "save_at": self.t[1:] if facts.save_every is None else None,
+            "per": "member" if of_members else None,
+            "first": _plain(self.condition),
             "step_axis": 0 if facts.own_step else None,
-            "reduce": reduction,
+            "reduce": _plain(self.reduction),
             "batch": facts.batch,
         }
 
@@ -369,7 +370,8 @@ def computed_run(computed: Results, batch: bool) -> Run:
     )
     start = job.initial if job.reduction is not None else None
     times = job.clock.times if isinstance(job.clock, GridClock) else None
-    return _made(job.step, start, computed.saves, job.reduction, times, facts)
+    functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
+    return _made(job.step, start, computed.saves, functions, times, facts)
 
 
 def stored_run(path: str, stored: Stored, step: Step) -> Run:
@@ -388,16 +390,20 @@ def stored_run(path: str, stored: Stored, step: Step) -> Run:
         complete=attributes["progress"]["complete"],
         source=path,
     )
-    return _made(step, None, Saves(found, failed), None, None, facts)
+    return _made(step, None, Saves(found, failed), [None, None], None, facts)
 
 
-def _made(step: Step, start: State | None, saves: Saves, reduction: Any, times: Any, facts: Facts) -> Run:
+def _made(step: Step, start: State | None, saves: Saves, functions: list[Any], times: Any, facts: Facts) -> Run:
     """The run of these saves, which have a member axis also if it is of one body."""
     found, failed = saves
     if not facts.batch:
         found, failed = member_of(found, 0), failed[0]
         start = None if start is None else jax.tree.map(lambda x: x[0] if np.ndim(x) else x, start)
     states = isinstance(found, Trajectory)
-    if reduction is not None:
-        reduction = callable_pytree(reduction)
-    return Run(step, start, found if states else None, None if states else found, failed, reduction, times, facts)
+    return Run(step, start, found if states else None, None if states else found, failed, *functions, times, facts)
+
+
+def _plain(function: Any) -> Any:
+    """A function as it was given, without the pytree that has no leaves."""
+    partial = isinstance(function, jax.tree_util.Partial) and not (function.args or function.keywords)
+    return function.func if partial else function

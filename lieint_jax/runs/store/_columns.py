@@ -9,7 +9,7 @@ from numpy.typing import DTypeLike
 
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Numbers
-from lieint_jax.runs._loop import Range, step_dtype
+from lieint_jax.runs._loop import step_dtype
 from lieint_jax.runs.store import _store
 from lieint_jax.runs.store._integrity import Table
 from lieint_jax.runs.store._store import leaves_by_name, store_name
@@ -17,6 +17,13 @@ from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.types import labeled
 
 _RESIDUAL = "largest residual of a step since the entry before"
+_MEMBER_TEXTS = {
+    "least": "least value of the reduced quantity over all steps",
+    "greatest": "greatest value of it",
+    "total": "sum of its values, that at the start included",
+    "last": "its last value",
+    "first": "first time at which the condition was true",
+}
 _OWN = {
     "constants",
     "description",
@@ -65,6 +72,8 @@ def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, _store.
     columns["first_failure"] = axes.column(
         members, np.int64, long_name="first step that did not converge, or -1", units="1"
     )
+    if job.per_member:
+        columns |= {name: axes.column(members, long_name=_MEMBER_TEXTS[name]) for name in job.change_names}
     return columns | (series_columns(job, axes, times) if series else _report_columns(axes))
 
 
@@ -79,8 +88,9 @@ def _report_columns(axes: Axes) -> dict[str, _store.Column]:
 def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, _store.Column]:
     what = getattr(job.reduction, "__name__", "reduced quantity")
     text = "{} change of {} since the start, over members and steps"
+    changes = () if job.per_member else ("least", "greatest", "mean")
     return {
-        **{name: axes.column(along, long_name=text.format(name, what)) for name in ("least", "greatest", "mean")},
+        **{name: axes.column(along, long_name=text.format(name, what)) for name in changes},
         "residual": axes.column(along, long_name=_RESIDUAL, units="1"),
         "unconverged": axes.column(along, np.int64, long_name="members with a step that did not", units="1"),
     }
@@ -115,7 +125,7 @@ def checkpoint_columns(job: Job, axes: Axes) -> dict[str, _store.Column]:
         "failed": axes.column(along, step_dtype()),
         "residual": axes.column(along),
         "converged": axes.column(along, bool),
-        **({name: axes.column(along) for name in Range._fields} if job.reduction is not None else {}),
+        **{name: axes.column(along) for name in job.change_names},
     }
 
 
@@ -146,6 +156,7 @@ def attributes_of(job: Job, options: StoreOptions, described: Table, chunk: int,
         "members": job.members,
         "batch": job.batch,
         "reduce": described["reduce"],
+        "per": "member" if job.per_member else None,
         "time_chunk": rows,
         "member_chunk": chunk,
         "run": described,

@@ -21,7 +21,10 @@ from lieint_jax.runs.store._store import store_name
 from lieint_jax.types import Partitioned, Step, callable_pytree
 
 _PACKAGE = __name__.partition(".")[0]
-_MOVED = {f"{_PACKAGE}.torques._older.OlderLaw": f"{_PACKAGE}.systems._shared.older_laws.OlderLaw"}  # since 0.3.0
+_MOVED = {  # since 0.3.0
+    f"{_PACKAGE}.torques._older.OlderLaw": f"{_PACKAGE}.systems._shared.older_laws.OlderLaw",
+    "jax.numpy.ones_like": f"{_PACKAGE}.maps._cayley",
+}
 _RENAMED = {  # since version 0.2 or 0.3.0
     "Linear": "LinearPotential",
     "ManyFreeBodies": "FreeBodies",

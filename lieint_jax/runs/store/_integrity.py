@@ -55,7 +55,12 @@ def metadata(path: Path, names: Iterable[str]) -> dict[str, Table]:
 
 def is_along_time(meta: Table) -> bool:
     """True for an array that grows during the run."""
-    return (meta.get("dimension_names") or [""])[0] == "time"
+    return dims_of(meta)[:1] == ["time"]
+
+
+def dims_of(meta: Table) -> list[str]:
+    """The names of an array's axes, which Zarr leaves out where there are none."""
+    return meta.get("dimension_names") or []
 
 
 def chunk_files(name: str, meta: Table, row: int | None = None, only: Mapping[str, range] | None = None) -> list[str]:

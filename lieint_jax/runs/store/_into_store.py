@@ -155,7 +155,8 @@ def _skeleton(job: Job, options: StoreOptions, described: Table, split: Split, r
         most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
         series = {"part": (split.parts, 1), **axes.times}
         columns |= series_columns(job, axes, series)
-        columns["sums"] = axes.column({**series, "block": (most, most)}, long_name="sums over blocks of members")
+        if not job.per_member:
+            columns["sums"] = axes.column({**series, "block": (most, most)}, long_name="sums over blocks of members")
     constants = {name: constant(name, x, job) for name, x in numbers.items()} | labels(job)
     constants["time"] = columns.pop("time"), job.times
     return skeleton(columns, attributes, constants)

@@ -54,6 +54,7 @@ STORE_KEYS = {
         "a number or null",
     ),
     "reduce": _Kind(lambda x: x is None or isinstance(x, str), "text or null"),
+    "per": _Kind(lambda x: x in (None, "member"), '"member" or null', required=False),
     "scheme": _TEXT,
     "system": _TEXT,
     "time_unit": _TEXT._replace(required=False),

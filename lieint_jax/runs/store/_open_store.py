@@ -36,6 +36,7 @@ from lieint_jax.runs.store._untrusted import JSON_BYTES, UnreadableError, parse_
 _CHUNK_BYTES = 2**30
 _MAX_PARTS = 10**6
 _SERIES = ("least", "greatest", "mean", "residual")
+_OF_MEMBERS = ("least", "greatest", "total", "last")
 
 
 def check_store(path: Address) -> Table:
@@ -158,16 +159,17 @@ def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
     in_parts = "parts" in found
     entries, members = found["num_entries"] if in_parts else found["progress"]["entries"], found["members"]
     if found["reduce"] is not None:
-        names = {*_SERIES, "unconverged", "time"}
+        of_members = _OF_MEMBERS if found.get("per") else ()
+        names = {"residual" if of_members else name for name in _SERIES} | {"unconverged", "time"}
         if not names <= set(kinds):
             raise ValueError(f"it has no array {min(names - set(kinds))}")
         for name in names:
             shape = (found["parts"], entries) if in_parts and name != "time" else (entries,)
             expect(name, kinds, COUNTS if name == "unconverged" else REALS, shape)
-        if in_parts and kinds.get("sums", ((),))[0][:2] != (found["parts"], entries):
+        if in_parts and not of_members and kinds.get("sums", ((),))[0][:2] != (found["parts"], entries):
             raise ValueError("it has no sums of its parts")
         if found["progress"]["complete"] or in_parts:
-            for name in {*leaves, "first_failure"} - ({"t"} - set(kinds)):
+            for name in {*leaves, "first_failure", *of_members} - ({"t"} - set(kinds)):
                 expect(name, kinds, COUNTS if name == "first_failure" else REALS, (members,), least=1)
         return
     check_run(kinds, set(leaves) - ({"t"} - set(kinds)), "time")

@@ -9,6 +9,7 @@ import numpy as np
 
 from lieint_jax.runs._dyadic_sum import blocks, total
 from lieint_jax.runs.store import _store
+from lieint_jax.runs.store._integrity import dims_of
 from lieint_jax.runs.store._parts import PartsRoot, PartStatus, first_of
 from lieint_jax.runs.store._store import Loaded
 from lieint_jax.types import StepInfo, Trajectory
@@ -136,7 +137,7 @@ def load(root: PartsRoot, thorough: bool, part: int | None = None) -> Loaded:
     arrays = {
         name: PublishedArray(array, progress["entries"], members, statuses)
         for name, array in group.arrays()
-        if root.metas[name]["dimension_names"][:2] == ["time", "member"]
+        if dims_of(root.metas[name])[:2] == ["time", "member"]
     }
     times = group["time"][: progress["entries"]]
     state = _store.states_in(arrays, times, attributes | {"members": len(members)})
@@ -148,14 +149,15 @@ def load(root: PartsRoot, thorough: bool, part: int | None = None) -> Loaded:
 def _series(root: PartsRoot, group: Any, statuses: list[PartStatus], members: range) -> dict[str, np.ndarray]:
     """The arrays of a complete run with `reduce`, with the series of its parts merged to those of all members."""
     own = slice(members.start, members.stop)
-    per_part = [name for name, meta in root.metas.items() if meta["dimension_names"][0] == "part"]
+    per_part = [name for name, meta in root.metas.items() if dims_of(meta)[:1] == ["part"]]
     of = {name: np.asarray(group[name][statuses[0].number : statuses[-1].number + 1]) for name in per_part}
     along = [
-        name
-        for name, meta in root.metas.items()
-        if meta["dimension_names"][0] == "member" and name not in root.constants
+        name for name, meta in root.metas.items() if dims_of(meta)[:1] == ["member"] and name not in root.constants
     ]
     found = {name: np.asarray(group[name][own]) for name in along} | {"time": group["time"][...]}
+    reports = {"residual": of["residual"].max(axis=0), "unconverged": of["unconverged"].sum(axis=0)}
+    if "sums" not in of:
+        return found | reports
     sums = [
         (status.members, x[:, : len(blocks(status.members.start, status.members.stop))])
         for status, x in zip(statuses, of["sums"], strict=True)
@@ -165,6 +167,5 @@ def _series(root: PartsRoot, group: Any, statuses: list[PartStatus], members: ra
         "least": of["least"].min(axis=0),
         "greatest": of["greatest"].max(axis=0),
         "mean": mean,
-        "residual": of["residual"].max(axis=0),
-        "unconverged": of["unconverged"].sum(axis=0),
+        **reports,
     }

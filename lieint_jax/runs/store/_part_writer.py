@@ -174,7 +174,7 @@ class PartWriter(BackgroundWriter):
     def _put(self, part: Part) -> None:
         """Write a slab of this part's members into an array of all members, or of the series of all parts."""
         array = self._array(part.name)
-        dims = self._root.metas[part.name]["dimension_names"]
+        dims = _integrity.dims_of(self._root.metas[part.name])
         if dims[0] == "part":
             array[(self._k, *_slices(part.at, part.values.shape))] = part.values
             return

@@ -209,7 +209,7 @@ class PartsRoot:
         if row is not None:
             only["time"] = range(row, row + 1)
         names = [name for name in sorted(self.metas) if name not in self.constants]
-        chosen = [name for name in names if ("time" in self.metas[name]["dimension_names"]) == (row is not None)]
+        chosen = [name for name in names if ("time" in _integrity.dims_of(self.metas[name])) == (row is not None)]
         return [f for name in chosen for f in _integrity.chunk_files(name, self.metas[name], only=only)]
 
     def published_files(self, k: int, state: PartState) -> Iterator[tuple[str, int]]:

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.runs._job import Summary
+from lieint_jax.runs._job import MemberSummary, Summary
+from lieint_jax.runs._loop import MemberRange
 from lieint_jax.runs.store import _part_reading, _store
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._integrity import Table
@@ -161,9 +162,14 @@ def _stored(loaded: Loaded) -> Stored:
     if isinstance(found, Trajectory):
         failed = _failures(found, attributes["save_every"]) if failed is None else failed
         return Stored(found, failed, attributes)
-    state = _store.states_in(found, found["time"][-1], attributes)
+    state, failed = _store.states_in(found, found["time"][-1], attributes), found["first_failure"]
+    if attributes.get("per") is not None:
+        values = {name: found.get(name) for name in (*MemberRange._fields, "residual", "unconverged")}
+        count = attributes["num_steps"] + 1
+        return Stored(
+            MemberSummary(found["time"], **values, count=count, state=state, failed=failed), failed, attributes
+        )
     series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
-    failed = found["first_failure"]
     return Stored(Summary(found["time"], **series, state=state, failed=failed), failed, attributes)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from lieint_jax.runs import _layout
 from lieint_jax.runs._job import Job, Series, first_entry, local_rows
 from lieint_jax.runs._layout import Layout, Numbers
-from lieint_jax.runs._loop import Carry, Range, Saved
+from lieint_jax.runs._loop import Carry, Saved
 from lieint_jax.runs.store import _store
 from lieint_jax.runs.store._store import leaves_by_name, state_from_leaves, store_name
 from lieint_jax.types import StepInfo
@@ -55,7 +55,7 @@ class StoreOutput:
         def read(name: str) -> Any:
             return self._writer.read(f"checkpoint/{name}", (self._writer.slot, slice(part.start, part.stop)))
 
-        change = Range(*map(read, Range._fields)) if self._job.reduction is not None else None
+        change = self._job.range_of(read)
         info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
         state = state_from_leaves({name: read(name) for name in leaves_by_name(self._job.states)})
         carry = Carry(state, info, read("failed"), change)  # pyright: ignore[reportArgumentType]
@@ -119,7 +119,8 @@ class StoreOutput:
             if last:
                 kept = {"first_failure": host["failed"]}
                 if series:
-                    kept |= {name: host[name] for name in leaves_by_name(self._job.states)}
+                    names = self._job.change_names if self._job.per_member else ()
+                    kept |= {name: host[name] for name in (*leaves_by_name(self._job.states), *names)}
                     if self._has_own_times:
                         kept["t"] = self._own_times(slice(-1, None), layout.local_members)[0]
                 for name, x in kept.items():
@@ -181,5 +182,5 @@ class StoreOutput:
 
 def _leaves_of_carry(carry: Carry) -> dict[str, Numbers]:
     """The arrays of a carry by name."""
-    change = carry.change._asdict() if carry.change is not None else {}
+    change = {} if carry.change is None else {k: x for k, x in carry.change._asdict().items() if x is not None}
     return {**leaves_by_name(carry.state), "failed": carry.failed, **carry.info._asdict(), **change}
