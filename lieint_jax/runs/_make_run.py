@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates
-from lieint_jax.runs._member_axis import is_batch, with_member_axis
+from lieint_jax.runs._member_axis import check_own_steps, is_batch, with_member_axis
 from lieint_jax.runs._results import compute, untransformed
 from lieint_jax.runs._run import Run, computed_run, stored_run
 from lieint_jax.runs.store._reading import open_with_step
@@ -109,6 +109,8 @@ def run(
             members that fail to converge later, with the first such step of each; a time of the states
             so large that neighboring floating-point numbers differ by more than dt/10⁶.
     """
+    if own_step:
+        check_own_steps(step, members if callable(states) else len(states.p))
     batch = callable(states) or is_batch(step, states, own_step)
     if own_step and not batch:
         raise ValueError("own_step=True is for a batch, and these states are of one body")

@@ -56,3 +56,14 @@ def is_batch(step: Step, states: State, own_step: bool) -> bool:
             f"a batch one leading axis more; got q {q} and p {p}"
         )
     return axes["q"] == 1
+
+
+def check_own_steps(step: Step, members: int | None) -> None:
+    """Raise ValueError unless all leaves of a step have a leading axis of so many members."""
+    shapes = [np.shape(x) for x in jax.tree.leaves(checked_step(step))]
+    if any(shape[:1] != (members,) for shape in shapes):
+        given = ", ".join(map(str, dict.fromkeys(shapes)))
+        raise ValueError(
+            f"own_step=True needs a step for each of {members} members, made by jax.vmap, so that every leaf has a "
+            f"leading member axis; got leaves of shapes {given}"
+        )

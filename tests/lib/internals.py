@@ -13,7 +13,7 @@ import numpy as np
 from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
 from lieint_jax.native import _march_code, _traced
-from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _run
+from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _results, _run
 from lieint_jax.runs.store import _identity, _integrity, _into_store, _parts, _storage, _store, _store_output
 from lieint_jax.schemes._shared import accepts
 
@@ -28,7 +28,7 @@ def by_engine(monkeypatch, name, jobs=None):
             jobs.append(job)
         return _engine.Engine(job, name, threads)
 
-    monkeypatch.setattr(_run, "engine_of", engine_of)
+    monkeypatch.setattr(_results, "engine_of", engine_of)
 
 
 def runs_by(monkeypatch, engines, *arguments, **options):
@@ -190,3 +190,8 @@ def write_root(file, root):
     if isinstance(root.get("attributes"), dict):
         root["attributes"]["checksum"] = _integrity.checksum(root)
     file.write_text(json.dumps(root))
+
+
+def read_few_rows(monkeypatch, size):
+    """Let a run on disk be read in blocks of this number of bytes."""
+    monkeypatch.setattr(_run, "_BLOCK", size)

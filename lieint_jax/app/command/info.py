@@ -201,11 +201,20 @@ def _parts(metadata: dict[str, Any]) -> list[str]:
 
 
 def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
-    """Two lines: the change of a reduced quantity since the start, and the convergence of the steps."""
+    """Lines: the values or changes of a reduced quantity, and the convergence of the steps."""
     quantity = _checks.printable(quantity)
-    least, greatest, mean = series["least"].min(), series["greatest"].max(), series["mean"].mean()
+    least, greatest = series["least"].min(), series["greatest"].max()
+    if "mean" in series:
+        mean = series["mean"].mean()
+        lines = [f"  change of {quantity} since the start: least {least:.3g}, greatest {greatest:.3g}, mean {mean:.3g}"]
+    else:
+        lines = [f"  {quantity} of all members at all steps: least {least:.3g}, greatest {greatest:.3g}"]
+    if "first" in series:
+        reached = series["first"][~np.isnan(series["first"])]
+        when = f", from t = {reached.min():.6g} to {reached.max():.6g}" if reached.size else ""
+        lines.append(f"  the condition became true for {reached.size} of {len(series['first'])} member(s){when}")
     return [
-        f"  change of {quantity} since the start: least {least:.3g}, greatest {greatest:.3g}, mean {mean:.3g}",
+        *lines,
         f"  largest residual {series['residual'].max():.2g}; unconverged members {series['unconverged'].max()}",
     ]
 

@@ -184,11 +184,17 @@ def _draw_components(stored: StoredRun, q: np.ndarray) -> Figure:
 
 @plots.style()
 def draw_change(stored: StoredRun) -> Figure:
-    """Plot the least, mean and greatest change of the reduced quantity against time."""
+    """Plot the least, mean and greatest change of the reduced quantity against time, or its values over the members."""
     fig, axes = plots.figure()
+    fig.suptitle(stored.title)
+    if "mean" not in stored.run:
+        for name in ("least", "last", "greatest"):
+            axes[0, 0].hist(stored.run[name], histtype="step", label=name)
+        axes[0, 0].set(xlabel="quantity of a member, over all steps", ylabel="members")
+        axes[0, 0].legend()
+        return fig
     curves = {name: stored.run[name] for name in ("least", "mean", "greatest")}
     plots.series(axes[0, 0], stored.run["time"], curves, "change since the start, all members", stored.time_unit)
-    fig.suptitle(stored.title)
     return fig
 
 

@@ -1,0 +1,317 @@
+"""A run is one noun: of one body or many, in memory or on disk; what it answers is checked against other ways."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from grid import steps
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import lieint_jax as li
+from lieint_jax.runs.store._description import describe, make
+
+J123 = np.array([1.0, 2.0, 3.0])
+BODY = li.systems.rigid_body(J123)
+STEP = li.schemes.so3_midpoint(BODY, kappa=li.maps.kappa_symplectic)
+ONE = BODY.state(attitude=[0.5, 0.5, -0.5, 0.5], angular_velocity=[0.2, -0.4, 0.7])
+SATELLITE = li.schemes.torqued_midpoint(li.systems.torqued_body(J123, li.torques.viscous(0.1)))
+QUIET = {"progress": False}
+
+
+def bodies(members, seed=1, system=BODY, **more):
+    Omega = np.random.default_rng(seed).normal(size=(members, 3)) * 0.4
+    return jax.vmap(lambda w: system.state(attitude=[1, 0, 0, 0], angular_velocity=w, **more))(Omega)
+
+
+def satellites(members):
+    return bodies(members, system=SATELLITE.system, t=0.0, work=0.0)
+
+
+def speed(step, state):
+    return jnp.linalg.norm(step.system.angular_velocity(state))
+
+
+def is_slow(step, state):
+    return speed(step, state) < 0.3
+
+
+def same(a, b):
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
+
+
+def test_a_run_of_one_body_is_integrate_to_the_bit_and_knows_its_step():
+    run = li.run(STEP, ONE, 0.05, 120, save_every=3, **QUIET)
+    same(run.trajectory, jax.tree.map(np.asarray, li.integrate(STEP, ONE, 0.05, 120, save_every=3)))
+    assert (run.members, run.dt, run.own_step, run.engine) == (None, 0.05, False, "native")
+    assert run.step.system is run.system
+    assert run.converged.shape == ()
+    assert run.converged
+    assert set(run.versions) == {"lieint_jax", "jax", "jaxlib"}
+
+
+def test_a_batch_has_the_axes_time_and_member_and_its_members_are_runs():
+    batch = bodies(5)
+    run = li.run(STEP, batch, 0.05, 40, save_every=4, **QUIET)
+    assert run.members == 5
+    assert run.state.q.shape == (11, 5, 4)
+    assert run.converged.shape == run.failed.shape == (5,)
+    for k in (0, 4, -1):
+        member = run.member(k)
+        alone = li.run(STEP, jax.tree.map(lambda x: x[k], batch), 0.05, 40, save_every=4, **QUIET)  # noqa: B023
+        same(member.trajectory, alone.trajectory)
+        assert member.members is None
+    with pytest.raises(ValueError, match="the run has 5 members, numbered from 0, got 5"):
+        run.member(5)
+    with pytest.raises(ValueError, match="is of one body"):
+        run.member(0).member(0)
+
+
+def test_each_of_three_members_with_an_inertia_of_its_own_needs_no_more_than_to_be_said_so():
+    """An inertia (3, 3) is one tensor, or the moments of each of three members: here the run knows."""
+    J = np.array([[1.0, 2.0, 3.0], [2.0, 2.0, 3.0], [1.0, 1.5, 2.0]])
+    own = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
+    run = li.run(own, bodies(3), 0.05, 40, save_every=4, own_step=True, **QUIET)
+    for k in range(3):
+        system = li.systems.rigid_body(J[k])
+        z = jax.tree.map(lambda x: x[:, k], run.state)  # noqa: B023
+        energy = np.asarray(jax.vmap(system.energy)(z))
+        np.testing.assert_allclose(run.energy_error()[:, k], energy - energy[0], rtol=0, atol=1e-15)
+        np.testing.assert_allclose(run.member(k).system.inertia, J[k])
+        np.testing.assert_allclose(run.to_xarray().energy[:, k], energy, rtol=1e-15)
+    table = run.to_dataframe()
+    assert len(table) == 11 * 3
+    np.testing.assert_allclose(table["energy"][table.member == 1], run.to_xarray().energy[:, 1])
+    np.testing.assert_array_equal(table["p_z"], np.ravel(run.state.p[:, :, 2]))
+    assert run.periods().precession.shape == (11, 3)
+    assert run.at([0.1, 0.33]).q.shape == (2, 3, 4)
+
+
+def test_what_a_run_answers_is_what_diagnostics_answer():
+    run = li.run(STEP, bodies(4), 0.05, 60, save_every=6, **QUIET)
+    for name in ("energy_error", "momentum_error", "constraint_error"):
+        of_run, of_arrays = getattr(run, name)(), getattr(li.diagnostics, name)
+        np.testing.assert_allclose(of_run, of_arrays(BODY, run.trajectory), rtol=0, atol=1e-15)  # observed: 2e-16
+        np.testing.assert_array_equal(of_run, of_arrays(run))
+        assert np.abs(of_run).max() < 5e-15  # observed: 1e-15
+    with pytest.raises(ValueError, match=r"give a li\.Run, or a system and its trajectory"):
+        li.diagnostics.energy_error(BODY)
+    np.testing.assert_allclose(run.rotations().as_quat()[..., 3], run.state.q[..., 0], rtol=0, atol=4e-16)
+
+
+@pytest.mark.long
+def test_states_between_the_saves_are_near_the_exact_ones():
+    step = li.schemes.exact(BODY)
+    run, times = li.run(step, bodies(3), 0.05, 100, **QUIET), np.array([0.0, 1.234, 4.999, 0.0251])
+    found = run.at(times)
+    for k in range(3):
+        exact = jax.vmap(lambda t: BODY.solution(jax.tree.map(lambda x: x[0, k], run.state), t))(times)  # noqa: B023
+        np.testing.assert_allclose(found.q[:, k], exact.q, rtol=0, atol=1e-9)  # O(h⁶); observed: 5e-11
+        np.testing.assert_allclose(run.member(k).at(times).q, found.q[:, k], rtol=0, atol=1e-15)
+    with pytest.raises(ValueError, match="times must lie in the trajectory"):
+        run.at([6.0])
+    with pytest.raises(ValueError, match="too far apart to interpolate"):
+        li.run(step, bodies(3), 0.05, 1000, save_every=500, **QUIET).at([1.0])
+
+
+@pytest.mark.long
+def test_members_that_start_at_different_times_are_interpolated_since_the_start():
+    top = li.systems.driven_top(J123, lambda gamma, t: jnp.cos(t) * gamma[2])
+    step, t0 = li.schemes.splitting(top), np.array([0.0, 2.0])
+    states = jax.vmap(lambda t: top.state(attitude=[1, 0, 0, 0], angular_velocity=[0.3, 0.1, 0.2], t=t))(t0)
+    run = li.run(step, states, 0.02, 100, save_every=5, **QUIET)
+    found, direct = run.at([0.333]), li.run(step, states, 0.02, 100, save_at=[0.333], **QUIET)
+    np.testing.assert_allclose(found.t[0], t0 + 0.333, rtol=1e-15)
+    np.testing.assert_allclose(found.p[0], direct.state.p[1], rtol=0, atol=1e-6)  # a step's error; observed: 2e-7
+
+
+@settings(max_examples=8, deadline=None)
+@given(first=st.integers(0, 12), more=st.integers(0, 12), seed=st.integers(0, 99))
+def test_a_run_that_is_extended_is_the_whole_run_bit_for_bit(first, more, seed):
+    batch = bodies(3, seed)
+    parts = li.run(STEP, batch, 0.05, 4 * first, save_every=4, **QUIET).extend(4 * more, **QUIET)
+    same(parts, li.run(STEP, batch, 0.05, 4 * (first + more), save_every=4, **QUIET))
+
+
+REDUCTIONS = [
+    {"reduce": "energy", "save_every": 10},
+    {"reduce": speed, "per": "member"},
+    {"reduce": speed, "per": "member", "first": is_slow},
+]
+
+
+LONG = [
+    pytest.param(x, id=name, marks=pytest.mark.long)
+    for name, x in zip(("changes", "members"), REDUCTIONS, strict=False)
+]
+
+
+@pytest.mark.parametrize(
+    "options", [pytest.param({"save_every": 10}, id="states"), *LONG, pytest.param(REDUCTIONS[2], id="first")]
+)
+def test_runs_of_one_body_and_of_many_are_extended_saved_and_opened(options, tmp_path):
+    for name, states in (("many", satellites(4)), ("one", jax.tree.map(lambda x: x[0], satellites(1)))):
+        whole = li.run(SATELLITE, states, 0.05, 60, **options, **QUIET)
+        same(li.run(SATELLITE, states, 0.05, 20, **options, **QUIET).extend(40, **QUIET), whole)
+        path = tmp_path / f"{name}.zarr"
+        whole.save(path)
+        again, computed = (
+            li.open(path),
+            li.run(SATELLITE, states, 0.05, 60, **options, **QUIET, store=path, resume=True),
+        )
+        for run in (again, computed):
+            same((run.trajectory, run.summary, run.failed), (whole.trajectory, whole.summary, whole.failed))
+            assert run.members == whole.members
+            assert run.engine == whole.engine
+        assert jax.tree.structure(again.step) == jax.tree.structure(whole.step)
+        with pytest.raises(ValueError, match="exists and is not overwritten"):
+            whole.save(path)
+        assert [x.name for x in tmp_path.iterdir() if x.name.startswith(".")] == []
+
+
+def test_an_opened_run_answers_like_the_one_in_memory_and_goes_on(tmp_path):
+    run = li.run(STEP, bodies(3), 0.05, 40, save_every=4, **QUIET)
+    stored = li.run(STEP, bodies(3), 0.05, 40, save_every=4, **QUIET, store=tmp_path / "a.zarr")
+    opened = li.open(tmp_path / "a.zarr")
+    for found in (stored, opened):
+        np.testing.assert_array_equal(found.energy_error(), run.energy_error())
+        np.testing.assert_array_equal(found.at([0.3]).q, run.at([0.3]).q)
+        same(found.member(1).trajectory, run.member(1).trajectory)
+        with pytest.raises(ValueError, match=r"bring it to memory first, run\.load\(\)\.extend\(8\)"):
+            found.extend(8)
+        same(found.load().extend(8, **QUIET).trajectory, run.extend(8, **QUIET).trajectory)
+        assert "a.zarr" in repr(found)
+    inside = jax.jit(lambda r: r.energy_error())(opened.load())
+    np.testing.assert_allclose(inside, run.energy_error(), rtol=0, atol=1e-15)  # observed: 2e-16
+
+
+def test_values_along_a_run_on_disk_are_read_in_blocks(tmp_path, monkeypatch):
+    import internals
+
+    internals.read_few_rows(monkeypatch, 300)  # bytes, of 168 in a row
+    run = li.run(STEP, bodies(3), 0.05, 40, save_every=4, **QUIET, store=tmp_path / "a.zarr")
+    found = run.map(lambda step, z: {"H": step.system.energy(z), "p": z.p})
+    np.testing.assert_array_equal(found["p"], run.state.p[...])
+    assert found["H"].shape == (11, 3)
+
+
+def test_failures_are_told_by_member_and_step(tmp_path):
+    batch, step = bodies(4), li.schemes.so3_midpoint(BODY, iterations=8)
+    q, p = np.array(batch.q), np.array(batch.p)
+    q[2], p[2] = [1.0, 0, 0, 0], J123 * [0.0, 1.0, 1e-4]  # about the intermediate axis: Ω grows in the flip
+    batch = batch._replace(q=jnp.array(q), p=jnp.array(p))
+    with pytest.warns(RuntimeWarning, match="1 of 4 members did not converge"):
+        run = li.run(step, batch, 0.99, 100, **QUIET)
+    first = int(np.argmin(run.info.converged[:, 2])) - 1
+    np.testing.assert_array_equal(run.failed, [-1, -1, first, -1])
+    np.testing.assert_array_equal(run.converged, [True, True, False, True])
+    assert f"not 1 member(s): 2; first member 2 at step {first}" in repr(run)
+    run.save(tmp_path / "a.zarr")
+    np.testing.assert_array_equal(li.open(tmp_path / "a.zarr").failed, run.failed)
+
+
+@pytest.mark.filterwarnings("ignore:the time 15 of a state")  # in float32
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
+def test_reductions_of_each_member_are_those_of_all_its_states(dtype):
+    step = jax.tree.map(lambda x: jnp.asarray(x, dtype), SATELLITE)
+    states = jax.tree.map(lambda x: jnp.asarray(x, dtype), satellites(17))
+    found = li.run(step, states, 0.05, 300, reduce=speed, per="member", first=is_slow, **QUIET).summary
+    every = li.run(step, states, 0.05, 300, **QUIET)
+    v, tolerance = np.asarray(every.map(speed)), 4 * np.finfo(dtype).eps  # observed: 1 eps
+    np.testing.assert_allclose(found.least, v.min(axis=0), rtol=tolerance)
+    np.testing.assert_allclose(found.greatest, v.max(axis=0), rtol=tolerance)
+    np.testing.assert_allclose(found.mean, v.mean(axis=0, dtype=np.float64), rtol=100 * tolerance)
+    np.testing.assert_allclose(found.last, v[-1], rtol=tolerance)
+    slow = np.asarray(every.map(is_slow))
+    first = np.where(slow.any(axis=0), every.t[slow.argmax(axis=0)], np.nan)
+    assert 0 < np.isnan(first).sum() < 17
+    assert (first == 0).any()
+    np.testing.assert_array_equal(found.first, first)
+    np.testing.assert_array_equal(found.t, every.t[[0, -1]])
+    same(found.state, jax.tree.map(lambda x: x[-1], every.state))
+
+
+def test_reductions_of_each_member_have_the_same_bits_in_parts_and_by_any_threads(tmp_path):
+    states, options = satellites(21), {"reduce": speed, "per": "member", "first": is_slow, **QUIET}
+    whole = li.run(SATELLITE, states, 0.05, 100, **options)
+    same(li.run(SATELLITE, states, 0.05, 100, **options, threads=1).summary, whole.summary)
+    for k in range(3):
+        part = li.run(SATELLITE, states, 0.05, 100, **options, store=tmp_path / "a.zarr", part=(k, 3))
+        assert part.members == 7
+    same(li.open(tmp_path / "a.zarr").summary, whole.summary)
+
+
+def test_times_since_the_start_are_told_where_states_have_none():
+    options = {"reduce": "energy", "per": "member", "first": lambda step, z: z.q[0] < 0.9}
+    back = li.run(STEP, bodies(3), -0.05, 40, **options, **QUIET)
+    every = li.run(STEP, bodies(3), -0.05, 40, **QUIET)
+    below = np.asarray(every.state.q[..., 0] < 0.9)
+    expected = np.where(below.any(axis=0), every.t[below.argmax(axis=0)], np.nan)
+    np.testing.assert_allclose(back.summary.first, expected, rtol=1e-15)
+    grid = li.run(
+        STEP, bodies(3), times=every.t, reduce="energy", per="member", first=lambda step, z: z.q[0] < 0.9, **QUIET
+    )
+    np.testing.assert_allclose(grid.summary.first, expected, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"per": "member"}, 'per="member" is of a quantity'),
+        ({"per": "time", "reduce": "energy"}, 'per must be None or "member"'),
+        ({"first": is_slow, "reduce": "energy"}, 'per must be None or "member", which `first` needs'),
+        ({"per": "member", "reduce": "energy", "save_every": 5}, "give no save_every"),
+        ({"per": "member", "reduce": "energy", "first": 3}, "first must be a function"),
+        ({"per": "member", "reduce": "energy", "first": lambda step, z: z.p}, "first must return True or False"),
+        ({"per": "member", "reduce": "energy", "first": lambda z: True}, "first must be a function of two arguments"),
+        ({"own_step": True}, r"own_step=True needs a step for each of 5 members.*leaves of shapes \(3,\)"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused_in_a_sentence(options, message):
+    with pytest.raises(ValueError, match=message):
+        li.run(STEP, bodies(5), 0.05, 20, **options, **QUIET)
+
+
+def test_states_of_other_shapes_are_refused_with_the_shapes_of_the_system():
+    with pytest.raises(ValueError, match=r"have q of shape \(4,\) and p of shape \(3,\), those of a batch one leading"):
+        li.run(STEP, jax.tree.map(lambda x: x[None], bodies(3)), 0.05, 20, **QUIET)
+    with pytest.raises(ValueError, match="own_step=True is for a batch"):
+        li.run(jax.tree.map(lambda x: jnp.stack([x] * 3), STEP), ONE, 0.05, 20, own_step=True, **QUIET)
+    with pytest.raises(TypeError, match=r"li\.run computes with numbers.*inside of them use li\.integrate"):
+        jax.jit(lambda z: li.run(STEP, z, 0.05, 20).state)(ONE)
+    reduced = li.run(STEP, ONE, 0.05, 20, reduce="energy", **QUIET)
+    with pytest.raises(ValueError, match=r"the run was reduced and has no states but the last ones: see run\.summary"):
+        _ = reduced.state
+    at_times = li.run(STEP, ONE, times=[0.0, 0.1, 0.3], **QUIET)
+    with pytest.raises(ValueError, match="a run at given times cannot be extended"):
+        at_times.extend(3)
+
+
+def test_a_run_shows_itself_on_one_screen():
+    run = li.run(STEP, bodies(3), 0.05, 40, save_every=4, **QUIET)
+    text = repr(run)
+    assert text.splitlines()[0] == "step       so3_midpoint[symplectic] of RigidBody"
+    assert "0 … 2, 40 steps of 0.05; 11 saves, one per 4 steps" in text
+    assert len(text.splitlines()) < 12
+    assert run._repr_html_().count("<tr>") == len(text.splitlines())
+    jax.jit(lambda r: repr(r) and r.state.q)(run)  # inside of jit, too
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "step", "state", "dt"), [pytest.param(*x, id=x[0]) for x in steps()])
+def test_every_step_of_the_package_is_made_again_from_its_description(name, step, state, dt):
+    description, arrays = describe(step)
+    system = make(description["system"], arrays, {})
+    again = make(description["step"], arrays, {}, system)
+    assert jax.tree.structure(again) == jax.tree.structure(step)
+    same(jax.tree.leaves(again), jax.tree.leaves(step))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "step", "state", "dt"), [pytest.param(*x, id=x[0]) for x in steps()])
+def test_one_body_and_a_batch_are_told_apart_for_every_system(name, step, state, dt):
+    run = li.run(step, state, dt, 0, **QUIET)
+    assert run.members is None
+    assert li.run(step, jax.tree.map(lambda x: jnp.stack([x, x]), state), dt, 0, **QUIET).members == 2
