@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -227,11 +227,11 @@ class Job(NamedTuple):
             return () if self.reduction is None else Range._fields
         return MemberRange._fields if self.condition is not None else MemberRange._fields[:-1]
 
-    def range_of(self, arrays: Callable[[str], Any]) -> Range | MemberRange | None:
+    def range_of(self, arrays: Mapping[str, Any]) -> Range | MemberRange | None:
         """That range, from its arrays by name."""
         if self.reduction is None:
             return None
-        found = {name: arrays(name) for name in self.change_names}
+        found = {name: arrays[name] for name in self.change_names}
         return MemberRange(**({"first": None} | found)) if self.per_member else Range(**found)
 
     def member(self, m: int) -> tuple[Step, State]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 from types import FrameType
-from typing import Self
+from typing import Any, Self
 
 import jax
 
@@ -18,13 +19,14 @@ _CALL = 0.5  # target duration of a call of the compiled loop, s
 
 
 class Bar:
-    """A progress bar on stderr: body-steps per second, time left, worst energy error so far, unconverged members."""
+    """A progress bar: body-steps per second, time left, worst energy error so far, unconverged members.
+
+    It is on stderr, if that is a terminal, or below the cell of a notebook, where a run takes more than a second.
+    """
 
     def __init__(self, shown: bool, num_steps: int, count: int, done: int) -> None:
-        from tqdm import tqdm  # imported here, for a fast import of the package
-
-        self._count, self._worst = count, 0.0
-        self._bar = tqdm(
+        self._count, self._worst, self._delayed = count, 0.0, _in_notebook()
+        self._bar = _tqdm()(
             total=num_steps * count,
             initial=done * count,
             unit=" body-steps",
@@ -32,12 +34,13 @@ class Bar:
             disable=not (shown and self.is_visible()),
             leave=False,
             dynamic_ncols=True,
+            delay=1 if self._delayed else 0,
         )
 
     @staticmethod
     def is_visible() -> bool:
-        """True if this is the first process and its stderr is a terminal."""
-        return jax.process_index() == 0 and sys.stderr.isatty()
+        """True if this is the first process and somebody sees its bar."""
+        return jax.process_index() == 0 and (sys.stderr.isatty() or _in_notebook())
 
     def update(self, steps: int) -> None:
         """Advance the bar by `steps` steps of all members."""
@@ -46,13 +49,27 @@ class Bar:
     def show(self, energy: float, unconverged: int) -> None:
         """Show the worst energy error so far, `energy` being the latest, and the number of members that failed."""
         self._worst = energy if energy != energy else max(self._worst, energy)
-        self._bar.set_postfix_str(f"energy {self._worst:.1e}, unconverged {unconverged}")
+        self._bar.set_postfix_str(f"energy {self._worst:.1e}, unconverged {unconverged}", refresh=not self._delayed)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._bar.close()
+
+
+def _in_notebook() -> bool:
+    """True in the kernel of Jupyter."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return type(shell).__name__ == "ZMQInteractiveShell"
+
+
+def _tqdm() -> Any:
+    """The kind of bar that fits: widgets in a notebook that has ipywidgets, else text."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "IProgress not found")
+        from tqdm.auto import tqdm  # imported here, for a fast import of the package
+    return tqdm
 
 
 class CallLength:

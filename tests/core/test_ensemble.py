@@ -134,6 +134,30 @@ def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch
     assert "step" in err
 
 
+CELLS = """
+import jax, jax.numpy as jnp, numpy as np
+import lieint_jax as li
+jax.config.update("jax_enable_x64", True)
+body = li.systems.rigid_body([1.0, 2.0, 3.0])
+step = li.schemes.so3_midpoint(body)
+states = jax.vmap(lambda w: body.state(angular_velocity=w))(np.full((1000, 3), 0.1))
+---
+_ = li.run(step, states, 0.01, 100, save_every=None)
+---
+_ = li.run(step, states, 0.01, 60_000, save_every=None)
+"""
+
+
+@pytest.mark.long
+def test_a_notebook_shows_a_bar_below_the_cell_of_a_run_that_takes_long():
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(text) for text in CELLS.split("---")])
+    nbclient.NotebookClient(notebook, kernel_name="python3").execute()
+    printed = ["".join(o.get("text", "") for o in cell.outputs) for cell in notebook.cells]
+    assert printed[:2] == ["", ""]
+    assert "body-steps/s, energy" in printed[2]
+
+
 def test_a_result_file_reads_back_and_is_not_overwritten(tmp_path):
     run = ensemble.run(STEP, states(3), 0.1, 20, save_every=10, progress=False)
     path = files.check_writable(tmp_path / "run.npz")

@@ -9,7 +9,6 @@ from numpy.typing import DTypeLike
 
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Numbers
-from lieint_jax.runs._loop import step_dtype
 from lieint_jax.runs.store import _store
 from lieint_jax.runs.store._integrity import Table
 from lieint_jax.runs.store._store import leaves_by_name, store_name
@@ -41,7 +40,6 @@ class Axes:
     def __init__(self, job: Job, chunk: int, rows: int) -> None:
         self.times = {"time": (job.num_saves + 1, rows)}  # name: (length, chunk)
         self.members = {"member": (job.members, chunk)}
-        self.slots = {"slot": (2, 1)}
         self._number = job.dtype
 
     def column(
@@ -114,19 +112,6 @@ def labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
                 values = values.astype(np.dtypes.StringDType())
             found[dim] = _store.Column(values.shape, values.dtype, values.shape, (dim,), {}), values
     return found
-
-
-def checkpoint_columns(job: Job, axes: Axes) -> dict[str, _store.Column]:
-    """The arrays of the checkpoint: those of a carry, in two slots that are written alternately."""
-    along = {**axes.slots, **axes.members}
-    return {
-        **{name: axes.state(along, name, leaf) for name, leaf in leaves_by_name(job.states).items()},
-        "commit": axes.column({**axes.slots, "number and steps": (2, 2)}, np.int64),
-        "failed": axes.column(along, step_dtype()),
-        "residual": axes.column(along),
-        "converged": axes.column(along, bool),
-        **{name: axes.column(along) for name in job.change_names},
-    }
 
 
 def _unit(name: str, job: Job, options: StoreOptions) -> str:

@@ -103,7 +103,7 @@ def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
 
 def check_same(path: Address, stored: Table, now: Table) -> None:
     """Raise ValueError if the run in a store differs from the one described, or cannot be compared with it."""
-    if stored["format"] < _store.FORMAT:
+    if stored["format"] < (_store.PARTS_FORMAT if "parts" in stored else _store.FORMAT):
         raise ValueError(
             f"{path} was written by an older version of lieint_jax, whose runs this one cannot continue bit for bit: "
             "`lieint info` and `lieint plot` read its results; run again into another store"

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from lieint_jax.runs.store._state_file import PartState, Table, decode_state
 from lieint_jax.runs.store._storage import Address
 
-Table = dict[str, Any]  # an object of JSON, such as the attributes of a store or the metadata of an array
 CHECKPOINT = "checkpoint"  # the group from which a run is resumed
 CHECKSUMS = "checksums"  # the array of the checksums of chunks along time
 _MAX_NAMED = 5  # damaged files in a message
@@ -77,17 +77,33 @@ def files_of_rows(metas: Mapping[str, Table], row: int) -> list[str]:
     return [file for name in names for file in chunk_files(name, metas[name], row)]
 
 
-def files_of_checkpoint(metas: Mapping[str, Table], slot: int) -> list[str]:
-    """The files of a slot of the checkpoint, in the order in which their checksums enter its digest."""
-    names = sorted(name for name in metas if name.startswith(f"{CHECKPOINT}/"))
-    return [file for name in names for file in chunk_files(name, metas[name], slot)]
+def files_of_checkpoint(attributes: Table, commit: int) -> list[str]:
+    """The files of the checkpoint of a commit, one for each chunk of members."""
+    chunks = -(-attributes["members"] // attributes["member_chunk"])
+    return [f"{CHECKPOINT}/{commit % 2}/{k}" for k in range(chunks)]
+
+
+def place_of_chunk(attributes: Table, k: int) -> Table:
+    """Where the checkpoint of the k-th chunk of members belongs."""
+    return {"part": [k, attributes["member_chunk"]], "run": digest(json.dumps(attributes["run"]).encode())}
+
+
+def state_of_chunk(path: Path, attributes: Table, commit: int, k: int) -> PartState:
+    """The checkpoint of a commit for the k-th chunk of members."""
+    data = (path / files_of_checkpoint(attributes, commit)[k]).read_bytes()
+    return decode_state(data, place_of_chunk(attributes, k))
+
+
+def tail(data: bytes) -> int:
+    """The last four bytes, those of a checksum or of a digest."""
+    return int.from_bytes(data[-4:], "little")
 
 
 def checksum_of_file(file: Path) -> int:
     """The checksum at the end of a chunk's file."""
     with file.open("rb") as f:
         f.seek(-4, 2)
-        return int.from_bytes(f.read(4), "little")
+        return tail(f.read(4))
 
 
 def raise_if_damaged(path: Address, damage: Iterable[str]) -> None:
@@ -122,28 +138,29 @@ def damage(path: Path, root: Table) -> Iterator[str]:
 
 def damage_of_checkpoint(path: Path, root: Table) -> Iterator[str]:
     """A line for each missing or altered file of the published commit's checkpoint."""
-    progress, digests = root["attributes"]["progress"], root["attributes"].get("digests")
-    if digests is None or progress["complete"] or not progress["commits"]:
+    attributes = root["attributes"]
+    progress = attributes["progress"]
+    if attributes["format"] < 5 or progress["complete"] or not progress["commits"]:
         return
-    try:
-        metas = metadata(path, [name for name in digests["metadata"] if name.startswith(f"{CHECKPOINT}/")])
-    except (OSError, ValueError):
-        return  # `damage` reports the file
-    slot = progress["commits"] % 2
-    files, found = files_of_checkpoint(metas, slot), _commit_in(path, slot)
-    what = f"the checkpoint of commit {progress['commits']}, step {progress['steps']} (found: {found})"
-    yield from _damage_of_array(path, files, metas, digests["checkpoint"], what)
-
-
-def _commit_in(path: Path, slot: int) -> str:
-    """The commit in a slot of the checkpoint, in words."""
-    import zarr
-
-    try:
-        number, steps = np.asarray(zarr.open_array(str(path / CHECKPOINT / "commit"), mode="r")[slot])
-    except (OSError, ValueError):
-        return "unreadable"
-    return f"commit {number}, step {steps}"
+    lost, sums = [], []
+    for k, file in enumerate(files_of_checkpoint(attributes, progress["commits"])):
+        try:
+            sums.append(tail((path / file).read_bytes()))
+            state_of_chunk(path, attributes, progress["commits"], k)
+        except FileNotFoundError:
+            lost.append(f"{file} is missing")
+        except OSError as error:
+            lost.append(f"{file} is unreadable ({error.strerror})")
+        except Exception as reason:  # a crafted file can make json and numpy raise anything
+            lost.append(f"{file} is altered: {reason}")
+    yield from lost
+    if not lost and digest_of(sums) != attributes["digests"]["checkpoint"]:
+        found = state_of_chunk(path, attributes, progress["commits"], 0).progress
+        yield (
+            f"{CHECKPOINT} is not as the run wrote it: the checkpoint of commit {progress['commits']}, step "
+            f"{progress['steps']} (found: commit {found['commits']}, step {found['steps']}) was replaced, or copied "
+            "while a run was writing it"
+        )
 
 
 def _damage_of_array(

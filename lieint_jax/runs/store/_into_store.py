@@ -18,7 +18,6 @@ from lieint_jax.runs.store import _identity, _store
 from lieint_jax.runs.store._columns import (
     Axes,
     attributes_of,
-    checkpoint_columns,
     columns_of,
     constant,
     labels,
@@ -170,4 +169,4 @@ def _create(path: Path, job: Job, options: StoreOptions, attributes: Table) -> N
     axes = Axes(job, chunk, attributes["time_chunk"])
     columns = columns_of(job, axes, options)
     constants = {name: constant(name, x, job) for name, x in numbers.items()} | labels(job)
-    _store.create(path, columns, checkpoint_columns(job, axes), attributes, constants)
+    _store.create(path, columns, attributes, constants)

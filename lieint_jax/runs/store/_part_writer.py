@@ -12,7 +12,8 @@ import numpy as np
 
 from lieint_jax.runs.store import _integrity, _store
 from lieint_jax.runs.store._integrity import CHECKPOINT, Table
-from lieint_jax.runs.store._parts import ENDS, REQUESTS, ROWS, START, PartsRoot, PartState, UnusablePartError
+from lieint_jax.runs.store._parts import ENDS, REQUESTS, ROWS, START, PartsRoot
+from lieint_jax.runs.store._state_file import PartState, UnusablePartError
 from lieint_jax.runs.store._storage import Storage, writable_arrays
 from lieint_jax.runs.store._store import BackgroundWriter, Column, Commit, Part
 
@@ -132,13 +133,11 @@ class PartWriter(BackgroundWriter):
         """See `BackgroundWriter`."""
         return self._state.progress
 
-    def read(self, name: str, index: int | slice | tuple[int | slice, ...]) -> np.ndarray:
+    def carry(self, members: range) -> dict[str, np.ndarray]:
         """See `BackgroundWriter`."""
-        assert isinstance(index, tuple)  # of the slot and the members; a state has one slot
-        return self._state.arrays[name][index[1:]]
+        return {name.removeprefix(f"{CHECKPOINT}/"): x for name, x in self._state.arrays.items() if "/" in name}
 
-    def checksums(self, commit: Commit) -> np.ndarray:
-        """See `BackgroundWriter`: no other process needs any."""
+    def _checksums(self, commit: Commit, written: Mapping[str, int]) -> np.ndarray:
         return np.zeros(1, np.uint32)
 
     def publish(self, commit: Commit, checksums: np.ndarray) -> None:
@@ -155,7 +154,7 @@ class PartWriter(BackgroundWriter):
         waiting: list[Future[None]] = []
         for part in parts:
             if part.name.startswith(f"{CHECKPOINT}/"):
-                carry[part.name] = part.values[0]
+                carry[part.name] = part.values
             elif part.name not in self._root.constants:
                 waiting += self._put_slab(part)
             if len(waiting) > REQUESTS:  # slabs that wait are in memory

@@ -12,24 +12,20 @@ every state that they put is complete in itself, so that the results are the sam
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from lieint_jax.runs.store import _integrity, _store
 from lieint_jax.runs.store._integrity import Table, checksum_of_bytes, part_of_array
+from lieint_jax.runs.store._state_file import PartState, UnusablePartError, decode_state
 from lieint_jax.runs.store._storage import Storage
 
 ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
 START = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
 REQUESTS = 16  # at the same time
-_DIGEST = 32  # bytes at the end of a state
-_MAX_HEADER = 2**20
 _MAX_NAMED = 5  # parts in a message
 
 
@@ -68,61 +64,6 @@ class Split(NamedTuple):
         """The members of part k."""
         chunks = self.chunks(k)
         return range(chunks.start * self.chunk, min(chunks.stop * self.chunk, self.members))
-
-
-class PartState(NamedTuple):
-    """The published state of a part.
-
-    Attributes:
-        progress: its commits, entries along time, steps, and whether it is complete.
-        arrays: the checksums of its files, and the carry of an incomplete part by name.
-        initial: the digest of the initial states of its members.
-    """
-
-    progress: Table
-    arrays: dict[str, np.ndarray]
-    initial: str = ""
-
-    def encode(self, place: Table) -> bytes:
-        """The bytes of a state: a line of JSON, the arrays, and a digest; `place` is its part and its run."""
-        arrays = {name: np.ascontiguousarray(x) for name, x in sorted(self.arrays.items())}
-        shapes = {name: [x.dtype.newbyteorder("<").str, x.shape] for name, x in arrays.items()}
-        described = {"initial states": self.initial, "progress": self.progress, "arrays": shapes}
-        header = json.dumps({**place, **described}, sort_keys=True)
-        little = [x.astype(x.dtype.newbyteorder("<"), copy=False) for x in arrays.values()]
-        parts = [header.encode(), b"\n", *(x.reshape(-1).view(np.uint8).data for x in little)]
-        digest = hashlib.sha256()
-        for part in parts:
-            digest.update(part)
-        return b"".join([*parts, digest.digest()])
-
-
-class UnusablePartError(ValueError):
-    """A part whose files are damaged or belong to another run; the message names them."""
-
-
-def decode_state(data: bytes, place: Table) -> PartState:
-    """The inverse of `PartState.encode`.
-
-    Raises:
-        UnusablePartError: damaged, or the state of another part or run.
-    """
-    content, digest = memoryview(data)[:-_DIGEST], data[-_DIGEST:]
-    if hashlib.sha256(content).digest() != digest:
-        raise UnusablePartError("its state is altered or cut off")
-    end = data.find(b"\n", 0, _MAX_HEADER)
-    if end < 0:
-        raise UnusablePartError("its state has too long a header")
-    header, arrays, begin = json.loads(data[:end]), {}, end + 1
-    for key, name in (("run", "run"), ("part", "part")):
-        if header[key] != place[key]:
-            raise UnusablePartError(f"its state is that of another {name}: the files were copied from elsewhere")
-    for name, (kind, shape) in header["arrays"].items():
-        dtype = np.dtype(kind)
-        size = math.prod(shape) * dtype.itemsize
-        arrays[name] = np.frombuffer(content[begin : begin + size], dtype).reshape(shape)
-        begin += size
-    return PartState(header["progress"], arrays, header["initial states"])
 
 
 class PartStatus(NamedTuple):

@@ -52,13 +52,10 @@ class StoreOutput:
             return None
         part = self._layout.computed_members
 
-        def read(name: str) -> Any:
-            return self._writer.read(f"checkpoint/{name}", (self._writer.slot, slice(part.start, part.stop)))
-
-        change = self._job.range_of(read)
-        info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
-        state = state_from_leaves({name: read(name) for name in leaves_by_name(self._job.states)})
-        carry = Carry(state, info, read("failed"), change)  # pyright: ignore[reportArgumentType]
+        found: dict[str, Any] = self._writer.carry(part)
+        info = StepInfo(found["residual"], found["converged"])
+        state = state_from_leaves({name: found[name] for name in leaves_by_name(self._job.states)})
+        carry = Carry(state, info, found["failed"], self._job.range_of(found))
         return _layout.placed(self._layout, carry, part.start), done["steps"], done["entries"] - 1
 
     def begin(self, carry: Carry) -> None:
@@ -90,33 +87,36 @@ class StoreOutput:
         commits = 0 if last else number  # reset: it depends on interruptions
         progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
         self._next = _store.Commit(row, progress)
-        writer.write(partial(self._parts, carry, pending, first, (number, done), last), self._next)
+        writer.write(partial(self._parts, carry, pending, first, last), self._next, self._alone)
 
     def _settle(self, wait: bool) -> None:
         """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
         while self._next is not None:
             missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.is_written)[0]
             if not missing:
-                checksums = _layout.gather_row(self._layout.mesh, self._writer.checksums(self._next))
-                self._writer.publish(self._next, checksums.max(axis=0))
+                if not self._alone:
+                    checksums = _layout.gather_row(self._layout.mesh, self._writer.checksums(self._next))
+                    self._writer.publish(self._next, checksums.max(axis=0))
                 self._next = None
             elif not wait:
                 return
             else:
                 time.sleep(0.002)
 
-    def _parts(
-        self, carry: Carry, pending: list[tuple[Pending, int]], first: int, commit: tuple[int, int], last: bool
-    ) -> Any:
-        """The parts of a commit (its number, number of steps), one by one, computed by the background thread."""
-        layout, part, slot = self._layout, _store.Part, commit[0] % 2
+    @property
+    def _alone(self) -> bool:
+        return _layout.count_processes(self._layout.mesh) == 1
+
+    def _parts(self, carry: Carry, pending: list[tuple[Pending, int]], first: int, last: bool) -> Any:
+        """The parts of a commit one by one, computed by the background thread."""
+        layout, part = self._layout, _store.Part
         mine = layout.local_members.start
         series = self._job.reduction is not None
         if len(layout.local_members):
             host = {name: _layout.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
-            for name, x in host.items():
-                yield part(f"checkpoint/{name}", (slot, mine), x[None])
-            if last:
+            if not last:
+                yield from (part(f"checkpoint/{name}", (mine,), x) for name, x in host.items())
+            else:
                 kept = {"first_failure": host["failed"]}
                 if series:
                     names = self._job.change_names if self._job.per_member else ()
@@ -125,8 +125,6 @@ class StoreOutput:
                         kept["t"] = self._own_times(slice(-1, None), layout.local_members)[0]
                 for name, x in kept.items():
                     yield part(store_name(name), (mine,), x)
-        if jax.process_index() == 0:
-            yield part("checkpoint/commit", (slot,), np.array([commit]))
         if not pending:
             return
         end = first + sum(number for _, number in pending)

@@ -1,0 +1,56 @@
+"""How many files and functions of the package a call enters: what a reader must open to follow it.
+
+    python benchmarks/entered.py
+
+Each call is made in a process of its own, the first time and again. Counted by `sys.setprofile`.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+SETUP = """
+import sys, tempfile, threading
+from pathlib import Path
+import jax
+import lieint_jax as li
+jax.config.update("jax_enable_x64", True)
+body = li.systems.rigid_body([1.0, 2.0, 3.0])
+step = li.schemes.so3_midpoint(body)
+one = body.state(angular_velocity=[0.2, 0.0, 1.0])
+many = jax.tree.map(lambda x: jax.numpy.stack([x] * 4), one)
+folder = tempfile.TemporaryDirectory()
+root, entered, names = str(Path(li.__file__).parent), set(), iter("ab")
+def watch(frame, event, _):
+    code = frame.f_code
+    if event == "call" and code.co_filename.startswith(root) and not code.co_name.startswith("<"):
+        entered.add((code.co_filename, code.co_qualname))
+def count(call):
+    entered.clear()
+    threading.setprofile(watch)
+    sys.setprofile(watch)
+    call()
+    sys.setprofile(None)
+    threading.setprofile(None)
+    print(len({file for file, _ in entered}), len(entered))
+"""
+CALLS = {
+    "`integrate`": "li.integrate(step, one, 0.05, 40)",
+    "`run` in memory": "li.run(step, many, 0.05, 40, progress=False)",
+    "`run` into a store": "li.run(step, many, 0.05, 40, progress=False, store=f'{folder.name}/{next(names)}.zarr')",
+}
+
+
+def counts(call: str) -> list[list[int]]:
+    """The numbers of files and of functions that a call enters, the first time and again."""
+    code = f"{SETUP}\ncount(lambda: {call})\ncount(lambda: {call})"
+    text = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    return [list(map(int, line.split())) for line in text.splitlines()]
+
+
+if __name__ == "__main__":
+    print(f"Of {len(list((Path(__file__).parents[1] / 'lieint_jax').rglob('*.py')))} files:\n")
+    print("| call | files, first | functions, first | files, again | functions, again |\n|---|---|---|---|---|")
+    for name, call in CALLS.items():
+        (a, b), (c, d) = counts(call)
+        print(f"| {name} | {a} | {b} | {c} | {d} |")
