@@ -120,7 +120,7 @@ def flipped(data):
 def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, fault):
     """One file of each array, of its metadata, of the checkpoint, and the root, of a run that is half done."""
     half, path = tmp_path / "half.zarr", tmp_path / "run.zarr"
-    with contextlib.suppress(Crash), disk_for(200):
+    with contextlib.suppress(Crash), disk_for(140):
         run(half, num_steps=120)
     progress = archives.load_store(half)[1]["progress"]
     assert 8 <= progress["entries"] < 25

@@ -286,6 +286,7 @@ class Writer(BackgroundWriter):
         self._leader = leader
         self._lock = lock_folder(path) if leader else None
         self._arrays: dict[str, Any] = {}  # of zarr
+        self._durable = {path}  # folders that this process knows to be in the lists of their parents on disk
 
     @cached_property
     def attributes(self) -> Table:
@@ -403,10 +404,20 @@ class Writer(BackgroundWriter):
                 file = "/".join((name, "c", *map(str, key), *rest))
                 checksums[file] = _integrity.checksum_of_file(self.path / file)
                 sync(self.path / file)
-                folders.update(list((self.path / file).parents)[: array.ndim + 1])
+                folders |= self._changed_by(self.path / file)
         for folder in folders:
             sync(folder)
         return checksums | (self._write_states(carry, first, commit.progress) if carry and commit else {})
+
+    def _changed_by(self, file: Path) -> set[Path]:
+        """The folders whose lists of entries are not yet on disk after a file is written."""
+        folder = file.parent
+        found = {folder}
+        while folder not in self._durable:
+            self._durable.add(folder)
+            folder = folder.parent
+            found.add(folder)
+        return found
 
     def _write_states(self, carry: dict[str, np.ndarray], first: int, progress: Table) -> dict[str, int]:
         """Write the checkpoint of the members from `first` on, a file for each chunk, and return the checksums."""
