@@ -1,6 +1,7 @@
 """Runs read back: a store gives its system too, old stores and files still open, and any run of a system is drawn."""
 
 import json
+import re
 import shutil
 import zipfile
 from functools import partial
@@ -124,12 +125,12 @@ def test_a_damaged_constant_array_raises_an_error(tmp_path):
 
 
 def old(tmp_path, name):
-    """Results that version 0.1 or 0.2 wrote."""
+    """Results that version 0.1, 0.2 or 0.3 wrote."""
     if name.endswith(".npz"):
         return shutil.copy(DATA / name, tmp_path / name)
     with zipfile.ZipFile(DATA / f"{name}.zip") as archive:
         archive.extractall(tmp_path)
-    return tmp_path / name.replace("-0.1", "").replace("-0.2", "")
+    return tmp_path / re.sub(r"-0\.\d", "", name)
 
 
 @pytest.mark.long
@@ -170,6 +171,19 @@ def test_a_store_of_version_0_2_still_opens_and_is_checked(tmp_path):
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"\0")
     with pytest.raises(ValueError, match=r"extra.rotor/c/0/0/0 is altered \(extra.rotor of time 0 … 2, member 0 … 1\)"):
         li.ensemble.open(path)
+
+
+def test_a_store_of_version_0_3_that_is_not_complete_still_opens(tmp_path):
+    """Its checkpoint is in arrays, and κ of its step has a name of JAX."""
+    run = li.open(old(tmp_path, "body-0.3.zarr"))
+    assert "not complete" in repr(run)
+    assert jax.tree.structure(run.step) == jax.tree.structure(li.schemes.so3_midpoint(BODY))
+    again = li.run(run.step, jax.tree.map(lambda x: x[0], run.state), 0.05, 35, save_every=5, progress=False)
+    np.testing.assert_allclose(run.state.q[:], again.state.q, rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(run.failed, [-1, -1])
+    assert np.abs(run.energy_error()).max() < 2e-15  # observed: 2e-16
+    with pytest.raises(ValueError, match=r"was written by an older version.*run again into another store"):
+        li.run(run.step, STATES, 0.05, 60, save_every=5, store=tmp_path / "body.zarr", resume=True, progress=False)
 
 
 @pytest.mark.long
