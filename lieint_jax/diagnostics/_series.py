@@ -18,9 +18,9 @@ def energy_error(
 
     Args:
         system: a run, and nothing else; or the system of a trajectory.
-        trajectory: a trajectory of one body, or of a batch with the axes (time, member) of `ensemble.run`.
+        trajectory: a trajectory of one body, or of a batch with the axes (time, member) of `li.run`.
         system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading axis
-            of the leaves (`step_axis=0` of `ensemble.run`); "auto" infers it from the shapes.
+            of the leaves (`own_step=True` of `li.run`); "auto" infers it from the shapes.
 
     Returns:
         Shape (n+1,), or (n+1, members).

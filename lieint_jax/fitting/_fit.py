@@ -95,7 +95,7 @@ def fit(
             and `li.event` in the loss.
         starts: whether many starts are fitted together, vmapped and split over the devices.
         data: a second argument of the loss: loss(params, data). With `starts`, every leaf has a leading axis of starts.
-        mesh: devices for many starts, as in `ensemble.run`; None uses all.
+        mesh: devices for many starts, as in `li.run`; None uses all.
         progress: show a progress bar on stderr, if that is a terminal.
 
     Returns:

@@ -61,7 +61,7 @@ def integrate(
 
     Args:
         step: a scheme's step.
-        state: the initial state; one body (use jax.vmap or `ensemble.run` for many).
+        state: the initial state; one body (use jax.vmap or `li.run` for many).
         dt: step size, either sign.
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states.
@@ -147,7 +147,7 @@ def _check_size(state: State, entries: int) -> None:
     """ValueError if the trajectory of a concrete state has more bytes than this machine's memory."""
     if _checks.concrete(state):
         size = _checks.entry_size(state) + state.p.dtype.itemsize  # and the time
-        advice = "give a larger save_every, or write to disk by ensemble.run(…, store=PATH)"
+        advice = "give a larger save_every, or write to disk by li.run(…, store=PATH)"
         _checks.fits_memory(entries, size, advice, copies=2)  # the start is joined to the rest
 
 

@@ -1,4 +1,4 @@
-"""The checked description of a run, from the arguments of `ensemble.run`."""
+"""The checked description of a run, from the arguments of `li.run`."""
 
 from __future__ import annotations
 

@@ -65,7 +65,8 @@ def run(
         own_step: each member has a step of its own, made by `jax.vmap`.
         reduce: a quantity, "energy" (minus the work, where states have it) or a function (step, state) ↦ scalar.
             Intermediate states are not saved; the result has instead, for each save interval, the least, greatest and
-            mean change of the quantity over all steps and members. All three are NaN where the quantity was NaN.
+            mean change of the quantity over all steps and members; with save_every=None, of the whole run. All three
+            are NaN where the quantity was NaN.
         per: "member" reduces each member over all steps, the start included: `run.summary` has the least, greatest,
             mean and last value (not change) of the quantity for each.
         first: with `per="member"`, a condition (step, state) ↦ flag: `run.summary.first` is the first time at which it

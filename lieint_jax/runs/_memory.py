@@ -33,7 +33,7 @@ def peak_memory(
     save_every: int = 1,
     members: int | None = None,
 ) -> int:
-    """The bytes that `ensemble.run` will need at most, beyond those of the process and of the states before it.
+    """The bytes that `li.run` will need at most, beyond those of the process and of the states before it.
 
     It is an estimate for machine code on a CPU, whose numbers of copies were fitted to the peaks of free bodies that
     `benchmarks/scale.py` measures; other systems may need more. With `store` it grows by only 16 bytes per entry, with

@@ -21,7 +21,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
 
     For example `over_members(jax.grad(loss))(params, states)`. The result may be jitted and differentiated again. With
     `jax.distributed`, every process calls it with the same arguments and gets the same results. All devices run one
-    program, so the last bits may depend on the number of devices; those of machine code in `ensemble.run` do not.
+    program, so the last bits may depend on the number of devices; those of machine code in `run` do not.
 
     LAPACK calls (`svd`, `qr`, `solve`, …) inside `function` need `jax.custom_batching.sequential_vmap`: where each core
     of a CPU is a device, XLA runs a batch of them on the threads that already wait for it, and hangs.
@@ -31,7 +31,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
         in_axes: 0 for an argument with a member axis, None for one that all members share; one value for all arguments,
             or a tuple. For parts of an argument, a tree of 0 and None as in `jax.vmap`: State(0, 0, None, 0) for states
             that share their time.
-        mesh: devices, as in `ensemble.run`; None means all. If their number does not divide the number of members, the
+        mesh: devices, as in `li.run`; None means all. If their number does not divide the number of members, the
             batch is padded with copies of the last member.
 
     Returns:

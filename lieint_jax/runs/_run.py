@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,12 +16,12 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.runs._clock import GridClock
+from lieint_jax.runs._facts import Facts, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
 from lieint_jax.runs._job import MemberSummary, Saves
 from lieint_jax.runs._make_job import checked_job
 from lieint_jax.runs._member_axis import member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._results import Results, compute, write
-from lieint_jax.runs._run_text import lines
 from lieint_jax.runs.store._identity import package_versions
 from lieint_jax.runs.store._reading import Stored
 from lieint_jax.runs.store._store_options import StoreOptions
@@ -42,38 +42,12 @@ Tree = Any  # a tree of arrays
 _BLOCK = 2**26  # bytes of states that `map` reads from disk at once
 
 
-class Facts(NamedTuple):
-    """What is known of a run beside its numbers.
-
-    Attributes:
-        batch: whether it has a member axis.
-        own_step: whether each member has a step of its own; then the step's leaves have the member axis, too.
-        dt: the step size; None if times were given.
-        num_steps: the number of steps that were asked for.
-        save_every: the number of steps between saves; None if output times were given.
-        engine: what computed it, "native" (machine code), "flat" or "xla".
-        versions: the versions of packages that computed it, by name.
-        complete: whether it has reached its last step.
-        source: the path or URL of the store from which its arrays are read; "" if they are in memory.
-    """
-
-    batch: bool
-    own_step: bool
-    dt: float | None
-    num_steps: int
-    save_every: int | None
-    engine: str
-    versions: tuple[tuple[str, str], ...]
-    complete: bool = True
-    source: str = ""
-
-
 @pytree
 class Run:
     """The states, or a summary of them, that a step made of initial states.
 
-    In memory a run is a pytree, which can be passed to a function under jit or grad. The arrays of a run on disk are
-    read where they are indexed: `load` brings it to memory.
+    In memory a run is a pytree, which can be passed to a function under jit. The arrays of a run on disk are read where
+    they are indexed, and it is no pytree: `load` brings it to memory.
 
     Attributes:
         step: the step; with the member axis on its leaves if `own_step`.
@@ -153,11 +127,15 @@ class Run:
             raise ValueError("the run was reduced and has no states but the last ones: see run.summary")
         return self.trajectory
 
+    @property
+    def _in_memory(self) -> Trajectory:
+        return jax.tree.map(np.asarray, self._saved)
+
     def member(self, k: int) -> Run:
         """The run of member k, as one of one body."""
         if self.members is None:
             raise ValueError("the run is of one body and has no members")
-        if not -self.members <= k < self.members:
+        if not isinstance(k, int | np.integer) or not -self.members <= k < self.members:
             raise ValueError(f"the run has {self.members} members, numbered from 0, got {k}")
         found = member_of(self._saved, k)
         step = jax.tree.map(lambda x: x[k], self.step) if self.own_step else self.step
@@ -166,8 +144,8 @@ class Run:
 
     def load(self) -> Run:
         """The run with its arrays in memory, so that it can be passed to functions under jit."""
-        found: Run = jax.tree.map(np.asarray, self)
-        return Run(**vars(found) | {"facts": self.facts._replace(source="")})
+        arrays = {name: jax.tree.map(np.asarray, x) for name, x in vars(self).items() if name != "facts"}
+        return Run(**arrays, facts=self.facts._replace(source=""))
 
     def map(self, function: Callable[[Step, State], Tree]) -> Tree:
         """The values of function(step, state) for one saved state of one member, along the run.
@@ -208,12 +186,12 @@ class Run:
         Raises:
             ValueError: times outside the run; too few saved states; a batch whose step has its own time.
         """
-        run = self.load()
+        saved = self._in_memory
         if not self.facts.batch:
-            return interpolate(run.system, run.trajectory, times)
+            return interpolate(self.system, saved, times)
         if self.step.own_time:
             raise ValueError("each member has its own times: give run.member(k).at(times)")
-        return interpolate_members(run.system, run.trajectory, times, 0 if self.own_step else None)
+        return interpolate_members(self.system, saved, times, 0 if self.own_step else None)
 
     def energy_error(self) -> Array:
         """H − W less its first value, (times,) or (times, members); W is the work, where the states count it."""
@@ -243,7 +221,7 @@ class Run:
 
     def to_xarray(self, units: Mapping[str, str] | None = None) -> Any:
         """The run as an `xarray.Dataset` with energy, momentum map and angular velocity: see `Trajectory.to_xarray`."""
-        return labeled.dataset(self.load().trajectory, self.system, units or {}, 0 if self.own_step else None)
+        return labeled.dataset(self._in_memory, self.system, units or {}, 0 if self.own_step else None)
 
     def to_dataframe(self) -> Any:
         """The run as a `pandas.DataFrame`: a row for each time and member, a column for each component.
@@ -253,7 +231,7 @@ class Run:
         Raises:
             ImportError: pandas is not installed.
         """
-        return labeled.frame(self.load().trajectory, self.system, 0 if self.own_step else None)
+        return labeled.frame(self._in_memory, self.system, 0 if self.own_step else None)
 
     def extend(self, num_steps: int, progress: bool = True) -> Run:
         """The run with `num_steps` further steps, bit for bit the run of all these steps.
@@ -321,6 +299,10 @@ class Run:
         return f"<table>{''.join(rows)}</table>"
 
 
+class StoredRun(Run):
+    """A run whose arrays are read from disk. It is no pytree, so that no transformation reads them all unasked."""
+
+
 @lru_cache(16)
 def _along(structure: Any, batch: bool, own_step: bool) -> Callable[..., Tree]:
     """A function of step and state of this structure, compiled for all states of a run."""
@@ -383,7 +365,7 @@ def stored_run(path: str, stored: Stored, step: Step) -> Run:
         batch=batch,
         own_step=described["step_axis"] == 0,
         dt=attributes["dt"],
-        num_steps=attributes["num_steps"],
+        num_steps=described.get("num_steps", attributes["num_steps"]),
         save_every=attributes["save_every"],
         engine=described.get("engine", "xla"),
         versions=tuple(described["versions"].items()),
@@ -400,7 +382,8 @@ def _made(step: Step, start: State | None, saves: Saves, functions: list[Any], t
         found, failed = member_of(found, 0), failed[0]
         start = None if start is None else jax.tree.map(lambda x: x[0] if np.ndim(x) else x, start)
     states = isinstance(found, Trajectory)
-    return Run(step, start, found if states else None, None if states else found, failed, *functions, times, facts)
+    kind = StoredRun if facts.source else Run
+    return kind(step, start, found if states else None, None if states else found, failed, *functions, times, facts)
 
 
 def _plain(function: Any) -> Any:

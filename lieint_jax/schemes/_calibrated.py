@@ -116,7 +116,7 @@ def calibrated(system: AbstractFreeBody, iterations: int | None = None) -> Calib
     | spatial momentum | bit for bit |
     | the symplectic form | round-off, whether the constants are held fixed or computed for each state |
 
-    `integrate` and `ensemble.run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. A direct
+    `integrate` and `run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. A direct
     call without `prepare` computes the constants at every step. Prepared for one trajectory or step size and used
     with another, it reports `converged=False`. Use `exact` for one large step, `calibrated` for many small ones.
 

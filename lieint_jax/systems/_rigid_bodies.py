@@ -129,7 +129,7 @@ class _Many:
         if self.masses.ndim != 1 or self.inertias.shape not in ((n, 3), (n, 3, 3)):
             raise ValueError(
                 f"masses of one system are (N,), its inertias (N, 3) or (N, 3, 3), got {self.masses.shape} and "
-                f"{self.inertias.shape}. If each member has its own system, give ensemble.run step_axis=0"
+                f"{self.inertias.shape}. If each member has its own system, give li.run own_step=True"
             )
         _checks.real_array("state.q", state.q, (n, 7))
         _checks.real_array("state.p", state.p, (n, 6))

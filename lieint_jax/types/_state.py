@@ -105,7 +105,7 @@ class Trajectory(NamedTuple):
                 axes) where the system has one.
             units: units by name of a variable or of the coordinate time, such as {"time": "d"}; by default none.
             system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading
-                axis of the leaves (`step_axis=0` of `ensemble.run`); "auto" infers it from the shapes.
+                axis of the leaves (`own_step=True` of `li.run`); "auto" infers it from the shapes.
 
         Raises:
             ValueError: `units` names no variable; the shapes contradict `system_axis`, or are ambiguous; the axes of

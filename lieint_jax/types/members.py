@@ -32,7 +32,7 @@ def axes(run: Run) -> tuple[str, ...]:
     if np.ndim(run.t) != 1:
         raise ValueError(
             f"t must have shape (n+1,), got {np.shape(run.t)}: a vmapped `integrate` gives the axes (member, time). "
-            "Use ensemble.run, or jax.vmap(…, out_axes=lieint_jax.Trajectory(None, 1, 1)), for (time, member); or "
+            "Use li.run, or jax.vmap(…, out_axes=lieint_jax.Trajectory(None, 1, 1)), for (time, member); or "
             "apply jax.vmap to the function that you call here"
         )
     return ("time", "member")[: 1 if run.info is None else np.ndim(run.info.residual)]
@@ -94,13 +94,17 @@ def member_axis(system: PyTree, one: PyTree, members: int, given: Axis, name: st
         return None
     shared, own = _fits(system, one), _fits(jax.tree.map(lambda x: x[0], system), one)
     if given is None and own and not shared:
-        raise ValueError(f"there is one system per member ({told}): give {name}=0")
+        raise ValueError(f"there is one system per member ({told}): give {_words(name)}")
     if given == "auto" and own and shared:
         raise ValueError(
             f"the shapes fit one system for all members and one per member ({told}): give {name}=None "
             f"for one system, {name}=0 for one per member"
         )
     return 0 if own and not shared else None
+
+
+def _words(name: str) -> str:
+    return "own_step=True, or step_axis=0 to ensemble.run" if name == "step_axis" else f"{name}=0"
 
 
 def _check_single(system: PyTree, states: PyTree, given: Axis) -> None:

@@ -127,7 +127,7 @@ def test_a_vmapped_integrate_has_its_axes_the_other_way_round():
     wrong = Trajectory(np.tile(T, (5, 1)), *turned)
     body = li.systems.rigid_body([1.0, 2.0, 2.5])
     for measure in (wrong.to_xarray, wrong.rotations, lambda: energy_error(body, wrong)):
-        with pytest.raises(ValueError, match=r"\(member, time\).*ensemble\.run.*out_axes"):
+        with pytest.raises(ValueError, match=r"\(member, time\).*li\.run.*out_axes"):
             measure()
     apart = jax.vmap(functools.partial(energy_error, body))(wrong)  # one by one they are right
     np.testing.assert_allclose(apart.T, energy_error(body, run), rtol=0, atol=1e-15)

@@ -59,6 +59,17 @@ def test_a_store_gives_the_trajectory_and_the_system_back(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("step", [pytest.param(step, id=name) for name, step, *_ in grid.steps()])
+def test_every_step_of_the_package_is_made_again_from_its_description(step):
+    description, arrays = describe(step)
+    description = json.loads(json.dumps(description))
+    again = make(description["step"], arrays, {}, make(description["system"], arrays, {}))
+    assert jax.tree.structure(again) == jax.tree.structure(step)
+    for x, y in zip(jax.tree.leaves(again), jax.tree.leaves(step), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+@pytest.mark.long
 def test_systems_of_members_are_read_back(tmp_path):
     J = np.array([[1.0, 2.0, 3.0], [2.0, 2.0, 3.0], [2.0, 4.0, 5.0]])
     steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.RigidBody(J)))(J)

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lieint_jax as li
-from lieint_jax.runs.store._description import describe, make
 
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)
@@ -63,8 +62,9 @@ def test_a_batch_has_the_axes_time_and_member_and_its_members_are_runs():
         alone = li.run(STEP, jax.tree.map(lambda x: x[k], batch), 0.05, 40, save_every=4, **QUIET)  # noqa: B023
         same(member.trajectory, alone.trajectory)
         assert member.members is None
-    with pytest.raises(ValueError, match="the run has 5 members, numbered from 0, got 5"):
-        run.member(5)
+    for k in (5, 1.5):
+        with pytest.raises(ValueError, match=f"the run has 5 members, numbered from 0, got {k}"):
+            run.member(k)
     with pytest.raises(ValueError, match="is of one body"):
         run.member(0).member(0)
 
@@ -183,6 +183,8 @@ def test_an_opened_run_answers_like_the_one_in_memory_and_goes_on(tmp_path):
             found.extend(8)
         same(found.load().extend(8, **QUIET).trajectory, run.extend(8, **QUIET).trajectory)
         assert "a.zarr" in repr(found)
+        with pytest.raises(TypeError, match="StoredRun"):
+            jax.jit(lambda run: run.state.q)(found)
     inside = jax.jit(lambda r: r.energy_error())(opened.load())
     np.testing.assert_allclose(inside, run.energy_error(), rtol=0, atol=1e-15)  # observed: 2e-16
 
@@ -243,6 +245,25 @@ def test_reductions_of_each_member_have_the_same_bits_in_parts_and_by_any_thread
     same(li.open(tmp_path / "a.zarr").summary, whole.summary)
 
 
+def test_members_of_parts_that_are_missing_have_not_failed(tmp_path):
+    li.run(STEP, bodies(6), 0.05, 40, save_every=4, **QUIET, store=tmp_path / "a.zarr", part=(1, 2))
+    with pytest.warns(RuntimeWarning, match="part 0"):
+        run = li.open(tmp_path / "a.zarr")
+    np.testing.assert_array_equal(run.failed, [-1] * 6)
+    assert "not complete" in repr(run)
+    assert np.isnan(run.state.q[-1, :3]).all()
+    assert np.isfinite(run.state.q[-1, 3:]).all()
+
+
+def test_output_times_are_saved_with_the_number_of_steps_that_was_asked_for(tmp_path):
+    run = li.run(STEP, ONE, 0.05, 100, save_at=[0.3, 1.0], **QUIET)
+    stored = run.save(tmp_path / "a.zarr")
+    assert "100 steps of 0.05; 3 saves, at given times" in repr(run)
+    assert repr(stored).startswith(repr(run).splitlines()[0])
+    assert "100 steps of 0.05; 3 saves, at given times" in repr(stored)
+    same(stored.trajectory, run.trajectory)
+
+
 def test_times_since_the_start_are_told_where_states_have_none():
     options = {"reduce": "energy", "per": "member", "first": lambda step, z: z.q[0] < 0.9}
     back = li.run(STEP, bodies(3), -0.05, 40, **options, **QUIET)
@@ -282,8 +303,17 @@ def test_states_of_other_shapes_are_refused_with_the_shapes_of_the_system():
     with pytest.raises(TypeError, match=r"li\.run computes with numbers.*inside of them use li\.integrate"):
         jax.jit(lambda z: li.run(STEP, z, 0.05, 20).state)(ONE)
     reduced = li.run(STEP, ONE, 0.05, 20, reduce="energy", **QUIET)
-    with pytest.raises(ValueError, match=r"the run was reduced and has no states but the last ones: see run\.summary"):
-        _ = reduced.state
+    for ask in (
+        lambda run: run.state,
+        lambda run: run.at([0.1]),
+        lambda run: run.to_xarray(),
+        lambda run: run.map(speed),
+    ):
+        with pytest.raises(ValueError, match=r"the run was reduced and has no states but the last ones: see run\.sum"):
+            ask(reduced)
+    own = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(jnp.array([J123, J123]))
+    with pytest.raises(ValueError, match=r"there is one system per member.*: give own_step=True"):
+        li.run(own, bodies(2), 0.05, 20, **QUIET)
     at_times = li.run(STEP, ONE, times=[0.0, 0.1, 0.3], **QUIET)
     with pytest.raises(ValueError, match="a run at given times cannot be extended"):
         at_times.extend(3)
@@ -297,16 +327,6 @@ def test_a_run_shows_itself_on_one_screen():
     assert len(text.splitlines()) < 12
     assert run._repr_html_().count("<tr>") == len(text.splitlines())
     jax.jit(lambda r: repr(r) and r.state.q)(run)  # inside of jit, too
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("name", "step", "state", "dt"), [pytest.param(*x, id=x[0]) for x in steps()])
-def test_every_step_of_the_package_is_made_again_from_its_description(name, step, state, dt):
-    description, arrays = describe(step)
-    system = make(description["system"], arrays, {})
-    again = make(description["step"], arrays, {}, system)
-    assert jax.tree.structure(again) == jax.tree.structure(step)
-    same(jax.tree.leaves(again), jax.tree.leaves(step))
 
 
 @pytest.mark.long

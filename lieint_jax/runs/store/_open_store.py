@@ -76,7 +76,9 @@ def _check_bucket(url: Url) -> Table:
     storage = Bucket(url)
     root = read_root(storage)
     if root is None:
-        raise UnreadableError(f"there is no store {url}; lieint run NAME --out {url} writes one")
+        raise UnreadableError(
+            f"there is no store {url}; li.run(…, store=…) and `lieint run NAME --out {url}` write one"
+        )
     if "parts" not in root["attributes"]:
         raise UnreadableError(f"{url} is a copy of a store that was written on a disk: copy it to a disk to read it")
     return _check_parts(storage, root)

@@ -45,6 +45,11 @@ class PublishedArray:
         return self.size * self.dtype.itemsize
 
     @property
+    def published(self) -> np.ndarray:
+        """Whether a value is published, for each entry and member."""
+        return self._published(np.arange(self.shape[0]), np.arange(self.shape[1]) + self._members.start)
+
+    @property
     def first_published(self) -> int:
         """The first member with entries; 0 if there is none."""
         found = [status.members.start for status in self._statuses if status.progress["entries"]]

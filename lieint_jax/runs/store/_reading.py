@@ -175,7 +175,10 @@ def _stored(loaded: Loaded) -> Stored:
 
 def _failures(found: Trajectory, save_every: int | None) -> np.ndarray:
     """The first step of the first save interval in which a step of each member failed, or −1, from the reports."""
-    bad = ~np.asarray(found.info.converged[...])
+    converged = found.info.converged
+    bad = ~np.asarray(converged[...])
+    if isinstance(converged, PublishedArray):
+        bad &= converged.published
     first = np.maximum(bad.argmax(axis=0) - 1, 0) * (save_every or 1)
     return np.where(bad.any(axis=0), first, -1)
 

@@ -1,14 +1,40 @@
-"""What a run is, in a few lines of text."""
+"""What is known of a run beside its numbers, and what it is in a few lines of text."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lieint_jax._checks import concrete
 from lieint_jax.runs._job import MemberSummary, list_members
 from lieint_jax.runs.store._store import leaves_by_name
+
+
+class Facts(NamedTuple):
+    """What is known of a run beside its numbers.
+
+    Attributes:
+        batch: whether it has a member axis.
+        own_step: whether each member has a step of its own; then the step's leaves have the member axis, too.
+        dt: the step size; None if times were given.
+        num_steps: the number of steps that were asked for.
+        save_every: the number of steps between saves; None if output times were given.
+        engine: what computed it, "native" (machine code), "flat" or "xla".
+        versions: the versions of packages that computed it, by name.
+        complete: whether it has reached its last step.
+        source: the path or URL of the store from which its arrays are read; "" if they are in memory.
+    """
+
+    batch: bool
+    own_step: bool
+    dt: float | None
+    num_steps: int
+    save_every: int | None
+    engine: str
+    versions: tuple[tuple[str, str], ...]
+    complete: bool = True
+    source: str = ""
 
 
 def lines(run: Any) -> dict[str, str]:
