@@ -69,7 +69,7 @@ class MemberSummary(NamedTuple):
         least, greatest, total, last: the least, the greatest, the sum and the last value of the quantity, (members,).
         first: the first time at which the condition `first` was true, NaN if never, (members,); None without one.
         residual, unconverged: of the start and of all steps, as in `Summary`, (2,).
-        count: the number of values of a member.
+        number: the number of values of a member.
         state: the states at the end, (members, …).
         failed: the first step of each member that did not converge, or −1.
     """
@@ -82,14 +82,14 @@ class MemberSummary(NamedTuple):
     first: np.ndarray | None
     residual: np.ndarray
     unconverged: np.ndarray
-    count: int
+    number: int
     state: State
     failed: np.ndarray
 
     @property
     def mean(self) -> np.ndarray:
         """The mean of the quantity over the values, (members,)."""
-        return self.total / self.count
+        return self.total / self.number
 
     @property
     def range(self) -> MemberRange:
@@ -231,7 +231,7 @@ class Job(NamedTuple):
         """That range, from its arrays by name."""
         if self.reduction is None:
             return None
-        found = {name: arrays[name] for name in self.change_names}
+        found: dict[str, Any] = {name: arrays[name] for name in self.change_names}
         return MemberRange(**({"first": None} | found)) if self.per_member else Range(**found)
 
     def member(self, m: int) -> tuple[Step, State]:

@@ -34,7 +34,7 @@ class MemoryOutput:
         change, info, saved = None, None, len(found.t) - 1
         done = int(self._job.nodes[saved])
         if isinstance(found, MemberSummary):
-            last, change, done, saved = found.state, found.range, int(found.count) - 1, 0
+            last, change, done, saved = found.state, found.range, int(found.number) - 1, 0
             self._series.append(first_entry(self._job))
             info = StepInfo(np.full(failed.shape, found.residual[-1]), failed < 0)  # pyright: ignore
         elif isinstance(found, Summary):
@@ -98,7 +98,7 @@ class MemoryOutput:
         state = self._job.with_last_time(state)
         if self._job.per_member:
             change: Any = _layout.gather(self._layout, carry.change)
-            values, count = change._asdict() | series, self._job.num_steps + 1
-            found = MemberSummary(self._job.times, **values, count=count, state=state, failed=failed)
+            values, number = change._asdict() | series, self._job.num_steps + 1
+            found = MemberSummary(self._job.times, **values, number=number, state=state, failed=failed)
             return Saves(found, failed)
         return Saves(Summary(self._job.times, **series, state=state, failed=failed), failed)

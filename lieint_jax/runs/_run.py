@@ -245,7 +245,7 @@ class Run:
         if facts.dt is None or facts.save_every is None:
             raise ValueError("a run at given times cannot be extended: start another one from its last state")
         start, saves = self._start_and_saves()
-        options = self._options | {"num_steps": facts.num_steps + more}
+        options: dict[str, Any] = self._options | {"num_steps": facts.num_steps + more}
         return computed_run(compute(self.step, start, **options, progress=progress, earlier=saves), facts.batch)
 
     def save(self, path: str | Path | StoreOptions) -> Run:
@@ -382,8 +382,10 @@ def _made(step: Step, start: State | None, saves: Saves, functions: list[Any], t
         found, failed = member_of(found, 0), failed[0]
         start = None if start is None else jax.tree.map(lambda x: x[0] if np.ndim(x) else x, start)
     states = isinstance(found, Trajectory)
-    kind = StoredRun if facts.source else Run
-    return kind(step, start, found if states else None, None if states else found, failed, *functions, times, facts)
+    reduction, condition = functions
+    shown = (found, None) if states else (None, found)
+    kind: Any = StoredRun if facts.source else Run
+    return kind(step, start, *shown, failed, reduction, condition, times, facts)
 
 
 def _plain(function: Any) -> Any:

@@ -82,7 +82,7 @@ def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axi
     return found
 
 
-def _arrays(run: Run, system: PyTree, system_axis: Axis) -> dict[str, PyTree]:
+def _arrays(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Any]:
     """The arrays along a run by name; with a system, also what it conserves."""
     extra = {f"extra_{name}": x for name, x in (run.state.extra or {}).items()}
     leaves = {**run.state._asdict(), **extra, **run.info._asdict()}

@@ -212,6 +212,9 @@ def test_failures_are_told_by_member_and_step(tmp_path):
     assert f"not 1 member(s): 2; first member 2 at step {first}" in repr(run)
     run.save(tmp_path / "a.zarr")
     np.testing.assert_array_equal(li.open(tmp_path / "a.zarr").failed, run.failed)
+    with pytest.warns(RuntimeWarning, match="1 of 4 members did not converge"):
+        longer = li.run(step, batch, 0.99, first + 1, **QUIET).extend(2, **QUIET)
+    np.testing.assert_array_equal(longer.failed, run.failed)
 
 
 @pytest.mark.filterwarnings("ignore:the time 15 of a state")  # in float32

@@ -164,10 +164,10 @@ def _stored(loaded: Loaded) -> Stored:
         return Stored(found, failed, attributes)
     state, failed = _store.states_in(found, found["time"][-1], attributes), found["first_failure"]
     if attributes.get("per") is not None:
-        values = {name: found.get(name) for name in (*MemberRange._fields, "residual", "unconverged")}
-        count = attributes["num_steps"] + 1
+        values: dict[str, Any] = {name: found.get(name) for name in (*MemberRange._fields, "residual", "unconverged")}
+        number = attributes["num_steps"] + 1
         return Stored(
-            MemberSummary(found["time"], **values, count=count, state=state, failed=failed), failed, attributes
+            MemberSummary(found["time"], **values, number=number, state=state, failed=failed), failed, attributes
         )
     series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
     return Stored(Summary(found["time"], **series, state=state, failed=failed), failed, attributes)
