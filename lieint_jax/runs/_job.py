@@ -231,8 +231,8 @@ class Job(NamedTuple):
         """That range, from its arrays by name."""
         if self.reduction is None:
             return None
-        found: dict[str, Any] = {name: arrays[name] for name in self.change_names}
-        return MemberRange(**({"first": None} | found)) if self.per_member else Range(**found)
+        kind: Any = MemberRange if self.per_member else Range
+        return kind(*(arrays.get(name) for name in kind._fields))
 
     def member(self, m: int) -> tuple[Step, State]:
         """The step and the initial state of one member."""

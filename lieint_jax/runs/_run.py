@@ -51,7 +51,8 @@ class Run:
 
     Attributes:
         step: the step; with the member axis on its leaves if `own_step`.
-        start: the initial states of a reduced run, to continue it; None if there is an entry of them, or no memory.
+        start: the initial states of a reduced run, from which it is extended; None if they are the first entry, or if
+            the run was read from a store.
         trajectory: the saved states: a `Trajectory` with the axes (time, …), or (time, member, …); None if the run was
             reduced.
         summary: a `Summary` of a reduced run, else None.

@@ -99,10 +99,10 @@ def frame(run: Run, system: PyTree, system_axis: Axis) -> Any:
         columns["member"] = np.broadcast_to(np.arange(shape[1]), shape)
     for name, x in _arrays(run, system, system_axis).items():
         dims, labels = state_axes(name, x.shape[len(leading) :], system)
-        texts = [labels.get(dim, np.arange(n)) for dim, n in zip(dims, x.shape[len(leading) :], strict=True)]
+        texts: list[Any] = [labels.get(dim, np.arange(n)) for dim, n in zip(dims, x.shape[len(leading) :], strict=True)]
         for where in np.ndindex(x.shape[len(leading) :]):
             text = "_".join([name, *(str(own[k]) for own, k in zip(texts, where, strict=True))])
-            columns[text] = np.asarray(x[(..., *where)])
+            columns[text] = np.asarray(x)[(..., *where)]
     return _package("pandas").DataFrame({name: np.ravel(x) for name, x in columns.items()})
 
 
