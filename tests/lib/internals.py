@@ -147,13 +147,13 @@ def another_version(monkeypatch, **versions):
 
 def after_commits(monkeypatch, action):
     """Call action(path, steps) after each commit of a run of so many steps so far to the store at `path`."""
-    publish = _store.Writer.publish
+    publish = _store.Writer._publish
 
     def published(self, *arguments):
         publish(self, *arguments)
         action(self.path, self.progress["steps"])
 
-    monkeypatch.setattr(_store.Writer, "publish", published)
+    monkeypatch.setattr(_store.Writer, "_publish", published)
 
 
 def before_checkpoints(monkeypatch, action):

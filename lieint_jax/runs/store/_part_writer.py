@@ -140,7 +140,7 @@ class PartWriter(BackgroundWriter):
     def _checksums(self, commit: Commit, written: Mapping[str, int]) -> np.ndarray:
         return np.zeros(1, np.uint32)
 
-    def publish(self, commit: Commit, checksums: np.ndarray) -> None:
+    def _publish(self, commit: Commit, checksums: np.ndarray) -> None:
         """See `BackgroundWriter`: `_write` has replaced the state."""
 
     def close(self) -> None:

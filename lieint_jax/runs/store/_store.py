@@ -225,9 +225,16 @@ class BackgroundWriter(abc.ABC):
     def _checksums(self, commit: Commit, written: Mapping[str, int]) -> np.ndarray:
         """The same, given what `_write` has returned."""
 
-    @abc.abstractmethod
     def publish(self, commit: Commit, checksums: np.ndarray) -> None:
         """Make the last commit visible, after every process has written it; `checksums` are those of all processes."""
+        try:
+            self._publish(commit, checksums)
+        except OSError as error:
+            raise self._write_error(error) from error
+
+    @abc.abstractmethod
+    def _publish(self, commit: Commit, checksums: np.ndarray) -> None:
+        """The same; an OSError is not yet a sentence."""
 
     def write(self, parts: Callable[[], Iterable[Part]], commit: Commit, alone: bool) -> None:
         """Start writing a commit in the background, and publish it there if this process is the only one of the run.
@@ -238,7 +245,7 @@ class BackgroundWriter(abc.ABC):
         def work() -> dict[str, int]:
             written = self._write(parts(), commit)
             if alone:
-                self.publish(commit, self._checksums(commit, written))
+                self._publish(commit, self._checksums(commit, written))
             return written
 
         self._writing = self._writer.submit(work)
@@ -310,15 +317,11 @@ class Writer(BackgroundWriter):
     def _checksums(self, commit: Commit, written: Mapping[str, int]) -> np.ndarray:
         return np.array([written.get(file, 0) for files in self._files(commit).values() for file in files], np.uint32)
 
-    def publish(self, commit: Commit, checksums: np.ndarray) -> None:
-        """Make the last commit visible, after every process has written it; `checksums` are those of all processes."""
+    def _publish(self, commit: Commit, checksums: np.ndarray) -> None:
         if self._leader:
-            try:
-                digests = self.attributes["digests"] | self._digests(commit, checksums)
-                attributes = self.attributes | {"progress": commit.progress, "digests": digests}
-                _write_root(self.path, read_root(self.path) | {"attributes": attributes}, self._metas)
-            except OSError as error:
-                raise self._write_error(error) from error
+            digests = self.attributes["digests"] | self._digests(commit, checksums)
+            attributes = self.attributes | {"progress": commit.progress, "digests": digests}
+            _write_root(self.path, read_root(self.path) | {"attributes": attributes}, self._metas)
             self.attributes = attributes
             if self.progress["complete"]:
                 shutil.rmtree(self.path / CHECKPOINT, ignore_errors=True)
