@@ -30,7 +30,7 @@ def energy_error(
     """
     if isinstance(system, Run):
         return system.energy_error()
-    kept = map_over_run(energy_less_work, system, _given(trajectory), system_axis)
+    kept = map_over_run(energy_less_work, system, _required(trajectory), system_axis)
     return kept - kept[:1]
 
 
@@ -40,7 +40,7 @@ def momentum_error(
     """Φ(z_n) − Φ(z₀) of the momentum map Φ, (n+1, k) or (n+1, members, k); arguments as in `energy_error`."""
     if isinstance(system, Run):
         return system.momentum_error()
-    momentum = map_over_run(lambda own, z: own.momentum(z), system, _given(trajectory), system_axis)
+    momentum = map_over_run(lambda own, z: own.momentum(z), system, _required(trajectory), system_axis)
     return momentum - momentum[:1]
 
 
@@ -53,10 +53,10 @@ def constraint_error(
     """
     if isinstance(system, Run):
         return system.constraint_error()
-    return map_over_run(lambda own, z: own.phase_space.defect(z), system, _given(trajectory), system_axis)
+    return map_over_run(lambda own, z: own.phase_space.defect(z), system, _required(trajectory), system_axis)
 
 
-def _given(trajectory: Trajectory | None) -> Trajectory:
+def _required(trajectory: Trajectory | None) -> Trajectory:
     if trajectory is None:
         raise ValueError("give a li.Run, or a system and its trajectory")
     return trajectory

@@ -40,28 +40,28 @@ class Facts(NamedTuple):
 def lines(run: Any) -> dict[str, str]:
     """What a run is, by words for a table."""
     facts = run.facts
-    lines = {"step": f"{run.step.name} of {type(run.system).__name__}{' (one for each member)' * run.own_step}"}
+    shown = {"step": f"{run.step.name} of {type(run.system).__name__}{' (one for each member)' * run.own_step}"}
     if not concrete(run.failed, run.t) or np.ndim(run.t) != 1:
-        return lines | {"values": "traced"}
+        return shown | {"values": "traced"}
     if run.members is not None:
-        lines["members"] = f"{run.members}"
+        shown["members"] = f"{run.members}"
     sizes = "given times" if facts.dt is None else f"{facts.num_steps} steps of {facts.dt:g}"
-    lines["times"] = f"{float(run.t[0]):.6g} … {float(run.t[-1]):.6g}, {sizes}; {_saves(run)}"
+    shown["times"] = f"{float(run.t[0]):.6g} … {float(run.t[-1]):.6g}, {sizes}; {_saves(run)}"
     state = run.state if run.summary is None else run.summary.state
     leading = (1 if run.summary is None else 0) + facts.batch
     shapes = {name: np.shape(x)[leading:] for name, x in leaves_by_name(state).items()}
-    lines["states"] = ", ".join(f"{name} {shape}" if shape else name for name, shape in shapes.items())
+    shown["states"] = ", ".join(f"{name} {shape}" if shape else name for name, shape in shapes.items())
     failed = np.atleast_1d(np.asarray(run.failed))
     bad = np.flatnonzero(failed >= 0)
-    lines["converged"] = "all"
+    shown["converged"] = "all"
     if bad.size:
         first = bad[failed[bad].argmin()]
-        lines["converged"] = f"not {list_members(bad)}; first member {first} at step {failed[first]}"
+        shown["converged"] = f"not {list_members(bad)}; first member {first} at step {failed[first]}"
     versions = ", ".join(f"{name} {version}" for name, version in facts.versions if name != "jaxlib")
-    lines["computed"] = f"by {facts.engine}, {versions}{'' if facts.complete else '; not complete'}"
+    shown["computed"] = f"by {facts.engine}, {versions}{'' if facts.complete else '; not complete'}"
     if facts.source:
-        lines["store"] = facts.source
-    return lines
+        shown["store"] = facts.source
+    return shown
 
 
 def _saves(run: Any) -> str:

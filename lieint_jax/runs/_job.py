@@ -202,6 +202,10 @@ class Job(NamedTuple):
         """The states of all entries with their time."""
         return states if self.t0 is None else states._replace(t=self.state_times())  # pyright: ignore[reportArgumentType]
 
+    def without_time(self, state: State) -> State:
+        """States as in `states`: without a time that follows from the number of steps."""
+        return state if self.t0 is None else state._replace(t=None)
+
     def with_last_time(self, state: State) -> State:
         """The states at the end of the run with their time."""
         last = slice(-1, None)

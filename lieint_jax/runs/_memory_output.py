@@ -11,7 +11,7 @@ from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._job import Job, MemberSummary, Saves, Series, Summary, first_entry, gather_rows
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Carry, Saved
-from lieint_jax.types import State, StepInfo, Trajectory
+from lieint_jax.types import StepInfo, Trajectory
 
 _SERIES = ("least", "greatest", "mean", "residual", "unconverged")
 
@@ -41,16 +41,13 @@ class MemoryOutput:
             last, change = found.state, self._job.first_change(failed, None)
             self._series.append({name: np.asarray(getattr(found, name)) for name in _SERIES})
         else:
-            states = self._without_time(found.state)
+            states = self._job.without_time(found.state)
             last = jax.tree.map(lambda x: x[-1], states)
             self._allocate((found.info, states), 1)
             self._put((found.info, states))
-        carry = _loop.start(self._without_time(last), change)
+        carry = _loop.start(self._job.without_time(last), change)
         carry = carry._replace(failed=failed.astype(_loop.step_dtype()), info=info or carry.info)  # pyright: ignore
         return _layout.placed(self._layout, carry), done, saved
-
-    def _without_time(self, state: State) -> State:
-        return state if self._job.t0 is None else state._replace(t=None)
 
     def _allocate(self, rows: Saved, leading: int) -> None:
         """Arrays for all entries like these rows, which have so many leading axes."""

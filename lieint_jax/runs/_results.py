@@ -178,12 +178,12 @@ def _feed(job: Job, saves: Saves, layout: Layout, output: Output) -> None:
     """Give an output all saves of a run."""
     found, saved = saves.found, 0
     if isinstance(found, Trajectory):
-        rows: Any = found.info, found.state if job.t0 is None else found.state._replace(t=None)
+        rows: Any = found.info, job.without_time(found.state)
         states = jax.tree.map(lambda x: x[0], rows[1])
         change = None
     else:
         rows = {name: getattr(found, name) for name in first_entry(job)}
-        states = found.state if job.t0 is None else found.state._replace(t=None)
+        states = job.without_time(found.state)
         change = found.range if isinstance(found, MemberSummary) else job.first_change(saves.failed, None)
     carry = _loop.start(states, change)
     carry = carry._replace(failed=saves.failed)  # pyright: ignore[reportArgumentType]

@@ -164,14 +164,14 @@ class Run:
         saved = self._saved.state
         whole = callable_pytree(function)
         numbers, structure = jax.tree.flatten(whole)
-        along = _along(structure, self.facts.batch, self.own_step)
+        map_states = _compile_map(structure, self.facts.batch, self.own_step)
         if not self.facts.source:
-            return along(numbers, self.step, saved)
+            return map_states(numbers, self.step, saved)
         size = sum(x.dtype.itemsize * math.prod(x.shape[1:]) for x in jax.tree.leaves(saved))
         rows = max(1, _BLOCK // max(size, 1))
 
         def block(k: int) -> Tree:
-            return along(numbers, self.step, jax.tree.map(lambda x: np.asarray(x[k : k + rows]), saved))
+            return map_states(numbers, self.step, jax.tree.map(lambda x: np.asarray(x[k : k + rows]), saved))
 
         return jax.tree.map(lambda *x: np.concatenate(x), *map(block, range(0, len(self.t), rows)))
 
@@ -305,16 +305,16 @@ class StoredRun(Run):
 
 
 @lru_cache(16)
-def _along(structure: Any, batch: bool, own_step: bool) -> Callable[..., Tree]:
+def _compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., Tree]:
     """A function of step and state of this structure, compiled for all states of a run."""
 
-    def along(numbers: list[Array], step: Step, states: State) -> Tree:
+    def map_states(numbers: list[Array], step: Step, states: State) -> Tree:
         function: Any = jax.tree.unflatten(structure, numbers)
         if batch:
             function = jax.vmap(function, (0 if own_step else None, 0))
         return jax.vmap(function, (None, 0))(step, states)
 
-    return jax.jit(along)
+    return jax.jit(map_states)
 
 
 def _energy(step: Step, state: State) -> Array:
@@ -354,7 +354,7 @@ def computed_run(computed: Results, batch: bool) -> Run:
     start = job.initial if job.reduction is not None else None
     times = job.clock.times if isinstance(job.clock, GridClock) else None
     functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
-    return _made(job.step, start, computed.saves, functions, times, facts)
+    return _make_run(job.step, start, computed.saves, functions, times, facts)
 
 
 def stored_run(path: str, stored: Stored, step: Step) -> Run:
@@ -373,10 +373,10 @@ def stored_run(path: str, stored: Stored, step: Step) -> Run:
         complete=attributes["progress"]["complete"],
         source=path,
     )
-    return _made(step, None, Saves(found, failed), [None, None], None, facts)
+    return _make_run(step, None, Saves(found, failed), [None, None], None, facts)
 
 
-def _made(step: Step, start: State | None, saves: Saves, functions: list[Any], times: Any, facts: Facts) -> Run:
+def _make_run(step: Step, start: State | None, saves: Saves, functions: list[Any], times: Any, facts: Facts) -> Run:
     """The run of these saves, which have a member axis also if it is of one body."""
     found, failed = saves
     if not facts.batch:

@@ -1,5 +1,6 @@
 """A run is one noun: of one body or many, in memory or on disk; what it answers is checked against other ways."""
 
+import internals
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -190,8 +191,6 @@ def test_an_opened_run_answers_like_the_one_in_memory_and_goes_on(tmp_path):
 
 
 def test_values_along_a_run_on_disk_are_read_in_blocks(tmp_path, monkeypatch):
-    import internals
-
     internals.read_few_rows(monkeypatch, 300)  # bytes, of 168 in a row
     run = li.run(STEP, bodies(3), 0.05, 40, save_every=4, **QUIET, store=tmp_path / "a.zarr")
     found = run.map(lambda step, z: {"H": step.system.energy(z), "p": z.p})

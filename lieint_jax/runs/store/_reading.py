@@ -93,7 +93,7 @@ def read_run(path: Address) -> Stored:
         warnings.warn(f"{path} is incomplete: {first_of(attributes['missing'])}", RuntimeWarning, stacklevel=3)
     if not isinstance(found, Trajectory) and not attributes["progress"]["complete"]:
         raise ValueError(f"{path} is an incomplete run with `reduce`: resume it, or read it by xarray.open_zarr")
-    return _stored(loaded)
+    return _as_stored(loaded)
 
 
 def _check_states(path: Address, system: System, stored: Stored) -> None:
@@ -127,7 +127,7 @@ def _load(path: Address, thorough: bool | None = None) -> Loaded:
 
 def read_part(root: PartsRoot, k: int) -> Stored:
     """The run of part k of a store."""
-    return _stored(_part_reading.load(root, False, k))
+    return _as_stored(_part_reading.load(root, False, k))
 
 
 def system_from_store(path: Address, attributes: Table, own: Mapping[str, object] | None = None) -> System:
@@ -154,10 +154,10 @@ def _from_store(
 
 def open_complete(path: Path) -> Stored:
     """The run in a complete store."""
-    return _stored(_store.load(path))
+    return _as_stored(_store.load(path))
 
 
-def _stored(loaded: Loaded) -> Stored:
+def _as_stored(loaded: Loaded) -> Stored:
     found, failed, attributes = loaded
     if isinstance(found, Trajectory):
         failed = _failures(found, attributes["save_every"]) if failed is None else failed
