@@ -136,6 +136,7 @@ def test_a_run_that_is_extended_is_the_whole_run_bit_for_bit(first, more, seed):
     same(parts, li.run(STEP, batch, 0.05, 4 * (first + more), save_every=4, **QUIET))
 
 
+NAMES = ["changes", "members", "first"]
 REDUCTIONS = [
     {"reduce": "energy", "save_every": 10},
     {"reduce": speed, "per": "member"},
@@ -143,15 +144,13 @@ REDUCTIONS = [
 ]
 
 
-LONG = [
-    pytest.param(x, id=name, marks=pytest.mark.long)
-    for name, x in zip(("changes", "members"), REDUCTIONS, strict=False)
+EXTENDED = [
+    pytest.param({"save_every": 10}, id="states"),
+    *(pytest.param(x, id=name, marks=pytest.mark.long) for name, x in zip(NAMES, REDUCTIONS, strict=True)),
 ]
 
 
-@pytest.mark.parametrize(
-    "options", [pytest.param({"save_every": 10}, id="states"), *LONG, pytest.param(REDUCTIONS[2], id="first")]
-)
+@pytest.mark.parametrize("options", EXTENDED)
 def test_runs_of_one_body_and_of_many_are_extended_saved_and_opened(options, tmp_path):
     for name, states in (("many", satellites(4)), ("one", jax.tree.map(lambda x: x[0], satellites(1)))):
         whole = li.run(SATELLITE, states, 0.05, 60, **options, **QUIET)
@@ -237,6 +236,7 @@ def test_reductions_of_each_member_are_those_of_all_its_states(dtype):
     same(found.state, jax.tree.map(lambda x: x[-1], every.state))
 
 
+@pytest.mark.long
 def test_reductions_of_each_member_have_the_same_bits_in_parts_and_by_any_threads(tmp_path):
     states, options = satellites(21), {"reduce": speed, "per": "member", "first": is_slow, **QUIET}
     whole = li.run(SATELLITE, states, 0.05, 100, **options)

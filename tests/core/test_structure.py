@@ -5,6 +5,7 @@ import inspect
 import subprocess
 import sys
 import tokenize
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -49,13 +50,19 @@ FILES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.p
 ROOMS = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
 
 
+@cache
+def parsed(path):
+    """The syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def room_of(path):
     return path.relative_to(ROOT).parts[0].removesuffix(".py")
 
 
 def imports(path):
     """The modules that a file imports, wherever in it: `from lieint_jax.native import _emit` is one of a module."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -69,7 +76,7 @@ def imports(path):
 
 def imported_names(path):
     """The names in the `from … import` statements of a file."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = parsed(path)
     return {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names}
 
 
@@ -157,7 +164,7 @@ def test_any_stands_for_few_types():
 def test_a_function_is_short_enough_to_be_seen_whole():
     """At most 120 lines, docstring included; the longest is `ensemble.run`, most of which is its docstring."""
     for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.FunctionDef):
                 assert node.end_lineno - node.lineno < 120, f"{path}: {node.name}"
 
@@ -230,7 +237,7 @@ def test_schemes_give_no_hints_to_a_compiler():
     hints = imported_names(ROOT / "_xla" / "__init__.py") - {"compiled"} | {"_xla", "checkpoint_name"}
     for path in (ROOT / "schemes").rglob("*.py"):
         assert not imported_names(path) & hints, path
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = parsed(path)
         words = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
         assert not words & {"checkpoint", "remat", "optimization_barrier"}, path
 
@@ -306,7 +313,7 @@ def test_an_absolute_bound_is_no_looser_than_it_says():
         f"{path.relative_to(house)}:{call.lineno}"
         for folder in ("tests", "benchmarks", "lieint_jax")
         for path in sorted((house / folder).rglob("*.py"))
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for call in ast.walk(parsed(path))
         if isinstance(call, ast.Call)
         and getattr(call.func, "attr", "") in ("assert_allclose", "allclose", "isclose")
         and {k.arg for k in call.keywords} & {"atol", "rtol"} == {"atol"}
