@@ -8,7 +8,7 @@ import numpy as np
 
 from lieint_jax._checks import concrete
 from lieint_jax.runs._job import MemberSummary, list_members
-from lieint_jax.runs.store._store import leaves_by_name
+from lieint_jax.runs.store._leaves import leaves_by_name
 
 
 class Facts(NamedTuple):

@@ -14,7 +14,7 @@ from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
 from lieint_jax.runs._layout import Layout, Numbers
 from lieint_jax.runs._loop import Carry, MemberRange, Range, Reduction, Saved
 from lieint_jax.runs._made_states import MakeStates
-from lieint_jax.runs.store._store import shared_time
+from lieint_jax.runs.store._leaves import shared_time
 from lieint_jax.types import State, Step, Trajectory
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves

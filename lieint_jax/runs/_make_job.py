@@ -21,8 +21,8 @@ from lieint_jax.runs._integrate import intervals
 from lieint_jax.runs._job import Job, chunk_members, list_members
 from lieint_jax.runs._loop import Reduction, energy
 from lieint_jax.runs._made_states import MadeStates, MakeStates
-from lieint_jax.runs.store._parts import Split
-from lieint_jax.runs.store._store import leaves_by_name
+from lieint_jax.runs.store._leaves import leaves_by_name
+from lieint_jax.runs.store._root import Split
 from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, promoted
 from lieint_jax.types.members import member_axis

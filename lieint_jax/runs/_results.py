@@ -23,12 +23,12 @@ from lieint_jax.runs._job import Job, MemberSummary, Output, Saves, first_entry
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates, made_states
-from lieint_jax.runs._make_job import checked_job, make_jobs
+from lieint_jax.runs._make_job import checked_job, make_jobs, split_into_parts
 from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._part_of_task import checked_part, part_of_task
 from lieint_jax.runs.store import _identity
-from lieint_jax.runs.store._into_store import run_into_store, run_part_into_store
-from lieint_jax.runs.store._reading import Stored, open_complete
+from lieint_jax.runs.store._into_store import run_into_store
+from lieint_jax.runs.store._reading import Stored, read_written
 from lieint_jax.runs.store._storage import Url, address
 from lieint_jax.runs.store._store_options import StoreOptions, checked_path
 from lieint_jax.types import State, Step, Trajectory
@@ -148,11 +148,9 @@ def compute(
             saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
             assert saves is not None
             return Results(job, engine.name, saves)
-        resume = resume or part is not None
-        if in_parts or remote:
-            stored = run_part_into_store(job, engine.name, whole, mesh, options, split, k, resume, integrate)
-        else:
-            stored = run_into_store(job, engine.name, mesh, options, resume, integrate)
+        stored = run_into_store(
+            job, engine.name, whole, mesh, options, split, k, in_parts or remote, resume or part is not None, integrate
+        )
     return Results(job, engine.name, Saves(stored.found, stored.failed), stored, str(options.path))
 
 
@@ -167,11 +165,12 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
     try:
         hidden = StoreOptions(unfinished, options.attributes)
-        run_into_store(job, engine, _layout.checked_mesh(None), hidden, False, partial(_feed, job, saves))
+        split, feed = split_into_parts(job, 1, False), partial(_feed, job, saves)
+        run_into_store(job, engine, job, _layout.checked_mesh(None), hidden, split, 0, False, False, feed)
         os.rename(unfinished, path)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-    return open_complete(path)
+    return read_written(path)
 
 
 def _feed(job: Job, saves: Saves, layout: Layout, output: Output) -> None:

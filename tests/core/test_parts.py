@@ -33,7 +33,7 @@ from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
 from lieint_jax.ensemble import archives
 from lieint_jax.runs import _dyadic_sum
-from lieint_jax.runs.store import _parts, _storage
+from lieint_jax.runs.store import _root, _storage
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -211,9 +211,9 @@ def test_an_end_at_any_write_of_any_part_leaves_the_same_bits(place, monkeypatch
         mortal.left = math.inf
         if reduce is None:
             with contextlib.suppress(ValueError):  # before the store exists
-                root = _parts.read_root(archives.open_storage(place))
-                if root and not list(_parts.PartsRoot(archives.open_storage(place), root).damage_of_root()):
-                    own = _parts.PartsRoot(archives.open_storage(place), root).statuses(True)
+                root = _root.read_root(archives.open_storage(place))
+                if root and not list(_root.Root(archives.open_storage(place), root).damage_of_root()):
+                    own = _root.Root(archives.open_storage(place), root).statuses(True)
                     assert not [status.problem for status in own if status.problem and "missing" not in status.problem]
                     entries = np.array([status.progress["entries"] for status in own])
                     assert (entries >= seen).all()

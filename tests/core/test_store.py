@@ -31,7 +31,7 @@ from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
 from lieint_jax.ensemble import archives
 from lieint_jax.runs import _layout
-from lieint_jax.runs.store import _identity, _store
+from lieint_jax.runs.store import _identity
 
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)
@@ -61,7 +61,7 @@ def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
     memory, disk = run(), run(tmp_path / "run.zarr")
     assert_same(memory, disk)
     assert not list((tmp_path / "run.zarr").rglob("*.partial"))
-    assert not (tmp_path / "run.zarr/checkpoint").exists()
+    assert (tmp_path / "run.zarr/parts/0/state").stat().st_size < 2000  # of a complete run it has no states
     again, metadata = archives.load_store(tmp_path / "run.zarr")
     np.testing.assert_array_equal(again.state.q[3, 5], memory.state.q[3, 5])
     assert metadata["scheme"] == "so3_midpoint[symplectic]"
@@ -118,13 +118,13 @@ def flipped(data):
 @pytest.mark.long
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, fault):
-    """One file of each array, of its metadata, of the checkpoint, and the root, of a run that is half done."""
+    """One file of each array, of its metadata, of the state, and the root, of a run that is half done."""
     half, path = tmp_path / "half.zarr", tmp_path / "run.zarr"
     with contextlib.suppress(Crash), disk_for(140):
         run(half, num_steps=120)
     progress = archives.load_store(half)[1]["progress"]
     assert 8 <= progress["entries"] < 25
-    files = {half / "zarr.json": None} | dict.fromkeys(half.glob(f"checkpoint/{progress['commits'] % 2}/*"))
+    files = {half / "zarr.json": None, half / "parts/0/state": None}
     for array in half.glob("*/"):
         chunks = sorted(array.glob("c/**/*"))
         files |= dict.fromkeys([array / "zarr.json", *[f for f in chunks if f.is_file()][:1]])
@@ -293,9 +293,8 @@ def commits(tmp_path_factory):
     return [folder / f"{steps}.zarr" for steps in (15, 35, 55, 60)]
 
 
-def replaced(path, source, name):
-    shutil.rmtree(path / name)
-    shutil.copytree(source / name, path / name)
+def copied(source, path, name="parts/0/state"):
+    shutil.copy(source / name, path / name)
 
 
 def swapped(path, a, b):
@@ -309,33 +308,24 @@ def heavier(path):
     zarr.open_array(str(path / "system_inertia"), mode="r+")[...] = [1.0, 2.0, 2.5]
 
 
-REPLACED = r"checkpoint is not as the run wrote it: the checkpoint of commit \d, step \d+ \(found: .*\) was replaced"
 ELSEWHERE = "is the chunk of another place"
+STATE = "parts/0/state"
 MIXTURES = {  # which commit, what is done to it, what is said of it
-    "the checkpoint of a later commit": (
-        0,
-        lambda p, at: replaced(p, at[2], "checkpoint"),
-        r"found: commit 3, step 55",
-    ),
-    "one file of it": (0, lambda p, at: shutil.copy(at[2] / "checkpoint/1/0", p / "checkpoint/1/0"), REPLACED),
-    "one file of an earlier one": (
-        2,
-        lambda p, at: shutil.copy(at[0] / "checkpoint/1/1", p / "checkpoint/1/1"),
-        REPLACED,
-    ),
-    "its slots swapped": (1, lambda p, at: swapped([p / "checkpoint"], "0", "1"), REPLACED),
-    "two of its files swapped": (
+    "the state of a later commit": (0, lambda p, at: copied(at[2], p), r"q/c/1/0/0 is missing"),
+    "the state of an earlier one": (2, lambda p, at: copied(at[0], p), rf"{STATE} is that of step 15, .* of step 55"),
+    "the root of a later one": (0, lambda p, at: copied(at[2], p, "zarr.json"), rf"{STATE} is that of step 15"),
+    "the root of the end": (2, lambda p, at: copied(at[3], p, "zarr.json"), rf"{STATE} is that of step 55, .* step 60"),
+    "a part of its state": (
         1,
-        lambda p, at: swapped([p / "checkpoint/0"], "0", "1"),
-        "0/0 is altered: its state is",
+        lambda p, at: (p / STATE).write_bytes((at[1] / STATE).read_bytes()[:-9]),
+        rf"{STATE} is damaged: its state is altered or cut off",
     ),
     "two chunks swapped": (1, lambda p, at: swapped([p / "q/c"], "0", "1"), f"q/c/0/0/0 {ELSEWHERE}"),
     "the same in a complete run": (3, lambda p, at: swapped([p / "q/c"], "0", "2"), f"q/c/2/0/0 {ELSEWHERE}"),
     "an inertia rewritten": (1, lambda p, at: heavier(p), "system_inertia is not as the run wrote it"),
     "the same in a complete one": (3, lambda p, at: heavier(p), "system_inertia is not as the run wrote it"),
-    "older checksums": (2, lambda p, at: replaced(p, at[0], "checksums"), "checksums is not that of the last commit"),
-    "no checksums": (1, lambda p, at: shutil.rmtree(p / "checksums"), "checksums/zarr.json is missing"),
-    "no checkpoint": (1, lambda p, at: shutil.rmtree(p / "checkpoint"), "checkpoint/0/0 is missing"),
+    "no state": (1, lambda p, at: (p / STATE).unlink(), rf"{STATE} is missing"),
+    "no parts": (1, lambda p, at: shutil.rmtree(p / "parts"), rf"{STATE} is missing"),
     "no array for the end": (1, lambda p, at: shutil.rmtree(p / "first_failure"), "first_failure/zarr.json is missing"),
 }
 
@@ -354,17 +344,30 @@ def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_p
 
 
 def test_a_store_that_grows_while_it_is_checked_is_not_called_damaged(tmp_path, commits, monkeypatch):
-    """The checkpoint of the commit that was read is overwritten two commits later."""
-    path, left = shutil.copytree(commits[0], tmp_path / "run.zarr"), [2]
+    """Two commits come between the root and the state that are read: what the state lists is what is opened."""
+    path, left = shutil.copytree(commits[0], tmp_path / "run.zarr"), [1]
 
     def overtake():
         left[0] -= 1
-        if left[0]:
+        if left[0] == 0:
             shutil.copytree(commits[2], path, dirs_exist_ok=True)
 
-    internals.before_checkpoints(monkeypatch, overtake)
+    internals.after_roots_are_read(monkeypatch, overtake)
     assert ensemble.open(path)[0].t.shape == (12,)
-    assert left == [0]
+    assert left[0] < 0
+
+
+def test_a_root_that_was_not_written_after_a_commit_is_written_by_the_run_that_resumes(tmp_path, commits):
+    """A kill between the state and the root: nothing is lost, and readers of Zarr see the commit before."""
+    path = shutil.copytree(commits[2], tmp_path / "run.zarr")
+    copied(commits[1], path, "zarr.json")
+    assert zarr.open_group(str(path), mode="r")["q"].shape[0] == 8
+    assert ensemble.open(path)[0].t.shape == (12,)
+    with pytest.MonkeyPatch.context() as patch:
+        internals.commit_every(patch, 4)
+        internals.small_chunks(patch, 20, 8)
+        run(path, resume=True)
+    assert same_folders(path, commits[3])
 
 
 def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
@@ -375,7 +378,7 @@ def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
         monkeypatch.undo()
         run(path, num_steps=5)
 
-    internals.after_new_stores(monkeypatch, create)
+    internals.before_new_stores(monkeypatch, create)
     with pytest.raises(ValueError, match=r"run\.zarr was created by another run in the meantime"):
         run(path, num_steps=5)
     assert [p.name for p in tmp_path.iterdir()] == ["run.zarr"]
@@ -490,13 +493,13 @@ def test_an_error_of_one_process_ends_all(monkeypatch):
 
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     run(tmp_path / "run.zarr")
-    writer = contextlib.closing(_store.Writer(tmp_path / "run.zarr", True))
-    with writer, pytest.raises(ValueError, match="another run is writing"):
+    lock = archives.open_storage(tmp_path / "run.zarr").lock("parts/0")
+    with lock, pytest.raises(ValueError, match="another run is writing"):
         run(tmp_path / "run.zarr", resume=True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", range(5), ids=["check", "open", "compare", "clean", "check again"])
+@pytest.mark.parametrize("step", range(3), ids=["check", "lock", "open"])
 def test_a_run_releases_its_store_where_another_process_fails(tmp_path, monkeypatch, step):
     """Another process reports a failure after one of the steps that processes take together to resume a store."""
     path, steps, fail_together = tmp_path / "run.zarr", itertools.count(), _layout.fail_together

@@ -14,7 +14,7 @@ from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
 from lieint_jax.native import _march_code, _traced
 from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _results, _run
-from lieint_jax.runs.store import _identity, _integrity, _into_store, _parts, _storage, _store, _store_output
+from lieint_jax.runs.store import _identity, _root, _storage, _store_output, _writer
 from lieint_jax.schemes._shared import accepts
 
 _DIFFERENCE = _engine.Engine._difference
@@ -89,13 +89,13 @@ def make_states_of(monkeypatch, members):
 
 def small_chunks(monkeypatch, members, joined):
     """Let chunks of a store have so many members, and so many of them be joined along time at once."""
-    monkeypatch.setattr(_into_store, "CHUNK_MEMBERS", members)
+    monkeypatch.setattr(_job, "CHUNK_MEMBERS", members)
     monkeypatch.setattr(_store_output, "SLAB", joined)
 
 
 def members_of_parts(members, count, most=8192):
     """The members of each of `count` parts of a run, and of how many a chunk is, at most `most`."""
-    split = _parts.Split.into_parts(members, count, most)
+    split = _root.Split.into_parts(members, count, most)
     return [split.part(k) for k in range(count)], split.chunk
 
 
@@ -147,36 +147,36 @@ def another_version(monkeypatch, **versions):
 
 def after_commits(monkeypatch, action):
     """Call action(path, steps) after each commit of a run of so many steps so far to the store at `path`."""
-    publish = _store.Writer._publish
+    publish = _writer.Writer.publish
 
     def published(self, *arguments):
         publish(self, *arguments)
         action(self.path, self.progress["steps"])
 
-    monkeypatch.setattr(_store.Writer, "_publish", published)
+    monkeypatch.setattr(_writer.Writer, "publish", published)
 
 
-def before_checkpoints(monkeypatch, action):
-    """Call action() before the checkpoint of a store is read."""
-    read = _integrity.damage_of_checkpoint
-    monkeypatch.setattr(_integrity, "damage_of_checkpoint", lambda *arguments: (action(), read(*arguments))[1])
+def after_roots_are_read(monkeypatch, action):
+    """Call action() after the root of a store is read, before its state is."""
+    state = _root.Root.state
+    monkeypatch.setattr(_root.Root, "state", lambda self, k: (action(), state(self, k))[1])
 
 
-def after_new_stores(monkeypatch, action):
-    """Call action() between the check that there is no store yet and the rename of a new one."""
-    fill = _store._fill
-    monkeypatch.setattr(_store, "_fill", lambda *arguments: (fill(*arguments), action()))
+def before_new_stores(monkeypatch, action):
+    """Call action() between the check that there is no store yet and the creation of a new one."""
+    create = _storage.Disk.create_store
+    monkeypatch.setattr(_storage.Disk, "create_store", lambda *arguments: (action(), create(*arguments))[1])
 
 
 def before_puts(monkeypatch, action):
-    """Call action(name) before a file of a store in parts is written, on a disk or in a bucket."""
+    """Call action(name) before a file of a store is written, on a disk or in a bucket."""
     for kind in (_storage.Disk, _storage.Bucket):
 
-        def put(self, name, data, put=kind.put):
+        def stage(self, name, data, stage=kind.stage):
             action(name)
-            put(self, name, data)
+            stage(self, name, data)
 
-        monkeypatch.setattr(kind, "put", put)
+        monkeypatch.setattr(kind, "stage", stage)
 
 
 def wait_for_buckets(monkeypatch, **seconds):
@@ -188,7 +188,7 @@ def wait_for_buckets(monkeypatch, **seconds):
 def write_root(file, root):
     """Write the metadata of the root of a store, with their checksum made right."""
     if isinstance(root.get("attributes"), dict):
-        root["attributes"]["checksum"] = _integrity.checksum(root)
+        root["attributes"]["checksum"] = _root.checksum(root)
     file.write_text(json.dumps(root))
 
 

@@ -9,10 +9,9 @@ from numpy.typing import DTypeLike
 
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Numbers
-from lieint_jax.runs.store import _store
-from lieint_jax.runs.store._integrity import Table
-from lieint_jax.runs.store._store import leaves_by_name, store_name
+from lieint_jax.runs.store._leaves import Table, leaves_by_name, store_name
 from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._writer import Column
 from lieint_jax.types import labeled
 
 _RESIDUAL = "largest residual of a step since the entry before"
@@ -26,6 +25,7 @@ _MEMBER_TEXTS = {
 _OWN = {
     "constants",
     "description",
+    "format",
     "progress",
     "digests",
     "checksum",
@@ -42,20 +42,18 @@ class Axes:
         self.members = {"member": (job.members, chunk)}
         self._number = job.dtype
 
-    def column(
-        self, axes: Mapping[str, tuple[int, int]], dtype: DTypeLike | None = None, **attributes: str
-    ) -> _store.Column:
+    def column(self, axes: Mapping[str, tuple[int, int]], dtype: DTypeLike | None = None, **attributes: str) -> Column:
         """The description of an array of scalars along `axes`."""
         (shape, chunks), kind = zip(*axes.values(), strict=True), np.dtype(self._number if dtype is None else dtype)
-        return _store.Column(shape, kind, chunks, tuple(axes), attributes)
+        return Column(shape, kind, chunks, tuple(axes), attributes)
 
-    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> _store.Column:
+    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> Column:
         """The description of an array of one leaf of the states along `axes`."""
         dims, _ = labeled.state_axes(store_name(name), leaf.shape[1:])
         return self.column({**axes, **{dim: (n, n) for dim, n in zip(dims, leaf.shape[1:], strict=True)}}, **attributes)
 
 
-def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, _store.Column]:
+def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, Column]:
     """The arrays that readers see."""
     times, members = axes.times, axes.members
     series = job.reduction is not None
@@ -67,15 +65,14 @@ def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, _store.
     for name, leaf in leaves_by_name(job.states if job.shares_time else job.initial).items():
         along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
         columns[store_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
-    columns["first_failure"] = axes.column(
-        members, np.int64, long_name="first step that did not converge, or -1", units="1"
-    )
+    text = "first step that did not converge; -1: none; -2: not known before the end"
+    columns["first_failure"] = axes.column(members, np.int64, long_name=text, units="1")._replace(missing=-2)
     if job.per_member:
         columns |= {name: axes.column(members, long_name=_MEMBER_TEXTS[name]) for name in job.change_names}
     return columns | (series_columns(job, axes, times) if series else _report_columns(axes))
 
 
-def _report_columns(axes: Axes) -> dict[str, _store.Column]:
+def _report_columns(axes: Axes) -> dict[str, Column]:
     both = {**axes.times, **axes.members}
     return {
         "residual": axes.column(both, long_name=_RESIDUAL, units="1"),
@@ -83,7 +80,7 @@ def _report_columns(axes: Axes) -> dict[str, _store.Column]:
     }
 
 
-def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, _store.Column]:
+def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, Column]:
     what = getattr(job.reduction, "__name__", "reduced quantity")
     text = "{} change of {} since the start, over members and steps"
     changes = () if job.per_member else ("least", "greatest", "mean")
@@ -94,23 +91,23 @@ def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -
     }
 
 
-def constant(name: str, values: np.ndarray, job: Job) -> tuple[_store.Column, np.ndarray]:
+def constant(name: str, values: np.ndarray, job: Job) -> tuple[Column, np.ndarray]:
     """The description and the values of an array of the step, with the member axis first if it has one."""
     along = ("member",) if job.step_axis is not None else ()
     dims = (*along, *(f"{name}_axis{k}" for k in range(values.ndim - len(along))))
-    return _store.Column(values.shape, values.dtype, values.shape, dims, {"long_name": f"{name} of the run"}), values
+    return Column(values.shape, values.dtype, values.shape, dims, {"long_name": f"{name} of the run"}), values
 
 
-def labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
+def labels(job: Job) -> dict[str, tuple[Column, np.ndarray]]:
     """The coordinates that name the components of the states, such as x, y, z along the dimension "axis"."""
-    found: dict[str, tuple[_store.Column, np.ndarray]] = {}
+    found: dict[str, tuple[Column, np.ndarray]] = {}
     for name, leaf in leaves_by_name(job.states).items():
         system = getattr(job.step, "system", None)
         for dim, labels in labeled.state_axes(store_name(name), leaf.shape[1:], system)[1].items():
             values = np.asarray(labels)
             if values.dtype.kind == "U":
                 values = values.astype(np.dtypes.StringDType())
-            found[dim] = _store.Column(values.shape, values.dtype, values.shape, (dim,), {}), values
+            found[dim] = Column(values.shape, values.dtype, values.shape, (dim,), {}), values
     return found
 
 
@@ -129,7 +126,6 @@ def attributes_of(job: Job, options: StoreOptions, described: Table, chunk: int,
         ValueError: a name of the user's attributes is reserved.
     """
     own = {
-        "format": _store.FORMAT,
         "leaves": list(leaves_by_name(job.initial)),
         "time_unit": options.time_unit,
         "scheme": job.step.name,

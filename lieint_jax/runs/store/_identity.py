@@ -22,11 +22,10 @@ from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._loop import compiler_options
-from lieint_jax.runs.store import _store
 from lieint_jax.runs.store._digest import NotDigestible, digest, python_of
-from lieint_jax.runs.store._integrity import Table
+from lieint_jax.runs.store._leaves import Table, leaves_by_name
+from lieint_jax.runs.store._root import FORMAT
 from lieint_jax.runs.store._storage import Address
-from lieint_jax.runs.store._store import leaves_by_name
 from lieint_jax.types import State
 
 _NO_DIGEST = "cannot be compared: "  # begins the reason that stands in place of a digest in a description
@@ -103,7 +102,7 @@ def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
 
 def check_same(path: Address, stored: Table, now: Table) -> None:
     """Raise ValueError if the run in a store differs from the one described, or cannot be compared with it."""
-    if stored["format"] < (_store.PARTS_FORMAT if "parts" in stored else _store.FORMAT):
+    if stored["format"] < FORMAT:
         raise ValueError(
             f"{path} was written by an older version of lieint_jax, whose runs this one cannot continue bit for bit: "
             "`lieint info` and `lieint plot` read its results; run again into another store"

@@ -3,85 +3,30 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable
-from pathlib import Path
+from functools import partial
 
 import jax
 from jax.sharding import Mesh
 
 from lieint_jax.runs import _layout
 from lieint_jax.runs._dyadic_sum import blocks
-from lieint_jax.runs._job import CHUNK_MEMBERS, Job
+from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Layout
-from lieint_jax.runs.store import _identity, _store
-from lieint_jax.runs.store._columns import (
-    Axes,
-    attributes_of,
-    columns_of,
-    constant,
-    labels,
-    series_columns,
-)
+from lieint_jax.runs.store import _identity
+from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
 from lieint_jax.runs.store._description import describe
-from lieint_jax.runs.store._integrity import Table
+from lieint_jax.runs.store._leaves import Table
 from lieint_jax.runs.store._open_store import check_store
-from lieint_jax.runs.store._part_writer import PartWriter, join, skeleton
-from lieint_jax.runs.store._parts import PartsRoot, Split, read_root
-from lieint_jax.runs.store._reading import Stored, open_complete, read_part
+from lieint_jax.runs.store._reading import Stored, read_part
+from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split, read_root
 from lieint_jax.runs.store._storage import Storage, open_storage
 from lieint_jax.runs.store._store_options import StoreOptions, check_json, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
+from lieint_jax.runs.store._writer import Writer, join, skeleton
 
 
 def run_into_store(
-    job: Job,
-    engine: str,
-    mesh: Mesh,
-    options: StoreOptions,
-    resume: bool,
-    integrate: Callable[[Layout, StoreOutput], object],
-) -> Stored:
-    """Let `integrate`, by the engine of this name, fill a store from the start or from its last checkpoint."""
-    path, leader = checked_path(options.path), jax.process_index() == 0
-    check_json(options.attributes)
-    described = _identity.description(job, engine, options.attributes.get("scenario"))
-    chunk = min(_layout.layout_of(mesh, job.members).each, CHUNK_MEMBERS)
-    attributes = attributes_of(job, options, described, chunk, job.buffer_rows(chunk))
-    _identity.check_processes(mesh, described, store=path.name, resume=resume)
-    exists = bool(_layout.all_reduce_max(mesh, os.path.exists(path))[0])
-    _refuse_overwriting(path, exists, resume)
-    if not exists:
-        _identity.warn_of_no_resume(described)
-        _layout.fail_together(mesh, lambda: leader and _create(path, job, options, attributes))
-    else:
-        _layout.fail_together(mesh, lambda: _refuse_parts(path, check_store(path)))
-    with contextlib.ExitStack() as stack:
-        writer = _layout.fail_together(
-            mesh, lambda: stack.enter_context(contextlib.closing(_store.Writer(path, leader)))
-        )
-        if exists:
-            _layout.fail_together(mesh, lambda: _identity.check_same(path, writer.attributes, described))
-        _layout.fail_together(mesh, lambda: leader and _store.clean(path))
-        layout = _layout.layout_of(mesh, job.members, writer.attributes["member_chunk"])
-        _layout.fail_together(mesh, lambda: _store.check(path))
-        if not writer.progress["complete"]:
-            integrate(layout, StoreOutput(job, layout, writer))
-    return open_complete(path)
-
-
-def _refuse_overwriting(store: object, exists: bool, resume: bool) -> None:
-    if exists and not resume:
-        raise ValueError(f"{store} exists and is not overwritten; resume continues it, or choose another store")
-
-
-def _refuse_parts(path: Path, attributes: Table) -> None:
-    if "parts" in attributes:
-        count = attributes["parts"]
-        raise ValueError(f"{path} is written in {count} part(s): pass part=(k, {count}), or choose another store")
-
-
-def run_part_into_store(
     job: Job,
     engine: str,
     whole: Job,
@@ -89,6 +34,7 @@ def run_part_into_store(
     options: StoreOptions,
     split: Split,
     k: int,
+    in_parts: bool,
     resume: bool,
     integrate: Callable[[Layout, StoreOutput], object],
 ) -> Stored:
@@ -104,69 +50,86 @@ def run_part_into_store(
         options: the store.
         split: the parts.
         k: which one.
+        in_parts: whether other parts, or other processes into the same bucket, may write at the same time.
         resume: continue a store that exists.
         integrate: fills an output.
     """
-    storage = open_storage(checked_path(options.path))
+    storage, leader = open_storage(checked_path(options.path)), jax.process_index() == 0
     check_json(options.attributes)
     described = _identity.description(whole, engine, options.attributes.get("scenario"))
-    found = read_root(storage)
-    _refuse_overwriting(storage.address, found is not None, resume)
-    if found is not None:
-        _same_run(storage, found, described, split)  # before anything is written into the store of another run
-    files = _skeleton(whole, options, described, split, storage.is_remote)
-    with storage.lock(f"parts/{k}"):
-        if found is None:
-            storage.create(_store.ROOT, files[_store.ROOT])
-        root = _same_run(storage, found or read_root(storage), described, split)
-        join(storage, root, files)
-        layout = _layout.layout_of(mesh, job.members)
-        with contextlib.closing(PartWriter(root, k, _identity.digest_of_states(job.initial))) as writer:
-            if not writer.progress["complete"]:
-                integrate(layout, StoreOutput(job, layout, writer))
+    first_files = partial(_skeleton, whole, options, described, split, in_parts, storage.is_remote)
+    _identity.check_processes(mesh, described, store=storage.address.name, resume=resume)
+    together = partial(_layout.fail_together, mesh)
+    exists = bool(_layout.all_reduce_max(mesh, storage.has_store())[0])
+    if exists and not resume:
+        raise ValueError(
+            f"{storage.address.name} exists and is not overwritten; resume continues it, or choose another store"
+        )
+    if not exists:
+        _identity.warn_of_no_resume(described)
+        exists = not together(lambda: not leader or _is_created(storage, first_files(), in_parts))
+    root = together(lambda: _root_of(storage, described if exists else None, split, in_parts))
+    with contextlib.ExitStack() as stack:
+        together(lambda: stack.enter_context(storage.lock(root.folder(k), leader)))
+        if in_parts:
+            join(root, first_files())
+        initial = _identity.digest_of_states(job.initial)
+        writer = together(lambda: stack.enter_context(contextlib.closing(Writer(root, k, initial, leader))))
+        layout = _layout.layout_of(mesh, job.members, root.split.chunk)
+        if not writer.progress["complete"]:
+            integrate(layout, StoreOutput(job, layout, writer))
     return read_part(root, k)
 
 
-def _same_run(storage: Storage, found: Table | None, described: Table, split: Split) -> PartsRoot:
-    """The root of a store, if it is that of this run in these parts."""
-    if found is None:
-        raise ValueError(f"{storage.address} was removed while this part started")
-    attributes = found["attributes"]
-    if "parts" not in attributes:
+def _is_created(storage: Storage, files: dict[str, bytes], in_parts: bool) -> bool:
+    """Create a store; False if another process has created it, which may be that of another part."""
+    created = storage.create_store(ROOT, files)
+    if not (created or in_parts):
+        raise ValueError(f"{storage.address} was created by another run in the meantime, and is not overwritten")
+    return created
+
+
+def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: bool) -> Root:
+    """The root of a store, if it is that of the run described and in these parts; None: this run has just made it."""
+    found = read_root(storage) if described is None or in_parts else None
+    root = check_store(storage.address) if found is None else Root(storage, found)
+    attributes = root.attributes if isinstance(root, Root) else root
+    count = attributes.get("parts", 1)
+    if "parts" in attributes and not in_parts:
+        raise ValueError(
+            f"{storage.address} is written in {count} part(s): pass part=(k, {count}), or choose another store"
+        )
+    if "parts" not in attributes and in_parts:
         raise ValueError(f"{storage.address} was not written in parts; choose another store")
-    _identity.check_same(storage.address, attributes, described)
-    if attributes["parts"] != split.parts:
-        raise ValueError(f"{storage.address} is written in {attributes['parts']} part(s), not in {split.parts}")
-    return PartsRoot(storage, found)
+    if described is not None:
+        _identity.check_same(storage.address, attributes, described)
+    if count != split.parts:
+        raise ValueError(f"{storage.address} is written in {count} part(s), not in {split.parts}")
+    assert isinstance(root, Root)
+    return root
 
 
-def _skeleton(job: Job, options: StoreOptions, described: Table, split: Split, remote: bool) -> dict[str, bytes]:
-    """The files that a store in parts begins with; `job` is that of all members."""
+def _skeleton(
+    job: Job, options: StoreOptions, described: Table, split: Split, in_parts: bool, remote: bool
+) -> dict[str, bytes]:
+    """The files that a store begins with; `job` is that of all members."""
     largest = job.restricted(max(map(split.part, range(split.parts)), key=len))
     rows = (largest.bucket_rows if remote else largest.buffer_rows)(split.chunk)
     description, numbers = describe(job.step)
     attributes = attributes_of(job, options, described, split.chunk, rows)
-    attributes |= {"format": _store.PARTS_FORMAT, "parts": split.parts}
-    attributes |= {"constants": sorted(numbers), "description": description}
+    attributes |= {"format": FORMAT, "constants": sorted(numbers), "description": description}
     axes = Axes(job, split.chunk, rows)
     columns = columns_of(job, axes, options)
-    if job.reduction is not None:
-        most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
-        series = {"part": (split.parts, 1), **axes.times}
-        columns |= series_columns(job, axes, series)
-        if not job.per_member:
-            columns["sums"] = axes.column({**series, "block": (most, most)}, long_name="sums over blocks of members")
+    if in_parts:
+        attributes["parts"] = split.parts
+        if job.reduction is not None:
+            most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
+            series = {"part": (split.parts, 1), **axes.times}
+            columns |= series_columns(job, axes, series)
+            if not job.per_member and split.parts > 1:
+                columns["sums"] = axes.column(
+                    {**series, "block": (most, most)}, long_name="sums over blocks of members"
+                )
     constants = {name: constant(name, x, job) for name, x in numbers.items()} | labels(job)
     constants["time"] = columns.pop("time"), job.times
     return skeleton(columns, attributes, constants)
-
-
-def _create(path: Path, job: Job, options: StoreOptions, attributes: Table) -> None:
-    """Make the store of a run."""
-    description, numbers = describe(job.step)
-    chunk = attributes["member_chunk"]
-    attributes |= {"constants": sorted(numbers), "description": description}
-    axes = Axes(job, chunk, attributes["time_chunk"])
-    columns = columns_of(job, axes, options)
-    constants = {name: constant(name, x, job) for name, x in numbers.items()} | labels(job)
-    _store.create(path, columns, attributes, constants)

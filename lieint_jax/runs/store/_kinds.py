@@ -62,7 +62,8 @@ STORE_KEYS = {
     "constants": _LIST,
     "description": _TABLE._replace(required=False),
 }
-PARTS_KEYS = dict.fromkeys(("parts", "num_entries", "member_chunk", "time_chunk"), COUNT) | {"digests": _TABLE}
+NEW_KEYS = dict.fromkeys(("num_entries", "member_chunk", "time_chunk"), COUNT)
+NEW_KEYS |= {"digests": _TABLE, "parts": COUNT._replace(required=False)}
 PROGRESS_KEYS = dict.fromkeys(("commits", "entries", "steps"), _NATURAL) | {"complete": _FLAG}
 ARRAY_KEYS = {"shape": LENGTHS, "data_type": _TEXT_OR_TABLE, "codecs": _TABLES, "node_type": _TEXT}
 RUN_KEYS = {

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from lieint_jax import _checks
-from lieint_jax.runs.store._integrity import Table
 from lieint_jax.runs.store._kinds import (
     ARCHIVE_KEYS,
     COUNT,
@@ -22,7 +21,7 @@ from lieint_jax.runs.store._kinds import (
     check_times,
     expect,
 )
-from lieint_jax.runs.store._store import state_from_leaves
+from lieint_jax.runs.store._leaves import Table, state_from_leaves
 from lieint_jax.runs.store._untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
 from lieint_jax.types import StepInfo, Trajectory
 

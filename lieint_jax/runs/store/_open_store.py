@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from lieint_jax import _checks
-from lieint_jax.runs.store import _integrity, _store
-from lieint_jax.runs.store._integrity import Table
+from lieint_jax.runs.store import _legacy
+from lieint_jax.runs.store._chunks import raise_if_damaged
 from lieint_jax.runs.store._kinds import (
     ARRAY_KEYS,
     COUNTS,
     LENGTHS,
     NAME,
-    PARTS_KEYS,
+    NEW_KEYS,
     PROGRESS_KEYS,
     REALS,
     RUN_KEYS,
@@ -28,75 +28,61 @@ from lieint_jax.runs.store._kinds import (
     check_table,
     expect,
 )
-from lieint_jax.runs.store._parts import PartsRoot, read_root
-from lieint_jax.runs.store._storage import Address, Bucket, Disk, Storage, Url
-from lieint_jax.runs.store._store import store_name
+from lieint_jax.runs.store._leaves import Table, store_name
+from lieint_jax.runs.store._root import Root, read_root
+from lieint_jax.runs.store._storage import Address, open_storage
 from lieint_jax.runs.store._untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
 
 _CHUNK_BYTES = 2**30
-_MAX_PARTS = 10**6
+_MAX_PARTS, _MOST_FILES = 10**6, 10**12
 _SERIES = ("least", "greatest", "mean", "residual")
 _OF_MEMBERS = ("least", "greatest", "total", "last")
 
 
-def check_store(path: Address) -> Table:
-    """Check every file of the store at `path`, and return the store's attributes.
+def check_store(path: Address) -> Root | Table:
+    """Check the files of the store at `path`, and return its root; of a store of an older version, its attributes.
 
-    For a store in parts only the description of the run is checked: `_part_reading.load` checks its parts one by one.
+    Of a run in parts only the description is checked: `_published.load` checks its parts one by one.
 
     Raises:
         UnreadableError: not a store of lieint, or its description does not fit its arrays.
         ValueError: a damaged store; the message names the files.
     """
-    if isinstance(path, Url):
-        return _check_bucket(path)
-    refuse_special(path)
-    if not path.is_dir():
-        raise UnreadableError(f"{path} does not exist, or is not the store of a run: that is a folder NAME.zarr")
-    with wrap_errors(path):
-        count = _check_files(path)
+    storage = open_storage(path)
+    if isinstance(path, Path):
+        refuse_special(path)
+        if not path.is_dir():
+            raise UnreadableError(f"{path} does not exist, or is not the store of a run: that is a folder NAME.zarr")
+        with wrap_errors(path):
+            count = _check_files(path)
+    else:
+        count = _MOST_FILES
     with wrap_errors(path, passed=(ValueError,)):
-        root = _store.read_root(path)
-    if "parts" in root["attributes"]:
-        return _check_parts(Disk(path), root)
-    with wrap_errors(path):
-        shown = _check_arrays(root["consolidated_metadata"]["metadata"], count)
-        _check_attributes(root["attributes"], shown)
-    with wrap_errors(path, passed=(ValueError,)):
-        _store.check(path)
-    with wrap_errors(path):
-        for name in root["attributes"].get("constants", ()):  # whose lengths do not grow
-            if parse_json((path / name / "zarr.json").read_bytes())["shape"] != shown[name]["shape"]:
-                raise ValueError(f"the shape of {name} differs from its description")
-    return root["attributes"]
-
-
-def _check_bucket(url: Url) -> Table:
-    """Check the description of the run in a store in object storage, and return its attributes."""
-    storage = Bucket(url)
-    root = read_root(storage)
+        root = read_root(storage)
     if root is None:
         raise UnreadableError(
-            f"there is no store {url}; li.run(…, store=…) and `lieint run NAME --out {url}` write one"
+            f"there is no store {path}; li.run(…, store=…) and `lieint run NAME --out {path}` write one"
+            if storage.is_remote
+            else f"{path} does not exist, or is not the store of a run"
         )
-    if "parts" not in root["attributes"]:
-        raise UnreadableError(f"{url} is a copy of a store that was written on a disk: copy it to a disk to read it")
-    return _check_parts(storage, root)
-
-
-def _check_parts(storage: Storage, root: Table) -> Table:
-    """Check the description of a store in parts, and return its attributes."""
-    found = root["attributes"]
-    with wrap_errors(storage.address):
-        shown = _check_arrays(root["consolidated_metadata"]["metadata"], None)
-        check_table("the description", found, PARTS_KEYS)
-        if found["parts"] > min(found["members"], _MAX_PARTS):
-            raise ValueError(f"it has {found['parts']} parts of {found['members']} members")
-        _check_attributes(found, shown)
-        own = PartsRoot(storage, root)
-        lost = list(own.damage_of_root())
-    _integrity.raise_if_damaged(storage.address, lost)
-    return found
+    attributes, in_parts = root["attributes"], "parts" in root["attributes"]
+    if storage.is_remote and not in_parts:
+        raise UnreadableError(f"{path} is a copy of a store that was written on a disk: copy it to a disk to read it")
+    with wrap_errors(path):
+        shown = _check_arrays(root["consolidated_metadata"]["metadata"], None if in_parts else count)
+        legacy = not in_parts and attributes["format"] <= _legacy.LAST
+        if not legacy:
+            check_table("the description", attributes, NEW_KEYS)
+        if in_parts and not 0 < attributes["parts"] <= min(attributes["members"], _MAX_PARTS):
+            raise ValueError(f"it has {attributes['parts']} parts of {attributes['members']} members")
+        _check_attributes(attributes, shown)
+        found = None if legacy else Root(storage, root)
+        if found is None:
+            lost = list(_legacy.damage(path, root))  # pyright: ignore[reportArgumentType]
+        else:
+            lost = list(found.damage_of_root() if in_parts else found.damage())
+    raise_if_damaged(path, lost)
+    return attributes if found is None else found
 
 
 def _check_files(path: Path) -> int:
@@ -168,9 +154,9 @@ def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
         for name in names:
             shape = (found["parts"], entries) if in_parts and name != "time" else (entries,)
             expect(name, kinds, COUNTS if name == "unconverged" else REALS, shape)
-        if in_parts and not of_members and kinds.get("sums", ((),))[0][:2] != (found["parts"], entries):
+        if found.get("parts", 1) > 1 and not of_members and kinds["sums"][0][:2] != (found["parts"], entries):
             raise ValueError("it has no sums of its parts")
-        if found["progress"]["complete"] or in_parts:
+        if found["progress"]["complete"] or found["format"] > _legacy.LAST:
             for name in {*leaves, "first_failure", *of_members} - ({"t"} - set(kinds)):
                 expect(name, kinds, COUNTS if name == "first_failure" else REALS, (members,), least=1)
         return

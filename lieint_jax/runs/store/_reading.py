@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -13,14 +13,14 @@ import numpy as np
 
 from lieint_jax.runs._job import MemberSummary, Summary
 from lieint_jax.runs._loop import MemberRange
-from lieint_jax.runs.store import _part_reading, _store
+from lieint_jax.runs.store import _legacy, _published
 from lieint_jax.runs.store._description import UnknownNameError, make
-from lieint_jax.runs.store._integrity import Table
+from lieint_jax.runs.store._leaves import Table, states_in
+from lieint_jax.runs.store._legacy import Loaded
 from lieint_jax.runs.store._open_store import check_store
-from lieint_jax.runs.store._part_reading import PublishedArray
-from lieint_jax.runs.store._parts import PartsRoot, first_of, read_root
-from lieint_jax.runs.store._storage import Address, address, open_storage
-from lieint_jax.runs.store._store import Loaded
+from lieint_jax.runs.store._published import PublishedArray
+from lieint_jax.runs.store._root import Root, first_of, read_root
+from lieint_jax.runs.store._storage import Address, Disk, address, open_storage
 from lieint_jax.runs.store._untrusted import wrap_errors
 from lieint_jax.types import Step, System, Trajectory
 
@@ -115,19 +115,25 @@ def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]
 
 
 def _load(path: Address, thorough: bool | None = None) -> Loaded:
-    if "parts" in check_store(path):
-        storage = open_storage(path)
-        root = read_root(storage)
-        assert root is not None
-        return _part_reading.load(PartsRoot(storage, root), not storage.is_remote if thorough is None else thorough)
-    assert isinstance(path, Path)
+    root = check_store(path)
     with wrap_errors(path):
-        return _store.load(path)
+        if isinstance(root, Root):
+            return _published.load(root, not root.storage.is_remote if thorough is None else thorough)
+        assert isinstance(path, Path)
+        return _legacy.load(path, root)
 
 
-def read_part(root: PartsRoot, k: int) -> Stored:
-    """The run of part k of a store."""
-    return _as_stored(_part_reading.load(root, False, k))
+def read_part(root: Root, k: int) -> Stored:
+    """The run of part k of a store, which this process has written."""
+    return _as_stored(_published.load(root, False, k))
+
+
+def read_written(path: Path) -> Stored:
+    """The run in a store that this process has just written."""
+    storage = Disk(path)
+    root = read_root(storage)
+    assert root is not None
+    return read_part(Root(storage, root), 0)
 
 
 def system_from_store(path: Address, attributes: Table, own: Mapping[str, object] | None = None) -> System:
@@ -144,7 +150,7 @@ def _from_store(
     system: System | None = None,
 ) -> _T:
     """The step, with this system, or the system of the run in a store."""
-    constants = _store.constants(path, attributes["constants"])
+    constants = _constants(path, attributes["constants"])
     with wrap_errors(path, passed=(UnknownNameError,)):
         found = make(attributes["description"][what], constants, own or {}, system)
         if not isinstance(found, kind):
@@ -152,9 +158,12 @@ def _from_store(
         return found
 
 
-def open_complete(path: Path) -> Stored:
-    """The run in a complete store."""
-    return _as_stored(_store.load(path))
+def _constants(path: Address, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """The arrays of these names, which the run does not change."""
+    import zarr
+
+    store = open_storage(path).arrays()
+    return {name: np.asarray(zarr.open_array(store, path=name, mode="r")[...]) for name in names}
 
 
 def _as_stored(loaded: Loaded) -> Stored:
@@ -162,7 +171,7 @@ def _as_stored(loaded: Loaded) -> Stored:
     if isinstance(found, Trajectory):
         failed = _failures(found, attributes["save_every"]) if failed is None else failed
         return Stored(found, failed, attributes)
-    state, failed = _store.states_in(found, found["time"][-1], attributes), found["first_failure"]
+    state, failed = states_in(found, found["time"][-1], attributes), found["first_failure"]
     if attributes.get("per") is not None:
         values: dict[str, Any] = {name: found.get(name) for name in (*MemberRange._fields, "residual", "unconverged")}
         number = attributes["num_steps"] + 1

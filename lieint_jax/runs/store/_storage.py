@@ -1,8 +1,8 @@
 """The files of a store in a folder or in a bucket: read, replaced and created as a whole, and durable when it returns.
 
 A commit needs two things of a store: a file is replaced by another in one indivisible step, and of several processes
-that create one file exactly one succeeds. A disk has `rename` and `link` for them, and `fsync`; object storage has PUT
-and PUT with the condition that there is no such object. `Disk` and `Bucket` are these two.
+that create one store exactly one succeeds. A disk has `rename` for them, and `fsync`; object storage has PUT and PUT
+with the condition that there is no such object. `Disk` and `Bucket` are these two.
 """
 
 from __future__ import annotations
@@ -10,11 +10,13 @@ from __future__ import annotations
 import abc
 import asyncio
 import contextlib
+import glob
 import os
 import random
 import re
+import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from datetime import timedelta
 from functools import cache, cached_property
 from pathlib import Path, PurePosixPath
@@ -29,6 +31,7 @@ _PATIENCE, _FIRST_PATIENCE = (
     600.0,
     30.0,
 )  # seconds for which a request is retried; the first one, whose address may be wrong
+_STALE = 3600.0  # seconds after which an unfinished store counts as abandoned
 _TIMEOUT = 60.0  # seconds without an answer after which a request has failed
 
 
@@ -91,29 +94,47 @@ class Storage(abc.ABC):
         """The last four bytes of a file."""
 
     @abc.abstractmethod
-    def put(self, name: str, data: bytes) -> None:
-        """Replace or create a file in one indivisible step; when it returns, the file outlasts a loss of power."""
+    def stage(self, name: str, data: bytes) -> None:
+        """Replace or create a file in one indivisible step; after `settle` it outlasts a loss of power."""
 
     @abc.abstractmethod
-    def create(self, name: str, data: bytes) -> bool:
-        """Create a file in one indivisible step; False if there is one already, which stays."""
+    def settle(self) -> None:
+        """Wait until all that is staged outlasts a loss of power."""
+
+    def put(self, name: str, data: bytes) -> None:
+        """Replace or create a file in one indivisible step; when it returns, the file outlasts a loss of power."""
+        self.stage(name, data)
+        self.settle()
+
+    @abc.abstractmethod
+    def create_store(self, root: str, files: Mapping[str, bytes]) -> bool:
+        """Create the first files of a store, of which `root` comes first; False if there is a store already.
+
+        Raises:
+            OSError: it cannot be created.
+        """
 
     @abc.abstractmethod
     def sizes(self, folder: str = "") -> dict[str, int]:
         """The number of bytes of each file below a folder."""
 
     @abc.abstractmethod
-    def lock(self, folder: str) -> contextlib.AbstractContextManager[object]:
-        """A context in which no other process of this machine locks the folder, where the storage has locks."""
+    def lock(self, folder: str, alone: bool = True) -> contextlib.AbstractContextManager[object]:
+        """A context in which no other process of this machine locks the folder, where the storage has locks.
+
+        With `alone=False` for the other processes of a run whose first one has locked it.
+        """
 
     @abc.abstractmethod
     def arrays(self) -> Any:
         """Zarr's store of these files, for reading."""
 
-    def exists(self, name: str) -> bool:
-        """True if there is a file of this name."""
+    def has_store(self) -> bool:
+        """True if there is a store, or on a disk anything else of its name."""
+        if isinstance(self.address, Path):
+            return os.path.lexists(self.address)
         try:
-            self.tail(name)
+            self.tail("zarr.json")
         except FileNotFoundError:
             return False
         return True
@@ -125,7 +146,7 @@ def _writing_store() -> type:
     from zarr.storage import WrapperStore
 
     class WritingStore(WrapperStore):  # pyright: ignore[reportMissingTypeArgument]
-        """Zarr's store, with `Storage.put` for every file that is written; `checksums` are their last four bytes."""
+        """Zarr's store, whose files are written by `Storage.stage`; `checksums` are their last four bytes."""
 
         def __init__(self, storage: Storage) -> None:
             super().__init__(storage.arrays())
@@ -144,7 +165,7 @@ def _writing_store() -> type:
 
         async def set(self, key: str, value: Any) -> None:
             data = value.to_bytes()
-            await asyncio.to_thread(self._storage.put, key, data)
+            await asyncio.to_thread(self._storage.stage, key, data)
             self.checksums[key] = int.from_bytes(data[-4:], "little")
 
     return WritingStore
@@ -162,7 +183,8 @@ class Disk(Storage):
 
     def __init__(self, path: Path) -> None:
         self.address = self._path = path
-        self._locked: Path | None = None  # the folder that this process has locked
+        self._unfinished: Path | None = None  # the folder for files that are not complete; None: their own
+        self._changed: set[Path] = set()  # folders whose entries may not be on disk
 
     def read(self, name: str) -> bytes:
         """See `Storage`."""
@@ -175,43 +197,52 @@ class Disk(Storage):
             file.seek(max(0, file.seek(0, os.SEEK_END) - 4))
             return file.read()
 
-    def put(self, name: str, data: bytes) -> None:
+    def stage(self, name: str, data: bytes) -> None:
         """See `Storage`."""
-        with self._temporary(name, data) as file:
-            file.rename(self._path / name)
-
-    def create(self, name: str, data: bytes) -> bool:
-        """See `Storage`."""
-        with self._temporary(name, data) as file:
-            try:
-                os.link(file, self._path / name)
-            except FileExistsError:
-                return False
-        return True
-
-    @contextlib.contextmanager
-    def _temporary(self, name: str, data: bytes) -> Iterator[Path]:
-        """A file of this content on the disk, to be moved to its place; then the entries of the folder are synced."""
         target = self._path / name
         self._make(target.parent)
-        folder = self._locked or target.parent
+        folder = self._unfinished or target.parent
         file = folder / f".{target.name}.{os.getpid()}-{os.urandom(4).hex()}.partial"
         try:
             with file.open("xb") as f:
                 f.write(data)
                 f.flush()
                 os.fsync(f.fileno())
-            yield file
+            file.rename(target)
         finally:
             file.unlink(missing_ok=True)
-        sync(target.parent)
+        self._changed.add(target.parent)
+
+    def settle(self) -> None:
+        """See `Storage`: wait for the entries of the folders."""
+        while self._changed:
+            sync(self._changed.pop())
+
+    def create_store(self, root: str, files: Mapping[str, bytes]) -> bool:
+        """See `Storage`: under a temporary name, which is changed at last, so that the store never exists in part."""
+        path = self._path
+        _remove_stale(path)
+        unfinished = Disk(path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}.partial"))
+        try:
+            for name, data in files.items():
+                unfinished.stage(name, data)
+            unfinished.settle()
+            unfinished._path.rename(path)
+            sync(path.parent)
+        except OSError as error:
+            if os.path.lexists(path / root):
+                return False
+            raise OSError(error.errno, f"{path} cannot be created: {error.strerror}; choose another store") from error
+        finally:
+            shutil.rmtree(unfinished._path, ignore_errors=True)
+        return True
 
     def _make(self, folder: Path) -> None:
         if folder.is_dir():
             return
         self._make(folder.parent)
         folder.mkdir(exist_ok=True)
-        sync(folder.parent)
+        self._changed.add(folder.parent)
 
     def sizes(self, folder: str = "") -> dict[str, int]:
         """See `Storage`."""
@@ -223,22 +254,23 @@ class Disk(Storage):
         return found
 
     @contextlib.contextmanager
-    def lock(self, folder: str) -> Iterator[None]:
+    def lock(self, folder: str, alone: bool = True) -> Iterator[None]:
         """See `Storage`. The lock is released when the process ends, however it ends.
 
         Unfinished files of any folder are in this one meanwhile, so the next process that locks it can remove them.
         """
         path = self._path / folder
         self._make(path)
-        descriptor = lock_folder(path)
+        descriptor = lock_folder(path) if alone else None
         try:
-            for left in path.glob(".*.partial"):  # of a process that was killed
+            for left in path.glob(".*.partial") if alone else ():  # of a process that was killed
                 left.unlink(missing_ok=True)
-            self._locked = path
+            self._unfinished = path
             yield
         finally:
-            self._locked = None
-            os.close(descriptor)
+            self._unfinished = None
+            if descriptor is not None:
+                os.close(descriptor)
 
     def arrays(self) -> Any:
         """See `Storage`."""
@@ -283,21 +315,24 @@ class Bucket(Storage):
         last = {"range": {"suffix": 4}}
         return self._retry(name, lambda obs: obs.get(self._store, name, options=last).bytes().to_bytes())
 
-    def put(self, name: str, data: bytes) -> None:
+    def stage(self, name: str, data: bytes) -> None:
         """See `Storage`."""
         try:
             self._retry(name, lambda obs: obs.put(self._store, name, data))
         except FileNotFoundError:
             raise OSError(f"{self.address} cannot be written: there is no such bucket") from None
 
-    def create(self, name: str, data: bytes) -> bool:
+    def settle(self) -> None:
+        """See `Storage`: each request has waited."""
+
+    def create_store(self, root: str, files: Mapping[str, bytes]) -> bool:
         """See `Storage`. If an answer was lost, the repeated request finds the object that the first has created."""
         import obstore.exceptions
 
         try:
-            self._retry(name, lambda obs: obs.put(self._store, name, data, mode="create"))
+            self._retry(root, lambda obs: obs.put(self._store, root, files[root], mode="create"))
         except (obstore.exceptions.AlreadyExistsError, obstore.exceptions.PreconditionError):
-            return self.read(name) == data
+            return self.read(root) == files[root]
         return True
 
     def sizes(self, folder: str = "") -> dict[str, int]:
@@ -309,7 +344,7 @@ class Bucket(Storage):
 
         return self._retry(folder, listed)
 
-    def lock(self, folder: str) -> contextlib.AbstractContextManager[object]:
+    def lock(self, folder: str, alone: bool = True) -> contextlib.AbstractContextManager[object]:
         """See `Storage`: object storage has no locks."""
         return contextlib.nullcontext()
 
@@ -418,6 +453,14 @@ def _missing_folder() -> Iterator[None]:
         yield
     except NotADirectoryError as error:
         raise FileNotFoundError(*error.args) from None
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove unfinished folders of stores at `path` that a process left long ago when it was killed."""
+    for folder in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
+        with contextlib.suppress(OSError):
+            if time.time() - folder.stat().st_mtime > _STALE:
+                shutil.rmtree(folder)
 
 
 def sync(path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -14,8 +14,8 @@ from lieint_jax.runs import _layout
 from lieint_jax.runs._job import Job, Series, first_entry, local_rows
 from lieint_jax.runs._layout import Layout, Numbers
 from lieint_jax.runs._loop import Carry, Saved
-from lieint_jax.runs.store import _store
-from lieint_jax.runs.store._store import leaves_by_name, state_from_leaves, store_name
+from lieint_jax.runs.store._leaves import leaves_by_name, state_from_leaves, store_name
+from lieint_jax.runs.store._writer import Commit, Slab, Writer
 from lieint_jax.types import StepInfo
 
 Pending = Any  # saved rows, or the series of a reduction by name
@@ -28,12 +28,12 @@ class StoreOutput:
 
     defers_interrupts = True
 
-    def __init__(self, job: Job, layout: Layout, writer: _store.BackgroundWriter) -> None:
+    def __init__(self, job: Job, layout: Layout, writer: Writer) -> None:
         self._job, self._layout, self._writer = job, layout, writer
         self._entries = writer.progress["entries"]  # committed so far
         self._pending: list[tuple[Pending, int]] = []
         self._since = 0.0
-        self._next: _store.Commit | None = None  # the commit that is being written
+        self._publish: Callable[[], None] | None = None  # of the commit that is being written
         self.buffer_rows = int(writer.attributes["time_chunk"])
 
     @property
@@ -85,19 +85,26 @@ class StoreOutput:
         self._entries, self._pending, self._since = first + self._pending_rows, [], 0.0
         row = first // self.buffer_rows if pending else None
         commits = 0 if last else number  # reset: it depends on interruptions
-        progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
-        self._next = _store.Commit(row, progress)
-        writer.write(partial(self._parts, carry, pending, first, last), self._next, self._alone)
+        commit = Commit(row, {"commits": commits, "entries": self._entries, "steps": done, "complete": last})
+        self._publish = partial(self._publish_commit, carry, commit)
+        writer.write(partial(self._slabs, carry, pending, first, last), self._publish if self._alone else None)
+
+    def _publish_commit(self, carry: Carry, commit: Commit) -> None:
+        """Publish a commit that all processes have written."""
+        layout = self._layout
+        checksums = _layout.gather_row(layout.mesh, self._writer.checksums(commit)).max(axis=0)
+        arrays = {} if commit.progress["complete"] else _layout.gather(layout, _leaves_of_carry(carry))
+        self._writer.publish(commit, checksums, arrays)
 
     def _settle(self, wait: bool) -> None:
         """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
-        while self._next is not None:
+        while self._publish is not None:
             missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.is_written)[0]
             if not missing:
                 if not self._alone:
-                    checksums = _layout.gather_row(self._layout.mesh, self._writer.checksums(self._next))
-                    self._writer.publish(self._next, checksums.max(axis=0))
-                self._next = None
+                    with self._writer.errors():
+                        self._publish()
+                self._publish = None
             elif not wait:
                 return
             else:
@@ -107,36 +114,35 @@ class StoreOutput:
     def _alone(self) -> bool:
         return _layout.count_processes(self._layout.mesh) == 1
 
-    def _parts(self, carry: Carry, pending: list[tuple[Pending, int]], first: int, last: bool) -> Any:
-        """The parts of a commit one by one, computed by the background thread."""
-        layout, part = self._layout, _store.Part
-        mine = layout.local_members.start
-        series = self._job.reduction is not None
-        if len(layout.local_members):
-            host = {name: _layout.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
-            if not last:
-                yield from (part(f"checkpoint/{name}", (mine,), x) for name, x in host.items())
-            else:
-                kept = {"first_failure": host["failed"]}
-                if series:
-                    names = self._job.change_names if self._job.per_member else ()
-                    kept |= {name: host[name] for name in (*leaves_by_name(self._job.states), *names)}
-                    if self._has_own_times:
-                        kept["t"] = self._own_times(slice(-1, None), layout.local_members)[0]
-                for name, x in kept.items():
-                    yield part(store_name(name), (mine,), x)
+    def _slabs(self, carry: Carry, pending: list[tuple[Pending, int]], first: int, last: bool) -> Iterator[Slab]:
+        """What a commit writes, piece by piece, computed by the background thread."""
+        if last:
+            yield from self._end(carry)
         if not pending:
             return
         end = first + sum(number for _, number in pending)
-        if jax.process_index() == 0:
-            yield part("time", (first,), self._job.times[first:end])
-        if not series:
-            yield from self._slabs(pending, slice(first, end))
+        if self._job.reduction is None:
+            yield from self._slabs_of_rows(pending, slice(first, end))
         elif jax.process_index() == 0:
             for name in pending[0][0]:
-                yield part(name, (first,), np.concatenate([values[name] for values, _ in pending]))
+                yield Slab(name, (first,), np.concatenate([values[name] for values, _ in pending]))
 
-    def _slabs(self, pending: list[tuple[Pending, int]], entries: slice) -> Iterator[_store.Part]:
+    def _end(self, carry: Carry) -> Iterator[Slab]:
+        """What is known after the last step only."""
+        layout, members = self._layout, self._layout.local_members
+        if not len(members):
+            return
+        host = {name: _layout.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
+        kept = {"first_failure": host["failed"]}
+        if self._job.reduction is not None:
+            names = self._job.change_names if self._job.per_member else ()
+            kept |= {name: host[name] for name in (*leaves_by_name(self._job.states), *names)}
+            if self._has_own_times:
+                kept["t"] = self._own_times(slice(-1, None), members)[0]
+        for name, x in kept.items():
+            yield Slab(store_name(name), (members.start,), x)
+
+    def _slabs_of_rows(self, pending: list[tuple[Pending, int]], entries: slice) -> Iterator[Slab]:
         """The rows of this process' members, joined along time for a few chunks at once: memory has no copy of all."""
         members, across = self._layout.local_members, SLAB * int(self._writer.attributes["member_chunk"])
         slabs = [members[k : k + across] for k in range(0, len(members), across)]
@@ -147,10 +153,10 @@ class StoreOutput:
                 own = slice(slab.start - members.start, slab.stop - members.start)
                 rows = [piece[:, own] for piece in pieces]
                 joined = np.concatenate(rows) if len(rows) > 1 else rows[0]
-                yield _store.Part(store_name(name), (entries.start, slab.start), joined)
+                yield Slab(store_name(name), (entries.start, slab.start), joined)
         if self._has_own_times:
             for slab in slabs:
-                yield _store.Part("t", (entries.start, slab.start), self._own_times(entries, slab))
+                yield Slab("t", (entries.start, slab.start), self._own_times(entries, slab))
 
     @property
     def _has_own_times(self) -> bool:

@@ -1,4 +1,4 @@
-"""The results of a store in parts: those that its parts have published, read lazily."""
+"""The results that a store has published, read lazily."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.runs._dyadic_sum import blocks, total
-from lieint_jax.runs.store import _store
-from lieint_jax.runs.store._integrity import dims_of
-from lieint_jax.runs.store._parts import PartsRoot, PartStatus, first_of
-from lieint_jax.runs.store._store import Loaded
+from lieint_jax.runs.store._chunks import dims_of, is_along_time
+from lieint_jax.runs.store._leaves import states_in
+from lieint_jax.runs.store._legacy import Loaded
+from lieint_jax.runs.store._root import PartStatus, Root, first_of
+from lieint_jax.runs.store._untrusted import UnreadableError
 from lieint_jax.types import StepInfo, Trajectory
 
 
 class PublishedArray:
-    """An array of a store in parts, (time, member, …), read where it is indexed; it is NaN where nothing is published.
+    """An array of a store, (time, member, …), read where it is indexed; it is NaN where nothing is published.
 
     Flags are False there, and counts −1. It has the attributes and the indexing of a Zarr array.
 
@@ -73,8 +74,10 @@ class PublishedArray:
         if not (rows.size and columns.size):
             return np.empty((len(rows), len(columns), *self.shape[2:]), self.dtype)[_squeeze(t, m)]
         block = np.asarray(self._array.oindex[_as_slice(rows), _as_slice(columns)])
-        published = self._published(rows, columns).reshape(*block.shape[:2], *[1] * (self.ndim - 2))
-        block = np.where(published, block, np.asarray(self._fill, self.dtype))
+        published = self._published(rows, columns)
+        if not published.all():
+            where = published.reshape(*block.shape[:2], *[1] * (self.ndim - 2))
+            block = np.where(where, block, np.asarray(self._fill, self.dtype))
         return block[_squeeze(t, m)][(*[slice(None)] * (np.ndim(t) + np.ndim(m)), *index[2:])]
 
     @property
@@ -106,21 +109,23 @@ def _as_slice(numbers: np.ndarray) -> Any:
     return numbers
 
 
-def load(root: PartsRoot, thorough: bool, part: int | None = None) -> Loaded:
-    """The published results of all parts or of one, as `_store.load`.
+def load(root: Root, thorough: bool, part: int | None = None) -> Loaded:
+    """The published results of all parts or of one.
 
-    The attributes have "missing" too, a sentence for each part that is missing, damaged or incomplete.
+    The attributes of a run in parts have "missing" too, a sentence for each part that is missing, damaged or
+    incomplete.
 
     Args:
         root: the root of the store.
-        thorough: look at every file, and count a damaged part as missing.
+        thorough: look at every file of a run in parts, and count a damaged part as missing.
         part: which part; None means all.
 
     Raises:
-        ValueError: a run with `reduce` whose parts are not all complete.
+        UnreadableError: a run with `reduce` whose parts are not all complete.
     """
     import zarr
 
+    thorough = thorough and root.in_parts
     statuses = root.statuses(thorough) if part is None else [root.status(part, thorough)]
     members = range(statuses[0].members.start, statuses[-1].members.stop)
     progress = {
@@ -129,48 +134,49 @@ def load(root: PartsRoot, thorough: bool, part: int | None = None) -> Loaded:
         "steps": min(status.progress["steps"] for status in statuses),
         "complete": all(status.progress["complete"] for status in statuses),
     }
-    missing = [sentence for sentence in (status.sentence(root.entries) for status in statuses) if sentence]
-    attributes = root.attributes | {"progress": progress, "missing": missing}
-    group: Any = zarr.open_group(root.storage.arrays(), mode="r", use_consolidated=True)
+    attributes = root.attributes | {"progress": progress}
+    if root.in_parts:
+        attributes["missing"] = [line for line in (status.sentence(root.entries) for status in statuses) if line]
+    group: Any = zarr.open_group(root.storage.arrays(), mode="r", use_consolidated=root.in_parts)
     if attributes["reduce"] is not None:
-        if missing:
-            raise ValueError(
-                f"{root.storage.address} is an incomplete run with `reduce`: {first_of(missing)}. Run these parts, "
-                "or read it by xarray.open_zarr"
+        if attributes.get("missing"):
+            raise UnreadableError(
+                f"{root.storage.address} is an incomplete run with `reduce`: {first_of(attributes['missing'])}. Run "
+                "these parts, or read it by xarray.open_zarr"
             )
-        return Loaded(_series(root, group, statuses, members), None, attributes)
+        return Loaded(_series(root, group, statuses, members, progress["entries"]), None, attributes)
     arrays = {
-        name: PublishedArray(array, progress["entries"], members, statuses)
-        for name, array in group.arrays()
-        if dims_of(root.metas[name])[:2] == ["time", "member"]
+        name: PublishedArray(group[name], progress["entries"], members, statuses)
+        for name, meta in root.metas.items()
+        if dims_of(meta)[:2] == ["time", "member"]
     }
     times = group["time"][: progress["entries"]]
-    state = _store.states_in(arrays, times, attributes | {"members": len(members)})
+    state = states_in(arrays, times, attributes | {"members": len(members)})
     info: Any = StepInfo(arrays["residual"], arrays["converged"])  # pyright: ignore[reportArgumentType]
-    failed = None if missing else np.asarray(group["first_failure"][members.start : members.stop])
+    failed = np.asarray(group["first_failure"][members.start : members.stop]) if progress["complete"] else None
     return Loaded(Trajectory(times, state, info), failed, attributes)
 
 
-def _series(root: PartsRoot, group: Any, statuses: list[PartStatus], members: range) -> dict[str, np.ndarray]:
-    """The arrays of a complete run with `reduce`, with the series of its parts merged to those of all members."""
-    own = slice(members.start, members.stop)
-    per_part = [name for name, meta in root.metas.items() if dims_of(meta)[:1] == ["part"]]
-    of = {name: np.asarray(group[name][statuses[0].number : statuses[-1].number + 1]) for name in per_part}
-    along = [
-        name for name, meta in root.metas.items() if dims_of(meta)[:1] == ["member"] and name not in root.constants
-    ]
-    found = {name: np.asarray(group[name][own]) for name in along} | {"time": group["time"][...]}
-    reports = {"residual": of["residual"].max(axis=0), "unconverged": of["unconverged"].sum(axis=0)}
-    if "sums" not in of:
-        return found | reports
-    sums = [
-        (status.members, x[:, : len(blocks(status.members.start, status.members.stop))])
-        for status, x in zip(statuses, of["sums"], strict=True)
-    ]
-    mean = total(sums) / (len(members) * (root.attributes["save_every"] or 1))
-    return found | {
-        "least": of["least"].min(axis=0),
-        "greatest": of["greatest"].max(axis=0),
-        "mean": mean,
-        **reports,
-    }
+_MERGE = {"least": np.min, "greatest": np.max, "residual": np.max, "unconverged": np.sum}  # the series of several parts
+
+
+def _series(root: Root, group: Any, statuses: list[PartStatus], members: range, entries: int) -> dict[str, np.ndarray]:
+    """The arrays of a run with `reduce`, with the series of its parts merged to those of all members."""
+    parts = slice(statuses[0].number, statuses[-1].number + 1)
+    found: dict[str, np.ndarray] = {}
+    for name, meta in root.metas.items():
+        dims = dims_of(meta)
+        if is_along_time(meta):
+            found[name] = np.asarray(group[name][:entries])
+        elif dims[:1] == ["member"] and name not in root.constants:
+            found[name] = np.asarray(group[name][members.start : members.stop])
+        elif dims == ["part", "time"]:
+            of = np.asarray(group[name][parts])
+            found[name] = _MERGE[name](of, axis=0) if name in _MERGE else of[0]
+    if "sums" in root.metas:
+        sums = [
+            (status.members, x[:, : len(blocks(status.members.start, status.members.stop))])
+            for status, x in zip(statuses, np.asarray(group["sums"][parts]), strict=True)
+        ]
+        found["mean"] = total(sums) / (len(members) * (root.attributes["save_every"] or 1))
+    return found

@@ -1,0 +1,88 @@
+"""The files of arrays in Zarr's format 3, and their checksums: every chunk ends with its own, CRC-32C."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+
+from lieint_jax.runs.store._leaves import Table
+from lieint_jax.runs.store._storage import Address
+
+_MAX_NAMED = 5  # damaged files in a message
+
+
+def digest(data: bytes) -> str:
+    """The digest of the bytes of a file, or of checksums."""
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def digest_of(checksums: Iterable[int]) -> str:
+    """The digest of the checksums of an array's chunks, in order."""
+    return digest(np.array(list(checksums), "<u4").tobytes())
+
+
+def dims_of(meta: Table) -> list[str]:
+    """The names of an array's axes, which Zarr leaves out where there are none."""
+    return meta.get("dimension_names") or []
+
+
+def is_along_time(meta: Table) -> bool:
+    """True for an array that grows during the run."""
+    return dims_of(meta)[:1] == ["time"]
+
+
+def chunk_files(name: str, meta: Table, only: Mapping[str, range] | None = None) -> list[str]:
+    """The files of an array's chunks, relative to the store.
+
+    With `only`, those whose numbers along the dimensions of these names are in these ranges.
+    """
+    return ["/".join((name, "c", *map(str, key))) for key in _keys(meta, only or {})]
+
+
+def _keys(meta: Table, only: Mapping[str, range]) -> Iterator[tuple[int, ...]]:
+    sizes = meta["chunk_grid"]["configuration"]["chunk_shape"]
+    spans = [range(math.ceil(n / size)) for n, size in zip(meta["shape"], sizes, strict=True)]
+    dims = dims_of(meta) or [""] * len(spans)
+    return itertools.product(*(only.get(dim, span) for dim, span in zip(dims, spans, strict=True)))
+
+
+def part_of_array(file: str, metas: Mapping[str, Table]) -> str:
+    """The part of an array in a chunk's file, in words."""
+    name, _, key = file.rpartition("/c")
+    meta, keys = metas[name], [int(k) for k in key.split("/")[1:]]
+    axes = dims_of(meta) or [f"axis {i}" for i in range(len(keys))]
+    sizes = meta["chunk_grid"]["configuration"]["chunk_shape"]
+    part = [
+        f"{axis} {k * size} … {min((k + 1) * size, n) - 1}"
+        for axis, k, size, n in zip(axes, keys, sizes, meta["shape"], strict=True)
+        if n > size or axis in ("time", "member")
+    ]
+    return f"{name} of {', '.join(part)}" if part else name
+
+
+def tail(data: bytes) -> int:
+    """The checksum at the end of a chunk."""
+    return int.from_bytes(data[-4:], "little")
+
+
+def checksum_of_bytes(data: bytes) -> int | str:
+    """The checksum at the end of a chunk; "altered" if it is not that of the other bytes."""
+    import google_crc32c  # a dependency of zarr
+
+    return tail(data) if len(data) >= 4 and google_crc32c.value(data[:-4]) == tail(data) else "altered"
+
+
+def raise_if_damaged(path: Address, damage: Iterable[str]) -> None:
+    """Raise a ValueError with the first lines of `damage`, if there are any."""
+    lost = list(damage)
+    if lost:
+        more = f"; and {len(lost) - _MAX_NAMED} more" if len(lost) > _MAX_NAMED else ""
+        raise ValueError(
+            f"{path} is damaged: {'; '.join(lost[:_MAX_NAMED])}{more}. Everything else can still be read, for example "
+            "by xarray.open_zarr; restore the files from a copy, repeat the copy while no run writes, or run again "
+            "into another store"
+        )

@@ -1,0 +1,45 @@
+"""The arrays of states, by the names that stores and files have for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lieint_jax.types import State
+
+Table = dict[str, Any]  # an object of JSON
+_EXTRA = "extra."  # begins the name of a leaf of `State.extra`: extra.NAME
+
+
+def leaves_by_name(state: State) -> Table:
+    """The arrays of a state by the names that stores and files have for them: q, p, t, work, and extra.NAME."""
+    own = {name: x for name, x in state._asdict().items() if name != "extra" and x is not None}
+    return own | {f"{_EXTRA}{name}": x for name, x in (state.extra or {}).items()}
+
+
+def state_from_leaves(arrays: Table) -> State:
+    """The state of these arrays: the inverse of `leaves_by_name`."""
+    extra = {name.removeprefix(_EXTRA): x for name, x in arrays.items() if name.startswith(_EXTRA)}
+    own = {name: x for name, x in arrays.items() if not name.startswith(_EXTRA)}
+    return State(**own, extra=extra or None)
+
+
+def store_name(name: str) -> str:
+    """The name of an array in a store, an identifier: extra_NAME for extra.NAME."""
+    return name.replace(".", "_")
+
+
+def shared_time(times: np.ndarray, members: int) -> np.ndarray:
+    """The time of each member, (…, members), where all share `times`, (…); a view that needs no memory."""
+    return np.broadcast_to(times[..., None], (*times.shape, members))
+
+
+def states_in(arrays: Any, times: np.ndarray, metadata: Table) -> State:
+    """The states among the arrays of a store, whose attributes list them. A shared time has no array of its own."""
+    leaves = metadata.get("leaves", ["q", "p"])
+    found = {name: arrays[store_name(name)] for name in leaves if store_name(name) in arrays}
+    found |= {name: arrays[name] for name in leaves if name in arrays}  # the names in stores of version 0.2
+    if "t" in leaves and "t" not in found:
+        found["t"] = shared_time(times, metadata["members"])
+    return state_from_leaves(found)

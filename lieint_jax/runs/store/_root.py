@@ -1,0 +1,351 @@
+"""The root of a store: the description of its run, and the states of its parts.
+
+A store NAME.zarr is written by one run or in parts by independent processes, which integrate ranges of its members
+without communication. The root's metadata describe the run. Part k, of one or of many, has whole chunks of members: it
+writes their files, and then replaces the file `parts/k/state`: its progress, the checksums of its files, and the carry
+from which it is resumed. The replacement is the commit, one indivisible step, so that whoever reads sees all of a
+commit or nothing of it. Entries of a part count as published if its state lists them; no published file is written
+again.
+
+Of a run in parts the arrays have their full shapes from the beginning; entries that do not exist yet are NaN, and
+nobody writes the root again. Should a scheduler start one part twice, both write the same bytes into the chunks, and
+every state that they put is complete in itself, so that the results are the same and nothing is lost. Of a run as a
+whole the root is written again after each commit, with the lengths of the arrays and the progress: for other readers of
+Zarr, who see the run up to the last commit or to the one before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from lieint_jax.runs.store._chunks import (
+    checksum_of_bytes,
+    chunk_files,
+    digest,
+    digest_of,
+    dims_of,
+    is_along_time,
+    part_of_array,
+    tail,
+)
+from lieint_jax.runs.store._leaves import Table
+from lieint_jax.runs.store._state_file import PartState, UnusablePartError, decode_state
+from lieint_jax.runs.store._storage import Address, Storage
+
+FORMAT = 6  # the format number of new stores; 0.2 wrote 2, and 0.3.0 wrote 3, or 4 in parts
+ROOT = "zarr.json"  # the metadata of a Zarr 3 group
+ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
+START = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
+REQUESTS = 16  # at the same time
+_MAX_NAMED = 5  # parts in a message
+
+
+class Split(NamedTuple):
+    """The members of a run in parts of whole chunks.
+
+    Attributes:
+        members: their number.
+        parts: the number of parts.
+        chunk: the number of members in a chunk.
+    """
+
+    members: int
+    parts: int
+    chunk: int
+
+    @classmethod
+    def into_parts(cls, members: int, count: int, most: int) -> Split:
+        """The split into `count` parts, with chunks of at most `most` members.
+
+        Raises:
+            ValueError: more parts than members.
+        """
+        if count > members:
+            raise ValueError(f"a run of {members} member(s) has at most {members} part(s), got {count}")
+        chunks = count * math.ceil(members / (count * most))
+        chunk = math.ceil(members / chunks)
+        return cls(members, count, chunk if math.ceil(members / chunk) == chunks else members // chunks)
+
+    def chunks(self, k: int) -> range:
+        """The chunks of part k."""
+        every = math.ceil(self.members / self.chunk)
+        return range(k * every // self.parts, (k + 1) * every // self.parts)
+
+    def part(self, k: int) -> range:
+        """The members of part k."""
+        chunks = self.chunks(k)
+        return range(chunks.start * self.chunk, min(chunks.stop * self.chunk, self.members))
+
+
+class PartStatus(NamedTuple):
+    """The state of a part, as far as it can be used.
+
+    Attributes:
+        number: which part.
+        members: its members.
+        progress: its published progress; that of the start if it is missing or damaged.
+        problem: a sentence about a missing or damaged part, else None.
+    """
+
+    number: int
+    members: range
+    progress: Table
+    problem: str | None
+
+    def sentence(self, entries: int) -> str | None:
+        """A sentence about a part that is not complete, or None. `entries` is the number of entries of the run."""
+        where = f"part {self.number} (members {self.members.start} … {self.members.stop - 1})"
+        if self.problem:
+            return f"{where} {self.problem}"
+        if self.progress["complete"]:
+            return None
+        return f"{where} has {self.progress['entries']} of {entries} entries"
+
+
+class Root:
+    """The root of a store.
+
+    Attributes:
+        storage: its files.
+        attributes: the attributes of the root.
+        in_parts: whether several runs, or one into a bucket, write the store; else it is one run on a disk.
+        split: its parts.
+    """
+
+    def __init__(self, storage: Storage, root: Table) -> None:
+        self.storage, self._root, self.attributes = storage, root, root["attributes"]
+        self.in_parts = "parts" in self.attributes
+        members, chunk = self.attributes["members"], self.attributes["member_chunk"]
+        self.split = Split(members, self.attributes.get("parts", 1), chunk)
+
+    @cached_property
+    def metas(self) -> Table:
+        """The metadata of the arrays of the complete run by name."""
+        shown = self._root["consolidated_metadata"]["metadata"]
+        return {name: _of_length(meta, self.entries) if is_along_time(meta) else meta for name, meta in shown.items()}
+
+    @property
+    def entries(self) -> int:
+        """The number of entries of the complete run."""
+        return self.attributes["num_entries"]
+
+    @property
+    def constants(self) -> Mapping[str, str]:
+        """The digests of the arrays that the run does not change."""
+        return self.attributes["digests"]["arrays"]
+
+    def place(self, k: int) -> Table:
+        """Where the state of part k belongs: its part and its run."""
+        shape = [self.split, self.attributes["time_chunk"], self.entries]
+        run = json.dumps([self.attributes["run"], shape], sort_keys=True)
+        return {"part": [k, self.split.parts], "run": digest(run.encode())}
+
+    @staticmethod
+    def folder(k: int) -> str:
+        """The folder of part k, which its process locks."""
+        return f"parts/{k}"
+
+    @staticmethod
+    def state_file(k: int) -> str:
+        """The file of the state of part k."""
+        return f"parts/{k}/state"
+
+    def state(self, k: int) -> PartState | None:
+        """The published state of part k; None if it has published nothing.
+
+        Raises:
+            UnusablePartError: it is damaged, or that of another part or run.
+        """
+        try:
+            data = self.storage.read(self.state_file(k))
+        except FileNotFoundError:
+            return None
+        try:
+            return decode_state(data, self.place(k))
+        except UnusablePartError:
+            raise
+        except Exception as error:  # a crafted file can make json and numpy raise anything
+            raise UnusablePartError(f"its state is no state of a part: {error}") from None
+
+    def show(self, progress: Table) -> None:
+        """Let other readers of Zarr see the progress of a run as a whole."""
+        if not self.in_parts and progress != self.attributes["progress"]:
+            self._root = self._root | {"attributes": self.attributes | {"progress": progress}}
+            self.storage.put(ROOT, encode_root(self._root, self.metas))
+            self.attributes = self._root["attributes"]
+
+    def files(self, k: int, row: int | None = None) -> list[str]:
+        """The files of part k: those of a row of chunks along time, or those that are written at the end."""
+        only = {"member": self.split.chunks(k), "part": range(k, k + 1)}
+        if row is not None:
+            only["time"] = range(row, row + 1)
+        names = [name for name in sorted(self.metas) if name not in self.constants]
+        chosen = [name for name in names if ("time" in dims_of(self.metas[name])) == (row is not None)]
+        return [f for name in chosen for f in chunk_files(name, self.metas[name], only)]
+
+    def published_files(self, k: int, state: PartState) -> Iterator[tuple[str, int]]:
+        """The published files of part k and their checksums."""
+        rows = math.ceil(state.progress["entries"] / self.attributes["time_chunk"])
+        groups = [(self.files(k, row), state.arrays[ROWS][row]) for row in range(rows)]
+        if state.progress["complete"]:
+            groups.append((self.files(k), state.arrays[ENDS]))
+        for files, checksums in groups:
+            yield from zip(files, checksums.tolist(), strict=True)
+
+    def damage(self) -> Iterator[str]:
+        """A line for each file of a run as a whole that is missing, altered, of another place or of another commit."""
+        yield from self.damage_of_root()
+        file, shown = self.state_file(0), self.attributes["progress"]
+        try:
+            state = self.state(0)
+        except (UnusablePartError, OSError) as error:
+            yield f"{file} is damaged: {error}"
+            return
+        if state is not None:
+            yield from self.damage_of_part(0, state)
+        found = START if state is None else state.progress
+        if any(shown[key] > found[key] for key in ("entries", "steps", "complete")):
+            yield (
+                f"{file} is missing"
+                if state is None
+                else f"{file} is that of step {found['steps']}, and {ROOT} that of step {shown['steps']}: it was "
+                "replaced, or copied while a run was writing it"
+            )
+
+    def damage_of_part(self, k: int, state: PartState) -> Iterator[str]:
+        """A line for each published file of part k that is missing, altered or of another place.
+
+        Of files in a folder all bytes are compared with their checksums; of objects the checksums at their ends with
+        those of the state, for which a request transfers four bytes.
+        """
+        try:
+            expected = dict(self.published_files(k, state))
+        except (KeyError, IndexError, ValueError):
+            yield f"{self.state_file(k)} does not fit the arrays of the store"
+            return
+        for file, found in zip(expected, _in_threads(self._checksum, expected, self.storage), strict=True):
+            if found != expected[file]:
+                what = found if isinstance(found, str) else "the chunk of another place or another run"
+                yield f"{file} is {what} ({part_of_array(file, self.metas)})"
+
+    def _checksum(self, file: str) -> int | str:
+        try:
+            if self.storage.is_remote:
+                return tail(self.storage.tail(file))
+            return checksum_of_bytes(self.storage.read(file))
+        except FileNotFoundError:
+            return "missing"
+        except OSError as error:
+            return f"unreadable ({error.strerror or error})"
+
+    def damage_of_root(self) -> Iterator[str]:
+        """A line for each file of the run's description that is missing or altered."""
+        for name, expected in self.metas.items():
+            try:
+                same = json.loads(self.storage.read(f"{name}/{ROOT}")) == expected
+            except (OSError, ValueError):
+                same = False
+            if not same:
+                yield f"{name}/{ROOT} is missing or altered"
+        for name, expected in self.constants.items():
+            files = chunk_files(name, self.metas[name])
+            found = [self._checksum(file) for file in files]
+            lost = [f"{file} is {x}" for file, x in zip(files, found, strict=True) if isinstance(x, str)]
+            yield from (f"{line} ({part_of_array(line.partition(' ')[0], self.metas)})" for line in lost)
+            if not lost and digest_of(x for x in found if isinstance(x, int)) != expected:
+                yield f"{name} is not as the run wrote it: it was replaced, or copied while a run was writing it"
+
+    def statuses(self, thorough: bool) -> list[PartStatus]:
+        """The state of every part; if `thorough`, with a look at each of its files."""
+        return list(_in_threads(lambda k: self.status(k, thorough), range(self.split.parts), self.storage))
+
+    def status(self, k: int, thorough: bool) -> PartStatus:
+        """The state of part k."""
+        members = self.split.part(k)
+        try:
+            state = self.state(k)
+        except UnusablePartError as error:
+            return PartStatus(k, members, START, f"is damaged: {error}")
+        if state is None:
+            return PartStatus(k, members, START, "is missing: it was not started, or has published nothing yet")
+        lost = next(self.damage_of_part(k, state), None) if thorough else None
+        return PartStatus(k, members, START if lost else state.progress, lost and f"is damaged: {lost}")
+
+
+def encode_root(root: Table, metas: Mapping[str, Table]) -> bytes:
+    """The file of a root: its attributes, and the metadata of the arrays by name, which are those of the complete run.
+
+    Of a run as a whole they are shown with the lengths that are published.
+    """
+    attributes = root["attributes"]
+    entries = None if "parts" in attributes else attributes["progress"]["entries"]
+    shown = {
+        name: meta if entries is None or not is_along_time(meta) else _of_length(meta, entries)
+        for name, meta in metas.items()
+    }
+    root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
+    return json.dumps(root | {"attributes": attributes | {"checksum": checksum(root)}}, indent=1).encode()
+
+
+def _of_length(meta: Table, entries: int) -> Table:
+    """The metadata of an array along time with another number of entries."""
+    return meta | {"shape": [entries, *meta["shape"][1:]]}
+
+
+def checksum(root: Table) -> str:
+    """The checksum of a store's root metadata, without its own entry."""
+    attributes = {key: value for key, value in root["attributes"].items() if key != "checksum"}
+    text = json.dumps({**root, "attributes": attributes}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def read_root(storage: Storage) -> Table | None:
+    """The root metadata of the store in a storage; None if there is no store."""
+    try:
+        data = storage.read(ROOT)
+    except FileNotFoundError:
+        return None
+    return _checked_root(data, storage.address)
+
+
+def _checked_root(data: bytes, path: Address) -> Table:
+    """The root metadata of the store at `path` from its bytes."""
+    try:
+        root = json.loads(data)
+    except ValueError as error:
+        raise ValueError(
+            f"{path}/{ROOT} is damaged: {error}. The arrays next to it can still be read one by one"
+        ) from None
+    attributes = root.get("attributes", {})
+    if "progress" not in attributes:
+        raise ValueError(f"{path} is a Zarr group, but was not written by lieint")
+    if "format" not in attributes:
+        raise ValueError(f"{path} was written by version 0.1: only its states can be read, by xarray.open_zarr")
+    if attributes["format"] > FORMAT:
+        raise ValueError(
+            f"{path} has format {attributes['format']}; this lieint_jax reads formats up to {FORMAT}: use a newer one"
+        )
+    if "checksum" in attributes and attributes["checksum"] != checksum(root):
+        raise ValueError(f"{path}/{ROOT} is damaged: its checksum is wrong. The arrays next to it can still be read")
+    return root
+
+
+def _in_threads(function: Any, values: Iterable[Any], storage: Storage) -> Iterator[Any]:
+    """The results of a function that makes requests; many requests at the same time to object storage."""
+    if not storage.is_remote:
+        yield from map(function, values)
+        return
+    with ThreadPoolExecutor(REQUESTS) as pool:
+        yield from pool.map(function, values)
+
+
+def first_of(sentences: list[str]) -> str:
+    """The first of several sentences about parts, for a message."""
+    more = f"; and {len(sentences) - _MAX_NAMED} more" if len(sentences) > _MAX_NAMED else ""
+    return f"{'; '.join(sentences[:_MAX_NAMED])}{more}"

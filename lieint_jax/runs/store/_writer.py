@@ -1,0 +1,309 @@
+"""The writer of a store: it creates the store or joins it, and commits the results of a part, or of the whole run."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lieint_jax.runs.store._chunks import chunk_files, digest_of, dims_of, raise_if_damaged, tail
+from lieint_jax.runs.store._leaves import Table
+from lieint_jax.runs.store._root import ENDS, REQUESTS, ROOT, ROWS, START, Root, encode_root
+from lieint_jax.runs.store._state_file import PartState, UnusablePartError
+from lieint_jax.runs.store._storage import writable_arrays
+
+_CARRY = "checkpoint/"  # begins the names of the arrays of a carry in a state
+_LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations
+
+
+class Column(NamedTuple):
+    """The description of one array of a store.
+
+    Attributes:
+        shape, dtype, chunks: those of the complete run.
+        dims: the names of its axes.
+        attributes: its units and long name.
+        missing: what stands for a value that is not published; None: NaN, −1, False or "".
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    chunks: tuple[int, ...]
+    dims: tuple[str, ...]
+    attributes: Table
+    missing: int | None = None
+
+
+Constants = Mapping[str, tuple[Column, np.ndarray]]
+
+
+class Slab(NamedTuple):
+    """Values to write into the array `name`, starting at index `at`, over the whole of all further axes."""
+
+    name: str
+    at: tuple[int, ...]
+    values: np.ndarray
+
+
+class Commit(NamedTuple):
+    """An addition to a store.
+
+    Attributes:
+        row: the row of chunks along time that it fills, or None.
+        progress: the progress that it publishes.
+    """
+
+    row: int | None
+    progress: Table
+
+
+def skeleton(columns: Mapping[str, Column], attributes: Table, constants: Constants) -> dict[str, bytes]:
+    """The files of a store before anything is computed: the root and its arrays' metadata, and the constants.
+
+    The same run has the same files in every process, so that all of them may write them.
+    """
+    import zarr
+    import zarr.storage
+
+    kept: dict[str, Any] = {}
+    store = zarr.storage.MemoryStore(kept)
+    group = zarr.create_group(store, attributes=dict(attributes) | {"progress": START})
+    for name, column in {**columns, **{name: column for name, (column, _) in constants.items()}}.items():
+        _add_array(group, name, column)
+    with _every_chunk():
+        for name, (_, values) in constants.items():
+            zarr.open_array(store, path=name, mode="r+")[...] = values
+    files = {name: data.to_bytes() for name, data in kept.items()}
+    metas = {name: json.loads(files[f"{name}/{ROOT}"]) for name in sorted({**columns, **constants})}
+    root = json.loads(files[ROOT])
+    root["attributes"]["digests"] = {
+        "arrays": {name: digest_of(tail(files[f]) for f in chunk_files(name, metas[name])) for name in constants}
+    }
+    return files | {ROOT: encode_root(root, metas)}
+
+
+def _add_array(group: Any, name: str, column: Column) -> None:
+    """Create an array of a store, without values."""
+    import zarr.codecs
+
+    missing = {"f": np.nan, "i": -1, "b": False, "T": ""}.get(column.dtype.kind, 0)
+    group.create_array(
+        name,
+        shape=column.shape,
+        dtype=column.dtype,
+        chunks=column.chunks,
+        dimension_names=column.dims,
+        attributes=dict(column.attributes),
+        fill_value=missing if column.missing is None else column.missing,
+        compressors=[zarr.codecs.ZstdCodec(level=_LEVEL), zarr.codecs.Crc32cCodec()],
+    )
+
+
+def _every_chunk() -> AbstractContextManager[object]:
+    """A context whose newly opened arrays write chunks of fill values too, so that every missing file is a lost one."""
+    import zarr
+
+    return zarr.config.set({"array.write_empty_chunks": True})
+
+
+def join(root: Root, files: Mapping[str, bytes]) -> None:
+    """Write the files of a store that its creator, killed after it had claimed the name, has not written.
+
+    Args:
+        root: the root of the store, which describes this run.
+        files: the `skeleton` of this run.
+
+    Raises:
+        ValueError: the description of the run is damaged.
+    """
+    storage = root.storage
+
+    def is_right(name: str) -> bool:
+        try:
+            return storage.read(name) == files[name]
+        except FileNotFoundError:
+            storage.put(name, files[name])
+            return True
+
+    with ThreadPoolExecutor(REQUESTS if storage.is_remote else 1) as pool:
+        right = all(pool.map(is_right, set(files) - {ROOT}))
+    if not right:  # damaged, or written by another version of zarr
+        raise_if_damaged(storage.address, root.damage_of_root())
+
+
+class Writer:
+    """Part k of a store, open for writing: one of several, or the whole of a run.
+
+    A commit is a row of whole chunks, and the carry from which the run goes on. A background thread writes the chunks
+    while the run continues. Then `publish` replaces the state of the part, in which their checksums and the carry are.
+    Of several processes of one run each writes the chunks of its own members, and the first one publishes.
+
+    Args:
+        root: the root of the store.
+        k: which part.
+        initial: the digest of the initial states of its members.
+        leader: whether this process publishes.
+    """
+
+    def __init__(self, root: Root, k: int = 0, initial: str = "", leader: bool = True) -> None:
+        self.path = root.storage.address
+        self._root, self._k, self._initial, self._leader = root, k, initial, leader
+        self._members = root.split.part(k)
+        self._store = writable_arrays(root.storage)
+        self._arrays: dict[str, Any] = {}
+        self._pool = ThreadPoolExecutor(REQUESTS) if root.storage.is_remote else None
+        self._background = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
+        self._writing: Future[None] | None = None
+        self._state = self._found() or PartState(START, {}, initial)
+        if leader:
+            root.show(self.progress)
+
+    def _found(self) -> PartState | None:
+        """The state that is resumed."""
+        remedy = f"remove {self._root.state_file(self._k)}, and the part starts again"
+        name = f"part {self._k} of {self.path}"
+        try:
+            state = self._root.state(self._k)
+        except UnusablePartError as error:
+            raise ValueError(f"{name} is damaged and cannot be resumed: {error}. R{remedy[1:]}") from None
+        if state is None:
+            return None
+        lost = next(self._root.damage_of_part(self._k, state), None) if self._root.in_parts else None
+        if lost:
+            raise ValueError(f"{name} is damaged: {lost}. Restore the file from a copy, or {remedy}")
+        if state.initial != self._initial:
+            raise ValueError(
+                f"{name} began with other initial states than those given now, and cannot be resumed: the function of "
+                f"states must return the same for the same numbers whenever it is called. R{remedy[1:-5]}new"
+            )
+        return state
+
+    @property
+    def attributes(self) -> Table:
+        """The attributes of the store."""
+        return self._root.attributes
+
+    @property
+    def progress(self) -> Table:
+        """The state of the published run: its commits, entries along time, steps, and whether it is complete."""
+        return self._state.progress
+
+    def carry(self, members: range) -> dict[str, np.ndarray]:
+        """The arrays of the published carry by name, for these of the part's members."""
+        own = slice(members.start, members.stop)
+        found = self._state.arrays.items()
+        return {name.removeprefix(_CARRY): x[own] for name, x in found if name.startswith(_CARRY)}
+
+    def write(self, slabs: Callable[[], Iterable[Slab]], then: Callable[[], None] | None) -> None:
+        """Start writing slabs in the background, and call `then` there if it is given.
+
+        The previous commit must have been published.
+        """
+
+        def work() -> None:
+            self._put_all(slabs())
+            if then is not None:
+                then()
+
+        self._writing = self._background.submit(work)
+
+    @property
+    def is_written(self) -> bool:
+        """True if what `write` has started is on disk. Raises OSError if it could not be written."""
+        if self._writing is None or not self._writing.done():
+            return self._writing is None
+        with self.errors():
+            self._writing.result()
+        return True
+
+    @contextmanager
+    def errors(self) -> Iterator[None]:
+        """A context in which errors of the storage say what the store holds, and what to do."""
+        try:
+            yield
+        except OSError as error:
+            reason, steps = error.strerror or str(error), self.progress["steps"]
+            raise OSError(
+                error.errno, f"{reason}: {self.path} holds everything up to step {steps}; fix the cause and resume"
+            ) from error
+
+    def checksums(self, commit: Commit) -> np.ndarray:
+        """The checksums of the commit's files: those that this process has written, and 0 for those of others."""
+        written = self._store.checksums
+        return np.array([written.get(file, 0) for files in self._files(commit).values() for file in files], np.uint32)
+
+    def publish(self, commit: Commit, checksums: np.ndarray, carry: Mapping[str, np.ndarray]) -> None:
+        """Make a commit visible, after every process has written its files, whose `checksums` these are.
+
+        Args:
+            commit: the commit.
+            checksums: those of all processes.
+            carry: the arrays of all members of this part, from which the run goes on; none after the last step.
+        """
+        arrays, start = {name: x for name, x in self._state.arrays.items() if name == ROWS}, 0
+        for name, files in self._files(commit).items():
+            found, start = checksums[start : start + len(files)], start + len(files)
+            if name == ROWS:
+                earlier = [arrays[ROWS][: commit.row]] if ROWS in arrays else []
+                found = np.concatenate([*earlier, found[None]])
+            arrays[name] = found
+        state = PartState(commit.progress, arrays, self._initial)
+        if self._leader:
+            whole = state._replace(arrays=arrays | {f"{_CARRY}{name}": x for name, x in carry.items()})
+            self._root.storage.put(self._root.state_file(self._k), whole.encode(self._root.place(self._k)))
+            self._root.show(commit.progress)
+        self._state = state
+        self._store.checksums.clear()
+
+    def _files(self, commit: Commit) -> dict[str, list[str]]:
+        """The files of a commit, by the array of the state that has their checksums."""
+        found = {} if commit.row is None else {ROWS: self._root.files(self._k, commit.row)}
+        return found | ({ENDS: self._root.files(self._k)} if commit.progress["complete"] else {})
+
+    def close(self) -> None:
+        """Wait for the background threads."""
+        self._background.shutdown()
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def _put_all(self, slabs: Iterable[Slab]) -> None:
+        waiting: list[Future[None]] = []
+        for slab in slabs:
+            if self._pool is None:
+                self._put(slab)
+                continue
+            waiting.append(self._pool.submit(self._put, slab))
+            if len(waiting) > REQUESTS:  # slabs that wait are in memory
+                waiting.pop(0).result()
+        for future in waiting:
+            future.result()
+        self._root.storage.settle()
+
+    def _put(self, slab: Slab) -> None:
+        """Write a slab of this part's members into an array of all members, or of the series of all parts."""
+        array, dims = self._array(slab.name), dims_of(self._root.metas[slab.name])
+        if dims[0] == "part":
+            array[(self._k, *_slices(slab.at, slab.values.shape))] = slab.values
+            return
+        first = {"member": self._members.start}
+        at = tuple(start + first.get(dim, 0) for start, dim in zip(slab.at, dims, strict=False))
+        array[_slices(at, slab.values.shape)] = slab.values
+
+    def _array(self, name: str) -> Any:
+        if name not in self._arrays:
+            import zarr
+
+            with _every_chunk():
+                self._arrays[name] = zarr.open_array(self._store, path=name, mode="r+")
+        return self._arrays[name]
+
+
+def _slices(at: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """The place of a slab that starts at `at`, over the whole of the axes that this does not name."""
+    rest = itertools.repeat(0, len(shape) - len(at))
+    return tuple(slice(a, a + n) for a, n in zip((*at, *rest), shape, strict=True))
