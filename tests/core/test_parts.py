@@ -88,6 +88,14 @@ def test_parts_in_any_order_are_one_process(place, reduce):
     assert before == {name: storage.read(name) for name in storage.sizes()}
 
 
+@needs_obstore
+@pytest.mark.parametrize("options", [{"reduce": "energy", "save_every": 5}, {"reduce": "energy", "per": "member"}])
+def test_a_reduced_run_into_a_bucket_is_the_one_in_memory(options, tmp_path):
+    url = f"memory://tests{tmp_path}/run.zarr"
+    kept, memory = (li.run(STEP, STATES, 0.1, 60, store=x, progress=False, **options) for x in (url, None))
+    jax.tree.map(np.testing.assert_array_equal, kept.summary, memory.summary)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("count", "options"), [(3, {"save_every": None}), (41, {}), (5, {"step_axis": 0}), (2, {})])
 def test_any_number_of_parts_is_one_process(place, count, options):
@@ -652,16 +660,18 @@ def test_urls_that_are_no_place_of_a_store_are_refused(tmp_path):
 
 
 def test_storages_replace_and_create_files_as_a_whole(place):
-    storage = archives.open_storage(place)
-    assert not storage.exists("a/b")
-    assert storage.create("a/b", b"first")
-    assert storage.create("a/b", b"second") is False
-    assert storage.read("a/b") == b"first"
-    assert storage.create("a/b", b"first") is storage.is_remote  # whose answer may have been lost
+    storage, first = archives.open_storage(place), {"root": b"first", "a/b": b"file"}
+    assert not storage.has_store()
+    assert storage.create_store("root", first)
+    assert storage.create_store("root", {"root": b"second"}) is False
+    assert storage.read("root") == b"first"
+    assert storage.create_store("root", first) is storage.is_remote  # whose answer may have been lost
+    storage.stage("a/b", b"second")
+    storage.settle()
     storage.put("a/b", b"third")
     storage.put("a/c/d", b"")
     assert (storage.read("a/b"), storage.tail("a/b")) == (b"third", b"hird")
-    assert storage.sizes() == {"a/b": 5, "a/c/d": 0}
+    assert storage.sizes() == {"root": 5, "a/b": 5, "a/c/d": 0}
     assert storage.sizes("a/c") == {"a/c/d": 0}
     for name in ("x", "a/b/c"):
         with pytest.raises(FileNotFoundError):
