@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -21,10 +21,9 @@ import lieint_jax as li
 from lieint_jax.ensemble import archives
 from lieint_jax.runs import _job, _make_job
 from lieint_jax.runs.store import _identity, _into_store, _store_options
-from lieint_jax.runs.store._part_writer import PartWriter, join
-from lieint_jax.runs.store._parts import PartsRoot, read_root
+from lieint_jax.runs.store._root import ROOT, Root, read_root
 from lieint_jax.runs.store._storage import Bucket, Url, address
-from lieint_jax.runs.store._store import Commit, Part
+from lieint_jax.runs.store._writer import Commit, Slab, Writer, join
 
 MEMBERS = 2  # of a simulated worker; its requests are timed as if they had the bytes of all members
 
@@ -114,17 +113,17 @@ class TimedBucket(Bucket):
         self._ends(self._pass_time(name, 0))
         return data
 
-    def put(self, name: str, data: bytes) -> None:
+    def stage(self, name: str, data: bytes) -> None:
         """See `Storage`."""
         alive = self._pass_time(name, self._size(name, len(data)))
         if alive or self.rng.random() < 0.5:
-            super().put(name, data)
+            super().stage(name, data)
         self._ends(alive)
 
-    def create(self, name: str, data: bytes) -> bool:
+    def create_store(self, root: str, files: Mapping[str, bytes]) -> bool:
         """See `Storage`."""
-        alive = self._pass_time(name, 0)
-        created = super().create(name, data)
+        alive = self._pass_time(root, 0)
+        created = super().create_store(root, files)
         self._ends(alive)
         return created
 
@@ -175,7 +174,7 @@ class Simulation:
         described = _identity.description(self.job, "native")
         split = _make_job.split_into_parts(self.job, model.workers, False)
         with mock.patch.object(_job.Job, "bucket_rows", return_value=model.rows):
-            self.files = _into_store._skeleton(self.job, options, described, split, True)
+            self.files = _into_store._skeleton(self.job, options, described, split, True, True)
         self.created = 0
 
     def run(self) -> list[Outcome]:
@@ -207,14 +206,14 @@ class Simulation:
             deaths += 1
             begin = storage.death + float(rng.exponential(model.wait))
 
-    def root(self, storage: TimedBucket) -> PartsRoot:
+    def root(self, storage: TimedBucket) -> Root:
         """The root of the store, created by the first worker."""
         found = read_root(storage)
         if found is None:
-            self.created += storage.create("zarr.json", self.files["zarr.json"])
+            self.created += storage.create_store(ROOT, self.files)
             found = read_root(storage)
         assert found is not None
-        return PartsRoot(storage, found)
+        return Root(storage, found)
 
     def values(self, name: str, shape: tuple[int, ...], members: range, first: int) -> np.ndarray:
         """The results: numbers that depend on the array, the member and the entry only."""
@@ -237,8 +236,8 @@ class _Life:
         """True if the part is complete, False if the worker died."""
         try:
             root = self.simulation.root(self.storage)
-            join(self.storage, root, self.simulation.files)
-            with contextlib.closing(PartWriter(root, self.k)) as writer:
+            join(root, self.simulation.files)
+            with contextlib.closing(Writer(root, self.k)) as writer:
                 self._compute(root, writer)
         except Dead:
             self._note_commits()
@@ -250,12 +249,12 @@ class _Life:
         storage = self.storage
         death, storage.death = storage.death, math.inf
         root = read_root(storage)
-        state = PartsRoot(storage, root).state(self.k) if root else None
+        state = Root(storage, root).state(self.k) if root else None
         storage.death = death
         rows = 0 if state is None else math.ceil(state.progress["entries"] / self.simulation.model.rows)
         self.commits += [death] * (rows - len(self.commits))
 
-    def _compute(self, root: PartsRoot, writer: Any) -> None:
+    def _compute(self, root: Root, writer: Any) -> None:
         model, storage = self.simulation.model, self.storage
         first, now = writer.progress["entries"], storage.end  # computing begins when the part is open
         written = now
@@ -276,20 +275,24 @@ class _Life:
             progress = {"commits": 0 if last else first // model.rows + 1, "entries": first + number}
             progress |= {"steps": first + number - 1, "complete": last}
             commit = Commit(first // model.rows, progress)
-            writer._write(self._parts(root, first, number, last), commit)
+            writer._put_all(self._slabs(root, first, number, last))
+            writer.publish(commit, writer.checksums(commit), {} if last else self._carry(root, first))
             written = storage.end
             self.commits.append(written)
             first += number
 
-    def _parts(self, root: PartsRoot, first: int, number: int, last: bool) -> Iterator[Part]:
+    def _carry(self, root: Root, first: int) -> dict[str, np.ndarray]:
+        members = len(root.split.part(self.k))
+        tails: dict[str, tuple[int, ...]] = {"q": (4,), "p": (3,), "residual": (), "failed": ()}
+        return {name: np.full((members, *tail), float(first)) for name, tail in tails.items()}
+
+    def _slabs(self, root: Root, first: int, number: int, last: bool) -> Iterator[Slab]:
         members = root.split.part(self.k)
         for name, tail in (("q", (4,)), ("p", (3,)), ("residual", ()), ("converged", ())):
             shape = (number, len(members), *tail)
-            yield Part(name, (first, 0), self.simulation.values(name, shape, members, first))
-        for name, tail in (("q", (4,)), ("p", (3,)), ("residual", ()), ("failed", ())):
-            yield Part(f"checkpoint/{name}", (0, 0), np.full((1, len(members), *tail), float(first)))
+            yield Slab(name, (first, 0), self.simulation.values(name, shape, members, first))
         if last:
-            yield Part("first_failure", (0,), np.full(len(members), -1))
+            yield Slab("first_failure", (0,), np.full(len(members), -1))
 
 
 def verify(simulation: Simulation) -> dict[str, int]:
