@@ -357,12 +357,13 @@ def test_a_store_that_grows_while_it_is_checked_is_not_called_damaged(tmp_path, 
     assert left[0] < 0
 
 
-def test_a_root_that_was_not_written_after_a_commit_is_written_by_the_run_that_resumes(tmp_path, commits):
+@pytest.mark.parametrize("commit", [2, 3], ids=["on the way", "at the end"])
+def test_a_root_that_was_not_written_after_a_commit_is_written_by_the_run_that_resumes(tmp_path, commits, commit):
     """A kill between the state and the root: nothing is lost, and readers of Zarr see the commit before."""
-    path = shutil.copytree(commits[2], tmp_path / "run.zarr")
-    copied(commits[1], path, "zarr.json")
-    assert zarr.open_group(str(path), mode="r")["q"].shape[0] == 8
-    assert ensemble.open(path)[0].t.shape == (12,)
+    path = shutil.copytree(commits[commit], tmp_path / "run.zarr")
+    copied(commits[commit - 1], path, "zarr.json")
+    assert zarr.open_group(str(path), mode="r")["q"].shape[0] == 4 * commit
+    assert ensemble.open(path)[0].t.shape == ((12, 13)[commit - 2],)
     with pytest.MonkeyPatch.context() as patch:
         internals.commit_every(patch, 4)
         internals.small_chunks(patch, 20, 8)

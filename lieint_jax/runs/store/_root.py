@@ -176,7 +176,8 @@ class Root:
     def show(self, progress: Table) -> None:
         """Let other readers of Zarr see the progress of a run as a whole."""
         if not self.in_parts and progress != self.attributes["progress"]:
-            self._root = self._root | {"attributes": self.attributes | {"progress": progress}}
+            ordered = {key: progress[key] for key in START}  # whatever the order in which it was read
+            self._root = self._root | {"attributes": self.attributes | {"progress": ordered}}
             self.storage.put(ROOT, encode_root(self._root, self.metas))
             self.attributes = self._root["attributes"]
 
