@@ -181,9 +181,7 @@ def _arguments(job: Any, sharding: Any = None) -> tuple[Any, ...]:
     zero = np.zeros((), _loop.step_dtype())
     return (
         of_members(_loop.start(job.states, None)),
-        shared(job.step),
-        None,
-        shared(_loop.Origin(job.t0, job.clock, None)),
+        shared(_loop.Given(job.step, None, job.t0, job.clock, None)),
         shared(_loop.Span(zero, zero, None, np.bool_(True)), 1),
         shared(np.zeros((), np.int32)),
     )

@@ -6,7 +6,6 @@ import contextlib
 import functools
 import logging
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -19,27 +18,12 @@ from lieint_jax.runs._clock import UniformClock
 from lieint_jax.runs._comparison import difference, few_members
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Layout, Numbers, Tree
-from lieint_jax.runs._loop import Axes, Carry, Interval, Intervals, Known, Origin, Quantity, Reduction, Saved, Span
-from lieint_jax.types import State, Step
+from lieint_jax.runs._loop import Axes, Carry, Given, Intervals, Known, Reduction, Span
+from lieint_jax.types import State
 
 _log = logging.getLogger(__name__)
 _MOST_SHARED = 200_000  # the most numbers shared by all members in a call: each thread holds them in memory
 _SHORT_STEP, _TOGETHER = 600, 4  # steps of at most so many operations are computed so many to an iteration
-
-
-class Start(NamedTuple):
-    """The initial data of a process's members.
-
-    Attributes:
-        step, plain: the steps with the constants of whole steps, and without.
-        origin: see `Origin`.
-        carry: the carry.
-    """
-
-    step: Step
-    plain: Step
-    origin: Origin
-    carry: Carry
 
 
 def engine_of(job: Job, mesh: Mesh, threads: int) -> Engine:
@@ -80,10 +64,10 @@ class Engine:
     def __init__(self, job: Job, name: str, threads: int):
         self.job, self.name, self._threads = job, name, threads
         self.prepares = job.step.prepares and isinstance(job.clock, UniformClock)
-        own_time = job.t0 is not None and not job.shares_time
-        self._origin: Axes = Origin(0 if own_time else None, None, None)  # pyright: ignore[reportArgumentType]
-        own, reduced = job.step_axis, None if job.reduction is None else 0
-        self._axes = 0, 0 if self.prepares else own, own, self._origin._replace(quantity=reduced)
+        own, t0 = job.step_axis, 0 if job.t0 is not None and not job.shares_time else None
+        reduced = None if job.reduction is None else 0
+        self._plain: Axes = Given(own, None, t0, None, None)  # pyright: ignore[reportArgumentType]
+        self._axes = 0, Given(0 if self.prepares else own, own, t0, None, reduced)  # pyright: ignore[reportArgumentType]
         self._intervals = self.intervals()
         self.refusal, self.most_steps = "", 2**30
         if name != "xla" and job.num_steps:
@@ -103,9 +87,8 @@ class Engine:
         state = jax.tree.map(_member_shape, job.states)
         t0 = job.t0 if job.t0 is None or job.shares_time else _member_shape(job.t0)
         rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
-        return _loop.intervals(
-            Interval(job.reduction, job.condition, together), self._axes, (step, state, t0, job.clock, rests)
-        )
+        what = job.reduction, job.condition, together
+        return native.make_once(Intervals, what, self._axes, (step, state, t0, job.clock, rests))
 
     def _examined(self) -> Known:
         """What this engine makes of the loop."""
@@ -122,21 +105,15 @@ class Engine:
     def _first_step(self) -> tuple[Tree, ...]:
         """The arguments of a first step of a few members."""
         job = few_members(self.job)
-        step, plain, origin = job.step, None, Origin(job.t0, job.clock, None)  # pyright: ignore[reportArgumentType]
+        given = Given(job.step, None, job.t0, job.clock, None)
         if self.prepares:
-            plain, step = step, self._of_members(_loop.prepare)(step, job.states, origin)
+            given = given._replace(step=self._of_members(None)(given, job.states, 0), plain=job.step)
         value = None if job.reduction is None else np.zeros(job.members, job.dtype)
         ends = np.ones(2, _loop.step_dtype())
         rests = None if job.rests is None else np.full(ends.shape, job.first_dt / 2, job.dtype)
         spans = Span(0 * ends, ends, rests, np.ones(ends.shape, bool))
-        return (
-            _loop.start(job.states, job.first_change(value, None)),
-            step,
-            plain,
-            origin._replace(quantity=value),
-            spans,
-            np.int32(1),
-        )
+        carry = _loop.start(job.states, job.first_change(value, None))
+        return carry, given._replace(quantity=value), spans, np.int32(1)
 
     def _difference(self, arguments: tuple[Tree, ...]) -> str:
         """In what a first step of a few members differs from XLA's; or ""."""
@@ -157,45 +134,44 @@ class Engine:
         ours = carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)
         return difference(ours, jax.tree.map(lambda *x: np.stack(x), *theirs))
 
-    def start(self, layout: Layout) -> Start:
-        """The initial data of the members of a process."""
+    def start(self, layout: Layout) -> tuple[Given, Carry]:
+        """What is given for the members of a process, and their carry."""
         job = self.job
-        plain = (_layout.replicated if job.step_axis is None else _layout.placed)(layout, job.step)
+        step = (_layout.replicated if job.step_axis is None else _layout.placed)(layout, job.step)
         states = _layout.placed(layout, job.states)
-        origin = Origin((_layout.replicated if job.shares_time else _layout.placed)(layout, job.t0), job.clock, None)
-        step = self._of_members(_loop.prepare)(plain, states, origin) if self.prepares else plain
-        start = Start(step, plain, origin, _loop.start(states, None))
+        t0 = (_layout.replicated if job.shares_time else _layout.placed)(layout, job.t0)
+        given = Given(step, None, t0, job.clock, None)
+        if self.prepares:
+            given = given._replace(step=self._of_members(None)(given, states, 0), plain=step)
         if job.reduction is None:
-            return start
-        value = self.quantity(job.reduction, start, states, 0)
-        reached = None if job.condition is None else self.quantity(job.condition, start, states, 0)
-        carry = start.carry._replace(change=job.first_change(value, reached))
-        return start._replace(origin=origin._replace(quantity=value), carry=carry)
+            return given, _loop.start(states, None)
+        value = self.quantity(job.reduction, given, states, 0)
+        reached = None if job.condition is None else self.quantity(job.condition, given, states, 0)
+        return given._replace(quantity=value), _loop.start(states, job.first_change(value, reached))
 
-    def quantity(self, function: Reduction, start: Start, states: State, n: int) -> Numbers:
+    def quantity(self, function: Reduction, given: Given, states: State, n: int) -> Numbers:
         """A function of step and state at node n, for all members."""
-        origin, node = start.origin._replace(quantity=None), np.asarray(n, _loop.step_dtype())
-        return self._of_members(Quantity(function), None)(start.plain, states, origin, node)
+        step = given.step if given.plain is None else given.plain
+        return self._of_members(function)(given._replace(step=step, plain=None, quantity=None), states, n)
 
-    def _of_members(self, function: Callable[..., Tree], *more: Axes) -> Callable[..., Tree]:
-        """A function of (step, state, origin, …) of one member, for all members."""
-        compiled = _loop.compile_for_members(function, (self.job.step_axis, 0, self._origin, *more))
+    def _of_members(self, function: Reduction | None) -> Callable[[Given, State, int], Tree]:
+        """See `_loop.of_members`."""
+        compiled = _loop.of_members(function, self._plain)
 
-        def call(*arguments: Tree) -> Tree:
+        def call(given: Given, states: State, n: int) -> Tree:
             with self._computing():
-                return compiled(*arguments)
+                return compiled(given, states, np.asarray(n, _loop.step_dtype()))
 
         return call
 
-    def run_spans(self, start: Start, carry: Carry, spans: Span, rows: int) -> tuple[Carry, Saved]:
+    def run_spans(self, given: Given, carry: Carry, spans: Span, rows: int) -> tuple[Carry, Tree]:
         """The carry after these save intervals, at most `rows`, and the saved rows."""
         count = np.int32(len(spans.first))
         if self.name == "native":  # XLA's loops fill all rows, and need their memory
             rows = _power_of_two(rows)
         spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
-        plain = start.plain if self.prepares else None
         with self._computing():
-            return jax.block_until_ready(self._intervals(carry, start.step, plain, start.origin, spans, count))
+            return jax.block_until_ready(self._intervals(carry, given, spans, count))
 
     def _computing(self) -> contextlib.AbstractContextManager[None]:
         return computed_by(self.name, self._threads)

@@ -10,13 +10,15 @@ import numpy as np
 from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._clock import GridClock, more_times
 from lieint_jax.runs._engine import Engine
-from lieint_jax.runs._job import MAX_NAMED, Job, Output, Saves, gather_rows, list_members, reduce_rows
-from lieint_jax.runs._layout import Layout
-from lieint_jax.runs._loop import Carry, Saved
+from lieint_jax.runs._job import MAX_NAMED, Job, Saves, gather_rows, list_members, reduce_rows
+from lieint_jax.runs._layout import Layout, Tree
+from lieint_jax.runs._loop import Carry
+from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._progress import Bar, CallLength, Interrupts
+from lieint_jax.runs.store._store_output import StoreOutput
 
 
-def execute(engine: Engine, layout: Layout, output: Output, progress: bool) -> Saves | None:
+def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, progress: bool) -> Saves | None:
     """Run a job to its end, append its saved rows to `output`, and return the output's result."""
     job, loop = engine.job, CompiledLoop(engine, layout, output.buffer_rows, progress)
     carry, done, saved = output.restore() or (None, 0, 0)
@@ -61,13 +63,12 @@ class CompiledLoop:
 
     def __init__(self, engine: Engine, layout: Layout, buffer_rows: int, progress: bool) -> None:
         self._engine, self._job, self._layout, self._rows = engine, engine.job, layout, buffer_rows
-        self._start = engine.start(layout)
-        self.start = self._start.carry
+        self._given, self.start = engine.start(layout)
         self._shown = bool(_layout.all_reduce_max(layout.mesh, progress and Bar.is_visible())[0])
         if self._shown:
             self._H0 = self._energies(self.start, 0)
 
-    def run_intervals(self, carry: Carry, done: int, saved: int, ends: np.ndarray) -> tuple[Carry, Saved]:
+    def run_intervals(self, carry: Carry, done: int, saved: int, ends: np.ndarray) -> tuple[Carry, Tree]:
         """The carry and the saved rows of the save intervals that end at the nodes `ends`.
 
         Before them there were `done` steps, and `saved` entries after the start.
@@ -78,19 +79,19 @@ class CompiledLoop:
         if rests is not None:
             rests = np.resize(rests[saved + 1 :], len(ends)).astype(self._job.dtype)
         spans = _loop.Span(first, ends.astype(dtype), rests, begins)
-        return self._engine.run_spans(self._start, carry, spans, self._rows)
+        return self._engine.run_spans(self._given, carry, spans, self._rows)
 
     def check_first_step(self) -> None:
         """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
         if self._job.reduction is not None:
-            _check_start(_layout.gather(self._layout, self._start.origin.quantity), self._job.first_member)
+            _check_start(_layout.gather(self._layout, self._given.quantity), self._job.first_member)
         if self._job.num_steps:
             after, _ = self.run_intervals(self.start, 0, 0, np.ones(1, int))
             _check_first(_layout.gather(self._layout, after.failed), self._job)
 
     def _energies(self, carry: Carry, done: int) -> _layout.Numbers:
         """The energies minus work after `done` steps."""
-        return self._engine.quantity(_loop.energy, self._start, carry.state, done)
+        return self._engine.quantity(_loop.energy, self._given, carry.state, done)
 
     def show_progress(self, carry: Carry, done: int, bar: Bar) -> None:
         """Show the energy error and the failures so far on the progress bar, if it is visible."""

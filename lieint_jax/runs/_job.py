@@ -1,9 +1,8 @@
-"""The description of an integration, and the interface of its outputs in memory and on disk."""
+"""The description of an integration, and its results."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -11,8 +10,8 @@ import numpy as np
 from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock, RoundedClock, UniformClock
 from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
-from lieint_jax.runs._layout import Layout, Numbers
-from lieint_jax.runs._loop import Carry, MemberRange, Range, Reduction, Saved
+from lieint_jax.runs._layout import Layout, Numbers, Tree
+from lieint_jax.runs._loop import Change, Reduction
 from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs.store._leaves import shared_time
 from lieint_jax.types import State, Step, Trajectory
@@ -92,9 +91,9 @@ class MemberSummary(NamedTuple):
         return self.total / self.number
 
     @property
-    def range(self) -> MemberRange:
+    def change(self) -> Change:
         """The values of the quantity."""
-        return MemberRange(self.least, self.greatest, self.total, self.last, self.first)  # pyright: ignore
+        return Change(self.least, self.greatest, self.total, self.last, self.first)
 
 
 class Job(NamedTuple):
@@ -211,32 +210,25 @@ class Job(NamedTuple):
         last = slice(-1, None)
         return state if self.t0 is None else state._replace(t=self.state_times(last)[0])
 
-    def first_change(self, value: Any, reached: Any) -> Range | MemberRange | None:
-        """The range of the reduced quantity at the start, of this value, where the condition is `reached` or not."""
+    def first_change(self, value: Any, reached: Any) -> Change | None:
+        """What is known of the reduced quantity at the start, of this value; the condition is `reached` or not."""
         if value is None:
             return None
         if not self.per_member:
-            return Range.begin(len(value), self.dtype)
+            return Change(*(np.full(len(value), x, self.dtype) for x in (np.inf, -np.inf, 0)))
         first = None
         if self.condition is not None:
             t = self.times[0] if self.t0 is None or self.shares_time else np.asarray(self.t0)
             never = np.full(len(value), np.nan, self.dtype)
             first = never if reached is None else np.where(np.asarray(reached), t, never).astype(self.dtype)
-        return MemberRange.begin(value, first)
+        return Change(value, value, value, value, first)
 
     @property
     def change_names(self) -> tuple[str, ...]:
-        """The names of the arrays of that range."""
-        if not self.per_member:
-            return () if self.reduction is None else Range._fields
-        return MemberRange._fields if self.condition is not None else MemberRange._fields[:-1]
-
-    def range_of(self, arrays: Mapping[str, Any]) -> Range | MemberRange | None:
-        """That range, from its arrays by name."""
+        """The names of the arrays of what is known of it."""
         if self.reduction is None:
-            return None
-        kind: Any = MemberRange if self.per_member else Range
-        return kind(*(arrays.get(name) for name in kind._fields))
+            return ()
+        return Change._fields[: 3 + self.per_member + (self.condition is not None)]
 
     def member(self, m: int) -> tuple[Step, State]:
         """The step and the initial state of one member."""
@@ -273,55 +265,6 @@ class Job(NamedTuple):
         return max(sum(leaf.nbytes for leaf in jax.tree.leaves(self.states)) // self.members + 9, 24)
 
 
-class Output(Protocol):
-    """The destination of a run's saved rows: memory (`_memory_output`) or disk (`_store_output`)."""
-
-    @property
-    def defers_interrupts(self) -> bool:
-        """True if an interrupt waits until the run `can_stop`."""
-        ...
-
-    @property
-    def buffer_rows(self) -> int:
-        """The largest number of saves in one call of the compiled loop: the length of its buffer."""
-        ...
-
-    @property
-    def free_rows(self) -> int:
-        """The largest number of saves in the next call."""
-        ...
-
-    def restore(self) -> tuple[Carry, int, int] | None:
-        """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
-
-    def begin(self, carry: Carry) -> None:
-        """Receive the entry of the start; not called for a resumed run."""
-
-    def append(self, saved: Saved | Series, number: int) -> None:
-        """Receive `number` saved rows, or those of the series of a reduction."""
-
-    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
-        """Receive, after each call of the loop, a carry from which the run can be resumed, and write it if it is time.
-
-        Args:
-            carry: the carry.
-            done: the number of steps so far.
-            seconds: the duration of the call.
-            stop: True if the run was asked to stop.
-        """
-
-    def can_stop(self) -> bool:
-        """True if everything that a resumed run needs has been written."""
-        ...
-
-    def interrupt_message(self, done: int, num_steps: int) -> str:
-        """The message for a user who interrupted the run."""
-        ...
-
-    def result(self, carry: Carry) -> Saves | None:
-        """The saves, after the last step; None if they are to be read from the store."""
-
-
 def rows_of_call(across: int, members: int, row: int, interval: int, entries: int, remote: bool) -> int:
     """The number of saves per call of the loop and per chunk.
 
@@ -349,7 +292,7 @@ def chunk_members(members: int, count: int, row: int, entries: int, remote: bool
     return max(CHUNK_MEMBERS, members // (count * _CHUNKS_OF_BUFFER), _OBJECT_BYTES // (row * entries))
 
 
-def local_rows(saved: Saved, number: int) -> Saved:
+def local_rows(saved: Tree, number: int) -> Tree:
     """The first `number` saved rows on the host; a part of a longer buffer is copied, so that it can be freed."""
 
     def first_rows(x: Numbers) -> np.ndarray:
@@ -359,7 +302,7 @@ def local_rows(saved: Saved, number: int) -> Saved:
     return jax.tree.map(first_rows, saved)
 
 
-def gather_rows(layout: Layout, saved: Saved, number: int) -> Saved:
+def gather_rows(layout: Layout, saved: Tree, number: int) -> Tree:
     """The first `number` saved rows of all members, on every process."""
     return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
 
@@ -373,7 +316,7 @@ def first_entry(job: Job) -> Series:
     return found if job.part is None else found | {"sums": np.zeros((1, len(blocks(*_ends(job.part)))), job.dtype)}
 
 
-def reduce_rows(rows: Saved, job: Job) -> Series:
+def reduce_rows(rows: Tree, job: Job) -> Series:
     """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
 
     For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.
@@ -383,7 +326,7 @@ def reduce_rows(rows: Saved, job: Job) -> Series:
         "residual": info.residual.max(axis=1),
         "unconverged": (~np.asarray(info.converged)).sum(axis=1),
     }
-    if not isinstance(change, Range):
+    if change.per_member:
         return reports  # pyright: ignore[reportReturnType]
     sums = block_sums(np.asarray(change.total), job.first_member)
     members = range(job.first_member, job.first_member + job.members)

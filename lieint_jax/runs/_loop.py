@@ -1,4 +1,4 @@
-"""One member's part of a run: its save intervals, its carry; and the compiled loop over all members."""
+"""The compiled loop of a run over the save intervals of all members, and its data."""
 
 from __future__ import annotations
 
@@ -26,53 +26,44 @@ Reduction = Callable[[Step, State], Array]
 Axes = Any  # the member axes of a function's arguments, as in `jax.vmap`
 
 
-class Range(NamedTuple):
-    """The least, the greatest and the sum of a quantity over the steps since the last save, for each member."""
+class Change(NamedTuple):
+    """What is known of a reduced quantity, for one member, or with the member axis first.
 
-    least: Array
-    greatest: Array
-    total: Array
-
-    @classmethod
-    def begin(cls, members: int, dtype: np.dtype) -> Range:
-        """The ranges of so many members over no steps, arrays of the host."""
-        return cls(*(np.full(members, x, dtype) for x in (np.inf, -np.inf, 0)))  # pyright: ignore[reportArgumentType]
-
-    @classmethod
-    def empty(cls, like: Array) -> Range:
-        """The range over no steps."""
-        return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
-
-    def include(self, x: Array) -> Range:
-        """The range with one more value per member; a NaN makes all three NaN."""
-        return Range(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x)
-
-
-class MemberRange(NamedTuple):
-    """The values of a quantity of each member over all steps so far, the start included.
+    Of all members together, these are its changes from the start over the steps since the last save; reduced for each
+    member, its values over all steps so far, the start included.
 
     Attributes:
-        least, greatest, total, last: the least, the greatest, the sum and the last of them.
+        least, greatest, total: the least, the greatest and the sum of them.
+        last: the last value of each member; None of all members together.
         first: the first time at which a condition was true, NaN before; None if there is no condition.
     """
 
-    least: Array
-    greatest: Array
-    total: Array
-    last: Array
-    first: Array | None
+    least: Numbers
+    greatest: Numbers
+    total: Numbers
+    last: Numbers | None = None
+    first: Numbers | None = None
+
+    @property
+    def per_member(self) -> bool:
+        """Whether it is reduced for each member."""
+        return self.last is not None
 
     @classmethod
-    def begin(cls, x: Numbers, first: Numbers | None) -> MemberRange:
-        """The range at the start, where the quantity is x."""
-        return cls(x, x, x, x, first)  # pyright: ignore[reportArgumentType]
+    def empty(cls, like: Numbers) -> Change:
+        """The change over no steps."""
+        return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
 
-    def include(self, x: Array, reached: Array | None, t: Array) -> MemberRange:
-        """The range with the value at time t, when the condition is `reached` or not; NaN makes all but `first` NaN."""
+    def include(self, x: Array, reached: Array | None = None, t: Numbers | None = None) -> Change:
+        """The change with one more value, at time t, when the condition is `reached` or not.
+
+        If the value is NaN, so are all but `first`.
+        """
         first = self.first
-        if first is not None and reached is not None:
+        if first is not None and t is not None:
             first = jnp.where(jnp.isnan(first) & reached, t.astype(first.dtype), first)
-        return MemberRange(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x, x, first)
+        least, greatest = jnp.minimum(self.least, x), jnp.maximum(self.greatest, x)
+        return Change(least, greatest, self.total + x, x if self.per_member else None, first)
 
 
 class Carry(NamedTuple):
@@ -82,31 +73,29 @@ class Carry(NamedTuple):
         state: the states, without their time, which follows from the number of steps unless the step has its own.
         info: the merged `StepInfo` since the last save.
         failed: the first step that did not converge, or −1.
-        change: the range of the reduced quantity's change since the last save, or, reduced for each member, of its
-            values since the start; None if nothing is reduced.
+        change: of the reduced quantity; None if nothing is reduced.
     """
 
     state: State
     info: StepInfo
     failed: Array
-    change: Range | MemberRange | None
+    change: Change | None
 
 
-Saved = tuple[
-    StepInfo, State | Range | MemberRange | None
-]  # a saved row: the report, and the states or the reduced change
-
-
-class Origin(NamedTuple):
-    """The data of the start to which every step refers.
+class Given(NamedTuple):
+    """What is the same in all steps of a run.
 
     Attributes:
+        step: the step; with its constants for steps of one size if the run prepares it.
+        plain: the step without them, for shorter steps to outputs; None if it is the same step.
         t0: the time of the initial states: a scalar if the members share it, else one for each. None if they have no
             time, or if the step has a time of its own, which then is part of the state.
         clock: the times of the steps; for steps of one size its t0 is not used.
         quantity: the reduced quantity of the initial states; None if nothing is reduced.
     """
 
+    step: Step
+    plain: Step | None
     t0: Numbers | None
     clock: UniformClock | RoundedClock | GridClock
     quantity: Numbers | None
@@ -142,52 +131,6 @@ class Span(NamedTuple):
     begins: Numbers | np.bool_
 
 
-class Interval(NamedTuple):
-    """The function of one member that a run repeats: (carry, step, plain step, origin, span) ↦ (carry, saved).
-
-    The plain step, without the constants of whole steps, is for shorter steps to outputs; None if it is the same step.
-    The saved values are the report, and the state or the change of the reduced quantity since the origin. An iteration
-    of the loop computes `together` steps, as long as so many remain. A run that is reduced for each member may have a
-    condition, of which the first time is recorded at which it is true.
-    """
-
-    reduction: Reduction | None
-    condition: Reduction | None = None
-    together: int = 1
-
-    def __call__(self, carry: Carry, step: Step, plain: Step | None, origin: Origin, span: Span) -> tuple[Carry, Saved]:
-        info, change = carry.info, carry.change
-        begun = StepInfo.empty(info.residual), Range.empty(change.total) if isinstance(change, Range) else change
-        info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), begun, (info, change))
-
-        def advance_once(state: State, n: Array) -> tuple[State, StepInfo]:
-            end, info = step_at_node(step, origin.own_clock, origin.add_time(n, state), n)
-            return origin.remove_time(end), info
-
-        def record(n: Array, before: Progress, after: Progress, info: StepInfo) -> tuple[Array, Any]:
-            failed, change = before.seen
-            failed = _first_failure(failed, n, info)
-            if self.reduction is None or change is None or origin.quantity is None:
-                return failed, change
-            now = origin.add_time(n + 1, after.state)
-            quantity = self.reduction(step, now)
-            if isinstance(change, Range):
-                return failed, change.include(quantity - origin.quantity)
-            reached = None if self.condition is None else self.condition(step, now)
-            return failed, change.include(quantity, reached, origin.clock.time(n + 1) if now.t is None else now.t)
-
-        start = Progress(carry.state, info, (carry.failed, change))
-        count, repeat = span.end - span.first, partial(_several_at_once, together=self.together)
-        state, info, (failed, change) = march(advance_once, span.first, count, start, observe=record, repeat=repeat)
-        output, worst = state, info
-        if span.rest is not None:
-            output, last = (step if plain is None else plain)(origin.add_time(span.end, state), span.rest)
-            output, worst = origin.remove_time(output), info.merge(last)
-            failed = _first_failure(failed, span.end, last)
-        saved = worst, output if self.reduction is None else change
-        return Carry(state, info, failed, change), saved
-
-
 def _first_failure(failed: Array, n: Numbers, info: StepInfo) -> Array:
     """The first step that failed, after that from node n with such a report."""
     return jnp.where((failed < 0) & ~info.converged, n.astype(failed.dtype), failed)
@@ -208,21 +151,7 @@ def _several_at_once(body: Body, first: Array, count: Array, carry: _T, together
     return lax.fori_loop(first + times * together, first + count, body, carry)
 
 
-class Quantity(NamedTuple):
-    """A function of a step and a state, of one member: (step, state, origin, n) ↦ its value at node n."""
-
-    function: Reduction
-
-    def __call__(self, step: Step, state: State, origin: Origin, n: Array) -> Array:
-        return self.function(step, origin.add_time(n, state))
-
-
-def prepare(step: Step, state: State, origin: Origin) -> Step:
-    """The step with its constants for whole steps."""
-    return prepared(step, origin.add_time(0, state), origin.clock)
-
-
-def start(states: State, change: Range | MemberRange | None) -> Carry:
+def start(states: State, change: Change | None) -> Carry:
     """The carry of a run that begins with `states`, arrays of the host."""
     members, dtype = states.p.shape[0], states.p.dtype
     info = StepInfo(np.zeros(members, dtype), np.ones(members, bool))  # pyright: ignore[reportArgumentType]
@@ -259,25 +188,21 @@ def compiler_options(platform: str | None = None) -> dict[str, str | int]:
 
 
 @lru_cache(32)
-def compile_for_members(function: Callable[..., Tree], axes: Axes) -> Callable[..., Tree]:
-    """A function of one member, compiled for many as a loop of one step; `axes` as in `jax.vmap`."""
+def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State, Numbers], Tree]:
+    """A function of step and state at node n, compiled for all members: (given, states, n) ↦ its values.
+
+    Without a function it is the step with its constants. `axes` are the member axes of what is given.
+    """
+
+    def of_member(given: Given, state: State, n: Array) -> Tree:
+        state = given.add_time(n, state)
+        return prepared(given.step, state, given.clock) if function is None else function(given.step, state)
 
     def by_one_step(*arguments: Tree) -> Tree:
-        found = native.march(lambda n, carry, _: (carry, function(*arguments)), (), rows=1)[1]
+        found = native.march(lambda n, carry, _: (carry, of_member(*arguments)), (), rows=1)[1]
         return jax.tree.map(lambda x: x[0], found)
 
-    return jax.jit(jax.vmap(by_one_step, axes), compiler_options=compiler_options())
-
-
-def intervals(interval: Interval, axes: Axes, data: Sequence[Tree]) -> Intervals:
-    """The loop over save intervals of all members, made once for data of one member of the same shapes.
-
-    Args:
-        interval: the function of one member.
-        axes: the member axes of its arguments, as in `jax.vmap`, but for the span.
-        data: what its arguments are made of, as arrays or shapes.
-    """
-    return native.make_once(Intervals, interval, axes, data)
+    return jax.jit(jax.vmap(by_one_step, (axes, 0, None)), compiler_options=compiler_options())
 
 
 class Known(NamedTuple):
@@ -295,29 +220,72 @@ class Known(NamedTuple):
 
 
 class Intervals:
-    """The loop over save intervals: (carry, step, plain step, origin, spans, number of spans) ↦ (carry, saved).
+    """The loop over the save intervals of all members: (carry, given, spans, number of spans) ↦ (carry, saved).
+
+    The saved values are the report, and the states or the change of the reduced quantity. `native.make_once` makes it
+    once for data of one member of the same shapes.
+
+    Args:
+        what: the reduced quantity or None; of a run that is reduced for each member, a condition of which the first
+            time is recorded at which it is true; and how many steps an iteration computes, as long as so many remain.
+        axes: the member axes of the carry and of what is given, as in `jax.vmap`.
 
     Attributes:
         known: what is known of it by engines, by their names.
     """
 
-    def __init__(self, interval: Interval, axes: Axes, _: Sequence[Tree]):
-        self._of_member = jax.jit(interval.__call__)
+    def __init__(self, what: tuple[Reduction | None, Reduction | None, int], axes: Axes, _: Sequence[Tree]):
+        self._reduction, self._condition, together = what
+        self._repeat = partial(_several_at_once, together=together)
+        self._of_member = jax.jit(self._interval)
         self._of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
         self.known: dict[str, Known] = {}
 
-    def __call__(self, *arguments: Tree) -> tuple[Carry, Saved]:
+    def __call__(self, *arguments: Tree) -> tuple[Carry, Tree]:
         return self._of_all(*arguments)
 
-    def _loop(
-        self, carry: Carry, step: Step, plain: Step | None, origin: Origin, spans: Span, count: Array
-    ) -> tuple[Carry, Saved]:
-        return native.march(self._next, carry, spans, (step, plain, origin), rows=count, most=len(spans.first))
+    def _loop(self, carry: Carry, given: Given, spans: Span, count: Array) -> tuple[Carry, Tree]:
+        return native.march(self._next, carry, spans, (given,), rows=count, most=len(spans.first))
 
-    def _next(
-        self, n: Array, carry: Carry, span: Span, step: Step, plain: Step | None, origin: Origin
-    ) -> tuple[Carry, Saved]:
-        return self._of_member(carry, step, plain, origin, span)
+    def _next(self, n: Array, carry: Carry, span: Span, given: Given) -> tuple[Carry, Tree]:
+        return self._of_member(carry, given, span)
+
+    def _interval(self, carry: Carry, given: Given, span: Span) -> tuple[Carry, Tree]:
+        """A save interval of one member."""
+        step, info, change = given.step, carry.info, carry.change
+        fresh = StepInfo.empty(info.residual), change
+        if change is not None and not change.per_member:
+            fresh = fresh[0], Change.empty(change.total)
+        info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), fresh, (info, change))
+
+        def advance_once(state: State, n: Array) -> tuple[State, StepInfo]:
+            end, info = step_at_node(step, given.own_clock, given.add_time(n, state), n)
+            return given.remove_time(end), info
+
+        def record(n: Array, before: Progress, after: Progress, info: StepInfo) -> tuple[Array, Any]:
+            failed, change = before.seen
+            failed = _first_failure(failed, n, info)
+            if self._reduction is None or change is None or given.quantity is None:
+                return failed, change
+            now = given.add_time(n + 1, after.state)
+            value = self._reduction(step, now)
+            if not change.per_member:
+                return failed, change.include(value - given.quantity)
+            reached = None if self._condition is None else self._condition(step, now)
+            return failed, change.include(value, reached, given.clock.time(n + 1) if now.t is None else now.t)
+
+        start, count = Progress(carry.state, info, (carry.failed, change)), span.end - span.first
+        state, info, (failed, change) = march(
+            advance_once, span.first, count, start, observe=record, repeat=self._repeat
+        )
+        output, worst = state, info
+        if span.rest is not None:
+            plain = step if given.plain is None else given.plain
+            output, last = plain(given.add_time(span.end, state), span.rest)
+            output, worst = given.remove_time(output), info.merge(last)
+            failed = _first_failure(failed, span.end, last)
+        saved = worst, output if self._reduction is None else change
+        return Carry(state, info, failed, change), saved
 
     def traced(self, *arguments: Tree) -> jax.stages.Traced:
         """The program for arguments of these shapes, as JAX traces it."""
@@ -329,7 +297,7 @@ class Intervals:
         assert loop is not None
         return loop
 
-    def by_xla(self, *arguments: Tree) -> Callable[..., tuple[Carry, Saved]]:
+    def by_xla(self, *arguments: Tree) -> Callable[..., tuple[Carry, Tree]]:
         """The function of one member, compiled by XLA for arguments of these shapes."""
         traced = self._of_member.trace(*arguments)
         structure = jax.tree.structure(traced.out_info)

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from lieint_jax.runs._job import MemberSummary, Saves, Summary
-from lieint_jax.runs._loop import MemberRange
+from lieint_jax.runs._loop import Change
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 
 Tree = Any  # a tree of arrays
@@ -24,7 +24,7 @@ def member_of(found: Any, k: int) -> Any:
 
 def _of_members(summary: Summary | MemberSummary) -> dict[str, Tree]:
     """The fields of a summary that have a member axis."""
-    names = ("state", "failed", *(MemberRange._fields if isinstance(summary, MemberSummary) else ()))
+    names = ("state", "failed", *(Change._fields if isinstance(summary, MemberSummary) else ()))
     return {name: getattr(summary, name) for name in names}
 
 

@@ -9,15 +9,23 @@ import numpy as np
 
 from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._job import Job, MemberSummary, Saves, Series, Summary, first_entry, gather_rows
-from lieint_jax.runs._layout import Layout
-from lieint_jax.runs._loop import Carry, Saved
+from lieint_jax.runs._layout import Layout, Tree
+from lieint_jax.runs._loop import Carry
 from lieint_jax.types import StepInfo, Trajectory
 
 _SERIES = ("least", "greatest", "mean", "residual", "unconverged")
 
 
 class MemoryOutput:
-    """Results as numpy arrays; `earlier` are those of a run of which this one is the continuation."""
+    """Results as numpy arrays; `earlier` are those of a run of which this one is the continuation.
+
+    `StoreOutput` has the same methods.
+
+    Attributes:
+        defers_interrupts: whether an interrupt waits until the run `can_stop`.
+        buffer_rows: the largest number of saves in one call of the compiled loop: the length of its buffer.
+        free_rows: the largest number of saves in the next call.
+    """
 
     defers_interrupts = False
 
@@ -25,16 +33,17 @@ class MemoryOutput:
         self._job, self._layout, self._entries, self._earlier = job, layout, 0, earlier
         self.buffer_rows = self.free_rows = job.buffer_rows(job.members)
         self._series: list[Series] = []
-        self._out: Saved | None = None
+        self._out: Tree | None = None
 
     def restore(self) -> tuple[Carry, int, int] | None:
+        """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
         if self._earlier is None:
             return None
         found, failed = self._earlier
         change, info, saved = None, None, len(found.t) - 1
         done = int(self._job.nodes[saved])
         if isinstance(found, MemberSummary):
-            last, change, done, saved = found.state, found.range, int(found.number) - 1, 0
+            last, change, done, saved = found.state, found.change, int(found.number) - 1, 0
             self._series.append(first_entry(self._job))
             info = StepInfo(np.full(failed.shape, found.residual[-1]), failed < 0)  # pyright: ignore
         elif isinstance(found, Summary):
@@ -49,12 +58,13 @@ class MemoryOutput:
         carry = carry._replace(failed=failed.astype(_loop.step_dtype()), info=info or carry.info)  # pyright: ignore
         return _layout.placed(self._layout, carry), done, saved
 
-    def _allocate(self, rows: Saved, leading: int) -> None:
+    def _allocate(self, rows: Tree, leading: int) -> None:
         """Arrays for all entries like these rows, which have so many leading axes."""
         entries = self._job.num_saves + 1
         self._out = jax.tree.map(lambda x: np.empty((entries, *x.shape[leading:]), x.dtype), rows)
 
     def begin(self, carry: Carry) -> None:
+        """Receive the entry of the start; not called for a run that goes on."""
         if self._job.reduction is not None:
             self._series.append(first_entry(self._job))
             return
@@ -62,28 +72,32 @@ class MemoryOutput:
         self._allocate(first, 0)
         self._put(jax.tree.map(lambda x: x[None], first))
 
-    def append(self, saved: Saved | Series, number: int) -> None:
+    def append(self, saved: Tree | Series, number: int) -> None:
+        """Receive `number` saved rows, or those of the series of a reduction."""
         if isinstance(saved, dict):
             self._series.append(saved)
         else:
             self._put(gather_rows(self._layout, saved, number))
 
-    def _put(self, rows: Saved) -> None:
+    def _put(self, rows: Tree) -> None:
         number = len(jax.tree.leaves(rows)[0])
         for target, x in zip(jax.tree.leaves(self._out), jax.tree.leaves(rows), strict=True):
             target[self._entries : self._entries + number] = x
         self._entries += number
 
     def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
-        pass
+        """Receive, after each call of the loop, a carry from which the run can be resumed."""
 
     def can_stop(self) -> bool:
+        """True if everything that a resumed run needs has been written."""
         return True
 
     def interrupt_message(self, done: int, num_steps: int) -> str:
+        """The message for a user who interrupted the run."""
         return f"stopped after {done} of {num_steps} steps; a run with a store can be resumed"
 
     def result(self, carry: Carry) -> Saves:
+        """The saves, after the last step."""
         state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
         if self._job.reduction is None and self._out is not None:
             info, states = self._out

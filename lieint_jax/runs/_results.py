@@ -19,7 +19,7 @@ from lieint_jax import _checks
 from lieint_jax.runs import _layout, _loop, processes
 from lieint_jax.runs._engine import engine_of
 from lieint_jax.runs._execute import execute
-from lieint_jax.runs._job import Job, MemberSummary, Output, Saves, first_entry
+from lieint_jax.runs._job import Job, MemberSummary, Saves, first_entry
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates, made_states
@@ -31,6 +31,7 @@ from lieint_jax.runs.store._into_store import run_into_store
 from lieint_jax.runs.store._reading import Stored, read_written
 from lieint_jax.runs.store._storage import Url, address
 from lieint_jax.runs.store._store_options import StoreOptions, checked_path
+from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.types import State, Step, Trajectory
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -137,7 +138,7 @@ def compute(
         whole, job, split = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
     engine = engine_of(job, mesh, threads or _layout.count_cores())
 
-    def integrate(layout: Layout, output: Output) -> object:
+    def integrate(layout: Layout, output: MemoryOutput | StoreOutput) -> object:
         return execute(engine, layout, output, progress)
 
     with processes.name_lost(mesh):
@@ -173,7 +174,7 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
     return read_written(path)
 
 
-def _feed(job: Job, saves: Saves, layout: Layout, output: Output) -> None:
+def _feed(job: Job, saves: Saves, layout: Layout, output: StoreOutput) -> None:
     """Give an output all saves of a run."""
     found, saved = saves.found, 0
     if isinstance(found, Trajectory):
@@ -183,7 +184,7 @@ def _feed(job: Job, saves: Saves, layout: Layout, output: Output) -> None:
     else:
         rows = {name: getattr(found, name) for name in first_entry(job)}
         states = job.without_time(found.state)
-        change = found.range if isinstance(found, MemberSummary) else job.first_change(saves.failed, None)
+        change = found.change if isinstance(found, MemberSummary) else job.first_change(saves.failed, None)
     carry = _loop.start(states, change)
     carry = carry._replace(failed=saves.failed)  # pyright: ignore[reportArgumentType]
     output.begin(carry)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.runs._job import MemberSummary, Summary
-from lieint_jax.runs._loop import MemberRange
+from lieint_jax.runs._loop import Change
 from lieint_jax.runs.store import _legacy, _published
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._leaves import Table, states_in
@@ -173,7 +173,7 @@ def _as_stored(loaded: Loaded) -> Stored:
         return Stored(found, failed, attributes)
     state, failed = states_in(found, found["time"][-1], attributes), found["first_failure"]
     if attributes.get("per") is not None:
-        values: dict[str, Any] = {name: found.get(name) for name in (*MemberRange._fields, "residual", "unconverged")}
+        values: dict[str, Any] = {name: found.get(name) for name in (*Change._fields, "residual", "unconverged")}
         number = attributes["num_steps"] + 1
         return Stored(
             MemberSummary(found["time"], **values, number=number, state=state, failed=failed), failed, attributes

@@ -227,11 +227,14 @@ class Disk(Storage):
             for name, data in files.items():
                 unfinished.stage(name, data)
             unfinished.settle()
-            unfinished._path.rename(path)
+            try:
+                unfinished._path.rename(path)
+            except OSError:
+                if os.path.lexists(path / root):
+                    return False
+                raise
             sync(path.parent)
         except OSError as error:
-            if os.path.lexists(path / root):
-                return False
             raise OSError(error.errno, f"{path} cannot be created: {error.strerror}; choose another store") from error
         finally:
             shutil.rmtree(unfinished._path, ignore_errors=True)

@@ -12,8 +12,8 @@ import numpy as np
 
 from lieint_jax.runs import _layout
 from lieint_jax.runs._job import Job, Series, first_entry, local_rows
-from lieint_jax.runs._layout import Layout, Numbers
-from lieint_jax.runs._loop import Carry, Saved
+from lieint_jax.runs._layout import Layout, Numbers, Tree
+from lieint_jax.runs._loop import Carry, Change
 from lieint_jax.runs.store._leaves import leaves_by_name, state_from_leaves, store_name
 from lieint_jax.runs.store._writer import Commit, Slab, Writer
 from lieint_jax.types import StepInfo
@@ -55,7 +55,8 @@ class StoreOutput:
         found: dict[str, Any] = self._writer.carry(part)
         info = StepInfo(found["residual"], found["converged"])
         state = state_from_leaves({name: found[name] for name in leaves_by_name(self._job.states)})
-        carry = Carry(state, info, found["failed"], self._job.range_of(found))
+        names = self._job.change_names
+        carry = Carry(state, info, found["failed"], Change(**{name: found[name] for name in names}) if names else None)
         return _layout.placed(self._layout, carry, part.start), done["steps"], done["entries"] - 1
 
     def begin(self, carry: Carry) -> None:
@@ -65,7 +66,7 @@ class StoreOutput:
         else:
             self._pending.append((first_entry(self._job), 1))
 
-    def append(self, saved: Saved | Series, number: int) -> None:
+    def append(self, saved: Tree | Series, number: int) -> None:
         """Receive `number` saved rows."""
         self._pending.append((saved if isinstance(saved, dict) else local_rows(saved, number), number))
 
