@@ -21,8 +21,9 @@ import lieint_jax as li
 from lieint_jax.ensemble import archives
 from lieint_jax.runs import _job, _make_job
 from lieint_jax.runs.store import _identity, _into_store, _store_options
+from lieint_jax.runs.store._bucket import Bucket
 from lieint_jax.runs.store._root import ROOT, Root, read_root
-from lieint_jax.runs.store._storage import Bucket, Url, address
+from lieint_jax.runs.store._storage import Url, address
 from lieint_jax.runs.store._writer import Commit, Slab, Writer, join
 
 MEMBERS = 2  # of a simulated worker; its requests are timed as if they had the bytes of all members

@@ -33,7 +33,7 @@ from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
 from lieint_jax.ensemble import archives
 from lieint_jax.runs import _dyadic_sum
-from lieint_jax.runs.store import _root, _storage
+from lieint_jax.runs.store import _bucket, _disk, _root
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -68,7 +68,7 @@ def opened(store):
 
 
 def removed(storage, name):
-    if isinstance(storage, _storage.Disk):
+    if isinstance(storage, _disk.Disk):
         (storage.address / name).unlink()
     else:
         storage._store.delete(name)
@@ -250,7 +250,7 @@ def test_two_processes_that_run_one_part_at_the_same_time_do_no_harm(monkeypatch
 def test_two_processes_do_not_write_one_part_of_a_folder(tmp_path):
     run(tmp_path / "run.zarr", (0, 2))
     with (
-        _storage.Disk(tmp_path / "run.zarr").lock("parts/0"),
+        _disk.Disk(tmp_path / "run.zarr").lock("parts/0"),
         pytest.raises(ValueError, match=r"another run is writing to .*parts.0"),
     ):
         run(tmp_path / "run.zarr", (0, 2))
@@ -263,7 +263,7 @@ def test_an_unfinished_file_of_a_killed_part_is_removed_when_the_part_starts_aga
         raise Crash
 
     (tmp_path / "q/c/10").mkdir(parents=True)
-    storage, killed_part = _storage.Disk(tmp_path), _storage.Disk(tmp_path)
+    storage, killed_part = _disk.Disk(tmp_path), _disk.Disk(tmp_path)
     with monkeypatch.context() as patched, contextlib.suppress(Crash), killed_part.lock("parts/0"):
         patched.setattr(os, "fsync", crash)
         patched.setattr(Path, "unlink", lambda *_, **__: None)
@@ -639,8 +639,8 @@ def test_a_storage_that_stays_away_ends_the_run_with_a_sentence_without_credenti
         assert SECRET not in str(other.value)
     assert SECRET not in str(error.value) + repr(error.value.__cause__)
     monkeypatch.setenv("SOME_TOKEN", "Too Many")
-    assert "Too Many" not in _storage.message(ValueError("429 Too Many Requests at http://x/?sig=1234 now"))
-    assert "1234" not in _storage.message(ValueError("429 Too Many Requests at http://x/?sig=1234 now"))
+    assert "Too Many" not in _bucket.message(ValueError("429 Too Many Requests at http://x/?sig=1234 now"))
+    assert "1234" not in _bucket.message(ValueError("429 Too Many Requests at http://x/?sig=1234 now"))
     run(url, (0, 2))
     run(url, (1, 2))
     assert_same(ensemble.open(url)[0], run())

@@ -124,7 +124,7 @@ def test_names_that_earlier_versions_stored_are_found(stored, present):
         "os.system",
         "lieint_jax.nothing",
         "lieint_jax.app.command.cli.os.system",
-        "lieint_jax.runs.store._storage.shutil",
+        "lieint_jax.runs.store._disk.shutil",
     ],
 )
 def test_a_description_cannot_name_code_outside_the_package(name):

@@ -14,7 +14,7 @@ from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
 from lieint_jax.native import _march_code, _traced
 from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _results, _run
-from lieint_jax.runs.store import _identity, _root, _storage, _store_output, _writer
+from lieint_jax.runs.store import _bucket, _disk, _identity, _root, _store_output, _writer
 from lieint_jax.schemes._shared import accepts
 
 _DIFFERENCE = _engine.Engine._difference
@@ -164,13 +164,13 @@ def after_roots_are_read(monkeypatch, action):
 
 def before_new_stores(monkeypatch, action):
     """Call action() between the check that there is no store yet and the creation of a new one."""
-    create = _storage.Disk.create_store
-    monkeypatch.setattr(_storage.Disk, "create_store", lambda *arguments: (action(), create(*arguments))[1])
+    create = _disk.Disk.create_store
+    monkeypatch.setattr(_disk.Disk, "create_store", lambda *arguments: (action(), create(*arguments))[1])
 
 
 def before_puts(monkeypatch, action):
     """Call action(name) before a file of a store is written, on a disk or in a bucket."""
-    for kind in (_storage.Disk, _storage.Bucket):
+    for kind in (_disk.Disk, _bucket.Bucket):
 
         def stage(self, name, data, stage=kind.stage):
             action(name)
@@ -182,7 +182,7 @@ def before_puts(monkeypatch, action):
 def wait_for_buckets(monkeypatch, **seconds):
     """Set the `first_delay` and the `longest_delay` between requests, the `timeout`, and the `patience` with them."""
     for name, value in seconds.items():
-        monkeypatch.setattr(_storage, f"_{name.upper()}", value)
+        monkeypatch.setattr(_bucket, f"_{name.upper()}", value)
 
 
 def write_root(file, root):

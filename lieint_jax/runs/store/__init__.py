@@ -4,10 +4,11 @@ The application reads its files through these names. A file that cannot be read 
 whose message is one sentence that names the file.
 """
 
+from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._leaves import leaves_by_name
 from lieint_jax.runs.store._open_archive import TIME, Archive, open_archive, read_trajectory
 from lieint_jax.runs.store._reading import check_system, load_store, open_run, system_from_store
-from lieint_jax.runs.store._storage import Address, Url, address, open_storage
+from lieint_jax.runs.store._storage import Address, Url, address
 from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.runs.store._untrusted import SUFFIXES, UnreadableError, read_toml, wrap_errors
 

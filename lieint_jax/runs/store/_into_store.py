@@ -16,11 +16,12 @@ from lieint_jax.runs._layout import Layout
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
 from lieint_jax.runs.store._description import describe
+from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._leaves import Table
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._reading import Stored, read_part
 from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split, read_root
-from lieint_jax.runs.store._storage import Storage, open_storage
+from lieint_jax.runs.store._storage import Storage
 from lieint_jax.runs.store._store_options import StoreOptions, check_json, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.runs.store._writer import Writer, join, skeleton

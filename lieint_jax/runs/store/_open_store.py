@@ -14,6 +14,7 @@ from typing import Any
 from lieint_jax import _checks
 from lieint_jax.runs.store import _legacy
 from lieint_jax.runs.store._chunks import raise_if_damaged
+from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._kinds import (
     ARRAY_KEYS,
     COUNTS,
@@ -30,7 +31,7 @@ from lieint_jax.runs.store._kinds import (
 )
 from lieint_jax.runs.store._leaves import Table, store_name
 from lieint_jax.runs.store._root import Root, read_root
-from lieint_jax.runs.store._storage import Address, open_storage
+from lieint_jax.runs.store._storage import Address
 from lieint_jax.runs.store._untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
 
 _CHUNK_BYTES = 2**30

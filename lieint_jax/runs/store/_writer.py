@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lieint_jax.runs.store._chunks import chunk_files, digest_of, dims_of, raise_if_damaged, tail
+from lieint_jax.runs.store._files import writable_arrays
 from lieint_jax.runs.store._leaves import Table
 from lieint_jax.runs.store._root import ENDS, REQUESTS, ROOT, ROWS, START, Root, encode_root
 from lieint_jax.runs.store._state_file import PartState, UnusablePartError
-from lieint_jax.runs.store._storage import writable_arrays
 
 _CARRY = "checkpoint/"  # begins the names of the arrays of a carry in a state
 _LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations

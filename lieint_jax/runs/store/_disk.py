@@ -1,0 +1,163 @@
+"""A store in a folder."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import os
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from lieint_jax.runs.store._storage import Storage
+
+_STALE = 3600.0  # seconds after which an unfinished store counts as abandoned
+
+
+class Disk(Storage):
+    """A folder."""
+
+    is_remote = False
+
+    def __init__(self, path: Path) -> None:
+        self.address = self._path = path
+        self._unfinished: Path | None = None  # the folder for files that are not complete; None: their own
+        self._changed: set[Path] = set()  # folders whose entries may not be on disk
+
+    def read(self, name: str) -> bytes:
+        """See `Storage`."""
+        with _missing_folder():
+            return (self._path / name).read_bytes()
+
+    def tail(self, name: str) -> bytes:
+        """See `Storage`."""
+        with _missing_folder(), (self._path / name).open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 4))
+            return file.read()
+
+    def stage(self, name: str, data: bytes) -> None:
+        """See `Storage`."""
+        target = self._path / name
+        self._make(target.parent)
+        folder = self._unfinished or target.parent
+        file = folder / f".{target.name}.{os.getpid()}-{os.urandom(4).hex()}.partial"
+        try:
+            with file.open("xb") as f:
+                f.write(data)
+                f.flush()
+                os.fsync(f.fileno())
+            file.rename(target)
+        finally:
+            file.unlink(missing_ok=True)
+        self._changed.add(target.parent)
+
+    def settle(self) -> None:
+        """See `Storage`: wait for the entries of the folders."""
+        while self._changed:
+            _sync(self._changed.pop())
+
+    def create_store(self, root: str, files: Mapping[str, bytes]) -> bool:
+        """See `Storage`: under a temporary name, which is changed at last, so that the store never exists in part."""
+        path = self._path
+        _remove_stale(path)
+        unfinished = Disk(path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}.partial"))
+        try:
+            for name, data in files.items():
+                unfinished.stage(name, data)
+            unfinished.settle()
+            try:
+                unfinished._path.rename(path)
+            except OSError:
+                if os.path.lexists(path / root):
+                    return False
+                raise
+            _sync(path.parent)
+        except OSError as error:
+            raise OSError(error.errno, f"{path} cannot be created: {error.strerror}; choose another store") from error
+        finally:
+            shutil.rmtree(unfinished._path, ignore_errors=True)
+        return True
+
+    def _make(self, folder: Path) -> None:
+        if folder.is_dir():
+            return
+        self._make(folder.parent)
+        folder.mkdir(exist_ok=True)
+        self._changed.add(folder.parent)
+
+    def sizes(self, folder: str = "") -> dict[str, int]:
+        """See `Storage`."""
+        found, start = {}, self._path / folder
+        for place, _, names in os.walk(start):
+            for file in (Path(place, name) for name in names if not name.endswith(".partial")):
+                with contextlib.suppress(FileNotFoundError):
+                    found[file.relative_to(self._path).as_posix()] = file.stat().st_size
+        return found
+
+    @contextlib.contextmanager
+    def lock(self, folder: str, alone: bool = True) -> Iterator[None]:
+        """See `Storage`. The lock is released when the process ends, however it ends.
+
+        Unfinished files of any folder are in this one meanwhile, so the next process that locks it can remove them.
+        """
+        path = self._path / folder
+        self._make(path)
+        descriptor = _lock_folder(path) if alone else None
+        try:
+            for left in path.glob(".*.partial") if alone else ():  # of a process that was killed
+                left.unlink(missing_ok=True)
+            self._unfinished = path
+            yield
+        finally:
+            self._unfinished = None
+            if descriptor is not None:
+                os.close(descriptor)
+
+    def arrays(self) -> Any:
+        """See `Storage`."""
+        from zarr.storage import LocalStore
+
+        return LocalStore(self._path, read_only=True)
+
+
+@contextlib.contextmanager
+def _missing_folder() -> Iterator[None]:
+    """A context in which a file below something that is no folder is a missing file."""
+    try:
+        yield
+    except NotADirectoryError as error:
+        raise FileNotFoundError(*error.args) from None
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove unfinished folders of stores at `path` that a process left long ago when it was killed."""
+    for folder in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
+        with contextlib.suppress(OSError):
+            if time.time() - folder.stat().st_mtime > _STALE:
+                shutil.rmtree(folder)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or a folder's list of entries, is on disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _lock_folder(path: Path) -> int:
+    """Lock a folder against a second writer. The lock is released when the process ends, however it ends."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise ValueError(f"another run is writing to {path}") from None
+    except (ImportError, OSError):  # a system, or a file system, without locks
+        pass
+    return descriptor
