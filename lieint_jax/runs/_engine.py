@@ -16,7 +16,7 @@ from lieint_jax.native import Flattened, UnsupportedError, computed_by, unsuppor
 from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._clock import UniformClock
 from lieint_jax.runs._comparison import difference, few_members
-from lieint_jax.runs._job import Job
+from lieint_jax.runs._job import Job, power_of_two
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Axes, Carry, Given, Intervals, Known, Reduction, Span
 from lieint_jax.types import State
@@ -168,7 +168,7 @@ class Engine:
         """The carry after these save intervals, at most `rows`, and the saved rows."""
         count = np.int32(len(spans.first))
         if self.name == "native":  # XLA's loops fill all rows, and need their memory
-            rows = _power_of_two(rows)
+            rows = power_of_two(rows)
         spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
         with self._computing():
             return jax.block_until_ready(self._intervals(carry, given, spans, count))
@@ -190,8 +190,3 @@ def _member(axes: Axes, tree: Tree, m: int) -> Tree:
 def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:
     """The shape of one member's part of an array."""
     return jax.ShapeDtypeStruct(np.shape(x)[1:], x.dtype)
-
-
-def _power_of_two(count: int) -> int:
-    """The least power of two that is not less, or 2; so runs of different lengths share programs."""
-    return 1 << max(1, (count - 1).bit_length())

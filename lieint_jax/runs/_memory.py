@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs._job import chunk_members, rows_of_call
+from lieint_jax.runs._job import chunk_members, power_of_two, rows_of_call
 from lieint_jax.runs._made_states import MakeStates, made_states
 from lieint_jax.runs._part_of_task import checked_part
 from lieint_jax.runs.store._storage import Url, address
@@ -16,10 +16,12 @@ from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.runs.store._store_output import SLAB
 from lieint_jax.types import State
 
-_STATES = 6  # copies of a part's states: of the carries, of a checkpoint, and while they are made and checked
+_CARRIES = 6  # copies of a part's carry: of the loop, and while states are made and checked
+_ENCODED = 2  # more of them while a store encodes one
 _ROWS = 2  # copies of the rows of a call: a store's are written while others are computed
 _CHUNKS = 3  # copies of the chunks that are joined and encoded at once
 _IMPORTS = 50_000_000  # bytes of zarr
+_REPORT, _CHANGE = 2 * 8 + 1, 3 * 8  # bytes of a member's report and of its reduced quantity in a carry
 _REDUCED = 5 * 8 + 1  # bytes of a member in a row of a run with `reduce`
 
 
@@ -62,9 +64,10 @@ def peak_memory(
     place: Any = store.path if isinstance(store, StoreOptions) else store
     remote = place is not None and isinstance(address(place), Url)
     across = chunk_members(members, count, row, entries, remote) if store is not None else members
-    rows = rows_of_call(min(across, own), own, row, save_every, entries, remote)
+    rows = power_of_two(rows_of_call(min(across, own), own, row, save_every, entries, remote))
     kept = entries * (members if part is None else own) * row if store is None and not reduce else 0
     held = _ROWS * rows * own * (_REDUCED if reduce else row)
     if store is not None:
         held += _IMPORTS + _CHUNKS * rows * min(own, SLAB * across) * row * (not reduce)
-    return kept + held + _STATES * own * state + entries * (16 + 40 * reduce)
+    carry = state + _REPORT + _CHANGE * reduce
+    return kept + held + (_CARRIES + _ENCODED * (store is not None)) * own * carry + entries * (16 + 40 * reduce)
