@@ -67,9 +67,10 @@ def run_into_store(
             f"{storage.address.name} exists and is not overwritten; resume continues it, or choose another store"
         )
     if not exists:
-        _identity.warn_of_no_resume(described)
+        if not in_parts:  # whose other parts must be comparable
+            _identity.warn_of_no_resume(described)
         exists = not together(lambda: not leader or _is_created(storage, first_files(), in_parts))
-    root = together(lambda: _root_of(storage, described if exists else None, split, in_parts))
+    root = together(lambda: _root_of(storage, described if exists or in_parts else None, split, in_parts))
     with contextlib.ExitStack() as stack:
         together(lambda: stack.enter_context(storage.lock(root.folder(k), leader)))
         if in_parts:
