@@ -26,6 +26,7 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
         carry = loop.start
         loop.check_first_step()
         output.begin(carry)
+        output.checkpoint(carry, 0, 0.0, stop=False)
     length = CallLength(layout)
     with Interrupts(output.defers_interrupts) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
@@ -44,8 +45,6 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
             output.checkpoint(carry, done, length.seconds, stop)
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
-        if not job.num_saves:
-            output.checkpoint(carry, 0, 0.0, stop=False)
         result = output.result(carry)
     _warn_of_failures(_layout.gather(layout, carry.failed), job.first_member)
     return result

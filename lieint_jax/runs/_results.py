@@ -188,6 +188,7 @@ def _feed(job: Job, saves: Saves, layout: Layout, output: StoreOutput) -> None:
     carry = _loop.start(states, change)
     carry = carry._replace(failed=saves.failed)  # pyright: ignore[reportArgumentType]
     output.begin(carry)
+    output.checkpoint(carry, 0, 0.0, stop=False)
     while saved < job.num_saves:
         number = min(output.free_rows, job.num_saves - saved)
         block = jax.tree.map(lambda x: np.asarray(x)[saved + 1 : saved + 1 + number], rows)  # noqa: B023
@@ -196,8 +197,6 @@ def _feed(job: Job, saves: Saves, layout: Layout, output: StoreOutput) -> None:
         if isinstance(found, Trajectory):
             carry = carry._replace(state=jax.tree.map(lambda x: x[-1], block[1]))
         output.checkpoint(carry, int(job.nodes[saved]), 0.0, stop=False)
-    if not job.num_saves:
-        output.checkpoint(carry, 0, 0.0, stop=False)
     output.result(carry)
 
 

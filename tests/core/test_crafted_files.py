@@ -219,6 +219,15 @@ def put(*keys, value):
     return rooted(change)
 
 
+def many_chunks(_, attributes, shown):
+    """The time of 10¹² entries in chunks of one, of which none is published."""
+    attributes["num_entries"], attributes["progress"]["entries"] = 10**12, 0
+    for meta in shown.values():
+        if meta.get("dimension_names", [""])[:1] == ["time"]:
+            meta["shape"][0] = 0
+    shown["time"]["chunk_grid"]["configuration"]["chunk_shape"] = [1]
+
+
 def in_place_of(name, make):
     """A change that puts something else in the place of a file or folder."""
 
@@ -275,6 +284,9 @@ def stores(good):
     for text in ("[]", "{}", "3", '{"shape": 3}', '{"shape": [1000000000000]}'):
         yield f"q is described as {text}", in_place_of("q/zarr.json", lambda file, text=text: file.write_text(text))
     yield "no folder q", in_place_of("q", lambda _: None)
+    yield "q/c is a link to a folder", in_place_of("q/c", lambda file: file.symlink_to("/dev/fd"))
+    yield "a constant of many chunks", rooted(many_chunks)
+    yield "a name with a control character", rooted(lambda root, _, shown: shown.update({"a\n\x1b[31mb": shown["q"]}))
 
 
 @pytest.mark.long

@@ -185,7 +185,8 @@ def test_published_arrays_have_the_indexing_of_numpy(place):
     points = np.array([0, 3]), np.array([2, 40])
     for index in (3, -1, slice(None, None, 5), (2, 30), (slice(2), slice(9, 30, 3), 1), ..., (..., 0), (1, ..., 2)):
         np.testing.assert_array_equal(q[index], full[index])
-    for index in (points, ([5, 1],), (slice(None), [40, 0, 13]), (slice(3, 3),), (4, full[0, :, 0] > 0), (0, -1, 2)):
+    mixed = (([0, 1], slice(None), [0, 1]), (0, slice(None), [0, 1]), (slice(None), [40, 0], [1, 2]))
+    for index in (points, ([5, 1],), (slice(None), [40, 0, 13]), (slice(3, 3),), (4, full[0, :, 0] > 0), *mixed):
         np.testing.assert_array_equal(q[index], full[index])
 
 
@@ -245,6 +246,56 @@ def test_two_processes_that_run_one_part_at_the_same_time_do_no_harm(monkeypatch
     assert inside[0] > 50
     run(url, (1, 2))
     assert_same(ensemble.open(url)[0], whole)
+
+
+def test_a_slower_process_of_the_same_part_takes_nothing_back(monkeypatch):
+    """The faster one runs and ends while the slower one is at its second commit."""
+    pytest.importorskip("obstore")
+    url, whole, states = "memory://tests/slower/run.zarr", run(part=(0, 2)), [0]
+
+    def overtake(name):
+        states[0] += name == "parts/0/state"
+        if states[0] == 2:
+            states[0] = 3
+            assert_same(run(url, (0, 2)), whole)
+
+    internals.before_puts(monkeypatch, overtake)
+    storage = archives.open_storage(url)
+    slow = run(url, (0, 2))
+    assert_same(slow, whole)
+    assert _root.Root(storage, _root.read_root(storage)).state(0).progress["complete"]
+
+
+STATES_OF_NOTHING = {  # progress and arrays of a state whose digest is right
+    "no table": (None, {}),
+    "a word": ({"commits": 1, "entries": "x", "steps": 1, "complete": False}, {}),
+    "half an entry": ({"commits": 1, "entries": 1.5, "steps": 1, "complete": False}, {}),
+    "no carry": ({"commits": 1, "entries": 1, "steps": 0, "complete": False}, {}),
+    "complete too early": ({"commits": 0, "entries": 3, "steps": 10, "complete": True}, {}),
+    "fewer than none": ({"commits": 0, "entries": -3, "steps": 10, "complete": True}, {}),
+}
+
+
+@pytest.mark.parametrize("case", STATES_OF_NOTHING)
+def test_a_crafted_state_is_named_and_not_used(tmp_path, monkeypatch, case):
+    internals.refuse_to_integrate(monkeypatch, Crash)
+    path = tmp_path / "run.zarr"
+    with pytest.raises(Crash):
+        run(path, (0, 2))
+    storage = archives.open_storage(path)
+    root = _root.Root(storage, _root.read_root(storage))
+    storage.put("parts/0/state", _root.PartState(*STATES_OF_NOTHING[case]).encode(root.place(0)))
+    with pytest.raises(ValueError, match=r"part 0 of .* is damaged and cannot be resumed: its state is no state"):
+        run(path, (0, 2))
+    assert "part 0 (members 0 … 20) is damaged: its state is no state" in opened(path)[1]
+
+
+@pytest.mark.parametrize("text", ["[]", '{"attributes": {"progress": 1, "format": 6}}', "[" * 200_000, "{"])
+def test_a_crafted_root_is_named_before_a_part_is_resumed(place, text):
+    archives.open_storage(place).put("zarr.json", text.encode())
+    with pytest.raises(ValueError, match=r"run\.zarr") as error:
+        run(place, (0, 2))
+    assert "\n" not in str(error.value)
 
 
 def test_two_processes_do_not_write_one_part_of_a_folder(tmp_path):

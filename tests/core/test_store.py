@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from pathlib import Path
 
 import internals
@@ -369,6 +370,42 @@ def test_a_root_that_was_not_written_after_a_commit_is_written_by_the_run_that_r
         internals.small_chunks(patch, 20, 8)
         run(path, resume=True)
     assert same_folders(path, commits[3])
+
+
+@pytest.mark.parametrize("options", [{}, {"reduce": "energy"}, {"save_every": None}], ids=["states", "reduced", "end"])
+def test_chunks_of_one_entry_are_committed_one_by_one(tmp_path, monkeypatch, options):
+    """As of runs of millions of members: the entry of the start is a commit of its own."""
+    internals.commit_every(monkeypatch, 1)
+    memory, disk = run(**options), run(tmp_path / "run.zarr", **options)
+    assert_same(memory, disk)
+    assert_same(ensemble.open(tmp_path / "run.zarr")[0], memory)
+    if not options:
+        whole = li.run(STEP, STATES, 0.1, 60, save_every=5, progress=False)
+        assert_same(whole.save(tmp_path / "saved.zarr").state, memory.state)
+        assert_same(ensemble.open(tmp_path / "saved.zarr")[0], memory)
+
+
+def test_a_store_in_which_nothing_is_published_is_opened(tmp_path, no_loop):
+    for name, part in (("whole", None), ("parts", (0, 2))):
+        path = tmp_path / f"{name}.zarr"
+        with pytest.raises(Begun):
+            run(path, part=part)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = li.open(path)
+        assert found.state.q.shape == (0, 40, 4)
+        np.testing.assert_array_equal(found.failed, np.full(40, -1))
+        assert re.search("0 of 13 entries|0 of 2 part", info.contents(path))
+
+
+def test_folders_that_a_killed_process_made_are_synced_by_the_next(tmp_path, monkeypatch, small_chunks):
+    path, synced, sync = tmp_path / "run.zarr", [], os.fsync
+    with contextlib.suppress(Crash), disk_for(45):
+        run(path)
+    assert (path / "q/c/0").exists()
+    monkeypatch.setattr(os, "fsync", lambda d: synced.append(os.readlink(f"/proc/self/fd/{d}")) or sync(d))
+    run(path, resume=True)
+    assert {str(path), str(path / "q"), str(path / "q/c"), str(path / "parts")} <= set(synced)
 
 
 def test_two_processes_that_create_one_store(tmp_path, monkeypatch):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from lieint_jax.runs.store._leaves import Table
 from lieint_jax.runs.store._storage import Address
 
+_MAX_FILES = 10**6  # of an array's row of chunks along time
 _MAX_NAMED = 5  # damaged files in a message
 
 
@@ -40,14 +41,13 @@ def chunk_files(name: str, meta: Table, only: Mapping[str, range] | None = None)
 
     With `only`, those whose numbers along the dimensions of these names are in these ranges.
     """
-    return ["/".join((name, "c", *map(str, key))) for key in _keys(meta, only or {})]
-
-
-def _keys(meta: Table, only: Mapping[str, range]) -> Iterator[tuple[int, ...]]:
-    sizes = meta["chunk_grid"]["configuration"]["chunk_shape"]
-    spans = [range(math.ceil(n / size)) for n, size in zip(meta["shape"], sizes, strict=True)]
+    sizes, only = meta["chunk_grid"]["configuration"]["chunk_shape"], only or {}
+    spans = [range(-(-n // size)) for n, size in zip(meta["shape"], sizes, strict=True)]
     dims = dims_of(meta) or [""] * len(spans)
-    return itertools.product(*(only.get(dim, span) for dim, span in zip(dims, spans, strict=True)))
+    spans = [only.get(dim, span) for dim, span in zip(dims, spans, strict=True)]
+    if math.prod(map(len, spans)) > _MAX_FILES:
+        raise ValueError(f"{name} of shape {tuple(meta['shape'])} has too many chunks")
+    return ["/".join((name, "c", *map(str, key))) for key in itertools.product(*spans)]
 
 
 def part_of_array(file: str, metas: Mapping[str, Table]) -> str:

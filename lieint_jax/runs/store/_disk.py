@@ -25,6 +25,7 @@ class Disk(Storage):
         self.address = self._path = path
         self._unfinished: Path | None = None  # the folder for files that are not complete; None: their own
         self._changed: set[Path] = set()  # folders whose entries may not be on disk
+        self._made: set[Path] = set()  # folders whose own entries are on disk, or in the set above
 
     def read(self, name: str) -> bytes:
         """See `Storage`."""
@@ -81,11 +82,16 @@ class Disk(Storage):
         return True
 
     def _make(self, folder: Path) -> None:
-        if folder.is_dir():
+        """Make a folder of the store; at its first use here, as a killed process may have made it without a sync."""
+        if folder in self._made:
             return
-        self._make(folder.parent)
-        folder.mkdir(exist_ok=True)
-        self._changed.add(folder.parent)
+        if folder == self._path:
+            folder.mkdir(parents=True, exist_ok=True)
+        else:
+            self._make(folder.parent)
+            folder.mkdir(exist_ok=True)
+            self._changed.add(folder.parent)
+        self._made.add(folder)
 
     def sizes(self, folder: str = "") -> dict[str, int]:
         """See `Storage`."""

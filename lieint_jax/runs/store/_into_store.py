@@ -18,9 +18,9 @@ from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, cons
 from lieint_jax.runs.store._description import describe
 from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._open_store import check_store
+from lieint_jax.runs.store._open_store import check_store, described_root
 from lieint_jax.runs.store._reading import Stored, read_part
-from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split, read_root
+from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split
 from lieint_jax.runs.store._storage import Storage
 from lieint_jax.runs.store._store_options import StoreOptions, check_json, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
@@ -80,7 +80,8 @@ def run_into_store(
         layout = _layout.layout_of(mesh, job.members, root.split.chunk)
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
-    return read_part(root, k)
+        progress = writer.progress
+    return read_part(root, k, progress)
 
 
 def _is_created(storage: Storage, files: dict[str, bytes], in_parts: bool) -> bool:
@@ -93,9 +94,8 @@ def _is_created(storage: Storage, files: dict[str, bytes], in_parts: bool) -> bo
 
 def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: bool) -> Root:
     """The root of a store, if it is that of the run described and in these parts; None: this run has just made it."""
-    found = read_root(storage) if described is None or in_parts else None
-    root = check_store(storage.address) if found is None else Root(storage, found)
-    attributes = root.attributes if isinstance(root, Root) else root
+    found = (described_root if described is None or in_parts else check_store)(storage.address)
+    attributes = found.attributes if isinstance(found, Root) else found["attributes"]
     count = attributes.get("parts", 1)
     if "parts" in attributes and not in_parts:
         raise ValueError(
@@ -107,8 +107,8 @@ def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: 
         _identity.check_same(storage.address, attributes, described)
     if count != split.parts:
         raise ValueError(f"{storage.address} is written in {count} part(s), not in {split.parts}")
-    assert isinstance(root, Root)
-    return root
+    assert isinstance(found, Root)
+    return found
 
 
 def _skeleton(

@@ -25,7 +25,7 @@ def _is_count(x: object) -> bool:
     return isinstance(x, int) and not isinstance(x, bool) and 0 <= x <= _MAX_LENGTH
 
 
-NAME = re.compile(r"(?!\.)[^/\\\0]+")
+NAME = re.compile(r"(?!\.)[^/\\\x00-\x1f\x7f-\x9f]+")
 _NATURAL = _Kind(_is_count, "an integer ≥ 0")
 COUNT = _Kind(lambda x: _is_count(x) and x > 0, "a positive integer")
 _TEXT = _Kind(lambda x: isinstance(x, str), "text")

@@ -41,7 +41,7 @@ _OF_MEMBERS = ("least", "greatest", "total", "last")
 
 
 def check_store(path: Address) -> Root | Table:
-    """Check the files of the store at `path`, and return its root; of a store of an older version, its attributes.
+    """Check the files of the store at `path`, and return its root; of a store of an older version its metadata.
 
     Of a run in parts only the description is checked: `_published.load` checks its parts one by one.
 
@@ -49,6 +49,18 @@ def check_store(path: Address) -> Root | Table:
         UnreadableError: not a store of lieint, or its description does not fit its arrays.
         ValueError: a damaged store; the message names the files.
     """
+    root = described_root(path)
+    with wrap_errors(path):
+        if isinstance(root, Root):
+            lost = list(root.damage_of_root() if root.in_parts else root.damage())
+        else:
+            lost = list(_legacy.damage(path, root))  # pyright: ignore[reportArgumentType]
+    raise_if_damaged(path, lost)
+    return root
+
+
+def described_root(path: Address) -> Root | Table:
+    """The root of the store at `path`, whose description is checked; of an older version its metadata."""
     storage = open_storage(path)
     if isinstance(path, Path):
         refuse_special(path)
@@ -77,19 +89,15 @@ def check_store(path: Address) -> Root | Table:
         if in_parts and not 0 < attributes["parts"] <= min(attributes["members"], _MAX_PARTS):
             raise ValueError(f"it has {attributes['parts']} parts of {attributes['members']} members")
         _check_attributes(attributes, shown)
-        found = None if legacy else Root(storage, root)
-        if found is None:
-            lost = list(_legacy.damage(path, root))  # pyright: ignore[reportArgumentType]
-        else:
-            lost = list(found.damage_of_root() if in_parts else found.damage())
-    raise_if_damaged(path, lost)
-    return attributes if found is None else found
+        return root if legacy else Root(storage, root)
 
 
 def _check_files(path: Path) -> int:
     """The number of files in a store, which must be ordinary files, with descriptions of bounded size."""
     count = 0
-    for folder, _, names in os.walk(path):
+    for folder, folders, names in os.walk(path):
+        for link in (Path(folder, name) for name in folders if os.path.islink(Path(folder, name))):
+            raise ValueError(f"{link.relative_to(path)} is a link to a folder")
         for file in (Path(folder, name) for name in names):
             try:
                 status = file.stat()

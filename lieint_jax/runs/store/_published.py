@@ -65,20 +65,18 @@ class PublishedArray:
     def __getitem__(self, index: Any) -> np.ndarray:
         index = _expand_index(index if isinstance(index, tuple) else (index,), self.ndim)
         times, members = index[0], index[1]
-        if np.ndim(times) > 0 and np.ndim(members) > 0:  # points, not a rectangle
-            return self[...][index]
         if any(x is None or np.ndim(x) > 1 for x in index[:2]):
             raise IndexError("the first two indices must be integers, slices or lists of integers")
         t, m = np.arange(self.shape[0])[times], np.arange(self.shape[1])[members]
         rows, columns = np.atleast_1d(t), np.atleast_1d(m) + self._members.start
-        if not (rows.size and columns.size):
-            return np.empty((len(rows), len(columns), *self.shape[2:]), self.dtype)[_squeeze(t, m)]
-        block = np.asarray(self._array.oindex[_as_slice(rows), _as_slice(columns)])
+        block = np.empty((len(rows), len(columns), *self.shape[2:]), self.dtype)
+        if block.size:
+            block = np.asarray(self._array.oindex[_as_slice(rows), _as_slice(columns)])
         published = self._published(rows, columns)
         if not published.all():
             where = published.reshape(*block.shape[:2], *[1] * (self.ndim - 2))
             block = np.where(where, block, np.asarray(self._fill, self.dtype))
-        return block[_squeeze(t, m)][(*[slice(None)] * (np.ndim(t) + np.ndim(m)), *index[2:])]
+        return block[_in_block(times, t), _in_block(members, m), *index[2:]]
 
     @property
     def _fill(self) -> Any:
@@ -98,8 +96,11 @@ def _expand_index(index: tuple[Any, ...], ndim: int) -> tuple[Any, ...]:
     return (*index[:k], *[slice(None)] * (ndim - len(index) + bool(where)), *after)
 
 
-def _squeeze(t: np.ndarray, m: np.ndarray) -> tuple[Any, ...]:
-    return tuple(0 if np.ndim(x) == 0 else slice(None) for x in (t, m))
+def _in_block(given: Any, numbers: np.ndarray) -> Any:
+    """The index of an axis in a block of these numbers, from that in the whole array."""
+    if np.ndim(numbers) == 0:
+        return 0
+    return slice(None) if isinstance(given, slice) else np.arange(len(numbers))
 
 
 def _as_slice(numbers: np.ndarray) -> Any:
@@ -109,7 +110,7 @@ def _as_slice(numbers: np.ndarray) -> Any:
     return numbers
 
 
-def load(root: Root, thorough: bool, part: int | None = None) -> Loaded:
+def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Loaded:
     """The published results of all parts or of one.
 
     The attributes of a run in parts have "missing" too, a sentence for each part that is missing, damaged or
@@ -118,7 +119,7 @@ def load(root: Root, thorough: bool, part: int | None = None) -> Loaded:
     Args:
         root: the root of the store.
         thorough: look at every file of a run in parts, and count a damaged part as missing.
-        part: which part; None means all.
+        part: the state of the only part to load; None means all of them.
 
     Raises:
         UnreadableError: a run with `reduce` whose parts are not all complete.
@@ -126,7 +127,7 @@ def load(root: Root, thorough: bool, part: int | None = None) -> Loaded:
     import zarr
 
     thorough = thorough and root.in_parts
-    statuses = root.statuses(thorough) if part is None else [root.status(part, thorough)]
+    statuses = root.statuses(thorough) if part is None else [part]
     members = range(statuses[0].members.start, statuses[-1].members.stop)
     progress = {
         "commits": sum(status.progress["commits"] for status in statuses),

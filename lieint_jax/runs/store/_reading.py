@@ -21,7 +21,7 @@ from lieint_jax.runs.store._leaves import Table, states_in
 from lieint_jax.runs.store._legacy import Loaded
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
-from lieint_jax.runs.store._root import Root, first_of, read_root
+from lieint_jax.runs.store._root import PartStatus, Root, first_of, read_root
 from lieint_jax.runs.store._storage import Address, address
 from lieint_jax.runs.store._untrusted import wrap_errors
 from lieint_jax.types import Step, System, Trajectory
@@ -95,7 +95,8 @@ def read_run(path: Address) -> Stored:
         warnings.warn(f"{path} is incomplete: {first_of(attributes['missing'])}", RuntimeWarning, stacklevel=3)
     if not isinstance(found, Trajectory) and not attributes["progress"]["complete"]:
         raise ValueError(f"{path} is an incomplete run with `reduce`: resume it, or read it by xarray.open_zarr")
-    return _as_stored(loaded)
+    with wrap_errors(path):
+        return _as_stored(loaded)
 
 
 def _check_states(path: Address, system: System, stored: Stored) -> None:
@@ -122,12 +123,12 @@ def _load(path: Address, thorough: bool | None = None) -> Loaded:
         if isinstance(root, Root):
             return _published.load(root, not root.storage.is_remote if thorough is None else thorough)
         assert isinstance(path, Path)
-        return _legacy.load(path, root)
+        return _legacy.load(path, root["attributes"])
 
 
-def read_part(root: Root, k: int) -> Stored:
-    """The run of part k of a store, which this process has written."""
-    return _as_stored(_published.load(root, False, k))
+def read_part(root: Root, k: int, progress: Table) -> Stored:
+    """The run of part k of a store, which this process has written up to this progress."""
+    return _as_stored(_published.load(root, False, PartStatus(k, root.split.part(k), progress, None)))
 
 
 def read_written(path: Path) -> Stored:
@@ -135,7 +136,7 @@ def read_written(path: Path) -> Stored:
     storage = Disk(path)
     root = read_root(storage)
     assert root is not None
-    return read_part(Root(storage, root), 0)
+    return read_part(Root(storage, root), 0, root["attributes"]["progress"])
 
 
 def system_from_store(path: Address, attributes: Table, own: Mapping[str, object] | None = None) -> System:
@@ -187,6 +188,8 @@ def _as_stored(loaded: Loaded) -> Stored:
 def _failures(found: Trajectory, save_every: int | None) -> np.ndarray:
     """The first step of the first save interval in which a step of each member failed, or −1, from the reports."""
     converged = found.info.converged
+    if not len(found.t):
+        return np.full(np.shape(converged)[1], -1)
     bad = ~np.asarray(converged[...])
     if isinstance(converged, PublishedArray):
         bad &= converged.published

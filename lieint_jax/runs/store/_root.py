@@ -34,13 +34,16 @@ from lieint_jax.runs.store._chunks import (
     part_of_array,
     tail,
 )
+from lieint_jax.runs.store._kinds import PROGRESS_KEYS, check_table
 from lieint_jax.runs.store._leaves import Table
 from lieint_jax.runs.store._state_file import PartState, UnusablePartError, decode_state
 from lieint_jax.runs.store._storage import Address, Storage
+from lieint_jax.runs.store._untrusted import parse_json
 
 FORMAT = 6  # the format number of new stores; 0.2 wrote 2, and 0.3.0 wrote 3, or 4 in parts
 ROOT = "zarr.json"  # the metadata of a Zarr 3 group
 ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
+CARRY = "checkpoint/"  # begins the names of its other arrays
 START = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
 REQUESTS = 16  # at the same time
 _MAX_NAMED = 5  # parts in a message
@@ -167,11 +170,23 @@ class Root:
         except FileNotFoundError:
             return None
         try:
-            return decode_state(data, self.place(k))
+            state = decode_state(data, self.place(k))
+            self._check_state(state)
         except UnusablePartError:
             raise
         except Exception as error:  # a crafted file can make json and numpy raise anything
             raise UnusablePartError(f"its state is no state of a part: {error}") from None
+        return state
+
+    def _check_state(self, state: PartState) -> None:
+        progress = state.progress
+        check_table("its progress", progress, PROGRESS_KEYS)
+        if progress["entries"] > self.entries or progress["complete"] != (progress["entries"] == self.entries):
+            raise ValueError(f"it has {progress['entries']} of {self.entries} entries, and is not what it says")
+        needed = {"residual", "converged", "failed", *self.attributes["leaves"]} - {"t"}  # a time may follow from n
+        missing = needed - {name.removeprefix(CARRY) for name in state.arrays if name.startswith(CARRY)}
+        if missing and not progress["complete"]:
+            raise ValueError(f"it has no {min(missing)} of the states from which the run goes on")
 
     def show(self, progress: Table) -> None:
         """Let other readers of Zarr see the progress of a run as a whole."""
@@ -318,13 +333,13 @@ def read_root(storage: Storage) -> Table | None:
 def _checked_root(data: bytes, path: Address) -> Table:
     """The root metadata of the store at `path` from its bytes."""
     try:
-        root = json.loads(data)
+        root = parse_json(data)
     except ValueError as error:
         raise ValueError(
             f"{path}/{ROOT} is damaged: {error}. The arrays next to it can still be read one by one"
         ) from None
-    attributes = root.get("attributes", {})
-    if "progress" not in attributes:
+    attributes = root.get("attributes") if isinstance(root, dict) else None
+    if not isinstance(attributes, dict) or "progress" not in attributes:
         raise ValueError(f"{path} is a Zarr group, but was not written by lieint")
     if "format" not in attributes:
         raise ValueError(f"{path} was written by version 0.1: only its states can be read, by xarray.open_zarr")

@@ -14,10 +14,9 @@ import numpy as np
 from lieint_jax.runs.store._chunks import chunk_files, digest_of, dims_of, raise_if_damaged, tail
 from lieint_jax.runs.store._files import writable_arrays
 from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._root import ENDS, REQUESTS, ROOT, ROWS, START, Root, encode_root
+from lieint_jax.runs.store._root import CARRY, ENDS, REQUESTS, ROOT, ROWS, START, Root, encode_root
 from lieint_jax.runs.store._state_file import PartState, UnusablePartError
 
-_CARRY = "checkpoint/"  # begins the names of the arrays of a carry in a state
 _LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations
 
 
@@ -197,7 +196,7 @@ class Writer:
         """The arrays of the published carry by name, for these of the part's members."""
         own = slice(members.start, members.stop)
         found = self._state.arrays.items()
-        return {name.removeprefix(_CARRY): x[own] for name, x in found if name.startswith(_CARRY)}
+        return {name.removeprefix(CARRY): x[own] for name, x in found if name.startswith(CARRY)}
 
     def write(self, slabs: Callable[[], Iterable[Slab]], then: Callable[[], None] | None) -> None:
         """Start writing slabs in the background, and call `then` there if it is given.
@@ -253,12 +252,22 @@ class Writer:
                 found = np.concatenate([*earlier, found[None]])
             arrays[name] = found
         state = PartState(commit.progress, arrays, self._initial)
-        if self._leader:
-            whole = state._replace(arrays=arrays | {f"{_CARRY}{name}": x for name, x in carry.items()})
+        if self._leader and not self._is_overtaken(commit.progress):
+            whole = state._replace(arrays=arrays | {f"{CARRY}{name}": x for name, x in carry.items()})
             self._root.storage.put(self._root.state_file(self._k), whole.encode(self._root.place(self._k)))
             self._root.show(commit.progress)
         self._state = state
         self._store.checksums.clear()
+
+    def _is_overtaken(self, progress: Table) -> bool:
+        """Whether another process has come further with this part, which happens only where there are no locks."""
+        if not self._root.storage.is_remote:
+            return False
+        try:
+            found = self._root.state(self._k)
+        except UnusablePartError:
+            return False
+        return found is not None and found.progress["steps"] > progress["steps"]
 
     def _files(self, commit: Commit) -> dict[str, list[str]]:
         """The files of a commit, by the array of the state that has their checksums."""
