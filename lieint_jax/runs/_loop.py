@@ -60,7 +60,7 @@ class Change(NamedTuple):
         If the value is NaN, so are all but `first`.
         """
         first = self.first
-        if first is not None and t is not None:
+        if first is not None and reached is not None and t is not None:
             first = jnp.where(jnp.isnan(first) & reached, t.astype(first.dtype), first)
         least, greatest = jnp.minimum(self.least, x), jnp.maximum(self.greatest, x)
         return Change(least, greatest, self.total + x, x if self.per_member else None, first)
