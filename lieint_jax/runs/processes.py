@@ -101,6 +101,7 @@ class _Watch:
     def __init__(self) -> None:
         self._gone, self._found, self._active = "another process", threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
+        self._asking = threading.Lock()  # held during a request, in which the interpreter may not end
 
     def start(self) -> None:
         """Watch the processes that `initialize` has connected, from now on."""
@@ -108,6 +109,7 @@ class _Watch:
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, daemon=True, name="lieint-watch")
             self._thread.start()
+            atexit.register(self.end)
 
     def begin(self) -> None:
         """Watch again, if `start` was called."""
@@ -116,6 +118,8 @@ class _Watch:
     def end(self) -> None:
         """Stop watching: from now on the processes may end one by one."""
         self._active.clear()
+        if self._asking.acquire(timeout=HEARTBEAT):
+            self._asking.release()
 
     def missing(self) -> str:
         """The lost processes, for a message; found after a few heartbeats at most."""
@@ -126,9 +130,12 @@ class _Watch:
         return self._gone
 
     def _run(self) -> None:
-        while not self._is_any_gone():
-            time.sleep(1)
+        gone = False
+        while not gone:
             self._active.wait()
+            with self._asking:
+                gone = self._active.is_set() and self._is_any_gone()
+            time.sleep(0 if gone else 1)
         self._found.set()
         time.sleep(HEARTBEAT)  # usually the main thread reports the same error before
         if self._active.is_set():
