@@ -13,7 +13,7 @@ from lieint_jax.runs.store._leaves import Table
 from lieint_jax.runs.store._storage import Address
 
 _MAX_FILES = 10**6  # of an array's row of chunks along time
-_MAX_NAMED = 5  # damaged files in a message
+_MAX_NAMED = 5  # sentences in a message
 
 
 def digest(data: bytes) -> str:
@@ -76,13 +76,18 @@ def checksum_of_bytes(data: bytes) -> int | str:
     return tail(data) if len(data) >= 4 and google_crc32c.value(data[:-4]) == tail(data) else "altered"
 
 
+def first_of(sentences: list[str]) -> str:
+    """The first of several sentences about files or parts, for a message."""
+    more = f"; and {len(sentences) - _MAX_NAMED} more" if len(sentences) > _MAX_NAMED else ""
+    return f"{'; '.join(sentences[:_MAX_NAMED])}{more}"
+
+
 def raise_if_damaged(path: Address, damage: Iterable[str]) -> None:
     """Raise a ValueError with the first lines of `damage`, if there are any."""
     lost = list(damage)
     if lost:
-        more = f"; and {len(lost) - _MAX_NAMED} more" if len(lost) > _MAX_NAMED else ""
         raise ValueError(
-            f"{path} is damaged: {'; '.join(lost[:_MAX_NAMED])}{more}. Everything else can still be read, for example "
+            f"{path} is damaged: {first_of(lost)}. Everything else can still be read, for example "
             "by xarray.open_zarr; restore the files from a copy, repeat the copy while no run writes, or run again "
             "into another store"
         )

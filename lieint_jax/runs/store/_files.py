@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lieint_jax.runs.store._bucket import Bucket
+from lieint_jax.runs.store._chunks import tail
 from lieint_jax.runs.store._disk import Disk
 from lieint_jax.runs.store._storage import Storage, Url, address
 
@@ -44,7 +45,7 @@ def _writing_store() -> type:
         async def set(self, key: str, value: Any) -> None:
             data = value.to_bytes()
             await asyncio.to_thread(self._storage.stage, key, data)
-            self.checksums[key] = int.from_bytes(data[-4:], "little")
+            self.checksums[key] = tail(data)
 
     return WritingStore
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.runs._dyadic_sum import blocks, total
-from lieint_jax.runs.store._chunks import dims_of, is_along_time
+from lieint_jax.runs.store._chunks import dims_of, first_of, is_along_time
 from lieint_jax.runs.store._leaves import states_in
 from lieint_jax.runs.store._legacy import Loaded
-from lieint_jax.runs.store._root import PartStatus, Root, first_of
+from lieint_jax.runs.store._root import PartStatus, Root
 from lieint_jax.runs.store._untrusted import UnreadableError
 from lieint_jax.types import StepInfo, Trajectory
 

@@ -14,6 +14,7 @@ import numpy as np
 from lieint_jax.runs._job import MemberSummary, Summary
 from lieint_jax.runs._loop import Change
 from lieint_jax.runs.store import _legacy, _published
+from lieint_jax.runs.store._chunks import first_of
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._disk import Disk
 from lieint_jax.runs.store._files import open_storage
@@ -21,7 +22,7 @@ from lieint_jax.runs.store._leaves import Table, states_in
 from lieint_jax.runs.store._legacy import Loaded
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
-from lieint_jax.runs.store._root import PartStatus, Root, first_of, read_root
+from lieint_jax.runs.store._root import PartStatus, Root, read_root
 from lieint_jax.runs.store._storage import Address, address
 from lieint_jax.runs.store._untrusted import wrap_errors
 from lieint_jax.types import Step, System, Trajectory

@@ -46,7 +46,6 @@ ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
 CARRY = "checkpoint/"  # begins the names of its other arrays
 START = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
 REQUESTS = 16  # at the same time
-_MAX_NAMED = 5  # parts in a message
 
 
 class Split(NamedTuple):
@@ -157,7 +156,7 @@ class Root:
     @staticmethod
     def state_file(k: int) -> str:
         """The file of the state of part k."""
-        return f"parts/{k}/state"
+        return f"{Root.folder(k)}/state"
 
     def state(self, k: int) -> PartState | None:
         """The published state of part k; None if it has published nothing.
@@ -245,7 +244,7 @@ class Root:
         except (KeyError, IndexError, ValueError):
             yield f"{self.state_file(k)} does not fit the arrays of the store"
             return
-        for file, found in zip(expected, _in_threads(self._checksum, expected, self.storage), strict=True):
+        for file, found in zip(expected, in_threads(self._checksum, expected, self.storage), strict=True):
             if found != expected[file]:
                 what = found if isinstance(found, str) else "the chunk of another place or another run"
                 yield f"{file} is {what} ({part_of_array(file, self.metas)})"
@@ -272,14 +271,14 @@ class Root:
         for name, expected in self.constants.items():
             files = chunk_files(name, self.metas[name])
             found = [self._checksum(file) for file in files]
-            lost = [f"{file} is {x}" for file, x in zip(files, found, strict=True) if isinstance(x, str)]
-            yield from (f"{line} ({part_of_array(line.partition(' ')[0], self.metas)})" for line in lost)
+            lost = [(file, x) for file, x in zip(files, found, strict=True) if isinstance(x, str)]
+            yield from (f"{file} is {x} ({part_of_array(file, self.metas)})" for file, x in lost)
             if not lost and digest_of(x for x in found if isinstance(x, int)) != expected:
                 yield f"{name} is not as the run wrote it: it was replaced, or copied while a run was writing it"
 
     def statuses(self, thorough: bool) -> list[PartStatus]:
         """The state of every part; if `thorough`, with a look at each of its files."""
-        return list(_in_threads(lambda k: self.status(k, thorough), range(self.split.parts), self.storage))
+        return list(in_threads(lambda k: self.status(k, thorough), range(self.split.parts), self.storage))
 
     def status(self, k: int, thorough: bool) -> PartStatus:
         """The state of part k."""
@@ -352,16 +351,10 @@ def _checked_root(data: bytes, path: Address) -> Table:
     return root
 
 
-def _in_threads(function: Any, values: Iterable[Any], storage: Storage) -> Iterator[Any]:
+def in_threads(function: Any, values: Iterable[Any], storage: Storage) -> Iterator[Any]:
     """The results of a function that makes requests; many requests at the same time to object storage."""
     if not storage.is_remote:
         yield from map(function, values)
         return
     with ThreadPoolExecutor(REQUESTS) as pool:
         yield from pool.map(function, values)
-
-
-def first_of(sentences: list[str]) -> str:
-    """The first of several sentences about parts, for a message."""
-    more = f"; and {len(sentences) - _MAX_NAMED} more" if len(sentences) > _MAX_NAMED else ""
-    return f"{'; '.join(sentences[:_MAX_NAMED])}{more}"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-Table = dict[str, Any]  # an object of JSON
+from lieint_jax.runs.store._leaves import Table
+
 _DIGEST = 32  # bytes at the end of a state
 _MAX_HEADER = 2**20
 

@@ -14,7 +14,7 @@ import numpy as np
 from lieint_jax.runs.store._chunks import chunk_files, digest_of, dims_of, raise_if_damaged, tail
 from lieint_jax.runs.store._files import writable_arrays
 from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._root import CARRY, ENDS, REQUESTS, ROOT, ROWS, START, Root, encode_root
+from lieint_jax.runs.store._root import CARRY, ENDS, REQUESTS, ROOT, ROWS, START, Root, encode_root, in_threads
 from lieint_jax.runs.store._state_file import PartState, UnusablePartError
 
 _LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations
@@ -129,9 +129,8 @@ def join(root: Root, files: Mapping[str, bytes]) -> None:
             storage.put(name, files[name])
             return True
 
-    with ThreadPoolExecutor(REQUESTS if storage.is_remote else 1) as pool:
-        right = all(pool.map(is_right, set(files) - {ROOT}))
-    if not right:  # damaged, or written by another version of zarr
+    right = list(in_threads(is_right, set(files) - {ROOT}, storage))
+    if not all(right):  # damaged, or written by another version of zarr
         raise_if_damaged(storage.address, root.damage_of_root())
 
 
