@@ -63,7 +63,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import elliptic, vec3
 from lieint_jax._numerics.select import where
-from lieint_jax._numerics.vec3 import Vector, dot
+from lieint_jax._numerics.vec3 import Matrix, Vector, VectorLike, cross, dot, matrix
 from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
 from lieint_jax.types.shapes import Inertia, Quaternion, Vector3
@@ -106,10 +106,9 @@ def attitude(inertia: Inertia, q: Quaternion, p: Vector3, t: ArrayLike) -> tuple
     J, Pi = vec3.symmetric(inertia), so3.Ad_star(q, p)
     scale, G, e, rest = _units(inertia, Pi)
     (w, *v), accuracy = _increment(scale * inertia, e, G * t)
-    Omega = vec3.solve_symmetric(J, Pi)
-    v = (where(rest, x * t / 2, y) for x, y in zip(Omega, v, strict=True))  # 0, with its derivative in π
+    v = (where(rest, x, y) for x, y in zip(J.solve(Pi) * t / 2, v, strict=True))  # 0, with its derivative in π
     increment = materialized((where(rest, 1, w), *v))
-    turned = lax.stop_gradient(vec3.max_abs(Pi) * vec3.inverse_trace(J) * jnp.abs(t))
+    turned = lax.stop_gradient(vec3.max_abs(Pi) * J.inverse_trace * jnp.abs(t))
     length, condition = (where(rest, 0, x) for x in accuracy)
     return so3.normalize(jnp.stack(materialized(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
 
@@ -133,7 +132,7 @@ def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Ar
         e = _permute(e, turns, 1)
     else:
         moments, V = principal_axes(scale * inertia)
-        e = tuple(dot(V[:, k], e) for k in range(3))
+        e = matrix(V).T @ e
     s, d, on_branch = _ascending_clock(moments, e, where(still, 1e-3, G * t))
     return where(still, 1, s), where(still, 0, scale * d), still | on_branch
 
@@ -167,7 +166,7 @@ def periods(inertia: Inertia, Pi: Vector3) -> Periods:
         x, y, z = _permute(vec3.components(Pi), turns, 1)
     else:
         moments, V = principal_axes(inertia)
-        x, y, z = (dot(V[:, k], Pi) for k in range(3))
+        x, y, z = matrix(V).T @ Pi
     A, B, C = moments
     above = x * x * (C / A - 1) + y * y * (C / B - 1)  # 2HC − L²
     below = y * y * (1 - A / B) + z * z * (1 - A / C)  # L² − 2HA
@@ -239,28 +238,27 @@ def _less_third(m1: Array, nu: Array, K: Array) -> Array:
 
 def _units(inertia: Inertia, Pi: Vector3) -> tuple[Array, Array, Vector, Array]:
     """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
-    scale = 1 / vec3.trace(vec3.symmetric(inertia))
-    scaled = vec3.scale(scale, Pi)
+    scale = 1 / vec3.symmetric(inertia).trace
+    scaled = scale * Vector(Pi)
     square = dot(scaled, scaled)
     rest = square == 0
     G = jnp.sqrt(where(rest, 1, square))
-    return scale, G, materialized(tuple(where(rest, math.sqrt(1 / 3), x / G) for x in scaled)), rest
+    return scale, G, Vector(materialized([where(rest, math.sqrt(1 / 3), x) for x in scaled / G])), rest
 
 
-def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
+def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[tuple[Array, ...], Accuracy]:
     """Λ⁻¹Λ(τ) in body axes, as a quaternion times a positive number, and its rounding errors."""
     if inertia.ndim == 1:
         moments, turns = _ascending_moments(inertia)
         w, v, accuracy = _ascending_increment(moments, _permute(e, turns, 1), tau)
         return (w, *_permute(v, turns, -1)), accuracy
     moments, V = principal_axes(inertia)
-    a, b = (vec3.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
+    a, b, _ = matrix(V).T  # made right-handed, and orthonormal to the last bit
     a = _unit(a)
-    overlap = dot(a, b)
-    b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
-    c = vec3.cross(a, b)
-    w, v, accuracy = _ascending_increment(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
-    return (w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))), accuracy
+    b = _unit(b - dot(a, b) * a)
+    axes = Matrix((a, b, cross(a, b)))
+    w, v, accuracy = _ascending_increment(moments, axes @ e, tau)
+    return (w, *(axes.T @ v)), accuracy
 
 
 def _ascending_moments(J: Array) -> tuple[Vector, _Turns]:
@@ -273,21 +271,20 @@ def _ascending_moments(J: Array) -> tuple[Vector, _Turns]:
         a, b = moments[i : i + 2]
         turns.append((i, a > b))
         moments[i : i + 2] = where(a > b, b, a), where(a > b, a, b)
-    return tuple(moments), turns
+    return Vector(moments), turns
 
 
-def _permute(v: Vector, turns: _Turns, sign: int) -> Vector:
+def _permute(v: VectorLike, turns: _Turns, sign: int) -> Vector:
     """v after quarter turns that exchange the components i and i + 1, forwards (sign 1) or backwards (sign −1)."""
     x = list(v)
     for i, turn in turns[::sign]:
         a, b = x[i : i + 2]
         x[i : i + 2] = where(turn, sign * b, a), where(turn, -sign * a, b)
-    return tuple(x)
+    return Vector(x)
 
 
 def _unit(v: Vector) -> Vector:
-    r = 1 / jnp.sqrt(dot(v, v))
-    return tuple(r * x for x in v)
+    return 1 / jnp.sqrt(dot(v, v)) * v
 
 
 @jax.custom_jvp
@@ -318,7 +315,7 @@ class _Labels(NamedTuple):
     ro: Array
 
 
-def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
+def _labels(J: VectorLike, e: Vector) -> tuple[Array, _Labels]:
     """True if axis 0 of the ascending moments J is r, False if axis 2 is (then m is reversed); and the labels."""
     d01, d12, d02 = ((J[j] - J[i]) / (J[i] * J[j]) for i, j in ((0, 1), (1, 2), (0, 2)))  # b_i − b_j
     x, y, z = (c * c for c in e)
@@ -328,15 +325,15 @@ def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
     return first, _Labels(*materialized((b_o, rm, where(first, d12, -d01), where(first, d02, -d02))))
 
 
-def _relabel(first: Array, v: Vector) -> Vector:
+def _relabel(first: Array, v: VectorLike) -> Vector:
     """The components of v on the axes r, m, o from those on the axes 0, 1, 2, or back."""
-    return where(first, v[0], v[2]), where(first, v[1], -v[1]), where(first, v[2], v[0])
+    return Vector((where(first, v[0], v[2]), where(first, v[1], -v[1]), where(first, v[2], v[0])))
 
 
-def _ascending_increment(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
+def _ascending_increment(J: VectorLike, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, and its rounding errors, for ascending moments J."""
     first, b = _labels(J, e)
-    w, v, accuracy = _labeled_increment(b, materialized(_relabel(first, e)), tau)
+    w, v, accuracy = _labeled_increment(b, Vector(materialized(_relabel(first, e))), tau)
     return w, _relabel(first, v), accuracy
 
 
@@ -353,7 +350,7 @@ def _labeled_increment(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector
             r * (eo * m.q_o + m.S * m.q_r * rate[2]),
         )
     )
-    fr, fm, fo = materialized(_on_polhode(b, m.R, moved))
+    fr, fm, fo = materialized(_on_polhode(b, m.R, Vector(moved)))
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
     odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
     fr, fm, fo = where(m.about_r, 1, odd) * fr, odd * fm, where(m.about_r, odd, 1) * fo
@@ -361,7 +358,7 @@ def _labeled_increment(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector
     azimuth = jnp.arctan2(sign * (em * fo - eo * fm), sign * (em * fm + eo * fo))
     azimuth = azimuth - where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
-    f = (fr, fm, fo)
+    f = Vector((fr, fm, fo))
     w, v = _rotation_between(e, f, *materialized((jnp.cos(twist), jnp.sin(twist))))
     length = jnp.abs(dot(f, f) - 1)
     return w, v, Accuracy(*lax.stop_gradient((length, m.condition)))
@@ -372,17 +369,16 @@ def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
 
     Where the gradient of R along the sphere vanishes, an error of f does not change R, and R is not corrected.
     """
-    x, y, z = lax.stop_gradient(f)
-    b, R = lax.stop_gradient((b, R))
-    long = (x * x + y * y + z * z - 1) / 2
-    x, y, z = x - long * x, y - long * y, z - long * z
-    gx, gy, gz = 2 * (b.ro - R) * x, 2 * (b.mo - R) * y, -2 * R * z
+    at, b, R = lax.stop_gradient((f, b, R))
+    long = (dot(at, at) - 1) / 2
+    x, y, z = at = at - long * at
+    g = Vector((2 * (b.ro - R) * x, 2 * (b.mo - R) * y, -2 * R * z))
     floor = where(b.ro == 0, 1, b.ro * b.ro / 4)
-    off = (b.ro * x * x + b.mo * y * y - R) / jnp.maximum(gx * gx + gy * gy + gz * gz, floor)
-    return (f[0] - long * x - off * gx, f[1] - long * y - off * gy, f[2] - long * z - off * gz)
+    off = (b.ro * x * x + b.mo * y * y - R) / jnp.maximum(dot(g, g), floor)
+    return f - long * at - off * g
 
 
-def _ascending_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
+def _ascending_clock(J: VectorLike, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
     """`clock` for ascending moments J of trace 1 and τ ≠ 0."""
     first, b = _labels(J, e)
     half = tau / 2
@@ -465,8 +461,10 @@ def _rotation_between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, 
     """(r → e)(rotation about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
     a, b = 1 + e[0], 1 + f[0]
     t = (c * b, s * b, c * f[2] + s * f[1], s * f[2] - c * f[1])
-    return a * t[0] + e[2] * t[2] - e[1] * t[3], (
-        a * t[1] - e[2] * t[3] - e[1] * t[2],
-        a * t[2] - e[2] * t[0] + e[1] * t[1],
-        a * t[3] + e[1] * t[0] + e[2] * t[1],
+    return a * t[0] + e[2] * t[2] - e[1] * t[3], Vector(
+        (
+            a * t[1] - e[2] * t[3] - e[1] * t[2],
+            a * t[2] - e[2] * t[0] + e[1] * t[1],
+            a * t[3] + e[1] * t[0] + e[2] * t[1],
+        )
     )

@@ -207,9 +207,7 @@ def _arcsine_scales(group: Group, theta: la.Vector) -> list[Array]:
 def _arcsine_scaled(group: Group, theta: la.Vector) -> la.Vector:
     """sΘ."""
     scales = _arcsine_scales(group, theta)
-    if not isinstance(theta, list):
-        return jnp.stack(scales) * theta
-    return [la.times(s, x) for s, x in zip(scales, theta, strict=True)]
+    return jnp.stack(scales) * theta if isinstance(theta, Array) else la.map_entries(la.times, scales, theta)
 
 
 _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
@@ -286,16 +284,16 @@ def _arcsine_holds(group: Any, theta: AlgebraVector) -> Flag:
 
 def _arcsine_slope(group: Any, theta: la.Vector) -> la.Matrix:
     """H_exp(sΘ)(s + Θ⊗∇s), factor by factor."""
-    vector = jnp.stack(theta) if isinstance(theta, list) else theta
+    vector = theta if isinstance(theta, Array) else jnp.stack(theta)
     H = group.exp_slope(_arcsine_scaled(group, theta), _SLOPE_TERMS)
     columns: list[PyTree] = [None] * group.dim
     for factor, form in arcsine_forms(group):
         s, gradient = jax.value_and_grad(lambda x, form=form: _arcsine_of_square(la.quadratic(form, x)))(vector)
-        along = [la.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]
+        along = [vec3.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]
         for j in factor:
             columns[j] = [la.times(s, row[j]) + a * gradient[j] for row, a in zip(H, along, strict=True)]
-    rows = la.transpose(columns)
-    return rows if isinstance(theta, list) else jnp.stack([jnp.stack(row) for row in rows])
+    rows = vec3.Matrix(columns).T
+    return rows.array if isinstance(theta, Array) else rows
 
 
 def _arcsine_coadjoint(group: Any, theta: la.Vector, mu: la.Vector) -> la.Vector:

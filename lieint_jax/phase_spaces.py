@@ -118,9 +118,9 @@ class EmbeddedRotations(_ByEntries):
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], without the other components of δΛ."""
-        velocity = [vec3.solve(vec3.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
-        theta = [(velocity[i][j] - velocity[j][i]) / 2 for i, j in ((2, 1), (0, 2), (1, 0))]
-        return jnp.concatenate([jnp.stack(theta), tangent.p])
+        transposed = vec3.matrix(state.q).T
+        velocity = vec3.Matrix(transposed.solve(row) for row in tangent.q)  # δΛ Λ⁻¹
+        return jnp.concatenate([so3.vee(velocity.array), tangent.p])
 
     def omega(self, state: State) -> PhaseMatrix:
         """[[π̂, 1], [−1, 0]], shape (6, 6) (2.9)."""
@@ -128,7 +128,7 @@ class EmbeddedRotations(_ByEntries):
 
     def defect(self, state: State) -> Scalar:
         """max|ΛᵀΛ − 1|."""
-        C = vec3.gram(state.q)
+        C = vec3.matrix(state.q).gram()
         return jnp.max(jnp.abs(jnp.stack(C) - jnp.array([1, 1, 1, 0, 0, 0], state.q.dtype)))
 
 
@@ -161,7 +161,7 @@ class CotangentMatrices(_ByEntries):
 
     def defect(self, state: State) -> Scalar:
         """0 where det F > 0, 1 where F has left GL⁺(3) (an open set, from which no distance is defined)."""
-        return jnp.where(vec3.det(state.q) > 0, 0, 1).astype(state.q.dtype)
+        return jnp.where(vec3.matrix(state.q).det() > 0, 0, 1).astype(state.q.dtype)
 
 
 @pytree
@@ -223,7 +223,7 @@ class CotangentUnimodular(_ByPerturbation):
 
     def defect(self, state: State) -> Scalar:
         """det F − 1."""
-        return vec3.det(state.q) - 1
+        return vec3.matrix(state.q).det() - 1
 
     def _basis(self, state: State) -> Array:
         return jnp.asarray(self.group.basis, state.q.dtype)

@@ -267,5 +267,5 @@ def _tangent_solve(linear: Callable[[PyTree], PyTree], y: PyTree) -> PyTree:
         return y / linear(jnp.ones_like(y))
     if y.shape[0] == 3:
         columns = [linear(e) for e in jnp.eye(3, dtype=y.dtype)]
-        return jnp.stack(vec3.solve([[c[i] for c in columns] for i in range(3)], y, divide=True))
+        return jnp.stack(vec3.Matrix(columns).T.solve(y, divide=True))
     return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(y.shape[0], dtype=y.dtype)), y)

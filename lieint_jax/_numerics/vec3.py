@@ -1,248 +1,341 @@
-"""Arithmetic of 3-vectors and 3×3 matrices, component by component.
+"""Vectors, matrices and symmetric tensors of scalars, with the operators of mathematics.
 
-XLA fuses scalar arithmetic over a batch into vector loops; `@`, `einsum` and `jnp.linalg` on 3×3 data become calls that
-it cannot fuse. So a vector here is anything with three components (an array (3,) or a tuple of scalars), results are
-tuples, and a symmetric matrix is the tuple of its distinct entries: 3 of them if it is diagonal, 6 if it is full.
+XLA fuses scalar arithmetic over a batch into vector loops; `@`, `einsum` and `jnp.linalg` on small arrays become calls
+that it cannot fuse. So a `Vector` here is a tuple of scalars, a `Matrix` one of rows, and a `Symmetric`, 3×3, holds its
+distinct entries: 3 of them if it is diagonal, 6 if it is full. `+`, `-`, `*`, `/` and `@` write out the arithmetic of
+the entries, and a product with an entry that is the Python number 0 or ±1 costs nothing. Each is a pytree.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from collections.abc import Iterable
+from typing import Any, Self
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.typing import DTypeLike
 
-Vector = Any  # three components: Array (3,) or a tuple of scalars
-Symmetric = tuple[Array, ...]  # (xx, yy, zz) or (xx, yy, zz, yz, xz, xy)
-Matrix = Any  # three rows: Array (3, 3) or a tuple of vectors
+VectorLike = Any  # three components: a Vector, an Array (3,) or a tuple of scalars
+MatrixLike = Any  # a Matrix, a Symmetric, or three rows
 PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # which entries a full Symmetric holds
+
+
+def times(a: Any, b: Any) -> Any:
+    """ab of scalars; a factor that is known to be 0 or ±1 is not multiplied."""
+    for x, y in ((a, b), (b, a)):
+        if is_constant(x) and x in (0, 1, -1):
+            return 0.0 if x == 0 else y if x == 1 else -y
+    return a * b
+
+
+def plus(a: Any, b: Any) -> Any:
+    """a + b of scalars, of which a known 0 is not added."""
+    return b if _is_zero(a) else a if _is_zero(b) else a + b
+
+
+def is_constant(x: object) -> bool:
+    """Whether a scalar is a Python number, known when the program is traced."""
+    return isinstance(x, int | float)
+
+
+def _is_zero(x: object) -> bool:
+    return is_constant(x) and x == 0
+
+
+class _Space(tuple):
+    """A tuple with the arithmetic of a vector space."""
+
+    __slots__ = ()
+    __array_ufunc__ = None  # NumPy leaves s * v to v
+
+    def _like(self, other: Any) -> Iterable[Any]:
+        """The entries of another one."""
+        return components(other) if isinstance(other, Array) else other
+
+    def __neg__(self) -> Self:
+        return type(self)(-x for x in self)
+
+    def __add__(self, other: Any) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return type(self)(plus(x, y) for x, y in zip(self, self._like(other), strict=True))
+
+    def __radd__(self, other: Any) -> Self:
+        return self if isinstance(other, int) else type(self)(self._like(other)) + self  # `sum` begins with 0
+
+    def __sub__(self, other: Any) -> Self:
+        return type(self)(x if _is_zero(y) else x - y for x, y in zip(self, self._like(other), strict=True))
+
+    def __rsub__(self, other: Any) -> Self:
+        return type(self)(self._like(other)) - self
+
+    def __mul__(self, s: Any) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return type(self)(x * s if isinstance(x, _Space) else times(s, x) for x in self)
+
+    def __rmul__(self, s: Any) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self * s
+
+    def __truediv__(self, s: Any) -> Self:
+        return type(self)(x / s for x in self)
+
+    @property
+    def dtype(self) -> DTypeLike:
+        return jnp.result_type(*jax.tree.leaves(self))
+
+
+class Vector(_Space):
+    """A vector."""
+
+    def __matmul__(self, other: Any) -> Any:
+        """v · w."""
+        return dot(self, other)
+
+
+class Symmetric(_Space):
+    """A symmetric tensor S: (xx, yy, zz), or in full (xx, yy, zz, yz, xz, xy)."""
+
+    @property
+    def full(self) -> Symmetric:
+        """The six entries, also of a diagonal one."""
+        return self if len(self) == 6 else Symmetric((*self, *[jnp.zeros_like(self[0])] * 3))
+
+    @property
+    def rows(self) -> Matrix:
+        x, y, z, yz, xz, xy = self.full
+        return Matrix(((x, xy, xz), (xy, y, yz), (xz, yz, z)))
+
+    @property
+    def trace(self) -> Array:
+        return self[0] + self[1] + self[2]
+
+    @property
+    def adjugate(self) -> Symmetric:
+        """adj S, so that S⁻¹ = adj S / det S."""
+        x, y, z = self[:3]
+        if len(self) == 3:
+            return Symmetric((y * z, z * x, x * y))
+        yz, xz, xy = self[3:]
+        minors = (y * z - yz * yz, x * z - xz * xz, x * y - xy * xy)
+        return Symmetric((*minors, xz * xy - x * yz, xy * yz - y * xz, xz * yz - z * xy))
+
+    def det(self, adjugate: Symmetric) -> Array:
+        """det S, along the first row."""
+        first = self[0] * adjugate[0]
+        return first if len(self) == 3 else first + self[4] * adjugate[4] + self[5] * adjugate[5]
+
+    def __matmul__(self, other: Any) -> Any:
+        """S v or S A."""
+        if isinstance(other, Matrix | Symmetric) or len(self) == 6:
+            return self.rows @ other
+        return Vector(s * x for s, x in zip(self, self._like(other), strict=True))
+
+    def solve(self, v: VectorLike) -> Vector:
+        """S⁻¹ v."""
+        if len(self) == 3:
+            return Vector((v[0] / self[0], v[1] / self[1], v[2] / self[2]))
+        S = Symmetric(s.astype(jnp.result_type(s, v[0])) for s in self)  # the digits of v, if it has more
+        r = 1 / S.trace  # scaled by the trace: the cube of a large inertia leaves the range of float32
+        S = r * S
+        adjugate = S.adjugate
+        return (adjugate @ v) * (r / S.det(adjugate))
+
+    @property
+    def inverse_trace(self) -> Array:
+        """tr S⁻¹: for a positive definite S, 1 to 3 times the largest |S⁻¹v|/|v|."""
+        if len(self) == 3:
+            return 1 / self[0] + 1 / self[1] + 1 / self[2]
+        r = 1 / self.trace
+        S = r * self
+        adjugate = S.adjugate
+        return r * adjugate.trace / S.det(adjugate)
+
+    @property
+    def well_conditioned(self) -> Array:
+        """Whether v·S⁻¹v is right to ten digits in float64, to four in float32; for diagonal matrices it always is.
+
+        The smallest eigenvalue of a full matrix has an error of ε times the largest, so their ratio may be at most
+        3.5e4 in float64 and 1.4e3 in float32.
+        """
+        if len(self) == 3:
+            return jnp.ones((), bool)
+        S = Symmetric(lax.stop_gradient(s) for s in self)
+        adjugate, most = S.adjugate, min(7e4, float(jnp.finfo(S[0].dtype).eps) ** -0.5)
+        return S.trace * adjugate.trace <= most * S.det(adjugate)  # twice the ratio for a rod or a needle
+
+    @property
+    def positive_definite(self) -> Array:
+        """Whether a full S is positive definite: whether its leading minors are positive."""
+        adjugate = self.adjugate
+        return (self[0] > 0) & (adjugate[2] > 0) & (self.det(adjugate) > 0)
+
+    def inner(self, other: Symmetric) -> Array:
+        """S:R = tr(SR) of two full tensors."""
+        S, R = self, other
+        return S[0] * R[0] + S[1] * R[1] + S[2] * R[2] + 2 * (S[3] * R[3] + S[4] * R[4] + S[5] * R[5])
+
+
+class Matrix(_Space):
+    """A matrix A: three rows, each a vector."""
+
+    def __new__(cls, rows: Iterable[Iterable[Any]]) -> Self:
+        return super().__new__(cls, (row if isinstance(row, Vector) else Vector(row) for row in rows))
+
+    def _like(self, other: Any) -> Iterable[Any]:
+        return other.rows if isinstance(other, Symmetric) else other
+
+    def __rmatmul__(self, other: Array) -> Array:
+        """An array times this."""
+        return other @ self.array
+
+    @property
+    def T(self) -> Matrix:
+        return Matrix(zip(*self, strict=True))
+
+    def __matmul__(self, other: Any) -> Any:
+        """A v or A B."""
+        if not isinstance(other, Matrix | Symmetric):
+            return Vector(dot(row, other) for row in self)
+        columns = (other.rows if isinstance(other, Symmetric) else other).T
+        return Matrix((dot(row, column) for column in columns) for row in self)
+
+    @property
+    def array(self) -> Array:
+        """The matrix as an array, (3, 3)."""
+        return jnp.stack([jnp.stack(row) for row in self])
+
+    @property
+    def cofactors(self) -> Matrix:
+        """cof A, whose rows are the cross products of the rows of A."""
+        return Matrix((cross(self[1], self[2]), cross(self[2], self[0]), cross(self[0], self[1])))
+
+    @property
+    def trace(self) -> Array:
+        return self[0][0] + self[1][1] + self[2][2]
+
+    def det(self) -> Array:
+        return dot(self[0], cross(self[1], self[2]))
+
+    def solve(self, b: VectorLike, n: Array | float = 1, divide: bool = False) -> Vector:
+        """(nA)⁻¹b, by the adjugate.
+
+        With `divide`, by three divisions instead of one. XLA never computes a quotient twice, so a long computation
+        that follows, such as a pull-back, does not recompute the solve for each of its results.
+        """
+        cof = self.cofactors
+        d = n * dot(self[0], cof[0])
+        x = cof.T @ b
+        return x / d if divide else x * (1 / d)
+
+    @property
+    def no_negative_eigenvalue(self) -> Array:
+        """False if A has a real eigenvalue ≤ 0: whether its characteristic polynomial's signs alternate (Descartes)."""
+        A = self
+        minors = [A[i][i] * A[j][j] - A[i][j] * A[j][i] for i, j in PAIRS[3:]]
+        return (A[0][0] + A[1][1] + A[2][2] > 0) & (minors[0] + minors[1] + minors[2] > 0) & (A.det() > 0)
+
+    def plus_transpose(self) -> Symmetric:
+        """A + Aᵀ."""
+        return Symmetric(self[i][j] + self[j][i] for i, j in PAIRS)
+
+    def gram(self) -> Symmetric:
+        """AᵀA."""
+        columns = self.T
+        return Symmetric(dot(columns[i], columns[j]) for i, j in PAIRS)
+
+
+def _register(kind: type[_Space]) -> None:
+    def rebuilt(_: None, entries: Iterable[Any]) -> _Space:
+        return tuple.__new__(kind, entries)
+
+    jax.tree_util.register_pytree_node(kind, lambda v: (tuple(v), None), rebuilt)
+
+
+for _kind in (Vector, Symmetric, Matrix):
+    _register(_kind)
 
 
 def components(v: Array) -> tuple[Array, ...]:
     return tuple(x.reshape(v.shape[1:]) for x in lax.split(v, (1,) * v.shape[0]))
 
 
-def add(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+def _each(v: VectorLike) -> Iterable[Any]:
+    return (v[i] for i in range(v.shape[0])) if isinstance(v, Array) else v
 
 
-def subtract(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
-    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+def vector(v: Array) -> Vector:
+    """A vector, from an array (n,)."""
+    return Vector(components(v))
 
 
-def scale(s: Any, v: Vector) -> tuple[Array, Array, Array]:
-    return (s * v[0], s * v[1], s * v[2])
+def matrix(A: Array) -> Matrix:
+    """A matrix, from an array (n, m)."""
+    return Matrix(components(row) for row in components(A))
 
 
-def dot(a: Vector, b: Vector) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def dot(a: VectorLike, b: VectorLike) -> Array:
+    """a · b of two vectors, or arrays (n,), of the same length."""
+    return functools.reduce(plus, (times(x, y) for x, y in zip(_each(a), _each(b), strict=True)))
 
 
-def cross(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+def cross(a: VectorLike, b: VectorLike) -> Vector:
+    return Vector((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
 
 
-def angle(a: Vector, b: Vector) -> Array:
+def max_abs(*vectors: VectorLike) -> Array:
+    """The largest size of an entry."""
+    return functools.reduce(jnp.maximum, [jnp.abs(x) for v in vectors for x in v])
+
+
+def outer(a: VectorLike, b: VectorLike) -> Matrix:
+    """a ⊗ b."""
+    return Matrix((x * y for y in b) for x in a)
+
+
+def angle(a: VectorLike, b: VectorLike) -> Array:
     """The angle between two vectors of any lengths, in radians, accurate where it is small."""
     c = cross(a, b)
     return jnp.arctan2(jnp.sqrt(dot(c, c)), dot(a, b))
 
 
-def hat(v: Vector) -> Matrix:
+def hat(v: VectorLike) -> Matrix:
     """v̂, with v̂ w = v × w."""
     x, y, z = v
     zero = jnp.zeros_like(x)
-    return ((zero, -z, y), (z, zero, -x), (-y, x, zero))
-
-
-def max_abs(v: Vector) -> Array:
-    return jnp.maximum(jnp.maximum(jnp.abs(v[0]), jnp.abs(v[1])), jnp.abs(v[2]))
-
-
-def solve(K: Matrix, b: Vector, n: Array | float = 1, divide: bool = False) -> tuple[Array, Array, Array]:
-    """(nK)⁻¹b for a 3×3 matrix of rows, by the adjugate.
-
-    With `divide`, by three divisions instead of one. XLA never computes a quotient twice, so a long computation that
-    follows, such as a pull-back, does not recompute the solve for each of its results.
-    """
-    c0, c1, c2 = cross(K[1], K[2]), cross(K[2], K[0]), cross(K[0], K[1])
-    d = n * dot(K[0], c0)
-    x, y, z = (c0[i] * b[0] + c1[i] * b[1] + c2[i] * b[2] for i in range(3))
-    if divide:
-        return x / d, y / d, z / d
-    r = 1 / d
-    return x * r, y * r, z * r
-
-
-def transpose(A: Matrix) -> Matrix:
-    return tuple(zip(*A, strict=True))
-
-
-def product(A: Matrix, B: Matrix) -> Matrix:
-    """A B."""
-    columns = transpose(B)
-    return tuple(tuple(dot(row, column) for column in columns) for row in A)
-
-
-def transposed_product(A: Matrix, B: Matrix) -> Matrix:
-    """Aᵀ B."""
-    return product(transpose(A), B)
-
-
-def scale_matrix(s: Any, A: Matrix) -> Matrix:
-    """s A."""
-    return tuple(tuple(s * x for x in row) for row in A)
-
-
-def combine(A: Matrix, B: Matrix, b: Any = 1) -> Matrix:
-    """A + b B."""
-    return tuple(tuple(x + b * y for x, y in zip(r, s, strict=True)) for r, s in zip(A, B, strict=True))
-
-
-def det(A: Matrix) -> Array:
-    return dot(A[0], cross(A[1], A[2]))
-
-
-def no_negative_eigenvalue(A: Matrix) -> Array:
-    """False if A has a real eigenvalue ≤ 0: whether its characteristic polynomial's signs alternate (Descartes)."""
-    minors = [A[i][i] * A[j][j] - A[i][j] * A[j][i] for i, j in PAIRS[3:]]
-    return (A[0][0] + A[1][1] + A[2][2] > 0) & (minors[0] + minors[1] + minors[2] > 0) & (det(A) > 0)
-
-
-def positive_definite(S: Symmetric) -> Array:
-    """Whether a full symmetric matrix is positive definite: whether its leading minors are positive."""
-    adj = adjugate(S)
-    return (S[0] > 0) & (adj[2] > 0) & (determinant(S, adj) > 0)
+    return Matrix(((zero, -z, y), (z, zero, -x), (-y, x, zero)))
 
 
 def symmetric(J: Array) -> Symmetric:
-    """The distinct entries of a symmetric matrix given by its diagonal, shape (3,), or in full, shape (3, 3)."""
+    """A symmetric tensor given by its diagonal, an array (3,), or in full, (3, 3)."""
     if J.shape not in ((3,), (3, 3)):
         raise ValueError(
             f"a tensor of one body has shape (3,) or (3, 3), got {J.shape}: where each member has a system of its own, "
             "give own_step=True, step_axis=0 or system_axis=0, or use jax.vmap"
         )
-    return components(J) if J.ndim == 1 else entries(J)
+    return Symmetric(components(J)) if J.ndim == 1 else entries(J)
 
 
 def entries(J: Array) -> Symmetric:
     """The distinct entries of symmetric matrices whose first two axes are those of the matrix."""
     off = [(J[i, j] + J[j, i]) / 2 for i, j in ((1, 2), (0, 2), (0, 1))]
-    return (J[0, 0], J[1, 1], J[2, 2], *off)
-
-
-def trace(S: Symmetric) -> Array:
-    return S[0] + S[1] + S[2]
+    return Symmetric((J[0, 0], J[1, 1], J[2, 2], *off))
 
 
 def unit_trace(J: Array) -> tuple[Symmetric, Array]:
     """J / tr J and 1 / tr J, for J as in `symmetric`."""
     S = symmetric(J)
-    r = 1 / trace(S)
-    return tuple(r * x for x in S), r
-
-
-def add_scaled(S: Symmetric, R: Symmetric, s: Any) -> Symmetric:
-    """S + s R."""
-    return tuple(x + s * y for x, y in zip(S, R, strict=True))
-
-
-def full(S: Symmetric) -> Symmetric:
-    """The six entries of S, also where S is diagonal."""
-    return S if len(S) == 6 else (*S, *[jnp.zeros_like(S[0])] * 3)
-
-
-def rows(S: Symmetric) -> Matrix:
-    x, y, z, yz, xz, xy = S
-    return ((x, xy, xz), (xy, y, yz), (xz, yz, z))
-
-
-def apply(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
-    """S v."""
-    if len(S) == 3:
-        return (S[0] * v[0], S[1] * v[1], S[2] * v[2])
-    r = rows(S)
-    return (dot(r[0], v), dot(r[1], v), dot(r[2], v))
-
-
-def adjugate(S: Symmetric) -> Symmetric:
-    """adj S, so that S⁻¹ = adj S / det S."""
-    x, y, z = S[:3]
-    if len(S) == 3:
-        return (y * z, z * x, x * y)
-    yz, xz, xy = S[3:]
-    return (y * z - yz * yz, x * z - xz * xz, x * y - xy * xy, xz * xy - x * yz, xy * yz - y * xz, xz * yz - z * xy)
-
-
-def determinant(S: Symmetric, adj: Symmetric) -> Array:
-    """det S from S and its adjugate, along the first row."""
-    if len(S) == 3:
-        return S[0] * adj[0]
-    return S[0] * adj[0] + S[4] * adj[4] + S[5] * adj[5]
-
-
-def mean_cofactor(S: Symmetric, D: Symmetric) -> Symmetric:
-    """The mean of cof(S + sD) over 0 ≤ s ≤ 1, a symmetric matrix whose product with D is det(S + D) − det S."""
-    return add_scaled(adjugate(add_scaled(S, D, 0.5)), adjugate(D), 1 / 12)
-
-
-def inverse_trace(S: Symmetric) -> Array:
-    """tr S⁻¹: for a positive definite S, 1 to 3 times the largest |S⁻¹v|/|v|."""
-    if len(S) == 3:
-        return 1 / S[0] + 1 / S[1] + 1 / S[2]
-    r = 1 / trace(S)
-    S = tuple(s * r for s in S)
-    adj = adjugate(S)
-    return r * trace(adj) / determinant(S, adj)
-
-
-def well_conditioned(S: Symmetric) -> Array:
-    """Whether v·S⁻¹v is right to ten digits in float64, to four in float32; for diagonal matrices it always is.
-
-    The smallest eigenvalue of a full matrix has an error of ε times the largest, so their ratio may be at most 3.5e4 in
-    float64 and 1.4e3 in float32.
-    """
-    if len(S) == 3:
-        return jnp.ones((), bool)
-    S = tuple(lax.stop_gradient(s) for s in S)
-    adj, most = adjugate(S), min(7e4, float(jnp.finfo(S[0].dtype).eps) ** -0.5)
-    return trace(S) * trace(adj) <= most * determinant(S, adj)  # twice the ratio for a rod or a needle
-
-
-def inner(S: Symmetric, R: Symmetric) -> Array:
-    """S:R = tr(SR) of two full symmetric matrices."""
-    return S[0] * R[0] + S[1] * R[1] + S[2] * R[2] + 2 * (S[3] * R[3] + S[4] * R[4] + S[5] * R[5])
-
-
-def plus_transpose(A: Matrix) -> Symmetric:
-    """A + Aᵀ, as a full symmetric matrix."""
-    return tuple(A[i][j] + A[j][i] for i, j in PAIRS)
-
-
-def gram(F: Matrix) -> Symmetric:
-    """FᵀF, as a full symmetric matrix."""
-    columns = transpose(F)
-    return tuple(dot(columns[i], columns[j]) for i, j in PAIRS)
+    r = 1 / S.trace
+    return r * S, r
 
 
 def inverse(J: Array) -> Symmetric:
     """J⁻¹, for J as in `symmetric`."""
-    S, r = unit_trace(J)  # scaled, as in `solve_symmetric`
+    S, r = unit_trace(J)  # scaled, as in `Symmetric.solve`
     if len(S) == 3:
-        return tuple(r / x for x in S)
-    adj = adjugate(S)
-    s = r / determinant(S, adj)
-    return tuple(s * x for x in adj)
+        return Symmetric(r / x for x in S)
+    adjugate = S.adjugate
+    return (r / S.det(adjugate)) * adjugate
 
 
-def solve_symmetric(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
-    """S⁻¹ v."""
-    if len(S) == 3:
-        return (v[0] / S[0], v[1] / S[1], v[2] / S[2])
-    S = tuple(s.astype(jnp.result_type(s, v[0])) for s in S)  # the digits of v, if it has more
-    r = 1 / trace(S)  # scaled by the trace: the cube of a large inertia leaves the range of float32
-    S = tuple(s * r for s in S)
-    adj = adjugate(S)
-    x, y, z = apply(adj, v)
-    r = r / determinant(S, adj)
-    return (x * r, y * r, z * r)
+def mean_cofactor(S: Symmetric, D: Symmetric) -> Symmetric:
+    """The mean of cof(S + sD) over 0 ≤ s ≤ 1, a symmetric matrix whose product with D is det(S + D) − det S."""
+    return (S + 0.5 * D).adjugate + (1 / 12) * D.adjugate

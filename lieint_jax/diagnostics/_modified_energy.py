@@ -142,7 +142,8 @@ def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
 
 def _rotor_parts(system: AbstractGyrostat) -> _Parts:
     """X = −c·Π with c = J⁻¹h_r, Y the energy of the free body: {X, Y} = −c·(Π × Ω)."""
-    velocity = tuple(vec3.solve_symmetric(vec3.symmetric(system.inertia), system.rotor))
+    J = vec3.symmetric(system.inertia)
+    velocity = J.solve(system.rotor)
 
     def drift(z: State) -> State:
         moving = system.free.vector_field(z)
@@ -153,8 +154,7 @@ def _rotor_parts(system: AbstractGyrostat) -> _Parts:
 
     def rate(z: State) -> Array:
         Pi = so3.Ad_star(z.q, z.p)
-        Omega = vec3.solve_symmetric(vec3.symmetric(system.inertia), Pi)
-        return -vec3.dot(velocity, vec3.cross(Pi, Omega))
+        return -vec3.dot(velocity, vec3.cross(Pi, J.solve(Pi)))
 
     return _Parts({"X": rotate, "Y": drift}, rate)
 
@@ -199,9 +199,8 @@ def _drift_error(step: Splitting | GyrostatSplitting, z: State) -> Array:
 
 def _midpoint_error(inertia: Array, q: Array, p: Array) -> Array:
     J, Pi = vec3.symmetric(inertia), so3.Ad_star(q, p)
-    adjugate = vec3.adjugate(J)
-    determinant = vec3.determinant(J, adjugate)
-    T = vec3.dot(Pi, vec3.solve_symmetric(J, Pi)) / 2
-    square = vec3.dot(Pi, Pi)
-    s1, s2, s3 = vec3.trace(adjugate) / determinant, vec3.trace(J) / determinant, 1 / determinant
+    T, square = vec3.dot(Pi, J.solve(Pi)) / 2, vec3.dot(Pi, Pi)
+    adjugate = J.adjugate
+    det = J.det(adjugate)
+    s1, s2, s3 = adjugate.trace / det, J.trace / det, 1 / det
     return s1 / 6 * T * T - s2 / 12 * T * square + s3 / 24 * square * square

@@ -19,6 +19,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.vec3 import Matrix, Vector
 from lieint_jax._xla import materialized
 from lieint_jax.groups import _casimirs, bases, closed_forms
 from lieint_jax.types.shapes import AlgebraVector, DualVector, Flag, MomentumMap, PyTree, Scalar, SquareMatrix
@@ -89,7 +90,7 @@ class MatrixGroup:
 
     def multiply(self, a: SquareMatrix, b: SquareMatrix) -> SquareMatrix:
         """The product ab."""
-        return la.as_array(la.matmul(self._element(a), self._element(b)), jnp.asarray(a))
+        return la.as_array(self._element(a) @ self._element(b), jnp.asarray(a))
 
     def inverse(self, a: SquareMatrix) -> SquareMatrix:
         """a⁻¹: S⁻¹aᵀS if the group preserves a bilinear form S, else by cofactors (n ≤ 5) or elimination."""
@@ -137,7 +138,7 @@ class MatrixGroup:
             return jnp.abs(self._closed.square(self._vector(xi))) <= 4
         X = power = self._hat(self._vector(xi))
         for _ in range(4):
-            power = la.matmul(power, power)
+            power = power @ power
         size, last = (jnp.max(jnp.abs(jnp.stack(la.flatten(la.as_array(M, xi))))) for M in (X, power))
         return last <= 2.0**16 * jnp.maximum(1, size)
 
@@ -187,7 +188,7 @@ class MatrixGroup:
     def Ad(self, q: SquareMatrix, xi: AlgebraVector) -> AlgebraVector:
         """Ad_q ξ = (q ξ̂ q⁻¹)^∨ (5.3): from body to space."""
         q_, X = self._element(q), self._hat(self._vector(xi))
-        return la.as_array(self._vee(la.matmul(la.matmul(q_, X), self._inverse(q_))), jnp.asarray(q))
+        return la.as_array(self._vee(q_ @ X @ self._inverse(q_)), jnp.asarray(q))
 
     def Ad_star(self, q: SquareMatrix, mu: DualVector) -> DualVector:
         """Ad*_q μ, the transpose of Ad: maps spatial momentum π to body momentum Π."""
@@ -196,12 +197,11 @@ class MatrixGroup:
 
     def ad(self, xi: AlgebraVector, eta: AlgebraVector) -> AlgebraVector:
         """[ξ, η]."""
-        return la.as_array(la.matvec(self.ad_matrix(self._vector(xi)), self._vector(eta)), jnp.asarray(xi))
+        return la.as_array(self.ad_matrix(self._vector(xi)) @ self._vector(eta), jnp.asarray(xi))
 
     def ad_star(self, xi: AlgebraVector, mu: DualVector) -> DualVector:
         """The transpose of ad: ⟨ad*_ξ μ, η⟩ = ⟨μ, [ξ, η]⟩ (5.4)."""
-        transposed = la.transpose(self.ad_matrix(self._vector(xi)))
-        return la.as_array(la.matvec(transposed, self._vector(mu)), jnp.asarray(mu))
+        return la.as_array(self.ad_matrix(self._vector(xi)).T @ self._vector(mu), jnp.asarray(mu))
 
     def ad_matrix(self, xi: la.Vector) -> la.Matrix:
         """The matrix of η ↦ [ξ, η], (d, d)."""
@@ -233,14 +233,10 @@ class MatrixGroup:
         traceless; else 0.
         """
         q_ = self._element(q)
-        one = la.identity(q_)
         if self._form is not None:
-            off = la.combination((1.0, la.matmul(self._inverse(q_), q_)), (-1.0, one))
-        elif self._traceless:
-            off = [[la.determinant(q_) - 1]]
-        else:
-            return jnp.zeros((), jnp.asarray(q).dtype)
-        return jnp.max(jnp.abs(la.as_array(la.flatten(off), jnp.asarray(q))))
+            off = self._inverse(q_) @ q_ - la.identity(q_)
+            return jnp.max(jnp.abs(la.as_array(off, jnp.asarray(q))))
+        return jnp.abs(la.determinant(q_) - 1) if self._traceless else jnp.zeros((), jnp.asarray(q).dtype)
 
     # Velocities
 
@@ -254,13 +250,11 @@ class MatrixGroup:
 
     def tangent(self, q: SquareMatrix, Omega: AlgebraVector) -> SquareMatrix:
         """q̇ = qΩ̂ for the body velocity Ω: the inverse of `body_velocity`."""
-        product = la.matmul(self._element(q), self._hat(self._vector(Omega)))
-        return la.as_array(product, jnp.asarray(q))
+        return la.as_array(self._element(q) @ self._hat(self._vector(Omega)), jnp.asarray(q))
 
     def spatial_tangent(self, q: SquareMatrix, theta: AlgebraVector) -> SquareMatrix:
         """q̇ = θ̂q for the spatial velocity θ: the inverse of `spatial_velocity`."""
-        product = la.matmul(self._hat(self._vector(theta)), self._element(q))
-        return la.as_array(product, jnp.asarray(q))
+        return la.as_array(self._hat(self._vector(theta)) @ self._element(q), jnp.asarray(q))
 
     # For the steps of schemes, on unrolled vectors for small groups: maps with their inverses, and coadjoint actions
 
@@ -277,9 +271,9 @@ class MatrixGroup:
         """cay ξ and cay(−ξ): by the closed form if there is one."""
         X, closed = self._hat(xi), self._closed
         if closed is None or closed.pairs > 1:
-            plus, minus = (la.inverse(la.combination((1.0, la.identity(X)), (s, X))) for s in (0.5, -0.5))
-            one = la.identity(plus)
-            return la.combination((2.0, minus), (-1.0, one)), la.combination((2.0, plus), (-1.0, one))
+            one = la.identity(X)
+            plus, minus = (la.inverse(one + s * X) for s in (0.5, -0.5))
+            return 2.0 * minus - one, 2.0 * plus - one
         coefficients: list[la.Scalar] = [1.0, *(2.0 ** (1 - m) for m in range(1, closed.powers))]
         if closed.pairs:  # 2 Σ (X/2)ⁿ, from the last two powers on a geometric series in x/4
             r = 1 / (1 - closed.square(xi) / 4)
@@ -290,7 +284,7 @@ class MatrixGroup:
         """Σ c_m Xᵐ and Σ c_m (−X)ᵐ."""
         powers = [la.identity(X), X]
         while len(powers) < len(c):
-            powers.append(la.materialized(la.matmul(powers[-1], X)))
+            powers.append(la.materialized(powers[-1] @ X))
         pairs = list(zip(c, powers, strict=False))
         return _sum_and_difference(la.combination(*pairs[::2]), la.combination(*pairs[1::2]))
 
@@ -301,9 +295,9 @@ class MatrixGroup:
             return self.coadjoint(*self.exp_both(xi), mu)
         x = la.materialized([closed.square(xi)])[0]
         *lower, top = la.materialized([closed_forms.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
-        value = la.scaled(top, mu)
+        value = top * mu
         for k in reversed(range(len(lower))):
-            value = la.plus((lower[k], mu), la.matvec(self.ad_star_matrix(value), xi))
+            value = lower[k] * mu + self.ad_star_matrix(value) @ xi
             if k % 2 == 0 and k > 0:  # held each time is more kernels, never is longer ones
                 value = la.materialized(value)
         return value
@@ -313,8 +307,7 @@ class MatrixGroup:
     ) -> la.Vector:
         """Ad*_q μ: ⟨μ, (q Eᵢ q⁻¹)^∨⟩ = tr[(qᵀ D q⁻ᵀ)ᵀ Eᵢ] for the matrix D with ⟨μ, ξ⟩ = tr[Dᵀξ̂]."""
         D = la.linear(of(self._dual.transpose(1, 2, 0)), mu)
-        carried = la.matmul(la.matmul(la.transpose(q), D), la.transpose(inverse))
-        return la.linear(of(self.basis.reshape(self.dim, -1)), la.flatten(carried))
+        return la.linear(of(self.basis.reshape(self.dim, -1)), la.flatten(q.T @ D @ inverse.T))
 
     # Derivatives of maps, H of (5.28)
 
@@ -323,15 +316,15 @@ class MatrixGroup:
         A = self.ad_matrix(xi)
         H = one = la.identity(A)
         for k in range(terms, 1, -1):
-            H = la.combination((1.0, one), (-1.0 / k, la.matmul(A, H)))
+            H = one - 1.0 / k * (A @ H)
         return H
 
     def cayley_slope(self, xi: la.Vector) -> la.Matrix:
         """H of cay, Hη = ((1 + ½ξ̂)⁻¹ η̂ (1 − ½ξ̂)⁻¹)^∨, as a matrix (d, d). Note (1 ∓ ½ξ̂)⁻¹ = ½(1 + cay(±ξ))."""
-        minus, plus = (la.materialized(la.combination((0.5, la.identity(q)), (0.5, q))) for q in self.cayley_both(xi))
-        E = self.basis if isinstance(plus, Array) else self.basis.tolist()
-        columns = [self._vee(la.matmul(la.matmul(plus, e), minus)) for e in E]
-        return jnp.stack(columns, axis=1) if isinstance(plus, Array) else la.transpose(columns)
+        minus, plus = (la.materialized(0.5 * la.identity(q) + 0.5 * q) for q in self.cayley_both(xi))
+        if isinstance(plus, Array):
+            return jnp.stack([self._vee(plus @ e @ minus) for e in self.basis], axis=1)
+        return Matrix(self._vee(plus @ Matrix(e) @ minus) for e in self.basis.tolist()).T
 
     # Building blocks of these, on unrolled vectors for small groups and on arrays for large ones
 
@@ -393,22 +386,22 @@ class MatrixGroup:
         return float(np.abs(M - inside).max())
 
     def _vector(self, x: PyTree) -> la.Vector:
-        if isinstance(x, list):
+        if isinstance(x, Vector):
             return x
         x = jnp.asarray(x)
-        return la.as_list(x) if self.unrolled else x
+        return la.unrolled(x) if self.unrolled else x
 
     def _matrix(self, M: PyTree) -> la.Matrix:
-        return la.as_list(jnp.asarray(M)) if self.unrolled else jnp.asarray(M)
+        return la.unrolled(jnp.asarray(M)) if self.unrolled else jnp.asarray(M)
 
     def _element(self, q: PyTree) -> la.Matrix:
         """A group element, unrolled for small groups; entries that are 0 or 1 on the whole group are Python numbers."""
         if not self.unrolled:
             return jnp.asarray(q)
-        return [
-            [entry if free else float(i == j) for j, (entry, free) in enumerate(zip(*rows, strict=True))]
-            for i, rows in enumerate(zip(la.as_list(jnp.asarray(q)), self._free, strict=True))
-        ]
+        return Matrix(
+            (entry if free else float(i == j) for j, (entry, free) in enumerate(zip(*rows, strict=True)))
+            for i, rows in enumerate(zip(la.unrolled(jnp.asarray(q)), self._free, strict=True))
+        )
 
     def _hat(self, xi: la.Vector) -> la.Matrix:
         return la.linear(self.basis.transpose(1, 2, 0), xi)
@@ -421,10 +414,10 @@ class MatrixGroup:
             return la.inverse(q)
         S, S_inverse = self._form
         if (self.identity == S).all():
-            return la.transpose(q)
+            return q.T
         if self.unrolled:
-            S, S_inverse = S.tolist(), S_inverse.tolist()
-        return la.matmul(la.matmul(S_inverse, la.transpose(q)), S)
+            S, S_inverse = Matrix(S.tolist()), Matrix(S_inverse.tolist())
+        return S_inverse @ q.T @ S
 
 
 def matrix(basis: ArrayLike, name: str = "matrix group", unrolled: bool | None = None) -> MatrixGroup:
@@ -476,11 +469,11 @@ def _product(A: Array, B: Array) -> Array:
 
 def _taylor(X: la.Matrix) -> tuple[la.Matrix, la.Matrix]:
     """The even and the odd part of Σ Xᵏ/k!, in blocks of powers of X² (Paterson & Stockmeyer 1973)."""
-    Y = la.materialized(la.matmul(X, X))
-    powers = [la.identity(X), Y, la.materialized(la.matmul(Y, Y))]
-    cube = la.materialized(la.matmul(powers[2], Y))
+    Y = la.materialized(X @ X)
+    powers = [la.identity(X), Y, la.materialized(Y @ Y)]
+    cube = la.materialized(powers[2] @ Y)
     even, odd = (_in_blocks(_EXPONENTIAL[parity:_DEGREE:2], powers, cube) for parity in (0, 1))
-    return even, la.materialized(la.matmul(X, odd))
+    return even, la.materialized(X @ odd)
 
 
 def _in_blocks(weights: Sequence[float], powers: Sequence[la.Matrix], next_power: la.Matrix) -> la.Matrix:
@@ -488,13 +481,12 @@ def _in_blocks(weights: Sequence[float], powers: Sequence[la.Matrix], next_power
     blocks = [weights[k : k + len(powers)] for k in range(0, len(weights), len(powers))]
     value = la.combination(*zip(blocks[-1], powers, strict=True))
     for block in blocks[-2::-1]:
-        shifted = la.materialized(la.matmul(value, next_power))
-        value = la.combination(*zip(block, powers, strict=True), (1.0, shifted))
+        value = la.combination(*zip(block, powers, strict=True), (1.0, la.materialized(value @ next_power)))
     return la.materialized(value)
 
 
 def _sum_and_difference(even: la.Matrix, odd: la.Matrix) -> tuple[la.Matrix, la.Matrix]:
-    return la.combination((1.0, even), (1.0, odd)), la.combination((1.0, even), (-1.0, odd))
+    return even + odd, even - odd
 
 
 def _artanh(q: SquareMatrix) -> Array:
@@ -508,4 +500,4 @@ def _artanh(q: SquareMatrix) -> Array:
 
 
 def _absolute(x: PyTree) -> PyTree:
-    return [_absolute(entry) for entry in x] if isinstance(x, list) else abs(x)
+    return jax.tree.map(abs, x)

@@ -72,12 +72,12 @@ def cayley(xi: Vector3) -> Quaternion:
     return jnp.concatenate([jnp.ones_like(h[:1]), h]) / jnp.sqrt(1 + dot(h, h))
 
 
-def Ad(q: Quaternion, xi: vec3.Vector) -> Vector3:
+def Ad(q: Quaternion, xi: vec3.VectorLike) -> Vector3:
     """Λξ: from body to space."""
     return jnp.stack(_rotate(q[0], q[1:], xi))
 
 
-def Ad_star(q: Quaternion, mu: vec3.Vector) -> Vector3:
+def Ad_star(q: Quaternion, mu: vec3.VectorLike) -> Vector3:
     """Λᵀμ, the transpose of Ad: maps spatial momentum π to body momentum Π."""
     return jnp.stack(_rotate(-q[0], q[1:], mu))
 
@@ -99,7 +99,7 @@ def casimirs(mu: Vector3) -> MomentumMap:
 
 def hat(xi: Vector3) -> Matrix3:
     """ξ̂, the skew matrix with ξ̂ h = ξ × h (2.1)."""
-    return jnp.stack([jnp.stack(row) for row in vec3.hat(vec3.components(xi))])
+    return vec3.hat(vec3.components(xi)).array
 
 
 def vee(M: Matrix3) -> Vector3:
@@ -119,12 +119,12 @@ def body_velocity(q: Quaternion, q_dot: Quaternion) -> Vector3:
 
 def tangent(q: Quaternion, Omega: Vector3) -> Quaternion:
     """q̇ = ½ q Ω for the body velocity Ω: the inverse of `body_velocity`."""
-    return jnp.stack(_product(q, (jnp.zeros_like(Omega[0]), *(Omega[i] / 2 for i in range(3)))))
+    return jnp.stack(_product(q, (jnp.zeros_like(Omega[0]), *(Omega / 2))))
 
 
 def spatial_tangent(q: Quaternion, theta: Vector3) -> Quaternion:
     """q̇ = ½ θ q for the spatial velocity θ: the inverse of `spatial_velocity`."""
-    return jnp.stack(_product((jnp.zeros_like(theta[0]), *(theta[i] / 2 for i in range(3))), q))
+    return jnp.stack(_product((jnp.zeros_like(theta[0]), *(theta / 2)), q))
 
 
 def cayley_increment(q: Quaternion, h: Vector3 | tuple[Array, ...]) -> Quaternion:
@@ -134,34 +134,35 @@ def cayley_increment(q: Quaternion, h: Vector3 | tuple[Array, ...]) -> Quaternio
     the step. The increment also corrects |q|, so |q| = 1 to round-off in runs of any length. Energy then drifts by
     1e-13 in 10⁶ steps, not by 1e-12.
     """
-    return jnp.stack([x + dx for x, dx in zip(vec3.components(q), cayley_difference(q, h), strict=True)])
+    return jnp.stack(vec3.vector(q) + cayley_difference(q, h))
 
 
-def cayley_difference(q: vec3.Vector, h: vec3.Vector) -> tuple[Array, Array, Array, Array]:
+def cayley_difference(q: vec3.VectorLike, h: vec3.VectorLike) -> tuple[Array, Array, Array, Array]:
     """`cayley_increment` less q, in components."""
-    w, v = q[0], (q[1], q[2], q[3])
+    w, v = q[0], vec3.Vector(q[1:])
     y = dot(h, h)
     s = jnp.sqrt(1 + y)
     r = 1 / (s * (1 + s))
     c = r * (1 + s)
     d = c * defect(q) / 2
     k, c = -y * r - d, c - d  # c − 1 without cancellation; both over |q|
-    ch = (c * h[0], c * h[1], c * h[2])
-    x, y, z = cross(v, ch)
-    return (w * k - dot(v, ch), w * ch[0] + k * v[0] + x, w * ch[1] + k * v[1] + y, w * ch[2] + k * v[2] + z)
+    ch = c * vec3.Vector(h)
+    return (w * k - dot(v, ch), *(w * ch + k * v + cross(v, ch)))
 
 
 def to_matrix(q: Quaternion) -> Matrix3:
     """The rotation matrix Λ, shape (3, 3)."""
-    return jnp.stack([jnp.stack(row) for row in matrix_of(*vec3.components(q))])
+    return matrix_of(*vec3.components(q)).array
 
 
 def matrix_of(w: Scalar, x: Scalar, y: Scalar, z: Scalar) -> vec3.Matrix:
     """The rows of the rotation matrix of a unit quaternion."""
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    return vec3.Matrix(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
     )
 
 
@@ -288,7 +289,7 @@ def angle(a: Quaternion, b: Quaternion) -> Scalar:
     return 2 * jnp.arctan2(_length(x, y, z), jnp.abs(w))
 
 
-def _product(a: vec3.Vector, b: vec3.Vector) -> tuple[Array, Array, Array, Array]:
+def _product(a: vec3.VectorLike, b: vec3.VectorLike) -> tuple[Array, Array, Array, Array]:
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -301,11 +302,10 @@ def _norm_squared(q: Quaternion) -> Array:
     return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
 
 
-def _rotate(w: Scalar, v: vec3.Vector, u: vec3.Vector) -> tuple[Array, ...]:
+def _rotate(w: Scalar, v: vec3.VectorLike, u: vec3.VectorLike) -> vec3.Vector:
     """u + 2w v×u + 2 v×(v×u): u rotated by the unit quaternion (w, v); by its inverse for −w."""
-    t = tuple(2 * x for x in cross(v, u))
-    c = cross(v, t)
-    return tuple(u[i] + w * t[i] + c[i] for i in range(3))
+    t = 2 * cross(v, u)
+    return u + w * t + cross(v, t)
 
 
 def _length(*components: Array) -> Array:

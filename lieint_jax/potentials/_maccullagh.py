@@ -39,11 +39,13 @@ class MacCullagh(Potential):
         # an axis of pairs, seen from one end and then from the other
         here, there = np.concatenate([i, j]), np.concatenate([j, i])
         d = (x[j] - x[i]).T
-        own, arms = _quadrupole(self._entries(here), tuple(_twice(d)), jnp.moveaxis(R[here], 0, -1))
+        both = vec3.vector(_twice(d))
+        own, arms = _quadrupole(self._entries(here), both, vec3.matrix(jnp.moveaxis(R[here], 0, -1)))
         along, *arm = (jnp.sum((m[there] * y).reshape(2, -1), axis=0) for y in (own, *arms))
-        f, third = _pull(self.G, m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], tuple(d), along, tuple(arm))
+        masses, traces = m[i] * m[j], m[j] * trace[i] + m[i] * trace[j]
+        f, third = _pull(self.G, masses, traces, vec3.vector(d), along, vec3.Vector(arm))
         f = jnp.stack(materialized(f))
-        torque = jnp.stack(vec3.scale(m[there] * _twice(third), vec3.cross(tuple(_twice(d)), arms)))
+        torque = jnp.stack(m[there] * _twice(third) * vec3.cross(both, arms))
         rows = jnp.concatenate([jnp.concatenate([f, -f], axis=1), torque]).T
         of_each = np.argsort(here, kind="stable").reshape(self.count, -1)
         return rows if self.count == 2 else jnp.sum(rows[of_each], axis=1)
@@ -51,7 +53,7 @@ class MacCullagh(Potential):
     def _entries(self, n: np.ndarray) -> vec3.Symmetric:
         """The inertias of k bodies."""
         J = self.inertias[n].T
-        return vec3.components(J) if self.inertias.ndim == 2 else vec3.entries(J)
+        return vec3.Symmetric(vec3.components(J)) if self.inertias.ndim == 2 else vec3.entries(J)
 
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """r², Γ_i and Γ_j of each of k pairs, (7k,)."""
@@ -128,9 +130,9 @@ def _twice(x: Array) -> Array:
 
 def _quadrupole(J: vec3.Symmetric, d: vec3.Vector, R: vec3.Matrix) -> tuple[Array, vec3.Vector]:
     """Γ·JΓ and ΛJΓ, with Γ = Λᵀd."""
-    Gamma = tuple(vec3.dot(axis, d) for axis in vec3.transpose(R))
-    JGamma = vec3.apply(J, Gamma)
-    return vec3.dot(Gamma, JGamma), tuple(vec3.dot(row, JGamma) for row in R)
+    Gamma = R.T @ d
+    JGamma = J @ Gamma
+    return vec3.dot(Gamma, JGamma), R @ JGamma
 
 
 def _pull(
@@ -140,7 +142,7 @@ def _pull(
     v = 1 / vec3.dot(d, d)
     third = G * v * jnp.sqrt(v)
     size = third * (masses + 1.5 * v * (traces - 5 * v * along))
-    return vec3.add(vec3.scale(size, d), vec3.scale(3 * third * v, arm)), 3 * third * v
+    return size * d + 3 * third * v * arm, 3 * third * v
 
 
 def _times(J: Array, Gamma: Array) -> Array:

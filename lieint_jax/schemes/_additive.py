@@ -38,9 +38,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import newton, vec3
+from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vec3 import Matrix, Symmetric
+from lieint_jax._numerics.vec3 import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import (
@@ -64,32 +64,32 @@ _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that a
 
 def _motion(body: AbstractElasticBody, state: State) -> State:
     """(Ḟ, Ṗ) = (PE⁻¹, −2F∇W(FᵀF)) (6.3)."""
-    E = vec3.symmetric(body.inertia)
-    V = [vec3.solve_symmetric(E, row) for row in state.p]
-    return State(_array(V), -_array(vec3.product(state.q, vec3.rows(body.stored_energy.stress(vec3.gram(state.q))))))
+    F, E = matrix(state.q), symmetric(body.inertia)
+    S = Symmetric(body.stored_energy.stress(F.gram()))
+    return State(_over(matrix(state.p), E).array, -(F @ S).array)
 
 
 def _viscous_motion(body: AbstractViscousBody, state: State) -> State:
     """(Ḟ, Ṗ) = (PE⁻¹, −F(2∇W(C) + νĊ))."""
-    E, F = vec3.symmetric(body.inertia), _rows(state.q)
-    V = [vec3.solve_symmetric(E, row) for row in state.p]
-    C_dot = vec3.plus_transpose(vec3.transposed_product(F, V))
-    S = vec3.add_scaled(body.stored_energy.stress(vec3.gram(F)), C_dot, body.viscosity)
-    return State(_array(V), -_array(vec3.product(F, vec3.rows(S))))
+    F, V = matrix(state.q), _over(matrix(state.p), symmetric(body.inertia))
+    S = Symmetric(body.stored_energy.stress(F.gram())) + body.viscosity * (F.T @ V).plus_transpose()
+    return State(V.array, -(F @ S).array)
 
 
 def _constrained_motion(body: AbstractIncompressibleBody, state: State) -> State:
     """(Ḟ, Ṗ) = (PE⁻¹, −FS + pF⁻ᵀ), S = 2∇W, and p from d²/dt² det F = 0."""
-    E = vec3.full(vec3.symmetric(body.inertia))
-    F, V = _rows(state.q), [vec3.solve_symmetric(E, row) for row in state.p]
-    S = body.stored_energy.stress(vec3.gram(F))
-    inverse = vec3.scale_matrix(1 / vec3.det(F), vec3.transpose([vec3.cross(F[i - 2], F[i - 1]) for i in range(3)]))
-    L, columns = vec3.product(inverse, V), vec3.transpose(inverse)
-    stiff = vec3.transpose([vec3.solve_symmetric(E, row) for row in vec3.rows(S)])
-    bend = sum(vec3.dot(L[i], [row[i] for row in L]) + stiff[i][i] for i in range(3))
-    p = bend / sum(vec3.dot(c, vec3.solve_symmetric(E, c)) for c in columns)  # tr(F⁻ᵀE⁻¹F⁻¹)
-    force = vec3.combine(vec3.product(F, vec3.rows(S)), columns, -p)
-    return State(_array(V), -_array(force))
+    F, E = matrix(state.q), symmetric(body.inertia).full
+    S, V = Symmetric(body.stored_energy.stress(F.gram())), _over(matrix(state.p), E)
+    F_T = 1 / F.det() * F.cofactors  # F⁻ᵀ
+    L = F_T.T @ V
+    bend = (L @ L).trace + _over(S.rows, E).trace
+    p = bend / sum(dot(column, E.solve(column)) for column in F_T)  # over tr(F⁻ᵀE⁻¹F⁻¹)
+    return State(V.array, -(F @ S - p * F_T).array)
+
+
+def _over(A: Matrix, E: Symmetric) -> Matrix:
+    """A E⁻¹."""
+    return Matrix(E.solve(row) for row in A)
 
 
 ELASTIC_BODIES = AcceptedSystems(AbstractElasticBody, "pseudo-rigid bodies (systems.pseudo_rigid_body)", _motion)
@@ -145,21 +145,21 @@ class Additive(Step):
         U = _matrix(x)
         D = equation.change(U)
         S = rule.stress(W, equation.C, D, *x[9:])
-        middle, end = vec3.combine(F, U, alpha), vec3.combine(F, U)
-        after = vec3.combine(equation.P, vec3.product(middle, vec3.rows(S)), -dt)
+        middle, end = F + alpha * U, F + U
+        after = equation.P - dt * (middle @ S)
 
-        stiff = _largest(S) + equation.stiffness
-        scale = equation.size * (_largest(E) + equation.c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
+        stiff = max_abs(S) + equation.stiffness
+        scale = equation.size * (max_abs(E) + equation.c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
         residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
-        converged = (residual <= tolerance) & steady & (vec3.det(middle) > 0) & (vec3.det(end) > 0)
+        converged = (residual <= tolerance) & steady & (middle.det() > 0) & (end.det() > 0)
         if rule.constrained:
-            size = jnp.max(jnp.abs(_array(end)))
+            size = max_abs(*end)
             converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
         elif rule.gammas:
-            converged &= jnp.abs(_energy_defect(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
-        moved = state._replace(q=_array(end), p=_array(after))
+            converged &= jnp.abs(_energy_defect(W, equation.C, D, S)) <= tolerance * stiff * max_abs(D)
+        moved = state._replace(q=end.array, p=after.array)
         if isinstance(W, _Viscous) and state.work is not None:
-            moved = moved._replace(work=state.work - W.rate * vec3.inner(D, D) / 2)
+            moved = moved._replace(work=state.work - W.rate * D.inner(D) / 2)
         return moved, lax.stop_gradient(StepInfo(residual, converged))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -264,24 +264,23 @@ def examples(system: System) -> dict[str, Step]:
 
 
 def _symplectic(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
-    return W.stress(vec3.add_scaled(C, D, 1))
+    return Symmetric(W.stress(C + D))
 
 
 def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
-    return W.mean_stress(C, D)
+    return Symmetric(W.mean_stress(C, D))
 
 
 def _energy(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    return W.stress(vec3.add_scaled(C, D, gamma))
+    return Symmetric(W.stress(C + gamma * D))
 
 
 def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    ends = (W.stress(vec3.add_scaled(C, D, s)) for s in (gamma, 1 - gamma))
-    return tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
+    return (_energy(W, C, D, gamma) + _energy(W, C, D, 1 - gamma)) / 2
 
 
 def _incompressible(W: StoredEnergy, C: Symmetric, D: Symmetric, pressure: Array) -> Symmetric:
-    return vec3.add_scaled(W.mean_stress(C, D), vec3.mean_cofactor(C, D), -pressure)
+    return _average(W, C, D) - pressure * mean_cofactor(C, D)
 
 
 class _Rule(NamedTuple):
@@ -308,18 +307,18 @@ _RULES: dict[str, _Rule] = {
 
 def _energy_defect(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
     """S:D − 2ΔW."""
-    return vec3.inner(vec3.add_scaled(S, W.mean_stress(C, D), -1), D)
+    return (S - W.mean_stress(C, D)).inner(D)
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
     """A term below the rounding of `_energy_defect` that sets γ to its limit where any γ is a root, as for D = 0."""
     eps = jnp.finfo(off.dtype).eps
-    return eps * stiffness * off * (vec3.inner(D, D) + eps * eps * vec3.inner(C, C))
+    return eps * stiffness * off * (D.inner(D) + eps * eps * C.inner(C))
 
 
 def _stiffness(W: StoredEnergy, C: Symmetric) -> Array:
     """The size of ∂S/∂C·C: the rounding of C moves S by eps times this."""
-    return lax.stop_gradient(_largest(jax.jvp(W.stress, (C,), (C,))[1]))
+    return lax.stop_gradient(max_abs(jax.jvp(W.stress, (C,), (C,))[1]))
 
 
 @pytree
@@ -341,7 +340,7 @@ class _Viscous(StoredEnergy):
         return self.elastic.stress(C)
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        return vec3.add_scaled(self.elastic.mean_stress(C, D), D, self.rate)
+        return self.elastic.mean_stress(C, D) + self.rate * D
 
 
 # The equation, and Newton's step for it -------------------------------------------------------------------------------
@@ -383,26 +382,25 @@ class _Equation(NamedTuple):
         """The equation of a step from a state."""
         rule, W = _RULES[step.rule], step.system.stored_energy
         alpha = step.alpha.astype(state.p.dtype)
-        E = vec3.full(vec3.symmetric(step.system.inertia))
-        F, P = _matrix(state.q.ravel()), _matrix(state.p.ravel())
-        C, c, a = vec3.gram(F), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
+        E, F, P = symmetric(step.system.inertia).full, matrix(state.q), matrix(state.p)
+        C, c, a = F.gram(), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
         stiffness = _stiffness(W, C)
         if isinstance(step.system, AbstractViscousBody):
             W = _Viscous(W, step.system.viscosity / jnp.where(dt == 0, 1, dt))
-            stiffness = stiffness + jnp.abs(W.rate) * _largest(C)
+            stiffness = stiffness + jnp.abs(W.rate) * max_abs(C)
         return cls(rule, W, alpha, E, F, P, C, dt, c, a, stiffness, jnp.max(jnp.abs(state.q)))
 
     def change(self, U: Matrix) -> Symmetric:
         """D = FᵀV + VᵀF + VᵀV with V = aU."""
-        V = vec3.scale_matrix(self.a, U)
-        return vec3.add_scaled(vec3.plus_transpose(vec3.transposed_product(self.F, V)), vec3.gram(V), 1)
+        V = self.a * U
+        return (self.F.T @ V).plus_transpose() + V.gram()
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
         """S, and for rules with a γ the residual of its equation: S:D − 2ΔW, or det(C + D) − 1 up to a constant."""
         rule, W, C = self.rule, self.W, self.C
         S = rule.stress(W, C, D, *gamma)
         if rule.constrained:
-            return S, (vec3.inner(vec3.mean_cofactor(C, D), D),)
+            return S, (mean_cofactor(C, D).inner(D),)
         return S, tuple(_energy_defect(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:
@@ -410,11 +408,10 @@ class _Equation(NamedTuple):
         U = _matrix(x)
         S, missed = self.law(self.change(U), tuple(x[9:]))
         if self.rule.constrained:  # by `law`, with C for F, it has |F|³ times the rounding error
-            det = vec3.det(vec3.combine(self.F, U, self.a))
+            det = (self.F + self.a * U).det()
             missed = ((det - 1) * (det + 1),)
-        force = vec3.product(vec3.combine(self.F, U, self.alpha), vec3.rows(S))
-        motion = vec3.combine(vec3.product(U, vec3.rows(self.E)), force, self.c)
-        return jnp.stack([*_entries(vec3.combine(motion, self.P, -self.dt)), *missed])
+        R = U @ self.E + self.c * ((self.F + self.alpha * U) @ S) - self.dt * self.P
+        return jnp.stack([*_entries(R), *missed])
 
     def correction(self, x: Array, R: Array) -> Array:
         """Newton's step, shortened where it would lead out of GL⁺(3); γ stays in its interval, fixed if D = 0."""
@@ -422,10 +419,10 @@ class _Equation(NamedTuple):
         U, gamma = _matrix(x), tuple(x[9:])
         D = self.change(U)
         (S, _), tangent = jax.linearize(self.law, D, gamma)
-        N = vec3.add_scaled(self.E, S, self.alpha * c)
-        watched, middle = vec3.combine(self.F, U, a), vec3.combine(self.F, U, self.alpha)
-        columns = la.columns(lambda *y: tangent(y[:6], y[6:]), 6 + len(gamma), x.dtype)
-        determined = vec3.inner(D, D) > 0  # at the guess, D = 0, any γ serves, and rounding must not choose one
+        N = self.E + self.alpha * c * S
+        watched, middle = self.F + a * U, self.F + self.alpha * U
+        columns = la.columns(lambda *y: tangent(Symmetric(y[:6]), y[6:]), 6 + len(gamma), x.dtype)
+        determined = D.inner(D) > 0  # at the guess, D = 0, any γ serves, and rounding must not choose one
         free = (-jnp.inf, jnp.inf)
         limits = [free if rule.constrained else (determined * (g - rule.end), determined * g) for g in gamma]
         dU, d_gamma = _newton_step(N, watched, middle, a, c, columns, R, limits)
@@ -461,13 +458,12 @@ def _newton_step(
     With dU = (R − cF_{n+α}dS)N⁻¹ put into dD, six equations for dD are left:
     dD + a sym(Gᵀ cF_{n+α} dS N⁻¹) = a sym(Gᵀ R N⁻¹), sym A = A + Aᵀ. The equation for γ, if any, is eliminated last.
     """
-    adjugate = vec3.adjugate(N)
-    r = 1 / vec3.determinant(N, adjugate)
-    N_inverse = vec3.rows(tuple(r * x for x in adjugate))
-    A = vec3.scale_matrix(a * c, vec3.transposed_product(watched, middle))
-    free = vec3.product(_matrix(R), N_inverse)
-    right = vec3.plus_transpose(vec3.scale_matrix(a, vec3.transposed_product(watched, free)))
-    images = [vec3.plus_transpose(vec3.product(vec3.product(A, vec3.rows(S)), N_inverse)) for S, _ in columns]
+    adjugate = N.adjugate
+    N_inverse = 1 / N.det(adjugate) * adjugate
+    A = a * c * (watched.T @ middle)
+    free = _matrix(R) @ N_inverse
+    right = (a * (watched.T @ free)).plus_transpose()
+    images = [(A @ S @ N_inverse).plus_transpose() for S, _ in columns]
     K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
     dD, *by_gamma = la.eliminate(K, right, *images[6:])
     step, d_gamma = dD, []
@@ -477,17 +473,16 @@ def _newton_step(
         left = R[9 + k] - sum(m * x for m, x in zip(row, dD, strict=False))
         d_gamma.append(jnp.clip(left / jnp.where(slope == 0, 1, slope), least, most))  # no pressure acts for Δt = 0
         step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
-    c_dS: Any = [c * sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
-    bent = vec3.product(vec3.product(middle, vec3.rows(c_dS)), N_inverse)
-    return vec3.combine(free, bent, -1), d_gamma
+    c_dS: Any = c * sum(d * S for d, (S, _) in zip([*step, *d_gamma], columns, strict=True))
+    return free - middle @ c_dS @ N_inverse, d_gamma
 
 
 def _fraction(G: Matrix, dG: Matrix, a: Array | float) -> Array:
     """The largest of the fractions t with det(G − ta dG) > det(G)/10, a cubic in ta; the least if none has it."""
-    cof, cof_d = ((vec3.cross(A[1], A[2]), vec3.cross(A[2], A[0]), vec3.cross(A[0], A[1])) for A in (G, dG))
-    d0, d3 = vec3.dot(G[0], cof[0]), vec3.dot(dG[0], cof_d[0])
-    d1 = sum(vec3.dot(cof[i], dG[i]) for i in range(3))
-    d2 = sum(vec3.dot(cof_d[i], G[i]) for i in range(3))
+    cof, cof_d = G.cofactors, dG.cofactors
+    d0, d3 = dot(G[0], cof[0]), dot(dG[0], cof_d[0])
+    d1 = sum(dot(cof[i], dG[i]) for i in range(3))
+    d2 = sum(dot(cof_d[i], G[i]) for i in range(3))
     fraction = jnp.full_like(d0, _FRACTIONS[0])
     for t in _FRACTIONS[1:]:
         x = -a * t
@@ -495,21 +490,9 @@ def _fraction(G: Matrix, dG: Matrix, a: Array | float) -> Array:
     return fraction
 
 
-def _rows(A: Array) -> Matrix:
-    return _matrix(A.ravel())
-
-
 def _matrix(u: Array) -> Matrix:
-    return tuple(tuple(u[3 * i + j] for j in range(3)) for i in range(3))
-
-
-def _array(A: Matrix) -> Array:
-    return jnp.stack([jnp.stack(row) for row in A])
+    return Matrix((u[3 * i + j] for j in range(3)) for i in range(3))
 
 
 def _entries(A: Matrix) -> list[Array]:
     return [x for row in A for x in row]
-
-
-def _largest(S: Symmetric) -> Array:
-    return jnp.maximum(vec3.max_abs(S[:3]), vec3.max_abs(S[3:]))

@@ -28,8 +28,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import newton, vec3
-from lieint_jax._numerics.vec3 import add, apply, cross, subtract
+from lieint_jax._numerics import newton
+from lieint_jax._numerics.vec3 import cross, matrix, symmetric, unit_trace, vector
 from lieint_jax.groups import so3
 from lieint_jax.potentials import invariant_form, torques
 from lieint_jax.schemes._shared.accepts import AcceptedSystems, check_motion
@@ -202,19 +202,18 @@ class _Equation(NamedTuple):
 
     def _rotation_equation(self, J: Array, q: Array, spin: Array, tau: Array, y: Array) -> tuple[Array, Array]:
         """Jy + y × Jy − a − (T − y × T) with a = ½ΔtΠ, T = ¼Δt²Λᵀτ̄, all over tr J; and its derivative by y."""
-        S, r = vec3.unit_trace(J)
-        Jy, T = apply(S, y), so3.Ad_star(q, (0.25 * r * self.dt * self.dt) * tau)
-        a = so3.Ad_star(q, (0.5 * r * self.dt) * spin)
-        F = subtract(add(Jy, cross(y, Jy)), add(a, subtract(T, cross(y, T))))
-        axes = jnp.eye(3, dtype=y.dtype)
-        columns = [add(apply(S, e), add(cross(y, apply(S, e)), cross(e, add(Jy, T)))) for e in axes]
+        S, r = unit_trace(J)
+        Jy, T = S @ y, vector(so3.Ad_star(q, (0.25 * r * self.dt * self.dt) * tau))
+        a = vector(so3.Ad_star(q, (0.5 * r * self.dt) * spin))
+        F = Jy + cross(y, Jy) - (a + (T - cross(y, T)))
+        columns = [S @ e + (cross(y, S @ e) + cross(e, Jy + T)) for e in jnp.eye(3, dtype=y.dtype)]
         return jnp.stack(F), jnp.stack([jnp.stack(column) for column in columns], axis=1)
 
     def guess(self) -> _Ends:
         """The ends of the free motion, to first order."""
 
         def half_turn(J: Array, q: Array, spin: Array) -> Array:
-            return self.dt / 2 * jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin)))
+            return self.dt / 2 * jnp.stack(symmetric(J).solve(so3.Ad_star(q, spin)))
 
         (q, p), bodies = self.state[:2], self.system
         return _Ends(
@@ -259,7 +258,7 @@ def _solve(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
 
 def _correction(K: Array, F: _Ends) -> _Ends:
     """The Newton correction of F, with its derivative but without that of the forces."""
-    return _Ends(F.move, jax.vmap(lambda K, f: jnp.stack(vec3.solve(K, f)))(K, F.turn))
+    return _Ends(F.move, jax.vmap(lambda K, f: jnp.stack(matrix(K).solve(f)))(K, F.turn))
 
 
 def _relative(step: _Ends, ends: _Ends) -> Array:
@@ -275,7 +274,7 @@ def _parts(q: Array) -> tuple[Array, Array]:
 
 
 def _well_conditioned(J: Array) -> Array:
-    return vec3.well_conditioned(vec3.symmetric(J))
+    return symmetric(J).well_conditioned
 
 
 PROPERTIES = SchemeProperties(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import symmetric
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, attitude_error_limit
@@ -43,7 +43,7 @@ class Exact(Step):
         return state._replace(q=q), exact_report(J, q, *report)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
+        if not symmetric(self.system.inertia).well_conditioned:
             return f"{self.name}: {SLENDER}"
         return (
             f"{self.name} lost its digits at dt = {dt}: rounding the state alone moves the attitude by more, as |Δt Ω| "
@@ -56,7 +56,7 @@ def exact_report(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -
     """The report of an exact flow to q, from the rounding errors that `_free_body.attitude` returns."""
     eps = float(jnp.finfo(q.dtype).eps)
     good = (length <= 1024 * eps) & (eps * condition <= attitude_error_limit(q.dtype))
-    return StepInfo(length, good & vec3.well_conditioned(vec3.symmetric(J)))
+    return StepInfo(length, good & symmetric(J).well_conditioned)
 
 
 @overload

@@ -81,7 +81,7 @@ class GroupAlpha(Step):
         dt = jnp.asarray(dt)
         midpoint, s = Equation.from_state(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
         m, a = midpoint.m, midpoint.a
-        equation = midpoint._replace(known=la.scaled(2 * (1 - alpha), a))
+        equation = midpoint._replace(known=2 * (1 - alpha) * a)
 
         def configuration(theta: la.Vector) -> Array:
             """q_{n+1−α}."""
@@ -98,9 +98,9 @@ class GroupAlpha(Step):
         def residual(theta: la.Vector) -> la.Vector:
             before = a
             if isinstance(self.system, AbstractMechanicalSystem):
-                before = la.plus(a, as_vector(m, s * group.Ad_star(q, force(theta))))
+                before = a + as_vector(m, s * group.Ad_star(q, force(theta)))
             after = coadjoint(tau, group, theta, before)
-            return equation.residual(theta, la.scaled(2 * alpha, after))
+            return equation.residual(theta, 2 * alpha * after)
 
         def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
             if not isinstance(self.system, AbstractMechanicalSystem):
@@ -112,8 +112,8 @@ class GroupAlpha(Step):
         size, start = size_unit(m, a), guess(group, m, a)
         if isinstance(self.system, AbstractMechanicalSystem):
             pull = as_vector(m, s * self.system.body_force(q))
-            size = size_unit(m, la.map_entries(jnp.maximum, la.map_entries(jnp.abs, a), la.map_entries(jnp.abs, pull)))
-            start = guess(group, m, la.plus(a, (0.5, pull)))
+            size = size_unit(m, la.map_entries(lambda x, y: jnp.maximum(jnp.abs(x), jnp.abs(y)), a, pull))
+            start = guess(group, m, a + 0.5 * pull)
         theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
         return state._replace(q=translate(tau, group, q, Theta), p=state.p + dt * force(theta)), info
 

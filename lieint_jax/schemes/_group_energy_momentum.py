@@ -91,14 +91,14 @@ class GroupEnergyMomentum(Step):
             return jnp.tensordot(jnp.asarray(_WEIGHTS, state.p.dtype), jax.vmap(self.system.force)(curve), 1)
 
         def residual(theta: la.Vector) -> la.Vector:
-            kicked = la.plus(a, as_vector(m, s * group.Ad_star(q, force(configurations(theta, _NODES)))))
+            kicked = a + as_vector(m, s * group.Ad_star(q, force(configurations(theta, _NODES))))
             return equation.residual(theta, coadjoint(tau, group, theta, kicked))
 
         def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
             return newton_matrix(equation, theta, F, force_jacobian(m, self.system, configurations(theta, 0.5), s / 2))
 
-        size = size_unit(m, la.map_entries(jnp.maximum, la.map_entries(jnp.abs, a), la.map_entries(jnp.abs, pull)))
-        start = guess(group, m, la.plus(a, (0.5, pull)))
+        size = size_unit(m, la.map_entries(lambda x, y: jnp.maximum(jnp.abs(x), jnp.abs(y)), a, pull))
+        start = guess(group, m, a + 0.5 * pull)
         theta, _, info = solved(equation, residual, matrix, size, start, self.iterations)
         curve = configurations(theta, np.append(_NODES, 1.0))
         return state._replace(q=curve[-1], p=state.p + dt * force(curve[:-1])), info

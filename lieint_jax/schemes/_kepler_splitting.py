@@ -16,9 +16,10 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import newton, vec3
+from lieint_jax._numerics import newton
 from lieint_jax._numerics.power_series import stumpff
 from lieint_jax._numerics.stages import scan_stages
+from lieint_jax._numerics.vec3 import dot, vector
 from lieint_jax.schemes._bodies_energy_momentum import BODIES
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._nystrom import Stages, mirror
@@ -81,9 +82,9 @@ class KeplerSplitting(Step):
 
     def _force(self, q: Array) -> Array:
         """The forces and torques of V₂, (2, 6): those of V without Kepler's attraction."""
-        m, d = self.system.masses, vec3.subtract(q[1], q[0])
-        r2 = vec3.dot(d, d)
-        kepler = vec3.scale(self.G * m[0] * m[1] / (r2 * jnp.sqrt(r2)), d)
+        m, d = self.system.masses, vector(q[1, :3] - q[0, :3])
+        r2 = dot(d, d)
+        kepler = self.G * m[0] * m[1] / (r2 * jnp.sqrt(r2)) * d
         on_first = jnp.stack([*kepler, *[jnp.zeros_like(r2)] * 3])
         return self.system.force(q) - jnp.stack([on_first, -on_first])
 
@@ -160,8 +161,8 @@ def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, A
 
     By universal variables: r₀G₁ + ηG₂ + μG₃ = Δt with G_k = sᵏc_k(βs²), β = 2μ/r₀ − |v|², η = d·v; on every conic.
     """
-    r0, eta = jnp.sqrt(vec3.dot(d, d)), vec3.dot(d, v)
-    beta = 2 * mu / r0 - vec3.dot(v, v)
+    r0, eta = jnp.sqrt(dot(d, d)), dot(d, v)
+    beta = 2 * mu / r0 - dot(v, v)
     bend = mu - beta * r0
 
     def powers(s: Array) -> tuple[Array, Array, Array, Array]:

@@ -24,8 +24,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import random_bits, vec3
+from lieint_jax._numerics import random_bits
 from lieint_jax._numerics.stages import scan_stages
+from lieint_jax._numerics.vec3 import symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
@@ -185,7 +186,7 @@ class Langevin(Step):
         decay, spread = jnp.exp(-rate * dt), jnp.sqrt(-jnp.expm1(-2 * rate * jnp.maximum(dt, 0)))
         before = so3.Ad_star(q, p)
         after = decay * before + spread * jnp.sqrt(self.temperature) * _root_times(J, noise)
-        mean_velocity = jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), before + after)) / 2
+        mean_velocity = jnp.stack(symmetric(J).solve(before + after)) / 2
         return so3.Ad(q, after), jnp.sum((after - before) * mean_velocity)
 
     def _extra_entry(self, state: State, name: str) -> Array:

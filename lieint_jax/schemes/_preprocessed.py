@@ -21,7 +21,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import dot, symmetric, unit_trace
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
@@ -70,11 +70,11 @@ class Preprocessed(Step):
 
         The third value is whether the series are accurate.
         """
-        J, r = vec3.unit_trace(self.system.inertia)
-        adj = vec3.adjugate(J)
-        C = vec3.dot(state.p, state.p) * (r * dt) ** 2 / 2
+        J, r = unit_trace(self.system.inertia)
+        adj = J.adjugate
+        C = dot(state.p, state.p) * (r * dt) ** 2 / 2
         H = self.system.energy(state) * r * dt * dt
-        s, d, holds = constants(vec3.trace(adj), vec3.determinant(J, adj), C, H, int(self.order) // 2 - 1)
+        s, d, holds = constants(adj.trace, J.det(adj), C, H, int(self.order) // 2 - 1)
         return s, d * r, holds
 
 
@@ -84,8 +84,8 @@ def with_modified_inertia(system: AbstractFreeBody, s: Scalar, d: Scalar, iterat
     if J.ndim == 1:
         modified = J / (s + d * J)
     else:
-        M = vec3.symmetric(s * jnp.eye(3, dtype=J.dtype) + d * J)
-        modified = jnp.stack([jnp.stack(vec3.solve_symmetric(M, J[:, k])) for k in range(3)], axis=1)
+        M = symmetric(s * jnp.eye(3, dtype=J.dtype) + d * J)
+        modified = jnp.stack([jnp.stack(M.solve(J[:, k])) for k in range(3)], axis=1)
     body = dataclasses.replace(system, inertia=modified)  # pyright: ignore[reportArgumentType, reportCallIssue]
     return SO3Midpoint(body, kappa_symplectic, iterations or ITERATIONS["scalar"])
 

@@ -27,21 +27,33 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import newton, vec3
-from lieint_jax._numerics.vec3 import Symmetric, Vector, add, apply, cross, dot, scale, subtract
+from lieint_jax._numerics import newton
+from lieint_jax._numerics.vec3 import (
+    Matrix,
+    Symmetric,
+    Vector,
+    cross,
+    dot,
+    hat,
+    matrix,
+    max_abs,
+    outer,
+    symmetric,
+    unit_trace,
+)
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.half_turn import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
-from lieint_jax.schemes._shared.vector_form import cross_apply, dense, gyroscopic, on_branch
+from lieint_jax.schemes._shared.vector_form import cross_apply, gyroscopic, on_branch
 from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, System, pytree, static
 
 
 def _motion(body: AbstractEmbeddedBody, state: State) -> State:
     """(Λ̇, π̇) = (ΛΩ̂, 0) with JΩ = Λ⁻¹π (2.12)."""
-    Omega = vec3.solve_symmetric(vec3.symmetric(body.inertia), vec3.solve(state.q, state.p))
-    return State(jnp.stack([jnp.stack(cross(row, Omega)) for row in state.q]), jnp.zeros_like(state.p))
+    Omega = symmetric(body.inertia).solve(matrix(state.q).solve(state.p))
+    return State(_times_hat(matrix(state.q), Omega).array, jnp.zeros_like(state.p))
 
 
 EMBEDDED = AcceptedSystems(
@@ -72,18 +84,18 @@ class SO3Alpha(Step):
         return f"so3_alpha[{self.kappa.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        J, r = vec3.unit_trace(self.system.inertia)
-        a = scale(0.5 * r * dt, vec3.solve(state.q, state.p))
+        J, r = unit_trace(self.system.inertia)
+        a = 0.5 * r * dt * matrix(state.q).solve(state.p)
         y, residual, good = _solve(self.kappa, self.alpha, J, a, self.iterations)
-        Theta = scale(2 * self.kappa(4 * dot(y, y)), y)
+        Theta = 2 * self.kappa(4 * dot(y, y)) * y
 
         residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
-        small = residual <= 32 * jnp.finfo(residual.dtype).eps * vec3.max_abs(a)
-        converged = small & good & vec3.well_conditioned(J) & _digits_left(state)
+        small = residual <= 32 * jnp.finfo(residual.dtype).eps * max_abs(a)
+        converged = small & good & J.well_conditioned & _digits_left(state)
         return state._replace(q=_rotated_attitude(state.q, self.alpha, Theta)), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
+        if not symmetric(self.system.inertia).well_conditioned:
             return f"{self.name}: {SLENDER}"
         return (
             f"{self.name} does not converge at dt = {dt}: use a smaller dt or more than {self.iterations} iterations. "
@@ -160,41 +172,44 @@ def _solve(kappa: Kappa, alpha: Array, J: Symmetric, a: Vector, iterations: int)
     b, c = 2 * (1 - alpha), 2 * alpha - 1  # w = b J y + c a
 
     def residual(y: Vector) -> Vector:
-        turned = add(scale(b, cross_apply(y, J)), scale(c, cross(y, a)))  # y × w
-        return subtract(add(apply(J, y), scale(kappa(4 * dot(y, y)), turned)), a)
+        return J @ y + kappa(4 * dot(y, y)) * y_cross_w(y) - a
 
-    def matrix(y: Vector) -> vec3.Matrix:
+    def y_cross_w(y: Vector) -> Vector:
+        return b * cross_apply(y, J) + c * cross(y, a)
+
+    def jacobian(y: Vector) -> Matrix:
         """J + κ(b(ŷJ − (Jy)^) − c â) + 8κ′(y × w)⊗y."""
-        bent = vec3.combine(vec3.scale_matrix(b, gyroscopic(J, y)), vec3.hat(a), -c)
+        G = b * gyroscopic(J, y) - c * hat(a)
         if kappa.constant:
-            return vec3.combine(dense(J), bent)
+            return J.rows + G
         k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
-        g = scale(slope, add(scale(b, cross_apply(y, J)), scale(c, cross(y, a))))
-        return vec3.combine(vec3.combine(dense(J), bent, k), [scale(g[i], y) for i in range(3)])
+        return J.rows + k * G + outer(slope * y_cross_w(y), y)
 
     def correction(y: Vector, f: Vector) -> Vector:
-        return vec3.solve(matrix(y), f)
+        return jacobian(y).solve(f)
 
-    u = vec3.solve_symmetric(J, a)
-    guess = add(u, vec3.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
+    u = J.solve(a)
+    guess = u + J.solve(cross(a, u))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
     y, f, steady = newton.root(residual, correction, guess, iterations)
-    return y, f, steady & on_branch(kappa, y, matrix(lax.stop_gradient(y)))
+    return y, f, steady & on_branch(kappa, y, jacobian(lax.stop_gradient(y)))
 
 
 def _rotated_attitude(q: Array, alpha: Array, Theta: Vector) -> Array:
-    """Λ T_α(Θ), row by row: Λ + (ΛΘ̂ + αΛΘ̂²)/(1 + α²|Θ|²)."""
-    r = 1 / (1 + alpha * alpha * dot(Theta, Theta))
-    rows = []
-    for row in q:
-        first = cross(row, Theta)
-        rows.append(jnp.stack(add(row, scale(r, add(first, scale(alpha, cross(first, Theta)))))))
-    return jnp.stack(rows)
+    """Λ T_α(Θ) = Λ + (ΛΘ̂ + αΛΘ̂²)/(1 + α²|Θ|²)."""
+    r, L = 1 / (1 + alpha * alpha * dot(Theta, Theta)), matrix(q)
+    first = _times_hat(L, Theta)
+    return (L + r * (first + alpha * _times_hat(first, Theta))).array
+
+
+def _times_hat(A: Matrix, v: Vector) -> Matrix:
+    """A v̂."""
+    return Matrix(cross(row, v) for row in A)
 
 
 def _digits_left(state: State) -> Array:
     """Whether Π = Λ⁻¹π is accurate enough: rounding of Λ changes it by eps |Λ⁻¹||Λ|, relative."""
     q = lax.stop_gradient(state.q)
     eps = jnp.finfo(q.dtype).eps
-    cofactors = jnp.stack([jnp.stack(cross(q[i], q[(i + 1) % 3])) for i in range(3)])
-    condition = jnp.max(jnp.abs(cofactors)) * jnp.max(jnp.abs(q)) / jnp.abs(vec3.det(q))
+    A = matrix(q)
+    condition = max_abs(*A.cofactors) * max_abs(*A) / jnp.abs(A.det())
     return eps * condition <= attitude_error_limit(q.dtype)

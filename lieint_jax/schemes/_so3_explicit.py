@@ -19,8 +19,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import dot
+from lieint_jax._numerics.vec3 import dot, max_abs
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.half_turn import scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
@@ -60,20 +59,20 @@ class SO3Explicit(Step):
 
     def with_constants(self, state: State, dt: ArrayLike) -> Self:
         J, a = scaled(self.system, state, dt)
-        C = vec3.adjugate(J)
-        Ca = vec3.apply(C, a)
+        C = J.adjugate
+        Ca = C @ a
         lever = lax.stop_gradient(4 * dot(a, a) * dot(Ca, Ca))  # |a × adj(J)a|² is at most a quarter of it
         there = lever > jnp.finfo(a.dtype).tiny
-        gain = jnp.where(there, _FEEDBACK * vec3.determinant(J, C) / jnp.where(there, lever, 1), 0)
+        gain = jnp.where(there, _FEEDBACK * J.det(C) / jnp.where(there, lever, 1), 0)
         return dataclasses.replace(self, m=scalar_root(J, a, _ITERATIONS), gain=lax.stop_gradient(gain))
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step. A prepared step requires a state of its trajectory and its dt; otherwise it prepares itself."""
         J, a = scaled(self.system, state, dt)
         h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)
-        residual = lax.stop_gradient(vec3.max_abs(scalar_residual(J, a, h)))
-        converged = (residual <= _DRIFT * jnp.finfo(a.dtype).eps * vec3.max_abs(a)) & (dot(h, h) <= 1)
-        converged &= vec3.well_conditioned(J)
+        residual = lax.stop_gradient(max_abs(scalar_residual(J, a, h)))
+        converged = (residual <= _DRIFT * jnp.finfo(a.dtype).eps * max_abs(a)) & (dot(h, h) <= 1)
+        converged &= J.well_conditioned
         return state._replace(q=so3.cayley_increment(state.q, h)), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:

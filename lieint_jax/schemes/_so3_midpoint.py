@@ -34,8 +34,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import add, cross, dot, subtract
+from lieint_jax._numerics.vec3 import cross, dot, symmetric, vector
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.schemes._shared.half_turn import ITERATIONS, bias, half_turn, scaled
@@ -96,10 +95,10 @@ class SO3Midpoint(Step):
         h, info = half_turn(J, a, self.kappa, self.iterations)
 
         def propagate(tangent: Array) -> Array:
-            theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
+            theta, p = vector(tangent[:3]), vector(tangent[3:]) - cross(tangent[:3], state.p)
             da = scaled(body, state._replace(p=jnp.stack(p)), dt)[1]
             dh = half_turn_derivative(J, a, h, da)
-            return jnp.stack([*add(theta, so3.Ad(state.q, dh)), *tangent[3:]])
+            return jnp.stack([*(theta + so3.Ad(state.q, dh)), *tangent[3:]])
 
         T = lax.map(propagate, T.T).T  # vmap would take 1.4 times as long
         return state._replace(q=so3.cayley_increment(state.q, h)), info, T
@@ -113,7 +112,7 @@ class SO3Midpoint(Step):
         if state.work is None:
             return end, info
         own = 0.5 * (so3.Ad_star(state.q, state.p) + so3.Ad_star(end.q, end.p)) - mean  # JΩ̄
-        Omega = vec3.solve_symmetric(vec3.symmetric(system.inertia), own)
+        Omega = symmetric(system.inertia).solve(own)
         return end._replace(work=state.work - dot(Omega, change)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -123,7 +122,7 @@ class SO3Midpoint(Step):
         more = f", or more iterations than {self.iterations}" if turn < 1 else ""  # beyond, Newton may fail to converge
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
-        if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
+        if not symmetric(self.system.inertia).well_conditioned:
             return f"{self.name}: {SLENDER}"
         return (
             f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the rotation in a step, rad; the branch "

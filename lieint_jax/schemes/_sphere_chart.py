@@ -62,10 +62,10 @@ class SphereChart(Step):
             return u - dt * rate(z + u / 2)
 
         def matrix(u: Array) -> la.Matrix:
-            return la.as_list(jax.jacfwd(residual)(u))
+            return la.unrolled(jax.jacfwd(residual)(u))
 
         def correction(u: Array, f: Array) -> Array:
-            return jnp.stack(la.eliminate(matrix(u), la.as_list(f))[0])
+            return jnp.stack(la.eliminate(matrix(u), la.unrolled(f))[0])
 
         first = dt * rate(z)
         momentum = jnp.where(_largest(z[2:]) > 0, _largest(z[2:]), _largest(first[2:]))  # the latter from rest
@@ -77,7 +77,7 @@ class SphereChart(Step):
         error = _largest(f / unit)
         inside = jnp.minimum(jnp.sin(after[0]), jnp.sin(z[0] + u[0] / 2)) > _pole(z.dtype)
         inside &= (after[0] > 0) & (after[0] < np.pi) & ~near
-        unfolded = la.determinant(la.as_list(lax.stop_gradient(jax.jacfwd(residual)(u)))) > 0
+        unfolded = la.determinant(la.unrolled(lax.stop_gradient(jax.jacfwd(residual)(u)))) > 0
         small = error <= 32 * jnp.finfo(error.dtype).eps * (1 + _largest(u / unit))
         end = self.chart.state(after)
         return state._replace(q=end.q, p=end.p), StepInfo(error, small & steady & inside & unfolded)

@@ -17,7 +17,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
-from lieint_jax._numerics import newton, vec3
+from lieint_jax._numerics import newton
+from lieint_jax._numerics.vec3 import cross, dot, matrix, max_abs
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, System, autodiff_gradient, pytree, static
@@ -62,25 +63,25 @@ class SphereMidpoint(Step):
         def torque(u: Array) -> tuple[Array, Array]:
             """r, and −Δt r × ∇V(r)."""
             r = q + u / 2
-            r = r / jnp.sqrt(vec3.dot(r, r)) if self.normalized else r
-            return r, -dt * jnp.stack(vec3.cross(r, autodiff_gradient(self.system.potential)(r)))
+            r = r / jnp.sqrt(dot(r, r)) if self.normalized else r
+            return r, -dt * jnp.stack(cross(r, autodiff_gradient(self.system.potential)(r)))
 
         def equation(u: Array) -> Array:
             r, change = torque(u)
-            return u - h * jnp.stack(vec3.cross(p + change / 2, r))
+            return u - h * jnp.stack(cross(p + change / 2, r))
 
         def correction(u: Array, f: Array) -> Array:
-            return jnp.stack(vec3.solve(jax.jacfwd(equation)(u), f))
+            return jnp.stack(matrix(jax.jacfwd(equation)(u)).solve(f))
 
         kicked = p + torque(jnp.zeros_like(q))[1] / 2
-        first = h * jnp.stack(vec3.cross(kicked, q))
-        guess = first + h / 2 * jnp.stack(vec3.cross(kicked, first))
+        first = h * jnp.stack(cross(kicked, q))
+        guess = first + h / 2 * jnp.stack(cross(kicked, first))
         u, f, steady = newton.root(equation, correction, guess, self.iterations)
-        residual = lax.stop_gradient(vec3.max_abs(f))
+        residual = lax.stop_gradient(max_abs(f))
         # with a positive K the equation is monotone, so it has one root; without normalization that is a proof
-        K = vec3.plus_transpose(lax.stop_gradient(jax.jacfwd(equation)(u)))
-        unique = vec3.positive_definite(K) & (jnp.abs(h) * jnp.sqrt(vec3.dot(p, p)) < _TURN)
-        converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (vec3.dot(u, u) < 4) & steady & unique
+        K = matrix(lax.stop_gradient(jax.jacfwd(equation)(u))).plus_transpose()
+        unique = K.positive_definite & (jnp.abs(h) * jnp.sqrt(dot(p, p)) < _TURN)
+        converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (dot(u, u) < 4) & steady & unique
         return state._replace(q=q + u, p=p + torque(u)[1]), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:

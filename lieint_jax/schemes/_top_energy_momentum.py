@@ -17,8 +17,7 @@ moments replaces γ × e and w. Result 7 at each frozen time gives, exactly and 
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -28,9 +27,20 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import newton, vec3
+from lieint_jax._numerics import newton
 from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
-from lieint_jax._numerics.vec3 import Symmetric, Vector, add, cross, dot, scale, subtract
+from lieint_jax._numerics.vec3 import (
+    Matrix,
+    Symmetric,
+    Vector,
+    cross,
+    dot,
+    max_abs,
+    outer,
+    symmetric,
+    unit_trace,
+    vector,
+)
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
@@ -92,11 +102,11 @@ class TopEnergyMomentum(Step):
         fields = _fields(self.system, state, dt)
         y, gradients, info = self._solve(fields, state, dt)
         k = self.kappa(4 * dot(y, y))
-        h = scale(k, y)
-        p = state.p
+        h = k * y
+        p = vector(state.p)
         for field, D in zip(fields, gradients, strict=True):
-            e = so3.Ad(q, scale(k, _half_turn(h, D)))
-            p = add(p, scale(field.share * dt, cross(field.axis, e)))
+            e = so3.Ad(q, k * _half_turn(h, D))
+            p = p + field.share * dt * cross(field.axis, e)
         q = [x + d for x, d in zip(q, so3.cayley_difference(q, h), strict=True)]
         # stacked last: many kernels read them, number by number
         after = state._replace(q=jnp.stack(q), p=jnp.stack(p))
@@ -115,7 +125,7 @@ class TopEnergyMomentum(Step):
         equation, linear = _Equation.from_state(self, fields, state, dt), _is_linear(self.system.potential)
         guess, count = equation.guess(), self.iterations
         y, f, steady = newton.root(equation.residual, equation.correction, guess, count, unroll=linear)
-        good = vec3.well_conditioned(equation.J) & steady
+        good = equation.J.well_conditioned & steady
         gradients, at = equation.gradients(equation.turn(y)[1]), lax.stop_gradient(y)
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
         good &= on_branch(self.kappa, at, equation.matrix(at))
@@ -194,26 +204,24 @@ class _Field(NamedTuple):
         """Ṽ(Γ) at this time."""
         return self.potential(jnp.stack(Gamma), *self.at)
 
-    def gradient(self, h: Vector) -> Array:
+    def gradient(self, h: Vector) -> Vector:
         """D̄ between Γ_n and Γ_{n+1} at this time."""
-        return discrete_gradient(
-            self.potential, jnp.stack(self.Gamma), jnp.stack(_rotated_axis(h, self.Gamma)), *self.at
-        )
+        ends = (jnp.stack(Gamma) for Gamma in (self.Gamma, _rotated_axis(h, self.Gamma)))
+        return vector(discrete_gradient(self.potential, *ends, *self.at))
 
-    def force_jacobian(self, h: Vector) -> vec3.Matrix:
+    def force_jacobian(self, h: Vector) -> Matrix:
         """The columns Γ × S(Γ × eᵢ), with S = 2∂D̄/∂Γ_{n+1} up to O(ΔΓ²)."""
-        at = jnp.stack(add(self.Gamma, scale(2, _rotated_axis(h, self.Gamma)))) / 3
-        S = vec3.symmetric(jax.hessian(self.potential)(at, *self.at))
-        return [
-            cross(self.Gamma, vec3.apply(S, cross(self.Gamma, e))) for e in np.eye(3).tolist()
-        ]  # Python's numbers have no type of their own
+        at = jnp.stack(self.Gamma + 2 * _rotated_axis(h, self.Gamma)) / 3
+        S = symmetric(jax.hessian(self.potential)(at, *self.at))
+        axes = np.eye(3).tolist()  # Python's numbers have no type of their own
+        return Matrix(cross(self.Gamma, S @ cross(self.Gamma, e)) for e in axes)
 
 
 def _fields(system: AbstractTop | AbstractDrivenTop, state: State, dt: ArrayLike) -> tuple[_Field, ...]:
     """The fields that act in a step from a state: one field, or half of the field at each of two times."""
 
     def field(axis: Array, at: tuple[Array, ...], share: float) -> _Field:
-        return _Field(system.potential, axis, vec3.components(so3.Ad_star(state.q, axis)), at, share)
+        return _Field(system.potential, axis, vector(so3.Ad_star(state.q, axis)), at, share)
 
     if isinstance(system, AbstractDrivenTop):
         t = clock(state)
@@ -240,62 +248,61 @@ class _Equation(NamedTuple):
     @classmethod
     def from_state(cls, step: TopEnergyMomentum, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> _Equation:
         """The equation of a step from a state."""
-        J, r = vec3.unit_trace(step.system.inertia)
-        a = scale(0.5 * r * dt, so3.Ad_star(state.q, state.p))
+        J, r = unit_trace(step.system.inertia)
+        a = 0.5 * r * dt * vector(so3.Ad_star(state.q, state.p))
         return cls(step.kappa, J, a, tuple((field, field.share * 0.25 * r * dt * dt) for field in fields))
 
     def turn(self, y: Vector) -> tuple[Array, Vector]:
         """κ and h."""
         k = self.kappa(4 * dot(y, y))
-        return k, scale(k, y)
+        return k, k * y
 
-    def gradients(self, h: Vector) -> list[Array]:
+    def gradients(self, h: Vector) -> list[Vector]:
         """D̄ of each field."""
         return [field.gradient(h) for field, _ in self.fields]
 
     def residual(self, y: Vector) -> Vector:
         """(1 + |h|²)(Jy + h × Jy − a − w) + (h·w) h."""
         k, h = self.turn(y)
-        w = _sum(_moment(h, field.Gamma, scale(k, scale(s, field.gradient(h)))) for field, s in self.fields)
-        balance = subtract(subtract(gyration(self.kappa, self.J, y), self.a), w)
-        return add(scale(1 + dot(h, h), balance), scale(dot(h, w), h))
+        w = sum(_moment(h, field.Gamma, k * (s * field.gradient(h))) for field, s in self.fields)
+        return (1 + dot(h, h)) * (gyration(self.kappa, self.J, y) - self.a - w) + dot(h, w) * h
 
-    def matrix(self, y: Vector) -> vec3.Matrix:
+    def matrix(self, y: Vector) -> Matrix:
         """∂/∂y over 1 + |h|², without κ′ in the moment and O(Δt⁴); the last two terms are those of (h·w) h."""
         (k, h), K = self.turn(y), gyration_matrix(self.kappa, self.J, y)
         for field, s in self.fields:
-            Gamma, F = field.Gamma, scale(k * k, scale(s, field.gradient(h)))  # sκ²D̄
+            Gamma, F = field.Gamma, k * k * (s * field.gradient(h))  # sκ²D̄
             w = _moment(h, Gamma, F)
             d = dot(Gamma, F) - dot(h, w)
             if not _is_linear(field.potential):
-                K = vec3.combine(K, field.force_jacobian(h), -s * k * k)
-            K = [[K[i][j] - (d if i == j else 0) + Gamma[i] * F[j] + h[i] * w[j] for j in range(3)] for i in range(3)]
+                K = K - s * k * k * field.force_jacobian(h)
+            K = K - Symmetric((d, d, d)) + outer(Gamma, F) + outer(h, w)
         return K
 
     def correction(self, y: Vector, f: Vector) -> Vector:
         """Newton's step."""
         _, h = self.turn(y)
-        return vec3.solve(self.matrix(y), f, 1 + dot(h, h))
+        return self.matrix(y).solve(f, 1 + dot(h, h))
 
     def guess(self) -> Vector:
         """½(ΔtΩ + ½Δt²Ω̇): second order."""
-        u = vec3.solve_symmetric(self.J, self.a)
-        still = jnp.zeros_like(jnp.stack(self.a))
-        torque = _sum(scale(s, cross(field.Gamma, field.gradient(still))) for field, s in self.fields)
-        return add(u, vec3.solve_symmetric(self.J, add(cross(self.a, u), torque)))
+        u = self.J.solve(self.a)
+        still = Vector(map(jnp.zeros_like, u))
+        torque = sum(s * cross(field.Gamma, field.gradient(still)) for field, s in self.fields)
+        return u + self.J.solve(cross(self.a, u) + torque)
 
-    def size(self, gradients: list[Array], y: Vector) -> Array:
+    def size(self, gradients: list[Vector], y: Vector) -> Array:
         """The size of the terms of the equation, by which its rounding errors are measured.
 
         The size of the force is |D̄|, and |Ṽ|/|ΔΓ| where D̄ is corrected.
         """
-        total = vec3.max_abs(self.a)
+        total = max_abs(self.a)
         for (field, s), D in zip(self.fields, gradients, strict=True):
-            step = scale(2, cross(field.Gamma, y))
+            step = 2 * cross(field.Gamma, y)
             square = dot(step, step)
             corrected = (square > _APART / 4) & (not hasattr(field.potential, "discrete_gradient"))
             noise = jnp.abs(field.value(field.Gamma)) / jnp.sqrt(jnp.where(corrected, square, 1))
-            total = total + s * vec3.max_abs(field.Gamma) * (vec3.max_abs(D) + jnp.where(corrected, noise, 0))
+            total = total + s * max_abs(field.Gamma) * (max_abs(D) + jnp.where(corrected, noise, 0))
         return total
 
 
@@ -310,10 +317,6 @@ def discrete_gradient(potential: Callable[..., Array], a: Vector3, b: Vector3, *
     return by_quadrature(potential, a, b, _APART, *t)
 
 
-def _sum(vectors: Iterable[Vector]) -> Vector:
-    return functools.reduce(add, vectors)
-
-
 def _is_linear(potential: Callable[..., Array]) -> bool:
     return getattr(potential, "linear", False)
 
@@ -321,17 +324,17 @@ def _is_linear(potential: Callable[..., Array]) -> bool:
 def _rotated_axis(h: Vector, Gamma: Vector) -> Vector:
     """Γ_{n+1} = cay(2h)ᵀΓ = Γ + 2(h × (h × Γ) − h × Γ)/(1 + |h|²)."""
     x = cross(h, Gamma)
-    return add(Gamma, scale(2 / (1 + dot(h, h)), subtract(cross(h, x), x)))
+    return Gamma + 2 / (1 + dot(h, h)) * (cross(h, x) - x)
 
 
 def _half_turn(h: Vector, D: Vector) -> Vector:
     """½(1 + cay(2h))D = (D + h × D + h(h·D))/(1 + |h|²)."""
-    return scale(1 / (1 + dot(h, h)), add(add(D, cross(h, D)), scale(dot(h, D), h)))
+    return 1 / (1 + dot(h, h)) * (D + cross(h, D) + dot(h, D) * h)
 
 
 def _moment(h: Vector, Gamma: Vector, D: Vector) -> Vector:
     """w = (Γ − h × Γ) × D = Γ × D + (Γ·D)h − (h·D)Γ."""
-    return subtract(add(cross(Gamma, D), scale(dot(Gamma, D), h)), scale(dot(h, D), Gamma))
+    return cross(Gamma, D) + dot(Gamma, D) * h - dot(h, D) * Gamma
 
 
 PROPERTIES = SchemeProperties(

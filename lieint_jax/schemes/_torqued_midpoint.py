@@ -20,7 +20,7 @@ Internal friction adds a rotation, but no torque. With Π̄ = ½(Π_n + Π_{n+1}
 from __future__ import annotations
 
 import functools
-import itertools
+import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -30,9 +30,9 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import newton, vec3
+from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vec3 import Symmetric, Vector, add, cross, dot, scale, subtract
+from lieint_jax._numerics.vec3 import Matrix, Symmetric, Vector, components, cross, dot, max_abs, unit_trace, vector
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
@@ -165,39 +165,39 @@ class DampedMidpoint(Step):
         return f"torqued_midpoint[{self.kappa.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        J, r = vec3.unit_trace(self.system.inertia)
-        alpha, unit = self.system.friction / r, scale(r, so3.Ad_star(state.q, state.p))  # αΠ, Π/tr J
+        J, r = unit_trace(self.system.inertia)
+        alpha, unit = self.system.friction / r, r * vector(so3.Ad_star(state.q, state.p))  # αΠ, Π/tr J
 
         def turn(P: Vector) -> tuple[Vector, Vector]:
             """Ω̄ and y = ½Θ̄ for P = Π̄/tr J."""
-            Omega = vec3.solve_symmetric(J, P)
-            return Omega, scale(0.5 * dt, add(Omega, internal_friction(alpha, P, Omega)))
+            Omega = J.solve(P)
+            return Omega, 0.5 * dt * (Omega + internal_friction(alpha, P, Omega))
 
         def balance(P: Vector) -> Vector:
             """Π̄ + h × Π̄, over tr J."""
             y = turn(P)[1]
-            return add(P, scale(self.kappa(4 * dot(y, y)), cross(y, P)))
+            return P + self.kappa(4 * dot(y, y)) * cross(y, P)
 
         def correction(P: Vector, f: Vector) -> Vector:
-            return vec3.solve(_jacobian(balance, P), f)
+            return _jacobian(balance, P).solve(f)
 
-        size = lax.stop_gradient(vec3.max_abs(unit))
+        size = lax.stop_gradient(max_abs(unit))
         per = 1 / jnp.where(size > 0, size, 1)
         P, f, steady = newton.root(
-            lambda P: subtract(balance(P), unit),
+            lambda P: balance(P) - unit,
             correction,
-            tuple(unit),
+            unit,
             self.iterations,
             unroll=False,
-            length=lambda step: per * lax.stop_gradient(vec3.max_abs(step)),
+            length=lambda step: per * lax.stop_gradient(max_abs(step)),
         )
         Omega, y = turn(P)
         k = self.kappa(4 * dot(y, y))
         at = lax.stop_gradient
-        good = steady & vec3.well_conditioned(J)
-        good &= on_branch(self.kappa, at(y), _jacobian(balance, tuple(at(x) for x in P)))
+        good = steady & J.well_conditioned
+        good &= on_branch(self.kappa, at(y), _jacobian(balance, at(P)))
         f = at(jnp.sqrt(dot(f, f)))
-        q = so3.cayley_increment(state.q, jnp.stack(scale(k, y)))
+        q = so3.cayley_increment(state.q, jnp.stack(k * y))
         slip = cross(P, Omega)
         work = None if state.work is None else state.work - k * dt * alpha / r * dot(slip, slip)
         info = StepInfo(f * jnp.abs(0.5 * dt), (f <= 32 * jnp.finfo(f.dtype).eps * size) & good)
@@ -339,15 +339,15 @@ class _Equation(NamedTuple):
     def from_state(cls, step: TorquedMidpoint, state: State, dt: Any) -> _Equation:
         """The equation of a step from a state."""
         system = step.system
-        J, r = vec3.unit_trace(system.inertia)
-        Pi = vec3.components(r * so3.Ad_star(state.q, state.p))
+        J, r = unit_trace(system.inertia)
+        Pi = vector(r * so3.Ad_star(state.q, state.p))
         inner = tuple(_inner(state, law) for law in system.laws)
         return cls(step.kappa, system.laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
 
     @property
     def a(self) -> Vector:
         """½ΔtΠ_n."""
-        return scale(0.5 * self.dt, self.Pi)
+        return 0.5 * self.dt * self.Pi
 
     @property
     def implicit_states(self) -> Vector:
@@ -357,11 +357,10 @@ class _Equation(NamedTuple):
     def rotation(self, y: Vector) -> Rotation:
         """The rotation of a step, the argument of the laws."""
         q, k = self.q, self.kappa(4 * dot(y, y))
-        h = jnp.stack(scale(k, y))
+        h = jnp.stack(k * y)
         moves = self.dt != 0
         per = 2 / jnp.where(moves, self.dt, 1)
-        at_once = vec3.solve_symmetric(self.J, self.Pi)
-        Omega = jnp.stack([jnp.where(moves, per * y[i], at_once[i]) for i in range(3)])
+        Omega = jnp.stack([jnp.where(moves, *rates) for rates in zip(per * y, self.J.solve(self.Pi), strict=True)])
         half = so3.cayley_increment(q, h / (1 + jnp.sqrt(1 + dot(h, h))))
         return Rotation(self.t, self.dt, q, half, so3.cayley_increment(q, h), h, k, Omega, so3.Ad(q, Omega))
 
@@ -391,11 +390,11 @@ class _Equation(NamedTuple):
     def sides(self, rotation: Rotation, z: Vector) -> Vector:
         """sT̄, with T̄ = ΣT̄_k in the body; and what the laws make of z."""
         found = self.torques(rotation, z)
-        terms = [] if found.body is None else [vec3.components(found.body)]
+        terms = [] if found.body is None else [vector(found.body)]
         if found.space is not None:
-            T = so3.Ad_star(rotation.q_n, found.space)
-            terms.append(subtract(T, cross(rotation.h, T)))
-        sT = scale(0.5 * self.dt * self.half_dt, functools.reduce(add, terms))
+            T = vector(so3.Ad_star(rotation.q_n, found.space))
+            terms.append(T - cross(rotation.h, T))
+        sT = 0.5 * self.dt * self.half_dt * sum(terms)
         changes = (
             self.half_dt * (after - before)
             for law, (_, before, after) in zip(self.laws, found.each, strict=True)
@@ -405,42 +404,41 @@ class _Equation(NamedTuple):
 
     def sides_at(self, x: Vector) -> Vector:
         """`sides` as a function of the unknowns."""
-        return self.sides(self.rotation(x[:3]), x[3:])
+        return self.sides(self.rotation(Vector(x[:3])), x[3:])
 
     def residual(self, x: Vector) -> Vector:
         """Jy + κ y × Jy − a − sT̄, and z less what the laws make of it."""
-        side = self.sides_at(x)
-        free = subtract(gyration(self.kappa, self.J, x[:3]), self.a)
-        return tuple(left - right for left, right in zip((*free, *x[3:]), side, strict=True))
+        free = gyration(self.kappa, self.J, Vector(x[:3])) - self.a
+        return Vector((*free, *x[3:])) - self.sides_at(x)
 
     def correction(self, x: Vector, f: Vector) -> Vector:
         """Newton's step."""
-        return tuple(la.solve(self._matrix(x, _jacobian(self.sides_at, x)), list(f)))
+        return la.solve(self._matrix(x, _jacobian(self.sides_at, x)), f)
 
-    def _matrix(self, x: Vector, *of_sides: la.Matrix) -> la.Matrix:
+    def _matrix(self, x: Vector, *of_sides: Matrix) -> Matrix:
         """The derivative of the residual, that of `sides` being the sum of matrices."""
-        K, n = gyration_matrix(self.kappa, self.J, x[:3]), len(x)
-        free = [[K[i][j] if max(i, j) < 3 else float(i == j) for j in range(n)] for i in range(n)]
-        return la.combination((1.0, free), *((-1.0, A) for A in of_sides))
+        K, n = gyration_matrix(self.kappa, self.J, Vector(x[:3])), len(x)
+        free = Matrix((K[i][j] if max(i, j) < 3 else float(i == j) for j in range(n)) for i in range(n))
+        return functools.reduce(operator.sub, of_sides, free)
 
     def solve(self, iterations: int) -> tuple[Vector, Vector, StepInfo]:
         """y, z, and the report."""
         at = lax.stop_gradient
-        u = vec3.solve_symmetric(self.J, self.a)  # ½ΔtΩ_n
-        f = self.residual((*u, *(jnp.zeros_like(u[0]) for _ in self.implicit_states)))
-        push = vec3.solve_symmetric(self.J, f[:3])
-        granted = at(_max_abs(u, f[3:]) + vec3.max_abs(push))
-        short = vec3.max_abs(push) <= _SHORT * vec3.max_abs(u)
-        guess = (*subtract(u, [jnp.where(short, x, 0) for x in push]), *(-x for x in f[3:]))
+        u = self.J.solve(self.a)  # ½ΔtΩ_n
+        f = self.residual(Vector((*u, *(jnp.zeros_like(u[0]) for _ in self.implicit_states))))
+        push = self.J.solve(f[:3])
+        granted = at(max_abs(u, f[3:]) + max_abs(push))
+        short = max_abs(push) <= _SHORT * max_abs(u)
+        guess = Vector((*(u - Vector(jnp.where(short, x, 0) for x in push)), *(-x for x in f[3:])))
         x, f, steady = newton.root(
             self.residual, self.correction, guess, iterations, done=newton.quadratic, first=granted
         )
-        branch, sizes = self.judge(tuple(at(component) for component in x))
-        good = steady & branch & vec3.well_conditioned(self.J) & jnp.isfinite(at(self.t))
+        branch, sizes = self.judge(at(x))
+        good = steady & branch & self.J.well_conditioned & jnp.isfinite(at(self.t))
         errors = [at(jnp.sqrt(sum(r * r for r in rows))) for rows in (f[:3], f[3:]) if rows]
         for error, size in zip(errors, sizes, strict=True):
             good &= error <= 32 * jnp.finfo(error.dtype).eps * at(size)
-        return x[:3], x[3:], StepInfo(functools.reduce(jnp.maximum, errors), good)
+        return Vector(x[:3]), x[3:], StepInfo(functools.reduce(jnp.maximum, errors), good)
 
     def judge(self, x: Vector) -> tuple[Array, list[Array]]:
         """Whether x is on the branch from Δt = 0, and the sizes of the terms, which measure their rounding errors.
@@ -448,63 +446,59 @@ class _Equation(NamedTuple):
         Attitudes, velocities and internal states have rounding errors of their own size, so the laws contribute their
         own size and those of their derivatives by all of these. There is a size for y and, if it exists, one for z.
         """
-        y, z, now = x[:3], x[3:], self.rotation(x[:3])
+        y, z = Vector(x[:3]), x[3:]
+        now = self.rotation(y)
 
         def by_attitude(x: Vector) -> Vector:
             """`sides` at a constant velocity and constant internal states."""
-            return self.sides(self.rotation(x[:3])._replace(Omega=now.Omega, omega=now.omega), z)
+            return self.sides(self.rotation(Vector(x[:3]))._replace(Omega=now.Omega, omega=now.omega), z)
 
         def by_velocity(x: Vector) -> Vector:
             """`sides` at a constant attitude and constant internal states."""
-            moved = self.rotation(x[:3])
+            moved = self.rotation(Vector(x[:3]))
             return self.sides(now._replace(Omega=moved.Omega, omega=moved.omega), z)
 
         def by_states(x: Vector) -> Vector:
             """`sides` for one rotation."""
             return self.sides(now, x[3:])
 
-        speed = vec3.max_abs(y) / jnp.maximum(1, vec3.max_abs(vec3.components(now.h)))  # h may enlarge h × T at will
+        speed = max_abs(y) / jnp.maximum(1, max_abs(vector(now.h)))  # h may enlarge h × T at will
         here, A = _value_and_jacobian(by_attitude, x)
         changes = [(1, A), (speed, _jacobian(by_velocity, x))]
-        states = _max_abs([self.half_dt * state for state in self.implicit_states], z) if z else speed
+        states = max_abs([self.half_dt * state for state in self.implicit_states], z) if z else speed
         if z:
             changes.append((states, _jacobian(by_states, x)))
         K = self._matrix(x, *(A for _, A in changes))
 
         def size(rows: slice, own: Array) -> Array:
-            terms = [weight * _max_abs(*A[rows]) for weight, A in changes]
-            return own + functools.reduce(jnp.maximum, terms, _max_abs(here[rows]))
+            terms = [weight * max_abs(*A[rows]) for weight, A in changes]
+            return own + functools.reduce(jnp.maximum, terms, max_abs(here[rows]))
 
         first, last = slice(3), slice(3, None)
         if not z:
-            return on_branch(self.kappa, y, K), [size(first, vec3.max_abs(self.a))]
-        inner = la.factored([row[3:] for row in K[3:]])
-        columns = [inner.solve([row[j] for row in K[3:]]) for j in range(3)]  # of K_zz⁻¹ K_zy
-        rest = [[K[i][j] - la.dot(K[i][3:], columns[j]) for j in range(3)] for i in range(3)]
+            return on_branch(self.kappa, y, K), [size(first, max_abs(self.a))]
+        inner = la.factored(Matrix(row[3:] for row in K[3:]))
+        columns = [inner.solve(Vector(row[j] for row in K[3:])) for j in range(3)]  # of K_zz⁻¹ K_zy
+        rest = Matrix((K[i][j] - dot(K[i][3:], columns[j]) for j in range(3)) for i in range(3))
         branch = on_branch(self.kappa, y, rest) & inner.positive
-        return branch, [size(first, vec3.max_abs(self.a)), size(last, states)]
+        return branch, [size(first, max_abs(self.a)), size(last, states)]
 
 
 def _flat(arrays: Iterable[Array]) -> tuple[Array, ...]:
     """The entries of arrays, one after the other."""
-    return tuple(x for array in arrays for x in vec3.components(array.reshape(-1)))
+    return tuple(x for array in arrays for x in components(array.reshape(-1)))
 
 
-def _max_abs(*vectors: Sequence[Array]) -> Array:
-    """The largest size of a component."""
-    return functools.reduce(jnp.maximum, [jnp.abs(x) for x in itertools.chain(*vectors)])
-
-
-def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> la.Matrix:
+def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> Matrix:
     """The derivative of a function of components, as rows."""
     return _value_and_jacobian(function, x)[1]
 
 
-def _value_and_jacobian(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, la.Matrix]:
+def _value_and_jacobian(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, Matrix]:
     """A function of components, and its derivative as rows."""
 
     def derivative(axis: Array) -> tuple[Vector, Vector]:
-        return jax.jvp(function, (tuple(x),), (vec3.components(axis),))
+        return jax.jvp(function, (x,), (vector(axis),))
 
     value, rows = jax.vmap(derivative, out_axes=(None, 0))(jnp.eye(len(x), dtype=x[0].dtype))
-    return value, [[*vec3.components(row)] for row in rows]
+    return value, Matrix(components(row) for row in rows)

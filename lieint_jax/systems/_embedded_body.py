@@ -59,7 +59,7 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
 
     def body_momentum(self, state: State) -> Vector3:
         """Π = Λ⁻¹π, shape (3,)."""
-        return jnp.stack(vec3.solve(state.q, state.p))
+        return jnp.stack(vec3.matrix(state.q).solve(state.p))
 
     def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π (2.11)."""
@@ -72,14 +72,14 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
     def vector_field(self, state: State) -> State:
         """(Λ̇, π̇) = (ΛΩ̂, 0) (2.12)."""
         Omega = self.angular_velocity(state)
-        return State(jnp.stack([jnp.stack(vec3.cross(row, Omega)) for row in state.q]), jnp.zeros_like(state.p))
+        return State(vec3.Matrix(vec3.cross(row, Omega) for row in state.q).array, jnp.zeros_like(state.p))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
         q = _checks.real_array("state.q", state.q, (3, 3))
         _checks.real_array("state.p", state.p, (3,))
-        if _checks.concrete(q) and not float(vec3.det(q)) > 0:
-            raise ValueError(f"state.q must have a positive determinant, got {float(vec3.det(q)):.3g}")
+        if _checks.concrete(q) and not (det := float(vec3.matrix(q).det())) > 0:
+            raise ValueError(f"state.q must have a positive determinant, got {det:.3g}")
 
 
 def embedded_body(inertia: ArrayLike) -> EmbeddedBody:

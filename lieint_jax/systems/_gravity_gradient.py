@@ -69,7 +69,7 @@ class GravityGradient(MovedBody):
         """γ × ΛJΛᵀγ, the torque in space, shape (3,), in fewer operations than by autodiff."""
         axis = self.axis_at(t)
         Gamma = so3.Ad_star(q, axis)
-        return jnp.stack(vec3.cross(axis, so3.Ad(q, vec3.apply(vec3.symmetric(self.inertia), Gamma))))
+        return jnp.stack(vec3.cross(axis, so3.Ad(q, vec3.symmetric(self.inertia) @ Gamma)))
 
 
 def gravity_gradient(

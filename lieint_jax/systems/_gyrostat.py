@@ -40,7 +40,7 @@ class Gyrostat(Rotating, types.AbstractGyrostat):
     def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
         own = self.body_momentum(state) - self.rotor
-        return jnp.stack(vec3.solve_symmetric(vec3.symmetric(self.inertia), own))
+        return jnp.stack(vec3.symmetric(self.inertia).solve(own))
 
     def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r)."""

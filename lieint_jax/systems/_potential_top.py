@@ -33,12 +33,12 @@ class QuadraticPotential(PotentialWithGradient):
 
     def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar:
         del t  # there for driven tops
-        return vec3.dot(Gamma, vec3.apply(vec3.symmetric(self.matrix), Gamma)) / 2
+        return vec3.dot(Gamma, vec3.symmetric(self.matrix) @ Gamma) / 2
 
     def gradient(self, Gamma: Vector3, t: Time | None = None) -> Vector3:
         """SΓ."""
         del t
-        return jnp.stack(vec3.apply(vec3.symmetric(self.matrix), Gamma))
+        return jnp.stack(vec3.symmetric(self.matrix) @ Gamma)
 
     def discrete_gradient(self, a: Vector3, b: Vector3, t: Time | None = None) -> Vector3:
         """S·½(a + b)."""
@@ -147,8 +147,7 @@ def brun() -> tuple[PotentialTop, State]:
 def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Scalar:
     """|Π|² − ε det J Γ·J⁻¹Γ, constant for V = (ε/2)Γ·JΓ (Clebsch 1871)."""
     J, Pi, Gamma = vec3.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
-    det = vec3.determinant(J, vec3.adjugate(J))
-    return vec3.dot(Pi, Pi) - strength * det * vec3.dot(Gamma, vec3.solve_symmetric(J, Gamma))
+    return vec3.dot(Pi, Pi) - strength * J.det(J.adjugate) * vec3.dot(Gamma, J.solve(Gamma))
 
 
 PROPERTIES = SystemProperties(

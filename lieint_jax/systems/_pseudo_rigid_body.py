@@ -83,11 +83,11 @@ class _Deforming:
     def velocity(self, state: State) -> Matrix3:
         """V = Ḟ = PE⁻¹, shape (3, 3)."""
         E = vec3.symmetric(self.inertia)
-        return jnp.stack([jnp.stack(vec3.solve_symmetric(E, row)) for row in state.p])
+        return vec3.Matrix(E.solve(row) for row in state.p).array
 
     def strain(self, state: State) -> Matrix3:
         """C = FᵀF, shape (3, 3)."""
-        return jnp.array(vec3.rows(vec3.gram(state.q)))
+        return vec3.matrix(state.q).gram().rows.array
 
     def energy(self, state: State) -> Scalar:
         """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
@@ -95,8 +95,7 @@ class _Deforming:
 
     def momentum(self, state: State) -> MomentumMap:
         """Φ = rot[PFᵀ] (6.4), shape (3,), the paper's momentum map of rotations in space: ξ·Φ = ½⟨P, ξ̂F⟩."""
-        M = vec3.product(state.p, vec3.transpose(state.q))
-        return jnp.stack([M[2][1] - M[1][2], M[0][2] - M[2][0], M[1][0] - M[0][1]]) / 2
+        return so3.vee((vec3.matrix(state.p) @ vec3.matrix(state.q).T).array)
 
     def angular_momentum(self, state: State) -> Vector3:
         """∫ρ x × ẋ = 2 rot[PFᵀ], shape (3,): the physical angular momentum, twice the paper's (6.4)."""
@@ -104,9 +103,9 @@ class _Deforming:
 
     def vector_field(self, state: State) -> State:
         """(Ḟ, Ṗ) = (PE⁻¹, −F S), S = 2∇W(FᵀF) (6.3)."""
-        S = vec3.rows(self.stored_energy.stress(vec3.gram(state.q)))
-        force = vec3.product(state.q, S)
-        return State(self.velocity(state), -jnp.array(force))
+        F = vec3.matrix(state.q)
+        S = vec3.Symmetric(self.stored_energy.stress(F.gram()))
+        return State(self.velocity(state), -(F @ S).array)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or the system is a batch of systems."""

@@ -145,7 +145,7 @@ class _Many:
 
 def _angular_velocity(J: Inertia, q: Quaternion, spin: Vector3) -> Vector3:
     """Ω = J⁻¹Λᵀπ of one body, (3,)."""
-    return jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin)))
+    return jnp.stack(vec3.symmetric(J).solve(so3.Ad_star(q, spin)))
 
 
 @pytree
@@ -288,7 +288,7 @@ def _make_state(
 ) -> State:
     """The state of positions, attitudes (quaternions or rotation matrices) and velocities."""
     turns = jax.vmap(so3.normalize if turns.ndim == 2 else so3.from_matrix)(turns)
-    Pi = jax.vmap(lambda J, w: jnp.stack(vec3.apply(vec3.symmetric(J), w)))(inertias, Omega)
+    Pi = jax.vmap(lambda J, w: jnp.stack(vec3.symmetric(J) @ w))(inertias, Omega)
     p = jnp.concatenate([masses[:, None] * v, jax.vmap(so3.Ad)(turns, Pi)], axis=1)
     q = jnp.concatenate([x, turns], axis=1)
     dtype = jnp.result_type(q, p)

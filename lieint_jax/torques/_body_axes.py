@@ -10,30 +10,30 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics.vec3 import Vector, cross, dot
+from lieint_jax._numerics.vec3 import VectorLike, cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.types import Rotation
 
 
-def start_axes(rotation: Rotation, v: Vector) -> Array:
+def start_axes(rotation: Rotation, v: VectorLike) -> Array:
     """A vector of space in the axes of the body at the start of the step, (3,)."""
     return so3.Ad_star(rotation.q_n, v)
 
 
-def middle_axes(rotation: Rotation, v: Vector) -> Array:
+def middle_axes(rotation: Rotation, v: VectorLike) -> Array:
     """A vector of space in the axes of the body half-way, (3,)."""
     s = jnp.sqrt(1 + dot(rotation.h, rotation.h))
     return _rotate(rotation, v, 1 / s, 1 / (s * (1 + s)))
 
 
-def end_axes(rotation: Rotation, v: Vector) -> Array:
+def end_axes(rotation: Rotation, v: VectorLike) -> Array:
     """A vector of space in the axes of the body at the end of the step, (3,)."""
     weight = 2 / (1 + dot(rotation.h, rotation.h))
     return _rotate(rotation, v, weight, weight)
 
 
-def _rotate(rotation: Rotation, v: Vector, first: Array, second: Array) -> Array:
+def _rotate(rotation: Rotation, v: VectorLike, first: Array, second: Array) -> Array:
     a = start_axes(rotation, v)
     b = cross(rotation.h, a)
     c = cross(rotation.h, b)
-    return jnp.stack([a[i] + second * c[i] - first * b[i] for i in range(3)])
+    return jnp.stack(a + second * c - first * b)

@@ -89,8 +89,8 @@ def _feedforward(J: Array | None, Omega: Array, acceleration: Array) -> Array:
     """Ω × JΩ + J·acceleration, or 0 without J."""
     if J is None:
         return jnp.zeros_like(Omega)
-    tensor = vec3.symmetric(J)
-    return jnp.stack(cross(Omega, vec3.apply(tensor, Omega))) + jnp.stack(vec3.apply(tensor, acceleration))
+    S = vec3.symmetric(J)
+    return jnp.stack(cross(Omega, S @ Omega) + S @ acceleration)
 
 
 @pytree

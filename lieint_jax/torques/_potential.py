@@ -84,7 +84,7 @@ class GravityGradient(DirectionalPotential):
         return self._times((a + b) / 2)
 
     def _times(self, Gamma: Array) -> Array:
-        return jnp.stack(vec3.apply(vec3.symmetric(self.inertia), Gamma))
+        return jnp.stack(vec3.symmetric(self.inertia) @ Gamma)
 
 
 def gravity_gradient(orbit: Any, inertia: ArrayLike, mu: ArrayLike | None = None) -> GravityGradient:

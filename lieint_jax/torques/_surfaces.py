@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, not_negative, positive
 from lieint_jax._deprecated import old_calls
-from lieint_jax._numerics.vec3 import Vector, add, components, cross, dot, scale
+from lieint_jax._numerics.vec3 import Vector, cross, dot, vector
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
@@ -37,7 +37,7 @@ class SolarPlate(Law):
         cosine = dot(self.normal, s)
         lit = self.force * jnp.abs(cosine)  # either side may face the Sun
         outward = 2 * (self.specular * cosine + jnp.sign(cosine) * self.diffuse / 3)
-        push = add(scale(-lit * (1 - self.specular), s), scale(-lit * outward, self.normal))
+        push = -lit * (1 - self.specular) * s - lit * outward * self.normal
         return jnp.stack(cross(self.arm, push)), inner
 
 
@@ -97,12 +97,12 @@ class Plates:
     @property
     def normal(self) -> Vector:
         """The components of the normals, each (m,)."""
-        return components(self.normals.T)
+        return vector(self.normals.T)
 
     @property
     def arm(self) -> Vector:
         """The components of the arms, each (m,)."""
-        return components(self.arms.T)
+        return vector(self.arms.T)
 
     def torque(self, forces: Vector) -> Array:
         """Σ r_j × F_j of the forces on the plates, given by their components (m,)."""
@@ -130,13 +130,13 @@ class SolarPlates(Law):
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """Σ r_j × F_j(Λᵀs) at the middle of the step."""
-        s, n = components(middle_axes(rotation, direction_at(self.sun, rotation.t))), self.plates.normal
+        s, n = vector(middle_axes(rotation, direction_at(self.sun, rotation.t))), self.plates.normal
         cosine = jnp.maximum(dot(n, s), 0)
         lit = self.plates.sizes * cosine
         if self.light is not None:
             lit = lit * evaluate(self.light, rotation.t)
         absorbed, outward = lit * (1 - self.specular), 2 * lit * (self.specular * cosine + self.diffuse / 3)
-        return self.plates.torque(add(scale(-absorbed, s), scale(-outward, n))), inner
+        return self.plates.torque(-absorbed * s - outward * n), inner
 
 
 def solar_plates(
@@ -191,10 +191,9 @@ class Aerodynamic(Law):
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """Σ r_j × F_j at the middle of the step; each plate moves through the air by Ω̄ × r_j too."""
         density, velocity = evaluate(self.air, rotation.t)
-        v = components(middle_axes(rotation, velocity))
-        w = add(v, cross(components(rotation.Omega), self.plates.arm))
+        w = vector(middle_axes(rotation, velocity)) + cross(vector(rotation.Omega), self.plates.arm)
         met = jnp.maximum(dot(self.plates.normal, w), 0) * self.plates.sizes
-        return self.plates.torque(scale(-density / 2 * self.drag * met, w)), inner
+        return self.plates.torque(-density / 2 * self.drag * met * w), inner
 
 
 def aerodynamic(

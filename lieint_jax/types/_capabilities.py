@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._deprecated import renamed_attribute
+from lieint_jax._numerics.vec3 import Symmetric
 from lieint_jax.types._group import Group
 from lieint_jax.types._state import State
 from lieint_jax.types._system import System
@@ -243,18 +244,18 @@ class AbstractMechanicalSystem(AbstractForcedSystem):
 class StoredEnergy(abc.ABC):
     """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3).
 
-    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy), see `_numerics.vec3`.
+    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy) with operators, see `_numerics.vec3`.
     """
 
     @abc.abstractmethod
     def __call__(self, C: Matrix3) -> Scalar: ...
 
     @abc.abstractmethod
-    def stress(self, C: tuple[Array, ...]) -> tuple[Array, ...]:
+    def stress(self, C: Symmetric) -> tuple[Array, ...]:
         """S = 2∇W(C)."""
 
     @abc.abstractmethod
-    def mean_stress(self, C: tuple[Array, ...], D: tuple[Array, ...]) -> tuple[Array, ...]:
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> tuple[Array, ...]:
         """S̄ with ½ S̄:D = W(C + D) − W(C)."""
 
 

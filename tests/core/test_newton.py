@@ -7,6 +7,7 @@ import pytest
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.vec3 import Vector
 
 
 def cubic_root(c, iterations=8):
@@ -67,21 +68,21 @@ def test_second_derivatives_of_a_scalar_root_in_every_nesting():
 
 
 def by_chords(c, iterations=8, wrong=0.0):
-    """The same equation, x a list; `wrong` spoils the matrix."""
+    """The same equation, x a vector of scalars; `wrong` spoils the matrix."""
 
     def residual(x):
-        square = la.dot(x, x)
-        return [a + square * a - b for a, b in zip(x, c, strict=True)]
+        square = x @ x
+        return x + square * x - c
 
     def factored(x, F):
         one = jnp.stack(x)
         K = (1 + wrong + one @ one) * jnp.eye(len(x)) + 2 * jnp.outer(one, one)
-        return la.factored(la.as_list(K))
+        return la.factored(la.unrolled(K))
 
     def largest(F):
         return jnp.abs(jnp.stack(F)).max()
 
-    return newton.chords(residual, factored, largest, largest, [x / 2 for x in c], iterations)
+    return newton.chords(residual, factored, largest, largest, 0.5 * c, iterations)
 
 
 @pytest.mark.long
@@ -92,13 +93,13 @@ def test_chords_end_at_round_off_whatever_the_matrix(wrong):
 
     @jax.jit
     def run(c):
-        solve = lambda c: by_chords(la.as_list(c), wrong=wrong)  # noqa: E731
+        solve = lambda c: by_chords(la.unrolled(c), wrong=wrong)  # noqa: E731
         x = lambda c: jnp.stack(solve(c)[0])  # noqa: E731
         batch = jax.vmap(lambda s: (x(s * c), jnp.stack(solve(s * c)[1])))(scales)
         return x(c), (solve(c)[1], solve(scales[0] * c)[2]), cubic_root(c)[0], jax.jacrev(x)(c), batch
 
     x, (F, on_branch), exact, J, (batch, residuals) = jax.device_get(run(c))
-    assert np.abs(F).max() < 3e-16
+    assert np.abs(np.stack(F)).max() < 3e-16
     assert on_branch
     np.testing.assert_allclose(x, exact, rtol=0, atol=3e-16)
     K = (1 + exact @ exact) * np.eye(3) + 2 * np.outer(exact, exact)
@@ -108,8 +109,8 @@ def test_chords_end_at_round_off_whatever_the_matrix(wrong):
 
 
 def test_chords_too_few_show_in_the_residual():
-    _, F, _ = jax.jit(lambda c: by_chords(list(c), iterations=1))((3.0, -5.0, 4.0))
-    assert np.abs(F).max() > 1e-6
+    _, F, _ = jax.jit(lambda c: by_chords(c, iterations=1))(Vector((3.0, -5.0, 4.0)))
+    assert np.abs(np.stack(F)).max() > 1e-6
 
 
 def test_a_fixed_count_that_is_too_small_shows_in_the_residual():

@@ -227,7 +227,7 @@ def test_6_15_and_6_16_with_beta_of_6_9():
 
     def stress(F, F1):
         middle = alpha * F1 + (1 - alpha) * F
-        return jnp.stack(SOFT.stored_energy.stress(vec3.gram(middle)))
+        return jnp.stack(SOFT.stored_energy.stress(vec3.matrix(middle).gram()))
 
     by_F, by_F1 = jax.jit(jax.jacfwd(stress, argnums=(0, 1)))(jnp.array(F0), jnp.array(F0 + 0.1 * P0))
     np.testing.assert_allclose(alpha * by_F, (1 - alpha) * by_F1, rtol=0, atol=1e-13)

@@ -283,8 +283,7 @@ def test_every_converged_root_is_that_of_the_branch_from_zero(name):
 
         def follow(y, s):
             for _ in range(3):  # corrections by Newton
-                rows = map(vec3.components, jax.jacfwd(residual)(y, s))
-                y = y - jnp.stack(vec3.solve(tuple(rows), vec3.components(residual(y, s))))
+                y = y - jnp.stack(vec3.matrix(jax.jacfwd(residual)(y, s)).solve(residual(y, s)))
             return y, None
 
         y, _ = jax.lax.scan(follow, jnp.zeros(3), jnp.linspace(0, 1, 601)[1:])

@@ -10,7 +10,7 @@ from grid import examples_of
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, schemes, systems
-from lieint_jax._numerics import collocation, vec3
+from lieint_jax._numerics import collocation
 from lieint_jax.diagnostics import flow
 from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.schemes._extrapolate import _extrapolation, _fractions, weights
@@ -61,7 +61,7 @@ def test_canonical_coordinates_are_those_of_the_system(name):
     z = chart.unknowns(system, state)
 
     def back(z):
-        spin = vec3.scale(0.5, canonical._times_conjugate(z.p[-4:], z.q[-4:]))
+        spin = 0.5 * canonical._times_conjugate(z.p[-4:], z.q[-4:])
         return chart.configuration(z), jnp.stack([*z.p[:-4], *spin], axis=-1).reshape(state.p.shape)
 
     for there, here in zip(back(z), state[:2], strict=True):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, AbstractRigidBodies, State, Step, StepInfo, pytree
@@ -22,7 +22,7 @@ def free_motion(bodies: AbstractFreeBodies | AbstractRigidBodies, state: State) 
     """q̇ of bodies, (N, 7): ẋ = p/m and Λ̇ = ΛΩ̂."""
 
     def attitude_rate(J: Inertia, q: Quaternion, spin: Vector3) -> Quaternion:
-        return so3.tangent(q, jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin))))
+        return so3.tangent(q, jnp.stack(symmetric(J).solve(so3.Ad_star(q, spin))))
 
     rates = jax.vmap(attitude_rate)(bodies.inertias, state.q[:, 3:], state.p[:, 3:])
     return jnp.concatenate([state.p[:, :3] / bodies.masses[:, None], rates], axis=1)

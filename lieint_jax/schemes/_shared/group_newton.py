@@ -2,12 +2,13 @@
 
     m Θ − ½Δt (Π_n + Π_{n+1}) = 0                                                            (5.27)
 
-Vectors are lists of scalars for small groups and arrays for large ones, see `_numerics.small_linalg`.
+Vectors are unrolled into scalars for small groups and arrays for large ones, see `_numerics.small_linalg`.
 """
 
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.vec3 import Matrix, components
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import (
     AbstractGeodesicFlow,
@@ -67,7 +69,7 @@ class Equation(NamedTuple):
 
     def residual(self, theta: la.Vector, after: la.Vector) -> la.Vector:
         """m Θ − ½Δt Π_n − ½Δt Π_{n+1}, the last given as `after`."""
-        return la.plus(la.matvec(self.m, theta), (-1.0, self.known), (-1.0, after))
+        return self.m @ theta - self.known - after
 
 
 def solved(
@@ -89,7 +91,7 @@ def solved(
         return la.factored(matrix(theta, F))
 
     def length(step: la.Vector) -> Array:
-        return size(la.matvec(m, step))
+        return size(m @ step)
 
     theta, F, on_branch = newton.chords(residual, factored, size, length, start, iterations)
     good = on_branch & digits_left(equation)
@@ -100,13 +102,12 @@ def solved(
 
 
 def unpacked(group: Group, metric: Array) -> la.Matrix:
-    """The metric as a matrix: a list of rows for small groups, an array for large ones."""
-    d = metric.shape[0]
+    """The metric as a matrix: unrolled for small groups, an array for large ones."""
     if isinstance(group, AnalyticGroup) and not group.unrolled:
         return jnp.diag(metric) if metric.ndim == 1 else metric
     if metric.ndim == 2:
-        return la.as_list(metric)
-    return [[metric[i] if i == j else 0.0 for j in range(d)] for i in range(d)]
+        return la.unrolled(metric)
+    return Matrix((x if i == j else 0.0 for j in range(len(metric))) for i, x in enumerate(components(metric)))
 
 
 def body_velocity_field(system: MetricSystem, state: State) -> AlgebraVector:
@@ -117,13 +118,13 @@ def body_velocity_field(system: MetricSystem, state: State) -> AlgebraVector:
 
 
 def as_vector(m: la.Matrix, x: Array) -> la.Vector:
-    """x as a list of scalars if m is a list of rows, otherwise unchanged."""
-    return la.as_list(x) if isinstance(m, list) else x
+    """An array in the form of m: unrolled, or unchanged."""
+    return x if isinstance(m, Array) else la.unrolled(x)
 
 
 def ad_star(group: Group, xi: la.Vector, mu: la.Vector) -> la.Vector:
     """ad*_ξ μ."""
-    return la.matvec(ad_star_matrix(group, mu), xi)
+    return ad_star_matrix(group, mu) @ xi
 
 
 def ad_star_matrix(group: Group, mu: la.Vector) -> la.Matrix:
@@ -131,7 +132,7 @@ def ad_star_matrix(group: Group, mu: la.Vector) -> la.Matrix:
     if isinstance(group, AnalyticGroup):
         return group.ad_star_matrix(mu)
     mu = la.as_array(mu, mu[0])
-    return la.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
+    return la.unrolled(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
 
 
 def coadjoint(tau: Tau, group: Group, theta: la.Vector, mu: la.Vector) -> la.Vector:
@@ -139,7 +140,7 @@ def coadjoint(tau: Tau, group: Group, theta: la.Vector, mu: la.Vector) -> la.Vec
     if tau.coadjoint is not None:
         return tau.coadjoint(group, theta, mu)
     turned = group.Ad_star(tau(group, la.as_array(theta, theta[0])), la.as_array(mu, mu[0]))
-    return la.as_list(turned) if isinstance(theta, list) else turned
+    return as_vector(theta, turned)
 
 
 def translate(tau: Tau, group: Group, q: SquareMatrix, Theta: AlgebraVector, s: ArrayLike = 1.0) -> Array:
@@ -155,15 +156,14 @@ def slope(tau: Tau, group: Group, theta: la.Vector) -> la.Matrix:
     if tau.slope is not None:
         return tau.slope(group, theta)
     H = derivative(tau, group, la.as_array(theta, theta[0]))
-    return la.as_list(H) if isinstance(theta, list) else H
+    return as_vector(theta, H)
 
 
 def guess(group: Group, m: la.Matrix, a: la.Vector) -> la.Vector:
     """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
     sharp = la.factored(m).solve
     half_turn = sharp(a)
-    bent = sharp(ad_star(group, half_turn, a))
-    return la.plus((2.0, half_turn), (2.0, bent))
+    return 2.0 * half_turn + 2.0 * sharp(ad_star(group, half_turn, a))
 
 
 def newton_matrix(equation: Equation, theta: la.Vector, F: la.Vector, *bends: la.Matrix) -> la.Matrix:
@@ -173,9 +173,8 @@ def newton_matrix(equation: Equation, theta: la.Vector, F: la.Vector, *bends: la
     """
     group, tau = equation.group, equation.tau
     theta, F, known, m = lax.stop_gradient((theta, F, equation.known, equation.m))
-    after = la.plus(la.matvec(m, theta), (-1.0, known), (-1.0, F))
-    turned = la.matmul(ad_star_matrix(group, after), slope(tau, group, theta))
-    return la.combination((1.0, m), *((-1.0, A) for A in (turned, *bends)))
+    turned = ad_star_matrix(group, m @ theta - known - F) @ slope(tau, group, theta)
+    return functools.reduce(operator.sub, bends, m - turned)
 
 
 def force_jacobian(m: la.Matrix, system: AbstractMechanicalSystem, where: Array, factor: ArrayLike) -> la.Matrix:
@@ -184,13 +183,13 @@ def force_jacobian(m: la.Matrix, system: AbstractMechanicalSystem, where: Array,
     zero = jnp.zeros(group.dim, where.dtype)
     D2 = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
     D2 = lax.stop_gradient(factor * D2)
-    return la.as_list(D2) if isinstance(m, list) else D2
+    return as_vector(m, D2)
 
 
 def size_unit(m: la.Matrix, a: la.Vector) -> Callable[[la.Vector], Array]:
     """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt, which does not depend on the units of the basis."""
     a, m = lax.stop_gradient((a, m))
-    scale = 2 * jnp.sqrt(jnp.maximum(la.dot(a, la.solve(m, a)), 0))
+    scale = 2 * jnp.sqrt(jnp.maximum(a @ la.solve(m, a), 0))
     units = [jnp.sqrt(m[i][i]) * jnp.where(scale == 0, 1, scale) for i in range(len(m))]
 
     def size(F: la.Vector) -> Array:

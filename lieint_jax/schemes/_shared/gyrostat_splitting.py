@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import max_abs, symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import check_motion
 from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
@@ -62,7 +62,7 @@ class GyrostatSplitting(Step):
         return state._replace(q=so3.normalize(so3.multiply(state.q, turn)))
 
     def _angle(self, dt: ArrayLike) -> Array:
-        return lax.stop_gradient(jnp.abs(dt) * vec3.max_abs(_velocity(self.system)))
+        return lax.stop_gradient(jnp.abs(dt) * max_abs(_velocity(self.system)))
 
 
 def gyrostat_splitting(system: AbstractGyrostat, drift: Step) -> GyrostatSplitting:
@@ -81,4 +81,4 @@ def _motion(parts: tuple[AbstractGyrostat, System], state: State) -> State:
 
 def _velocity(system: AbstractGyrostat) -> Array:
     """c = J⁻¹h_r."""
-    return jnp.stack(vec3.solve_symmetric(vec3.symmetric(system.inertia), system.rotor))
+    return jnp.stack(symmetric(system.inertia).solve(system.rotor))

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import Symmetric
+from lieint_jax._numerics.vec3 import Symmetric, max_abs, unit_trace
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
 from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
@@ -27,25 +26,23 @@ def half_turn(
         h, residual, good = solve_scalar(J, a, iterations)
     else:
         h, residual, good = solve_vector(kappa, J, a, iterations, b)
-        good &= jnp.finfo(a.dtype).eps * _size(a, b) * vec3.inverse_trace(J) <= attitude_error_limit(a.dtype)
-    residual = lax.stop_gradient(vec3.max_abs(residual))
+        good &= jnp.finfo(a.dtype).eps * _size(a, b) * J.inverse_trace <= attitude_error_limit(a.dtype)
+    residual = lax.stop_gradient(max_abs(residual))
     small = residual <= 32 * jnp.finfo(a.dtype).eps * _size(a, b)
-    return h, StepInfo(residual, small & good & vec3.well_conditioned(J))
+    return h, StepInfo(residual, small & good & J.well_conditioned)
 
 
 def scaled(system: AbstractFreeBody | AbstractGyrostat, state: State, dt: ArrayLike) -> tuple[Symmetric, Vector3]:
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
-    J, r = vec3.unit_trace(system.inertia)
+    J, r = unit_trace(system.inertia)
     return J, (0.5 * r * dt) * so3.Ad_star(state.q, state.p)
 
 
 def bias(system: AbstractFreeBody | AbstractGyrostat, dt: ArrayLike) -> Vector3 | None:
     """b = ½Δt h_r over tr J; None for a free body."""
-    return (
-        (0.5 * vec3.unit_trace(system.inertia)[1] * dt) * system.rotor if isinstance(system, AbstractGyrostat) else None
-    )
+    return (0.5 * unit_trace(system.inertia)[1] * dt) * system.rotor if isinstance(system, AbstractGyrostat) else None
 
 
 def _size(a: Vector3, b: Vector3 | None) -> Array:
     """The size of the terms of the vector form."""
-    return vec3.max_abs(a) if b is None else jnp.maximum(vec3.max_abs(a), vec3.max_abs(b))
+    return max_abs(a) if b is None else max_abs(a, b)

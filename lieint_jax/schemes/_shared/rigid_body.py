@@ -7,7 +7,7 @@ import math
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.types import (
@@ -32,7 +32,7 @@ def rigid_motion(body: RotatingBody, state: State) -> State:
     own = so3.Ad_star(state.q, state.p)
     if isinstance(body, AbstractGyrostat):
         own = own - body.rotor
-    Omega = vec3.solve_symmetric(vec3.symmetric(body.inertia), own)
+    Omega = symmetric(body.inertia).solve(own)
     return State(so3.tangent(state.q, jnp.stack(Omega)), jnp.zeros_like(state.p))
 
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax._numerics import newton, vec3
-from lieint_jax._numerics.vec3 import Symmetric, Vector, add, apply, cross, dot, scale
-from lieint_jax.schemes._shared.vector_form import dense
+from lieint_jax._numerics import newton
+from lieint_jax._numerics.vec3 import Symmetric, Vector, cross, dot, hat, outer, vector
 from lieint_jax.types.shapes import Scalar, Vector3
 
 
@@ -28,9 +27,9 @@ def solve_scalar(J: Symmetric, a: Vector3, iterations: int) -> tuple[Vector, Vec
 
 def scalar_root(J: Symmetric, a: Vector3, iterations: int) -> Scalar:
     """m = a·(J − m − â)⁻¹a, constant along a trajectory, for tr J = 1."""
-    C = vec3.adjugate(J)
-    J3, J2 = vec3.determinant(J, C), vec3.trace(C)
-    s, Ca = dot(a, a), apply(C, a)
+    C = J.adjugate
+    J3, J2 = J.det(C), C.trace
+    s, Ca = dot(a, a), C @ a
     c0, c1, c2 = -(dot(a, Ca) + s * s), J3 + s, -(J2 + 2 * s)  # m det(J − m − â) − a·adj(J − m − â)a = c0 + c1 m + …
 
     def quartic(m: Array) -> Array:
@@ -43,9 +42,9 @@ def scalar_root(J: Symmetric, a: Vector3, iterations: int) -> Scalar:
         return 2 * f * slope / (2 * slope * slope - f * bend)
 
     r = 1 / J3
-    u = tuple(r * x for x in Ca)  # J⁻¹a
+    u = r * Ca  # J⁻¹a
     g = cross(a, u)
-    m = r * dot(a, Ca) * (1 + dot(u, u)) - r * dot(g, apply(C, g))  # the root, but for O(Δt⁶)
+    m = r * dot(a, Ca) * (1 + dot(u, u)) - r * dot(g, C @ g)  # the root, but for O(Δt⁶)
     return newton.root(quartic, correction, m, iterations)[0]
 
 
@@ -56,9 +55,9 @@ def half_cayley(J: Symmetric, a: Vector3, m: Scalar, gain: Scalar | None = None)
     computed elsewhere on a trajectory, the value of the quartic is the error of the energy here; a rotation about
     a × J⁻¹a removes the fraction `gain` of it.
     """
-    C = vec3.adjugate(J)
-    J3, J2 = vec3.determinant(J, C), vec3.trace(C)
-    Ja, Ca, s = apply(J, a), apply(C, a), dot(a, a)
+    C = J.adjugate
+    J3, J2 = J.det(C), C.trace
+    Ja, Ca, s = J @ a, C @ a, dot(a, a)
     k = s - m * (1 - m)
     w = J3 - m * (J2 + k)
     r = 1 / (w + dot(a, Ja))
@@ -66,14 +65,13 @@ def half_cayley(J: Symmetric, a: Vector3, m: Scalar, gain: Scalar | None = None)
         x = cross(a, Ja)
     else:
         t = gain * lax.stop_gradient(m * w - k * s - dot(a, Ca))  # 0 but for rounding, and so is its derivative
-        x = cross(a, tuple(Ja[i] + t * Ca[i] for i in range(3)))
-    return (r * k) * a + r * jnp.stack([Ca[i] + m * Ja[i] - x[i] for i in range(3)])
+        x = cross(a, Ja + t * Ca)
+    return (r * k) * a + r * jnp.stack(Ca + m * Ja - x)
 
 
 def scalar_residual(J: Symmetric, a: Vector3, h: Vector3) -> Vector:
     """Jh − a − a × h − (a·h)h: the scalar form itself, with m = a·h."""
-    m, x, Jh = dot(a, h), cross(a, h), apply(J, h)
-    return tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3))
+    return J @ h - dot(a, h) * vector(h) - a - cross(a, h)
 
 
 def half_turn_derivative(J: Symmetric, a: Vector, h: Vector, da: Vector) -> Vector:
@@ -82,8 +80,7 @@ def half_turn_derivative(J: Symmetric, a: Vector, h: Vector, da: Vector) -> Vect
     (J − m − â − h⊗a) δh = δa + δa × h + (δa·h)h, m = a·h, the derivative of the scalar form; and cay 2h rotates by
     2/(1 + |h|²) (δh + h × δh).
     """
-    m, A, K = dot(a, h), vec3.hat(a), dense(J)
-    K = [[K[i][j] - A[i][j] - h[i] * a[j] - (m if i == j else 0) for j in range(3)] for i in range(3)]
-    right = add(da, add(cross(da, h), scale(dot(da, h), h)))
-    dh = vec3.solve(K, right, divide=True)
-    return scale(2 / (1 + dot(h, h)), add(dh, cross(h, dh)))
+    m = dot(a, h)
+    K = J.rows - hat(a) - outer(h, a) - Symmetric((m, m, m))
+    dh = K.solve(da + (cross(da, h) + dot(da, h) * vector(h)), divide=True)
+    return 2 / (1 + dot(h, h)) * (dh + cross(h, dh))

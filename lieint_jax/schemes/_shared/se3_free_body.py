@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import cross, matrix, unit_trace, vector
 from lieint_jax.groups import so3
 from lieint_jax.groups.catalogue import special_euclidean
 from lieint_jax.maps import kappa_symplectic
@@ -39,12 +39,11 @@ class FreeMotion(Step):
         m = self.system.metric
         inertia, mass = (m[:3], m[3]) if m.ndim == 1 else (m[:3, :3], m[3, 3])
         R, x, L, P = state.q[:3, :3], state.q[:3, 3], state.p[:3], state.p[3:]
-        spin = vec3.subtract(L, vec3.cross(x, P))
-        Pi = jnp.stack([vec3.dot(R[:, i], spin) for i in range(3)])
-        J, r = vec3.unit_trace(inertia)
+        Pi = jnp.stack(matrix(R).T @ (vector(L) - cross(x, P)))
+        J, r = unit_trace(inertia)
         h, info = half_turn(J, (0.5 * r * dt) * Pi, kappa_symplectic, ITERATIONS["scalar"])
         turn = so3.to_matrix(so3.cayley_increment(jnp.array([1.0, 0, 0, 0], h.dtype), h))
-        R = vec3.product(R, turn)
+        R = matrix(R) @ matrix(turn)
         moved = x + dt / mass * P
         rows = [jnp.stack([*R[i], moved[i]]) for i in range(3)]
         return state._replace(q=jnp.stack([*rows, state.q[3]])), info

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import add, apply, cross, dot, scale, subtract
+from lieint_jax._numerics.vec3 import Symmetric, Vector, VectorLike, cross, dot, vector
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts._chart import Chart
@@ -38,7 +38,7 @@ class BodyAxesState(NamedTuple):
     """The unknowns: a quaternion, body momentum, and the work of a state that has it."""
 
     q: tuple[Array, ...]
-    Pi: tuple[Array, ...]
+    Pi: Vector
     work: Array | None
 
 
@@ -52,18 +52,17 @@ class Moment(NamedTuple):
 def body_axes_state(state: State) -> BodyAxesState:
     """The unknowns of a body whose q is its attitude."""
     Pi = so3.Ad_star(state.q, state.p)
-    return BodyAxesState(vec3.components(state.q), vec3.components(Pi), state.work)
+    return BodyAxesState(vec3.components(state.q), vector(Pi), state.work)
 
 
 def advance_body(state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
     """The state whose unknowns are z, after their increments. π gets its own increment, for the last digits."""
     dq = _to_unit(z.q, delta.q)
-    (w, *u), (dw, *du) = z.q, dq
-    Pi = add(z.Pi, delta.Pi)
-    end, part = cross(add(u, du), Pi), cross(du, Pi)
-    half = add(add(scale(dw, end), scale(w, part)), add(cross(du, end), cross(u, part)))
-    turn = scale(2, half)  # by q + dq less by q
-    p = state.p + jnp.stack(add(so3.Ad(state.q, jnp.stack(delta.Pi)), turn))
+    (w, u), (dw, du) = scalar_and_vector(z.q), scalar_and_vector(dq)
+    Pi = z.Pi + delta.Pi
+    end, part = cross(u + du, Pi), cross(du, Pi)
+    half = (dw * end + w * part) + (cross(du, end) + cross(u, part))
+    p = state.p + jnp.stack(so3.Ad(state.q, jnp.stack(delta.Pi)) + 2 * half)  # the rotation by q + dq less that by q
     work = None if state.work is None or delta.work is None else state.work + delta.work
     return state._replace(q=state.q + jnp.stack(dq), p=p, work=work)
 
@@ -82,20 +81,20 @@ def _length_correction(q: tuple[Array, ...], dq: tuple[Array, ...]) -> Array:
 
 
 def spinning(
-    inverse: vec3.Symmetric, rotor: Array | None, q: tuple[Array, ...], Pi: vec3.Vector
-) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    inverse: Symmetric, rotor: Array | None, q: tuple[Array, ...], Pi: Vector
+) -> tuple[tuple[Array, ...], Vector]:
     """q̇ and Π̇ without a torque."""
-    J_Omega = Pi if rotor is None else subtract(Pi, rotor)
-    Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, apply(inverse, J_Omega))
-    return quat_times_vec(q, apply(tuple(x / 2 for x in inverse), J_Omega)), Pi_dot
+    J_Omega = Pi if rotor is None else Pi - rotor
+    Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, inverse @ J_Omega)
+    return quat_times_vec(q, (inverse / 2) @ J_Omega), Pi_dot
 
 
-def gyroscopic(inverse: vec3.Symmetric, Pi: vec3.Vector) -> tuple[Array, Array, Array]:
+def gyroscopic(inverse: Symmetric, Pi: Vector) -> Vector:
     """Π × J⁻¹Π."""
     if len(inverse) > 3:
-        return cross(Pi, apply(inverse, Pi))
+        return cross(Pi, inverse @ Pi)
     (x, y, z), a, b, c = Pi, *inverse[:3]
-    return ((c - b) * (y * z), (a - c) * (z * x), (b - a) * (x * y))
+    return Vector(((c - b) * (y * z), (a - c) * (z * x), (b - a) * (x * y)))
 
 
 def motion(system: OneBody, state: State) -> State:
@@ -134,7 +133,7 @@ def _power(system: OneBody, z: PyTree, moment: PyTree) -> Array:
     return system.power(so3.normalize(jnp.stack(z.q)), moment.t)
 
 
-def _torque(system: OneBody) -> Callable[[BodyAxesState, PyTree], tuple[Array, ...]] | None:
+def _torque(system: OneBody) -> Callable[[BodyAxesState, PyTree], Vector] | None:
     """(z, moment) ↦ Γ × ∇Ṽ(Γ), with Γ = Λᵀγ."""
     if isinstance(system, AbstractDrivenTop):
         return lambda z, now: _torque_about(system.potential, now.axis, z.q, now.t)
@@ -144,41 +143,46 @@ def _torque(system: OneBody) -> Callable[[BodyAxesState, PyTree], tuple[Array, .
     return None
 
 
-def _torque_about(potential: Callable[..., Array], axis: Any, q: tuple[Array, ...], t: Array) -> tuple[Array, ...]:
+def _torque_about(potential: Callable[..., Array], axis: Any, q: tuple[Array, ...], t: Array) -> Vector:
     return _by_potential(potential, _axis_in_body(q, axis), t)
 
 
-def _torque_upright(potential: Callable[..., Array], height: Array, q: tuple[Array, ...]) -> tuple[Array, ...]:
+def _torque_upright(potential: Callable[..., Array], height: Array, q: tuple[Array, ...]) -> Vector:
     return _by_potential(potential, _third_axis(2 * height, q))
 
 
-def _by_potential(potential: Callable[..., Array], Gamma: tuple[Array, ...], *t: Array) -> tuple[Array, ...]:
+def _by_potential(potential: Callable[..., Array], Gamma: Vector, *t: Array) -> Vector:
     return cross(Gamma, gradient(potential, jnp.stack(Gamma), *t))
 
 
-def axis_in_body(q: tuple[Array, ...], axis: vec3.Vector) -> tuple[Array, Array, Array]:
+def scalar_and_vector(q: tuple[Array, ...]) -> tuple[Array, Vector]:
+    """The two parts of a quaternion."""
+    return q[0], Vector(q[1:])
+
+
+def axis_in_body(q: tuple[Array, ...], axis: VectorLike) -> Vector:
     """|q|² Λᵀγ, the axis γ in the body: Im(q̄γq)."""
-    w, *v = q
-    return add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
+    (w, v), axis = scalar_and_vector(q), Vector(axis)
+    return (w * w - dot(v, v)) * axis + (2 * dot(v, axis) * v + 2 * w * cross(axis, v))
 
 
-def _axis_in_body(q: tuple[Array, ...], axis: vec3.Vector) -> tuple[Array, Array, Array]:
+def _axis_in_body(q: tuple[Array, ...], axis: VectorLike) -> Vector:
     """Λᵀγ for |q| = 1, in fewer operations than `axis_in_body`."""
-    w, *v = q
-    u = scale(2, cross(axis, v))
-    return add(axis, subtract(scale(w, u), cross(v, u)))
+    w, v = scalar_and_vector(q)
+    u = 2 * cross(axis, v)
+    return axis + (w * u - cross(v, u))
 
 
-def _third_axis(twice: Array, q: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+def _third_axis(twice: Array, q: tuple[Array, ...]) -> Vector:
     """`_axis_in_body` of ½ twice e₃, in a third of its operations."""
     w, x, y, z = q
-    return scale(twice, (x * z - w * y, y * z + w * x, 0.5 - (x * x + y * y)))
+    return twice * Vector((x * z - w * y, y * z + w * x, 0.5 - (x * x + y * y)))
 
 
-def quat_times_vec(q: tuple[Array, ...], u: vec3.Vector) -> tuple[Array, Array, Array, Array]:
+def quat_times_vec(q: tuple[Array, ...], u: Vector) -> tuple[Array, ...]:
     """q(0, u)."""
-    w, *v = q
-    return (-dot(v, u), *add(scale(w, u), cross(v, u)))
+    w, v = scalar_and_vector(q)
+    return (-dot(v, u), *(w * u + cross(v, u)))
 
 
 class BodyAxes(Chart[OneBody, BodyAxesState]):
@@ -219,7 +223,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
 
         def field(z: BodyAxesState, moment: PyTree) -> BodyAxesState:
             q_dot, Pi_dot = spinning(inverse, rotor, z.q, z.Pi)
-            Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
+            Pi_dot = Pi_dot + torque(z, moment) if torque else Pi_dot
             return BodyAxesState(q_dot, Pi_dot, None if z.work is None else _power(system, z, moment))
 
         return field

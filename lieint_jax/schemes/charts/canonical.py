@@ -27,12 +27,19 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import add, apply, cross, dot, scale, subtract
+from lieint_jax._numerics.vec3 import Symmetric, Vector, VectorLike, cross, dot, vector
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes.charts import several_bodies
 from lieint_jax.schemes.charts._chart import Chart
-from lieint_jax.schemes.charts.body_axes import axis_in_body, quat_times_vec, turned_back, turned_up, upright
+from lieint_jax.schemes.charts.body_axes import (
+    axis_in_body,
+    quat_times_vec,
+    scalar_and_vector,
+    turned_back,
+    turned_up,
+    upright,
+)
 from lieint_jax.types import (
     AbstractDrivenSystem,
     AbstractDrivenTop,
@@ -46,7 +53,6 @@ from lieint_jax.types import (
 )
 
 Components = tuple[Array, ...]
-_Quaternion = tuple[Array, Array, Array, Array]
 
 
 class Coordinates(NamedTuple):
@@ -163,7 +169,7 @@ class OneBody(CanonicalChart):
     def coordinates(self, state: State) -> Coordinates:
         """See `CanonicalChart`."""
         q = _components(state.q)
-        return Coordinates(q, _from_left(scale(2, _components(state.p)), q))
+        return Coordinates(q, _from_left(2 * vector(state.p), q))
 
     def unknowns(self, system: Any, state: State) -> Coordinates:
         """The coordinates of a state, in the frame of the chart."""
@@ -187,17 +193,17 @@ class OneBody(CanonicalChart):
 
         return field
 
-    def force(self, system: Any) -> Callable[[Coordinates, Moment], Components]:
+    def force(self, system: Any) -> Callable[[Coordinates, Moment], Vector]:
         """The torque in space."""
 
-        def torque(z: Coordinates, t: Moment) -> Components:
+        def torque(z: Coordinates, t: Moment) -> Vector:
             if not _is_forced(system):
-                return (jnp.zeros_like(z.q[0]),) * 3
+                return Vector((jnp.zeros_like(z.q[0]),) * 3)
             if _has_axis(system):
                 return _torque(system, z.q, t)
             q = self.configuration(z)
             at = (q,) if t is None or isinstance(system, AbstractForcedSystem) else (q, t)
-            return _components(system.force(*at))
+            return vector(system.force(*at))
 
         return torque
 
@@ -215,7 +221,7 @@ class OneBody(CanonicalChart):
             return _kick_upright(system.potential, upright(system.axis)[1], z.q)
         if _has_axis(system):
             return _kick_about(system.potential, system.axis_at(t), z.q, t)
-        return _from_left(scale(2 * _inverse_square(z.q), self.force(system)(z, t)), z.q)
+        return _from_left(2 * _inverse_square(z.q) * self.force(system)(z, t), z.q)
 
 
 class ManyBodies(CanonicalChart):
@@ -228,7 +234,7 @@ class ManyBodies(CanonicalChart):
     def coordinates(self, state: State) -> Coordinates:
         """See `CanonicalChart`."""
         q, p = _components(state.q), _components(state.p)
-        return Coordinates(q, (*p[:3], *_from_left(scale(2, p[3:]), q[3:])))
+        return Coordinates(q, (*p[:3], *_from_left(2 * Vector(p[3:]), q[3:])))
 
     def configuration(self, z: Coordinates) -> Array:
         """The positions and unit quaternions, (N, 7)."""
@@ -243,8 +249,8 @@ class ManyBodies(CanonicalChart):
             q_dot, p_dot = _rotation_rates(None, inverse, q, z.p[3:])
             rates = (*(jnp.zeros_like(y) for y in P), *p_dot)
             if _is_forced(system):
-                pull = several_bodies.forces(system, z.q[:3], _unit(q))
-                kick = (*pull[:3], *quat_times_vec(q, scale(2 * _inverse_square(q), pull[3:])))
+                force, torque = several_bodies.forces(system, Vector(z.q[:3]), _unit(q))
+                kick = (*force, *quat_times_vec(q, 2 * _inverse_square(q) * torque))
                 rates = tuple(map(jnp.add, rates, kick))
             return Coordinates((*(y / masses for y in P), *q_dot), rates)
 
@@ -257,8 +263,8 @@ class ManyBodies(CanonicalChart):
             if not _is_forced(system):
                 return (jnp.zeros_like(z.q[0]),) * 6
             q = z.q[3:]
-            pull = several_bodies.forces(system, z.q[:3], _unit(q))
-            return (*pull[:3], *_rotate(q, pull[3:]))
+            force, torque = several_bodies.forces(system, Vector(z.q[:3]), _unit(q))
+            return (*force, *_rotate(q, torque))
 
         return pull_and_torque
 
@@ -302,28 +308,28 @@ def _matrix(components: Components) -> Array:
     return jnp.stack(components).reshape(3, 3)
 
 
-def _unit(q: Components) -> _Quaternion:
+def _unit(q: Components) -> Components:
     r = jnp.sqrt(_inverse_square(q))
     w, x, y, z = q
     return r * w, r * x, r * y, r * z
 
 
-def _rotation_rates(rotor: Array | None, inverse: vec3.Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
+def _rotation_rates(rotor: Array | None, inverse: Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
     """½qΩ and ½pΩ."""
     half = _half_rate(rotor, inverse, q, p)
     return quat_times_vec(q, half), quat_times_vec(p, half)
 
 
-def _half_rate(rotor: Array | None, inverse: vec3.Symmetric, q: Components, p: Components) -> Components:
+def _half_rate(rotor: Array | None, inverse: Symmetric, q: Components, p: Components) -> Vector:
     """½Ω, of the momentum Π = ½ Im(q̄p)."""
-    (w, *v), (first, *rest) = q, p
-    Pi = scale(0.5, subtract(subtract(scale(w, rest), scale(first, v)), cross(v, rest)))
-    return scale(0.5, apply(inverse, Pi if rotor is None else subtract(Pi, rotor)))
+    (w, v), (first, rest) = scalar_and_vector(q), scalar_and_vector(p)
+    Pi = 0.5 * (w * rest - first * v - cross(v, rest))
+    return 0.5 * (inverse @ (Pi if rotor is None else Pi - rotor))
 
 
-def _rotate(q: Components, u: Components) -> Components:
+def _rotate(q: Components, u: Vector) -> Vector:
     """q(0, u)q̄/|q|²."""
-    return scale(_inverse_square(q), _times_conjugate(quat_times_vec(q, u), q))
+    return _inverse_square(q) * _times_conjugate(quat_times_vec(q, u), q)
 
 
 def _has_axis(system: Any) -> bool:
@@ -343,40 +349,40 @@ def _kick_upright(potential: Any, height: Array, q: Components) -> Components:
 
 def _kick_about(potential: Any, axis: Array, q: Components, t: Any) -> Components:
     """2γq∇Ṽ for any axis γ."""
-    return _from_left(scale(2, axis), _by_slope(potential, axis_in_body(q, axis), q, t))
+    return _from_left(2 * Vector(axis), _by_slope(potential, axis_in_body(q, axis), q, t))
 
 
-def _torque(system: Any, q: Components, t: Any) -> Components:
+def _torque(system: Any, q: Components, t: Any) -> Vector:
     if _stands(system):
         return _torque_upright(system.potential, upright(system.axis)[1], q)
     return _torque_about(system.potential, system.axis_at(t), q, t)
 
 
-def _torque_upright(potential: Any, height: Array, q: Components) -> Components:
+def _torque_upright(potential: Any, height: Array, q: Components) -> Vector:
     """The torque in space, γ × q∇Ṽq̄."""
     x, y, _ = _times_conjugate(_by_slope(potential, _seen_upright(height, q), q), q)
-    return -height * y, height * x, jnp.zeros_like(x)
+    return Vector((-height * y, height * x, jnp.zeros_like(x)))
 
 
-def _torque_about(potential: Any, axis: Array, q: Components, t: Array) -> Components:
+def _torque_about(potential: Any, axis: VectorLike, q: Components, t: Array) -> Vector:
     return cross(axis, _times_conjugate(_by_slope(potential, axis_in_body(q, axis), q, t), q))
 
 
-def _seen_upright(height: Array, q: Components) -> Components:
+def _seen_upright(height: Array, q: Components) -> Vector:
     """`axis_in_body` of height e₃."""
     w, x, y, z = q
-    return scale(height, (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))
+    return height * Vector((2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))
 
 
-def _by_slope(potential: Any, Gamma: Components, q: Components, *t: Array) -> _Quaternion:
+def _by_slope(potential: Any, Gamma: Vector, q: Components, *t: Array) -> Components:
     """q∇Ṽ."""
-    return quat_times_vec(q, _components(gradient(potential, jnp.stack(Gamma), *t)))
+    return quat_times_vec(q, vector(gradient(potential, jnp.stack(Gamma), *t)))
 
 
-def _times_conjugate(x: _Quaternion, q: Components) -> vec3.Vector:
+def _times_conjugate(x: Components, q: Components) -> Vector:
     """Im(x q̄)."""
-    (w, *v), (a, *b) = q, x
-    return add(subtract(scale(w, b), scale(a, v)), cross(v, b))
+    (w, v), (a, b) = scalar_and_vector(q), scalar_and_vector(x)
+    return w * b - a * v + cross(v, b)
 
 
 def _components(x: Array) -> Components:
@@ -386,11 +392,11 @@ def _components(x: Array) -> Components:
 
 def _inverse_square(q: Components) -> Array:
     """1/|q|²."""
-    w, *v = q
+    w, v = scalar_and_vector(q)
     return 1 / (w * w + dot(v, v))
 
 
-def _from_left(u: Components, q: Components) -> _Quaternion:
+def _from_left(u: Vector, q: Components) -> Components:
     """(0, u)q."""
-    w, *v = q
-    return (-dot(u, v), *add(scale(w, u), cross(u, v)))
+    w, v = scalar_and_vector(q)
+    return (-dot(u, v), *(w * u + cross(u, v)))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import add, dot, scale
+from lieint_jax._numerics.vec3 import Matrix, Symmetric, Vector, vector
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts import body_axes
@@ -25,23 +25,23 @@ from lieint_jax.types.shapes import PyTree
 Components = tuple[Array, ...]
 
 
-def inverses(system: AbstractRigidBodies | AbstractFreeBodies) -> vec3.Symmetric:
+def inverses(system: AbstractRigidBodies | AbstractFreeBodies) -> Symmetric:
     """The inverse inertias of the bodies."""
     return jax.vmap(vec3.inverse)(system.inertias)
 
 
-def forces(system: AbstractRigidBodies, x: vec3.Vector, q: Components) -> Components:
-    """The forces on the bodies, and the torques in their axes: six numbers. Quaternions are of unit length."""
+def forces(system: AbstractRigidBodies, x: Vector, q: Components) -> tuple[Vector, Vector]:
+    """The forces on the bodies, and the torques in their axes. Quaternions are of unit length."""
     found = system.force(jnp.stack([*x, *q], axis=-1))
     pull = tuple(jnp.moveaxis(found, -1, 0))
-    return (*pull[:3], *(dot(axis, pull[3:]) for axis in vec3.transpose(so3.matrix_of(*q))))
+    return Vector(pull[:3]), Matrix(so3.matrix_of(*q)).T @ Vector(pull[3:])
 
 
 class Moving(NamedTuple):
     """The unknowns: positions and linear momenta; quaternions and body momenta."""
 
-    x: vec3.Vector
-    P: vec3.Vector
+    x: Vector
+    P: Vector
     turning: BodyAxesState
 
 
@@ -51,7 +51,7 @@ def _pack(z: Moving) -> Array:
 
 def _parts(z: Array) -> Moving:
     y = vec3.components(jnp.moveaxis(z, -1, 0))
-    return Moving(y[:3], y[3:6], BodyAxesState(y[6:10], y[10:], None))
+    return Moving(Vector(y[:3]), Vector(y[3:6]), BodyAxesState(y[6:10], Vector(y[10:]), None))
 
 
 def motion(system: AbstractRigidBodies, state: State) -> State:
@@ -62,7 +62,7 @@ def motion(system: AbstractRigidBodies, state: State) -> State:
 
 def _state(z: Array) -> State:
     x, P, turning = _parts(z)
-    spin = [dot(row, turning.Pi) for row in so3.matrix_of(*turning.q)]
+    spin = Matrix(so3.matrix_of(*turning.q)) @ turning.Pi
     return State(jnp.stack([*x, *turning.q], axis=-1), jnp.stack([*P, *spin], axis=-1))
 
 
@@ -80,13 +80,13 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
     def unknowns(self, system: AbstractRigidBodies, state: State) -> Array:
         """The unknowns of all bodies in one array, (N, 13)."""
         turning = jax.vmap(body_axes.body_axes_state)(_turning_part(state))
-        return _pack(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
+        return _pack(Moving(vector(state.q[:, :3].T), vector(state.p[:, :3].T), turning))
 
     def apply(self, system: AbstractRigidBodies, state: State, z: Array, delta: Array) -> State:
         """The state whose unknowns are z, after their increments."""
         start, step = _parts(z), _parts(delta)
         end = jax.vmap(body_axes.advance_body)(_turning_part(state), start.turning, step.turning)
-        x, P = (jnp.stack(add(*pair), axis=-1) for pair in ((start.x, step.x), (start.P, step.P)))
+        x, P = (jnp.stack(y, axis=-1) for y in (start.x + step.x, start.P + step.P))
         return state._replace(q=jnp.concatenate([x, end.q], axis=1), p=jnp.concatenate([P, end.p], axis=1))
 
     def split_qp(self, z: Array) -> tuple[list[Array], list[Array]]:
@@ -100,9 +100,9 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
 
         def field(z: Array, _: PyTree) -> Array:
             x, P, turning = _parts(z)
-            force = forces(system, x, turning.q)
+            force, torque = forces(system, x, turning.q)
             q_dot, Pi_dot = spinning(inverse, None, turning.q, turning.Pi)
-            return _pack(Moving(scale(1 / masses, P), force[:3], BodyAxesState(q_dot, add(Pi_dot, force[3:]), None)))
+            return _pack(Moving((1 / masses) * P, force, BodyAxesState(q_dot, Pi_dot + torque, None)))
 
         return field
 

@@ -96,7 +96,7 @@ class Body(Rotating):
 
     def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
-        return jnp.stack(vec3.solve_symmetric(vec3.symmetric(self.inertia), self.body_momentum(state)))
+        return jnp.stack(vec3.symmetric(self.inertia).solve(self.body_momentum(state)))
 
     def kinetic_energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π."""
@@ -242,7 +242,7 @@ def _attitude_and_momentum(
     """
     q = so3.from_matrix(attitude) if attitude.ndim == 2 else so3.normalize(attitude)
     if name == "angular_velocity":
-        motion = jnp.stack(vec3.apply(vec3.symmetric(inertia), motion))
+        motion = jnp.stack(vec3.symmetric(inertia) @ motion)
         motion = motion if rotor is None else rotor + motion
     p = motion if name == "spatial_momentum" else so3.Ad(q, motion)
     dtype = jnp.result_type(q, p)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics import vec3
 from lieint_jax._xla import compiled
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._shared.arguments import explained
@@ -68,7 +69,7 @@ class OnGroup:
 
     def kinetic_energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
-        return la.dot(*(la.as_list(x) for x in (self.body_momentum(state), self.velocity(state)))) / 2
+        return vec3.dot(self.body_momentum(state), self.velocity(state)) / 2
 
     def casimirs(self, state: State) -> MomentumMap:
         """The known Casimirs of body momentum (`group.casimirs`), (k,), which are constant along every motion."""
@@ -112,7 +113,7 @@ def _check_element(name: str, group: Group, q: Array) -> None:
 def flat(metric: Array, xi: AlgebraVector) -> DualVector:
     """ξ♭ = m ξ."""
     _check_shape(metric, len(xi))
-    return metric * xi if metric.ndim == 1 else la.as_array(la.matvec(la.as_list(metric), la.as_list(xi)), xi)
+    return metric * xi if metric.ndim == 1 else la.as_array(la.unrolled(metric) @ la.unrolled(xi), xi)
 
 
 def sharp(metric: Array, mu: DualVector) -> AlgebraVector:
@@ -120,7 +121,7 @@ def sharp(metric: Array, mu: DualVector) -> AlgebraVector:
     _check_shape(metric, len(mu))
     if metric.ndim == 1:
         return mu / metric
-    return la.as_array(la.solve(la.as_list(metric), la.as_list(mu)), mu)
+    return la.as_array(la.solve(la.unrolled(metric), la.unrolled(mu)), mu)
 
 
 def _check_shape(metric: Array, d: int) -> None:

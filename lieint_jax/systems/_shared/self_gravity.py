@@ -21,6 +21,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import Symmetric
+from lieint_jax.systems._shared.stored_energy import plus
 from lieint_jax.types import StoredEnergy, pytree
 
 _POINTS = 48  # of the rule on [−1, 1], of which an even function needs half
@@ -38,25 +39,25 @@ class SelfGravity(StoredEnergy):
     strength: Array
 
     def __call__(self, C: Array) -> Array:
-        return -self.strength * jnp.sum(_weights(C) / jnp.sqrt(_determinant(_stretch(vec3.symmetric(C)))))
+        A = _stretch(vec3.symmetric(C))
+        return -self.strength * jnp.sum(_weights(C) / jnp.sqrt(A.det(A.adjugate)))
 
     def stress(self, C: Symmetric) -> Symmetric:
         A = _stretch(C)
-        d = _determinant(A)
-        return self._sum(vec3.adjugate(A), d * jnp.sqrt(d))
+        d = A.det(A.adjugate)
+        return self._sum(A.adjugate, d * jnp.sqrt(d))
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        v2 = _squares(C[0])
-        A, change = _stretch(C), tuple(v2 * x for x in D)
+        A, change = _stretch(C), _squares(C[0]) * D
         cofactor = vec3.mean_cofactor(A, change)
-        start = _determinant(A)
-        r0, r1 = jnp.sqrt(start), jnp.sqrt(start + vec3.inner(cofactor, change))
+        start = A.det(A.adjugate)
+        r0, r1 = jnp.sqrt(start), jnp.sqrt(start + cofactor.inner(change))
         return self._sum(cofactor, r0 * r1 * (r0 + r1) / 2)
 
     def _sum(self, cofactor: Symmetric, divisor: Array) -> Symmetric:
         """k Σ w v² cofactor / divisor over the nodes."""
         factor = self.strength * _weights(divisor) * _squares(divisor) / divisor
-        return tuple(jnp.sum(factor * x) for x in cofactor)
+        return Symmetric(map(jnp.sum, factor * cofactor))
 
 
 def _squares(like: Array) -> Array:
@@ -69,12 +70,7 @@ def _weights(like: Array) -> Array:
 
 def _stretch(C: Symmetric) -> Symmetric:
     """A = 1 + v²(C − 1) at all nodes."""
-    v2 = _squares(C[0])
-    return (*(1 + v2 * (c - 1) for c in C[:3]), *(v2 * c for c in C[3:]))
-
-
-def _determinant(A: Symmetric) -> Array:
-    return vec3.determinant(A, vec3.adjugate(A))
+    return plus(1, _squares(C[0]) * plus(-1, C))
 
 
 def self_gravity(G: ArrayLike, mass: ArrayLike, radius: ArrayLike) -> SelfGravity:

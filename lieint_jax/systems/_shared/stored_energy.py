@@ -46,21 +46,17 @@ class _VolumeAndTrace(StoredEnergy):
 
     def __call__(self, C: Matrix3) -> Scalar:
         S = vec3.symmetric(C)
-        I3 = vec3.determinant(S, vec3.adjugate(S))
-        return self.mu / 2 * (vec3.trace(S) - 3) + self.volume_energy(I3)
+        return self.mu / 2 * (S.trace - 3) + self.volume_energy(S.det(S.adjugate))
 
     def stress(self, C: Symmetric) -> Symmetric:
-        cofactor = vec3.adjugate(C)
-        I3 = vec3.determinant(C, cofactor)
-        return self._add_shear(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
+        cofactor = C.adjugate
+        I3 = C.det(cofactor)
+        return plus(self.mu, 2 * self.slope(I3, jnp.zeros_like(I3)) * cofactor)
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
         cofactor = vec3.mean_cofactor(C, D)
-        slope = self.slope(vec3.determinant(C, vec3.adjugate(C)), vec3.inner(cofactor, D))
-        return self._add_shear(2 * slope, cofactor)
-
-    def _add_shear(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
-        return _plus(self.mu, tuple(pressure * c for c in cofactor))
+        slope = self.slope(C.det(C.adjugate), cofactor.inner(D))
+        return plus(self.mu, 2 * slope * cofactor)
 
 
 @pytree
@@ -103,15 +99,15 @@ class SaintVenantKirchhoff(StoredEnergy):
     mu: Array
 
     def __call__(self, C: Matrix3) -> Scalar:
-        G = _plus(-1, vec3.symmetric(C))
-        return self.lam / 8 * vec3.trace(G) ** 2 + self.mu / 4 * vec3.inner(G, G)
+        G = plus(-1, vec3.symmetric(C))
+        return self.lam / 8 * G.trace**2 + self.mu / 4 * G.inner(G)
 
     def stress(self, C: Symmetric) -> Symmetric:
-        G = _plus(-1, C)
-        return _plus(self.lam / 2 * vec3.trace(G), tuple(self.mu * g for g in G))
+        G = plus(-1, C)
+        return plus(self.lam / 2 * G.trace, self.mu * G)
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        return self.stress(tuple(c + d / 2 for c, d in zip(C, D, strict=True)))
+        return self.stress(C + D / 2)
 
 
 @pytree
@@ -125,10 +121,10 @@ class General(StoredEnergy):
         return self.function((C + C.T) / 2)
 
     def stress(self, C: Symmetric) -> Symmetric:
-        return vec3.symmetric(self._stress(jnp.array(vec3.rows(C))))
+        return vec3.symmetric(self._stress(C.rows.array))
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        start, change = jnp.array(vec3.rows(C)), jnp.array(vec3.rows(D))
+        start, change = C.rows.array, D.rows.array
         nodes = jnp.asarray((_NODES + 1) / 2, start.dtype)
         stresses = jax.vmap(lambda s: self._stress(start + s * change))(nodes)
         return vec3.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
@@ -137,9 +133,9 @@ class General(StoredEnergy):
         return 2 * autodiff_gradient(self)(C)
 
 
-def _plus(pressure: Array | float, S: Symmetric) -> Symmetric:
+def plus(pressure: Array | float, S: Symmetric) -> Symmetric:
     """pressure·1 + S."""
-    return (*(pressure + s for s in S[:3]), *S[3:])
+    return Symmetric((*(pressure + s for s in S[:3]), *S[3:]))
 
 
 def mooney_rivlin(lam: ArrayLike, mu: ArrayLike) -> MooneyRivlin:
