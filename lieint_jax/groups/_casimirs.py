@@ -1,42 +1,103 @@
-"""Casimirs: functions of body momentum that are constant on coadjoint orbits, so along every motion on the group."""
+"""Casimirs: functions of body momentum that are constant on coadjoint orbits, so along every motion on the group.
+
+A homogeneous polynomial of degree n is Σ cₐ μ_i…μ_j over monomials a: indices (m, n), each row ascending, and
+coefficients c, one row (m,) for each of several polynomials. Its bracket with every μ_i is linear in c, so that the
+Casimirs of each degree are a null space.
+
+Source: Beltrametti & Blasi, Phys. Lett. 20 (1966) 62 (their number); Patera, Sharp, Winternitz & Zassenhaus,
+J. Math. Phys. 17 (1976) 986 (those of all real algebras of dimension up to five).
+"""
 
 from __future__ import annotations
+
+import itertools
+import math
 
 import numpy as np
 
 from lieint_jax.groups.bases import null, round_entries
 
 _TOLERANCE = 1e-9
+_DEGREE, _MONOMIALS = 4, 1000  # the highest degree, and the most monomials of one degree: these need about a second
 
 
-def linear(structure: np.ndarray) -> np.ndarray:
-    """A basis of the λ with ⟨ad*_ξ μ, λ⟩ = 0 for all ξ and μ, rows (k, d): the center of the algebra."""
-    return _echelon(null(structure.transpose(0, 2, 1).reshape(-1, len(structure)), _TOLERANCE))
+def corank(structure: np.ndarray) -> int:
+    """The corank of the Poisson tensor Σ c_ijk μ_k at a generic μ, the number of independent Casimirs of any kind."""
+    return len(structure) - int(np.linalg.matrix_rank(structure @ _point(structure), rtol=_TOLERANCE))
 
 
-def quadratic(structure: np.ndarray) -> np.ndarray:
-    """A basis of the symmetric Q with ⟨ad*_ξ μ, Qμ⟩ = 0, (k, d, d), without products of linear Casimirs."""
+def independent(structure: np.ndarray, size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Functionally independent polynomial Casimirs, lowest degrees first.
+
+    Args:
+        structure: of the basis Eᵢ/|Eᵢ|, which makes the null spaces independent of units, (d, d, d).
+        size: |Eᵢ|, (d,). The Casimirs are in the coordinates ⟨μ, Eᵢ⟩.
+
+    Returns:
+        monomials (m, n) and coefficients (k, m) of the k Casimirs of each degree n that has any.
+    """
+    point, d, needed = _point(structure), len(structure), corank(structure)
+    gradients, found = np.zeros((0, d)), []
+    for degree in range(1, _DEGREE + 1):
+        if len(gradients) == needed or math.comb(d + degree - 1, degree) > _MONOMIALS:
+            break
+        monomials, rows = _invariants(structure, degree)
+        kept = []
+        for row in rows:
+            shifted = point + 1e-30j * np.eye(d)  # a derivative without cancellation, by a complex step
+            gradient = (np.prod(shifted[:, monomials], axis=2) @ row).imag
+            gradient /= np.linalg.norm(gradient)
+            more = np.vstack([gradients, gradient])
+            invariant = np.abs(structure @ point @ gradient).max() < _TOLERANCE  # not in a basis far from orthogonal
+            if invariant and np.linalg.matrix_rank(more, rtol=_TOLERANCE) == len(more):
+                row = row / np.prod(size[monomials], axis=1)
+                gradients, kept = more, [*kept, row / row[np.argmax(row != 0)]]
+        if kept:
+            used = np.any(kept, axis=0)
+            rows = np.array(kept)[:, used]
+            near = round_entries(rows, _TOLERANCE)
+            found.append((monomials[used], np.where(np.abs(rows - near) < _TOLERANCE * np.abs(rows), near, rows)))
+    return found
+
+
+def _point(structure: np.ndarray) -> np.ndarray:
+    """A generic μ."""
+    return np.random.default_rng(0).normal(size=len(structure))
+
+
+def _invariants(structure: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """All monomials of a degree, and the coefficients of a basis of its Casimirs."""
     d = len(structure)
-    pairs = [(i, j) for i in range(d) for j in range(i, d)]
-    symmetric = np.zeros((len(pairs), d, d))
-    for k, (i, j) in enumerate(pairs):
-        symmetric[k, i, j] = symmetric[k, j, i] = 1 if i == j else 0.5
-    turned = np.einsum("kab,icb->kiac", symmetric, structure.transpose(0, 2, 1))  # Q ad_ξᵀ
-    rates = (turned + turned.transpose(0, 1, 3, 2)).reshape(len(pairs), -1)
-    central = linear(structure)
-    products = [_coordinates(np.outer(x, y), pairs) for n, x in enumerate(central) for y in central[n:]]
-    kept, rank = list(products), len(products)
-    found = []
-    for row in _echelon(null(rates.T, _TOLERANCE)):
-        if np.linalg.matrix_rank([*kept, row], _TOLERANCE) > rank:
-            kept.append(row)
-            found.append(row)
-            rank += 1
-    return np.tensordot(np.array(found).reshape(-1, len(pairs)), symmetric, 1)
+    monomials = np.array(list(itertools.combinations_with_replacement(range(d), degree)))
+    place = d ** np.arange(degree)[::-1]
+    replaced = np.tile(monomials, (degree, d, 1, 1))  # by factor and by the index that replaces it
+    for n in range(degree):
+        replaced[n, :, :, n] = np.arange(d)[:, None]
+    rows = np.searchsorted(monomials @ place, np.sort(replaced) @ place)
+    columns, factors = np.arange(len(monomials)), monomials.T[:, None]
+    found = np.eye(len(monomials))
+    for c in structure:
+        bracket = np.zeros((len(monomials), len(monomials)))  # μ_j ↦ Σ c_jk μ_k in each factor
+        np.add.at(bracket, (rows, columns), c[factors, np.arange(d)[:, None]])
+        found = _null_by_blocks(bracket @ found.T) @ found
+    return monomials, _echelon(found)
 
 
-def _coordinates(Q: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
-    return np.array([Q[i, j] if i == j else Q[i, j] + Q[j, i] for i, j in pairs])
+def _null_by_blocks(M: np.ndarray) -> np.ndarray:
+    """A basis of the null space of M, as rows: block by block, since M has few entries and its SVD is slow."""
+    rows, columns = np.nonzero(np.abs(M) > _TOLERANCE)
+    block, last = np.arange(M.shape[1]), np.zeros(0)  # each column with the first one that is linked to it by rows
+    while not np.array_equal(block, last):
+        last, first = block.copy(), np.full(len(M), M.shape[1])
+        np.minimum.at(first, rows, block[columns])
+        np.minimum.at(block, columns, first[rows])
+    found = [np.zeros((0, M.shape[1]))]
+    for label in np.unique(block):
+        inside = block == label
+        vectors = null(M[np.ix_(np.unique(rows[inside[columns]]), inside)], _TOLERANCE)
+        found.append(np.zeros((len(vectors), M.shape[1])))
+        found[-1][:, inside] = vectors
+    return np.concatenate(found)
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:

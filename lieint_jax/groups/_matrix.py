@@ -73,6 +73,11 @@ class MatrixGroup:
         return self.basis.shape[1]
 
     @cached_property
+    def corank(self) -> int:
+        """The number of independent Casimirs: the codimension of generic coadjoint orbits, the index of the algebra."""
+        return _casimirs.corank(self._normalized[1])
+
+    @cached_property
     def _key(self) -> tuple[tuple[int, ...], bytes, bool]:
         return self.basis.shape, self.basis.tobytes(), self.unrolled
 
@@ -212,14 +217,20 @@ class MatrixGroup:
         return la.linear(self._ad_star, mu)
 
     def casimirs(self, mu: DualVector) -> MomentumMap:
-        """Functions of μ that every Ad*_q leaves invariant, (k,): the linear ones (the center), then the quadratic
-        ones.
+        """Functions of μ that every Ad*_q leaves invariant, (k,): independent polynomials, the lowest degrees first.
 
-        They are all such functions of degree up to two, without products of linear ones: Π·P and |P|² on SE(3), |Π|² on
-        SO(3), the Pfaffian and |Π|² on SO(4). SL(3), Sp(4) and others have more, of higher degree; Aff(1) has none.
+        These groups have `corank` of them: Π·P and |P|² on SE(3), |Π|² on SO(3), the Pfaffian and |Π|² on SO(4),
+        degrees 2 and 3 on SU(3) and SL(3), degrees 2 and 4 on Sp(4), SO(5) and SE(4). Only polynomials of degree up to
+        4 are found, and of each degree only if it has at most 1000 monomials: up to d = 10 in degree 4, d = 17 in
+        degree 3. So one is missing on SU(4), whose degrees are 2, 3, 4, and on T(3) and Bianchi IV and V, where it is
+        no polynomial. A basis far from orthogonal may lose them to rounding, too. The first call on a group computes
+        them, in 0.1 s for d = 8 and 0.5 to 1 s for d = 10 (several seconds if most structure constants are not 0).
         """
-        central, forms = (jnp.asarray(x, mu.dtype) for x in self._casimirs)
-        return jnp.concatenate([central @ mu, forms @ mu @ mu])
+        values = [
+            jnp.sum(jnp.asarray(coefficients, mu.dtype) * math.prod(mu[indices] for indices in monomials.T), axis=1)
+            for monomials, coefficients in self._casimirs
+        ]
+        return jnp.concatenate([mu[:0], *values])
 
     def rounding(self, q: SquareMatrix, mu: DualVector) -> DualVector:
         """The sums of |terms| of `Ad_star(q, mu)`, (d,); times eps they bound its rounding error."""
@@ -333,8 +344,14 @@ class MatrixGroup:
         return closed_forms.find(self.basis, _POWERS)
 
     @cached_property
-    def _casimirs(self) -> tuple[np.ndarray, np.ndarray]:
-        return _casimirs.linear(self.structure), _casimirs.quadratic(self.structure)
+    def _normalized(self) -> tuple[np.ndarray, np.ndarray]:
+        """|Eᵢ|, and the structure constants of the basis Eᵢ/|Eᵢ|."""
+        size = np.linalg.norm(self.basis, axis=(1, 2))
+        return size, self.structure * size / np.outer(size, size)[:, :, None]
+
+    @property
+    def _casimirs(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return _known_casimirs(self)
 
     @cached_property
     def _closed_ad(self) -> closed_forms.ClosedForm | None:
@@ -458,6 +475,12 @@ def examples() -> dict[str, MatrixGroup]:
     shear = scale + np.outer(np.eye(3)[0], np.eye(3)[1])
     x, y = (np.outer(np.eye(3)[i], np.eye(3)[2]) for i in (0, 1))
     return {name: matrix([A, x, y], name) for name, A in {"Bianchi V": scale, "Bianchi IV": shear}.items()}
+
+
+@functools.lru_cache(maxsize=64)
+def _known_casimirs(group: MatrixGroup) -> list[tuple[np.ndarray, np.ndarray]]:
+    size, structure = group._normalized
+    return _casimirs.independent(structure, size)
 
 
 def _product(A: Array, B: Array) -> Array:

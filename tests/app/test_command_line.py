@@ -386,7 +386,7 @@ def test_check_accepts_a_group(capsys):
     assert cli.main(["check", "se 2", "--scheme", "arcsine", "--steps", "20"]) == 0
     out = capsys.readouterr().out
     assert "SE(2), dimension 3: Ad_q may grow" in out
-    assert "Casimirs known: 0 linear, 1 quadratic; a symplectic map known: yes" in out
+    assert "Casimirs known: 1 of 1 (of degree 2); a symplectic map known: yes" in out
     assert re.search(r"symplectic form +\S+ +exact to round-off", out)
     assert "conserved bit for bit" in out
 

@@ -180,12 +180,10 @@ def certificates(group: MatrixGroup, scheme: str = "", num_steps: int | None = N
 
 
 def _describe(group: MatrixGroup, system: Any) -> str:
-    central, quadratic = (len(x) for x in group._casimirs)
+    degrees = [str(monomials.shape[1]) for monomials, rows in group._casimirs for _ in rows]
+    known = f"{len(degrees)} of {group.corank}" + f" (of degree {', '.join(degrees)})" * bool(degrees)
     symplectic = "arcsine" in defined_maps(group) and maps.is_symplectic(maps.arcsine, group, system.metric)
     form, growth = "yes" if symplectic else "no", "Ad_q stays bounded"
     if not has_bounded_adjoint(group):
         growth = "Ad_q may grow, and digits of Π are lost like ε‖Ad_q‖²"
-    return (
-        f"{group}: {growth}; Casimirs known: {central} linear, {quadratic} quadratic; a symplectic map known: {form}\n"
-        "A random metric, |Ω| = 1"
-    )
+    return f"{group}: {growth}; Casimirs known: {known}; a symplectic map known: {form}\nA random metric, |Ω| = 1"

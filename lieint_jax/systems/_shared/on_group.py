@@ -72,7 +72,8 @@ class OnGroup:
         return vec3.dot(self.body_momentum(state), self.velocity(state)) / 2
 
     def casimirs(self, state: State) -> MomentumMap:
-        """The known Casimirs of body momentum (`group.casimirs`), (k,), which are constant along every motion."""
+        """The known Casimirs of body momentum (`group.casimirs`), (k,): constant along every motion without a
+        potential."""
         return self.group.casimirs(self.body_momentum(state))
 
     def check(self, state: State) -> None:
