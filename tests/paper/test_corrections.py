@@ -288,6 +288,14 @@ def test_3_26_3_27_the_transported_form(s):
         assert close(s.L.T @ omega(s.pi) @ s.L, form) > 1e-4
 
 
+def test_5_35_the_error_of_the_poisson_matrix_is_in_its_block_of_delta_theta(s):
+    """Of LPLᵀ − P only the δθ–δθ block is not zero, for κ's that are not symplectic; the δπ–δπ block is exact."""
+    error = s.L @ omega_inverse(s.pi) @ s.L.T - omega_inverse(s.pi)
+    assert close(error[3:], 0) + close(error[:, 3:], 0) < 1e-15  # floor 2e-16
+    if s.name != "symplectic":
+        assert close(error[:3, :3], 0) > 1e-4
+
+
 def test_3_29_is_twice_the_inverse_transpose_of_C(s):
     C = s.L[:3, 3:]
     right = N_matrix(s.J, s.name, s.bar, s.Q1, s.pi, DT)

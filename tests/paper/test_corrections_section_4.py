@@ -93,6 +93,27 @@ def test_4_1_and_4_2_the_torque_is_gamma_cross_e():
     assert close(np.cross(GAMMA, e), slope) > 0.1
 
 
+def test_4_the_potential_is_invariant_under_left_rotations_about_gamma():
+    """V(Λ) = Ṽ(Λᵀγ) is V(QΛ) for every Q with Qγ = γ. Under the right action, V(ΛQ), it changes."""
+    top = li.systems.heavy_top([1.0, 2.0, 3.0], E, GAMMA)
+
+    @jax.jit
+    def energies(q):
+        turn = so3.exp(top.axis)
+        return [top.potential_energy(z) for z in (q, so3.multiply(turn, q), so3.multiply(q, turn))]
+
+    V, left, right = map(float, energies(ATTITUDE))
+    assert left == pytest.approx(V, abs=1e-15)
+    assert abs(right - V) > 0.1
+
+
+def test_5_44_is_for_the_algebra_of_the_symmetry_group(s):
+    """The momentum about γ needs a force normal to γ, which spans the algebra of G̃; normal to all η it would be 0."""
+    force = (s.pi1 - s.pi0) / DT
+    assert abs(GAMMA @ force) < 1e-15  # floor 2e-16
+    assert np.abs(force).max() > 0.1
+
+
 @pytest.mark.long
 def test_4_3_and_4_4_hold_for_the_step(s):
     assert close(s.Q1, s.Q0 @ s.T) < 2e-15

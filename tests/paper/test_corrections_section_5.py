@@ -228,6 +228,22 @@ def test_6_18_6_21_6_23_the_momenta_of_a_step():
     close(nu @ axis, 2 * np.linalg.solve(G, nu) @ axis)
 
 
+def test_5_41_needs_the_translation_of_omega_and_the_trivialized_momentum():
+    """Hamilton's equations of (5.42) on GL(2): q̇ = qΩ, not Ω; π̇ = −DV(q)qᵀ, but ṗ ≠ −DV(q), as |p| depends on q."""
+    q, p, V = np.random.default_rng(3).normal(size=(3, 2, 2))
+    m = np.array([[1.0, 2.0], [3.0, 4.0]])  # a diagonal metric
+
+    def hamiltonian(q, p):
+        return jnp.sum((q.T @ p) ** 2 / m) / 2 + jnp.sum(jnp.sin(V * q))
+
+    dq, dp = jax.jit(lambda q, p: jax.grad(hamiltonian, (0, 1))(q, p)[::-1])(q, p)
+    dp, DV, Omega = -dp, V * np.cos(V * q), q.T @ p / m
+    close(dq, q @ Omega)
+    apart(dq, Omega)
+    close(dp @ q.T + p @ dq.T, -DV @ q.T)
+    apart(dp, -DV)
+
+
 @pytest.mark.paper("5.4: (5.45)–(5.48), Result 12", "momentum on linear groups", "schemes/_group_alpha.py")
 @pytest.mark.parametrize("alpha", [0.3, 0.5, 1.0])
 def test_result_12_and_5_45_5_48_need_dt(alpha):
