@@ -201,7 +201,8 @@ def additive(
         system: `systems.pseudo_rigid_body(...)`; `systems.incompressible_body(...)` for the rule "incompressible".
         rule: as above.
         alpha: α in [0, 1], where the force acts; ½ for all rules except "symplectic". There ½ is the implicit midpoint
-            rule; 0 and 1 are the two explicit symplectic Euler schemes.
+            rule; 0 and 1 are the two explicit symplectic Euler schemes. With α ≠ ½ small vibrations of the frequency ω
+            are stable for Δtω < 2/|1 − 2α| only, those of α = ½ for every Δt.
         iterations: the most Newton corrections per step. Fewer suffice as a rule: 3 to 4 at the steps of the paper's
             Figure 3, up to a dozen at those of Figure 4.
 

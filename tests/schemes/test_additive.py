@@ -4,12 +4,14 @@ Steps are compiled once a rule and called one by one: compiling a run of them wo
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from paper import hat, rot
+from scipy.linalg import eigh
 from scipy.optimize import root
 
 import lieint_jax as li
@@ -205,6 +207,33 @@ def test_6_17_is_second_order_at_one_half_only(alpha, order):
     assert _order(dataclasses.replace(LABELED, alpha=jnp.array(alpha))) == pytest.approx(order, abs=0.12)
     made = additive(SOFT, "symplectic", alpha=alpha)
     assert (made.order, made.symmetric) == (order, order == 2)
+
+
+REST = SOFT.state(np.eye(3), momentum=np.zeros((3, 3)))
+
+
+@functools.cache
+def vibrations():
+    """ω² of the vibrations about rest: the eigenvalues of the second derivative of W(FᵀF) over E."""
+    W = lambda F: SOFT.stored_energy(F.reshape(3, 3).T @ F.reshape(3, 3))  # noqa: E731
+    return eigh(jax.jit(jax.hessian(W))(np.eye(3).ravel()), np.kron(np.eye(3), E), eigvals_only=True)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.8, 1.0])
+def test_6_17_is_stable_below_2_over_1_less_2_alpha(alpha):
+    """At rest its eigenvalues are those of an oscillator: λ + 1/λ = (2 − (α² + β²)x)/(1 + αβx), x = (Δtω)², β = 1 − α.
+
+    So |λ| = 1 for all vibrations if and only if Δtω|1 − 2α| < 2 for the fastest.
+    """
+    step, squares = dataclasses.replace(LABELED, alpha=jnp.array(alpha)), vibrations()
+    limit = 100 if alpha == 0.5 else 2 / abs(1 - 2 * alpha)
+    for part, stable in ((0.5, True), (0.99, True), (1.01, alpha == 0.5)):
+        dt = part * limit / np.sqrt(squares.max())
+        values, x = np.linalg.eigvals(_linear(step, REST, dt)), np.repeat(dt**2 * squares, 2)
+        expected = (2 - (alpha**2 + (1 - alpha) ** 2) * x) / (1 + alpha * (1 - alpha) * x)
+        found = values + 1 / values
+        np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=0, atol=1e-12)  # floor 3e-15; α = ½: 2e-13
+        assert (np.abs(values).max() < 1 + 1e-6) == stable  # 1 + 1e-8, as the six λ of rotations are 1; else over 1.1
 
 
 @pytest.mark.paper("6.1.2: (6.4)", "momentum maps of pseudo-rigid bodies", "systems/_pseudo_rigid_body.py")
