@@ -152,6 +152,9 @@ def top_energy_momentum(
     | γ·π | round-off (Result 6), where γ does not move |
     | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` conserves it |
 
+    The paper calls the scheme unconditionally stable. Energy is conserved at any Δt for which the step converges: for
+    heavy tops and κ = 1 up to |ΔtΩ| of 0.15 to 0.3 with 3 iterations and of 1 to 2 with 50, smaller for larger torques.
+
     The scheme is of second order and time-symmetric. D̄ is the potential's own `discrete_gradient` if it has one,
     otherwise the average of the gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where
     |ΔΓ| > 0.01.
