@@ -73,7 +73,9 @@ def modified_energy(step: Step, state: State, dt: ArrayLike, order: int = 4) -> 
         raise ValueError(f"order must be 4 (H₂) or 6 (H₂ and H₄), got {order!r}")
     step, state, dtype = promoted(checked_step(step), state)
     if not isinstance(step, Splitting | GyrostatSplitting):
-        raise ValueError(f"the modified energy is known for schemes.splitting(…), got {step.name}")
+        raise ValueError(
+            f"the modified energy is known for schemes.splitting(…) except of elastic bodies, got {step.name}"
+        )
     _check_drift(step.drift, order)
     return _modified_energy(step, state, jnp.asarray(_checks.step_size(dt), dtype), order)
 

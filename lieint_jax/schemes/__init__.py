@@ -8,7 +8,7 @@
 | `so3_explicit` | free rigid bodies | energy, momentum, form; solved once for a whole run: the fastest | 2 |
 | `torqued_midpoint` | bodies with torques or friction | energy less work | 2 |
 | `top_energy_momentum` | tops, satellites: any potential | energy (less work), γ·π | 2 |
-| `splitting` | tops, satellites, gyrostats, groups with a potential, several bodies | form, momenta | 2 |
+| `splitting` | tops, satellites, gyrostats, groups with a potential, several bodies, elastic ones | form, momenta | 2 |
 | `gauss` | free and elastic bodies, gyrostats, tops, satellites, several bodies | form, momenta | 2s with s stages |
 | `extrapolate` | any system | nothing exactly: for short, accurate runs | 4 to 20 |
 | `log_hamiltonian` | tops | form; variable step size | 2 |
@@ -71,6 +71,7 @@ from lieint_jax.schemes._log_hamiltonian import LogHamiltonian, log_hamiltonian
 from lieint_jax.schemes._nystrom import Nystrom, nystrom
 from lieint_jax.schemes._preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes._reversible_control import ReversibleControl, reversible_control
+from lieint_jax.schemes._shared.elastic_splitting import ElasticSplitting
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting
 from lieint_jax.schemes._shared.properties import SchemeProperties
@@ -91,6 +92,7 @@ __all__ = [
     "Catalogue",
     "Composition",
     "DampedMidpoint",
+    "ElasticSplitting",
     "Exact",
     "Extrapolated",
     "FreeFlight",

@@ -6,8 +6,9 @@
 Each kick is the exact flow of the potential, and the drift is a symplectic step of the kinetic energy, so both conserve
 the form, and every momentum map that the potential conserves. The step is the flow of a nearby Hamiltonian, so the
 error of the energy is bounded and does not drift. For a gyrostat rotations replace the kicks, see
-`_shared.gyrostat_splitting`. Many bodies drift, are kicked, and drift: their drift costs much less than their forces,
-which are then evaluated once per step.
+`_shared.gyrostat_splitting`; the drift of an elastic body is a straight line, see `_shared.elastic_splitting`. Many
+bodies drift, are kicked, and drift: their drift costs much less than their forces, which are then evaluated once per
+step.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import at_once, concrete
 from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.schemes._additive import ELASTIC_BODIES
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.bi_invariant import OneParameterSubgroup, is_bi_invariant
+from lieint_jax.schemes._shared.elastic_splitting import ElasticSplitting
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting, gyrostat_splitting
 from lieint_jax.schemes._shared.properties import SchemeProperties
@@ -36,6 +39,7 @@ from lieint_jax.schemes._shared.se3_free_body import FreeMotion, is_free_motion
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import (
     AbstractDrivenSystem,
+    AbstractElasticBody,
     AbstractForcedSystem,
     AbstractFreeBodies,
     AbstractFreeBody,
@@ -134,16 +138,19 @@ class Splitting(Step):
 @overload
 def splitting(system: AbstractGyrostat, drift: Step | None = None) -> GyrostatSplitting: ...
 @overload
+def splitting(system: AbstractElasticBody) -> ElasticSplitting: ...
+@overload
 def splitting(system: AbstractForcedSystem | AbstractDrivenSystem, drift: Step | None = None) -> Splitting: ...
 def splitting(
-    system: AbstractForcedSystem | AbstractDrivenSystem | AbstractGyrostat, drift: Step | None = None
-) -> Splitting | GyrostatSplitting:
+    system: AbstractForcedSystem | AbstractDrivenSystem | AbstractGyrostat | AbstractElasticBody,
+    drift: Step | None = None,
+) -> Splitting | GyrostatSplitting | ElasticSplitting:
     """Strang splitting: kick–drift–kick for a system with any potential, rotation–drift–rotation for a gyrostat.
 
     | conserved | to |
     |---|---|
     | the symplectic form | round-off, with a symplectic drift |
-    | γ·π, if the potential has an axis γ | round-off |
+    | γ·π, if the potential has an axis γ; rot[PFᵀ] of an elastic body | round-off |
     | π, in a gyrostat | bit for bit |
     | energy; for a driven system, energy less work | O(Δt²), bounded, no drift |
 
@@ -154,13 +161,19 @@ def splitting(
     With eight bodies or more a step is half a drift, a kick, and half a drift, so that the forces between the bodies,
     which dominate the cost, are evaluated once per step.
 
+    For an elastic body this is the central difference method (Störmer–Verlet): explicit, at a sixth of the cost of
+    `additive`, and stable only for Δt < 2/ω, where ω is the frequency of the fastest vibration at the most deformed
+    shape of the motion. `mooney_rivlin` with the inertia E·1 has ω² = (6λ + 2μ)/E at F = 1 (`diagnostics.normal_modes`
+    computes it), and ω² ≈ 2λ|cof F|²/E far from it. Beyond the limit the energy grows without bound until a step
+    inverts the body (det F ≤ 0) and reports `converged=False`.
+
     The step is of second order and time-symmetric; `compose` raises the order.
 
     Args:
         system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`; a driven one,
             `systems.driven_top(...)`, `systems.gravity_gradient(...)`, with kicks at t and t + Δt, whose steps are
             symplectic at given t and Δt, and on the phase space extended by time and −work; or
-            `systems.rigid_bodies(...)`; or `systems.gyrostat(...)`.
+            `systems.rigid_bodies(...)`; `systems.gyrostat(...)`; or `systems.pseudo_rigid_body(...)` without viscosity.
         drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups the exact
             q exp(Δt m⁻¹Π) of a bi-invariant metric; on products too `group_midpoint` with `maps.arcsine` where it is
             symplectic; on SE(3) with an isotropic mass `so3_midpoint` for the attitude and the exact motion of the
@@ -170,15 +183,22 @@ def splitting(
             fast in a weak potential, and no limit on |Δt Ω|.
 
     Raises:
-        ValueError: the system has neither a potential nor a rotor; the drift is not symmetric; or no drift is given and
-            no symplectic one is known.
+        ValueError: the system has neither a potential nor a rotor, is viscous or incompressible; the drift is not
+            symmetric, or given for an elastic body; or no drift is given and no symplectic one is known.
 
-    Source: Strang 1968, SIAM J. Numer. Anal. 5; for rigid bodies Touma & Wisdom 1994, Astron. J. 107.
+    Source: Strang 1968, SIAM J. Numer. Anal. 5; for rigid bodies Touma & Wisdom 1994, Astron. J. 107; for elastic ones
+    Lewis & Simo 1994, Section 1.2, and Simo, Tarnow & Wong 1992, Comput. Methods Appl. Mech. Engrg. 100.
     """
+    if ELASTIC_BODIES.declared(system):
+        ELASTIC_BODIES.check("splitting", system)
+        if drift is not None:
+            raise ValueError(f"the drift of an elastic body is a straight line: give none, got {drift!r}")
+        return ElasticSplitting(system)
     if not isinstance(system, AbstractForcedSystem | AbstractDrivenSystem | AbstractGyrostat):
         raise ValueError(
             "splitting integrates systems with a potential (systems.heavy_top, systems.potential_top, "
-            "systems.driven_top, systems.gravity_gradient, systems.group_potential) and gyrostats, got "
+            "systems.driven_top, systems.gravity_gradient, systems.group_potential), gyrostats, and elastic bodies "
+            "(systems.pseudo_rigid_body without viscosity), got "
             f"{type(system).__name__}{hint('splitting', system)}"
         )
     if drift is None:
@@ -226,22 +246,22 @@ def _metrics(free: AbstractGeodesicFlow) -> list[Array]:
 
 PROPERTIES = SchemeProperties(
     name="splitting",
-    systems="tops, satellites, gyrostats, groups with a potential, several bodies",
+    systems="tops, satellites, gyrostats, groups with a potential, several bodies, elastic bodies",
     conserves=("momentum", "form"),
     order=2,
     symmetric=True,
-    limit="that of the drift",
-    aliases=("Strang splitting", "kick–drift–kick", "Störmer–Verlet"),
+    limit="that of the drift; elastic bodies: Δtω < 2",
+    aliases=("Strang splitting", "kick–drift–kick", "Störmer–Verlet", "central difference method"),
     source="Strang 1968; McLachlan & Quispel 2002",
 )
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The splitting of gyrostats, of rigid bodies in a potential and of any driven system, with the default drift."""
+    """The splitting of gyrostats, elastic bodies, rigid bodies in a potential, and any driven system."""
     rigid = isinstance(system, AbstractForcedSystem | AbstractGyrostat) and isinstance(
         system.free, AbstractFreeBody | AbstractFreeBodies
     )
-    if not rigid and not isinstance(system, AbstractDrivenSystem):
+    if not rigid and not isinstance(system, AbstractDrivenSystem | AbstractElasticBody):
         return {}
     step = splitting(system)
     return {step.name: step}

@@ -182,6 +182,7 @@ def test_an_altered_motion_is_refused_by_every_scheme_with_a_field_of_its_own():
         (schemes.gauss, BODY),
         (schemes.group_energy_momentum, li.systems.group_potential(flat, [2.0, 1.0, 1.0], lambda q: q[1, 2])),
         (schemes.additive, elastic),
+        (schemes.splitting, elastic),
         (schemes.sphere_midpoint, li.systems.pendulum(1.0, 1.0)),
     ]
     for scheme, system in made:

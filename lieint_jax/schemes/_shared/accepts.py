@@ -26,6 +26,7 @@ from lieint_jax.types import (
     AbstractDissipativeBodies,
     AbstractDrivenGyrostat,
     AbstractGyrostat,
+    AbstractIncompressibleBody,
     AbstractTorquedBody,
     AbstractViscousBody,
     State,
@@ -42,6 +43,7 @@ _ELSEWHERE = {  # what takes the systems that few schemes take
     AbstractDampedBody: ("torqued_midpoint",),
     AbstractDissipativeBodies: ("bodies_energy_momentum",),
     AbstractViscousBody: ("additive",),
+    AbstractIncompressibleBody: ("additive",),
 }
 
 
