@@ -49,7 +49,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
     from lib import measure
 
     import lieint_jax as li
-    from lieint_jax._numerics import vec3
+    from lieint_jax._numerics import vectors
     from lieint_jax.groups import so3
     from lieint_jax.schemes._shared.half_turn import scaled
     from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_root
@@ -83,15 +83,15 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
     def delta(q: Any, h: Any) -> Any:
         """`cayley_increment` less q."""
         w, v = q[0], (q[1], q[2], q[3])
-        y = vec3.dot(h, h)
+        y = vectors.dot(h, h)
         s = jnp.sqrt(1 + y)
         r = 1 / (s * (1 + s))
         c = r * (1 + s)
         d = c * so3.defect(q) / 2
         k, c = -y * r - d, c - d
         ch = (c * h[0], c * h[1], c * h[2])
-        x = vec3.cross(v, ch)
-        return jnp.stack([w * k - vec3.dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
+        x = vectors.cross(v, ch)
+        return jnp.stack([w * k - vectors.dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
 
     def with_energy_increment(carry: Any, m: Any) -> Any:
         """The step of `so3_explicit`, see `half_cayley`."""

@@ -61,9 +61,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import elliptic, vec3
+from lieint_jax._numerics import elliptic, vectors
 from lieint_jax._numerics.select import where
-from lieint_jax._numerics.vec3 import Matrix, Vector, VectorLike, cross, dot, matrix
+from lieint_jax._numerics.vectors import Matrix, Vector, VectorLike, cross, dot, matrix
 from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
 from lieint_jax.types.shapes import Inertia, Quaternion, Vector3
@@ -103,12 +103,12 @@ def attitude(inertia: Inertia, q: Quaternion, p: Vector3, t: ArrayLike) -> tuple
     ones. For a full tensor with moments equal to within √eps they are finite, but omit the change of the inertia's
     off-diagonal elements between the equal axes.
     """
-    J, Pi = vec3.symmetric(inertia), so3.Ad_star(q, p)
+    J, Pi = vectors.symmetric(inertia), so3.Ad_star(q, p)
     scale, G, e, rest = _units(inertia, Pi)
     (w, *v), accuracy = _increment(scale * inertia, e, G * t)
     v = (where(rest, x, y) for x, y in zip(J.solve(Pi) * t / 2, v, strict=True))  # 0, with its derivative in π
     increment = materialized((where(rest, 1, w), *v))
-    turned = lax.stop_gradient(vec3.max_abs(Pi) * J.inverse_trace * jnp.abs(t))
+    turned = lax.stop_gradient(vectors.max_abs(Pi) * J.inverse_trace * jnp.abs(t))
     length, condition = (where(rest, 0, x) for x in accuracy)
     return so3.normalize(jnp.stack(materialized(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
 
@@ -163,7 +163,7 @@ def periods(inertia: Inertia, Pi: Vector3) -> Periods:
     """The mean periods of a free body of body momentum Π, (3,); `inertia` as in `attitude`."""
     if inertia.ndim == 1:
         moments, turns = _ascending_moments(inertia)
-        x, y, z = _permute(vec3.components(Pi), turns, 1)
+        x, y, z = _permute(vectors.components(Pi), turns, 1)
     else:
         moments, V = principal_axes(inertia)
         x, y, z = matrix(V).T @ Pi
@@ -199,7 +199,7 @@ def on_axes(moments: Array, s: Array, long_axis: bool) -> Array:
         s: from 0 to 1.
         long_axis: the mode.
     """
-    A, B, C = vec3.components(moments)
+    A, B, C = vectors.components(moments)
     above = C / B - 1 + s * (C / A - C / B) if long_axis else s * (C / B - 1)
     square = above * A / (C - A)
     return jnp.stack([jnp.sqrt(square), 0 * square, jnp.sqrt(1 - square)])
@@ -238,7 +238,7 @@ def _less_third(m1: Array, nu: Array, K: Array) -> Array:
 
 def _units(inertia: Inertia, Pi: Vector3) -> tuple[Array, Array, Vector, Array]:
     """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
-    scale = 1 / vec3.symmetric(inertia).trace
+    scale = 1 / vectors.symmetric(inertia).trace
     scaled = scale * Vector(Pi)
     square = dot(scaled, scaled)
     rest = square == 0
@@ -266,7 +266,7 @@ def _ascending_moments(J: Array) -> tuple[Vector, _Turns]:
 
     Component by component: a gather by `argsort` would end XLA's loop over a batch before and after it.
     """
-    moments, turns = list(vec3.components(J)), []
+    moments, turns = list(vectors.components(J)), []
     for i in (0, 1, 0):
         a, b = moments[i : i + 2]
         turns.append((i, a > b))
@@ -453,7 +453,7 @@ def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: 
     one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
     zero, root, p = (where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
     x, y, p = (jnp.stack(pair) for pair in ((cn, zero), (dn, root), (1 + n, p)))
-    part, quarter = materialized(vec3.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
+    part, quarter = materialized(vectors.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
     return part, quarter
 
 

@@ -24,7 +24,7 @@ from jax import Array
 
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._numerics import power_series, vec3
+from lieint_jax._numerics import power_series, vectors
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.select import where
 from lieint_jax.groups import so3
@@ -145,7 +145,7 @@ def scaled_cayley(kappa: Callable[[Array], Array]) -> Map:
 
 
 def _scaled_cayley(kappa: Callable[[Array], Array], group: Group, theta: AlgebraVector) -> GroupElement:
-    return group.cayley(kappa(vec3.dot(theta, theta)) * theta)
+    return group.cayley(kappa(vectors.dot(theta, theta)) * theta)
 
 
 def derivative(tau: Map, group: Group, theta: AlgebraVector) -> AlgebraMatrix:
@@ -271,7 +271,7 @@ def _cayley_coadjoint(group: Any, theta: la.Vector, mu: la.Vector) -> la.Vector:
 
 def _half_turn(_: Group, theta: AlgebraVector) -> Flag:
     """Whether Θ is a rotation by less than 180°; beyond, several Θ lead to the same rotation."""
-    return vec3.dot(theta, theta) < math.pi**2
+    return vectors.dot(theta, theta) < math.pi**2
 
 
 def _arcsine_near(group: Any, theta: AlgebraVector) -> GroupElement:
@@ -289,10 +289,10 @@ def _arcsine_slope(group: Any, theta: la.Vector) -> la.Matrix:
     columns: list[PyTree] = [None] * group.dim
     for factor, form in arcsine_forms(group):
         s, gradient = jax.value_and_grad(lambda x, form=form: _arcsine_of_square(la.quadratic(form, x)))(vector)
-        along = [vec3.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]
+        along = [vectors.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]
         for j in factor:
             columns[j] = [la.times(s, row[j]) + a * gradient[j] for row, a in zip(H, along, strict=True)]
-    rows = vec3.Matrix(columns).T
+    rows = vectors.Matrix(columns).T
     return rows.array if isinstance(theta, Array) else rows
 
 

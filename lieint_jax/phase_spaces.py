@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import materialized
 from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.types import Group, State, pytree, static
@@ -118,8 +118,8 @@ class EmbeddedRotations(_ByEntries):
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], without the other components of δΛ."""
-        transposed = vec3.matrix(state.q).T
-        velocity = vec3.Matrix(transposed.solve(row) for row in tangent.q)  # δΛ Λ⁻¹
+        transposed = vectors.matrix(state.q).T
+        velocity = vectors.Matrix(transposed.solve(row) for row in tangent.q)  # δΛ Λ⁻¹
         return jnp.concatenate([so3.vee(velocity.array), tangent.p])
 
     def omega(self, state: State) -> PhaseMatrix:
@@ -128,7 +128,7 @@ class EmbeddedRotations(_ByEntries):
 
     def defect(self, state: State) -> Scalar:
         """max|ΛᵀΛ − 1|."""
-        C = vec3.matrix(state.q).gram()
+        C = vectors.matrix(state.q).gram()
         return jnp.max(jnp.abs(jnp.stack(C) - jnp.array([1, 1, 1, 0, 0, 0], state.q.dtype)))
 
 
@@ -161,7 +161,7 @@ class CotangentMatrices(_ByEntries):
 
     def defect(self, state: State) -> Scalar:
         """0 where det F > 0, 1 where F has left GL⁺(3) (an open set, from which no distance is defined)."""
-        return jnp.where(vec3.matrix(state.q).det() > 0, 0, 1).astype(state.q.dtype)
+        return jnp.where(vectors.matrix(state.q).det() > 0, 0, 1).astype(state.q.dtype)
 
 
 @pytree
@@ -223,7 +223,7 @@ class CotangentUnimodular(_ByPerturbation):
 
     def defect(self, state: State) -> Scalar:
         """det F − 1."""
-        return vec3.matrix(state.q).det() - 1
+        return vectors.matrix(state.q).det() - 1
 
     def _basis(self, state: State) -> Array:
         return jnp.asarray(self.group.basis, state.q.dtype)
@@ -336,13 +336,13 @@ class CotangentSphere(_ByEntries):
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement, projected on T*S²."""
         end = super().displaced(start, displacement)
-        q = end.q / jnp.sqrt(vec3.dot(end.q, end.q))
-        return end._replace(q=q, p=end.p - vec3.dot(q, end.p) * q)
+        q = end.q / jnp.sqrt(vectors.dot(end.q, end.q))
+        return end._replace(q=q, p=end.p - vectors.dot(q, end.p) * q)
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(a, b), shape (4,), of a tangent vector given in the coordinates of `State`."""
         e1, e2 = frame(state.q)
-        return jnp.stack([vec3.dot(e, v) for v in (tangent.q, tangent.p) for e in (e1, e2)])
+        return jnp.stack([vectors.dot(e, v) for v in (tangent.q, tangent.p) for e in (e1, e2)])
 
     def omega(self, state: State) -> PhaseMatrix:
         """ω(δ₁, δ₂) = q·(δq₁ × δπ₂ + δπ₁ × δq₂), shape (4, 4): the inverse of 𝒥 (1.4), the same in every frame."""
@@ -351,9 +351,9 @@ class CotangentSphere(_ByEntries):
 
     def defect(self, state: State) -> Scalar:
         """The larger of ||q|² − 1| and |q·π| over the largest component of π."""
-        size = vec3.max_abs(state.p)
-        tilt = jnp.abs(vec3.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
-        return jnp.maximum(jnp.abs(vec3.dot(state.q, state.q) - 1), tilt)
+        size = vectors.max_abs(state.p)
+        tilt = jnp.abs(vectors.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
+        return jnp.maximum(jnp.abs(vectors.dot(state.q, state.q) - 1), tilt)
 
 
 @pytree
@@ -378,13 +378,13 @@ class SphericalChart:
     def coordinates(self, state: State) -> PhaseVector:
         """The coordinates of a state, shape (4,): θ in [0, π], φ in (−π, π]. On the axis φ is 0."""
         e1, e2 = frame(self.axis)
-        x, y, h = (vec3.dot(e, state.q) for e in (e1, e2, self.axis))
+        x, y, h = (vectors.dot(e, state.q) for e in (e1, e2, self.axis))
         polar = x * x + y * y == 0
         x = jnp.where(polar, 1, x)  # harmless before the square root and the angle
         theta = jnp.arctan2(jnp.where(polar, 0, jnp.sqrt(x * x + y * y)), h)
         phi = jnp.arctan2(y, x)
         along = self._frame(theta, phi)[2]
-        return jnp.stack([theta, phi, vec3.dot(state.p, along), vec3.dot(state.p, self.axis)])
+        return jnp.stack([theta, phi, vectors.dot(state.p, along), vectors.dot(state.p, self.axis)])
 
     def _frame(self, theta: Scalar, phi: Scalar) -> tuple[Array, Array, Array]:
         """q, ∂q/∂θ, and the unit vector q × ∂q/∂θ along ∂q/∂φ."""

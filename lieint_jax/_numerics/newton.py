@@ -30,7 +30,7 @@ from jax import Array, lax
 from jax.typing import DTypeLike
 
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import saved
 from lieint_jax.types.shapes import PyTree
 
@@ -261,11 +261,11 @@ def _tangent_solve(linear: Callable[[PyTree], PyTree], y: PyTree) -> PyTree:
     """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
     if isinstance(y, tuple | list):
         kind = type(y)
-        x = _tangent_solve(lambda v: jnp.stack(linear(kind(vec3.components(v)))), jnp.stack(y))
-        return kind(vec3.components(x))
+        x = _tangent_solve(lambda v: jnp.stack(linear(kind(vectors.components(v)))), jnp.stack(y))
+        return kind(vectors.components(x))
     if y.ndim == 0:
         return y / linear(jnp.ones_like(y))
     if y.shape[0] == 3:
         columns = [linear(e) for e in jnp.eye(3, dtype=y.dtype)]
-        return jnp.stack(vec3.Matrix(columns).T.solve(y, divide=True))
+        return jnp.stack(vectors.Matrix(columns).T.solve(y, divide=True))
     return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(y.shape[0], dtype=y.dtype)), y)

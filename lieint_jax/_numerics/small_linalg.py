@@ -20,13 +20,13 @@ from jax import Array, lax
 from jax.typing import DTypeLike
 
 from lieint_jax import _xla
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import is_constant, plus, times
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import is_constant, plus, times
 from lieint_jax.types.shapes import PyTree
 
 Scalar = Any  # an array scalar, or a Python number
-Vector = Any  # a `vec3.Vector` of scalars, or an array (n,)
-Matrix = Any  # a `vec3.Matrix`, or an array (n, n)
+Vector = Any  # a `vectors.Vector` of scalars, or an array (n,)
+Matrix = Any  # a `vectors.Matrix`, or an array (n, n)
 
 
 def total(terms: Iterable[Scalar]) -> Scalar:
@@ -38,18 +38,18 @@ def combination(*pairs: tuple[Scalar, Matrix]) -> Matrix:
     return functools.reduce(operator.add, (c * A for c, A in pairs))
 
 
-def map_entries(function: Callable[..., Scalar], *vectors: Vector) -> Vector:
+def map_entries(function: Callable[..., Scalar], *operands: Vector) -> Vector:
     """The function applied to the entries, one by one."""
-    if any(_is_array(x) for x in vectors):
-        return function(*vectors)
-    return vec3.Vector(function(*entries) for entries in zip(*vectors, strict=True))
+    if any(_is_array(x) for x in operands):
+        return function(*operands)
+    return vectors.Vector(function(*entries) for entries in zip(*operands, strict=True))
 
 
 def identity(like: Matrix) -> Matrix:
     n = len(like)
     if _is_array(like):
         return jnp.eye(n, dtype=like.dtype)
-    return vec3.Matrix((float(i == j) for j in range(n)) for i in range(n))
+    return vectors.Matrix((float(i == j) for j in range(n)) for i in range(n))
 
 
 def linear(C: np.ndarray, x: Vector) -> Vector | Matrix:
@@ -57,8 +57,8 @@ def linear(C: np.ndarray, x: Vector) -> Vector | Matrix:
     if _is_array(x):
         return jnp.asarray(C, x.dtype) @ x
     if C.ndim > 2:
-        return vec3.Matrix(linear(c, x) for c in C)
-    return vec3.Vector(total(times(float(c[i]), x[i]) for i in np.flatnonzero(c)) for c in C)
+        return vectors.Matrix(linear(c, x) for c in C)
+    return vectors.Vector(total(times(float(c[i]), x[i]) for i in np.flatnonzero(c)) for c in C)
 
 
 def quadratic(C: np.ndarray, x: Vector) -> Array:
@@ -68,7 +68,7 @@ def quadratic(C: np.ndarray, x: Vector) -> Array:
 
 
 def flatten(A: Matrix) -> Vector:
-    return A.reshape(-1) if _is_array(A) else vec3.Vector(itertools.chain.from_iterable(A))
+    return A.reshape(-1) if _is_array(A) else vectors.Vector(itertools.chain.from_iterable(A))
 
 
 def columns(linear: Callable[..., PyTree], n: int, dtype: DTypeLike) -> list[PyTree]:
@@ -122,10 +122,10 @@ def _adjugate(A: Matrix) -> tuple[Matrix, Scalar]:
     def indices_without(k: int) -> tuple[int, ...]:
         return tuple(i for i in range(n) if i != k)
 
-    adjugate = vec3.Matrix(
+    adjugate = vectors.Matrix(
         (times((-1.0) ** (i + j), minor(indices_without(j), indices_without(i))) for j in range(n)) for i in range(n)
     )
-    return adjugate, vec3.dot(A[0], adjugate.T[0])
+    return adjugate, vectors.dot(A[0], adjugate.T[0])
 
 
 class Factored(NamedTuple):
@@ -164,21 +164,21 @@ def factored(K: Matrix) -> Factored:
         return Factored(lambda b: inverted @ b, positive)
     k = (len(K) + 1) // 2
     A, B, C, D = (
-        vec3.Matrix(row[j] for row in K[i]) for i in (slice(k), slice(k, None)) for j in (slice(k), slice(k, None))
+        vectors.Matrix(row[j] for row in K[i]) for i in (slice(k), slice(k, None)) for j in (slice(k), slice(k, None))
     )
     first = factored(A)
-    W = materialized(vec3.Matrix(first.solve(column) for column in B.T).T)  # A⁻¹B
+    W = materialized(vectors.Matrix(first.solve(column) for column in B.T).T)  # A⁻¹B
     second = factored(materialized(D - C @ W))
 
     def solved(b: Vector) -> Vector:
-        y = materialized(first.solve(vec3.Vector(b[:k])))
-        z = materialized(second.solve(vec3.Vector(b[k:]) - C @ y))
-        return vec3.Vector((*(y - W @ z), *z))
+        y = materialized(first.solve(vectors.Vector(b[:k])))
+        z = materialized(second.solve(vectors.Vector(b[k:]) - C @ y))
+        return vectors.Vector((*(y - W @ z), *z))
 
     return Factored(solved, first.positive & second.positive)
 
 
-def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[vec3.Vector]:
+def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[vectors.Vector]:
     """A⁻¹b for several right-hand sides b at once, unrolled, by Gaussian elimination without pivoting.
 
     Over a batch it is 4 times faster than `jnp.linalg.solve` at 9×9, and inside `schemes.additive` 1.17 times faster
@@ -197,7 +197,7 @@ def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[v
         for i in reversed(range(n)):
             known = sum(m * v for m, v in zip(M[i][i + 1 : n], x, strict=True))
             x.insert(0, (M[i][column] - known) / M[i][i])
-        solutions.append(vec3.Vector(x))
+        solutions.append(vectors.Vector(x))
     return solutions
 
 
@@ -215,7 +215,7 @@ def materialized(A: Vector | Matrix) -> Vector | Matrix:
 
 def unrolled(x: Array) -> Vector | Matrix:
     """An array (n,) or (n, m) as a vector or a matrix of its entries."""
-    return vec3.vector(x) if x.ndim == 1 else vec3.matrix(x)
+    return vectors.vector(x) if x.ndim == 1 else vectors.matrix(x)
 
 
 def as_array(x: Vector | Matrix, like: Array) -> Array:

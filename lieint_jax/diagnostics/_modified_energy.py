@@ -24,7 +24,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.schemes import FreeFlight, GyrostatSplitting, SO3Midpoint, Splitting
@@ -144,7 +144,7 @@ def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
 
 def _rotor_parts(system: AbstractGyrostat) -> _Parts:
     """X = −c·Π with c = J⁻¹h_r, Y the energy of the free body: {X, Y} = −c·(Π × Ω)."""
-    J = vec3.symmetric(system.inertia)
+    J = vectors.symmetric(system.inertia)
     velocity = J.solve(system.rotor)
 
     def drift(z: State) -> State:
@@ -156,7 +156,7 @@ def _rotor_parts(system: AbstractGyrostat) -> _Parts:
 
     def rate(z: State) -> Array:
         Pi = so3.Ad_star(z.q, z.p)
-        return -vec3.dot(velocity, vec3.cross(Pi, J.solve(Pi)))
+        return -vectors.dot(velocity, vectors.cross(Pi, J.solve(Pi)))
 
     return _Parts({"X": rotate, "Y": drift}, rate)
 
@@ -200,8 +200,8 @@ def _drift_error(step: Splitting | GyrostatSplitting, z: State) -> Array:
 
 
 def _midpoint_error(inertia: Array, q: Array, p: Array) -> Array:
-    J, Pi = vec3.symmetric(inertia), so3.Ad_star(q, p)
-    T, square = vec3.dot(Pi, J.solve(Pi)) / 2, vec3.dot(Pi, Pi)
+    J, Pi = vectors.symmetric(inertia), so3.Ad_star(q, p)
+    T, square = vectors.dot(Pi, J.solve(Pi)) / 2, vectors.dot(Pi, Pi)
     adjugate = J.adjugate
     det = J.det(adjugate)
     s1, s2, s3 = adjugate.trace / det, J.trace / det, 1 / det

@@ -19,7 +19,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vec3 import Matrix, Vector
+from lieint_jax._numerics.vectors import Matrix, Vector
 from lieint_jax._xla import materialized
 from lieint_jax.groups import _casimirs, bases, closed_forms
 from lieint_jax.types.shapes import AlgebraVector, DualVector, Flag, MomentumMap, PyTree, Scalar, SquareMatrix

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._numerics import power_series, vec3
+from lieint_jax._numerics import power_series, vectors
 from lieint_jax._numerics.select import where
-from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Vector3
 
 dim = 3
@@ -72,12 +72,12 @@ def cayley(xi: Vector3) -> Quaternion:
     return jnp.concatenate([jnp.ones_like(h[:1]), h]) / jnp.sqrt(1 + dot(h, h))
 
 
-def Ad(q: Quaternion, xi: vec3.VectorLike) -> Vector3:
+def Ad(q: Quaternion, xi: vectors.VectorLike) -> Vector3:
     """Λξ: from body to space."""
     return jnp.stack(_rotate(q[0], q[1:], xi))
 
 
-def Ad_star(q: Quaternion, mu: vec3.VectorLike) -> Vector3:
+def Ad_star(q: Quaternion, mu: vectors.VectorLike) -> Vector3:
     """Λᵀμ, the transpose of Ad: maps spatial momentum π to body momentum Π."""
     return jnp.stack(_rotate(-q[0], q[1:], mu))
 
@@ -99,7 +99,7 @@ def casimirs(mu: Vector3) -> MomentumMap:
 
 def hat(xi: Vector3) -> Matrix3:
     """ξ̂, the skew matrix with ξ̂ h = ξ × h (2.1)."""
-    return vec3.hat(vec3.components(xi)).array
+    return vectors.hat(vectors.components(xi)).array
 
 
 def vee(M: Matrix3) -> Vector3:
@@ -134,30 +134,30 @@ def cayley_increment(q: Quaternion, h: Vector3 | tuple[Array, ...]) -> Quaternio
     the step. The increment also corrects |q|, so |q| = 1 to round-off in runs of any length. Energy then drifts by
     1e-13 in 10⁶ steps, not by 1e-12.
     """
-    return jnp.stack(vec3.vector(q) + cayley_difference(q, h))
+    return jnp.stack(vectors.vector(q) + cayley_difference(q, h))
 
 
-def cayley_difference(q: vec3.VectorLike, h: vec3.VectorLike) -> tuple[Array, Array, Array, Array]:
+def cayley_difference(q: vectors.VectorLike, h: vectors.VectorLike) -> tuple[Array, Array, Array, Array]:
     """`cayley_increment` less q, in components."""
-    w, v = q[0], vec3.Vector(q[1:])
+    w, v = q[0], vectors.Vector(q[1:])
     y = dot(h, h)
     s = jnp.sqrt(1 + y)
     r = 1 / (s * (1 + s))
     c = r * (1 + s)
     d = c * defect(q) / 2
     k, c = -y * r - d, c - d  # c − 1 without cancellation; both over |q|
-    ch = c * vec3.Vector(h)
+    ch = c * vectors.Vector(h)
     return (w * k - dot(v, ch), *(w * ch + k * v + cross(v, ch)))
 
 
 def to_matrix(q: Quaternion) -> Matrix3:
     """The rotation matrix Λ, shape (3, 3)."""
-    return matrix_of(*vec3.components(q)).array
+    return matrix_of(*vectors.components(q)).array
 
 
-def matrix_of(w: Scalar, x: Scalar, y: Scalar, z: Scalar) -> vec3.Matrix:
+def matrix_of(w: Scalar, x: Scalar, y: Scalar, z: Scalar) -> vectors.Matrix:
     """The rows of the rotation matrix of a unit quaternion."""
-    return vec3.Matrix(
+    return vectors.Matrix(
         (
             (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
             (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -178,7 +178,7 @@ def from_matrix(R: Matrix3) -> Quaternion:
             1 - R[0, 0] - R[1, 1] + R[2, 2],
         ]
     )
-    w, x, y, z = vec3.components(squares)
+    w, x, y, z = vectors.components(squares)
     candidates = jnp.stack([jnp.stack(row) for row in ((w, a, b, c), (a, x, f, e), (b, f, y, d), (c, e, d, z))])
     largest = jnp.argmax(squares)
     return normalize(candidates[largest])
@@ -202,7 +202,7 @@ def to_euler_313(q: Quaternion) -> Vector3:
 
     At β = 0 or π only α + γ or α − γ is determined; the other is set to 0.
     """
-    w, x, y, z = vec3.components(q)
+    w, x, y, z = vectors.components(q)
     half_sum, half_difference = _arctan2(z, w), _arctan2(y, x)
     b = 2 * jnp.arctan2(_length(x, y), _length(w, z))
     return jnp.stack([_wrap(half_sum + half_difference), b, _wrap(half_sum - half_difference)])
@@ -246,7 +246,7 @@ def to_euler(q: Array, sequence: str = "ZXZ") -> Array:
     symmetric = i == k
     k = 3 - i - j if symmetric else k
     sign = (i - j) * (j - k) * (k - i) // 2
-    w, *v = vec3.components(q)
+    w, *v = vectors.components(q)
     a, b, c, d = w, v[i], v[j], sign * v[k]
     if not symmetric:
         a, b, c, d = a - c, b + d, c + a, d - b
@@ -289,7 +289,7 @@ def angle(a: Quaternion, b: Quaternion) -> Scalar:
     return 2 * jnp.arctan2(_length(x, y, z), jnp.abs(w))
 
 
-def _product(a: vec3.VectorLike, b: vec3.VectorLike) -> tuple[Array, Array, Array, Array]:
+def _product(a: vectors.VectorLike, b: vectors.VectorLike) -> tuple[Array, Array, Array, Array]:
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -302,7 +302,7 @@ def _norm_squared(q: Quaternion) -> Array:
     return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
 
 
-def _rotate(w: Scalar, v: vec3.VectorLike, u: vec3.VectorLike) -> vec3.Vector:
+def _rotate(w: Scalar, v: vectors.VectorLike, u: vectors.VectorLike) -> vectors.Vector:
     """u + 2w v×u + 2 v×(v×u): u rotated by the unit quaternion (w, v); by its inverse for −w."""
     t = 2 * cross(v, u)
     return u + w * t + cross(v, t)

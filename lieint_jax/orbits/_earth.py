@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, positive
-from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.types import callable_pytree, pytree
 
 EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010

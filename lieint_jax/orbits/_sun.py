@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import positive
-from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.orbits._anomaly import less_sine
 from lieint_jax.orbits._earth import EARTH_RADIUS, J2000, above_ground
 from lieint_jax.types import callable_pytree, pytree, static

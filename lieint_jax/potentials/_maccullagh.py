@@ -8,7 +8,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import materialized
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
@@ -39,21 +39,21 @@ class MacCullagh(Potential):
         # an axis of pairs, seen from one end and then from the other
         here, there = np.concatenate([i, j]), np.concatenate([j, i])
         d = (x[j] - x[i]).T
-        both = vec3.vector(_twice(d))
-        own, arms = _quadrupole(self._entries(here), both, vec3.matrix(jnp.moveaxis(R[here], 0, -1)))
+        both = vectors.vector(_twice(d))
+        own, arms = _quadrupole(self._entries(here), both, vectors.matrix(jnp.moveaxis(R[here], 0, -1)))
         along, *arm = (jnp.sum((m[there] * y).reshape(2, -1), axis=0) for y in (own, *arms))
         masses, traces = m[i] * m[j], m[j] * trace[i] + m[i] * trace[j]
-        f, third = _pull(self.G, masses, traces, vec3.vector(d), along, vec3.Vector(arm))
+        f, third = _pull(self.G, masses, traces, vectors.vector(d), along, vectors.Vector(arm))
         f = jnp.stack(materialized(f))
-        torque = jnp.stack(m[there] * _twice(third) * vec3.cross(both, arms))
+        torque = jnp.stack(m[there] * _twice(third) * vectors.cross(both, arms))
         rows = jnp.concatenate([jnp.concatenate([f, -f], axis=1), torque]).T
         of_each = np.argsort(here, kind="stable").reshape(self.count, -1)
         return rows if self.count == 2 else jnp.sum(rows[of_each], axis=1)
 
-    def _entries(self, n: np.ndarray) -> vec3.Symmetric:
+    def _entries(self, n: np.ndarray) -> vectors.Symmetric:
         """The inertias of k bodies."""
         J = self.inertias[n].T
-        return vec3.Symmetric(vec3.components(J)) if self.inertias.ndim == 2 else vec3.entries(J)
+        return vectors.Symmetric(vectors.components(J)) if self.inertias.ndim == 2 else vectors.entries(J)
 
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """r², Γ_i and Γ_j of each of k pairs, (7k,)."""
@@ -128,18 +128,18 @@ def _twice(x: Array) -> Array:
     return jnp.concatenate([x, x], axis=-1)
 
 
-def _quadrupole(J: vec3.Symmetric, d: vec3.Vector, R: vec3.Matrix) -> tuple[Array, vec3.Vector]:
+def _quadrupole(J: vectors.Symmetric, d: vectors.Vector, R: vectors.Matrix) -> tuple[Array, vectors.Vector]:
     """Γ·JΓ and ΛJΓ, with Γ = Λᵀd."""
     Gamma = R.T @ d
     JGamma = J @ Gamma
-    return vec3.dot(Gamma, JGamma), R @ JGamma
+    return vectors.dot(Gamma, JGamma), R @ JGamma
 
 
 def _pull(
-    G: Array, masses: Array, traces: Array, d: vec3.Vector, along: Array, arm: vec3.Vector
-) -> tuple[vec3.Vector, Array]:
+    G: Array, masses: Array, traces: Array, d: vectors.Vector, along: Array, arm: vectors.Vector
+) -> tuple[vectors.Vector, Array]:
     """f_i and 3G/r⁵, from the sums of m Γ·JΓ and m ΛJΓ."""
-    v = 1 / vec3.dot(d, d)
+    v = 1 / vectors.dot(d, d)
     third = G * v * jnp.sqrt(v)
     size = third * (masses + 1.5 * v * (traces - 5 * v * along))
     return size * d + 3 * third * v * arm, 3 * third * v

@@ -40,7 +40,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vec3 import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
+from lieint_jax._numerics.vectors import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import (

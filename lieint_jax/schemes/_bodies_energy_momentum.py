@@ -29,7 +29,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vec3 import cross, matrix, symmetric, unit_trace, vector
+from lieint_jax._numerics.vectors import cross, matrix, symmetric, unit_trace, vector
 from lieint_jax.groups import so3
 from lieint_jax.potentials import invariant_form, torques
 from lieint_jax.schemes._shared.accepts import AcceptedSystems, check_motion

@@ -20,7 +20,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
-from lieint_jax._numerics.vec3 import dot
+from lieint_jax._numerics.vectors import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.schemes._preprocessed import with_modified_inertia

@@ -19,7 +19,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.power_series import stumpff
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax._numerics.vec3 import dot, vector
+from lieint_jax._numerics.vectors import dot, vector
 from lieint_jax.schemes._bodies_energy_momentum import BODIES
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._nystrom import Stages, mirror

@@ -26,7 +26,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import random_bits
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax._numerics.vec3 import symmetric
+from lieint_jax._numerics.vectors import symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint

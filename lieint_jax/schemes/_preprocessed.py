@@ -21,7 +21,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics.vec3 import dot, symmetric, unit_trace
+from lieint_jax._numerics.vectors import dot, symmetric, unit_trace
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight

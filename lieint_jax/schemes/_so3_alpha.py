@@ -28,7 +28,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vec3 import (
+from lieint_jax._numerics.vectors import (
     Matrix,
     Symmetric,
     Vector,

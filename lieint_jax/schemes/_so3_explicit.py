@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.vec3 import dot, max_abs
+from lieint_jax._numerics.vectors import dot, max_abs
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.half_turn import scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties

@@ -29,7 +29,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
-from lieint_jax._numerics.vec3 import (
+from lieint_jax._numerics.vectors import (
     Matrix,
     Symmetric,
     Vector,

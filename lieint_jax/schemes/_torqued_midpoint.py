@@ -32,7 +32,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vec3 import Matrix, Symmetric, Vector, components, cross, dot, max_abs, unit_trace, vector
+from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, components, cross, dot, max_abs, unit_trace, vector
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems

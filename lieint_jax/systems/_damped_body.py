@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.properties import SystemProperties
@@ -41,9 +41,9 @@ class DampedBody(TimedBody, AbstractDampedBody):
         """(q̇, π̇) = (½ q (Ω + αΠ × Ω), 0), and −α|Π × Ω|² as the rate of the work."""
         Pi, Omega = self.body_momentum(state), self.angular_velocity(state)
         more = jnp.stack(internal_friction(self.friction, Pi, Omega))
-        slip = vec3.cross(Pi, Omega)
+        slip = vectors.cross(Pi, Omega)
         q_dot = so3.tangent(state.q, Omega + more)
-        return State(q_dot, jnp.zeros_like(state.p), work=-self.friction * vec3.dot(slip, slip))
+        return State(q_dot, jnp.zeros_like(state.p), work=-self.friction * vectors.dot(slip, slip))
 
 
 def damped_body(inertia: ArrayLike, friction: ArrayLike) -> DampedBody:

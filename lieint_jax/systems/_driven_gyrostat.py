@@ -11,7 +11,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.systems._gyrostat import Gyrostat
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import OnRotations
@@ -102,7 +102,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
         """(q̇, π̇) = (½ q Ω, 0), ẇork = −Ω·τ, ḣ_r = τ; 0 for other entries of `extra`."""
         turning, torque = self.with_rotor(self.rotor(state)).vector_field(state), self.torque(clock(state))
         still = jax.tree.map(jnp.zeros_like, state.extra)
-        work = -vec3.dot(self.angular_velocity(state), torque)
+        work = -vectors.dot(self.angular_velocity(state), torque)
         return turning._replace(work=work, extra=still | {"rotor": torque})
 
     def check(self, state: State) -> None:

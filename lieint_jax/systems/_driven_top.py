@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import unfused
 from lieint_jax.groups import so3
 from lieint_jax.systems._heavy_top import LinearPotential
@@ -56,7 +56,7 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
             return spatial_torque(lambda turned: self.potential_energy(turned, t), q)
         axis = self.axis_at(t)
         slope = gradient(self.potential, so3.Ad_star(q, axis), t)
-        return jnp.stack(vec3.cross(axis, so3.Ad(q, slope)))
+        return jnp.stack(vectors.cross(axis, so3.Ad(q, slope)))
 
     def power(self, q: Quaternion, t: Time) -> Scalar:
         """∂V/∂t, a scalar: the rate of the energy due to the explicit time dependence of the potential."""
@@ -69,7 +69,7 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
     def momentum(self, state: State) -> MomentumMap:
         """γ·π, shape (1,), if the axis is constant, so that rotations about it are a symmetry; otherwise shape (0,)."""
         moves = self.axis is None or callable(self.axis)
-        return state.p[:0] if moves else vec3.dot(self.axis, state.p)[None]
+        return state.p[:0] if moves else vectors.dot(self.axis, state.p)[None]
 
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (½ q Ω, torque) (4.2), and the power ∂V/∂t as the derivative of work."""

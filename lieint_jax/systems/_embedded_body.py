@@ -7,7 +7,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import EmbeddedRotations
 from lieint_jax.systems._shared.arguments import explained
@@ -59,7 +59,7 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
 
     def body_momentum(self, state: State) -> Vector3:
         """Π = Λ⁻¹π, shape (3,)."""
-        return jnp.stack(vec3.matrix(state.q).solve(state.p))
+        return jnp.stack(vectors.matrix(state.q).solve(state.p))
 
     def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π (2.11)."""
@@ -72,13 +72,13 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
     def vector_field(self, state: State) -> State:
         """(Λ̇, π̇) = (ΛΩ̂, 0) (2.12)."""
         Omega = self.angular_velocity(state)
-        return State(vec3.Matrix(vec3.cross(row, Omega) for row in state.q).array, jnp.zeros_like(state.p))
+        return State(vectors.Matrix(vectors.cross(row, Omega) for row in state.q).array, jnp.zeros_like(state.p))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
         q = _checks.real_array("state.q", state.q, (3, 3))
         _checks.real_array("state.p", state.p, (3,))
-        if _checks.concrete(q) and not (det := float(vec3.matrix(q).det())) > 0:
+        if _checks.concrete(q) and not (det := float(vectors.matrix(q).det())) > 0:
             raise ValueError(f"state.q must have a positive determinant, got {det:.3g}")
 
 

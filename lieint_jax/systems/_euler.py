@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup, flat, sharp
 from lieint_jax.systems._shared.properties import SystemProperties
@@ -88,7 +88,7 @@ class RightEuler(OnGroup, AbstractRightGeodesicFlow):
 
     def energy(self, state: State) -> Scalar:
         """½⟨π, m⁻¹π⟩."""
-        return vec3.dot(state.p, self.velocity(state)) / 2
+        return vectors.dot(state.p, self.velocity(state)) / 2
 
     def momentum(self, state: State) -> DualVector:
         """The momentum map of the right action (5.21): Π = Ad*_q π, shape (d,)."""

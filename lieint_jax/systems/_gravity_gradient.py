@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
 from lieint_jax.systems._driven_top import MovedBody
@@ -37,7 +37,7 @@ class TidalAxis:
     def __call__(self, t: Time) -> Vector3:
         position = self.orbit(t)[0]
         mu = self.orbit.mu if self.mu is None else self.mu
-        r = jnp.sqrt(vec3.dot(position, position))
+        r = jnp.sqrt(vectors.dot(position, position))
         return jnp.sqrt(3 * mu / r) / (r * r) * position
 
 
@@ -69,7 +69,7 @@ class GravityGradient(MovedBody):
         """γ × ΛJΛᵀγ, the torque in space, shape (3,), in fewer operations than by autodiff."""
         axis = self.axis_at(t)
         Gamma = so3.Ad_star(q, axis)
-        return jnp.stack(vec3.cross(axis, so3.Ad(q, vec3.symmetric(self.inertia) @ Gamma)))
+        return jnp.stack(vectors.cross(axis, so3.Ad(q, vectors.symmetric(self.inertia) @ Gamma)))
 
 
 def gravity_gradient(

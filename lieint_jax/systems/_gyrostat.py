@@ -7,7 +7,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Rotating
@@ -40,11 +40,11 @@ class Gyrostat(Rotating, types.AbstractGyrostat):
     def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
         own = self.body_momentum(state) - self.rotor
-        return jnp.stack(vec3.symmetric(self.inertia).solve(own))
+        return jnp.stack(vectors.symmetric(self.inertia).solve(own))
 
     def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r)."""
-        return vec3.dot(self.body_momentum(state) - self.rotor, self.angular_velocity(state)) / 2
+        return vectors.dot(self.body_momentum(state) - self.rotor, self.angular_velocity(state)) / 2
 
     def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space: π itself, of body and rotor together, shape (3,)."""

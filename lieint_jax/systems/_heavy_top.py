@@ -9,7 +9,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import elliptic, vec3
+from lieint_jax._numerics import elliptic, vectors
 from lieint_jax.groups import so3
 from lieint_jax.systems._potential_top import PotentialTop, potential_top
 from lieint_jax.systems._shared.properties import SystemProperties
@@ -26,7 +26,7 @@ class LinearPotential(PotentialWithGradient):
 
     def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar:
         del t  # there for driven tops
-        return vec3.dot(self.weight, Gamma)
+        return vectors.dot(self.weight, Gamma)
 
     def gradient(self, Gamma: Vector3, t: Time | None = None) -> Vector3:
         """E."""
@@ -91,13 +91,13 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
     Source: Whittaker, Analytical Dynamics, §71–72.
     """
     assert isinstance(top.potential, LinearPotential)
-    J, size = vec3.symmetric(top.inertia), jnp.sqrt(vec3.dot(top._axis, top._axis))
+    J, size = vectors.symmetric(top.inertia), jnp.sqrt(vectors.dot(top._axis, top._axis))
     E = top.potential.weight[2]
     Pi = top.body_momentum(state)
     spin = jnp.sign(E) * Pi[2]
     alpha = 2 * jnp.abs(E) * size / J[0]
     a = (2 * top.energy(state) - Pi[2] ** 2 / J[2]) / J[0]
-    b, c = vec3.dot(top._axis, state.p) / (size * J[0]), spin / J[0]
+    b, c = vectors.dot(top._axis, state.p) / (size * J[0]), spin / J[0]
     u1, u2, u3 = _real_roots(-(a + c * c) / alpha, 2 * b * c / alpha - 1, (a - b * b) / alpha)
     m1, swing = (u3 - u2) / (u3 - u1), u2 - u1
     K, slow = elliptic.quarter_period(m1), 4 / jnp.sqrt(alpha * (u3 - u1))
@@ -129,7 +129,7 @@ def kovalevskaya_integral(top: PotentialTop, state: State) -> Scalar:
     """|(Ω₁ + iΩ₂)² − E₁(Γ₁ + iΓ₂)/J₃|², constant for J₁ = J₂ = 2J₃ and E = (E₁, 0, 0)."""
     Omega, Gamma = top.angular_velocity(state), top.Gamma(state)
     assert isinstance(top.potential, LinearPotential)
-    c = top.potential.weight[0] / vec3.symmetric(top.inertia)[2]
+    c = top.potential.weight[0] / vectors.symmetric(top.inertia)[2]
     real = Omega[0] ** 2 - Omega[1] ** 2 - c * Gamma[0]
     imaginary = 2 * Omega[0] * Omega[1] - c * Gamma[1]
     return real**2 + imaginary**2

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.phase_spaces import CotangentSphere
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
@@ -67,7 +67,7 @@ class Pendulum(AbstractSphereSystem):
         name, given = _checks.one_of(velocity=velocity, momentum=momentum)
         q = _unit("direction", direction)
         vector = _checks.real_array(name, given, (3,))
-        along = vec3.dot(q, vector)
+        along = vectors.dot(q, vector)
         if concrete(along) and abs(float(along)) > _checks.UNIT_TOLERANCE * float(np.linalg.norm(vector)):
             raise ValueError(f"{name} must be orthogonal to q: its component on q is {float(along):.3g}; subtract it")
         vector = vector - along * q
@@ -81,15 +81,15 @@ class Pendulum(AbstractSphereSystem):
 
     def potential(self, q: Vector3) -> Scalar:
         """V(q) = −g(γ·q), defined off the sphere too."""
-        return -self.field(vec3.dot(self.axis, q))
+        return -self.field(vectors.dot(self.axis, q))
 
     def energy(self, state: State) -> Scalar:
         """|π|²/(2m) − g(γ·q) (1.3)."""
-        return vec3.dot(state.p, state.p) / (2 * self.mass) + self.potential(state.q)
+        return vectors.dot(state.p, state.p) / (2 * self.mass) + self.potential(state.q)
 
     def momentum(self, state: State) -> MomentumMap:
         """γ·π (1.5), shape (1,)."""
-        return vec3.dot(self.axis, state.p)[None]
+        return vectors.dot(self.axis, state.p)[None]
 
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (π × q/m, −q × ∇V(q))."""

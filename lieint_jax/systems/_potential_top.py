@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Body, spatial_torque
@@ -33,12 +33,12 @@ class QuadraticPotential(PotentialWithGradient):
 
     def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar:
         del t  # there for driven tops
-        return vec3.dot(Gamma, vec3.symmetric(self.matrix) @ Gamma) / 2
+        return vectors.dot(Gamma, vectors.symmetric(self.matrix) @ Gamma) / 2
 
     def gradient(self, Gamma: Vector3, t: Time | None = None) -> Vector3:
         """SΓ."""
         del t
-        return jnp.stack(vec3.symmetric(self.matrix) @ Gamma)
+        return jnp.stack(vectors.symmetric(self.matrix) @ Gamma)
 
     def discrete_gradient(self, a: Vector3, b: Vector3, t: Time | None = None) -> Vector3:
         """S·½(a + b)."""
@@ -79,7 +79,7 @@ class PotentialTop(Body, AbstractTop):
         if self.axis is None:
             return spatial_torque(self.potential_energy, q)
         slope = gradient(self.potential, so3.Ad_star(q, self.axis))
-        return jnp.stack(vec3.cross(self.axis, so3.Ad(q, slope)))
+        return jnp.stack(vectors.cross(self.axis, so3.Ad(q, slope)))
 
     @property
     def _axis(self) -> Vector3:
@@ -93,7 +93,7 @@ class PotentialTop(Body, AbstractTop):
 
     def momentum(self, state: State) -> MomentumMap:
         """γ·π, shape (1,): rotations about γ are a symmetry. Shape (0,) without an axis."""
-        return state.p[:0] if self.axis is None else vec3.dot(self.axis, state.p)[None]
+        return state.p[:0] if self.axis is None else vectors.dot(self.axis, state.p)[None]
 
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (½ q Ω, torque) (4.2)."""
@@ -146,8 +146,8 @@ def brun() -> tuple[PotentialTop, State]:
 
 def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Scalar:
     """|Π|² − ε det J Γ·J⁻¹Γ, constant for V = (ε/2)Γ·JΓ (Clebsch 1871)."""
-    J, Pi, Gamma = vec3.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
-    return vec3.dot(Pi, Pi) - strength * J.det(J.adjugate) * vec3.dot(Gamma, J.solve(Gamma))
+    J, Pi, Gamma = vectors.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
+    return vectors.dot(Pi, Pi) - strength * J.det(J.adjugate) * vectors.dot(Gamma, J.solve(Gamma))
 
 
 PROPERTIES = SystemProperties(
@@ -176,7 +176,7 @@ def _charged_body() -> tuple[PotentialTop, State]:
 
 
 def _coulomb(Gamma: Vector3) -> Scalar:
-    return -1 / jnp.sqrt(1 + vec3.dot(Gamma, Gamma) - 2 * Gamma[2])
+    return -1 / jnp.sqrt(1 + vectors.dot(Gamma, Gamma) - 2 * Gamma[2])
 
 
 def _three_wells(R: Matrix3) -> Scalar:

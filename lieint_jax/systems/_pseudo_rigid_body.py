@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.systems._shared.arguments import explained
@@ -82,12 +82,12 @@ class _Deforming:
 
     def velocity(self, state: State) -> Matrix3:
         """V = Ḟ = PE⁻¹, shape (3, 3)."""
-        E = vec3.symmetric(self.inertia)
-        return vec3.Matrix(E.solve(row) for row in state.p).array
+        E = vectors.symmetric(self.inertia)
+        return vectors.Matrix(E.solve(row) for row in state.p).array
 
     def strain(self, state: State) -> Matrix3:
         """C = FᵀF, shape (3, 3)."""
-        return vec3.matrix(state.q).gram().rows.array
+        return vectors.matrix(state.q).gram().rows.array
 
     def energy(self, state: State) -> Scalar:
         """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
@@ -95,7 +95,7 @@ class _Deforming:
 
     def momentum(self, state: State) -> MomentumMap:
         """Φ = rot[PFᵀ] (6.4), shape (3,), the paper's momentum map of rotations in space: ξ·Φ = ½⟨P, ξ̂F⟩."""
-        return so3.vee((vec3.matrix(state.p) @ vec3.matrix(state.q).T).array)
+        return so3.vee((vectors.matrix(state.p) @ vectors.matrix(state.q).T).array)
 
     def angular_momentum(self, state: State) -> Vector3:
         """∫ρ x × ẋ = 2 rot[PFᵀ], shape (3,): the physical angular momentum, twice the paper's (6.4)."""
@@ -103,8 +103,8 @@ class _Deforming:
 
     def vector_field(self, state: State) -> State:
         """(Ḟ, Ṗ) = (PE⁻¹, −F S), S = 2∇W(FᵀF) (6.3)."""
-        F = vec3.matrix(state.q)
-        S = vec3.Symmetric(self.stored_energy.stress(F.gram()))
+        F = vectors.matrix(state.q)
+        S = vectors.Symmetric(self.stored_energy.stress(F.gram()))
         return State(self.velocity(state), -(F @ S).array)
 
     def check(self, state: State) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, potentials
 from lieint_jax._checks import at_once, concrete, outermost
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
@@ -145,7 +145,7 @@ class _Many:
 
 def _angular_velocity(J: Inertia, q: Quaternion, spin: Vector3) -> Vector3:
     """Ω = J⁻¹Λᵀπ of one body, (3,)."""
-    return jnp.stack(vec3.symmetric(J).solve(so3.Ad_star(q, spin)))
+    return jnp.stack(vectors.symmetric(J).solve(so3.Ad_star(q, spin)))
 
 
 @pytree
@@ -288,7 +288,7 @@ def _make_state(
 ) -> State:
     """The state of positions, attitudes (quaternions or rotation matrices) and velocities."""
     turns = jax.vmap(so3.normalize if turns.ndim == 2 else so3.from_matrix)(turns)
-    Pi = jax.vmap(lambda J, w: jnp.stack(vec3.symmetric(J) @ w))(inertias, Omega)
+    Pi = jax.vmap(lambda J, w: jnp.stack(vectors.symmetric(J) @ w))(inertias, Omega)
     p = jnp.concatenate([masses[:, None] * v, jax.vmap(so3.Ad)(turns, Pi)], axis=1)
     q = jnp.concatenate([x, turns], axis=1)
     dtype = jnp.result_type(q, p)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, torques
 from lieint_jax._checks import concrete
-from lieint_jax._numerics.vec3 import dot
+from lieint_jax._numerics.vectors import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody

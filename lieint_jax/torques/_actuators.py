@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, not_negative, positive
-from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes

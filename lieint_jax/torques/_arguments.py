@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax import _checks
-from lieint_jax._numerics.vec3 import dot
+from lieint_jax._numerics.vectors import dot
 from lieint_jax.types import callable_pytree
 
 VectorOfTime = Array | Callable[[Array], Array]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics.vec3 import VectorLike, cross, dot
+from lieint_jax._numerics.vectors import VectorLike, cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.types import Rotation
 

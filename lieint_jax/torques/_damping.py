@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, not_negative, positive
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.types import Law, Rotation, pytree, static
 from lieint_jax.types.shapes import PyTree
 
@@ -24,7 +24,7 @@ class Viscous(Law):
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """−DΩ̄."""
         D = self.damping if self.damping.ndim else jnp.broadcast_to(self.damping, (3,))
-        return -jnp.stack(vec3.symmetric(D) @ rotation.Omega), inner
+        return -jnp.stack(vectors.symmetric(D) @ rotation.Omega), inner
 
 
 def viscous(damping: ArrayLike) -> Viscous:
@@ -96,7 +96,7 @@ def kane_damper(inertia: ArrayLike, damping: ArrayLike, key: str = "damper") -> 
     return KaneDamper(positive("inertia", inertia), not_negative("damping", damping), key)
 
 
-def internal_friction(friction: ArrayLike, Pi: vec3.VectorLike, Omega: vec3.VectorLike) -> vec3.Vector:
+def internal_friction(friction: ArrayLike, Pi: vectors.VectorLike, Omega: vectors.VectorLike) -> vectors.Vector:
     """α Π × Ω, the angular velocity that internal friction adds to Ω (`systems.damped_body`), in components.
 
     Π̇ = Π × (Ω + αΠ × Ω), the double bracket: |Π| and π stay, and Ḣ = −α|Π × Ω|², until the body rotates about its

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import not_negative, positive
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import cross
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import cross
 from lieint_jax.groups import so3
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
@@ -89,7 +89,7 @@ def _feedforward(J: Array | None, Omega: Array, acceleration: Array) -> Array:
     """Ω × JΩ + J·acceleration, or 0 without J."""
     if J is None:
         return jnp.zeros_like(Omega)
-    S = vec3.symmetric(J)
+    S = vectors.symmetric(J)
     return jnp.stack(cross(Omega, S @ Omega) + S @ acceleration)
 
 

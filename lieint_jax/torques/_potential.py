@@ -11,9 +11,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
-from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
@@ -84,7 +84,7 @@ class GravityGradient(DirectionalPotential):
         return self._times((a + b) / 2)
 
     def _times(self, Gamma: Array) -> Array:
-        return jnp.stack(vec3.symmetric(self.inertia) @ Gamma)
+        return jnp.stack(vectors.symmetric(self.inertia) @ Gamma)
 
 
 def gravity_gradient(orbit: Any, inertia: ArrayLike, mu: ArrayLike | None = None) -> GravityGradient:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import lieint_jax as li
 from lieint_jax.app import plots
 from lieint_jax.app.command import figures
 
@@ -40,17 +41,29 @@ def test_figure_2_a_tenth_of_the_step_is_a_hundredth_of_the_error(body, kappa):
 @pytest.mark.long
 def test_figures_are_written_with_their_tables(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "free_body_run", free_body_run)
-    table = figures.FIGURES[1](tmp_path)
+    table = figures.FIGURES["1"](tmp_path)
     assert "0.00588" in table
     assert "0.00417" in table
     assert [line.split()[-4] for line in table.splitlines()[1:]] == ["cayley", "exponential", "symplectic"] * 2
     assert (tmp_path / "figure-1.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.paper("App. A: showtop", "tips of the body axes, with H and σ", "app/command/figures.py")
+@pytest.mark.long
+def test_showtop_draws_the_tips_of_the_body_axes(tmp_path, monkeypatch):
+    """The tips are those of the exact motion, up to the error of the step at t = 50, 0.011."""
+    monkeypatch.setattr(figures, "free_body_run", free_body_run)
+    assert "max|σ| = 0.00588" in figures.FIGURES["showtop"](tmp_path)
+    assert (tmp_path / "figure-showtop.png").read_bytes().startswith(b"\x89PNG")
+    body, run = li.systems.rigid_body([1.0, 2.0, 3.0]), free_body_run("A", 0, 0.05)
+    exact = body.rotation_matrix(body.solution(body.state(angular_velocity=figures.OMEGA), figures.DURATION))
+    np.testing.assert_allclose(run.rotations[-1], exact, rtol=0, atol=0.03)
+
+
 @pytest.mark.long
 def test_figure_2_is_written_with_its_table(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "free_body_run", free_body_run)
-    rows = figures.FIGURES[2](tmp_path).splitlines()[2:]
+    rows = figures.FIGURES["2"](tmp_path).splitlines()[2:]
     assert len(rows) == 12
     for row in rows:
         dt, body, kappa, largest, energy = row.split()
@@ -152,7 +165,7 @@ def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
     series, drawn = np.arange(50.0) ** 2, []
     monkeypatch.setattr(figures, "delay_run", lambda panel: figures.DelayRun(series, True))
     monkeypatch.setattr(figures.plots, "delay_plot", lambda ax, points, symbol: drawn.append(points))
-    figures.FIGURES[4](tmp_path)
+    figures.FIGURES["4"](tmp_path)
     for points, N in zip(drawn, (3, 5, 3, 5), strict=True):
         expected = np.stack([series[: 50 - 2 * N], series[N : 50 - N], series[2 * N :]], axis=1)
         np.testing.assert_array_equal(points, expected)
@@ -161,7 +174,7 @@ def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_a_delay_figure_is_written_with_its_table(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "delay_run", delay_run)
-    table = figures.FIGURES[3](tmp_path)
+    table = figures.FIGURES["3"](tmp_path)
     assert "2.31e-03" in table or "0.00231" in table
     assert "yes" in table
     assert (tmp_path / "figure-3.png").read_bytes().startswith(b"\x89PNG")

@@ -15,7 +15,7 @@ from scipy.linalg import eigh
 from scipy.optimize import root
 
 import lieint_jax as li
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.diagnostics import flow, linearization
 from lieint_jax.types import State
 
@@ -256,7 +256,7 @@ def test_6_15_and_6_16_with_beta_of_6_9():
 
     def stress(F, F1):
         middle = alpha * F1 + (1 - alpha) * F
-        return jnp.stack(SOFT.stored_energy.stress(vec3.matrix(middle).gram()))
+        return jnp.stack(SOFT.stored_energy.stress(vectors.matrix(middle).gram()))
 
     by_F, by_F1 = jax.jit(jax.jacfwd(stress, argnums=(0, 1)))(jnp.array(F0), jnp.array(F0 + 0.1 * P0))
     np.testing.assert_allclose(alpha * by_F, (1 - alpha) * by_F1, rtol=0, atol=1e-13)

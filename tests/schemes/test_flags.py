@@ -9,7 +9,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import State, maps, schemes
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.types import Step, StepInfo
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -283,7 +283,7 @@ def test_every_converged_root_is_that_of_the_branch_from_zero(name):
 
         def follow(y, s):
             for _ in range(3):  # corrections by Newton
-                y = y - jnp.stack(vec3.matrix(jax.jacfwd(residual)(y, s)).solve(residual(y, s)))
+                y = y - jnp.stack(vectors.matrix(jax.jacfwd(residual)(y, s)).solve(residual(y, s)))
             return y, None
 
         y, _ = jax.lax.scan(follow, jnp.zeros(3), jnp.linspace(0, 1, 601)[1:])

@@ -11,7 +11,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import _discover
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.diagnostics import energy_error, flow, momentum_error
 
 BODY, STATE, DT = _discover.modules_with_examples(li.systems)["incompressible_body"].examples()["ball"]
@@ -83,7 +83,7 @@ def test_the_step_is_the_one_that_its_equations_have():
     (F0, P0), (F1, P1) = (map(np.asarray, z[:2]) for z in (STATE, after))
     np.testing.assert_allclose((F1 - F0) * 2.0, DT * (P0 + P1) / 2, rtol=0, atol=4e-16)
     C, D = F0.T @ F0, F1.T @ F1 - F0.T @ F0
-    S = np.array(BODY.stored_energy.mean_stress(vec3.symmetric(C), vec3.symmetric(D)).rows)
+    S = np.array(BODY.stored_energy.mean_stress(vectors.symmetric(C), vectors.symmetric(D)).rows)
     left = np.linalg.solve((F0 + F1) / 2, -(P1 - P0) / DT) - S  # −pS̄₃
     cofactor = lambda C: np.linalg.det(C) * np.linalg.inv(C).T  # noqa: E731
     minor = (np.trace(D) ** 2 - np.trace(D @ D)) / 2 * np.eye(3) - np.trace(D) * D + D @ D  # cof D

@@ -11,7 +11,7 @@ from paper import hat
 
 import lieint_jax as li
 from lieint_jax import systems
-from lieint_jax._numerics import power_series, vec3
+from lieint_jax._numerics import power_series, vectors
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.types import State
 
@@ -38,10 +38,10 @@ def matrix(S):
 def test_stress_is_twice_the_gradient_and_the_mean_stress_gives_the_difference(name):
     W = MATERIALS[name]
     gradient = np.array(jax.grad(lambda A: W((A + A.T) / 2))(jnp.array(C)))
-    np.testing.assert_allclose(matrix(W.stress(vec3.symmetric(jnp.array(C)))), 2 * gradient, rtol=1e-12, atol=1e-11)
-    mean = matrix(W.mean_stress(vec3.symmetric(jnp.array(C)), vec3.symmetric(jnp.array(D))))
+    np.testing.assert_allclose(matrix(W.stress(vectors.symmetric(jnp.array(C)))), 2 * gradient, rtol=1e-12, atol=1e-11)
+    mean = matrix(W.mean_stress(vectors.symmetric(jnp.array(C)), vectors.symmetric(jnp.array(D))))
     assert np.sum(mean * D) / 2 == pytest.approx(float(W(C + D) - W(C)), abs=4e-13 * max(1, np.abs(mean).max()))
-    limit = matrix(W.mean_stress(vec3.symmetric(jnp.array(C)), vec3.symmetric(jnp.zeros((3, 3)))))
+    limit = matrix(W.mean_stress(vectors.symmetric(jnp.array(C)), vectors.symmetric(jnp.zeros((3, 3)))))
     np.testing.assert_allclose(limit, 2 * gradient, rtol=1e-12, atol=1e-11)
 
 
@@ -50,8 +50,8 @@ def test_every_mean_stress_gives_the_difference_of_the_energy():
 
     @jax.jit
     def both(A, B):
-        means = [W.mean_stress(vec3.symmetric(A), vec3.symmetric(B)) for W in MATERIALS.values()]
-        return [S.inner(vec3.symmetric(B)) / 2 for S in means], [W(A + B) - W(A) for W in MATERIALS.values()]
+        means = [W.mean_stress(vectors.symmetric(A), vectors.symmetric(B)) for W in MATERIALS.values()]
+        return [S.inner(vectors.symmetric(B)) / 2 for S in means], [W(A + B) - W(A) for W in MATERIALS.values()]
 
     for own, difference in zip(*both(C, D), strict=True):
         assert float(own) == pytest.approx(float(difference), rel=1e-12)
@@ -61,7 +61,7 @@ def test_every_mean_stress_gives_the_difference_of_the_energy():
 def test_the_mean_stress_does_not_cancel(size):
     """Against 40 digits: a difference quotient of W loses eps·W/|ΔC| instead, all digits but five at |ΔC| = 1e-9."""
     W = MATERIALS["mooney_rivlin"]
-    mean = matrix(W.mean_stress(vec3.symmetric(jnp.array(C)), vec3.symmetric(jnp.array(size * D))))
+    mean = matrix(W.mean_stress(vectors.symmetric(jnp.array(C)), vectors.symmetric(jnp.array(size * D))))
     with mpmath.workdps(40):
 
         def exact(A):

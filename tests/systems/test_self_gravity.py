@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import elliprf
 
 import lieint_jax as li
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 
 W = li.systems.self_gravity(1.0, 1.0, 1.0)
 BALL = li.systems.incompressible_body(np.full(3, 0.2), W)
@@ -31,15 +31,15 @@ def test_the_energy_is_carlsons_integral(c, angles):
 
 
 energy = jax.jit(W)
-stress = jax.jit(lambda C: W.stress(vec3.symmetric(C)).rows.array)
+stress = jax.jit(lambda C: W.stress(vectors.symmetric(C)).rows.array)
 gradient = jax.jit(jax.grad(W))
 
 
 @jax.jit
 def mean_work(C, D):
     """½ S̄:D."""
-    D = vec3.symmetric(D)
-    return W.mean_stress(vec3.symmetric(C), D).inner(D) / 2
+    D = vectors.symmetric(D)
+    return W.mean_stress(vectors.symmetric(C), D).inner(D) / 2
 
 
 @pytest.mark.long

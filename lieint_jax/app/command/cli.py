@@ -227,7 +227,8 @@ def _add_paper(commands: Any) -> None:
     figure = commands.add_parser(
         "figure", help="recompute figures of the paper", description="Write figures as PNG and PDF."
     )
-    figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")
+    help_ = "numbers in the paper, 1 to 5, or showtop: the tips of the body axes, of Appendix A"
+    figure.add_argument("figures", nargs="+", metavar="N", help=help_)
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
@@ -364,12 +365,12 @@ def _figure(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import list as listing
     from lieint_jax.app.command.figures import FIGURES
 
-    unknown = [n for n in options.numbers if n not in FIGURES]
+    unknown = [n for n in options.figures if n not in FIGURES]
     if unknown:
-        every = " ".join(map(str, FIGURES))
+        every = " ".join(sorted(FIGURES))
         raise ValueError(f"figure {unknown[0]} is not one of those recomputed; lieint figure {every} draws them all")
     options.out.mkdir(parents=True, exist_ok=True)
-    for n in options.numbers:
+    for n in options.figures:
         listing.announce(f"figure {n}")
         written = ", ".join(map(str, plots.files(options.out / f"figure-{n}.png")))
         show(FIGURES[n](options.out), f"  written to {written}")

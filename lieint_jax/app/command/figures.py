@@ -26,13 +26,14 @@ STEPS = 4000  # of Figures 3 to 5
 
 
 class Run(NamedTuple):
-    """One integration for Figures 1 and 2: ‖σ_n‖ and H_n − H₀ at every step."""
+    """One integration for Figures 1 and 2 and Appendix A: ‖σ_n‖, H_n − H₀ and Λ_n, (3, 3), at every step."""
 
     body: str
     kappa: str
     dt: float
     poisson: np.ndarray
     energy: np.ndarray
+    rotations: np.ndarray
 
 
 def free_body_run(body: str, kappa_index: int, dt: float) -> Run:
@@ -42,12 +43,11 @@ def free_body_run(body: str, kappa_index: int, dt: float) -> Run:
     state = system.state(angular_velocity=OMEGA)
     n = round(DURATION / dt)
 
-    def measure() -> tuple[jax.Array, jax.Array]:
-        sigma = jax.vmap(so3.vee)(poisson_error(step, state, dt, n))
-        return jnp.linalg.norm(sigma, axis=1), energy_error(system, integrate(step, state, dt, n))
+    def measure() -> tuple[jax.Array, ...]:
+        sigma, run = jax.vmap(so3.vee)(poisson_error(step, state, dt, n)), integrate(step, state, dt, n)
+        return jnp.linalg.norm(sigma, axis=1), energy_error(system, run), jax.vmap(so3.to_matrix)(run.state.q)
 
-    poisson, energy = jax.jit(measure)()
-    return Run(body, step.kappa.name, dt, np.asarray(poisson), np.asarray(energy))
+    return Run(body, step.kappa.name, dt, *map(np.asarray, jax.jit(measure)()))
 
 
 @plots.style()
@@ -91,6 +91,27 @@ def figure_2(out: Path) -> str:
     ]
     head = f"  {'Δt':<6} J  {'κ':<12} {'max|σ|':>10} {'max H−min H':>12}"
     return "\n".join(["Figure 2: A is J = diag(1,2,3), S is J = diag(1,1,2); t = 50", head, *rows])
+
+
+@plots.style()
+def showtop(out: Path) -> str:
+    """Appendix A's `showtop`: the path of the tips of the body axes in space, the energy, and the Poisson error |σ|."""
+    run = free_body_run("A", 0, 0.05)
+    fig, axes = plots.figure(3)
+    axes[0, 0].remove()
+    tips = fig.add_subplot(1, 3, 1, projection="3d")
+    for k, color in enumerate((plots.INK, plots.RED, plots.BLUE)):
+        tips.plot(*run.rotations[:, :, k].T, color=color, lw=0.7, label=f"axis {k + 1}")
+    tips.set(title=f"tips of the body axes, J = diag{tuple(int(x) for x in BODIES[run.body])}", box_aspect=(1, 1, 1))
+    tips.legend()
+    t = run.dt * np.arange(len(run.energy))
+    for ax, y, label in zip(axes[0, 1:], (run.energy, run.poisson), ("H − H₀", "Poisson error |σ|"), strict=True):
+        plots.series(ax, t, {run.kappa: y}, label)
+    plots.save(fig, out / "figure-showtop.png")
+    return (
+        f"showtop (Appendix A): {run.kappa} κ, t = {DURATION:g}, Δt = {run.dt}\n"
+        f"  max |H − H₀| = {np.abs(run.energy).max():.2g}, max|σ| = {run.poisson.max():.3g}"
+    )
 
 
 class Panel(NamedTuple):
@@ -201,6 +222,6 @@ def _tex(x: float) -> str:
     return f"{x:.2g}" if x >= 1e-2 else rf"${mantissa}\times10^{{{int(power)}}}$"
 
 
-FIGURES: dict[int, Callable[[Path], str]] = {1: figure_1, 2: figure_2} | {
-    number: partial(_delay_figure, number) for number in PANELS
+FIGURES: dict[str, Callable[[Path], str]] = {"1": figure_1, "2": figure_2, "showtop": showtop} | {
+    str(number): partial(_delay_figure, number) for number in PANELS
 }

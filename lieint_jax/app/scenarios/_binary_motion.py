@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.app.scenarios._runs import cached_for_last_run, over_members
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
@@ -99,42 +99,42 @@ def continue_angle(t: np.ndarray | Array, angle: np.ndarray, rate: np.ndarray) -
 def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Array]]:
     """The angles at one time, in (−π, π], and the rates of those that circulate."""
     d, v = relative_motion(system, state)
-    normal = jnp.stack(vec3.cross(d, v))
+    normal = jnp.stack(vectors.cross(d, v))
     L = system.momentum(state)[3:]
-    up = L / jnp.sqrt(vec3.dot(L, L))
+    up = L / jnp.sqrt(vectors.dot(L, L))
     attitudes, Omega = state.q[:, 3:], system.angular_velocities(state)
     x, z = (jax.vmap(so3.Ad, (0, None))(attitudes, axis) for axis in (jnp.eye(3)[0], jnp.eye(3)[2]))
     spins = jnp.sum(jax.vmap(so3.Ad)(attitudes, Omega) * up, axis=1)
     Gamma = so3.Ad_star(attitudes[1], d)
     about_up = partial(longitude, up)
     angles = Motion(
-        distance=jnp.sqrt(vec3.dot(d, d)),  # pyright: ignore[reportArgumentType]
+        distance=jnp.sqrt(vectors.dot(d, d)),  # pyright: ignore[reportArgumentType]
         longitude=about_up(d),
         spin_1=about_up(x[0]),
         spin_2=about_up(x[1]),
         libration=-jnp.arctan2(Gamma[1], Gamma[0]),  # pyright: ignore[reportArgumentType]
-        out_of_plane=jnp.arcsin(Gamma[2] / jnp.sqrt(vec3.dot(d, d))),  # pyright: ignore[reportArgumentType]
-        obliquity_2=vec3.angle(z[1], normal),  # pyright: ignore[reportArgumentType]
-        inclination=vec3.angle(up, normal),  # pyright: ignore[reportArgumentType]
+        out_of_plane=jnp.arcsin(Gamma[2] / jnp.sqrt(vectors.dot(d, d))),  # pyright: ignore[reportArgumentType]
+        obliquity_2=vectors.angle(z[1], normal),  # pyright: ignore[reportArgumentType]
+        inclination=vectors.angle(up, normal),  # pyright: ignore[reportArgumentType]
         node=about_up(normal),
     )
-    orbital = vec3.dot(normal, up) / vec3.dot(d, d)
+    orbital = vectors.dot(normal, up) / vectors.dot(d, d)
     return angles, {"longitude": orbital, "spin_1": spins[0], "spin_2": spins[1]}
 
 
 def longitude(up: Array, a: Array) -> Any:
     """The angle of `a` about the unit vector `up`."""
     e1, e2 = frame(up)
-    return jnp.arctan2(vec3.dot(e2, a), vec3.dot(e1, a))
+    return jnp.arctan2(vectors.dot(e2, a), vectors.dot(e1, a))
 
 
 def energies(system: RigidBodies, state: State) -> Energies:
     """The parts of the energy at a state."""
     m, (d, v) = system.masses, relative_motion(system, state)
-    points = system.potential.G * m[0] * m[1] / jnp.sqrt(vec3.dot(d, d))  # pyright: ignore[reportFunctionMemberAccess]
+    points = system.potential.G * m[0] * m[1] / jnp.sqrt(vectors.dot(d, d))  # pyright: ignore[reportFunctionMemberAccess]
     Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
     spins = jnp.sum(Pi * system.angular_velocities(state), axis=1) / 2
-    orbit = m[0] * m[1] / (m[0] + m[1]) * vec3.dot(v, v) / 2 - points
+    orbit = m[0] * m[1] / (m[0] + m[1]) * vectors.dot(v, v) / 2 - points
     return Energies(orbit, spins[0], spins[1], system.potential_energy(state.q) + points, system.energy(state))
 
 
@@ -147,8 +147,8 @@ def mean_rate(t: np.ndarray | Array, angle: Any) -> Any:
 def with_speed_change(system: RigidBodies, state: State, change: Array) -> State:
     """The state with `change` added to the speed of the relative motion, across the line of centers."""
     m, (d, v) = system.masses, relative_motion(system, state)
-    across = v - d * (vec3.dot(d, v) / vec3.dot(d, d))
-    push = m[0] * m[1] / (m[0] + m[1]) * change * across / jnp.sqrt(vec3.dot(across, across))
+    across = v - d * (vectors.dot(d, v) / vectors.dot(d, d))
+    push = m[0] * m[1] / (m[0] + m[1]) * change * across / jnp.sqrt(vectors.dot(across, across))
     return state._replace(p=state.p.at[:, :3].add(jnp.stack([-push, push])))
 
 
@@ -165,7 +165,7 @@ def orbital_period(
         system: Any = step.system
         run = integrate(step, with_speed_change(system, state, change), dt, num_steps, save_every=save_every)
         L = system.momentum(state)[3:]
-        up = L / jnp.sqrt(vec3.dot(L, L))
+        up = L / jnp.sqrt(vectors.dot(L, L))
         angles = jax.vmap(lambda z: longitude(up, relative_motion(system, z)[0]))(run.state)
         return 2 * jnp.pi / mean_rate(run.t, jnp.unwrap(angles))
 

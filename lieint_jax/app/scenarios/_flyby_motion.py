@@ -16,7 +16,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body, orbits, schemes, systems
-from lieint_jax._numerics import elliptic, vec3
+from lieint_jax._numerics import elliptic, vectors
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.scenarios._common import compose_to_order
 from lieint_jax.app.scenarios._runs import Numbers, map_on_local_devices
@@ -107,7 +107,7 @@ def mode_exists(J: Array, ratio: Array, long_axis: bool) -> Array:
 
 def momentum_on_polhode(J: Array, unit: Array, psi: Array) -> Array:
     """The unit Π at the phase ψ, by Jacobi's functions of 2Kψ/π; `unit` is that at ψ = 0, in the x-z plane."""
-    (A, B, C), (x, _, z) = vec3.components(J), vec3.components(unit)
+    (A, B, C), (x, _, z) = vectors.components(J), vectors.components(unit)
     above, below = x * x * (C / A - 1), z * z * (1 - A / C)  # 2HC − 1 and 1 − 2HA
     f, g = (B - A) * above, (C - B) * below
     long_axis, fast = f > g, jnp.maximum(f, g)
@@ -129,7 +129,7 @@ def state_at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
     in_body = _orthonormal_frame(_normalize(momentum_on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
     x, y, z = _orthonormal_frame(pole, toward)
     across = jnp.cos(spin.phi) * y + jnp.sin(spin.phi) * z
-    axis_in_space = jnp.stack([x, across, jnp.stack(vec3.cross(x, across))])
+    axis_in_space = jnp.stack([x, across, jnp.stack(vectors.cross(x, across))])
     R = jnp.stack([sum(axis_in_space[k, i] * in_body[k] for k in range(3)) for i in range(3)])
     return State(so3.from_matrix(R), size * pole)
 
@@ -141,18 +141,18 @@ def initial_state(spin: Spin, toward: Array, t: Array, long_axis: bool) -> State
 
 def _orthonormal_frame(along: Array, near: Array) -> Array:
     """The unit vector `along`, the direction of `near` across it, and their cross product: rows of a rotation."""
-    across = _normalize(near - vec3.dot(near, along) * along)
-    return jnp.stack([along, across, jnp.stack(vec3.cross(along, across))])
+    across = _normalize(near - vectors.dot(near, along) * along)
+    return jnp.stack([along, across, jnp.stack(vectors.cross(along, across))])
 
 
 def _normalize(v: Array) -> Array:
-    return v / jnp.sqrt(vec3.dot(v, v))
+    return v / jnp.sqrt(vectors.dot(v, v))
 
 
 def outcome(J: Array, state: State) -> Outcome:
     """The invariants of the free motion from a state."""
     body = RigidBody(J)
-    found, size = body.periods(state), jnp.sqrt(vec3.dot(state.p, state.p))
+    found, size = body.periods(state), jnp.sqrt(vectors.dot(state.p, state.p))
     double = 2 * body.energy(state)
     return Outcome(*found, size, double / size, double * jnp.max(J) / size**2, state.p / size)
 
@@ -235,7 +235,7 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]
         state = jax.tree.map(lambda x: x[-1], run.state)
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
         found = _integrate_passage(J, step_of(J, orbit, order), state, times)
-        pole_angle = vec3.angle(found.before.pole, found.after.pole)
+        pole_angle = vectors.angle(found.before.pole, found.after.pole)
         return jnp.stack([found.after.precession, found.after.rotation, found.after.rate, pole_angle])
 
     def slopes_of_member(spin: Spin, elements: Array, times: Array) -> dict[str, Array]:

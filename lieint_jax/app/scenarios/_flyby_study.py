@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import direction, longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import Scenario, SpinValues, Variant
@@ -68,7 +68,7 @@ def _along_great_circle(longitude: Array, latitude: Array, east: Array, north: A
     to_east = jnp.stack([-jnp.sin(longitude), jnp.cos(longitude), jnp.zeros_like(longitude)])
     to_north = direction(longitude, latitude + jnp.pi / 2)
     away = east * to_east + north * to_north
-    x, y, z = so3.Ad(so3.exp(jnp.stack(vec3.cross(pole, away))), pole)
+    x, y, z = so3.Ad(so3.exp(jnp.stack(vectors.cross(pole, away))), pole)
     return jnp.arctan2(y, x), jnp.arcsin(z)
 
 
@@ -195,7 +195,7 @@ def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
     )
 
 
-pole_angles = jax.jit(jax.vmap(vec3.angle))
+pole_angles = jax.jit(jax.vmap(vectors.angle))
 
 
 def unknowns(scenario: Scenario) -> dict[str, tuple[str, float, float]]:

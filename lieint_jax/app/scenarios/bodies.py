@@ -18,7 +18,7 @@ from jax import Array
 from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, potentials, systems
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._binary_motion import continue_angle, longitude, mean_rate
 from lieint_jax.app.scenarios._common import (
@@ -318,10 +318,10 @@ def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, Array]:
     x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
     i, j = np.triu_indices(x.shape[0], 1)
     L = system.free.momentum(state)[3:]
-    up = L / jnp.sqrt(vec3.dot(L, L))
+    up = L / jnp.sqrt(vectors.dot(L, L))
 
     def angle(d: Array, v: Array) -> tuple[Array, Any]:
-        return longitude(up, d), vec3.dot(jnp.stack(vec3.cross(d, v)), up) / vec3.dot(d, d)
+        return longitude(up, d), vectors.dot(jnp.stack(vectors.cross(d, v)), up) / vectors.dot(d, d)
 
     longitudes, rates = jax.vmap(angle)(x[1:] - x[0], v[1:] - v[0])
     rotation_rate = jnp.sqrt(jnp.sum(system.angular_velocities(state) ** 2, axis=1))

@@ -11,7 +11,7 @@ from jax import Array
 from pydantic import Field, model_validator
 
 from lieint_jax import orbits, systems
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body, _spread
 from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_matrix, state_about, top_schemes
@@ -126,9 +126,9 @@ def _start(scenario: Scenario, body: GravityGradient, noise: Array) -> State:
 def orbit_axes(orbit: Any, t: Array) -> tuple[Array, Array]:
     """The matrix with columns radially outward, along the motion and the normal, and its angular velocity in space."""
     position, velocity = orbit(t)
-    normal = jnp.stack(vec3.cross(position, velocity))
-    r, z = (x / jnp.sqrt(vec3.dot(x, x)) for x in (position, normal))
-    return jnp.stack([r, jnp.stack(vec3.cross(z, r)), z], axis=1), normal / vec3.dot(position, position)
+    normal = jnp.stack(vectors.cross(position, velocity))
+    r, z = (x / jnp.sqrt(vectors.dot(x, x)) for x in (position, normal))
+    return jnp.stack([r, jnp.stack(vectors.cross(z, r)), z], axis=1), normal / vectors.dot(position, position)
 
 
 def conserved(scenario: Scenario, body: GravityGradient, run: Trajectory) -> list[Conserved]:

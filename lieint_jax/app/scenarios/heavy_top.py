@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import model_validator
 
 from lieint_jax import diagnostics, schemes, systems
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_matrix, initial_state, top_schemes
@@ -216,7 +216,7 @@ def _axis_motion(top: PotentialTop, states: State, axis: Any) -> tuple[Any, Any,
     """The direction in space of an axis of the body, its velocity and its acceleration, (n, 3) each."""
 
     def velocity(state: State) -> Any:
-        return so3.Ad(state.q, jnp.stack(vec3.cross(top.angular_velocity(state), axis)))
+        return so3.Ad(state.q, jnp.stack(vectors.cross(top.angular_velocity(state), axis)))
 
     def axis_and_velocity(state: State) -> tuple[Any, Any, Any]:
         return so3.Ad(state.q, axis), *jax.jvp(velocity, (state,), (top.vector_field(state),))

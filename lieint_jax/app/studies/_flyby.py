@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import orbits, schemes, systems
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.groups import so3
 from lieint_jax.runs import integrate
@@ -78,7 +78,7 @@ def passage(body: RigidBody, state: State, distance: float, speed: float, member
         after = state_after_flyby(body, before, orbit)
         change = 360 / mean_periods(body, after) - 360 / mean_periods(body, before)
         size = jnp.linalg.norm(after.p - before.p) / jnp.linalg.norm(before.p)
-        return size, jnp.rad2deg(vec3.angle(before.p, after.p)), change
+        return size, jnp.rad2deg(vectors.angle(before.p, after.p)), change
 
     mapped = partial(jax.lax.map, lambda x: member_changes(*x), batch_size=min(members, 64))
     results = jax.jit(mapped)((times, rotations))

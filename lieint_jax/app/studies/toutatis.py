@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax.app import scenarios
 from lieint_jax.app.studies import _flyby
 from lieint_jax.app.studies._pulls import squared_distances
@@ -169,6 +169,6 @@ def _predict(
         dict(zip(("fitted", *given), off, strict=False)),
         off[len(x) :],
         (angles[:, -3:] >= off[0]).mean(axis=0),
-        np.rad2deg(jax.vmap(vec3.angle, (None, 0))(state.p, p)),
+        np.rad2deg(jax.vmap(vectors.angle, (None, 0))(state.p, p)),
         (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
     )

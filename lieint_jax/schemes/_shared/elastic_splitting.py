@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vectors import matrix
 from lieint_jax.types import AbstractElasticBody, State, Step, StepInfo, pytree, static
 
 
@@ -33,7 +33,7 @@ class ElasticSplitting(Step):
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         state = self._kick(state, dt)
         F = state.q + dt * self.system.vector_field(state).q
-        return self._kick(state._replace(q=F), dt), StepInfo(jnp.zeros((), F.dtype), vec3.det(F) > 0)
+        return self._kick(state._replace(q=F), dt), StepInfo(jnp.zeros((), F.dtype), matrix(F).det() > 0)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return f"{self.name} inverts the body (det F ≤ 0) at dt = {dt}: use a smaller dt, or schemes.additive"

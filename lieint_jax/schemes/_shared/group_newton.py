@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vec3 import Matrix, components
+from lieint_jax._numerics.vectors import Matrix, components
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import (
     AbstractGeodesicFlow,

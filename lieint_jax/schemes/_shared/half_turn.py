@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.vec3 import Symmetric, max_abs, unit_trace
+from lieint_jax._numerics.vectors import Symmetric, max_abs, unit_trace
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
 from lieint_jax.schemes._shared.rigid_body import attitude_error_limit

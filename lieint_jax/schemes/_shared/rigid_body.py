@@ -7,7 +7,7 @@ import math
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from lieint_jax._numerics.vec3 import symmetric
+from lieint_jax._numerics.vectors import symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.types import (

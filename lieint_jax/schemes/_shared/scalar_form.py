@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vec3 import Symmetric, Vector, cross, dot, hat, outer, vector
+from lieint_jax._numerics.vectors import Symmetric, Vector, cross, dot, hat, outer, vector
 from lieint_jax.types.shapes import Scalar, Vector3
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.vec3 import cross, matrix, unit_trace, vector
+from lieint_jax._numerics.vectors import cross, matrix, unit_trace, vector
 from lieint_jax.groups import so3
 from lieint_jax.groups.catalogue import special_euclidean
 from lieint_jax.maps import kappa_symplectic

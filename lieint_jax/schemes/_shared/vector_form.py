@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vec3 import Matrix, Symmetric, Vector, cross, dot, hat, outer
+from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, cross, dot, hat, outer
 from lieint_jax.maps import Kappa
 from lieint_jax.types.shapes import Flag, Vector3
 

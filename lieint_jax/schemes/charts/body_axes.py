@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import Symmetric, Vector, VectorLike, cross, dot, vector
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts._chart import Chart
@@ -52,7 +52,7 @@ class Moment(NamedTuple):
 def body_axes_state(state: State) -> BodyAxesState:
     """The unknowns of a body whose q is its attitude."""
     Pi = so3.Ad_star(state.q, state.p)
-    return BodyAxesState(vec3.components(state.q), vector(Pi), state.work)
+    return BodyAxesState(vectors.components(state.q), vector(Pi), state.work)
 
 
 def advance_body(state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
@@ -114,12 +114,12 @@ def upright(axis: Any) -> tuple[Array, Array]:
 
 def turned_up(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
     """A quaternion in the frame where an axis is ±e₃."""
-    return vec3.components(so3.multiply(upright(axis)[0], jnp.stack(q)))
+    return vectors.components(so3.multiply(upright(axis)[0], jnp.stack(q)))
 
 
 def turned_back(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
     """A quaternion of the frame where an axis is ±e₃, in space."""
-    return vec3.components(so3.multiply(so3.inverse(upright(axis)[0]), jnp.stack(q)))
+    return vectors.components(so3.multiply(so3.inverse(upright(axis)[0]), jnp.stack(q)))
 
 
 def _in_space(system: System, delta: BodyAxesState) -> BodyAxesState:
@@ -203,7 +203,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
 
     def apply(self, system: OneBody, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
         """The state whose unknowns are z, after their increments."""
-        return advance_body(state, z._replace(q=vec3.components(state.q)), _in_space(system, delta))
+        return advance_body(state, z._replace(q=vectors.components(state.q)), _in_space(system, delta))
 
     def split_qp(self, z: BodyAxesState) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
         """The unknowns of the configuration and those of the momenta."""
@@ -218,7 +218,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
 
     def rate(self, system: OneBody) -> Callable[[BodyAxesState, PyTree], BodyAxesState]:
         """The time derivative of the unknowns at a moment, for |q| = 1 up to the error of a step."""
-        inverse, rotor = vec3.inverse(system.inertia), system.rotor if isinstance(system, AbstractGyrostat) else None
+        inverse, rotor = vectors.inverse(system.inertia), system.rotor if isinstance(system, AbstractGyrostat) else None
         torque = _torque(system)
 
         def field(z: BodyAxesState, moment: PyTree) -> BodyAxesState:

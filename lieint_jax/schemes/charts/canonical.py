@@ -26,8 +26,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import Symmetric, Vector, VectorLike, cross, dot, vector
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes.charts import several_bodies
@@ -182,7 +182,7 @@ class OneBody(CanonicalChart):
 
     def rate(self, system: Any) -> Callable[[Coordinates, Moment], Coordinates]:
         """½qΩ and ½pΩ, with the force of a potential."""
-        inverse = vec3.inverse(system.metric if isinstance(system, AbstractMechanicalSystem) else system.inertia)
+        inverse = vectors.inverse(system.metric if isinstance(system, AbstractMechanicalSystem) else system.inertia)
         rotor = system.rotor if isinstance(system, AbstractGyrostat) else None
 
         def field(z: Coordinates, t: Moment) -> Coordinates:

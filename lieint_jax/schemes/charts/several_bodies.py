@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import Matrix, Symmetric, Vector, vector
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, vector
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts import body_axes
@@ -27,7 +27,7 @@ Components = tuple[Array, ...]
 
 def inverses(system: AbstractRigidBodies | AbstractFreeBodies) -> Symmetric:
     """The inverse inertias of the bodies."""
-    return jax.vmap(vec3.inverse)(system.inertias)
+    return jax.vmap(vectors.inverse)(system.inertias)
 
 
 def forces(system: AbstractRigidBodies, x: Vector, q: Components) -> tuple[Vector, Vector]:
@@ -50,7 +50,7 @@ def _pack(z: Moving) -> Array:
 
 
 def _parts(z: Array) -> Moving:
-    y = vec3.components(jnp.moveaxis(z, -1, 0))
+    y = vectors.components(jnp.moveaxis(z, -1, 0))
     return Moving(Vector(y[:3]), Vector(y[3:6]), BodyAxesState(y[6:10], Vector(y[10:]), None))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, _free_body
 from lieint_jax._checks import concrete
 from lieint_jax._free_body import Periods
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
@@ -96,11 +96,11 @@ class Body(Rotating):
 
     def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
-        return jnp.stack(vec3.symmetric(self.inertia).solve(self.body_momentum(state)))
+        return jnp.stack(vectors.symmetric(self.inertia).solve(self.body_momentum(state)))
 
     def kinetic_energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π."""
-        return vec3.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
+        return vectors.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
 
     def periods(self, state: State) -> Periods:
         """The two mean periods of a tumbling body, as light curves show them, and its mode, in closed form.
@@ -242,7 +242,7 @@ def _attitude_and_momentum(
     """
     q = so3.from_matrix(attitude) if attitude.ndim == 2 else so3.normalize(attitude)
     if name == "angular_velocity":
-        motion = jnp.stack(vec3.symmetric(inertia) @ motion)
+        motion = jnp.stack(vectors.symmetric(inertia) @ motion)
         motion = motion if rotor is None else rotor + motion
     p = motion if name == "spatial_momentum" else so3.Ad(q, motion)
     dtype = jnp.result_type(q, p)

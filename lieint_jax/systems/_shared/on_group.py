@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._shared.arguments import explained
@@ -69,7 +69,7 @@ class OnGroup:
 
     def kinetic_energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
-        return vec3.dot(self.body_momentum(state), self.velocity(state)) / 2
+        return vectors.dot(self.body_momentum(state), self.velocity(state)) / 2
 
     def casimirs(self, state: State) -> MomentumMap:
         """The known Casimirs of body momentum (`group.casimirs`), (k,): constant along every motion without a

@@ -19,8 +19,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vec3
-from lieint_jax._numerics.vec3 import Symmetric
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import Symmetric
 from lieint_jax.systems._shared.stored_energy import plus
 from lieint_jax.types import StoredEnergy, pytree
 
@@ -39,7 +39,7 @@ class SelfGravity(StoredEnergy):
     strength: Array
 
     def __call__(self, C: Array) -> Array:
-        A = _stretch(vec3.symmetric(C))
+        A = _stretch(vectors.symmetric(C))
         return -self.strength * jnp.sum(_weights(C) / jnp.sqrt(A.det(A.adjugate)))
 
     def stress(self, C: Symmetric) -> Symmetric:
@@ -49,7 +49,7 @@ class SelfGravity(StoredEnergy):
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
         A, change = _stretch(C), _squares(C[0]) * D
-        cofactor = vec3.mean_cofactor(A, change)
+        cofactor = vectors.mean_cofactor(A, change)
         start = A.det(A.adjugate)
         r0, r1 = jnp.sqrt(start), jnp.sqrt(start + cofactor.inner(change))
         return self._sum(cofactor, r0 * r1 * (r0 + r1) / 2)

@@ -1,6 +1,6 @@
 """Stored energies W(C) of homogeneous elastic bodies, C = FᵀF, and their stresses S = 2∇W(C).
 
-Each has two stresses, as symmetric tensors by their six entries (see `_numerics.vec3`):
+Each has two stresses, as symmetric tensors by their six entries (see `_numerics.vectors`):
 
     stress(C)          S(C) = 2∇W(C), the second Piola–Kirchhoff stress
     mean_stress(C, D)  a symmetric S̄ with ½ S̄:D = W(C + D) − W(C), S̄(C, 0) = S(C), free of cancellation for small D
@@ -20,8 +20,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import power_series, vec3
-from lieint_jax._numerics.vec3 import Symmetric
+from lieint_jax._numerics import power_series, vectors
+from lieint_jax._numerics.vectors import Symmetric
 from lieint_jax.types import StoredEnergy, autodiff_gradient, callable_pytree, pytree, static
 from lieint_jax.types.shapes import Matrix3, Scalar
 
@@ -45,7 +45,7 @@ class _VolumeAndTrace(StoredEnergy):
         """(w(I₃ + ΔI₃) − w(I₃))/ΔI₃, and w′(I₃) for ΔI₃ = 0."""
 
     def __call__(self, C: Matrix3) -> Scalar:
-        S = vec3.symmetric(C)
+        S = vectors.symmetric(C)
         return self.mu / 2 * (S.trace - 3) + self.volume_energy(S.det(S.adjugate))
 
     def stress(self, C: Symmetric) -> Symmetric:
@@ -54,7 +54,7 @@ class _VolumeAndTrace(StoredEnergy):
         return plus(self.mu, 2 * self.slope(I3, jnp.zeros_like(I3)) * cofactor)
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        cofactor = vec3.mean_cofactor(C, D)
+        cofactor = vectors.mean_cofactor(C, D)
         slope = self.slope(C.det(C.adjugate), cofactor.inner(D))
         return plus(self.mu, 2 * slope * cofactor)
 
@@ -99,7 +99,7 @@ class SaintVenantKirchhoff(StoredEnergy):
     mu: Array
 
     def __call__(self, C: Matrix3) -> Scalar:
-        G = plus(-1, vec3.symmetric(C))
+        G = plus(-1, vectors.symmetric(C))
         return self.lam / 8 * G.trace**2 + self.mu / 4 * G.inner(G)
 
     def stress(self, C: Symmetric) -> Symmetric:
@@ -121,13 +121,13 @@ class General(StoredEnergy):
         return self.function((C + C.T) / 2)
 
     def stress(self, C: Symmetric) -> Symmetric:
-        return vec3.symmetric(self._stress(C.rows.array))
+        return vectors.symmetric(self._stress(C.rows.array))
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
         start, change = C.rows.array, D.rows.array
         nodes = jnp.asarray((_NODES + 1) / 2, start.dtype)
         stresses = jax.vmap(lambda s: self._stress(start + s * change))(nodes)
-        return vec3.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
+        return vectors.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
 
     def _stress(self, C: Matrix3) -> Matrix3:
         return 2 * autodiff_gradient(self)(C)

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from lieint_jax._numerics import power_series, vec3
+from lieint_jax._numerics import power_series, vectors
 
 EPS = np.finfo(float).eps
 RNG = np.random.default_rng(11)
@@ -22,7 +22,7 @@ def spd(full):
 def test_symmetric_matrices_multiply_and_invert_as_by_numpy(full):
     J = jnp.array(spd(full))
     M = np.array(J) if full else np.diag(J)
-    S, v = vec3.symmetric(J), RNG.normal(size=3)
+    S, v = vectors.symmetric(J), RNG.normal(size=3)
     scale = 64 * EPS * np.linalg.norm(M) ** 3
     np.testing.assert_allclose(S @ v, M @ v, rtol=0, atol=scale)
     np.testing.assert_allclose(S.adjugate @ v, np.linalg.det(M) * np.linalg.inv(M) @ v, rtol=0, atol=scale)
@@ -30,29 +30,29 @@ def test_symmetric_matrices_multiply_and_invert_as_by_numpy(full):
     np.testing.assert_allclose(S.trace, np.trace(M), rtol=0, atol=scale)
     np.testing.assert_allclose(S.solve(v), np.linalg.solve(M, v), rtol=0, atol=64 * EPS)
     np.testing.assert_allclose(S.inverse_trace, np.trace(np.linalg.inv(M)), rtol=64 * EPS)
-    np.testing.assert_allclose(vec3.inverse(J).rows, np.linalg.inv(M), rtol=0, atol=64 * EPS)
-    np.testing.assert_allclose(S @ vec3.matrix(jnp.array(M)), M @ M, rtol=0, atol=scale)
+    np.testing.assert_allclose(vectors.inverse(J).rows, np.linalg.inv(M), rtol=0, atol=64 * EPS)
+    np.testing.assert_allclose(S @ vectors.matrix(jnp.array(M)), M @ M, rtol=0, atol=scale)
 
 
 def test_the_inverse_inertia_of_an_asteroid_is_accurate_in_float32():
     J = jnp.array(spd(True) * 1e20, jnp.float32)
-    x = vec3.symmetric(J).solve(jnp.array([1e20, 2e20, -1e20], jnp.float32))
+    x = vectors.symmetric(J).solve(jnp.array([1e20, 2e20, -1e20], jnp.float32))
     np.testing.assert_allclose(x, np.linalg.solve(np.array(J, float), [1e20, 2e20, -1e20]), rtol=1e-5)
 
 
 def test_solve_agrees_with_numpy():
     K, b = RNG.normal(size=(3, 3)) + 3 * np.eye(3), RNG.normal(size=3)
     for divide in (False, True):
-        x = vec3.Matrix(K).solve(b, 2, divide)
+        x = vectors.Matrix(K).solve(b, 2, divide)
         np.testing.assert_allclose(x, np.linalg.solve(2 * K, b), rtol=0, atol=32 * EPS)
 
 
 def test_matrices_agree_with_numpy():
     X, Y, v = *RNG.normal(size=(2, 3, 3)), RNG.normal(size=3)
-    A, B = vec3.matrix(jnp.array(X)), vec3.Matrix(Y)
+    A, B = vectors.matrix(jnp.array(X)), vectors.Matrix(Y)
     pairs = [(A @ B, X @ Y), (A.T @ B, X.T @ Y), (A + 2.0 * B, X + 2 * Y), (A @ v, X @ v), (A.array, X)]
     pairs += [(A.gram().rows, X.T @ X), (A.plus_transpose().rows, X + X.T), (A.det(), np.linalg.det(X))]
-    pairs += [(A.cofactors, np.linalg.det(X) * np.linalg.inv(X).T), (vec3.hat(v) @ X[0], np.cross(v, X[0]))]
+    pairs += [(A.cofactors, np.linalg.det(X) * np.linalg.inv(X).T), (vectors.hat(v) @ X[0], np.cross(v, X[0]))]
     pairs += [(A @ B.gram(), X @ (Y.T @ Y)), (A - B.gram(), X - Y.T @ Y)]
     for ours, theirs in pairs:
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=64 * EPS)
@@ -64,13 +64,13 @@ def test_matrices_agree_with_numpy():
 def test_signs_of_eigenvalues(values, positive):
     Q = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
     S = Q @ np.diag(np.array(values, float)) @ Q.T
-    assert vec3.matrix(jnp.array(S)).no_negative_eigenvalue == positive
-    assert vec3.symmetric(jnp.array(S)).positive_definite == positive
+    assert vectors.matrix(jnp.array(S)).no_negative_eigenvalue == positive
+    assert vectors.symmetric(jnp.array(S)).positive_definite == positive
 
 
 def test_operators_agree_with_numpy():
     a, b, s = *RNG.normal(size=(2, 3)), 0.7
-    v, w = vec3.vector(jnp.array(a)), vec3.Vector(b)
+    v, w = vectors.vector(jnp.array(a)), vectors.Vector(b)
     found = [
         v + w,
         v - w,
@@ -87,16 +87,16 @@ def test_operators_agree_with_numpy():
     found += [np.float64(s) * v, np.array(s) * v, jnp.array(s) * v]  # NumPy would give an array
     wanted = [a + b, a - b, -a, s * a, s * a, a / s, a + b, a + b, b - a, b - a, a + b, s * a, s * a, s * a]
     for ours, theirs in zip(found, wanted, strict=True):
-        assert isinstance(ours, vec3.Vector)
+        assert isinstance(ours, vectors.Vector)
         np.testing.assert_array_equal(ours, theirs)
-    diagonal = vec3.symmetric(jnp.array(a))
+    diagonal = vectors.symmetric(jnp.array(a))
     np.testing.assert_array_equal((diagonal + s * diagonal).full, [*(a + s * a), 0, 0, 0])
-    np.testing.assert_array_equal(vec3.outer(v, w), np.outer(a, b))
+    np.testing.assert_array_equal(vectors.outer(v, w), np.outer(a, b))
 
 
-@pytest.mark.parametrize("kind", [vec3.vector, vec3.symmetric, vec3.matrix])
+@pytest.mark.parametrize("kind", [vectors.vector, vectors.symmetric, vectors.matrix])
 def test_vectors_and_tensors_are_pytrees(kind):
-    x = kind(jnp.array(spd(kind is not vec3.vector)))
+    x = kind(jnp.array(spd(kind is not vectors.vector)))
     slope = jax.grad(lambda y: sum(leaf**2 for leaf in jax.tree.leaves(y)))(x)
     assert type(slope) is type(x)
     np.testing.assert_array_equal(slope, 2.0 * x)
@@ -107,10 +107,10 @@ def test_vectors_and_tensors_are_pytrees(kind):
 
 def test_products_of_vectors_agree_with_numpy():
     a, b = RNG.normal(size=(2, 3))
-    np.testing.assert_allclose(vec3.cross(a, b), np.cross(a, b), rtol=0, atol=4 * EPS)
-    np.testing.assert_allclose(vec3.dot(a, b), a @ b, rtol=0, atol=4 * EPS)
-    assert vec3.max_abs(jnp.array(a)) == np.abs(a).max()
-    assert vec3.max_abs(vec3.Vector(a), vec3.Vector(b)) == max(np.abs(a).max(), np.abs(b).max())
+    np.testing.assert_allclose(vectors.cross(a, b), np.cross(a, b), rtol=0, atol=4 * EPS)
+    np.testing.assert_allclose(vectors.dot(a, b), a @ b, rtol=0, atol=4 * EPS)
+    assert vectors.max_abs(jnp.array(a)) == np.abs(a).max()
+    assert vectors.max_abs(vectors.Vector(a), vectors.Vector(b)) == max(np.abs(a).max(), np.abs(b).max())
 
 
 FUNCTIONS = {
