@@ -49,11 +49,10 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
     from lib import measure
 
     import lieint_jax as li
-    from lieint_jax._numerics import vectors
     from lieint_jax.groups import so3
     from lieint_jax.schemes._shared.half_turn import scaled
     from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_root
-    from lieint_jax.types import State
+    from lieint_jax.types import State, vectors
 
     body, dt = measure.body(), measure.DT
     newton = li.schemes.so3_midpoint(body)

@@ -24,13 +24,13 @@ from jax import Array
 
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._numerics import power_series, vectors
+from lieint_jax._numerics import power_series
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.select import where
 from lieint_jax.groups import so3
 from lieint_jax.groups.bases import ideals
 from lieint_jax.groups.closed_forms import squared_eigenvalue
-from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
+from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static, vectors
 from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupElement, PyTree, Scalar
 
 __all__ = [

@@ -30,8 +30,8 @@ from jax import Array, lax
 from jax.typing import DTypeLike
 
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics import vectors
 from lieint_jax._xla import saved
+from lieint_jax.types import vectors
 from lieint_jax.types.shapes import PyTree
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more

@@ -24,7 +24,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.schemes import FreeFlight, GyrostatSplitting, SO3Midpoint, Splitting
@@ -37,6 +36,7 @@ from lieint_jax.types import (
     clock,
     energy_less_work,
     promoted,
+    vectors,
 )
 
 _Scalar = Callable[[State], Array]

@@ -12,8 +12,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, positive
-from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types.vectors import cross, dot
 
 EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010
 EARTH_RADIUS = 6378.137  # the equatorial radius in km, WGS 84

@@ -10,9 +10,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types.vectors import cross, dot
 
 
 @pytree

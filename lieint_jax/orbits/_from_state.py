@@ -12,10 +12,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.orbits._anomaly import elliptic_anomaly, hyperbolic_anomaly, less_sine, sinh_less, slope
 from lieint_jax.orbits._kepler import Kepler
 from lieint_jax.types import pytree
+from lieint_jax.types.vectors import cross, dot
 
 _LINE = 1e-12  # |r × v| over |r||v| below which an orbit is a line
 

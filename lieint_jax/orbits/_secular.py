@@ -9,10 +9,10 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._numerics.vectors import cross
 from lieint_jax.orbits._earth import EARTH_J2, EARTH_RADIUS
 from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.types import pytree
+from lieint_jax.types.vectors import cross
 
 
 @pytree

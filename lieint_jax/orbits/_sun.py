@@ -11,10 +11,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import positive
-from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.orbits._anomaly import less_sine
 from lieint_jax.orbits._earth import EARTH_RADIUS, J2000, above_ground
 from lieint_jax.types import callable_pytree, pytree, static
+from lieint_jax.types.vectors import cross, dot
 
 SUN_ANGLE = 0.0046524  # the half-angle of the Sun at 1 au: asin(696000 km / 149597870.7 km)
 

@@ -8,10 +8,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vectors
 from lieint_jax._xla import materialized
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import pytree
+from lieint_jax.types import pytree, vectors
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 

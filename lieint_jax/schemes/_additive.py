@@ -40,7 +40,6 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vectors import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import (
@@ -56,6 +55,7 @@ from lieint_jax.types import (
     static,
 )
 from lieint_jax.types.shapes import Scalar
+from lieint_jax.types.vectors import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
 
 Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompressible"]
 _SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
@@ -338,10 +338,10 @@ class _Viscous(StoredEnergy):
         return self.elastic(C)
 
     def stress(self, C: Symmetric) -> Symmetric:
-        return self.elastic.stress(C)
+        return Symmetric(self.elastic.stress(C))
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        return self.elastic.mean_stress(C, D) + self.rate * D
+        return Symmetric(self.elastic.mean_stress(C, D)) + self.rate * D
 
 
 # The equation, and Newton's step for it -------------------------------------------------------------------------------

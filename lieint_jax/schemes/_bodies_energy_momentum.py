@@ -29,7 +29,6 @@ from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vectors import cross, matrix, symmetric, unit_trace, vector
 from lieint_jax.groups import so3
 from lieint_jax.potentials import invariant_form, torques
 from lieint_jax.schemes._shared.accepts import AcceptedSystems, check_motion
@@ -46,6 +45,7 @@ from lieint_jax.types import (
     pytree,
     static,
 )
+from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 

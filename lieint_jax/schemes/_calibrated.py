@@ -20,13 +20,13 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
-from lieint_jax._numerics.vectors import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.schemes._preprocessed import with_modified_inertia
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.vectors import dot
 
 
 class Clock(NamedTuple):

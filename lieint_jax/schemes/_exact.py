@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
-from lieint_jax._numerics.vectors import symmetric
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, attitude_error_limit
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
+from lieint_jax.types.vectors import symmetric
 
 
 @pytree

@@ -19,7 +19,6 @@ from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.power_series import stumpff
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax._numerics.vectors import dot, vector
 from lieint_jax.schemes._bodies_energy_momentum import BODIES
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._nystrom import Stages, mirror
@@ -29,6 +28,7 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._splitting import kicked_motion
 from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar, Vector3
+from lieint_jax.types.vectors import dot, vector
 
 _ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
 Order = int | tuple[int, ...]

@@ -26,7 +26,6 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import random_bits
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax._numerics.vectors import symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
@@ -45,6 +44,7 @@ from lieint_jax.types import (
     pytree,
     static,
 )
+from lieint_jax.types.vectors import symmetric
 
 _KEY, _COUNT, _HEAT, _REJECTIONS = "key", "step", "heat", "rejections"
 _SYSTEMS = (AbstractFreeBody, AbstractTop, AbstractFreeBodies, AbstractRigidBodies)

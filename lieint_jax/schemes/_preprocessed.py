@@ -21,7 +21,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics.vectors import dot, symmetric, unit_trace
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
@@ -31,6 +30,7 @@ from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar
+from lieint_jax.types.vectors import dot, symmetric, unit_trace
 
 ORDERS = (4, 6, 8, 10)
 

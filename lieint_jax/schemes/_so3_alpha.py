@@ -28,7 +28,14 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vectors import (
+from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.half_turn import ITERATIONS
+from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
+from lieint_jax.schemes._shared.vector_form import cross_apply, gyroscopic, on_branch
+from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
     Vector,
@@ -41,13 +48,6 @@ from lieint_jax._numerics.vectors import (
     symmetric,
     unit_trace,
 )
-from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
-from lieint_jax.schemes._shared.half_turn import ITERATIONS
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
-from lieint_jax.schemes._shared.vector_form import cross_apply, gyroscopic, on_branch
-from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, System, pytree, static
 
 
 def _motion(body: AbstractEmbeddedBody, state: State) -> State:

@@ -19,7 +19,6 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.vectors import dot, max_abs
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.half_turn import scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
@@ -27,6 +26,7 @@ from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_residual, scalar_root
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.vectors import dot, max_abs
 
 _ITERATIONS = 4  # corrections of m, which is solved for once
 _FEEDBACK = 1 / 32  # of an energy error taken back per step, where the lever is longest

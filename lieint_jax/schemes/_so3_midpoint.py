@@ -34,7 +34,6 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics.vectors import cross, dot, symmetric, vector
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.schemes._shared.half_turn import ITERATIONS, bias, half_turn, scaled
@@ -54,6 +53,7 @@ from lieint_jax.types import (
     static,
 )
 from lieint_jax.types.shapes import TangentVectors
+from lieint_jax.types.vectors import cross, dot, symmetric, vector
 
 
 @pytree

@@ -18,10 +18,10 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vectors import cross, dot, matrix, max_abs
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, System, autodiff_gradient, pytree, static
+from lieint_jax.types.vectors import cross, dot, matrix, max_abs
 
 
 def _motion(system: AbstractSphereSystem, state: State) -> State:

@@ -29,7 +29,15 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
-from lieint_jax._numerics.vectors import (
+from lieint_jax.groups import so3
+from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._shared.rigid_body import rigid_motion
+from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
+from lieint_jax.types import AbstractDrivenTop, AbstractTop, State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types.shapes import Vector3
+from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
     Vector,
@@ -41,14 +49,6 @@ from lieint_jax._numerics.vectors import (
     unit_trace,
     vector,
 )
-from lieint_jax.groups import so3
-from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import rigid_motion
-from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
-from lieint_jax.types import AbstractDrivenTop, AbstractTop, State, Step, StepInfo, System, clock, pytree, static
-from lieint_jax.types.shapes import Vector3
 
 _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
 
@@ -107,9 +107,8 @@ class TopEnergyMomentum(Step):
         for field, D in zip(fields, gradients, strict=True):
             e = so3.Ad(q, k * _half_turn(h, D))
             p = p + field.share * dt * cross(field.axis, e)
-        q = [x + d for x, d in zip(q, so3.cayley_difference(q, h), strict=True)]
         # stacked last: many kernels read them, number by number
-        after = state._replace(q=jnp.stack(q), p=jnp.stack(p))
+        after = state._replace(q=jnp.stack(vector(q) + so3.cayley_difference(q, h)), p=jnp.stack(p))
         return after if state.work is None else after._replace(work=state.work + self._work(fields, h)), info
 
     def _work(self, fields: tuple[_Field, ...], h: Vector) -> Array | float:
@@ -120,7 +119,7 @@ class TopEnergyMomentum(Step):
         (at_start, turned), (at_end, both) = ends
         return (at_end - at_start) / 2 + (both - turned) / 2
 
-    def _solve(self, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> tuple[Vector, list[Array], StepInfo]:
+    def _solve(self, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> tuple[Vector, list[Vector], StepInfo]:
         """y, the discrete gradient of each field, and the report."""
         equation, linear = _Equation.from_state(self, fields, state, dt), _is_linear(self.system.potential)
         guess, count = equation.guess(), self.iterations

@@ -32,7 +32,6 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, components, cross, dot, max_abs, unit_trace, vector
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
@@ -56,6 +55,7 @@ from lieint_jax.types import (
     pytree,
     static,
 )
+from lieint_jax.types.vectors import Matrix, Symmetric, Vector, components, cross, dot, max_abs, unit_trace, vector
 
 
 def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
@@ -400,11 +400,11 @@ class _Equation(NamedTuple):
             for law, (_, before, after) in zip(self.laws, found.each, strict=True)
             if law.implicit
         )
-        return (*sT, *_flat(changes))
+        return Vector((*sT, *_flat(changes)))
 
     def sides_at(self, x: Vector) -> Vector:
         """`sides` as a function of the unknowns."""
-        return self.sides(self.rotation(Vector(x[:3])), x[3:])
+        return self.sides(self.rotation(Vector(x[:3])), Vector(x[3:]))
 
     def residual(self, x: Vector) -> Vector:
         """Jy + κ y × Jy − a − sT̄, and z less what the laws make of it."""
@@ -438,7 +438,7 @@ class _Equation(NamedTuple):
         errors = [at(jnp.sqrt(sum(r * r for r in rows))) for rows in (f[:3], f[3:]) if rows]
         for error, size in zip(errors, sizes, strict=True):
             good &= error <= 32 * jnp.finfo(error.dtype).eps * at(size)
-        return Vector(x[:3]), x[3:], StepInfo(functools.reduce(jnp.maximum, errors), good)
+        return Vector(x[:3]), Vector(x[3:]), StepInfo(functools.reduce(jnp.maximum, errors), good)
 
     def judge(self, x: Vector) -> tuple[Array, list[Array]]:
         """Whether x is on the branch from Δt = 0, and the sizes of the terms, which measure their rounding errors.
@@ -446,7 +446,7 @@ class _Equation(NamedTuple):
         Attitudes, velocities and internal states have rounding errors of their own size, so the laws contribute their
         own size and those of their derivatives by all of these. There is a size for y and, if it exists, one for z.
         """
-        y, z = Vector(x[:3]), x[3:]
+        y, z = Vector(x[:3]), Vector(x[3:])
         now = self.rotation(y)
 
         def by_attitude(x: Vector) -> Vector:
@@ -460,7 +460,7 @@ class _Equation(NamedTuple):
 
         def by_states(x: Vector) -> Vector:
             """`sides` for one rotation."""
-            return self.sides(now, x[3:])
+            return self.sides(now, Vector(x[3:]))
 
         speed = max_abs(y) / jnp.maximum(1, max_abs(vector(now.h)))  # h may enlarge h × T at will
         here, A = _value_and_jacobian(by_attitude, x)
@@ -484,9 +484,9 @@ class _Equation(NamedTuple):
         return branch, [size(first, max_abs(self.a)), size(last, states)]
 
 
-def _flat(arrays: Iterable[Array]) -> tuple[Array, ...]:
+def _flat(arrays: Iterable[Array]) -> Vector:
     """The entries of arrays, one after the other."""
-    return tuple(x for array in arrays for x in components(array.reshape(-1)))
+    return Vector(x for array in arrays for x in components(array.reshape(-1)))
 
 
 def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> Matrix:

@@ -8,12 +8,11 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.torques import internal_friction
-from lieint_jax.types import AbstractDampedBody, State, pytree
+from lieint_jax.types import AbstractDampedBody, State, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
 

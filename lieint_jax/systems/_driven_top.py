@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vectors
 from lieint_jax._xla import unfused
 from lieint_jax.groups import so3
 from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody, spatial_torque
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import State, System, callable_pytree, clock, gradient, pytree
+from lieint_jax.types import State, System, callable_pytree, clock, gradient, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
 
 

@@ -7,13 +7,12 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
-from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import EmbeddedRotations
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import State, pytree
+from lieint_jax.types import State, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 _PHASE_SPACE = EmbeddedRotations()

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics import vectors
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup, flat, sharp
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, Group, State, pytree, static
+from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, Group, State, pytree, static, vectors
 from lieint_jax.types.shapes import AlgebraVector, DualVector, MomentumMap, Scalar, Vector6
 
 

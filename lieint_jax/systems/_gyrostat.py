@@ -7,12 +7,11 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
-from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Rotating
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import State, pytree
+from lieint_jax.types import State, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
 

@@ -9,11 +9,11 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import elliptic, vectors
+from lieint_jax._numerics import elliptic
 from lieint_jax.groups import so3
 from lieint_jax.systems._potential_top import PotentialTop, potential_top
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import PotentialWithGradient, State, System, pytree, static
+from lieint_jax.types import PotentialWithGradient, State, System, pytree, static, vectors
 from lieint_jax.types.shapes import Scalar, Time, Vector3
 
 

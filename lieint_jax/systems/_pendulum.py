@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vectors
 from lieint_jax.phase_spaces import CotangentSphere
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import AbstractSphereSystem, State, autodiff_gradient, callable_pytree, pytree
+from lieint_jax.types import AbstractSphereSystem, State, autodiff_gradient, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
 _PHASE_SPACE = CotangentSphere()

@@ -12,12 +12,20 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Body, spatial_torque
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import AbstractTop, PotentialWithGradient, State, System, callable_pytree, gradient, pytree
+from lieint_jax.types import (
+    AbstractTop,
+    PotentialWithGradient,
+    State,
+    System,
+    callable_pytree,
+    gradient,
+    pytree,
+    vectors,
+)
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
 
 

@@ -12,7 +12,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vectors
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.systems._shared.arguments import explained
@@ -24,7 +23,7 @@ from lieint_jax.systems._shared.stored_energy import (
     saint_venant_kirchhoff,
 )
 from lieint_jax.systems._shared.time_and_work import check_counts, timed
-from lieint_jax.types import AbstractElasticBody, AbstractViscousBody, State, StoredEnergy, pytree
+from lieint_jax.types import AbstractElasticBody, AbstractViscousBody, State, StoredEnergy, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 _PHASE_SPACE = CotangentMatrices()

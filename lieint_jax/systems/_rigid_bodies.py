@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, potentials
 from lieint_jax._checks import at_once, concrete, outermost
-from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
@@ -34,6 +33,7 @@ from lieint_jax.types import (
     callable_pytree,
     pair_forces,
     pytree,
+    vectors,
 )
 from lieint_jax.types.shapes import (
     Inertia,

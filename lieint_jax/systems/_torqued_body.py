@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, torques
 from lieint_jax._checks import concrete
-from lieint_jax._numerics.vectors import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
@@ -34,6 +33,7 @@ from lieint_jax.types import (
     pytree,
 )
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
+from lieint_jax.types.vectors import dot
 
 _WORKS = "works"
 

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, not_negative, positive
-from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._wheels import wheel_axes
 from lieint_jax.types import Law, Rotation, parts, pytree, static
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.vectors import cross, dot
 
 
 def wheel_pyramid(tilt: ArrayLike = 0.6154797086703874, wheels: int = 4) -> Array:

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax import _checks
-from lieint_jax._numerics.vectors import dot
 from lieint_jax.types import callable_pytree
+from lieint_jax.types.vectors import dot
 
 VectorOfTime = Array | Callable[[Array], Array]
 

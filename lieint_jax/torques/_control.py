@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import not_negative, positive
-from lieint_jax._numerics.vectors import dot
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._modified_law import ModifiedLaw
 from lieint_jax.types import Law, Rotation, as_law, pytree
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.vectors import dot
 
 
 @pytree

@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, not_negative, positive
-from lieint_jax._numerics import vectors
-from lieint_jax._numerics.vectors import cross, dot
-from lieint_jax.types import Law, Rotation, pytree, static
+from lieint_jax.types import Law, Rotation, pytree, static, vectors
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.vectors import Scalar, Vector, VectorLike, cross, dot
 
 
 @pytree
@@ -96,7 +95,7 @@ def kane_damper(inertia: ArrayLike, damping: ArrayLike, key: str = "damper") -> 
     return KaneDamper(positive("inertia", inertia), not_negative("damping", damping), key)
 
 
-def internal_friction(friction: ArrayLike, Pi: vectors.VectorLike, Omega: vectors.VectorLike) -> vectors.Vector:
+def internal_friction(friction: Scalar, Pi: VectorLike, Omega: VectorLike) -> Vector:
     """α Π × Ω, the angular velocity that internal friction adds to Ω (`systems.damped_body`), in components.
 
     Π̇ = Π × (Ω + αΠ × Ω), the double bracket: |Π| and π stay, and Ḣ = −α|Π × Ω|², until the body rotates about its

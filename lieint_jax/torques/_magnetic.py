@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import not_negative, positive
-from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, pytree, static
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.vectors import cross, dot
 
 _ROUNDINGS = 16  # of the field and the internal field, by which a rod that is dragged along misses the edge of its play
 

@@ -11,14 +11,13 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vectors
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
-from lieint_jax._numerics.vectors import cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
-from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+from lieint_jax.types import Law, Rotation, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.vectors import cross, dot
 
 
 class DirectionalPotential(Law):

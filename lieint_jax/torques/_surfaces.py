@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, not_negative, positive
 from lieint_jax._deprecated import old_calls
-from lieint_jax._numerics.vectors import Vector, cross, dot, vector
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.vectors import Vector, cross, dot, vector
 
 
 @pytree

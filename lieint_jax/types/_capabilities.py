@@ -14,12 +14,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._deprecated import renamed_attribute
-from lieint_jax._numerics.vectors import Symmetric
 from lieint_jax.types._group import Group
 from lieint_jax.types._state import State
 from lieint_jax.types._system import System
 from lieint_jax.types._torque import Law, parts
 from lieint_jax.types.shapes import DualVector, Inertia, Matrix3, PyTree, Scalar, SquareMatrix, Time, Vector3
+from lieint_jax.types.vectors import Symmetric
 
 
 class AbstractFreeBody(System):
@@ -244,7 +244,7 @@ class AbstractMechanicalSystem(AbstractForcedSystem):
 class StoredEnergy(abc.ABC):
     """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3).
 
-    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy) with operators, see `_numerics.vectors`.
+    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy) with operators, see `types.vectors`.
     """
 
     @abc.abstractmethod

@@ -9,8 +9,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import State, maps, schemes
-from lieint_jax._numerics import vectors
-from lieint_jax.types import Step, StepInfo
+from lieint_jax.types import Step, StepInfo, vectors
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STATE = BODY.state(angular_velocity=[0.2, 0.1, 1.0])

@@ -11,8 +11,8 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import _discover
-from lieint_jax._numerics import vectors
 from lieint_jax.diagnostics import energy_error, flow, momentum_error
+from lieint_jax.types import vectors
 
 BODY, STATE, DT = _discover.modules_with_examples(li.systems)["incompressible_body"].examples()["ball"]
 STEP = li.schemes.additive(BODY, "incompressible")

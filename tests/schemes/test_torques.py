@@ -20,6 +20,7 @@ from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symple
 from lieint_jax.schemes import torqued_midpoint
 from lieint_jax.systems import damped_body, torqued_body
 from lieint_jax.types import StepInfo
+from lieint_jax.types.vectors import Vector
 
 EQUATION = _discover.modules_with_examples(schemes)["torqued_midpoint"]._Equation
 
@@ -228,7 +229,7 @@ def at_root(name, q, y, dt):
         rest = rest._replace(extra={"damper": jnp.array([0.1, -0.3, 0.2])})
     a = jnp.stack(EQUATION.from_state(step, rest, dt).residual(y))  # ½ΔtΠ/tr J
     start = rest._replace(p=so3.Ad(q, 2 / dt * jnp.trace(FULL) * a))
-    with mock.patch.object(EQUATION, "solve", return_value=(tuple(y), (), StepInfo.empty(y))):
+    with mock.patch.object(EQUATION, "solve", return_value=(Vector(y), Vector(), StepInfo.empty(y))):
         end, _ = step(start, dt)
     return start, end, *(f(end) - f(start) for f in (body.energy, body.momentum))
 

@@ -11,9 +11,9 @@ from paper import hat
 
 import lieint_jax as li
 from lieint_jax import systems
-from lieint_jax._numerics import power_series, vectors
+from lieint_jax._numerics import power_series
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.types import State
+from lieint_jax.types import State, vectors
 
 MATERIALS = {
     "mooney_rivlin": systems.mooney_rivlin(2000.0, 6.0),

@@ -15,13 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._numerics import vectors
 from lieint_jax.app.scenarios._runs import cached_for_last_run, over_members
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step, Trajectory, vectors
 
 _MAX_ITERATIONS = 8  # of Newton's method for the speed
 _TOLERANCE = 1e-5  # largest last correction over the change; the error that Newton's method leaves is its square

@@ -16,14 +16,14 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body, orbits, schemes, systems
-from lieint_jax._numerics import elliptic, vectors
+from lieint_jax._numerics import elliptic
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.scenarios._common import compose_to_order
 from lieint_jax.app.scenarios._runs import Numbers, map_on_local_devices
 from lieint_jax.groups import so3
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State, Step, pytree, static
+from lieint_jax.types import State, Step, pytree, static, vectors
 
 _FREE_STEPS = 128  # of the torque-free motion, where it is differentiated
 _MARGIN = 1e-12  # fraction of a mode's range of energies that is excluded at either end

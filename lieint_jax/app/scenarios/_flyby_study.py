@@ -10,14 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._numerics import vectors
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import direction, longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import Scenario, SpinValues, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
 from lieint_jax.app.scenarios._runs import cached_for_last_run
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step, Trajectory, vectors
 
 _TRIES = 16  # draws of a member's moments; the first for which the mode exists is used
 _SLOPE_ORDER = 4  # of the differentiated steps: the errors of derivatives are below 5e-4 of the largest

@@ -18,7 +18,6 @@ from jax import Array
 from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, potentials, systems
-from lieint_jax._numerics import vectors
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._binary_motion import continue_angle, longitude, mean_rate
 from lieint_jax.app.scenarios._common import (
@@ -52,7 +51,7 @@ from lieint_jax.app.scenarios._runs import cached_for_last_run, nominal_member, 
 from lieint_jax.app.scenarios._spectrum import line
 from lieint_jax.potentials import Potential, Springs
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step, Trajectory, vectors
 
 STEP_AXIS = 0  # every member has its own system
 

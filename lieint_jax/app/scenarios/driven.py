@@ -11,7 +11,6 @@ from jax import Array
 from pydantic import Field, model_validator
 
 from lieint_jax import orbits, systems
-from lieint_jax._numerics import vectors
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body, _spread
 from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_matrix, state_about, top_schemes
@@ -23,7 +22,7 @@ from lieint_jax.app.scenarios._spread import for_member, same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
 from lieint_jax.systems import GravityGradient
-from lieint_jax.types import State, Step, Trajectory, energy_less_work
+from lieint_jax.types import State, Step, Trajectory, energy_less_work, vectors
 
 _ENERGY, _LESS_WORK = "energy, on which the orbit works", "energy less work"
 _DISTINCT = 1e-9  # the least relative difference of two moments of inertia that distinguishes their axes

@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import model_validator
 
 from lieint_jax import diagnostics, schemes, systems
-from lieint_jax._numerics import vectors
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_matrix, initial_state, top_schemes
@@ -23,7 +22,7 @@ from lieint_jax.app.scenarios._spread import for_member
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step, Trajectory, vectors
 
 CLOSED_FORM = (
     "  closed form: elliptic integrals; the difference is the scheme's error, of its order in dt, or round-off"

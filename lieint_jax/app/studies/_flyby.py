@@ -15,12 +15,11 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import orbits, schemes, systems
-from lieint_jax._numerics import vectors
 from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.groups import so3
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
+from lieint_jax.types import State, vectors
 
 MU = orbits.EARTH_GM * 86400.0**2  # km³/d²
 AU = 149597870.7  # km

@@ -16,7 +16,6 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
-from lieint_jax._numerics import vectors
 from lieint_jax.app import scenarios
 from lieint_jax.app.studies import _flyby
 from lieint_jax.app.studies._pulls import squared_distances
@@ -47,6 +46,7 @@ from lieint_jax.app.studies._tumbling import model, rotation_between
 from lieint_jax.fitting import DEGREES_OF_FREEDOM, Fit, student_t_weights
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
+from lieint_jax.types import vectors
 
 __all__ = ["RadarEpochs", "SpinFit", "draw", "model", "radar_epochs", "run", "text"]
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.vectors import matrix
 from lieint_jax.types import AbstractElasticBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types.vectors import matrix
 
 
 @pytree

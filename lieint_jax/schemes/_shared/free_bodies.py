@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.vectors import symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, AbstractRigidBodies, State, Step, StepInfo, pytree
 from lieint_jax.types.shapes import Inertia, Poses, Quaternion, Vector3
+from lieint_jax.types.vectors import symmetric
 
 
 def free_motion(bodies: AbstractFreeBodies | AbstractRigidBodies, state: State) -> Poses:

@@ -19,7 +19,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.vectors import Matrix, components
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import (
     AbstractGeodesicFlow,
@@ -31,6 +30,7 @@ from lieint_jax.types import (
     StepInfo,
 )
 from lieint_jax.types.shapes import AlgebraVector, SquareMatrix
+from lieint_jax.types.vectors import Matrix, components
 
 MetricSystem = AbstractGeodesicFlow | AbstractRightGeodesicFlow | AbstractMechanicalSystem
 

@@ -13,12 +13,12 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.vectors import max_abs, symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import check_motion
 from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
 from lieint_jax.types import AbstractGyrostat, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import TangentVectors
+from lieint_jax.types.vectors import max_abs, symmetric
 
 
 @pytree

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.vectors import Symmetric, max_abs, unit_trace
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
 from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
@@ -14,13 +13,14 @@ from lieint_jax.schemes._shared.scalar_form import solve_scalar
 from lieint_jax.schemes._shared.vector_form import solve_vector
 from lieint_jax.types import AbstractFreeBody, AbstractGyrostat, State, StepInfo
 from lieint_jax.types.shapes import Vector3
+from lieint_jax.types.vectors import Symmetric, VectorLike, max_abs, unit_trace
 
 ITERATIONS = {"scalar": 3, "vector": 4}  # Newton corrections per step, by the form of the equation
 
 
 def half_turn(
     J: Symmetric, a: Vector3, kappa: Kappa, iterations: int, b: Vector3 | None = None
-) -> tuple[Array, StepInfo]:
+) -> tuple[VectorLike, StepInfo]:
     """h = ½Θ of a step, shape (3,), from J and a as in `scaled` and b as in `bias`, and its report."""
     if kappa.solve_by == "scalar" and b is None:
         h, residual, good = solve_scalar(J, a, iterations)

@@ -7,7 +7,6 @@ import math
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from lieint_jax._numerics.vectors import symmetric
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.types import (
@@ -21,6 +20,7 @@ from lieint_jax.types import (
     State,
     clock,
 )
+from lieint_jax.types.vectors import symmetric
 
 RotatingBody = (
     AbstractFreeBody | AbstractGyrostat | AbstractTop | AbstractDrivenTop | AbstractTorquedBody | AbstractDampedBody

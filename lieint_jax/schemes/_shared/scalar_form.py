@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vectors import Symmetric, Vector, cross, dot, hat, outer, vector
 from lieint_jax.types.shapes import Scalar, Vector3
+from lieint_jax.types.vectors import Symmetric, Vector, cross, dot, hat, outer, vector
 
 
-def solve_scalar(J: Symmetric, a: Vector3, iterations: int) -> tuple[Vector, Vector, Array]:
+def solve_scalar(J: Symmetric, a: Vector3, iterations: int) -> tuple[Vector3, Vector3, Array]:
     """h = ½Θ of the symplectic κ by the scalar form, its residual, and whether h is on the branch |h| ≤ 1.
 
     The scalar form gives the value; derivatives are those of the equation for h, which has far fewer terms.
@@ -74,7 +74,7 @@ def scalar_residual(J: Symmetric, a: Vector3, h: Vector3) -> Vector:
     return J @ h - dot(a, h) * vector(h) - a - cross(a, h)
 
 
-def half_turn_derivative(J: Symmetric, a: Vector, h: Vector, da: Vector) -> Vector:
+def half_turn_derivative(J: Symmetric, a: Vector3, h: Vector3, da: Vector3) -> Vector:
     """The rotation of the body at the end of a step, in the axes of its beginning, caused by a change δa of a.
 
     (J − m − â − h⊗a) δh = δa + δa × h + (δa·h)h, m = a·h, the derivative of the scalar form; and cay 2h rotates by

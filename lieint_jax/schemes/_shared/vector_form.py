@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, cross, dot, hat, outer
 from lieint_jax.maps import Kappa
 from lieint_jax.types.shapes import Flag, Vector3
+from lieint_jax.types.vectors import Matrix, Symmetric, Vector, VectorLike, cross, dot, hat, outer
 
 
 def solve_vector(
@@ -34,13 +34,13 @@ def solve_vector(
     return k * y, f, good
 
 
-def gyration(kappa: Kappa, J: Symmetric, y: Vector, b: Vector | None = None) -> Vector:
+def gyration(kappa: Kappa, J: Symmetric, y: Vector, b: VectorLike | None = None) -> Vector:
     """Jy + b + κ y × (Jy + b), the left side of the vector form; b = 0 if it is None."""
     Jy = J @ y if b is None else J @ y + b
     return Jy + kappa(4 * dot(y, y)) * cross_apply(y, J, b)
 
 
-def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector, b: Vector | None = None) -> Matrix:
+def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector, b: VectorLike | None = None) -> Matrix:
     """The derivative of `gyration`, K = J + κ(ŷJ − (Jy + b)^) + 8κ′(y × (Jy + b))⊗y."""
     G = gyroscopic(J, y, b)
     if kappa.constant:
@@ -54,7 +54,7 @@ def on_branch(kappa: Kappa, y: Vector, K: Matrix) -> Flag:
     return (4 * dot(y, y) <= kappa.limit**2) & K.no_negative_eigenvalue
 
 
-def cross_apply(y: Vector, J: Symmetric, b: Vector | None = None) -> Vector:
+def cross_apply(y: Vector, J: Symmetric, b: VectorLike | None = None) -> Vector:
     """y × (Jy + b); b = 0 if it is None."""
     if b is not None:
         return cross_apply(y, J) + cross(y, b)
@@ -63,7 +63,7 @@ def cross_apply(y: Vector, J: Symmetric, b: Vector | None = None) -> Vector:
     return cross(y, J @ y)
 
 
-def gyroscopic(J: Symmetric, y: Vector, b: Vector | None = None) -> Matrix:
+def gyroscopic(J: Symmetric, y: Vector, b: VectorLike | None = None) -> Matrix:
     """The derivative of y × (Jy + b): ŷJ − (Jy + b)^."""
     if b is not None:
         return gyroscopic(J, y) - hat(b)

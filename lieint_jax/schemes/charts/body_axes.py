@@ -14,8 +14,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import vectors
-from lieint_jax._numerics.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts._chart import Chart
@@ -28,8 +26,10 @@ from lieint_jax.types import (
     System,
     clock,
     gradient,
+    vectors,
 )
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
 
 OneBody = AbstractFreeBody | AbstractGyrostat | AbstractTop | AbstractDrivenTop
 

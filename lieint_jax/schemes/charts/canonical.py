@@ -26,8 +26,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import vectors
-from lieint_jax._numerics.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes.charts import several_bodies
@@ -50,7 +48,9 @@ from lieint_jax.types import (
     State,
     System,
     gradient,
+    vectors,
 )
+from lieint_jax.types.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
 
 Components = tuple[Array, ...]
 

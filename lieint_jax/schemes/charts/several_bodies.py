@@ -12,15 +12,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import vectors
-from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, vector
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts import body_axes
 from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.schemes.charts.body_axes import BodyAxesState, spinning
-from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, System
+from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, System, vectors
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.vectors import Matrix, Symmetric, Vector, vector
 
 Components = tuple[Array, ...]
 

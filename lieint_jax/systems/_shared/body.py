@@ -14,13 +14,12 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, _free_body
 from lieint_jax._checks import concrete
 from lieint_jax._free_body import Periods
-from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
-from lieint_jax.types import PhaseSpace, State, autodiff_gradient
+from lieint_jax.types import PhaseSpace, State, autodiff_gradient, vectors
 from lieint_jax.types.shapes import Matrix3, Quaternion, Scalar, Vector3
 
 _PHASE_SPACE = CotangentGroup(so3)

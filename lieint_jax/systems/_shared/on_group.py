@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.types import Group, State
+from lieint_jax.types import Group, State, vectors
 from lieint_jax.types.shapes import AlgebraVector, DualVector, MomentumMap, Scalar
 
 

@@ -19,10 +19,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import vectors
-from lieint_jax._numerics.vectors import Symmetric
 from lieint_jax.systems._shared.stored_energy import plus
-from lieint_jax.types import StoredEnergy, pytree
+from lieint_jax.types import StoredEnergy, pytree, vectors
+from lieint_jax.types.vectors import Symmetric
 
 _POINTS = 48  # of the rule on [−1, 1], of which an even function needs half
 _V, _W = (x[_POINTS // 2 :] for x in np.polynomial.legendre.leggauss(_POINTS))

@@ -1,6 +1,6 @@
 """Stored energies W(C) of homogeneous elastic bodies, C = FᵀF, and their stresses S = 2∇W(C).
 
-Each has two stresses, as symmetric tensors by their six entries (see `_numerics.vectors`):
+Each has two stresses, as symmetric tensors by their six entries (see `types.vectors`):
 
     stress(C)          S(C) = 2∇W(C), the second Piola–Kirchhoff stress
     mean_stress(C, D)  a symmetric S̄ with ½ S̄:D = W(C + D) − W(C), S̄(C, 0) = S(C), free of cancellation for small D
@@ -20,10 +20,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import power_series, vectors
-from lieint_jax._numerics.vectors import Symmetric
-from lieint_jax.types import StoredEnergy, autodiff_gradient, callable_pytree, pytree, static
+from lieint_jax._numerics import power_series
+from lieint_jax.types import StoredEnergy, autodiff_gradient, callable_pytree, pytree, static, vectors
 from lieint_jax.types.shapes import Matrix3, Scalar
+from lieint_jax.types.vectors import Symmetric
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 

@@ -17,12 +17,12 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import DTypeLike
 
+Scalar = Any  # an array of one number, or a Python number
 VectorLike = Any  # three components: a Vector, an Array (3,) or a tuple of scalars
-MatrixLike = Any  # a Matrix, a Symmetric, or three rows
 PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # which entries a full Symmetric holds
 
 
-def times(a: Any, b: Any) -> Any:
+def times(a: Scalar, b: Scalar) -> Scalar:
     """ab of scalars; a factor that is known to be 0 or ±1 is not multiplied."""
     for x, y in ((a, b), (b, a)):
         if is_constant(x) and x in (0, 1, -1):
@@ -30,7 +30,7 @@ def times(a: Any, b: Any) -> Any:
     return a * b
 
 
-def plus(a: Any, b: Any) -> Any:
+def plus(a: Scalar, b: Scalar) -> Scalar:
     """a + b of scalars, of which a known 0 is not added."""
     return b if _is_zero(a) else a if _is_zero(b) else a + b
 
@@ -50,32 +50,32 @@ class _Space(tuple):
     __slots__ = ()
     __array_ufunc__ = None  # NumPy leaves s * v to v
 
-    def _like(self, other: Any) -> Iterable[Any]:
+    def _like(self, other: VectorLike) -> Iterable[Scalar]:
         """The entries of another one."""
         return components(other) if isinstance(other, Array) else other
 
     def __neg__(self) -> Self:
         return type(self)(-x for x in self)
 
-    def __add__(self, other: Any) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __add__(self, other: VectorLike) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
         return type(self)(plus(x, y) for x, y in zip(self, self._like(other), strict=True))
 
-    def __radd__(self, other: Any) -> Self:
+    def __radd__(self, other: VectorLike) -> Self:
         return self if isinstance(other, int) else type(self)(self._like(other)) + self  # `sum` begins with 0
 
-    def __sub__(self, other: Any) -> Self:
+    def __sub__(self, other: VectorLike) -> Self:
         return type(self)(x if _is_zero(y) else x - y for x, y in zip(self, self._like(other), strict=True))
 
-    def __rsub__(self, other: Any) -> Self:
+    def __rsub__(self, other: VectorLike) -> Self:
         return type(self)(self._like(other)) - self
 
-    def __mul__(self, s: Any) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __mul__(self, s: Scalar) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
         return type(self)(x * s if isinstance(x, _Space) else times(s, x) for x in self)
 
-    def __rmul__(self, s: Any) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __rmul__(self, s: Scalar) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
         return self * s
 
-    def __truediv__(self, s: Any) -> Self:
+    def __truediv__(self, s: Scalar) -> Self:
         return type(self)(x / s for x in self)
 
     @property
@@ -86,7 +86,7 @@ class _Space(tuple):
 class Vector(_Space):
     """A vector."""
 
-    def __matmul__(self, other: Any) -> Any:
+    def __matmul__(self, other: VectorLike) -> Array:
         """v · w."""
         return dot(self, other)
 
@@ -123,7 +123,7 @@ class Symmetric(_Space):
         first = self[0] * adjugate[0]
         return first if len(self) == 3 else first + self[4] * adjugate[4] + self[5] * adjugate[5]
 
-    def __matmul__(self, other: Any) -> Any:
+    def __matmul__(self, other: VectorLike) -> Any:
         """S v or S A."""
         if isinstance(other, Matrix | Symmetric) or len(self) == 6:
             return self.rows @ other
@@ -177,10 +177,10 @@ class Symmetric(_Space):
 class Matrix(_Space):
     """A matrix A: three rows, each a vector."""
 
-    def __new__(cls, rows: Iterable[Iterable[Any]]) -> Self:
+    def __new__(cls, rows: Iterable[Iterable[Scalar]]) -> Self:
         return super().__new__(cls, (row if isinstance(row, Vector) else Vector(row) for row in rows))
 
-    def _like(self, other: Any) -> Iterable[Any]:
+    def _like(self, other: VectorLike) -> Iterable[Scalar]:
         return other.rows if isinstance(other, Symmetric) else other
 
     def __rmatmul__(self, other: Array) -> Array:
@@ -191,7 +191,7 @@ class Matrix(_Space):
     def T(self) -> Matrix:
         return Matrix(zip(*self, strict=True))
 
-    def __matmul__(self, other: Any) -> Any:
+    def __matmul__(self, other: VectorLike) -> Any:
         """A v or A B."""
         if not isinstance(other, Matrix | Symmetric):
             return Vector(dot(row, other) for row in self)
@@ -244,7 +244,7 @@ class Matrix(_Space):
 
 
 def _register(kind: type[_Space]) -> None:
-    def rebuilt(_: None, entries: Iterable[Any]) -> _Space:
+    def rebuilt(_: None, entries: Iterable[Scalar]) -> _Space:
         return tuple.__new__(kind, entries)
 
     jax.tree_util.register_pytree_node(kind, lambda v: (tuple(v), None), rebuilt)
@@ -258,7 +258,7 @@ def components(v: Array) -> tuple[Array, ...]:
     return tuple(x.reshape(v.shape[1:]) for x in lax.split(v, (1,) * v.shape[0]))
 
 
-def _each(v: VectorLike) -> Iterable[Any]:
+def _each(v: VectorLike) -> Iterable[Scalar]:
     return (v[i] for i in range(v.shape[0])) if isinstance(v, Array) else v
 
 
