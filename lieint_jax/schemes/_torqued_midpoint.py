@@ -165,7 +165,7 @@ class DampedMidpoint(Step):
         return f"torqued_midpoint[{self.kappa.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        J, r = unit_trace(self.system.inertia)
+        dt, (J, r) = jnp.asarray(dt), unit_trace(self.system.inertia)
         alpha, unit = self.system.friction / r, r * vector(so3.Ad_star(state.q, state.p))  # αΠ, Π/tr J
 
         def turn(P: Vector) -> tuple[Vector, Vector]:
