@@ -8,7 +8,7 @@
 
 Most of a test's time is XLA's. Its older CPU emitters, which jaxlib has up to 0.10, compile in a third of the time of
 its present ones, and without LLVM's optimizations in two thirds of that; the programs of one run serve the next from a
-cache on disk. The shards see to it that every test also passes without these, and with machine code compared with XLA.
+cache on disk. Shards run every test with default compiler options, and compare machine code with XLA.
 """
 
 import ctypes
@@ -77,7 +77,7 @@ def small_chunks(monkeypatch):
 
 
 def pytest_runtest_logfinish():
-    """A worker that holds much forgets its compiled programs: four of them filled 24 GiB in a shard."""
+    """A worker above 3 GiB clears its caches; four workers once filled 24 GiB."""
     if _resident() > _LARGE:
         jax.clear_caches()
         gc.collect()

@@ -27,11 +27,11 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import DTypeLike
+from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._xla import saved
-from lieint_jax.types import vectors
+from lieint_jax.types import StepInfo, vectors
 from lieint_jax.types.shapes import PyTree
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
@@ -128,21 +128,21 @@ def root(
     watched = done is not None or iterations > _FEW
 
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
-        def improve(x: _Unknown, pace: ContractionMonitor) -> tuple[_Unknown, ContractionMonitor, _Unknown]:
+        def improve(x: _Unknown, monitor: ContractionMonitor) -> tuple[_Unknown, ContractionMonitor, _Unknown]:
             step = correction(x, function(x))
-            return jax.tree.map(jnp.subtract, x, step), pace.update(size(step)) if watched else pace, step
+            return jax.tree.map(jnp.subtract, x, step), monitor.update(size(step)) if watched else monitor, step
 
-        pace = ContractionMonitor.start(size(x) if first is None else first)
+        monitor = ContractionMonitor.start(size(x) if first is None else first)
         if done is not None:
-            x, pace = _iterate_until(done, improve, x, pace, iterations)
+            x, monitor = _iterate_until(done, improve, x, monitor, iterations)
         elif unroll:
             for _ in range(iterations):
-                x, pace, _ = improve(x, pace)
+                x, monitor, _ = improve(x, monitor)
         else:
-            x, pace = lax.fori_loop(0, iterations, lambda _, carry: improve(*carry)[:2], (x, pace))
-        return x, (function(x), pace.growth)
+            x, monitor = lax.fori_loop(0, iterations, lambda _, carry: improve(*carry)[:2], (x, monitor))
+        return x, (function(x), monitor.growth)
 
-    loop = done is not None or not unroll  # corrections written out take less time than what XLA makes of a saved root
+    loop = done is not None or not unroll  # unrolled corrections are cheaper than the code of XLA for a saved root
     x, (F, growth) = implicit_root(residual, guess, solve, _tangent_solve, save=loop)
     return x, F, _steady(growth)
 
@@ -150,7 +150,7 @@ def root(
 class ContractionMonitor(NamedTuple):
     """The largest length allowed for the next correction, and the most by which a correction exceeded its limit."""
 
-    granted: Array
+    limit: Array
     growth: Array
 
     @classmethod
@@ -160,7 +160,13 @@ class ContractionMonitor(NamedTuple):
 
     def update(self, length: Array, ratio: float = 0.5) -> ContractionMonitor:
         """The monitor after a correction of that length: the next one may be `ratio` times as long."""
-        return ContractionMonitor(ratio * length, jnp.maximum(self.growth, length - self.granted))
+        return ContractionMonitor(ratio * length, jnp.maximum(self.growth, length - self.limit))
+
+
+def report(error: Array, good: Array, size: ArrayLike = 1) -> StepInfo:
+    """The report of a root: converged if it is `good`, and its error is round-off of terms of that size, 32ε."""
+    error = lax.stop_gradient(error)
+    return StepInfo(error, (error <= 32 * jnp.finfo(error.dtype).eps * lax.stop_gradient(size)) & good)
 
 
 def _largest(x: PyTree) -> Array:
@@ -207,7 +213,7 @@ def chords(
         def body(
             carry: tuple[_Unknown, ContractionMonitor, Array, Array],
         ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
-            x, pace, k, _ = carry
+            x, monitor, k, _ = carry
             F = function(x)
             K = factored(x, F)
             sizes = []
@@ -215,10 +221,13 @@ def chords(
                 F = function(x) if use else F
                 sizes.append(size(F))
                 step = K.solve(F)
-                x, pace = jax.tree.map(jnp.subtract, x, step), pace.update(lax.stop_gradient(length(step)), _CHORD)
+                x, monitor = (
+                    jax.tree.map(jnp.subtract, x, step),
+                    monitor.update(lax.stop_gradient(length(step)), _CHORD),
+                )
             before, last = sizes[-2:]
-            pace = pace._replace(growth=jnp.where(K.positive, pace.growth, jnp.inf))
-            return x, pace, k + 1, (last <= eps) | (last * last <= eps / 8 * before)
+            monitor = monitor._replace(growth=jnp.where(K.positive, monitor.growth, jnp.inf))
+            return x, monitor, k + 1, (last <= eps) | (last * last <= eps / 8 * before)
 
         start = (
             x,
@@ -226,8 +235,8 @@ def chords(
             jnp.zeros((), jnp.int32),
             jnp.zeros((), bool),
         )
-        x, pace, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], body, start)
-        return x, (function(x), pace.growth)
+        x, monitor, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], body, start)
+        return x, (function(x), monitor.growth)
 
     traced_once = jax.jit(residual)  # its equations are many, and used five times
     x, (F, growth) = implicit_root(traced_once, guess, solve, _tangent_solve)
@@ -243,17 +252,17 @@ def _iterate_until(
     done: Callable[[_Unknown, _Unknown], Array],
     improve: Callable[[_Unknown, ContractionMonitor], tuple[_Unknown, ContractionMonitor, _Unknown]],
     x: _Unknown,
-    pace: ContractionMonitor,
+    monitor: ContractionMonitor,
     most: int,
 ) -> tuple[_Unknown, ContractionMonitor]:
     def body(
         carry: tuple[_Unknown, ContractionMonitor, Array, Array],
     ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
-        x, pace, k, _ = carry
-        x, pace, step = improve(x, pace)
-        return x, pace, k + 1, done(x, step)
+        x, monitor, k, _ = carry
+        x, monitor, step = improve(x, monitor)
+        return x, monitor, k + 1, done(x, step)
 
-    start = (x, pace, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+    start = (x, monitor, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
     return lax.while_loop(lambda carry: (carry[2] < most) & ~carry[3], body, start)[:2]
 
 

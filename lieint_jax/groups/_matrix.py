@@ -309,7 +309,7 @@ class MatrixGroup:
         value = top * mu
         for k in reversed(range(len(lower))):
             value = lower[k] * mu + self.ad_star_matrix(value) @ xi
-            if k % 2 == 0 and k > 0:  # held each time is more kernels, never is longer ones
+            if k % 2 == 0 and k > 0:  # each call adds a kernel, none makes them too long
                 value = la.materialized(value)
         return value
 

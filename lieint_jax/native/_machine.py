@@ -15,7 +15,7 @@ import llvmlite.binding as llvm
 
 from lieint_jax.native._traced import Leaf
 
-_FEW = 26  # the most numbers in an innermost loop for which two vectors of each are faster than one
+_FEW = 26  # two vectors per number are used if the innermost loop has at most this many live numbers
 _VERY_FEW = 4  # the most of them for which four vectors are faster than two: they wait less for each other's results
 _lock = threading.Lock()
 

@@ -13,7 +13,7 @@ from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
-_APART = 1e-6  # |ΔI|²/|I|² from where on the quadrature of D is corrected to give the difference of V
+_APART = 1e-6  # above this |ΔI|²/|I|² the quadrature is corrected so that D·ΔI = ΔV exactly
 
 
 class Potential:

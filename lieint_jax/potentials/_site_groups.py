@@ -12,7 +12,7 @@ from lieint_jax import _checks
 from lieint_jax.types.shapes import Positions, Rotations
 
 Groups = tuple[tuple[int, ...], ...]
-_FEW = 4  # up to so many bodies each one is a group
+_FEW = 4  # with at most this many bodies, each is its own group
 
 
 def group_sites(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, ...], list[tuple[Array, ...]]]:

@@ -33,7 +33,7 @@ from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, check
 from lieint_jax.types.shapes import PyTree
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
-_SHORT = 256  # steps of a run that is made before its first step is looked at
+_SHORT = 256  # runs up to this length are computed before their first step is checked
 
 
 @old_calls()

@@ -58,7 +58,7 @@ from lieint_jax.types.shapes import Scalar
 from lieint_jax.types.vectors import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
 
 Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompressible"]
-_SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
+_SHRINK = 0.1  # det G may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
 
 
@@ -407,12 +407,12 @@ class _Equation(NamedTuple):
     def residual(self, x: Array) -> Array:
         """U E + c F_{n+α} S − Δt P_n, and the equation for γ if there is one."""
         U = _matrix(x)
-        S, missed = self.law(self.change(U), tuple(x[9:]))
+        S, gamma_residual = self.law(self.change(U), tuple(x[9:]))
         if self.rule.constrained:  # by `law`, with C for F, it has |F|³ times the rounding error
             det = (self.F + self.a * U).det()
-            missed = ((det - 1) * (det + 1),)
+            gamma_residual = ((det - 1) * (det + 1),)
         R = U @ self.E + self.c * ((self.F + self.alpha * U) @ S) - self.dt * self.P
-        return jnp.stack([*_entries(R), *missed])
+        return jnp.stack([*_entries(R), *gamma_residual])
 
     def correction(self, x: Array, R: Array) -> Array:
         """Newton's step, shortened where it would lead out of GL⁺(3); γ stays in its interval, fixed if D = 0."""
@@ -421,13 +421,13 @@ class _Equation(NamedTuple):
         D = self.change(U)
         (S, _), tangent = jax.linearize(self.law, D, gamma)
         N = self.E + self.alpha * c * S
-        watched, middle = self.F + a * U, self.F + self.alpha * U
+        G, middle = self.F + a * U, self.F + self.alpha * U
         columns = la.columns(lambda *y: tangent(Symmetric(y[:6]), y[6:]), 6 + len(gamma), x.dtype)
         determined = D.inner(D) > 0  # at the guess, D = 0, any γ serves, and rounding must not choose one
         free = (-jnp.inf, jnp.inf)
         limits = [free if rule.constrained else (determined * (g - rule.end), determined * g) for g in gamma]
-        dU, d_gamma = _newton_step(N, watched, middle, a, c, columns, R, limits)
-        t = _fraction(watched, dU, a)
+        dU, d_gamma = _newton_step(N, G, middle, a, c, columns, R, limits)
+        t = _fraction(G, dU, a)
         return jnp.concatenate([t * jnp.stack(_entries(dU)), *(g[None] for g in d_gamma)])
 
     def is_converged(self, x: Array, step: Array) -> Array:
@@ -446,7 +446,7 @@ def _displacement(x: Array) -> Array:
 
 def _newton_step(
     N: Symmetric,
-    watched: Matrix,
+    G: Matrix,
     middle: Matrix,
     a: Array | float,
     c: Array,
@@ -454,22 +454,22 @@ def _newton_step(
     R: Array,
     limits: Sequence[tuple[ArrayLike, ArrayLike]],
 ) -> tuple[Matrix, list[Array]]:
-    """dU and dγ of dU N + (cF_{n+α}) dS = R, dS = 𝕋dD + S′dγ, dD = a(GᵀdU + dUᵀG), G = F_n + aU the watched F.
+    """dU and dγ of dU N + (cF_{n+α}) dS = R, dS = 𝕋dD + S′dγ, dD = a(GᵀdU + dUᵀG), G = F_n + aU.
 
     With dU = (R − cF_{n+α}dS)N⁻¹ put into dD, six equations for dD are left:
     dD + a sym(Gᵀ cF_{n+α} dS N⁻¹) = a sym(Gᵀ R N⁻¹), sym A = A + Aᵀ. The equation for γ, if any, is eliminated last.
     """
     adjugate = N.adjugate
     N_inverse = 1 / N.det(adjugate) * adjugate
-    A = a * c * (watched.T @ middle)
+    A = a * c * (G.T @ middle)
     free = _matrix(R) @ N_inverse
-    right = (a * (watched.T @ free)).plus_transpose()
+    right = (a * (G.T @ free)).plus_transpose()
     images = [(A @ S @ N_inverse).plus_transpose() for S, _ in columns]
     K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
     dD, *by_gamma = la.eliminate(K, right, *images[6:])
     step, d_gamma = dD, []
     for k, (per_gamma, (least, most)) in enumerate(zip(by_gamma, limits, strict=True)):
-        row = [missed[k] for _, missed in columns]
+        row = [gamma_residual[k] for _, gamma_residual in columns]
         slope = row[6 + k] - sum(m * x for m, x in zip(row, per_gamma, strict=False))
         left = R[9 + k] - sum(m * x for m, x in zip(row, dD, strict=False))
         d_gamma.append(jnp.clip(left / jnp.where(slope == 0, 1, slope), least, most))  # no pressure acts for Δt = 0

@@ -212,12 +212,12 @@ class _Equation(NamedTuple):
     def guess(self) -> _Ends:
         """The ends of the free motion, to first order."""
 
-        def half_turn(J: Array, q: Array, spin: Array) -> Array:
+        def half_rotation(J: Array, q: Array, spin: Array) -> Array:
             return self.dt / 2 * jnp.stack(symmetric(J).solve(so3.Ad_star(q, spin)))
 
         (q, p), bodies = self.state[:2], self.system
         return _Ends(
-            self.dt / bodies.masses[:, None] * p[:, :3], jax.vmap(half_turn)(bodies.inertias, q[:, 3:], p[:, 3:])
+            self.dt / bodies.masses[:, None] * p[:, :3], jax.vmap(half_rotation)(bodies.inertias, q[:, 3:], p[:, 3:])
         )
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import cast
 
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -95,13 +95,13 @@ class KeplerSplitting(Step):
         turned, info = self.drift.substep(state, dt)
         p = state.p[:, :3]
         d, v = state.q[1, :3] - state.q[0, :3], p[1] / m[1] - p[0] / m[0]
-        moved, faster, residual, good = kepler_flow(d, v, self.G * M, dt)
+        moved, faster, solved = kepler_flow(d, v, self.G * M, dt)
         center = dt * ((p[0] + p[1]) / M)
         x = state.q[:, :3] + jnp.stack([center - (m[1] / M) * moved, center + (m[0] / M) * moved])
         push = (m[0] * m[1] / M) * faster
         q = jnp.concatenate([x, turned.q[:, 3:]], axis=1)
         p = jnp.concatenate([p + jnp.stack([-push, push]), state.p[:, 3:]], axis=1)
-        return state._replace(q=q, p=p), info.merge(StepInfo(residual, good))
+        return state._replace(q=q, p=p), info.merge(solved)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -156,8 +156,8 @@ def kepler_splitting(
     return KeplerSplitting(system, _checks.real_array("G", given, (), like=system.masses), drift, method, formal)
 
 
-def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, Array, Array, Array]:
-    """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, the residual over Δt, and whether it converged.
+def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, Array, StepInfo]:
+    """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, and the report, with the residual of the equation for s.
 
     By universal variables: r₀G₁ + ηG₂ + μG₃ = Δt with G_k = sᵏc_k(βs²), β = 2μ/r₀ − |v|², η = d·v; on every conic.
     """
@@ -186,11 +186,9 @@ def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, A
     s, F, steady = newton.root(excess, correction, guess, _ITERATIONS, unroll=False, length=jnp.abs)
     G0, G1, G2, G3 = powers(s)
     r = r0 * G0 + eta * G1 + mu * G2
-    residual = lax.stop_gradient(jnp.abs(F))
-    good = steady & (residual <= 32 * jnp.finfo(r.dtype).eps * jnp.abs(dt)) & (r > 0)
     moved = -mu * G2 / r0 * d + (dt - mu * G3) * v
     faster = -mu * G1 / (r0 * r) * d - mu * G2 / r * v
-    return moved, faster, residual, good
+    return moved, faster, newton.report(jnp.abs(F), steady & (r > 0), jnp.abs(dt))
 
 
 PROPERTIES = SchemeProperties(

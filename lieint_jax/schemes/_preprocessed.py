@@ -24,7 +24,7 @@ from lieint_jax import _checks
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
-from lieint_jax.schemes._shared.half_turn import ITERATIONS
+from lieint_jax.schemes._shared.half_rotation import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint

@@ -30,7 +30,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
-from lieint_jax.schemes._shared.half_turn import ITERATIONS
+from lieint_jax.schemes._shared.half_rotation import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
 from lieint_jax.schemes._shared.vector_form import cross_apply, gyroscopic, on_branch
@@ -44,6 +44,7 @@ from lieint_jax.types.vectors import (
     hat,
     matrix,
     max_abs,
+    norm,
     outer,
     symmetric,
     unit_trace,
@@ -88,11 +89,8 @@ class SO3Alpha(Step):
         a = 0.5 * r * dt * matrix(state.q).solve(state.p)
         y, residual, good = _solve(self.kappa, self.alpha, J, a, self.iterations)
         Theta = 2 * self.kappa(4 * dot(y, y)) * y
-
-        residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
-        small = residual <= 32 * jnp.finfo(residual.dtype).eps * max_abs(a)
-        converged = small & good & J.well_conditioned & _digits_left(state)
-        return state._replace(q=_rotated_attitude(state.q, self.alpha, Theta)), StepInfo(residual, converged)
+        info = newton.report(norm(residual), good & J.well_conditioned & _digits_left(state), max_abs(a))
+        return state._replace(q=_rotated_attitude(state.q, self.alpha, Theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not symmetric(self.system.inertia).well_conditioned:

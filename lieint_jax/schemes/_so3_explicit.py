@@ -20,7 +20,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.half_turn import scaled
+from lieint_jax.schemes._shared.half_rotation import scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_residual, scalar_root

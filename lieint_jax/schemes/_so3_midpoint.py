@@ -36,10 +36,10 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
-from lieint_jax.schemes._shared.half_turn import ITERATIONS, bias, half_turn, scaled
+from lieint_jax.schemes._shared.half_rotation import ITERATIONS, bias, half_rotation, scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import DRIVEN_GYROSTATS, FREE_BODIES, GYROSTATS, SLENDER
-from lieint_jax.schemes._shared.scalar_form import half_turn_derivative
+from lieint_jax.schemes._shared.scalar_form import half_rotation_derivative
 from lieint_jax.types import (
     AbstractDrivenGyrostat,
     AbstractFreeBody,
@@ -84,7 +84,7 @@ class SO3Midpoint(Step):
         if isinstance(self.system, AbstractDrivenGyrostat):
             return self._driven_step(self.system, state, jnp.asarray(dt))
         J, a = scaled(self.system, state, dt)
-        h, info = half_turn(J, a, self.kappa, self.iterations, bias(self.system, dt))
+        h, info = half_rotation(J, a, self.kappa, self.iterations, bias(self.system, dt))
         return state._replace(q=so3.cayley_increment(state.q, h)), info
 
     def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
@@ -92,12 +92,12 @@ class SO3Midpoint(Step):
         if self.kappa.solve_by != "scalar" or not isinstance(body, AbstractFreeBody):
             return super().advance_tangents(state, dt, T)
         J, a = scaled(body, state, dt)
-        h, info = half_turn(J, a, self.kappa, self.iterations)
+        h, info = half_rotation(J, a, self.kappa, self.iterations)
 
         def propagate(tangent: Array) -> Array:
             theta, p = vector(tangent[:3]), vector(tangent[3:]) - cross(tangent[:3], state.p)
             da = scaled(body, state._replace(p=jnp.stack(p)), dt)[1]
-            dh = half_turn_derivative(J, a, h, da)
+            dh = half_rotation_derivative(J, a, h, da)
             return jnp.stack([*(theta + so3.Ad(state.q, dh)), *tangent[3:]])
 
         T = lax.map(propagate, T.T).T  # vmap would take 1.4 times as long

@@ -78,9 +78,10 @@ class SphereChart(Step):
         inside = jnp.minimum(jnp.sin(after[0]), jnp.sin(z[0] + u[0] / 2)) > _pole(z.dtype)
         inside &= (after[0] > 0) & (after[0] < np.pi) & ~near
         unfolded = la.determinant(la.unrolled(lax.stop_gradient(jax.jacfwd(residual)(u)))) > 0
-        small = error <= 32 * jnp.finfo(error.dtype).eps * (1 + _largest(u / unit))
         end = self.chart.state(after)
-        return state._replace(q=end.q, p=end.p), StepInfo(error, small & steady & inside & unfolded)
+        return state._replace(q=end.q, p=end.p), newton.report(
+            error, steady & inside & unfolded, 1 + _largest(u / unit)
+        )
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         theta = float(np.degrees(self.chart.coordinates(state)[0]))

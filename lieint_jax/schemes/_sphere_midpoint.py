@@ -77,12 +77,11 @@ class SphereMidpoint(Step):
         first = h * jnp.stack(cross(kicked, q))
         guess = first + h / 2 * jnp.stack(cross(kicked, first))
         u, f, steady = newton.root(equation, correction, guess, self.iterations)
-        residual = lax.stop_gradient(max_abs(f))
         # with a positive K the equation is monotone, so it has one root; without normalization that is a proof
         K = matrix(lax.stop_gradient(jax.jacfwd(equation)(u))).plus_transpose()
         unique = K.positive_definite & (jnp.abs(h) * jnp.sqrt(dot(p, p)) < _TURN)
-        converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (dot(u, u) < 4) & steady & unique
-        return state._replace(q=q + u, p=p + torque(u)[1]), StepInfo(residual, converged)
+        info = newton.report(max_abs(f), (dot(u, u) < 4) & steady & unique)
+        return state._replace(q=q + u, p=p + torque(u)[1]), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         turn = float(np.abs(dt / self.system.mass) * np.linalg.norm(state.p))

@@ -44,13 +44,14 @@ from lieint_jax.types.vectors import (
     cross,
     dot,
     max_abs,
+    norm,
     outer,
     symmetric,
     unit_trace,
     vector,
 )
 
-_APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
+_APART = 1e-4  # above this |ΔΓ|² the quadrature is corrected so that D̄·ΔΓ = ΔṼ exactly
 
 
 def _motion(top: AbstractTop, state: State) -> State:
@@ -105,7 +106,7 @@ class TopEnergyMomentum(Step):
         h = k * y
         p = vector(state.p)
         for field, D in zip(fields, gradients, strict=True):
-            e = so3.Ad(q, k * _half_turn(h, D))
+            e = so3.Ad(q, k * _half_rotated(h, D))
             p = p + field.share * dt * cross(field.axis, e)
         # stacked last: many kernels read them, number by number
         after = state._replace(q=jnp.stack(vector(q) + so3.cayley_difference(q, h)), p=jnp.stack(p))
@@ -126,10 +127,8 @@ class TopEnergyMomentum(Step):
         y, f, steady = newton.root(equation.residual, equation.correction, guess, count, unroll=linear)
         good = equation.J.well_conditioned & steady
         gradients, at = equation.gradients(equation.turn(y)[1]), lax.stop_gradient(y)
-        f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
         good &= on_branch(self.kappa, at, equation.matrix(at))
-        small_enough = f <= 32 * jnp.finfo(f.dtype).eps * lax.stop_gradient(equation.size(gradients, y))
-        return y, gradients, StepInfo(f, small_enough & good)
+        return y, gradients, newton.report(norm(f), good, equation.size(gradients, y))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -329,7 +328,7 @@ def _rotated_axis(h: Vector, Gamma: Vector) -> Vector:
     return Gamma + 2 / (1 + dot(h, h)) * (cross(h, x) - x)
 
 
-def _half_turn(h: Vector, D: Vector) -> Vector:
+def _half_rotated(h: Vector, D: Vector) -> Vector:
     """½(1 + cay(2h))D = (D + h × D + h(h·D))/(1 + |h|²)."""
     return 1 / (1 + dot(h, h)) * (D + cross(h, D) + dot(h, D) * h)
 

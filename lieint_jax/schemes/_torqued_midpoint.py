@@ -55,7 +55,18 @@ from lieint_jax.types import (
     pytree,
     static,
 )
-from lieint_jax.types.vectors import Matrix, Symmetric, Vector, components, cross, dot, max_abs, unit_trace, vector
+from lieint_jax.types.vectors import (
+    Matrix,
+    Symmetric,
+    Vector,
+    components,
+    cross,
+    dot,
+    max_abs,
+    norm,
+    unit_trace,
+    vector,
+)
 
 
 def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
@@ -196,12 +207,11 @@ class DampedMidpoint(Step):
         at = lax.stop_gradient
         good = steady & J.well_conditioned
         good &= on_branch(self.kappa, at(y), _jacobian(balance, at(P)))
-        f = at(jnp.sqrt(dot(f, f)))
+        info = newton.report(norm(f), good, size)
         q = so3.cayley_increment(state.q, jnp.stack(k * y))
         slip = cross(P, Omega)
         work = None if state.work is None else state.work - k * dt * alpha / r * dot(slip, slip)
-        info = StepInfo(f * jnp.abs(0.5 * dt), (f <= 32 * jnp.finfo(f.dtype).eps * size) & good)
-        return state._replace(q=q, work=work), info
+        return state._replace(q=q, work=work), info._replace(residual=info.residual * jnp.abs(0.5 * dt))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return _advice(self, dt, "the friction is too strong")
@@ -276,7 +286,7 @@ def examples(system: System) -> dict[str, Step]:
     return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
 
 
-_SHORT = 0.25  # of the length of ½ΔtΩ_n: a first correction with J instead of the Jacobian that is an improvement
+_SHORT = 0.25  # the cheap first correction (J for the Jacobian) is used if shorter than this part of |½ΔtΩ_n|
 _Each = list[tuple[Array, Any, Any]]
 
 
@@ -387,7 +397,7 @@ class _Equation(NamedTuple):
         change = jnp.stack([next(z) for _ in range(inner.size)]).reshape(inner.shape)
         return inner + jnp.where(moves, change / jnp.where(moves, self.half_dt, 1), 0)
 
-    def sides(self, rotation: Rotation, z: Vector) -> Vector:
+    def scaled_torques(self, rotation: Rotation, z: Vector) -> Vector:
         """sT̄, with T̄ = ΣT̄_k in the body; and what the laws make of z."""
         found = self.torques(rotation, z)
         terms = [] if found.body is None else [vector(found.body)]
@@ -402,21 +412,21 @@ class _Equation(NamedTuple):
         )
         return Vector((*sT, *_flat(changes)))
 
-    def sides_at(self, x: Vector) -> Vector:
-        """`sides` as a function of the unknowns."""
-        return self.sides(self.rotation(Vector(x[:3])), Vector(x[3:]))
+    def scaled_torques_at(self, x: Vector) -> Vector:
+        """`scaled_torques` as a function of the unknowns."""
+        return self.scaled_torques(self.rotation(Vector(x[:3])), Vector(x[3:]))
 
     def residual(self, x: Vector) -> Vector:
         """Jy + κ y × Jy − a − sT̄, and z less what the laws make of it."""
         free = gyration(self.kappa, self.J, Vector(x[:3])) - self.a
-        return Vector((*free, *x[3:])) - self.sides_at(x)
+        return Vector((*free, *x[3:])) - self.scaled_torques_at(x)
 
     def correction(self, x: Vector, f: Vector) -> Vector:
         """Newton's step."""
-        return la.solve(self._matrix(x, _jacobian(self.sides_at, x)), f)
+        return la.solve(self._matrix(x, _jacobian(self.scaled_torques_at, x)), f)
 
     def _matrix(self, x: Vector, *of_sides: Matrix) -> Matrix:
-        """The derivative of the residual, that of `sides` being the sum of matrices."""
+        """The derivative of the residual, that of `scaled_torques` being the sum of matrices."""
         K, n = gyration_matrix(self.kappa, self.J, Vector(x[:3])), len(x)
         free = Matrix((K[i][j] if max(i, j) < 3 else float(i == j) for j in range(n)) for i in range(n))
         return functools.reduce(operator.sub, of_sides, free)
@@ -427,20 +437,19 @@ class _Equation(NamedTuple):
         u = self.J.solve(self.a)  # ½ΔtΩ_n
         f = self.residual(Vector((*u, *(jnp.zeros_like(u[0]) for _ in self.implicit_states))))
         push = self.J.solve(f[:3])
-        granted = at(max_abs(u, f[3:]) + max_abs(push))
+        limit = at(max_abs(u, f[3:]) + max_abs(push))
         short = max_abs(push) <= _SHORT * max_abs(u)
         guess = Vector((*(u - Vector(jnp.where(short, x, 0) for x in push)), *(-x for x in f[3:])))
         x, f, steady = newton.root(
-            self.residual, self.correction, guess, iterations, done=newton.quadratic, first=granted
+            self.residual, self.correction, guess, iterations, done=newton.quadratic, first=limit
         )
-        branch, sizes = self.judge(at(x))
+        branch, sizes = self.branch_and_sizes(at(x))
         good = steady & branch & self.J.well_conditioned & jnp.isfinite(at(self.t))
-        errors = [at(jnp.sqrt(sum(r * r for r in rows))) for rows in (f[:3], f[3:]) if rows]
-        for error, size in zip(errors, sizes, strict=True):
-            good &= error <= 32 * jnp.finfo(error.dtype).eps * at(size)
-        return Vector(x[:3]), Vector(x[3:]), StepInfo(functools.reduce(jnp.maximum, errors), good)
+        errors = [norm(rows) for rows in (f[:3], f[3:]) if rows]
+        infos = [newton.report(error, good, size) for error, size in zip(errors, sizes, strict=True)]
+        return Vector(x[:3]), Vector(x[3:]), functools.reduce(StepInfo.merge, infos)
 
-    def judge(self, x: Vector) -> tuple[Array, list[Array]]:
+    def branch_and_sizes(self, x: Vector) -> tuple[Array, list[Array]]:
         """Whether x is on the branch from Δt = 0, and the sizes of the terms, which measure their rounding errors.
 
         Attitudes, velocities and internal states have rounding errors of their own size, so the laws contribute their
@@ -450,17 +459,17 @@ class _Equation(NamedTuple):
         now = self.rotation(y)
 
         def by_attitude(x: Vector) -> Vector:
-            """`sides` at a constant velocity and constant internal states."""
-            return self.sides(self.rotation(Vector(x[:3]))._replace(Omega=now.Omega, omega=now.omega), z)
+            """`scaled_torques` at a constant velocity and constant internal states."""
+            return self.scaled_torques(self.rotation(Vector(x[:3]))._replace(Omega=now.Omega, omega=now.omega), z)
 
         def by_velocity(x: Vector) -> Vector:
-            """`sides` at a constant attitude and constant internal states."""
+            """`scaled_torques` at a constant attitude and constant internal states."""
             moved = self.rotation(Vector(x[:3]))
-            return self.sides(now._replace(Omega=moved.Omega, omega=moved.omega), z)
+            return self.scaled_torques(now._replace(Omega=moved.Omega, omega=moved.omega), z)
 
         def by_states(x: Vector) -> Vector:
-            """`sides` for one rotation."""
-            return self.sides(now, Vector(x[3:]))
+            """`scaled_torques` for one rotation."""
+            return self.scaled_torques(now, Vector(x[3:]))
 
         speed = max_abs(y) / jnp.maximum(1, max_abs(vector(now.h)))  # h may enlarge h × T at will
         here, A = _value_and_jacobian(by_attitude, x)

@@ -18,7 +18,7 @@ from lieint_jax.types import Law, Rotation, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
-_ROUNDINGS = 16  # of the field and the internal field, by which a rod that is dragged along misses the edge of its play
+_ROUNDINGS = 16  # tolerance, in ulps of |b| + |w|, for a rod at the edge of its hysteresis band
 
 
 @pytree

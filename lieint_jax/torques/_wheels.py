@@ -1,4 +1,4 @@
-"""Reaction and momentum wheels, with motors that may look at everything."""
+"""Reaction and momentum wheels, whose motors may depend on time, attitude, angular velocity and wheel momentum."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What groups and phase spaces offer."""
+"""Interfaces of groups and phase spaces."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class Law(abc.ABC):
     def inner_rate(self, now: Rotation, inner: Array) -> Array | None:
         """The rate of the internal state at one instant; by default None: the derivative of what `mean` returns.
 
-        Where the state is at an edge, that derivative is none: the rate depends on the side to which it is pushed.
+        At a limit the internal state is not differentiable: override this to return the one-sided rate.
         """
         return None
 

@@ -61,7 +61,9 @@ class _Space(tuple):
         return type(self)(plus(x, y) for x, y in zip(self, self._like(other), strict=True))
 
     def __radd__(self, other: VectorLike) -> Self:
-        return self if isinstance(other, int) else type(self)(self._like(other)) + self  # `sum` begins with 0
+        if isinstance(other, int) and other == 0:  # where `sum` begins
+            return self
+        return type(self)(self._like(other)) + self
 
     def __sub__(self, other: VectorLike) -> Self:
         return type(self)(x if _is_zero(y) else x - y for x, y in zip(self, self._like(other), strict=True))
@@ -275,6 +277,11 @@ def matrix(A: Array) -> Matrix:
 def dot(a: VectorLike, b: VectorLike) -> Array:
     """a · b of two vectors, or arrays (n,), of the same length."""
     return functools.reduce(plus, (times(x, y) for x, y in zip(_each(a), _each(b), strict=True)))
+
+
+def norm(v: VectorLike) -> Array:
+    """|v|."""
+    return jnp.sqrt(dot(v, v))
 
 
 def cross(a: VectorLike, b: VectorLike) -> Vector:

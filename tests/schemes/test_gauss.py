@@ -361,7 +361,7 @@ def test_increments_preserve_the_last_digits():
 
 @pytest.mark.long
 def test_extrapolation_has_derivatives_by_the_axis():
-    """It integrates a top in a frame where the axis is upright; the length of the axis counts."""
+    """It integrates a top in a frame where the axis is axis_frame; the length of the axis counts."""
     top, state = leaning()
 
     def end(axis):

@@ -96,9 +96,8 @@ def solved(
     theta, F, on_branch = newton.chords(residual, factored, size, length, start, iterations)
     good = on_branch & digits_left(equation)
     Theta = la.as_array(theta, state.p)
-    error = size(F)
     good = good & tau.holds(group, Theta) if tau.holds else good
-    return theta, Theta, StepInfo(error, (error <= 32 * jnp.finfo(error.dtype).eps) & good)
+    return theta, Theta, newton.report(size(F), good)
 
 
 def unpacked(group: Group, metric: Array) -> la.Matrix:
@@ -162,8 +161,8 @@ def slope(tau: Tau, group: Group, theta: la.Vector) -> la.Matrix:
 def guess(group: Group, m: la.Matrix, a: la.Vector) -> la.Vector:
     """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
     sharp = la.factored(m).solve
-    half_turn = sharp(a)
-    return 2.0 * half_turn + 2.0 * sharp(ad_star(group, half_turn, a))
+    half_rotation = sharp(a)
+    return 2.0 * half_rotation + 2.0 * sharp(ad_star(group, half_rotation, a))
 
 
 def newton_matrix(equation: Equation, theta: la.Vector, F: la.Vector, *bends: la.Matrix) -> la.Matrix:

@@ -74,7 +74,7 @@ def scalar_residual(J: Symmetric, a: Vector3, h: Vector3) -> Vector:
     return J @ h - dot(a, h) * vector(h) - a - cross(a, h)
 
 
-def half_turn_derivative(J: Symmetric, a: Vector3, h: Vector3, da: Vector3) -> Vector:
+def half_rotation_derivative(J: Symmetric, a: Vector3, h: Vector3, da: Vector3) -> Vector:
     """The rotation of the body at the end of a step, in the axes of its beginning, caused by a change δa of a.
 
     (J − m − â − h⊗a) δh = δa + δa × h + (δa·h)h, m = a·h, the derivative of the scalar form; and cay 2h rotates by

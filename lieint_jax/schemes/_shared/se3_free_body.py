@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from lieint_jax.groups import so3
 from lieint_jax.groups.catalogue import special_euclidean
 from lieint_jax.maps import kappa_symplectic
-from lieint_jax.schemes._shared.half_turn import ITERATIONS, half_turn
+from lieint_jax.schemes._shared.half_rotation import ITERATIONS, half_rotation
 from lieint_jax.types import AbstractGeodesicFlow, State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import cross, matrix, unit_trace, vector
 
@@ -41,7 +41,7 @@ class FreeMotion(Step):
         R, x, L, P = state.q[:3, :3], state.q[:3, 3], state.p[:3], state.p[3:]
         Pi = jnp.stack(matrix(R).T @ (vector(L) - cross(x, P)))
         J, r = unit_trace(inertia)
-        h, info = half_turn(J, (0.5 * r * dt) * Pi, kappa_symplectic, ITERATIONS["scalar"])
+        h, info = half_rotation(J, (0.5 * r * dt) * Pi, kappa_symplectic, ITERATIONS["scalar"])
         turn = so3.to_matrix(so3.cayley_increment(jnp.array([1.0, 0, 0, 0], h.dtype), h))
         R = matrix(R) @ matrix(turn)
         moved = x + dt / mass * P

@@ -80,7 +80,7 @@ def _length_correction(q: tuple[Array, ...], dq: tuple[Array, ...]) -> Array:
     return -excess / (s * (1 + s))
 
 
-def spinning(
+def free_rates(
     inverse: Symmetric, rotor: Array | None, q: tuple[Array, ...], Pi: Vector
 ) -> tuple[tuple[Array, ...], Vector]:
     """q̇ and Π̇ without a torque."""
@@ -105,26 +105,26 @@ def motion(system: OneBody, state: State) -> State:
     return State(q_dot, so3.Ad(state.q, jnp.stack(torque(z, now))) if torque else jnp.zeros_like(state.p))
 
 
-def upright(axis: Any) -> tuple[Array, Array]:
+def axis_frame(axis: Any) -> tuple[Array, Array]:
     """A rotation that maps γ to ±|γ| e₃, and ±|γ|."""
     sign, size = jnp.where(axis[2] < 0, -1, 1), jnp.sqrt(dot(axis, axis))
     g = jnp.stack([size + sign * axis[2], sign * axis[1], -sign * axis[0], jnp.zeros_like(size)])
     return so3.normalize(g), sign * size
 
 
-def turned_up(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
+def to_axis_frame(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
     """A quaternion in the frame where an axis is ±e₃."""
-    return vectors.components(so3.multiply(upright(axis)[0], jnp.stack(q)))
+    return vectors.components(so3.multiply(axis_frame(axis)[0], jnp.stack(q)))
 
 
-def turned_back(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
+def from_axis_frame(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
     """A quaternion of the frame where an axis is ±e₃, in space."""
-    return vectors.components(so3.multiply(so3.inverse(upright(axis)[0]), jnp.stack(q)))
+    return vectors.components(so3.multiply(so3.inverse(axis_frame(axis)[0]), jnp.stack(q)))
 
 
 def _in_space(system: System, delta: BodyAxesState) -> BodyAxesState:
     """Increments of the unknowns, with those of q converted to increments of the attitude."""
-    return delta._replace(q=turned_back(system.axis, delta.q)) if isinstance(system, AbstractTop) else delta
+    return delta._replace(q=from_axis_frame(system.axis, delta.q)) if isinstance(system, AbstractTop) else delta
 
 
 def _power(system: OneBody, z: PyTree, moment: PyTree) -> Array:
@@ -138,8 +138,8 @@ def _torque(system: OneBody) -> Callable[[BodyAxesState, PyTree], Vector] | None
     if isinstance(system, AbstractDrivenTop):
         return lambda z, now: _torque_about(system.potential, now.axis, z.q, now.t)
     if isinstance(system, AbstractTop):
-        height = upright(system.axis)[1]
-        return lambda z, _: _torque_upright(system.potential, height, z.q)
+        height = axis_frame(system.axis)[1]
+        return lambda z, _: _torque_vertical(system.potential, height, z.q)
     return None
 
 
@@ -147,7 +147,7 @@ def _torque_about(potential: Callable[..., Array], axis: Any, q: tuple[Array, ..
     return _by_potential(potential, _axis_in_body(q, axis), t)
 
 
-def _torque_upright(potential: Callable[..., Array], height: Array, q: tuple[Array, ...]) -> Vector:
+def _torque_vertical(potential: Callable[..., Array], height: Array, q: tuple[Array, ...]) -> Vector:
     return _by_potential(potential, _third_axis(2 * height, q))
 
 
@@ -199,7 +199,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
     def unknowns(self, system: OneBody, state: State) -> BodyAxesState:
         """The unknowns of a step from this state."""
         z = body_axes_state(state)
-        return z._replace(q=turned_up(system.axis, z.q)) if isinstance(system, AbstractTop) else z
+        return z._replace(q=to_axis_frame(system.axis, z.q)) if isinstance(system, AbstractTop) else z
 
     def apply(self, system: OneBody, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
         """The state whose unknowns are z, after their increments."""
@@ -222,7 +222,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
         torque = _torque(system)
 
         def field(z: BodyAxesState, moment: PyTree) -> BodyAxesState:
-            q_dot, Pi_dot = spinning(inverse, rotor, z.q, z.Pi)
+            q_dot, Pi_dot = free_rates(inverse, rotor, z.q, z.Pi)
             Pi_dot = Pi_dot + torque(z, moment) if torque else Pi_dot
             return BodyAxesState(q_dot, Pi_dot, None if z.work is None else _power(system, z, moment))
 

@@ -31,12 +31,12 @@ from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, Cotangent
 from lieint_jax.schemes.charts import several_bodies
 from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.schemes.charts.body_axes import (
+    axis_frame,
     axis_in_body,
+    from_axis_frame,
     quat_times_vec,
     scalar_and_vector,
-    turned_back,
-    turned_up,
-    upright,
+    to_axis_frame,
 )
 from lieint_jax.types import (
     AbstractDrivenSystem,
@@ -174,7 +174,7 @@ class OneBody(CanonicalChart):
     def unknowns(self, system: Any, state: State) -> Coordinates:
         """The coordinates of a state, in the frame of the chart."""
         z = self.coordinates(state)
-        return Coordinates(*(turned_up(system.axis, half) for half in z)) if _stands(system) else z
+        return Coordinates(*(to_axis_frame(system.axis, half) for half in z)) if _has_fixed_axis(system) else z
 
     def configuration(self, z: Coordinates) -> Array:
         """The unit quaternion, (4,)."""
@@ -209,16 +209,16 @@ class OneBody(CanonicalChart):
 
     def in_fixed_frame(self, system: Any, delta: Increments) -> Increments:
         """The increments in space, from those in the frame where a fixed axis is ±e₃."""
-        if not _stands(system) or delta.quadratures is None:
+        if not _has_fixed_axis(system) or delta.quadratures is None:
             return delta
-        z = Coordinates(*(turned_back(system.axis, half) for half in delta.z))
-        momenta = _components(so3.Ad_star(upright(system.axis)[0], jnp.stack(delta.quadratures.momenta)))
+        z = Coordinates(*(from_axis_frame(system.axis, half) for half in delta.z))
+        momenta = _components(so3.Ad_star(axis_frame(system.axis)[0], jnp.stack(delta.quadratures.momenta)))
         return Increments(z, delta.quadratures._replace(momenta=momenta))
 
     def _kick(self, system: Any, z: Coordinates, t: Moment) -> Components:
         """The contribution of a potential to ṗ: −∂V/∂q."""
-        if _stands(system):
-            return _kick_upright(system.potential, upright(system.axis)[1], z.q)
+        if _has_fixed_axis(system):
+            return _kick_vertical(system.potential, axis_frame(system.axis)[1], z.q)
         if _has_axis(system):
             return _kick_about(system.potential, system.axis_at(t), z.q, t)
         return _from_left(2 * _inverse_square(z.q) * self.force(system)(z, t), z.q)
@@ -336,45 +336,45 @@ def _has_axis(system: Any) -> bool:
     return isinstance(system, AbstractTop | AbstractDrivenTop) and system.axis is not None
 
 
-def _stands(system: Any) -> bool:
+def _has_fixed_axis(system: Any) -> bool:
     """Whether the coordinates are those in a frame where an axis is ±e₃."""
     return isinstance(system, AbstractTop) and system.axis is not None
 
 
-def _kick_upright(potential: Any, height: Array, q: Components) -> Components:
+def _kick_vertical(potential: Any, height: Array, q: Components) -> Components:
     """−∂V/∂q of V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1: 2γq∇Ṽ, with γ = height e₃."""
-    a, b, c, d = (2 * height * x for x in _by_slope(potential, _seen_upright(height, q), q))
+    a, b, c, d = (2 * height * x for x in _rotated_gradient(potential, _vertical_in_body(height, q), q))
     return -d, -c, b, a
 
 
 def _kick_about(potential: Any, axis: Array, q: Components, t: Any) -> Components:
     """2γq∇Ṽ for any axis γ."""
-    return _from_left(2 * Vector(axis), _by_slope(potential, axis_in_body(q, axis), q, t))
+    return _from_left(2 * Vector(axis), _rotated_gradient(potential, axis_in_body(q, axis), q, t))
 
 
 def _torque(system: Any, q: Components, t: Any) -> Vector:
-    if _stands(system):
-        return _torque_upright(system.potential, upright(system.axis)[1], q)
+    if _has_fixed_axis(system):
+        return _torque_vertical(system.potential, axis_frame(system.axis)[1], q)
     return _torque_about(system.potential, system.axis_at(t), q, t)
 
 
-def _torque_upright(potential: Any, height: Array, q: Components) -> Vector:
+def _torque_vertical(potential: Any, height: Array, q: Components) -> Vector:
     """The torque in space, γ × q∇Ṽq̄."""
-    x, y, _ = _times_conjugate(_by_slope(potential, _seen_upright(height, q), q), q)
+    x, y, _ = _times_conjugate(_rotated_gradient(potential, _vertical_in_body(height, q), q), q)
     return Vector((-height * y, height * x, jnp.zeros_like(x)))
 
 
 def _torque_about(potential: Any, axis: VectorLike, q: Components, t: Array) -> Vector:
-    return cross(axis, _times_conjugate(_by_slope(potential, axis_in_body(q, axis), q, t), q))
+    return cross(axis, _times_conjugate(_rotated_gradient(potential, axis_in_body(q, axis), q, t), q))
 
 
-def _seen_upright(height: Array, q: Components) -> Vector:
+def _vertical_in_body(height: Array, q: Components) -> Vector:
     """`axis_in_body` of height e₃."""
     w, x, y, z = q
     return height * Vector((2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))
 
 
-def _by_slope(potential: Any, Gamma: Vector, q: Components, *t: Array) -> Components:
+def _rotated_gradient(potential: Any, Gamma: Vector, q: Components, *t: Array) -> Components:
     """q∇Ṽ."""
     return quat_times_vec(q, vector(gradient(potential, jnp.stack(Gamma), *t)))
 

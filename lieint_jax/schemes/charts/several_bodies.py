@@ -16,7 +16,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts import body_axes
 from lieint_jax.schemes.charts._chart import Chart
-from lieint_jax.schemes.charts.body_axes import BodyAxesState, spinning
+from lieint_jax.schemes.charts.body_axes import BodyAxesState, free_rates
 from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, System, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, vector
@@ -100,7 +100,7 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
         def field(z: Array, _: PyTree) -> Array:
             x, P, turning = _parts(z)
             force, torque = forces(system, x, turning.q)
-            q_dot, Pi_dot = spinning(inverse, None, turning.q, turning.Pi)
+            q_dot, Pi_dot = free_rates(inverse, None, turning.q, turning.Pi)
             return _pack(Moving((1 / masses) * P, force, BodyAxesState(q_dot, Pi_dot + torque, None)))
 
         return field

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics import newton
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
 from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
@@ -18,7 +19,7 @@ from lieint_jax.types.vectors import Symmetric, VectorLike, max_abs, unit_trace
 ITERATIONS = {"scalar": 3, "vector": 4}  # Newton corrections per step, by the form of the equation
 
 
-def half_turn(
+def half_rotation(
     J: Symmetric, a: Vector3, kappa: Kappa, iterations: int, b: Vector3 | None = None
 ) -> tuple[VectorLike, StepInfo]:
     """h = ½Θ of a step, shape (3,), from J and a as in `scaled` and b as in `bias`, and its report."""
@@ -27,9 +28,7 @@ def half_turn(
     else:
         h, residual, good = solve_vector(kappa, J, a, iterations, b)
         good &= jnp.finfo(a.dtype).eps * _size(a, b) * J.inverse_trace <= attitude_error_limit(a.dtype)
-    residual = lax.stop_gradient(max_abs(residual))
-    small = residual <= 32 * jnp.finfo(a.dtype).eps * _size(a, b)
-    return h, StepInfo(residual, small & good & J.well_conditioned)
+    return h, newton.report(max_abs(residual), good & J.well_conditioned, _size(a, b))
 
 
 def scaled(system: AbstractFreeBody | AbstractGyrostat, state: State, dt: ArrayLike) -> tuple[Symmetric, Vector3]:
