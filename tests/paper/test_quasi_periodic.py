@@ -9,6 +9,7 @@ import itertools
 
 import jax
 import numpy as np
+import pytest
 from scipy.optimize import minimize_scalar
 
 import lieint_jax as li
@@ -62,6 +63,7 @@ def prediction_error(x, after, basic):
     return np.std(after - predicted) / np.std(after)
 
 
+@pytest.mark.long
 def test_6_3_the_energy_of_figure_4_a_is_quasi_periodic_with_two_frequencies():
     """With a wrong second frequency as many lines predict nothing."""
     first, second, third = parts(6.0)
@@ -72,6 +74,7 @@ def test_6_3_the_energy_of_figure_4_a_is_quasi_periodic_with_two_frequencies():
     assert prediction_error(first, second, basic * [1, 1.01]) > 0.5
 
 
+@pytest.mark.long
 def test_6_3_the_energy_of_figure_4_c_is_not_quasi_periodic():
     """Once its symmetry is broken, after step 3000, its strongest lines change and predict nothing."""
     _, second, third = parts(10.0)

@@ -34,6 +34,7 @@ def run(step, F, P):
 
 
 @pytest.mark.paper("6.3", "an unbounded energy of the symplectic midpoint rule, a constant one", "schemes/_additive.py")
+@pytest.mark.long
 def test_the_midpoint_rule_more_than_doubles_the_energy_and_fails_and_the_average_rule_conserves_it():
     """Observed: H from 103.07 to 258.61, then step 434 does not converge, for 33 starts that differ by up to 1e-6, with
     25 and with 200 iterations. The average rule: every step converges, H within 1.3e-12 and momentum within 6e-13 of
