@@ -67,7 +67,7 @@ from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
 from lieint_jax.types import vectors
 from lieint_jax.types.shapes import Inertia, Quaternion, Vector3
-from lieint_jax.types.vectors import Matrix, Vector, VectorLike, cross, dot, matrix
+from lieint_jax.types.vectors import Matrix, Vector, VectorLike, cross, dot, matrix, norm
 
 _Turns = list[tuple[int, Array]]
 _FAR = 1e7  # the ν from which Legendre's third integral is computed by its first term for large ν
@@ -240,7 +240,7 @@ def _less_third(m1: Array, nu: Array, K: Array) -> Array:
 def _units(inertia: Inertia, Pi: Vector3) -> tuple[Array, Array, Vector, Array]:
     """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
     scale = 1 / vectors.symmetric(inertia).trace
-    scaled = scale * Vector(Pi)
+    scaled = scale * vectors.vector(Pi)
     square = dot(scaled, scaled)
     rest = square == 0
     G = jnp.sqrt(where(rest, 1, square))
@@ -285,7 +285,7 @@ def _permute(v: VectorLike, turns: _Turns, sign: int) -> Vector:
 
 
 def _unit(v: Vector) -> Vector:
-    return 1 / jnp.sqrt(dot(v, v)) * v
+    return 1 / norm(v) * v
 
 
 @jax.custom_jvp

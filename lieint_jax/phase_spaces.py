@@ -335,7 +335,7 @@ class CotangentSphere(_ByEntries):
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement, projected on T*S²."""
         end = super().displaced(start, displacement)
-        q = end.q / jnp.sqrt(vectors.dot(end.q, end.q))
+        q = end.q / vectors.norm(end.q)
         return end._replace(q=q, p=end.p - vectors.dot(q, end.p) * q)
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:

@@ -221,10 +221,8 @@ def chords(
                 F = function(x) if use else F
                 sizes.append(size(F))
                 step = K.solve(F)
-                x, monitor = (
-                    jax.tree.map(jnp.subtract, x, step),
-                    monitor.update(lax.stop_gradient(length(step)), _CHORD),
-                )
+                x = jax.tree.map(jnp.subtract, x, step)
+                monitor = monitor.update(lax.stop_gradient(length(step)), _CHORD)
             before, last = sizes[-2:]
             monitor = monitor._replace(growth=jnp.where(K.positive, monitor.growth, jnp.inf))
             return x, monitor, k + 1, (last <= eps) | (last * last <= eps / 8 * before)

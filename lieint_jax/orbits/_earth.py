@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, positive
 from lieint_jax.types import callable_pytree, pytree
-from lieint_jax.types.vectors import cross, dot
+from lieint_jax.types.vectors import cross, dot, norm
 
 EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010
 EARTH_RADIUS = 6378.137  # the equatorial radius in km, WGS 84
@@ -182,7 +182,7 @@ class Air:
         """The density, (), and v − ω × r in space, (3,)."""
         r, v = self.orbit(t)
         wind = jnp.stack(cross(jnp.stack([0 * self.rate, 0 * self.rate, self.rate]), r))
-        height = jnp.sqrt(dot(r, r)) - self.distance
+        height = norm(r) - self.distance
         return self.density * jnp.exp(-height / self.scale_height), v - wind
 
 

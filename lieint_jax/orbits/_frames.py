@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.groups import so3
 from lieint_jax.types import callable_pytree, pytree
-from lieint_jax.types.vectors import cross, dot
+from lieint_jax.types.vectors import cross, dot, norm
 
 
 @pytree
@@ -30,7 +30,7 @@ class LocalFrame:
         """The axes of the frame in space, as columns, (3, 3)."""
         r, v = self.orbit(t)
         h = jnp.stack(cross(r, v))
-        down, across = -r / jnp.sqrt(dot(r, r)), -h / jnp.sqrt(dot(h, h))
+        down, across = -r / norm(r), -h / norm(h)
         return jnp.stack([jnp.stack(cross(across, down)), across, down], axis=1)
 
     def angular_velocity(self, t: ArrayLike) -> Array:
@@ -45,7 +45,7 @@ class LocalFrame:
         else:
             (r, v), (_, acceleration) = jax.jvp(self.orbit, (t,), (jnp.ones_like(t),))
         h = jnp.stack(cross(r, v))
-        size, square = jnp.sqrt(dot(h, h)), dot(r, r)
+        size, square = norm(h), dot(r, r)
         tilt = jnp.sqrt(square) * dot(acceleration, h) / (size * size)
         return jnp.stack([jnp.zeros_like(size), -size / square, -tilt])
 

@@ -15,7 +15,7 @@ from lieint_jax._checks import concrete
 from lieint_jax.orbits._anomaly import elliptic_anomaly, hyperbolic_anomaly, less_sine, sinh_less, slope
 from lieint_jax.orbits._kepler import Kepler
 from lieint_jax.types import pytree
-from lieint_jax.types.vectors import cross, dot
+from lieint_jax.types.vectors import cross, dot, norm
 
 _LINE = 1e-12  # |r × v| over |r||v| below which an orbit is a line
 
@@ -67,7 +67,7 @@ class KeplerFromState:
         tilt = jnp.hypot(h[0], h[1])
         inclination, node = jnp.arctan2(tilt, h[2]), jnp.where(tilt == 0, 0, jnp.arctan2(h[0], -h[1]))
         N = jnp.stack([jnp.cos(node), jnp.sin(node), jnp.zeros_like(node)])
-        across = jnp.stack(cross(h, N)) / jnp.sqrt(dot(h, h))
+        across = jnp.stack(cross(h, N)) / norm(h)
         latitude = jnp.arctan2(dot(self.position, across), dot(self.position, N))
         half = jnp.where(closed, jnp.tan(E / 2), jnp.tanh(E / 2))
         anomaly = 2 * jnp.arctan(jnp.sqrt((1 + e) / jnp.abs(1 - e)) * half)

@@ -14,7 +14,7 @@ from lieint_jax._checks import positive
 from lieint_jax.orbits._anomaly import less_sine
 from lieint_jax.orbits._earth import EARTH_RADIUS, J2000, above_ground
 from lieint_jax.types import callable_pytree, pytree, static
-from lieint_jax.types.vectors import cross, dot
+from lieint_jax.types.vectors import cross, dot, norm
 
 SUN_ANGLE = 0.0046524  # the half-angle of the Sun at 1 au: asin(696000 km / 149597870.7 km)
 
@@ -83,10 +83,10 @@ class Eclipse:
         along, beside = dot(r, s), cross(r, s)
         off = jnp.sqrt(jnp.maximum(dot(beside, beside), jnp.finfo(r.dtype).tiny))
         if self.cylinder:
-            edge = self.radius * jnp.sqrt(dot(s, s))
+            edge = self.radius * norm(s)
             lit, dark = (along >= 0) | (off >= edge), (along < 0) & (off < edge)  # neither for NaN
             return jnp.where(lit, 1.0, jnp.where(dark, 0.0, jnp.nan)).astype(r.dtype)
-        size = jnp.sqrt(dot(r, r))
+        size = norm(r)
         return 1 - _covered_fraction(
             self.angle, jnp.arcsin(jnp.minimum(self.radius / size, 1)), jnp.arctan2(off, -along)
         )

@@ -28,7 +28,7 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._splitting import kicked_motion
 from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar, Vector3
-from lieint_jax.types.vectors import dot, vector
+from lieint_jax.types.vectors import dot, norm, vector
 
 _ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
 Order = int | tuple[int, ...]
@@ -161,7 +161,7 @@ def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, A
 
     By universal variables: r₀G₁ + ηG₂ + μG₃ = Δt with G_k = sᵏc_k(βs²), β = 2μ/r₀ − |v|², η = d·v; on every conic.
     """
-    r0, eta = jnp.sqrt(dot(d, d)), dot(d, v)
+    r0, eta = norm(d), dot(d, v)
     beta = 2 * mu / r0 - dot(v, v)
     bend = mu - beta * r0
 

@@ -21,7 +21,7 @@ from lieint_jax._numerics import newton
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, System, autodiff_gradient, pytree, static
-from lieint_jax.types.vectors import cross, dot, matrix, max_abs
+from lieint_jax.types.vectors import cross, dot, matrix, max_abs, norm
 
 
 def _motion(system: AbstractSphereSystem, state: State) -> State:
@@ -63,7 +63,7 @@ class SphereMidpoint(Step):
         def torque(u: Array) -> tuple[Array, Array]:
             """r, and −Δt r × ∇V(r)."""
             r = q + u / 2
-            r = r / jnp.sqrt(dot(r, r)) if self.normalized else r
+            r = r / norm(r) if self.normalized else r
             return r, -dt * jnp.stack(cross(r, autodiff_gradient(self.system.potential)(r)))
 
         def equation(u: Array) -> Array:
@@ -79,7 +79,7 @@ class SphereMidpoint(Step):
         u, f, steady = newton.root(equation, correction, guess, self.iterations)
         # with a positive K the equation is monotone, so it has one root; without normalization that is a proof
         K = matrix(lax.stop_gradient(jax.jacfwd(equation)(u))).plus_transpose()
-        unique = K.positive_definite & (jnp.abs(h) * jnp.sqrt(dot(p, p)) < _TURN)
+        unique = K.positive_definite & (jnp.abs(h) * norm(p) < _TURN)
         info = newton.report(max_abs(f), (dot(u, u) < 4) & steady & unique)
         return state._replace(q=q + u, p=p + torque(u)[1]), info
 

@@ -36,7 +36,7 @@ class TidalAxis:
     def __call__(self, t: Time) -> Vector3:
         position = self.orbit(t)[0]
         mu = self.orbit.mu if self.mu is None else self.mu
-        r = jnp.sqrt(vectors.dot(position, position))
+        r = vectors.norm(position)
         return jnp.sqrt(3 * mu / r) / (r * r) * position
 
 

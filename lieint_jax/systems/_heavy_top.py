@@ -91,7 +91,7 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
     Source: Whittaker, Analytical Dynamics, §71–72.
     """
     assert isinstance(top.potential, LinearPotential)
-    J, size = vectors.symmetric(top.inertia), jnp.sqrt(vectors.dot(top._axis, top._axis))
+    J, size = vectors.symmetric(top.inertia), vectors.norm(top._axis)
     E = top.potential.weight[2]
     Pi = top.body_momentum(state)
     spin = jnp.sign(E) * Pi[2]

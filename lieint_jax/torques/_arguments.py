@@ -11,7 +11,7 @@ from jax import Array, lax
 
 from lieint_jax import _checks
 from lieint_jax.types import callable_pytree
-from lieint_jax.types.vectors import dot
+from lieint_jax.types.vectors import norm
 
 VectorOfTime = Array | Callable[[Array], Array]
 
@@ -37,7 +37,7 @@ def direction_of_time(name: str, value: Any) -> VectorOfTime:
 def direction_at(direction: VectorOfTime, t: Array) -> Array:
     """The unit vector at a time, (3,): the values of a function are normalized, for it was not checked."""
     s = value_at(direction, t)
-    return s / jnp.sqrt(dot(s, s)) if callable(direction) else s
+    return s / norm(s) if callable(direction) else s
 
 
 @jax.jit

@@ -16,7 +16,7 @@ from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of
 from lieint_jax.torques._body_axes import end_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, pytree, static
 from lieint_jax.types.shapes import PyTree
-from lieint_jax.types.vectors import cross, dot
+from lieint_jax.types.vectors import cross, dot, norm
 
 _ROUNDINGS = 16  # tolerance, in ulps of |b| + |w|, for a rod at the edge of its hysteresis band
 
@@ -117,7 +117,7 @@ class Hysteresis(Law):
         moving = (jnp.ones_like(now.start), so3.tangent(now.q_n, now.Omega))
         x, speed = jax.jvp(self._axial_field, (now.start, now.q_n), moving)
         b = value_at(self.field, now.start)
-        rounding = _ROUNDINGS * jnp.finfo(x.dtype).eps * (jnp.sqrt(dot(b, b)) + jnp.abs(inner))
+        rounding = _ROUNDINGS * jnp.finfo(x.dtype).eps * (norm(b) + jnp.abs(inner))
         edge = self.coercivity - rounding
         pushed = (x - inner >= edge) & (speed > 0) | (inner - x >= edge) & (speed < 0)
         return jnp.where(pushed, speed, jnp.where(jnp.isnan(x - inner + edge + speed), jnp.nan, 0))

@@ -260,7 +260,7 @@ def components(v: Array) -> tuple[Array, ...]:
     return tuple(x.reshape(v.shape[1:]) for x in lax.split(v, (1,) * v.shape[0]))
 
 
-def _each(v: VectorLike) -> Iterable[Scalar]:
+def _scalars(v: VectorLike) -> Iterable[Scalar]:
     return (v[i] for i in range(v.shape[0])) if isinstance(v, Array) else v
 
 
@@ -276,7 +276,7 @@ def matrix(A: Array) -> Matrix:
 
 def dot(a: VectorLike, b: VectorLike) -> Array:
     """a · b of two vectors, or arrays (n,), of the same length."""
-    return functools.reduce(plus, (times(x, y) for x, y in zip(_each(a), _each(b), strict=True)))
+    return functools.reduce(plus, (times(x, y) for x, y in zip(_scalars(a), _scalars(b), strict=True)))
 
 
 def norm(v: VectorLike) -> Array:
@@ -301,7 +301,7 @@ def outer(a: VectorLike, b: VectorLike) -> Matrix:
 def angle(a: VectorLike, b: VectorLike) -> Array:
     """The angle between two vectors of any lengths, in radians, accurate where it is small."""
     c = cross(a, b)
-    return jnp.arctan2(jnp.sqrt(dot(c, c)), dot(a, b))
+    return jnp.arctan2(norm(c), dot(a, b))
 
 
 def hat(v: VectorLike) -> Matrix:

@@ -100,19 +100,19 @@ def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Arr
     d, v = relative_motion(system, state)
     normal = jnp.stack(vectors.cross(d, v))
     L = system.momentum(state)[3:]
-    up = L / jnp.sqrt(vectors.dot(L, L))
+    up = L / vectors.norm(L)
     attitudes, Omega = state.q[:, 3:], system.angular_velocities(state)
     x, z = (jax.vmap(so3.Ad, (0, None))(attitudes, axis) for axis in (jnp.eye(3)[0], jnp.eye(3)[2]))
     spins = jnp.sum(jax.vmap(so3.Ad)(attitudes, Omega) * up, axis=1)
     Gamma = so3.Ad_star(attitudes[1], d)
     about_up = partial(longitude, up)
     angles = Motion(
-        distance=jnp.sqrt(vectors.dot(d, d)),  # pyright: ignore[reportArgumentType]
+        distance=vectors.norm(d),  # pyright: ignore[reportArgumentType]
         longitude=about_up(d),
         spin_1=about_up(x[0]),
         spin_2=about_up(x[1]),
         libration=-jnp.arctan2(Gamma[1], Gamma[0]),  # pyright: ignore[reportArgumentType]
-        out_of_plane=jnp.arcsin(Gamma[2] / jnp.sqrt(vectors.dot(d, d))),  # pyright: ignore[reportArgumentType]
+        out_of_plane=jnp.arcsin(Gamma[2] / vectors.norm(d)),  # pyright: ignore[reportArgumentType]
         obliquity_2=vectors.angle(z[1], normal),  # pyright: ignore[reportArgumentType]
         inclination=vectors.angle(up, normal),  # pyright: ignore[reportArgumentType]
         node=about_up(normal),
@@ -130,7 +130,7 @@ def longitude(up: Array, a: Array) -> Any:
 def energies(system: RigidBodies, state: State) -> Energies:
     """The parts of the energy at a state."""
     m, (d, v) = system.masses, relative_motion(system, state)
-    points = system.potential.G * m[0] * m[1] / jnp.sqrt(vectors.dot(d, d))  # pyright: ignore[reportFunctionMemberAccess]
+    points = system.potential.G * m[0] * m[1] / vectors.norm(d)  # pyright: ignore[reportFunctionMemberAccess]
     Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
     spins = jnp.sum(Pi * system.angular_velocities(state), axis=1) / 2
     orbit = m[0] * m[1] / (m[0] + m[1]) * vectors.dot(v, v) / 2 - points
@@ -147,7 +147,7 @@ def with_speed_change(system: RigidBodies, state: State, change: Array) -> State
     """The state with `change` added to the speed of the relative motion, across the line of centers."""
     m, (d, v) = system.masses, relative_motion(system, state)
     across = v - d * (vectors.dot(d, v) / vectors.dot(d, d))
-    push = m[0] * m[1] / (m[0] + m[1]) * change * across / jnp.sqrt(vectors.dot(across, across))
+    push = m[0] * m[1] / (m[0] + m[1]) * change * across / vectors.norm(across)
     return state._replace(p=state.p.at[:, :3].add(jnp.stack([-push, push])))
 
 
@@ -164,7 +164,7 @@ def orbital_period(
         system: Any = step.system
         run = integrate(step, with_speed_change(system, state, change), dt, num_steps, save_every=save_every)
         L = system.momentum(state)[3:]
-        up = L / jnp.sqrt(vectors.dot(L, L))
+        up = L / vectors.norm(L)
         angles = jax.vmap(lambda z: longitude(up, relative_motion(system, z)[0]))(run.state)
         return 2 * jnp.pi / mean_rate(run.t, jnp.unwrap(angles))
 

@@ -146,13 +146,13 @@ def _orthonormal_frame(along: Array, near: Array) -> Array:
 
 
 def _normalize(v: Array) -> Array:
-    return v / jnp.sqrt(vectors.dot(v, v))
+    return v / vectors.norm(v)
 
 
 def outcome(J: Array, state: State) -> Outcome:
     """The invariants of the free motion from a state."""
     body = RigidBody(J)
-    found, size = body.periods(state), jnp.sqrt(vectors.dot(state.p, state.p))
+    found, size = body.periods(state), vectors.norm(state.p)
     double = 2 * body.energy(state)
     return Outcome(*found, size, double / size, double * jnp.max(J) / size**2, state.p / size)
 

@@ -317,7 +317,7 @@ def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, Array]:
     x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
     i, j = np.triu_indices(x.shape[0], 1)
     L = system.free.momentum(state)[3:]
-    up = L / jnp.sqrt(vectors.dot(L, L))
+    up = L / vectors.norm(L)
 
     def angle(d: Array, v: Array) -> tuple[Array, Any]:
         return longitude(up, d), vectors.dot(jnp.stack(vectors.cross(d, v)), up) / vectors.dot(d, d)

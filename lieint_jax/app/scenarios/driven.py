@@ -126,7 +126,7 @@ def orbit_axes(orbit: Any, t: Array) -> tuple[Array, Array]:
     """The matrix with columns radially outward, along the motion and the normal, and its angular velocity in space."""
     position, velocity = orbit(t)
     normal = jnp.stack(vectors.cross(position, velocity))
-    r, z = (x / jnp.sqrt(vectors.dot(x, x)) for x in (position, normal))
+    r, z = (x / vectors.norm(x) for x in (position, normal))
     return jnp.stack([r, jnp.stack(vectors.cross(z, r)), z], axis=1), normal / vectors.dot(position, position)
 
 

@@ -29,7 +29,7 @@ from lieint_jax.types import (
     vectors,
 )
 from lieint_jax.types.shapes import PyTree
-from lieint_jax.types.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
+from lieint_jax.types.vectors import Symmetric, Vector, VectorLike, cross, dot, norm, vector
 
 OneBody = AbstractFreeBody | AbstractGyrostat | AbstractTop | AbstractDrivenTop
 
@@ -107,7 +107,7 @@ def motion(system: OneBody, state: State) -> State:
 
 def axis_frame(axis: Any) -> tuple[Array, Array]:
     """A rotation that maps γ to ±|γ| e₃, and ±|γ|."""
-    sign, size = jnp.where(axis[2] < 0, -1, 1), jnp.sqrt(dot(axis, axis))
+    sign, size = jnp.where(axis[2] < 0, -1, 1), norm(axis)
     g = jnp.stack([size + sign * axis[2], sign * axis[1], -sign * axis[0], jnp.zeros_like(size)])
     return so3.normalize(g), sign * size
 
