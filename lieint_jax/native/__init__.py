@@ -2,23 +2,21 @@
 
 A jaxpr is walked (`_walk`; what each primitive adds is in `_primitives`) into a program of single numbers with real
 loops (`_program`). On a CPU LLVM compiles it with a vector of members for each number (`_emit`, `_machine`). A separate
-program first computes what all members share in a step, such as the position on an orbit (`_stream`, `_pieces`). For an
-accelerator XLA compiles it with an array of all members for each number (`_arrays`).
+program first computes what all members share in a step, such as the position on an orbit (`_stream`, `_pieces`). On a
+GPU Triton compiles the whole loop as one kernel (`_kernel`).
 
 `march` (`_march`) is a loop over steps as a primitive of JAX, whose machine code XLA calls.
 """
 
-from lieint_jax.native._arrays import Flattened, flatten
 from lieint_jax.native._explain import Explanation, LoopReport, explain, loops_of
 from lieint_jax.native._march import Loop, hoisted, march
-from lieint_jax.native._march_code import LoopCode, computed_by, engine_name, flat_step, machine_code
+from lieint_jax.native._march_code import LoopCode, computed_by, engine_name, machine_code
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._scan import engine, scan
 from lieint_jax.native._traced import make_once
 
 __all__ = [
     "Explanation",
-    "Flattened",
     "Loop",
     "LoopCode",
     "LoopReport",
@@ -27,8 +25,6 @@ __all__ = [
     "engine",
     "engine_name",
     "explain",
-    "flat_step",
-    "flatten",
     "hoisted",
     "loops_of",
     "machine_code",

@@ -1,7 +1,7 @@
-"""A program of numbers as JAX code on arrays of the members, for accelerators and for reversible gradients.
+"""A program of numbers in JAX: for what is computed before a program runs, and inside of a kernel for a GPU.
 
-Every number that depends on the member is an array (members,), every other number a scalar. So XLA sees arithmetic
-without axes and compiles the operations between two loops into one kernel, whose numbers stay in registers.
+Every number that depends on the member is an array (members,), every other number a scalar, and an array of numbers a
+list of them.
 """
 
 from __future__ import annotations
@@ -13,51 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.extend.core import ClosedJaxpr
 
-from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
-from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
-from lieint_jax.native._traced import Leaf, Operation, Traced, Tree, make_once
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError
+from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of
+from lieint_jax.native._traced import Leaf, Operation
 
-
-def flatten(function: Callable[..., Tree] | ClosedJaxpr, kinds: Sequence[Tree], examples: Sequence[Tree]) -> Flattened:
-    """The `Flattened` of a function that can be hashed, made once for all arguments of the same shapes."""
-    return make_once(Flattened, function, kinds, examples)
-
-
-class Flattened:
-    """A function of one member, as a function of the arrays of all; for use inside of `jax.jit`.
-
-    Args:
-        function, kinds, examples: see `Traced`; a "row" is shared. If all are shared, it is the same function.
-
-    Attributes:
-        results: the shapes of the results of one member and one row.
-        length: the number of operations.
-        width: about how many registers of 32 bits the program needs, if each kernel covers the code between two loops.
-        carried: the largest number of values of a member that a loop carries: an iteration reads and writes them.
-
-    Raises:
-        UnsupportedError: the function cannot be a program of numbers, or an operation has no counterpart in JAX.
-    """
-
-    def __init__(self, function: Callable[..., Tree] | ClosedJaxpr, kinds: Sequence[Tree], examples: Sequence[Tree]):
-        self._traced = Traced(function, kinds, examples)
-        self.results, self.length = self._traced.results, self._traced.length
-        self.width, self.carried = width(self._traced.program), count_carried(self._traced.program)
-        _check(self._traced.program.block, self._traced.program)
-
-    @unsupported_if_it_fails()
-    def __call__(self, *arguments: Tree, members: int | None = None) -> Tree:
-        """The results, each with the leading axis (members,) if any argument has it, or if their number is given."""
-        traced = self._traced
-        leaves = zip(jax.tree.leaves(arguments), traced.leaves[: traced.given], strict=True)
-        arrays: list[Any] = [jnp.asarray(x, leaf.dtype) for x, leaf in leaves]
-        lengths = [len(x) for x, leaf in zip(arrays, traced.leaves, strict=False) if leaf.varies]
-        members = lengths[0] if lengths else members
-        arrays += computed_before(traced.outside, traced.leaves, arrays, members)
-        found = _evaluate(traced.program, traced.leaves, arrays, members, jax.tree.leaves(self.results))
-        return jax.tree.unflatten(jax.tree.structure(self.results), found)
+_LONGEST_ARRAY = 64  # numbers of an array with an index: all of them are looked at
+_Value = Any  # a number as an array (members,) or a scalar; of an array of numbers a list of these
 
 
 def computed_before(
@@ -85,7 +47,10 @@ def _evaluate(
 
     axes = () if members is None else (members,)
     values = {x: entry(*x.data) for x in program.live if x.op == "argument"}
-    evaluation = _Evaluation(program, members or 1, dict(enumerate(arrays)), values)
+    tables = dict(enumerate(arrays)) | {
+        x.data: np.frombuffer(x.data[1], x.data[0]) for x in program.live if x.op == "values"
+    }
+    evaluation = Evaluation(program, members or 1, lambda name, k: jnp.asarray(tables[name])[k], values)
     evaluation.block(program.block)
     outputs = iter(program.outputs)
     found = []
@@ -96,27 +61,43 @@ def _evaluate(
     return found
 
 
-Carry = tuple[list[Array], Array | None]  # what a loop carries: its numbers, and which members go on
+Carry = tuple[Array, list[_Value]]  # what a loop carries: which members go on, and its numbers
 
 
-class _Evaluation:
-    """The values of a program's numbers, inside a block and those around it."""
+class Evaluation:
+    """The values of a program's numbers, inside a block and those around it.
 
-    def __init__(self, program: Program, members: int, tables: dict[int, Array], values: dict[Number, Any]):
-        self.program, self.members, self.tables, self.values = program, members, tables, values
+    Args:
+        program: the program.
+        members: their number.
+        table: (name of a table, indices) ↦ its entries.
+        values: those of its arguments.
+    """
 
-    def inner(self) -> _Evaluation:
+    def __init__(
+        self, program: Program, members: int, table: Callable[[Any, Array], Array], values: dict[Number, _Value]
+    ):
+        self.program, self.members, self.table, self.values = program, members, table, values
+
+    def inner(self) -> Evaluation:
         """An evaluation of a block that JAX traces separately."""
-        return _Evaluation(self.program, self.members, self.tables, dict(self.values))
+        return Evaluation(self.program, self.members, self.table, dict(self.values))
 
     def varies(self, x: Number) -> bool:
+        """Whether a number depends on the member."""
         return x in self.program.varying
 
-    def value(self, x: Number, vector: bool | None = None) -> Array:
+    def value(self, x: Number, vector: bool | None = None) -> _Value:
         """A number as an array (members,) or as a scalar."""
-        found = lax.full((), x.data, x.dtype) if x.is_constant else self.values[x]
+        found = lax.full((), x.data, jax.dtypes.canonicalize_dtype(x.dtype)) if x.is_constant else self.values[x]
         wanted = self.varies(x) if vector is None else vector
-        return lax.broadcast(found, (self.members,)) if wanted and not self.varies(x) else found
+        if not wanted:
+            return found
+        return jax.tree.map(lambda y: y if y.ndim else lax.broadcast(y, (self.members,)), found)
+
+    def vector(self, x: Number) -> Array:
+        """A number as an array (members,)."""
+        return self.value(x, True)
 
     def block(self, block: Block) -> None:
         """Evaluate the items of a block."""
@@ -128,35 +109,28 @@ class _Evaluation:
             elif item in self.program.live:
                 self.values[item] = self.operation(item)
 
-    def operation(self, x: Number) -> Array | None:
+    def operation(self, x: Number) -> _Value:
+        """The value of an operation."""
         vector = self.varies(x)
         if x.op == "array":
-            return None if vector else jnp.stack([self.value(y) for y in x.inputs])
+            return [self.value(y, vector) for y in x.inputs]
         if x.op == "empty":
-            return jnp.zeros(x.data, x.dtype)
+            zero = lax.full((self.members,) if vector else (), 0, x.dtype)
+            return [zero] * x.data
         if x.op == "put":
-            array, k, y = (self.value(y, vector and n != 1) for n, y in enumerate(x.inputs))
-            return array.at[..., k].set(y)
+            array, k, y = (self.value(y, vector) for y in x.inputs)
+            return [lax.select(lax.eq(k, lax.full_like(k, j)), y, old) for j, old in enumerate(array)]
         if x.op == "entry":
-            return self.entry(x)
+            k, array = (self.value(y, vector) for y in x.inputs)
+            found = array[-1]
+            for j, entry in enumerate(array[:-1]):
+                found = lax.select(lax.eq(k, lax.full_like(k, j)), entry, found)
+            return found
         if x.op in ("table", "values"):
-            table = self.tables[x.data] if x.op == "table" else np.frombuffer(x.data[1], x.data[0])
-            return jnp.asarray(table)[self.value(x.inputs[0])]
+            return self.table(x.data, self.value(x.inputs[0]))
         if x.op == "convert":
             return lax.convert_element_type(self.value(x.inputs[0], vector), x.dtype)
         return _OPERATIONS[x.op](*(self.value(y, vector) for y in x.inputs))
-
-    def entry(self, x: Number) -> Array:
-        """The entry of an array of numbers; by selection if they vary, since memory access would split the kernel."""
-        if not self.varies(x.inputs[1]):
-            return self.value(x.inputs[1])[self.value(x.inputs[0])]
-        if x.inputs[1].op != "array":
-            return self.value(x.inputs[1])[jnp.arange(self.members), self.value(x.inputs[0])]
-        index, array = self.value(x.inputs[0]), [self.value(y, True) for y in x.inputs[1].inputs]
-        found = array[-1]
-        for k in range(len(array) - 1):
-            found = lax.select(lax.eq(index, lax.full_like(index, k)), array[k], found)
-        return found
 
     def loop(self, loop: Loop) -> None:
         """A loop. If its test varies, it runs until all members have finished; finished members do not change."""
@@ -165,31 +139,30 @@ class _Evaluation:
             return
         masked = self.varies(loop.test)
 
-        def evaluate_head(state: Carry) -> tuple[_Evaluation, Any]:
+        def evaluate_head(state: Carry) -> tuple[Evaluation, Array]:
             inner = self.inner()
-            for k, value in zip(carried, state[0], strict=True):
+            for k, value in zip(carried, state[1], strict=True):
                 inner.values[loop.carries[k]] = value
             inner.block(loop.head)
-            going = inner.value(loop.test)
-            return inner, going if state[1] is None else lax.bitwise_and(state[1], going)
+            return inner, lax.bitwise_and(state[0], inner.value(loop.test))
 
         def test(state: Carry) -> Array:
             going = evaluate_head(state)[1]
-            return jnp.any(going) if masked else going
+            return jnp.max(going.astype(jnp.int32)) > 0 if masked else going  # Triton has no `any`
 
         def body(state: Carry) -> Carry:
             inner, going = evaluate_head(state)
             inner.block(loop.body)
             after = []
-            for k, before in zip(carried, state[0], strict=True):
+            for k, before in zip(carried, state[1], strict=True):
                 inside_varies = self.varies(loop.carries[k])
                 new = inner.value(loop.following[k], inside_varies)
-                after.append(lax.select(going, new, before) if masked and inside_varies else new)
-            return after, going if masked else None
+                after.append(_select(going, new, before) if masked and inside_varies else new)
+            return going, after
 
         starts = [self.value(loop.starts[k], self.varies(loop.carries[k])) for k in carried]
-        active = lax.full((self.members,), True) if masked else None
-        results, _ = lax.while_loop(test, body, (starts, active))
+        active = lax.full((self.members,) if masked else (), True)
+        _, results = lax.while_loop(test, body, (active, starts))
         for k, value in zip(carried, results, strict=True):
             self.values[loop.results[k]] = value
 
@@ -200,24 +173,41 @@ class _Evaluation:
             return
         varies = [self.varies(branch.results[k]) for k in live]
 
-        def side(n: int) -> list[Array]:
+        def side(n: int) -> list[_Value]:
             inner = self.inner()
             inner.block(branch.blocks[n])
             return [inner.value(branch.values[n][k], v) for k, v in zip(live, varies, strict=True)]
 
         test = self.value(branch.test)
         if self.varies(branch.test):
-            chosen = [lax.select(test, *pair) for pair in zip(side(0), side(1), strict=True)]
+            chosen = [_select(test, *pair) for pair in zip(side(0), side(1), strict=True)]
         else:
             chosen = lax.cond(test, lambda: side(0), lambda: side(1))
         for k, value in zip(live, chosen, strict=True):
             self.values[branch.results[k]] = value
 
 
+def _select(test: Array, on_true: _Value, on_false: _Value) -> _Value:
+    return jax.tree.map(lambda x, y: lax.select(test, x, y), on_true, on_false)
+
+
+def _round_even(x: Array) -> Array:
+    """The nearest whole number, of two the even one: Triton has no rounding."""
+    low = lax.floor(x)
+    above = x - low
+    is_odd = jnp.floor(low / 2) * 2 != low
+    return jnp.where((above > 0.5) | ((above == 0.5) & is_odd), low + 1, low)
+
+
+def _round_away(x: Array) -> Array:
+    low = lax.floor(lax.abs(x))
+    return lax.sign(x) * jnp.where(lax.abs(x) - low >= 0.5, low + 1, low)
+
+
 _SAME_NAMES = (
-    "abs acos acosh add asin asinh atan atan2 atanh cbrt ceil cos cosh div eq erf erfc exp exp2 expm1 floor ge gt le "
-    "log log1p logistic lt max min mul ne neg pow rem shift_left shift_right_arithmetic shift_right_logical sin sinh "
-    "sqrt sub tan tanh"
+    "abs acos acosh add asin asinh atan atan2 atanh cbrt ceil cos cosh div eq exp exp2 expm1 floor ge gt le log log1p "
+    "logistic lt max min mul ne neg pow rem select shift_left shift_right_arithmetic shift_right_logical sin sinh sqrt "
+    "sub tan tanh"
 )
 _OPERATIONS: dict[str, Callable[..., Array]] = {
     name: getattr(lax, name) for name in _SAME_NAMES.split() if hasattr(lax, name)
@@ -225,85 +215,22 @@ _OPERATIONS: dict[str, Callable[..., Array]] = {
     "and": lax.bitwise_and,
     "not": lax.bitwise_not,
     "or": lax.bitwise_or,
-    "round_away": lambda x: lax.round(x, lax.RoundingMethod.AWAY_FROM_ZERO),
-    "round_even": lambda x: lax.round(x, lax.RoundingMethod.TO_NEAREST_EVEN),
-    "select": lax.select,
+    "round_away": _round_away,
+    "round_even": _round_even,
     "xor": lax.bitwise_xor,
 }
-_READS = frozenset({"array", "convert", "empty", "entry", "put", "table", "values"})
+_READS = frozenset({"convert", "entry", "put", "table", "values"})
 
 
-def _check(block: Block, program: Program) -> None:
+def check_operations(block: Block, program: Program) -> None:
+    """UnsupportedError if a program has an operation without counterpart here, or an index into a long array."""
     for item in block.items:
-        if isinstance(item, Number):
-            if item in program.live and item.op not in _READS and item.op not in _OPERATIONS:
-                raise UnsupportedError(item.op)
-        else:
+        if not isinstance(item, Number):
             for inner in blocks_of(item):
-                _check(inner, program)
-
-
-def count_carried(program: Program) -> int:
-    """The largest number of values of a member that a loop carries from one iteration to the next."""
-
-    def most_in(block: Block) -> int:
-        inner = [item for item in block.items if not isinstance(item, Number)]
-        own = [sum(x in program.varying and x in program.live for x in y.carries) for y in inner if isinstance(y, Loop)]
-        return max([0, *own, *(most_in(part) for item in inner for part in blocks_of(item))])
-
-    return most_in(program.block)
-
-
-def width(program: Program) -> int:
-    """The largest number of 32-bit registers that numbers of a member occupy at the same time, in program order.
-
-    Each part between two loops is counted separately, since numbers pass between the parts through memory. Numbers that
-    are used later, or are results, count until the end of their part, where a kernel writes them.
-    """
-    return max(_width(part, program) for part in _parts(program.block, program, program.outputs))
-
-
-def _parts(block: Block, program: Program, after: Sequence[Number]) -> list[tuple[list[Number], set[Number]]]:
-    """The operations between loops and branches, each with the numbers that are used beyond them."""
-    found: list[tuple[list[Number], set[Number]]] = []
-    needed = set(after)
-    part: list[Number] = []
-    for item in reversed(block.items):
-        if isinstance(item, Number):
-            if item in program.live:
-                part.append(item)
-            continue
-        found.append((part[::-1], set(needed)))
-        needed.update(y for x in part for y in x.inputs)
-        needed.update(numbers_of(item))
-        part = []
-        for inner, last in zip(blocks_of(item), _ends(item), strict=True):
-            parts = _parts(inner, program, last)
-            found += parts
-            needed.update(y for inside, _ in parts for x in inside for y in x.inputs)
-    return [*found, (part[::-1], needed)]
-
-
-def _ends(item: Loop | Branch) -> tuple[Sequence[Number], Sequence[Number]]:
-    """The numbers that the two blocks of a loop or a branch must provide at their ends."""
-    if isinstance(item, Loop):
-        return [item.test], item.following
-    return item.values[0], item.values[1]
-
-
-def _width(part: tuple[list[Number], set[Number]], program: Program) -> int:
-    numbers, needed = part
-    last = {y: k for k, x in enumerate(numbers) for y in (*x.inputs, x)}
-    last |= {x: len(numbers) for x in numbers if x in needed}
-    alive, most, seen = 0, 0, set()
-    ending: dict[int, int] = {}
-    for k, x in enumerate(numbers):
-        for y in (*x.inputs, x):
-            if y in program.varying and y not in seen:
-                seen.add(y)
-                size = max(1, y.dtype.itemsize // 4)
-                alive += size
-                ending[last[y]] = ending.get(last[y], 0) + size
-        most = max(most, alive)
-        alive -= ending.get(k, 0)
-    return most
+                check_operations(inner, program)
+        elif item in program.live:
+            length = {"array": len(item.inputs), "empty": item.data}.get(item.op)
+            if length is None and item.op not in _READS and item.op not in _OPERATIONS:
+                raise UnsupportedError(item.op)
+            if length is not None and length > _LONGEST_ARRAY:
+                raise UnsupportedError(f"an index into {length} numbers, more than {_LONGEST_ARRAY}")

@@ -10,7 +10,7 @@ import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from lieint_jax.native._march import Loop, march_p
-from lieint_jax.native._march_code import ENGINES, LoopCode, machine_code
+from lieint_jax.native._march_code import ENGINES, machine_code
 from lieint_jax.native._primitives.control_flow import jaxprs_of
 
 
@@ -22,9 +22,9 @@ class LoopReport(NamedTuple):
         reverse: whether the last step comes first, as in reverse mode.
         steps: the number of steps; None if it is an argument of the loop.
         members: the number of members that run at once; 1 if the loop has no axis of members.
-        engine: "native" or "xla".
-        reason: why it is not machine code; empty if it is.
-        operations: the number of operations of a step, 0 without machine code.
+        engine: "native" (machine code), "kernel" (of a GPU) or "xla".
+        reason: why it is XLA's loop; empty if it is not.
+        operations: the number of operations of a step, 0 in XLA's loop.
         numbers: how many numbers of a step are alive at once; those beyond the processor's registers go to memory.
         lanes: the members of a vector.
         shared: how many numbers of a step the members share, such as a position on an orbit; computed once for all.
@@ -68,7 +68,7 @@ class Explanation(NamedTuple):
         for x in self.loops:
             steps = "some" if x.steps is None else x.steps
             line = f"{x.kind}{', backward' * x.reverse}: {steps} steps, members {x.members}, {x.engine}"
-            if x.engine == "native":
+            if x.engine != "xla":
                 made = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in x.seconds.items())
                 code = f"operations {x.operations}, alive at once {x.numbers}, lanes {x.lanes}, shared {x.shared}"
                 line += f", {code}, {made}"
@@ -118,10 +118,10 @@ def loops_of(closed: ClosedJaxpr | Jaxpr) -> Iterator[Loop | None]:
 
 
 def _report(loop: Loop) -> LoopReport:
-    found = machine_code(loop) if jax.default_backend() == "cpu" else f"a {jax.default_backend()}, not a CPU"
-    engine, reason = (ENGINES[0], "") if isinstance(found, LoopCode) else (ENGINES[1], found)
-    native = isinstance(found, LoopCode)
-    code = (found.length, found.pressure, found.lanes, found.shared, found.seconds) if native else (0, 0, 0, 0, {})
+    found = machine_code(loop, jax.default_backend())
     steps = None if loop.every is None else loop.steps
-    kind = "values" if loop.origin is None else "tangents"
-    return LoopReport(kind, loop.reverse, steps, loop.members or 1, engine, reason, *code)
+    what = "values" if loop.origin is None else "tangents", loop.reverse, steps, loop.members or 1
+    if isinstance(found, str):
+        return LoopReport(*what, ENGINES[1], found, 0, 0, 0, 0, {})
+    code = found.length, found.pressure, found.lanes, found.shared, found.seconds
+    return LoopReport(*what, found.engine, "", *code)

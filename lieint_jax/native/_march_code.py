@@ -1,4 +1,4 @@
-"""`march` compiled: machine code that XLA calls on a CPU, or XLA's own loop."""
+"""`march` compiled: machine code that XLA calls on a CPU, a kernel on a GPU, or XLA's own loop."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import functools
 import logging
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -17,21 +18,23 @@ from jax.extend.core import ClosedJaxpr
 from jax.interpreters import mlir
 
 from lieint_jax._xla import unchecked
-from lieint_jax.native._arrays import Flattened, computed_before, flatten
+from lieint_jax.native._arrays import computed_before
 from lieint_jax.native._handler import handler
+from lieint_jax.native._kernel import KernelCode
 from lieint_jax.native._march import Deferred, Loop, Value, Values, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._traced import Traced, make_once
 
 _log = logging.getLogger(__name__)
-_WIDEST = 160  # the most registers of 32 bits; a GPU's thread has 255, and the order of its instructions uses the rest
-_MOST_CARRIED = 24  # the most numbers that an iteration of a loop reads and writes, and XLA may copy between kernels
 _SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
 _SOME = 100  # steps of a row, if their number is not known here
 _ALL = 2**30  # threads: as many as XLA's pool has
-_EXPECTED = "chosen by li.engine or LIEINT_ENGINE", "no steps"  # reasons for XLA of which the log says nothing
+_EXPECTED = (
+    "chosen by li.engine or LIEINT_ENGINE",
+    "no steps or no members",
+)  # reasons for XLA of which the log says nothing
 ENGINES = ("native", "xla")
-_FLAT = "flat"  # XLA's loop over arrays of the members, one for each number of a step: the one for accelerators
+_KERNEL = "kernel"  # on a GPU the one for "native", too; on a CPU it is interpreted, for tests
 chosen_engine = jax.make_user_context(None)  # one of these, or None; JAX traces again where it differs
 _chosen_threads = jax.make_user_context(None)  # a number, or None
 
@@ -40,6 +43,7 @@ class LoopCode:
     """The step of a loop as machine code that XLA calls by a name.
 
     Attributes:
+        engine: its name.
         name: of the call.
         length: the number of operations of a step.
         pressure: how many numbers of a step are alive at once.
@@ -47,6 +51,8 @@ class LoopCode:
         shared: about how many numbers of a step the members share.
         seconds: what it took to make, by "walk" and "llvm".
     """
+
+    engine = ENGINES[0]
 
     def __init__(self, body: _Body, kinds: Values, examples: Values):
         from lieint_jax.native import _machine
@@ -67,9 +73,18 @@ class LoopCode:
         self.length, self.pressure, self.lanes = traced.length, pressure, lanes
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
-    def more_arguments(self, arguments: Values, members: int | None) -> list[Value]:
-        """What JAX computes before the loop, such as an eigendecomposition of the inertia, from its arguments."""
-        return computed_before(self._outside, self._leaves, [None, *arguments], members)
+    def call(self, arguments: Values, loop: Loop) -> list[Value]:
+        """The carries after the last step and the stored rows."""
+        shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
+        members = loop.members or 1
+        steps = loop.rows * (_SOME if loop.every is None else loop.every)
+        threads = 1 if members * steps * self.length <= _SHORT else _chosen_threads.value or _ALL
+        sizes = {"every": loop.every, "members": members, "stored": loop.rows, "threads": threads}
+        if loop.every is None:  # the places of the arguments that they are
+            sizes |= {"every": -1 - loop.carried, "stored": -2 - loop.carried}
+        before = computed_before(self._outside, self._leaves, [None, *arguments], loop.members)
+        call = jax.ffi.ffi_call(self.name, [shape_of(x) for x in shapes])
+        return list(call(*arguments, *before, **{name: np.int64(x) for name, x in sizes.items()}))
 
 
 class _Body(NamedTuple):
@@ -81,12 +96,12 @@ class _Body(NamedTuple):
     is_single: bool
 
 
-def loop_code(loop: Loop) -> LoopCode:
-    """The machine code of a loop, made once.
+def loop_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode:
+    """The code of a loop, made once: machine code on a CPU, a kernel elsewhere.
 
     Raises:
-        ImportError: llvmlite is missing.
-        UnsupportedError: its step is not a program of numbers.
+        ImportError: llvmlite is missing, or on a GPU Pallas.
+        UnsupportedError: its step is not a program of numbers, or on a GPU one that makes no kernel.
     """
     _, of_fixed, of_rows = loop.split(loop.owns)
     kinds = [
@@ -95,73 +110,43 @@ def loop_code(loop: Loop) -> LoopCode:
         *("member" if own else "shared" for own in of_fixed),
         *("series" if own else "row" for own in of_rows),
     ]
+    shapes = [shape_of(x) for x in loop.step.in_avals]
+    if platform != "cpu" or engine_name() == _KERNEL:
+        return make_once(KernelCode, loop.step, kinds, shapes)
     body = _Body(loop.step, loop.carried, loop.reverse, loop.members in (None, 1))
-    return make_once(LoopCode, body, kinds, [shape_of(x) for x in loop.step.in_avals])
+    return make_once(LoopCode, body, kinds, shapes)
 
 
-def machine_code(loop: Loop) -> LoopCode | str:
-    """The machine code of a loop, or why XLA runs it."""
+def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | str:
+    """The code of a loop on this platform, or why XLA runs it."""
     if engine_name() == "xla":
         return _EXPECTED[0]
-    if not loop.rows or loop.every == 0:
+    if 0 in (loop.rows, loop.every, loop.members):
         return _EXPECTED[1]
+    if platform not in ("cpu", "gpu"):
+        return f"a {platform} is no CPU and no GPU"
     try:
-        return loop_code(loop)
+        return loop_code(loop, platform)
     except (ImportError, UnsupportedError) as reason:
         return str(reason)
 
 
-def flat_step(loop: Loop) -> Flattened | str:
-    """The step of a loop on arrays of the members, one for each number, or why XLA's plain loop is better.
-
-    XLA compiles the operations between two loops of the step into one kernel, if their numbers fit a GPU's registers.
-    """
-    kinds = ["shared", *("member" if own else "shared" for own in loop.owns)]  # the number of a step comes first
-    try:
-        flat = flatten(jaxpr_of(loop.step), kinds, [shape_of(x) for x in loop.step.in_avals])
-    except UnsupportedError as reason:
-        return str(reason)
-    if flat.width > _WIDEST:
-        return f"about {flat.width} registers, more than {_WIDEST}"
-    if flat.carried > _MOST_CARRIED:
-        return f"a loop with {flat.carried} numbers, more than {_MOST_CARRIED}"
-    return flat
-
-
-def _by_arrays(*arguments: Value, loop: Loop) -> list[Value]:
-    """The loop by XLA, on flat arrays if that is better."""
-    flat = "no members" if loop.members is None or engine_name() == "xla" else flat_step(loop)
-    if isinstance(flat, str):
-        _log.debug("XLA's plain loop: %s", flat)
-        return by_xla(*arguments, loop=loop)
-    return by_xla(*arguments, loop=loop, step=functools.partial(flat, members=loop.members))
-
-
-def _compiled(*arguments: Value, loop: Loop) -> list[Value]:
-    """The loop in machine code; by XLA if its step is not a program of numbers, or if the user wants it."""
-    if engine_name() == _FLAT:
-        return _by_arrays(*arguments, loop=loop)
-    found = machine_code(loop)
+def _compiled(*arguments: Value, loop: Loop, platform: str) -> list[Value]:
+    """The loop in its own code; by XLA if its step is not a program of numbers, or if the user wants it."""
+    found = machine_code(loop, platform)
     if isinstance(found, str):
         if found not in _EXPECTED:
             _say_once(found)
         return by_xla(*arguments, loop=loop)
-    shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
-    members = loop.members or 1
-    steps = loop.rows * (_SOME if loop.every is None else loop.every)
-    threads = 1 if members * steps * found.length <= _SHORT else _chosen_threads.value or _ALL
-    call = jax.ffi.ffi_call(found.name, [shape_of(x) for x in shapes])
-    sizes = {"every": loop.every, "members": members, "stored": loop.rows, "threads": threads}
-    if loop.every is None:  # the places of the arguments that they are
-        sizes |= {"every": -1 - loop.carried, "stored": -2 - loop.carried}
-    arguments = *arguments, *found.more_arguments(arguments, loop.members)
-    return list(call(*arguments, **{name: np.int64(x) for name, x in sizes.items()}))
+    if isinstance(found, KernelCode):
+        return found.call(arguments, loop, interpret=platform == "cpu")
+    return found.call(arguments, loop)
 
 
 def engine_name() -> str:
     """The engine of loops that are lowered here."""
     found = chosen_engine.value or os.environ.get("LIEINT_ENGINE", ENGINES[0])
-    if found not in (*ENGINES, _FLAT):
+    if found not in (*ENGINES, _KERNEL):
         raise ValueError(f"LIEINT_ENGINE must be one of {', '.join(ENGINES)}, got {found!r}")
     return found
 
@@ -185,11 +170,13 @@ def _lowering(function: Callable[..., list[Value]]) -> Callable[..., Any]:
     def lower(ctx: mlir.LoweringRuleContext, *operands: Any, loop: Loop) -> Any:
         types: Any = ctx.avals_in, ctx.avals_out
         given, found = ([ShapedArray(x.shape, x.dtype) for x in of] for of in types)
-        with unchecked():
+        with unchecked(), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "The Pallas Triton backend", DeprecationWarning)
             return rule(ctx.replace(avals_in=given, avals_out=found), *operands, loop=loop)
 
     return lower
 
 
-mlir.register_lowering(march_p, _lowering(_compiled), platform="cpu")
-mlir.register_lowering(march_p, _lowering(_by_arrays))
+mlir.register_lowering(march_p, _lowering(by_xla))
+for _platform in ("cpu", "gpu"):
+    mlir.register_lowering(march_p, _lowering(functools.partial(_compiled, platform=_platform)), platform=_platform)

@@ -1,4 +1,4 @@
-"""The engines of a run: machine code on a CPU, or XLA."""
+"""The engines of a run: machine code on a CPU, a kernel on a GPU, or XLA."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax import native
-from lieint_jax.native import Flattened, UnsupportedError, computed_by, unsupported_if_it_fails
+from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails
 from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._clock import UniformClock
 from lieint_jax.runs._comparison import difference, few_members
@@ -23,15 +23,14 @@ from lieint_jax.types import State
 
 _log = logging.getLogger(__name__)
 _MOST_SHARED = 200_000  # the most numbers shared by all members in a call: each thread holds them in memory
-_SHORT_STEP, _TOGETHER = 600, 4  # steps of at most so many operations are computed so many to an iteration
 
 
 def engine_of(job: Job, mesh: Mesh, threads: int) -> Engine:
-    """The engine of a run: machine code on a CPU, flat arrays elsewhere, XLA's plain loop where neither is possible."""
+    """The engine of a run: machine code on a CPU, a kernel on a GPU, XLA's loop where neither is possible."""
     on_cpu = mesh.devices.flat[0].platform == "cpu"
     if native.engine_name() == "xla":
         return Engine(job, "xla", threads)
-    engine = Engine(job, "native" if on_cpu else "flat", threads)
+    engine = Engine(job, "native" if on_cpu else "kernel", threads)
     reason = engine.refusal
     if not reason:
         return engine
@@ -52,8 +51,7 @@ class Engine:
 
     Args:
         job: the run.
-        name: of the engine of its loops: "native" (machine code), "flat" (XLA, with an array (members,) for each number
-            of a step) or "xla".
+        name: of the engine of its loops: "native" (machine code), "kernel" (of a GPU) or "xla".
         threads: the number of threads of machine code.
 
     Attributes:
@@ -74,33 +72,29 @@ class Engine:
             known = self._intervals.known
             if name not in known:
                 known[name] = self._examined()
-            self.refusal, shared, length = known[name]
+            self.refusal, shared = known[name]
             if shared:
                 self.most_steps = max(1, _MOST_SHARED // shared)
-            if name == "flat" and length <= _SHORT_STEP:
-                self._intervals = self.intervals(_TOGETHER)
 
-    def intervals(self, together: int = 1) -> Intervals:
-        """The loop over save intervals, whose loops compute so many steps in an iteration."""
+    def intervals(self) -> Intervals:
+        """The loop over save intervals."""
         job = self.job
         step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
         state = jax.tree.map(_member_shape, job.states)
         t0 = job.t0 if job.t0 is None or job.shares_time else _member_shape(job.t0)
         rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
-        what = job.reduction, job.condition, together
-        return native.make_once(Intervals, what, self._axes, (step, state, t0, job.clock, rests))
+        return native.make_once(
+            Intervals, (job.reduction, job.condition), self._axes, (step, state, t0, job.clock, rests)
+        )
 
     def _examined(self) -> Known:
         """What this engine makes of the loop."""
         arguments = self._first_step()
         with self._computing():
-            loop = self._intervals.loop(*arguments)
-            code = native.machine_code(loop) if self.name == "native" else native.flat_step(loop)
+            code = native.machine_code(self._intervals.loop(*arguments))
         if isinstance(code, str):
             return Known(code)
-        if isinstance(code, Flattened):
-            return Known("", 0, code.length)
-        return Known(self._difference(arguments), code.shared, code.length)
+        return Known(self._difference(arguments) if self.name == "native" else "", code.shared)
 
     def _first_step(self) -> tuple[Tree, ...]:
         """The arguments of a first step of a few members."""
@@ -167,7 +161,7 @@ class Engine:
     def run_spans(self, given: Given, carry: Carry, spans: Span, rows: int) -> tuple[Carry, Tree]:
         """The carry after these save intervals, at most `rows`, and the saved rows."""
         count = np.int32(len(spans.first))
-        if self.name == "native":  # XLA's loops fill all rows, and need their memory
+        if self.name != "xla":  # XLA's loops fill all rows
             rows = power_of_two(rows)
         spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
         with self._computing():

@@ -20,7 +20,7 @@ class Facts(NamedTuple):
         dt: the step size; None if times were given.
         num_steps: the number of steps that were asked for.
         save_every: the number of steps between saves; None if output times were given.
-        engine: what computed it, "native" (machine code), "flat" or "xla".
+        engine: what computed it, "native" (machine code), "kernel" (of a GPU) or "xla".
         versions: the versions of packages that computed it, by name.
         complete: whether it has reached its last step.
         source: the path or URL of the store from which its arrays are read; "" if they are in memory.

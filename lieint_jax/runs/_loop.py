@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from platform import machine
 from typing import Any, NamedTuple, TypeVar
 
@@ -136,19 +136,8 @@ def _first_failure(failed: Array, n: Numbers, info: StepInfo) -> Array:
     return jnp.where((failed < 0) & ~info.converged, n.astype(failed.dtype), failed)
 
 
-def _several_at_once(body: Body, first: Array, count: Array, carry: _T, together: int) -> _T:
-    """A `lax.fori_loop`, with so many steps in an iteration of the loop as long as so many remain."""
-
-    def iteration(k: Array, carry: _T) -> _T:
-        for j in range(together):
-            carry = body(first + k * together + j, carry)
-        return carry
-
-    if together == 1:
-        return lax.fori_loop(first, first + count, body, carry)
-    times = count // together
-    carry = lax.fori_loop(0, times, iteration, carry)
-    return lax.fori_loop(first + times * together, first + count, body, carry)
+def _repeated(body: Body, first: Array, count: Array, carry: _T) -> _T:
+    return lax.fori_loop(first, first + count, body, carry)
 
 
 def start(states: State, change: Change | None) -> Carry:
@@ -211,12 +200,10 @@ class Known(NamedTuple):
     Attributes:
         refusal: why it cannot compute it; empty if it can.
         shared: about how many numbers of a step the members share.
-        length: the number of operations of a step.
     """
 
     refusal: str
     shared: int = 0
-    length: int = 0
 
 
 class Intervals:
@@ -226,17 +213,16 @@ class Intervals:
     once for data of one member of the same shapes.
 
     Args:
-        what: the reduced quantity or None; of a run that is reduced for each member, a condition of which the first
-            time is recorded at which it is true; and how many steps an iteration computes, as long as so many remain.
+        what: the reduced quantity or None; and of a run that is reduced for each member, a condition of which the first
+            time is recorded at which it is true.
         axes: the member axes of the carry and of what is given, as in `jax.vmap`.
 
     Attributes:
         known: what is known of it by engines, by their names.
     """
 
-    def __init__(self, what: tuple[Reduction | None, Reduction | None, int], axes: Axes, _: Sequence[Tree]):
-        self._reduction, self._condition, together = what
-        self._repeat = partial(_several_at_once, together=together)
+    def __init__(self, what: tuple[Reduction | None, Reduction | None], axes: Axes, _: Sequence[Tree]):
+        self._reduction, self._condition = what
         self._of_member = jax.jit(self._interval)
         self._of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
         self.known: dict[str, Known] = {}
@@ -275,9 +261,7 @@ class Intervals:
             return failed, change.include(value, reached, given.clock.time(n + 1) if now.t is None else now.t)
 
         start, count = Progress(carry.state, info, (carry.failed, change)), span.end - span.first
-        state, info, (failed, change) = march(
-            advance_once, span.first, count, start, observe=record, repeat=self._repeat
-        )
+        state, info, (failed, change) = march(advance_once, span.first, count, start, observe=record, repeat=_repeated)
         output, worst = state, info
         if span.rest is not None:
             plain = step if given.plain is None else given.plain

@@ -109,7 +109,7 @@ class Run:
 
     @property
     def engine(self) -> str:
-        """What computed the run: "native" (machine code), "flat" or "xla"."""
+        """What computed the run: "native" (machine code), "kernel" (of a GPU) or "xla"."""
         return self.facts.engine
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 
 from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
-from lieint_jax.native import _march_code, _traced
+from lieint_jax.native import _kernel, _march_code, _traced
 from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _results, _run
 from lieint_jax.runs.store import _bucket, _disk, _identity, _root, _store_output, _writer
 from lieint_jax.schemes._shared import accepts
@@ -55,10 +55,10 @@ def spread_over_devices(monkeypatch):
     monkeypatch.setattr(_layout, "_on_cpu", lambda _: False)
 
 
-def limit_flat_engine(monkeypatch, what, most):
-    """Let steps of more than so many "registers", or numbers "carried" through a loop, be too large for flat arrays."""
+def limit_kernels(monkeypatch, most):
+    """Let steps of more than so many operations be too long for a kernel."""
     monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())  # of what is known of loops
-    monkeypatch.setattr(_march_code, {"registers": "_WIDEST", "carried": "_MOST_CARRIED"}[what], most)
+    monkeypatch.setattr(_kernel, "_LONGEST", most)
 
 
 def compare_machine_code(compares):

@@ -40,7 +40,7 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
 
     Args:
         job: the run.
-        engine: the name of the engine that computes it, "native" (machine code), "flat" or "xla".
+        engine: the name of the engine that computes it, "native" (machine code), "kernel" (of a GPU) or "xla".
         scenario: the table that the run was made from, or None.
     """
     leaves, structure = jax.tree.flatten(job.step)

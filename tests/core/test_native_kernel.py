@@ -1,4 +1,4 @@
-"""Programs of numbers on arrays of the members: as JAX's vmap, and in runs as the other two engines."""
+"""Loops as kernels of a GPU, here interpreted by Pallas: as JAX's vmap, and in runs as the other two engines."""
 
 import subprocess
 import sys
@@ -11,15 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from internals import by_engine, engine_on, limit_flat_engine, refusal, runs_by
+from internals import by_engine, engine_on, limit_kernels, refusal, runs_by
 from jax import lax
 from kernels import Kernel
 from native_members import stacking
 from small_steps import Oscillators
 
 import lieint_jax as li
-from lieint_jax import ensemble
-from lieint_jax.native import Flattened
+from lieint_jax import ensemble, native
 from lieint_jax.types import Step, StepInfo, pytree
 
 J = np.array([1.0, 2.0, 2.5])
@@ -40,18 +39,32 @@ def control(x, table, k, c):
     return {"z": z, "each": each, "turns": turns, "chosen": chosen}, jnp.round(w) + jnp.sign(y), y > w, jnp.array(2.5)
 
 
+def by_kernel(function, axes, *arguments):
+    """`jax.vmap(function, axes)(*arguments)` as a kernel."""
+
+    def by_one_step(*arguments):
+        found = native.march(lambda n, carry, _: (carry, function(*arguments)), (), rows=1)[1]
+        return jax.tree.map(lambda x: x[0], found)
+
+    with native.computed_by("kernel", 1):
+        return jax.jit(jax.vmap(by_one_step, axes))(*arguments)
+
+
+def assert_as_vmap(function, axes, *arguments):
+    found, expected = by_kernel(function, axes, *arguments), jax.jit(jax.vmap(function, axes))(*arguments)
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert (a.dtype, a.shape) == (b.dtype, b.shape)
+        np.testing.assert_allclose(a, b, **ROUND_OFF)
+    return found
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("k", [2, 3])
 def test_loops_and_branches_are_those_of_vmap(k):
     rng = np.random.default_rng(k)
     x, c = rng.normal(size=(40, 3)), rng.normal(size=17)
-    table = np.linspace(0.1, 0.4, 300)
-    flat = Flattened(control, ("member", "shared", "shared", "shared"), (x[0], table, np.asarray(k), c))
-    found, expected = (jax.jit(f)(x, table, k, c) for f in (flat, jax.vmap(control, (0, None, None, None))))
-    assert jax.tree.structure(found) == jax.tree.structure(expected)
-    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        assert (a.dtype, a.shape) == (b.dtype, b.shape)
-        np.testing.assert_allclose(a, b, **ROUND_OFF)
+    found = assert_as_vmap(control, (0, None, None, None), x, np.linspace(0.1, 0.4, 300), k, c)
     assert len(np.unique(found[0]["turns"])) > 3  # members leave the loop at different times
 
 
@@ -59,34 +72,57 @@ def test_loops_and_branches_are_those_of_vmap(k):
 def test_rows_that_a_step_writes_and_reads_are_those_of_vmap():
     rng = np.random.default_rng(0)
     x, weights, k = rng.normal(size=(40, 2)), rng.normal(size=(20, 2)) + 0.5, rng.integers(0, 20, 40)
-    flat = Flattened(stacking, ("member", "shared", "member"), (x[0], weights, k[0]))
-    found, expected = (jax.jit(f)(x, weights, k) for f in (flat, jax.vmap(stacking, (0, None, 0))))
-    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+    assert_as_vmap(stacking, (0, None, 0), x, weights, k)
+
+
+def test_a_kernel_rounds_as_jax():
+    """Triton has no rounding: ties go to the even number, or away from 0, and just below a half is none."""
+    x = np.array([-2.5, -1.5, -0.5, -0.2, 0.49999999999999994, 0.5, 1.5, 2.5, 1e17, np.inf, -np.inf, np.nan])
+    both = lambda x: (jnp.round(x), lax.round(x, lax.RoundingMethod.AWAY_FROM_ZERO))  # noqa: E731
+    for a, b in zip(by_kernel(both, 0, x), both(x), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("reverse", [False, True], ids=["forward", "reverse"])
+def test_rows_of_all_kinds_are_those_of_a_scan(reverse):
+    """Rows that members share and rows of their own, given and returned, of steps of which each third is stored."""
+    rng = np.random.default_rng(4)
+    x, shared, own = rng.normal(size=(70, 2)), rng.normal(size=(12, 2)), rng.normal(size=(70, 12))
+
+    def run(x, own):
+        def step(n, c, row):
+            c = c + 0.1 * jnp.sin(c * row[0]) + row[1] / (1 + n)
+            return c, (c[0], row[1] * n, c > 0, n)
+
+        return native.march(step, x, (shared, own), rows=4, every=3, reverse=reverse)
+
+    found = []
+    for engine in ("kernel", "xla"):
+        with native.computed_by(engine, 1):
+            found.append(jax.jit(jax.vmap(run))(x, own))
+    for a, b in zip(*map(jax.tree.leaves, found), strict=True):
         assert (a.dtype, a.shape) == (b.dtype, b.shape)
-        np.testing.assert_allclose(a, b, **ROUND_OFF)
+        np.testing.assert_allclose(a, b, rtol=0, atol=2e-15)
 
 
-def test_the_width_counts_simultaneous_values_and_those_carried_by_loops():
-    kinds, examples = ("member", "shared"), (np.zeros(8), np.asarray(3))
+@pytest.mark.long
+def test_gradients_by_a_kernel_are_those_of_the_other_engines():
+    def loss(state, dt):
+        end = li.integrate(li.schemes.so3_midpoint(BODY), state, dt, 20, save_every=10).state
+        return jnp.sum(end.p[1:] ** 3)
 
-    def chain(x, n):
-        return jnp.prod(x)
-
-    def wide(x, n):
-        return jnp.prod(x) * jnp.sin(x)
-
-    def loop(x, n):
-        return lax.fori_loop(0, n, lambda k, c: (c[0] + c[1], c[1] * c[0], c[2]), (x[0], x[1], 2.0))[0]
-
-    chain, wide, loop = (Flattened(f, kinds, examples) for f in (chain, wide, loop))
-    assert chain.width == 2 * 3  # two factors and their product, in float64
-    assert 2 * 8 <= wide.width <= 2 * 18  # eight results at the end
-    assert chain.carried == wide.carried == 0
-    assert loop.carried == 2  # 2.0 is a constant, and the counter is shared
+    found = []
+    for engine in ("kernel", "native", "xla"):
+        with native.computed_by(engine, 1):
+            gradient = jax.jit(jax.vmap(jax.grad(loss, (0, 1), allow_int=True), (0, None)))
+            found.append(gradient(states_of(BODY), 0.05))
+    for other in found[1:]:
+        for a, b in zip(jax.tree.leaves(found[0]), jax.tree.leaves(other), strict=True):
+            np.testing.assert_allclose(a, b, **ROUND_OFF)
 
 
 def compared(step, state, dt):
-    """One step of 20 members by vmap, by arrays, and by machine code."""
+    """One step of 20 members by vmap, by a kernel, and by machine code."""
     rng, n = np.random.default_rng(7), 20
     states = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], n, 0), state)
     states = states._replace(p=states.p * (1 + 0.1 * rng.normal(size=states.p.shape)))
@@ -95,12 +131,11 @@ def compared(step, state, dt):
         after, info = step(state, dt)
         return after, info
 
-    kinds, arguments = ("carry", "shared", "shared"), (states, step, np.asarray(dt))
-    flat = jax.jit(Flattened(step_once, kinds, (state, step, arguments[2])))(*arguments)
-    expected = jax.jit(jax.vmap(step_once, (0, None, None)))(*arguments)
-    native = Kernel(step_once, kinds, (state, step, arguments[2]))(arguments, n)
-    native = native[0], jax.tree.map(lambda x: x[0], native[1])
-    for found in (flat, native):
+    axes, arguments = (0, None, None), (states, step, np.asarray(dt))
+    expected = jax.jit(jax.vmap(step_once, axes))(*arguments)
+    of_cpu = Kernel(step_once, ("carry", "shared", "shared"), (state, step, arguments[2]))(arguments, n)
+    of_cpu = of_cpu[0], jax.tree.map(lambda x: x[0], of_cpu[1])
+    for found in (by_kernel(step_once, axes, *arguments), of_cpu):
         assert np.array_equal(found[1].converged, expected[1].converged)
         for a, b in zip(jax.tree.leaves(found[0]), jax.tree.leaves(expected[0]), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10 * np.abs(np.asarray(b)).max())
@@ -133,8 +168,8 @@ def states_of(system, t=None):
     return states if t is None else states._replace(t=jnp.asarray(t))
 
 
-def assert_alike(flat, native, plain):
-    for found in (flat, native):
+def assert_alike(kernel, native, plain):
+    for found in (kernel, native):
         assert jax.tree.structure(found) == jax.tree.structure(plain)
         for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(plain), strict=True):
             assert a.dtype == b.dtype
@@ -197,7 +232,7 @@ RUNS = {
 @pytest.mark.parametrize("name", RUNS)
 def test_runs_are_those_of_the_other_engines(monkeypatch, name):
     arguments, options = RUNS[name]()
-    assert_alike(*runs_by(monkeypatch, ("flat", "native", "xla"), *arguments, **options))
+    assert_alike(*runs_by(monkeypatch, ("kernel", "native", "xla"), *arguments, **options))
 
 
 @pytree
@@ -236,7 +271,7 @@ def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypa
     reduce = {} if "save_at" in options else {"reduce": "energy"}
     with pytest.warns(RuntimeWarning, match="did not converge"):
         runs = runs_by(
-            monkeypatch, ("flat", "native", "xla"), step, states, dt=0.1, **({"num_steps": 33} | rows | reduce)
+            monkeypatch, ("kernel", "native", "xla"), step, states, dt=0.1, **({"num_steps": 33} | rows | reduce)
         )
     assert_alike(*runs)
     if reduce:
@@ -244,20 +279,17 @@ def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypa
         assert (runs[0].failed < 0).any()
 
 
-@pytest.mark.long
-def test_an_accelerator_uses_arrays_for_short_steps_and_the_plain_loop_for_others(monkeypatch):
+def test_a_gpu_runs_kernels_of_short_steps_and_xla_others(monkeypatch):
     jobs = []
     by_engine(monkeypatch, "xla", jobs)
     states = li.State(jnp.tile(jnp.eye(3), (2, 1, 1)), jnp.zeros((2, 3, 3)))
     ensemble.run(Leaps(Oscillators(jnp.asarray(1.3))), states, 0.05, 4, progress=False)
     [job] = jobs
-    assert engine_on("gpu", job) == "flat"
+    assert engine_on("gpu", job) == "kernel"
     assert engine_on("cpu", job) == "native"
-    for what in ("registers", "carried"):
-        with monkeypatch.context() as patch:
-            limit_flat_engine(patch, what, 5)
-            assert "more than 5" in refusal("flat", job)
-            assert engine_on("gpu", job) == "xla"
+    limit_kernels(monkeypatch, 5)
+    assert "more than the 5 of a kernel" in refusal("kernel", job)
+    assert engine_on("gpu", job) == "xla"
 
 
 @pytest.mark.parametrize(
@@ -283,7 +315,7 @@ step = li.schemes.so3_explicit(body)
 states = jax.vmap(lambda w: body.state(angular_velocity=w))(np.random.default_rng(0).normal(size=(7, 3)))
 for options in {}, {"reduce": "energy"}, {"store": True}, {"times": np.linspace(0, 1, 21) ** 2}:
     runs = []
-    for name in "native", "flat", "xla":
+    for name in "native", "kernel", "xla":
         with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
             internals.by_engine(patch, name)
             if name != "native":
@@ -309,17 +341,19 @@ def test_accelerators_share_the_members():
 
 
 @pytest.mark.long
-def test_arrays_need_no_llvmlite():
+def test_kernels_need_no_llvmlite():
     code = """
 import sys
 sys.modules["llvmlite"] = None
-import jax, jax.numpy as jnp, numpy as np
+import jax.numpy as jnp, numpy as np
 import lieint_jax as li
-from lieint_jax.native import flatten
-flat = flatten(jnp.cumsum, ("member",), (np.zeros(3),))
-assert np.array_equal(jax.jit(flat)(np.ones((2, 3))), [[1, 2, 3]] * 2)
-[loop] = li.explain(lambda x: li.scan(lambda c, _: (jnp.cumsum(c), None), x, length=2), np.ones(3)).loops
+from lieint_jax.native import computed_by
+run = lambda x: li.scan(lambda c, _: (jnp.cumsum(c), None), x, length=2)[0]
+with computed_by("kernel", 1):
+    print(run(np.ones(3)))
+[loop] = li.explain(run, np.ones(3)).loops
 print(loop.reason)
 """
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "[1. 3. 6.]" in told
     assert "llvmlite" in told
