@@ -27,6 +27,7 @@ TITLES = {
     "tangent": "Tangent vectors",
     "scan": "Loops of others",
     "ensemble": "Ensembles",
+    "gpu_kernels": "On a GPU",
     "first_ensembles": "First ensembles",
     "compile": "First calls",
     "scale": "Scale",
