@@ -162,6 +162,13 @@ def not_negative(name: str, value: Input, *shapes: Sequence[int]) -> Array:
     return number
 
 
+def named(
+    check: Callable[..., Any], name: str, *shapes: Sequence[int], optional: bool = False
+) -> Callable[[Input], Any]:
+    """A check of one value, such as `positive` or `unit_vector`, as the converter of a field; it may leave None."""
+    return lambda value: None if optional and value is None else check(name, value, *shapes)
+
+
 def step_size(dt: Input) -> Input:
     """`dt`, checked to be a real scalar; a Python integer as a float."""
     if isinstance(dt, int) and not isinstance(dt, bool):

@@ -25,12 +25,18 @@ def on_page_markdown(markdown, **_):
 def _members(found):
     kind, name = found.groups()
     room = importlib.import_module(name)
-    chosen = [x for x in _public(room) if inspect.isclass(getattr(room, x)) == (kind == "classes")]
+    called = {getattr(room, x): x for x in _public(room) if x[0].islower()}  # a class with a name that is called
+    chosen = [x for x in _public(room) if x[0].islower() == (kind == "functions")]
+    chosen = [x for x in chosen if called.get(getattr(room, x), x) == x]
     members = "\n\n".join(_member(room, x) for x in chosen)
     return INTRODUCTION.format(name) + members if kind == "functions" else members
 
 
 def _member(room, name):
+    found = getattr(room, name)
+    if inspect.isclass(found) and found.__name__ != name:
+        heading = f"    options:\n      heading: {name}\n      toc_label: {name}"
+        return f'<a id="{name}"></a>\n\n::: {room.__name__}.{found.__name__}\n{heading}'
     return f'<a id="{name}"></a>\n\n::: {room.__name__}.{name}'
 
 

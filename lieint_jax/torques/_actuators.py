@@ -10,12 +10,12 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete, not_negative, positive
+from lieint_jax._checks import concrete, named, not_negative, positive
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._wheels import wheel_axes
-from lieint_jax.types import Law, Rotation, parts, pytree, static
+from lieint_jax.types import Law, Rotation, argument, parts, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
@@ -50,6 +50,21 @@ def allocation(axes: ArrayLike) -> Array:
     if concrete(g) and np.linalg.matrix_rank(np.asarray(g)) < 3:
         raise ValueError(f"axes must span all directions, got {np.asarray(g)}: there is a torque that they cannot give")
     return g @ jnp.linalg.inv(g.T @ g)
+
+
+def _control_laws(control: Any) -> tuple[Law, ...]:
+    laws = parts(control)
+    for law in laws:
+        if (key := law.key or law.reads) is not None:
+            raise ValueError(
+                f'a control law must not have an internal state, and {type(law).__name__} has State.extra["{key}"]: '
+                "add it to the other laws of the body"
+            )
+    return laws
+
+
+def _limit(max_dipole: ArrayLike | None) -> Array | None:
+    return None if max_dipole is None else positive("max_dipole", max_dipole, (), (3,))
 
 
 def _control_torque(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> Array:
@@ -102,20 +117,6 @@ def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> Whee
 
 @pytree
 class Torquers(Law):
-    """m × B with m = B × T/|B|², cut at a limit, T of control laws. Made by `torquers`."""
-
-    control: tuple[Law, ...]
-    field: VectorOfTime
-    max_dipole: Array | None
-
-    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        """The law at the middle of the step."""
-        B = middle_axes(rotation, value_at(self.field, rotation.t))
-        torque = _control_torque(self.control, rotation.t, rotation.q_mid, rotation.Omega)
-        return _magnetic_torque(torque, B, self.max_dipole), inner
-
-
-def torquers(control: Any, field: Any, max_dipole: ArrayLike | None = None) -> Torquers:
     """Magnetic torquers that carry out a control law as far as they can: the part of its torque across the field.
 
     With the moment m = B × T/|B|², cut at the limit, the torque m × B is T less its part along B. In the changing field
@@ -132,7 +133,16 @@ def torquers(control: Any, field: Any, max_dipole: ArrayLike | None = None) -> T
 
     Source: Sidi 1997, Spacecraft Dynamics and Control, 7.4.
     """
-    return Torquers(_control_laws(control), vector_of_time("field", field), _limit(max_dipole))
+
+    control: tuple[Law, ...] = argument(converter=_control_laws)
+    field: VectorOfTime = argument(converter=named(vector_of_time, "field"))
+    max_dipole: Array | None = argument(converter=_limit, default=None)
+
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
+        """The law at the middle of the step."""
+        B = middle_axes(rotation, value_at(self.field, rotation.t))
+        torque = _control_torque(self.control, rotation.t, rotation.q_mid, rotation.Omega)
+        return _magnetic_torque(torque, B, self.max_dipole), inner
 
 
 @pytree
@@ -185,23 +195,11 @@ def unloading(
     return Unloading(g, k, b, _limit(max_dipole), jnp.broadcast_to(momenta, (len(g),)), key)
 
 
-def _control_laws(control: Any) -> tuple[Law, ...]:
-    laws = parts(control)
-    for law in laws:
-        if (key := law.key or law.reads) is not None:
-            raise ValueError(
-                f'a control law must not have an internal state, and {type(law).__name__} has State.extra["{key}"]: '
-                "add it to the other laws of the body"
-            )
-    return laws
-
-
-def _limit(max_dipole: ArrayLike | None) -> Array | None:
-    return None if max_dipole is None else positive("max_dipole", max_dipole, (), (3,))
-
-
 def _magnetic_torque(torque: Array, B: Array, max_dipole: Array | None) -> Array:
     """m × B with m = B × T/|B|² of a torque T, cut at a limit; 0 where there is no field."""
     square = dot(B, B)
     m = jnp.stack(cross(B, torque)) / jnp.where(square > 0, square, 1)
     return jnp.stack(cross(m if max_dipole is None else cut(m, max_dipole), B))
+
+
+torquers = Torquers

@@ -9,22 +9,50 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import not_negative, positive
+from lieint_jax._checks import named, not_negative, positive
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._modified_law import ModifiedLaw
-from lieint_jax.types import Law, Rotation, as_law, pytree
+from lieint_jax.types import Law, Rotation, argument, as_law, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import dot
 
 
+def _attitude(target: ArrayLike) -> Array:
+    return so3.normalize(_checks.unit_quaternion("target", target))
+
+
+def _without_state(law: Any) -> Law:
+    law = as_law(law)
+    if law.key is not None:
+        raise ValueError(
+            f'{type(law).__name__} exchanges momentum with State.extra["{law.key}"], so its torque cannot be cut; '
+            "give wheels a max_torque"
+        )
+    return law
+
+
 @pytree
 class PDTrace(Law):
-    """Proportional-derivative control by U = ½k tr(1 − Λ_dᵀΛ), in space. Made by `pd_trace`."""
+    """Control to an attitude Λ_d by the potential U = ½k tr(1 − Λ_dᵀΛ) and damping c: τ = −½k vex(ΛΛ_dᵀ) − cω.
 
-    gain: Array
-    damping: Array
-    target: Array
+    H = T + U decreases by Δt c|ω̄|² in a step. The torque depends on Λ only, so q and −q give the same torque, and the
+    body rotates the short way. The torque k sin φ also vanishes at an error of φ = 180°, an unstable equilibrium.
+
+    Args:
+        gain: k, a torque, > 0: small errors swing with √(k/J).
+        damping: c ≥ 0, torque × time.
+        target: Λ_d, a unit quaternion.
+
+    Raises:
+        ValueError: a negative gain or damping, a target that is no unit quaternion.
+
+    Source: Koditschek 1989, Contemp. Math. 97; the mean torque of a step: this package.
+    """
+
+    gain: Array = argument(converter=named(not_negative, "gain"))
+    damping: Array = argument(converter=named(not_negative, "damping"))
+    target: Array = argument(converter=_attitude, default=(1.0, 0.0, 0.0, 0.0))
     frame = "space"
 
     def _error(self, q: Array) -> Array:
@@ -47,32 +75,29 @@ class PDTrace(Law):
         return -rotation.dt * self.damping * dot(rotation.omega, rotation.omega)
 
 
-def pd_trace(gain: ArrayLike, damping: ArrayLike, target: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> PDTrace:
-    """Control to an attitude Λ_d by the potential U = ½k tr(1 − Λ_dᵀΛ) and damping c: τ = −½k vex(ΛΛ_dᵀ) − cω.
+@pytree
+class PDQuaternion(Law):
+    """Control to an attitude by the potential U = 2k(1 − e₀), e = q_d⁻¹q, and damping c: T = −k(e₁, e₂, e₃) − cΩ.
 
-    H = T + U decreases by Δt c|ω̄|² in a step. The torque depends on Λ only, so q and −q give the same torque, and the
-    body rotates the short way. The torque k sin φ also vanishes at an error of φ = 180°, an unstable equilibrium.
+    H = T + U decreases by Δt c|Ω̄|² in a step. The torque k sin ½φ is largest at an error of φ = 180°, but q and −q,
+    the same attitude, have different torques: **it unwinds**, that is, from e₀ < 0 the body rotates by more than 180°
+    to reach e₀ = 1. Give the state a q with e₀ ≥ 0 for the short way.
 
     Args:
-        gain: k, a torque, > 0: small errors swing with √(k/J).
+        gain: k, a torque, > 0: small errors swing with √(k/2J).
         damping: c ≥ 0, torque × time.
-        target: Λ_d, a unit quaternion.
+        target: q_d, a unit quaternion; −q_d is the other way round.
 
     Raises:
         ValueError: a negative gain or damping, a target that is no unit quaternion.
 
-    Source: Koditschek 1989, Contemp. Math. 97; the mean torque of a step: this package.
+    Source: Wie & Barba 1985, J. Guid. Control Dyn. 8; unwinding: Bhat & Bernstein 2000, Syst. Control Lett. 39; the
+    mean torque of a step: this package.
     """
-    return PDTrace(*_control(gain, damping, target))
 
-
-@pytree
-class PDQuaternion(Law):
-    """Proportional-derivative control by U = 2k(1 − e₀), in the body. Made by `pd_quaternion`."""
-
-    gain: Array
-    damping: Array
-    target: Array
+    gain: Array = argument(converter=named(not_negative, "gain"))
+    damping: Array = argument(converter=named(not_negative, "damping"))
+    target: Array = argument(converter=_attitude, default=(1.0, 0.0, 0.0, 0.0))
 
     def _error(self, q: Array) -> Array:
         """e, the quaternion of Λ_dᵀΛ."""
@@ -93,44 +118,8 @@ class PDQuaternion(Law):
         return -rotation.dt * self.damping * dot(rotation.Omega, rotation.Omega)
 
 
-def pd_quaternion(gain: ArrayLike, damping: ArrayLike, target: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> PDQuaternion:
-    """Control to an attitude by the potential U = 2k(1 − e₀), e = q_d⁻¹q, and damping c: T = −k(e₁, e₂, e₃) − cΩ.
-
-    H = T + U decreases by Δt c|Ω̄|² in a step. The torque k sin ½φ is largest at an error of φ = 180°, but q and −q,
-    the same attitude, have different torques: **it unwinds**, that is, from e₀ < 0 the body rotates by more than 180°
-    to reach e₀ = 1. Give the state a q with e₀ ≥ 0 for the short way.
-
-    Args:
-        gain: k, a torque, > 0: small errors swing with √(k/2J).
-        damping: c ≥ 0, torque × time.
-        target: q_d, a unit quaternion; −q_d is the other way round.
-
-    Raises:
-        ValueError: a negative gain or damping, a target that is no unit quaternion.
-
-    Source: Wie & Barba 1985, J. Guid. Control Dyn. 8; unwinding: Bhat & Bernstein 2000, Syst. Control Lett. 39; the
-    mean torque of a step: this package.
-    """
-    return PDQuaternion(*_control(gain, damping, target))
-
-
 @pytree
 class Saturated(ModifiedLaw):
-    """A law whose torque is cut at a limit, component by component. Made by `saturated`."""
-
-    law: Law
-    limit: Array
-
-    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        """The law's mean torque, each component within ± the limit."""
-        return cut(self.law.mean(rotation, inner)[0], self.limit), inner
-
-    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
-        """That of the law."""
-        return self.law.energy(t, q, inner)
-
-
-def saturated(law: Any, limit: ArrayLike) -> Saturated:
     """A law whose torque has a limit, component by component in the axes of its frame.
 
     The energy of the law, such as the potential of a controller, is still counted; the work is that of the limited
@@ -144,15 +133,17 @@ def saturated(law: Any, limit: ArrayLike) -> Saturated:
         ValueError: a limit that is not positive; a law with an internal state, such as wheels, which have a
             `max_torque` of their own.
     """
-    law = as_law(law)
-    if law.key is not None:
-        raise ValueError(
-            f'{type(law).__name__} exchanges momentum with State.extra["{law.key}"], so its torque cannot be cut; '
-            "give wheels a max_torque"
-        )
-    return Saturated(law, positive("limit", limit, (), (3,)))
+
+    law: Law = argument(converter=_without_state)
+    limit: Array = argument(converter=named(positive, "limit", (), (3,)))
+
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
+        """The law's mean torque, each component within ± the limit."""
+        return cut(self.law.mean(rotation, inner)[0], self.limit), inner
+
+    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
+        """That of the law."""
+        return self.law.energy(t, q, inner)
 
 
-def _control(gain: ArrayLike, damping: ArrayLike, target: ArrayLike) -> tuple[Array, Array, Array]:
-    target = so3.normalize(_checks.unit_quaternion("target", target))
-    return not_negative("gain", gain), not_negative("damping", damping), target
+pd_trace, pd_quaternion, saturated = PDTrace, PDQuaternion, Saturated

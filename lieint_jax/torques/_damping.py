@@ -8,25 +8,27 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete, not_negative, positive
-from lieint_jax.types import Law, Rotation, pytree, static, vectors
+from lieint_jax._checks import concrete, named, not_negative, positive
+from lieint_jax.types import Law, Rotation, argument, pytree, static, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Scalar, Vector, VectorLike, cross, dot
 
 
+def _damping(damping: ArrayLike) -> Array:
+    D = _checks.real_array("damping", damping, (), (3,), (3, 3))
+    if concrete(D):
+        values = np.asarray(D, float)
+        if values.ndim == 2:
+            if not np.allclose(values, values.T, rtol=1e-6, atol=1e-6 * np.abs(values).max()):
+                raise ValueError(f"damping must be symmetric, got\n{values}\nGive (D + D.T) / 2")
+            values = np.linalg.eigvalsh(values)
+        if values.min() < -1e-12 * np.abs(values).max():
+            raise ValueError(f"damping must not be negative, got principal values {values}")
+    return D
+
+
 @pytree
 class Viscous(Law):
-    """T = −DΩ in the body. Made by `viscous`."""
-
-    damping: Array
-
-    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        """−DΩ̄."""
-        D = self.damping if self.damping.ndim else jnp.broadcast_to(self.damping, (3,))
-        return -jnp.stack(vectors.symmetric(D) @ rotation.Omega), inner
-
-
-def viscous(damping: ArrayLike) -> Viscous:
     """Linear drag of the surroundings, T = −DΩ: its work in a step is −Δt Ω̄·DΩ̄, never positive.
 
     Args:
@@ -35,15 +37,35 @@ def viscous(damping: ArrayLike) -> Viscous:
     Raises:
         ValueError: a negative D, or none of these shapes.
     """
-    return Viscous(_damping(damping))
+
+    damping: Array = argument(converter=_damping)
+
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
+        """−DΩ̄."""
+        D = self.damping if self.damping.ndim else jnp.broadcast_to(self.damping, (3,))
+        return -jnp.stack(vectors.symmetric(D) @ rotation.Omega), inner
 
 
 @pytree
 class KaneDamper(Law):
-    """A sphere in a viscous fluid inside the body, whose momentum is `State.extra[key]`. Made by `kane_damper`."""
+    """Kane's damper: a sphere at the center that a viscous fluid couples to the body, τ = −c(ω − ω_d).
 
-    inertia: Array
-    damping: Array
+    The momentum of both, π + π_d, is conserved to round-off, and the energy of both falls by Δt c|ω̄ − ω̄_d|² in a
+    step, until they rotate together about the body's axis of largest inertia. J is the body's without the sphere.
+
+    Args:
+        inertia: I_d > 0, the sphere's moment of inertia.
+        damping: c ≥ 0, torque × time.
+        key: the name of the sphere's momentum in `State.extra`; several dampers need several names.
+
+    Raises:
+        ValueError: I_d ≤ 0, c < 0.
+
+    Source: Kane, Likins & Levinson 1983, Spacecraft Dynamics; the implicit mean of a step: this package.
+    """
+
+    inertia: Array = argument(converter=named(positive, "inertia"))
+    damping: Array = argument(converter=named(not_negative, "damping"))
     key: str = static(default="damper")  # pyright: ignore[reportIncompatibleVariableOverride]
     frame = "space"
     internal = True
@@ -76,25 +98,6 @@ class KaneDamper(Law):
         return inner
 
 
-def kane_damper(inertia: ArrayLike, damping: ArrayLike, key: str = "damper") -> KaneDamper:
-    """Kane's damper: a sphere at the center that a viscous fluid couples to the body, τ = −c(ω − ω_d).
-
-    The momentum of both, π + π_d, is conserved to round-off, and the energy of both falls by Δt c|ω̄ − ω̄_d|² in a
-    step, until they rotate together about the body's axis of largest inertia. J is the body's without the sphere.
-
-    Args:
-        inertia: I_d > 0, the sphere's moment of inertia.
-        damping: c ≥ 0, torque × time.
-        key: the name of the sphere's momentum in `State.extra`; several dampers need several names.
-
-    Raises:
-        ValueError: I_d ≤ 0, c < 0.
-
-    Source: Kane, Likins & Levinson 1983, Spacecraft Dynamics; the implicit mean of a step: this package.
-    """
-    return KaneDamper(positive("inertia", inertia), not_negative("damping", damping), key)
-
-
 def internal_friction(friction: Scalar, Pi: VectorLike, Omega: VectorLike) -> Vector:
     """α Π × Ω, the angular velocity that internal friction adds to Ω (`systems.damped_body`), in components.
 
@@ -106,14 +109,4 @@ def internal_friction(friction: Scalar, Pi: VectorLike, Omega: VectorLike) -> Ve
     return friction * cross(Pi, Omega)
 
 
-def _damping(damping: ArrayLike) -> Array:
-    D = _checks.real_array("damping", damping, (), (3,), (3, 3))
-    if concrete(D):
-        values = np.asarray(D, float)
-        if values.ndim == 2:
-            if not np.allclose(values, values.T, rtol=1e-6, atol=1e-6 * np.abs(values).max()):
-                raise ValueError(f"damping must be symmetric, got\n{values}\nGive (D + D.T) / 2")
-            values = np.linalg.eigvalsh(values)
-        if values.min() < -1e-12 * np.abs(values).max():
-            raise ValueError(f"damping must not be negative, got principal values {values}")
-    return D
+viscous, kane_damper = Viscous, KaneDamper

@@ -10,11 +10,11 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import not_negative, positive
+from lieint_jax._checks import named, not_negative, positive
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, middle_axes, start_axes
-from lieint_jax.types import Law, Rotation, pytree, static
+from lieint_jax.types import Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot, norm
 
@@ -80,17 +80,34 @@ def bdot(gain: ArrayLike, field: Any, max_dipole: ArrayLike | None = None) -> BD
 
 @pytree
 class Hysteresis(Law):
-    """A magnetic rod with hysteresis; `State.extra[key]` is its internal field w. Made by `hysteresis`.
+    """A magnetic hysteresis rod, which damps the rotation of a satellite in the Earth's field.
 
-    With the field x = e·Λᵀb along the rod, |x − w| ≤ ρ and w′ = clip(w, x′ − ρ, x′ + ρ). The moment is F(w) = Φ′(w).
+    It is a play operator of half-width ρ followed by the curve M = M_s tanh(w/a): at a reversal of the field the moment
+    is constant until the field has changed by 2ρ. In a constant field the energy never increases; over a closed loop
+    the loss is the area of the loop. `State.extra[key]` is the rod's internal field w: with the field x = e·Λᵀb along
+    the rod, |x − w| ≤ ρ and w′ = clip(w, x′ − ρ, x′ + ρ), and the moment is F(w) = Φ′(w).
+
+    Args:
+        axis: e, the direction of the rod in the body, a unit vector (3,).
+        saturation: M_s > 0, the greatest moment, torque / field.
+        slope: a > 0, a field: M ≈ M_s w/a for small w.
+        coercivity: ρ ≥ 0, a field.
+        field: b in space, (3,), or a function of time with such values.
+        key: the name of the internal field w in `State.extra`; several rods need several names.
+
+    Raises:
+        ValueError: an axis that is not of unit length, numbers out of range, a field that is no vector and no function.
+
+    Source: the play operator: Visintin 1994, Differential Models of Hysteresis; its mean moment in a step: this
+    package.
     """
 
-    axis: Array
-    saturation: Array
-    slope: Array
-    coercivity: Array
-    field: VectorOfTime
-    key: str = static(default="rod")  # pyright: ignore[reportIncompatibleVariableOverride]
+    axis: Array = argument(converter=named(_checks.unit_vector, "axis"))
+    saturation: Array = argument(converter=named(positive, "saturation"))
+    slope: Array = argument(converter=named(positive, "slope"))
+    coercivity: Array = argument(converter=named(not_negative, "coercivity"))
+    field: VectorOfTime = argument(converter=named(vector_of_time, "field"), kw_only=True)
+    key: str = static(default="rod", kw_only=True)  # pyright: ignore[reportIncompatibleVariableOverride]
     symmetric = False
 
     @property
@@ -152,34 +169,4 @@ class Hysteresis(Law):
         return start + jnp.where(moves, (jnp.where(small, gauss, mean) - start) * part, 0)
 
 
-def hysteresis(
-    axis: ArrayLike, saturation: ArrayLike, slope: ArrayLike, coercivity: ArrayLike, *, field: Any, key: str = "rod"
-) -> Hysteresis:
-    """A magnetic hysteresis rod, which damps the rotation of a satellite in the Earth's field.
-
-    It is a play operator of half-width ρ followed by the curve M = M_s tanh(w/a): at a reversal of the field the moment
-    is constant until the field has changed by 2ρ. In a constant field the energy never increases; over a closed loop
-    the loss is the area of the loop.
-
-    Args:
-        axis: e, the direction of the rod in the body, a unit vector (3,).
-        saturation: M_s > 0, the greatest moment, torque / field.
-        slope: a > 0, a field: M ≈ M_s w/a for small w.
-        coercivity: ρ ≥ 0, a field.
-        field: b in space, (3,), or a function of time with such values.
-        key: the name of the internal field w in `State.extra`; several rods need several names.
-
-    Raises:
-        ValueError: an axis that is not of unit length, numbers out of range, a field that is no vector and no function.
-
-    Source: the play operator: Visintin 1994, Differential Models of Hysteresis; its mean moment in a step: this
-    package.
-    """
-    return Hysteresis(
-        _checks.unit_vector("axis", axis),
-        positive("saturation", saturation),
-        positive("slope", slope),
-        not_negative("coercivity", coercivity),
-        vector_of_time("field", field),
-        key,
-    )
+hysteresis = Hysteresis

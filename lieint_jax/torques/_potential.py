@@ -11,11 +11,12 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._checks import named
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
-from lieint_jax.types import Law, Rotation, callable_pytree, pytree, vectors
+from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
@@ -109,10 +110,18 @@ def gravity_gradient(orbit: Any, inertia: ArrayLike, mu: ArrayLike | None = None
 
 @pytree
 class Dipole(DirectionalPotential):
-    """V = −m·Λᵀb(t). Made by `dipole`."""
+    """A magnetic moment that is fixed in the body, in a field: T = m × b. Its potential −m·b is counted in the energy.
 
-    moment: Array
-    field: VectorOfTime
+    Args:
+        moment: m in the body, (3,), torque / field.
+        field: b in space, (3,), or a function of time with such values, such as the field along an orbit.
+
+    Raises:
+        ValueError: no vector, or no function with such values.
+    """
+
+    moment: Array = argument(converter=named(_checks.real_array, "moment", (3,)))
+    field: VectorOfTime = argument(converter=named(vector_of_time, "field"))
 
     def axis(self, t: Array) -> Array:
         """b(t)."""
@@ -125,19 +134,6 @@ class Dipole(DirectionalPotential):
     def gradient(self, a: Array, b: Array, t: Array) -> Array:
         """−m."""
         return -self.moment
-
-
-def dipole(moment: ArrayLike, field: Any) -> Dipole:
-    """A magnetic moment that is fixed in the body, in a field: T = m × b. Its potential −m·b is counted in the energy.
-
-    Args:
-        moment: m in the body, (3,), torque / field.
-        field: b in space, (3,), or a function of time with such values, such as the field along an orbit.
-
-    Raises:
-        ValueError: no vector, or no function with such values.
-    """
-    return Dipole(_checks.real_array("moment", moment, (3,)), vector_of_time("field", field))
 
 
 @pytree
@@ -177,3 +173,6 @@ def potential(V: Callable[..., Array], axis: Any) -> AnyPotential:
     """
     _checks.function("V", V, "Gamma (3,) and t", (), jnp.zeros(3), jnp.zeros(()))
     return AnyPotential(callable_pytree(V), vector_of_time("axis", axis))
+
+
+dipole = Dipole

@@ -41,7 +41,7 @@ from lieint_jax.types._capabilities import (
 from lieint_jax.types._catalogue import Catalogue
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
 from lieint_jax.types._pair_law import PairLaw, pair_forces
-from lieint_jax.types._pytree import Partitioned, callable_pytree, pytree, static
+from lieint_jax.types._pytree import Partitioned, argument, callable_pytree, pytree, static
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
 from lieint_jax.types._system import System, energy_less_work, time_derivative
@@ -88,6 +88,7 @@ __all__ = [
     "Total",
     "Trajectory",
     "all_finite",
+    "argument",
     "as_law",
     "autodiff_gradient",
     "callable_pytree",

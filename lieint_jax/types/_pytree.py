@@ -17,13 +17,20 @@ def static(**options: Any) -> Any:
     return dataclasses.field(metadata={"static": True}, **options)
 
 
-@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, static))
+def argument(*, converter: Callable[[Any], Any], **options: Any) -> Any:
+    """A dataclass field whose value the constructor converts, and so checks; JAX rebuilds a pytree without it."""
+    return dataclasses.field(metadata={"converter": converter}, **options)
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, argument, static))
 def pytree(cls: type[_T]) -> type[_T]:
     """Make `cls` a frozen dataclass and a pytree whose leaves are all its fields except the `static` ones.
 
     The class is part of the tree's structure. With `jax.tree_util.register_dataclass` (jax 0.10) it is not: two classes
     with the same fields compare equal, and jit may then run the program that it compiled for the other one.
     """
+    if not hasattr(cls, "__post_init__"):
+        cls.__post_init__ = _convert  # pyright: ignore[reportAttributeAccessIssue]
     made: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
     fields = dataclasses.fields(made)
     names = [field.name for field in fields if not field.metadata.get("static")]
@@ -45,6 +52,13 @@ def pytree(cls: type[_T]) -> type[_T]:
 
     jax.tree_util.register_pytree_with_keys(made, leaves_with_keys, rebuilt, leaves)
     return made
+
+
+def _convert(made: Any) -> None:
+    """Convert the fields of a new object that have a converter."""
+    for x in dataclasses.fields(made):
+        if "converter" in x.metadata:
+            object.__setattr__(made, x.name, x.metadata["converter"](getattr(made, x.name)))
 
 
 def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,0 +1,51 @@
+"""Classes called by a lower-case name: the constructor converts and checks, and JAX rebuilds them as they are."""
+
+import dataclasses
+import pickle
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import torques
+from lieint_jax._checks import named, positive
+from lieint_jax.types import argument, pytree
+
+
+@pytree
+class Spring:
+    stiffness: jax.Array = argument(converter=named(positive, "stiffness"))
+    length: jax.Array | None = argument(converter=named(positive, "length", optional=True), default=None)
+
+
+@pytree
+class Stiffer(Spring):
+    factor: float = 2.0
+
+
+@pytest.mark.parametrize("kind", [Spring, Stiffer])
+def test_a_constructor_converts_and_checks(kind):
+    assert kind(3).stiffness.dtype == jnp.result_type(float)
+    assert kind(3).length is None
+    for bad in (lambda: kind(-1.0), lambda: kind(1.0, 0.0), lambda: dataclasses.replace(kind(1.0), stiffness=-2.0)):
+        with pytest.raises(ValueError, match=r"must be positive, got"):
+            bad()
+
+
+def test_jax_rebuilds_without_a_conversion():
+    """Axes of vmap, shapes and cotangents take the places of numbers; a negative number is a tangent, too."""
+    spring = jax.tree.map(lambda x: -x, Spring(1.0))
+    assert spring.stiffness == -1
+    assert jax.grad(lambda s: -s.stiffness)(Spring(2.0)).stiffness == -1
+    np.testing.assert_array_equal(jax.vmap(Spring)(jnp.arange(1.0, 3.0)).stiffness, [1, 2])
+    assert pickle.loads(pickle.dumps(Spring(2.0))).stiffness == 2
+
+
+def test_the_name_that_is_called_is_the_class():
+    law = torques.viscous([0.1, 0.2, 0.3])
+    assert isinstance(law, torques.viscous)
+    assert torques.viscous is torques.Viscous
+    assert li.torques.kane_damper(1.0, 0.5).label == "kane_damper"
+    assert torques.hysteresis([1.0, 0, 0], 1.0, 1.0, 0.1, field=[0.0, 0, 1]).label == "hysteresis"
