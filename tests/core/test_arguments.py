@@ -10,14 +10,19 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import torques
-from lieint_jax._checks import named, positive
 from lieint_jax.types import argument, pytree
+
+
+def positive(value):
+    if isinstance(value, float | int) and value <= 0:
+        raise ValueError(f"must be positive, got {value}")
+    return jnp.asarray(value, float)
 
 
 @pytree
 class Spring:
-    stiffness: jax.Array = argument(converter=named(positive, "stiffness"))
-    length: jax.Array | None = argument(converter=named(positive, "length", optional=True), default=None)
+    stiffness: jax.Array = argument(converter=positive)
+    length: jax.Array | None = argument(converter=lambda x: None if x is None else positive(x), default=None)
 
 
 @pytree

@@ -295,7 +295,9 @@ NO_NUMBERS = {
 def public_functions():
     for module in MODULES:
         for name in module.__all__:
-            if inspect.isfunction(getattr(module, name)) or isinstance(getattr(module, name), maps.Kappa):
+            found = getattr(module, name)
+            called = inspect.isfunction(found) or (inspect.isclass(found) and name[0].islower())
+            if called or isinstance(found, maps.Kappa):
                 yield f"{module.__name__.removeprefix('lieint_jax.')}.{name}"
 
 
