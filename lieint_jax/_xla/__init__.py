@@ -1,7 +1,7 @@
 """All hints that the package gives to XLA beyond the formulas.
 
 A scheme consists of the equations of one body, and the machine code of ensembles (`native`) needs nothing more. XLA,
-which runs single bodies, gradients and accelerators, handles the same equations well with these exceptions.
+which runs what has no machine code, handles the same equations well with these exceptions.
 
 `materialized`: On a CPU, XLA's fusion computes a shared subexpression again in each of its consumers. This is expensive
     where a long computation has a few results with many uses: without `materialized`, gradients of a batch by `exact`

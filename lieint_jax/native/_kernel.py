@@ -53,7 +53,7 @@ class KernelCode:
         if self.length > _LONGEST:
             raise UnsupportedError(f"{self.length} operations are more than the {_LONGEST} of a kernel")
         check_operations(traced.program.block, traced.program)
-        self.pressure = traced.program.pressure() or sum(leaf.size for leaf in traced.leaves if leaf.varies)
+        self.pressure = traced.pressure
         self.seconds = {"walk": time.perf_counter() - begin}
 
     def call(self, arguments: Values, loop: Loop, interpret: bool = False) -> list[Value]:
@@ -82,7 +82,7 @@ class KernelCode:
 
 def _three_axes(x: Value, leaf: Leaf, members: int | None) -> Array:
     """An array of axes (rows, members, entries), of which the first two have length 1 where they make no difference."""
-    rows = len(x) if leaf.kind in ("row", "series") else 1
+    rows = len(x) if leaf.has_rows else 1
     return jnp.asarray(x).reshape(rows, (members or 1) if leaf.varies else 1, leaf.size)
 
 
@@ -151,14 +151,14 @@ class _Kernel:
     def _step_on(self, block: _Members) -> Any:
         """The step of a block of members, (n, carry) ↦ (carry, what only rows need)."""
         arguments = {x.data: x for x in self.program.live if x.op == "argument"}
-        kinds = {place: self.leaves[place[0]].kind for place in arguments}
-        fixed = {x: block.read(*place) for place, x in arguments.items() if kinds[place] in ("member", "shared")}
-        of_rows = {x: place for place, x in arguments.items() if kinds[place] in ("row", "series")}
+        leaves = {place: self.leaves[place[0]] for place in arguments}
+        fixed = {x: block.read(*place) for place, x in arguments.items() if leaves[place].kind in ("member", "shared")}
+        of_rows = {x: place for place, x in arguments.items() if leaves[place].has_rows}
 
         def step(n: Array, carry: _Numbers) -> tuple[_Numbers, _Numbers]:
             values = fixed | {x: block.read(k, entry, n) for x, (k, entry) in of_rows.items()}
             values |= {arguments[p]: x for p, x in zip(self.places, carry, strict=True) if p in arguments}
-            values |= {x: n for place, x in arguments.items() if kinds[place] == "counter"}
+            values |= {x: n for place, x in arguments.items() if leaves[place].kind == "counter"}
             evaluation = Evaluation(self.program, _BLOCK, block.entry, values)
             evaluation.block(self.program.block)
             return [evaluation.vector(x) for x in self.after], [evaluation.vector(x) for x in self.saved]
@@ -185,7 +185,7 @@ class _Members:
     def read(self, k: int, entry: int, row: Value = 0) -> Array:
         """An entry of a leaf, at a row if it has rows."""
         leaf = self._leaves[k]
-        return self.entry(k, entry, row if leaf.kind in ("row", "series") else 0, self._at if leaf.varies else 0)
+        return self.entry(k, entry, row if leaf.has_rows else 0, self._at if leaf.varies else 0)
 
     def write(self, ref: Any, row: Value, values: _Numbers) -> None:
         """Write the entries of a result."""

@@ -313,14 +313,13 @@ def _jitted(loop: Loop) -> Callable[..., list[Value]]:
     return jax.jit(lambda *arguments: loop.bind(arguments))
 
 
-def by_xla(*arguments: Value, loop: Loop, step: Callable[..., list[Value]] | None = None) -> list[Value]:
-    """The loop by XLA: a scan over rows, of a loop over the steps of each; `step` is one of all members."""
+def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
+    """The loop by XLA: a scan over rows, of a loop over the steps of each."""
     carry, fixed, series = loop.split(arguments)
-    if step is None:
-        step = function_of(loop.step)
-        if loop.members is not None:
-            axes = [0 if own else None for own in loop.owns]
-            step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
+    step = function_of(loop.step)
+    if loop.members is not None:
+        axes = [0 if own else None for own in loop.owns]
+        step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
 
     def step_once(n: Value, carry: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
         found = list(step(n, *carry, *fixed, *row))

@@ -64,7 +64,7 @@ class LoopCode:
         with unsupported_if_it_fails():
             results = jax.tree.leaves(traced.results)
             sizes = [int(np.prod(x.shape)) for x in results[body.carried :]]
-            pressure = traced.program.pressure() or sum(leaf.size for leaf in traced.leaves if leaf.varies)
+            pressure = traced.pressure
             lanes = 1 if body.is_single else _machine.lanes(traced.leaves, pressure)
             texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse)
             around = handler(len(traced.leaves) - 1, len(results), lanes)  # all but the counter are in memory

@@ -41,6 +41,11 @@ class Leaf(NamedTuple):
         """True if each member has its own."""
         return self.kind in ("carry", "member", "series")
 
+    @property
+    def has_rows(self) -> bool:
+        """True if there is another one for each row."""
+        return self.kind in ("row", "series")
+
 
 def leaves_before_rows(leaves: Sequence[Leaf]) -> list[Leaf]:
     """The leaves of a program that runs before the first row, where a carried array is one of each member."""
@@ -79,6 +84,11 @@ class Traced:
             self.jaxpr, self.results = jax.make_jaxpr(function, return_shape=True)(*shapes)
         with unsupported_if_it_fails():
             self._walk(self.jaxpr, kinds, shapes)
+
+    @property
+    def pressure(self) -> int:
+        """How many numbers of a step are alive at once."""
+        return self.program.pressure() or sum(leaf.size for leaf in self.leaves if leaf.varies)
 
     def _walk(self, closed: ClosedJaxpr, kinds: Sequence[Tree], shapes: Sequence[Tree]) -> None:
         each = jax.tree.map(lambda kind, part: [kind] * len(jax.tree.leaves(part)), tuple(kinds), shapes)

@@ -63,8 +63,7 @@ def _control_laws(control: Any) -> tuple[Law, ...]:
     return laws
 
 
-def _limit(max_dipole: ArrayLike | None) -> Array | None:
-    return None if max_dipole is None else positive("max_dipole", max_dipole, (), (3,))
+_limit = named(positive, "max_dipole", (), (3,), optional=True)
 
 
 def _control_torque(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> Array:
