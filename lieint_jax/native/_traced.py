@@ -78,6 +78,9 @@ class Traced:
 
     def __init__(self, function: Callable[..., Tree] | ClosedJaxpr, kinds: Sequence[Tree], examples: Sequence[Tree]):
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x), _dtype(x)), tuple(examples))
+        for x in jax.tree.leaves(shapes):
+            if jax.numpy.issubdtype(x.dtype, jax.dtypes.extended):
+                raise UnsupportedError(f"an argument of type {x.dtype}")
         if isinstance(function, ClosedJaxpr):
             self.jaxpr, self.results = function, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in function.out_avals]
         else:
@@ -164,9 +167,7 @@ def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
     dtype = getattr(x, "dtype", None)
     if dtype is None:
         return jax.numpy.result_type(x)
-    if jax.numpy.issubdtype(dtype, jax.dtypes.extended):
-        raise UnsupportedError(f"an argument of type {dtype}")
-    return jax.dtypes.canonicalize_dtype(dtype)
+    return dtype if jax.numpy.issubdtype(dtype, jax.dtypes.extended) else jax.dtypes.canonicalize_dtype(dtype)
 
 
 _MOST_KEPT = 12  # of what is made once; each holds a jaxpr or a program of numbers, some MiB
