@@ -23,9 +23,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax.diagnostics.tangent import size, value_and_jacobian
-from lieint_jax.groups import so3
-from lieint_jax.types import (
+from lieint_jax.capabilities import (
     AbstractElasticBody,
     AbstractEmbeddedBody,
     AbstractForcedSystem,
@@ -33,11 +31,10 @@ from lieint_jax.types import (
     AbstractGeodesicFlow,
     AbstractMechanicalSystem,
     AbstractTop,
-    State,
-    Step,
-    pytree,
-    static,
 )
+from lieint_jax.diagnostics.tangent import size, value_and_jacobian
+from lieint_jax.groups import so3
+from lieint_jax.types import State, Step, pytree, static
 from lieint_jax.types.shapes import PyTree
 
 EQUATIONS = {

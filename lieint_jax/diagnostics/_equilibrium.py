@@ -22,10 +22,11 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
+from lieint_jax.capabilities import AbstractDrivenTop
 from lieint_jax.diagnostics.tangent import distance, units
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import AbstractDrivenTop, State, System, promoted
+from lieint_jax.types import State, System, promoted
 
 _ITERATIONS, _HALVINGS = 60, 12
 _RANK = 1e-9  # singular values below this part of the largest one count as 0: those of symmetries are round-off

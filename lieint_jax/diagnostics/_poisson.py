@@ -12,16 +12,15 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
 from lieint_jax._xla import compiled
-from lieint_jax.diagnostics._symplectic import linearization
-from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import (
+from lieint_jax.capabilities import (
     AbstractDampedBody,
     AbstractForcedSystem,
     AbstractRightGeodesicFlow,
     AbstractTorquedBody,
-    State,
-    Step,
 )
+from lieint_jax.diagnostics._symplectic import linearization
+from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import TimeSeries
 
 _Method = Literal["recursion", "product"]

@@ -40,20 +40,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import (
-    AbstractElasticBody,
-    AbstractIncompressibleBody,
-    AbstractViscousBody,
-    State,
-    Step,
-    StepInfo,
-    StoredEnergy,
-    System,
-    pytree,
-    static,
-)
+from lieint_jax.types import State, Step, StepInfo, StoredEnergy, System, pytree, static
 from lieint_jax.types.shapes import Scalar
 from lieint_jax.types.vectors import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
 
@@ -62,43 +51,9 @@ _SHRINK = 0.1  # det G may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
 
 
-def _motion(body: AbstractElasticBody, state: State) -> State:
-    """(Ḟ, Ṗ) = (PE⁻¹, −2F∇W(FᵀF)) (6.3)."""
-    F, E = matrix(state.q), symmetric(body.inertia)
-    S = Symmetric(body.stored_energy.stress(F.gram()))
-    return State(_over(matrix(state.p), E).array, -(F @ S).array)
-
-
-def _viscous_motion(body: AbstractViscousBody, state: State) -> State:
-    """(Ḟ, Ṗ) = (PE⁻¹, −F(2∇W(C) + νĊ))."""
-    F, V = matrix(state.q), _over(matrix(state.p), symmetric(body.inertia))
-    S = Symmetric(body.stored_energy.stress(F.gram())) + body.viscosity * (F.T @ V).plus_transpose()
-    return State(V.array, -(F @ S).array)
-
-
-def _constrained_motion(body: AbstractIncompressibleBody, state: State) -> State:
-    """(Ḟ, Ṗ) = (PE⁻¹, −FS + pF⁻ᵀ), S = 2∇W, and p from d²/dt² det F = 0."""
-    F, E = matrix(state.q), symmetric(body.inertia).full
-    S, V = Symmetric(body.stored_energy.stress(F.gram())), _over(matrix(state.p), E)
-    F_T = 1 / F.det() * F.cofactors  # F⁻ᵀ
-    L = F_T.T @ V
-    bend = (L @ L).trace + _over(S.rows, E).trace
-    p = bend / sum(dot(column, E.solve(column)) for column in F_T)  # over tr(F⁻ᵀE⁻¹F⁻¹)
-    return State(V.array, -(F @ S - p * F_T).array)
-
-
 def _over(A: Matrix, E: Symmetric) -> Matrix:
     """A E⁻¹."""
     return Matrix(E.solve(row) for row in A)
-
-
-ELASTIC_BODIES = AcceptedSystems(AbstractElasticBody, "pseudo-rigid bodies (systems.pseudo_rigid_body)", _motion)
-VISCOUS_BODIES = AcceptedSystems(
-    AbstractViscousBody, "viscous pseudo-rigid bodies (systems.pseudo_rigid_body)", _viscous_motion
-)
-INCOMPRESSIBLE = AcceptedSystems(
-    AbstractIncompressibleBody, "incompressible bodies (systems.incompressible_body)", _constrained_motion
-)
 
 
 @pytree
@@ -216,8 +171,8 @@ def additive(
     Source: Lewis & Simo 1994, Results 15 and 16; "average": this package, after Gonzalez 2000, Comput. Methods Appl.
     Mech. Engrg. 190, and McLachlan, Quispel & Robidoux 1999.
     """
-    volume, viscous = INCOMPRESSIBLE.declared(system), VISCOUS_BODIES.declared(system)
-    (INCOMPRESSIBLE if volume else VISCOUS_BODIES if viscous else ELASTIC_BODIES).check("additive", system)
+    PROPERTIES.check(system)
+    volume, viscous = isinstance(system, AbstractIncompressibleBody), isinstance(system, AbstractViscousBody)
     if rule not in get_args(Rule):
         raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
     if volume != (rule == "incompressible"):
@@ -242,6 +197,11 @@ PROPERTIES = SchemeProperties(
     limit="half a radian of the fastest vibration",
     aliases=("energy–momentum rules of pseudo-rigid bodies",),
     source="Lewis & Simo 1994, Results 15 and 16, (6.15) to (6.17)",
+    accepts=(
+        AbstractElasticBody,
+        AbstractViscousBody,
+        AbstractIncompressibleBody,
+    ),
 )
 
 
@@ -251,12 +211,12 @@ def examples(system: System) -> dict[str, Step]:
     The other two compile too slowly for the examples, which `lieint check` and every test of schemes run;
     `diagnostics.certify(additive(body, "energy"), …)` certifies them.
     """
-    if INCOMPRESSIBLE.declared(system):
+    if isinstance(system, AbstractIncompressibleBody):
         step = additive(system, "incompressible")
         return {step.name: step}
-    if VISCOUS_BODIES.declared(system):
+    if isinstance(system, AbstractViscousBody):
         return {"additive[average]": additive(system)}
-    if not ELASTIC_BODIES.declared(system):
+    if not isinstance(system, AbstractElasticBody):
         return {}
     return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}
 

@@ -20,60 +20,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
+from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import newton
+from lieint_jax._xla import compiled
+from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
-from lieint_jax.potentials import invariant_form, torques
-from lieint_jax.schemes._shared.accepts import AcceptedSystems, check_motion
-from lieint_jax.schemes._shared.free_bodies import free_motion
+from lieint_jax.potentials import Potential, invariant_form, torques
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import (
-    AbstractDissipativeBodies,
-    AbstractRigidBodies,
-    State,
-    Step,
-    StepInfo,
-    System,
-    pair_forces,
-    pytree,
-    static,
-)
+from lieint_jax.types import State, Step, StepInfo, System, pair_forces, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
 _CONVERGED = 32  # eps: the largest last change of a step that converged
-
-
-def _motion(bodies: AbstractRigidBodies, state: State) -> State:
-    """The vector field of bodies in a potential."""
-    return State(free_motion(bodies, state), bodies.force(state.q))
-
-
-def _motion_by_invariants(bodies: AbstractRigidBodies, state: State) -> State:
-    """The vector field with the forces of the potential as a function of its invariants."""
-    form, (x, R) = invariant_form(bodies.potential), _parts(state.q)
-    along_x, along_R = jax.grad(lambda *z: form.value(form.invariants(*z)), (0, 1))(x, R)
-    return State(free_motion(bodies, state), jnp.concatenate([-along_x, torques(R, along_R)], axis=1))
-
-
-def _dissipative_motion(bodies: AbstractDissipativeBodies, state: State) -> State:
-    """The vector field of bodies with dissipation."""
-    moving, (x, p) = _motion(bodies.conservative, state), (state.q[:, :3], state.p[:, :3])
-    Omega = jax.vmap(so3.body_velocity)(state.q[:, 3:], moving.q[:, 3:])
-    omega = jax.vmap(so3.Ad)(state.q[:, 3:], Omega)
-    return moving._replace(p=moving.p + pair_forces(bodies.dissipation, x, p / bodies.masses[:, None], omega)[0])
-
-
-BODIES = AcceptedSystems(AbstractRigidBodies, "bodies that act on one another (systems.rigid_bodies)", _motion)
-DISSIPATIVE_BODIES = AcceptedSystems(
-    AbstractDissipativeBodies, "bodies with dissipation (systems.rigid_bodies)", _dissipative_motion
-)
 
 
 class _Ends(NamedTuple):
@@ -148,14 +115,33 @@ def bodies_energy_momentum(
 
     Source: this package; the discrete gradient's place in it, Gonzalez 1996, J. Nonlinear Sci. 6.
     """
-    if isinstance(system, AbstractDissipativeBodies):
-        DISSIPATIVE_BODIES.check("bodies_energy_momentum", system)
-    else:
-        BODIES.check("bodies_energy_momentum", system)
-    inner = system.conservative if isinstance(system, AbstractDissipativeBodies) else system
-    noun = "bodies in a potential of relative positions and attitudes, or one with invariants of its own"
-    check_motion("bodies_energy_momentum", noun, _motion_by_invariants, inner, inner)
+    PROPERTIES.check(system)
+    _check_invariants(system)
     return BodiesEnergyMomentum(system, _checks.count("iterations", iterations, 1))
+
+
+def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -> None:
+    """Raise ValueError if a potential is not one of relative poses, and has no invariants by which it is defined."""
+    space, terms = system.phase_space, getattr(system.potential, "terms", (system.potential,))
+    states = [space.perturb(space.origin, 0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim))) for phase in (0.3, 2.0)]
+    for term in terms:
+        if type(term).__call__ is Potential.__call__ or not concrete(term):
+            continue
+        with at_once():
+            pairs = np.array([_two_values(term, *_parts(state.q.astype(system.masses.dtype))) for state in states])
+        size, apart = np.abs(pairs).max(), np.abs(pairs[:, 0] - pairs[:, 1]).max()
+        if np.isfinite(size) and apart > math.sqrt(float(jnp.finfo(pairs.dtype).eps)) * size:
+            raise ValueError(
+                "bodies_energy_momentum integrates bodies in a potential of relative positions and attitudes, or one "
+                f"with invariants of its own; {term!r} changes when all bodies move together (by {apart / size:.2g})"
+            )
+
+
+@partial(compiled, once=True)
+def _two_values(potential: Callable[[Array, Array], Array], x: Array, R: Array) -> tuple[Array, Array]:
+    """V at the poses of the bodies, and at those relative to the first."""
+    form = invariant_form(potential)
+    return potential(x, R), form.value(form.invariants(x, R))
 
 
 class _Equation(NamedTuple):
@@ -286,11 +272,15 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
     aliases=("energy–momentum method",),
     source="Lewis & Simo 1994, Results 1 to 3, for several bodies: this package",
+    accepts=(
+        AbstractRigidBodies,
+        AbstractDissipativeBodies,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The scheme, for bodies in a potential, with dissipation or without."""
-    if BODIES.declared(system) or DISSIPATIVE_BODIES.declared(system):
+    if isinstance(system, PROPERTIES.accepts):
         return {"bodies_energy_momentum": bodies_energy_momentum(system)}
     return {}

@@ -21,11 +21,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
 from lieint_jax._xla import compiled
+from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.schemes._preprocessed import with_modified_inertia
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
-from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import dot
 
 
@@ -131,7 +131,7 @@ def calibrated(system: AbstractFreeBody, iterations: int | None = None) -> Calib
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
     """
-    FREE_BODIES.check("calibrated", system)
+    PROPERTIES.check(system)
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
     return Calibrated(system, None, iterations)
@@ -146,9 +146,10 @@ PROPERTIES = SchemeProperties(
     limit="less than 90° a step",
     aliases=("exact discrete Moser–Veselov",),
     source="McLachlan & Zanna 2005",
+    accepts=(AbstractFreeBody,),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The calibrated step, for free rigid bodies."""
-    return {"calibrated": calibrated(system)} if FREE_BODIES.declared(system) else {}
+    return {"calibrated": calibrated(system)} if isinstance(system, AbstractFreeBody) else {}

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
+from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, attitude_error_limit
-from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 from lieint_jax.types.vectors import symmetric
 
@@ -88,9 +89,9 @@ def exact(system: AbstractFreeBody | AbstractFreeBodies) -> Exact | FreeFlight:
 
     Source: this package; another form is that of Celledoni, Fassò, Säfström & Zanna 2008, SIAM J. Sci. Comput. 30.
     """
+    PROPERTIES.check(system)
     if isinstance(system, AbstractFreeBodies):
-        return FreeFlight.from_scheme("exact", system, Exact)
-    FREE_BODIES.check("exact", system)
+        return FreeFlight.of(system, Exact)
     return Exact(system)
 
 
@@ -103,9 +104,13 @@ PROPERTIES = SchemeProperties(
     limit="none",
     aliases=("Jacobi's solution of the free rigid body",),
     source="Jacobi 1849; Hairer & Vilmart 2006",
+    accepts=(
+        AbstractFreeBody,
+        AbstractFreeBodies,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The exact flow, for free rigid bodies."""
-    return {"exact": exact(system)} if FREE_BODIES.declared(system) else {}
+    return {"exact": exact(system)} if isinstance(system, AbstractFreeBody) else {}

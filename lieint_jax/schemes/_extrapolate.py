@@ -23,21 +23,12 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.stages import scan_stages
+from lieint_jax.capabilities import AbstractFreeBody, AbstractRigidBodies, AbstractTop
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes.charts._chart import PlainState
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
 from lieint_jax.schemes.charts.several_bodies import SEVERAL_BODIES
-from lieint_jax.types import (
-    AbstractRigidBodies,
-    AbstractTop,
-    State,
-    Step,
-    StepInfo,
-    System,
-    pytree,
-    static,
-)
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import PyTree
 
 _CHARTS = {
@@ -199,6 +190,6 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: System) -> dict[str, Step]:
     """Order 12, for free bodies, tops and several bodies."""
-    if not (FREE_BODIES.declared(system) or isinstance(system, AbstractTop | AbstractRigidBodies)):
+    if not isinstance(system, AbstractFreeBody | AbstractTop | AbstractRigidBodies):
         return {}
     return {"extrapolate[12]": extrapolate(system)}

@@ -22,37 +22,24 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import collocation, newton
-from lieint_jax.schemes._shared.accepts import check_motion, hint
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
-from lieint_jax.types import (
-    AbstractDrivenSystem,
+from lieint_jax.capabilities import (
+    AbstractDrivenTop,
     AbstractElasticBody,
-    AbstractForcedSystem,
     AbstractFreeBodies,
     AbstractFreeBody,
     AbstractGyrostat,
-    State,
-    Step,
-    StepInfo,
-    System,
-    pytree,
-    static,
+    AbstractMechanicalSystem,
+    AbstractRigidBodies,
+    AbstractTop,
 )
+from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 _MOST = 100  # sweeps
 _NODES = 4  # of the guess of a step with more, and its sweeps: each gains an order
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
-_KINDS = (
-    AbstractFreeBody,
-    AbstractForcedSystem,
-    AbstractDrivenSystem,
-    AbstractGyrostat,
-    AbstractFreeBodies,
-    AbstractElasticBody,
-)
-_NOUN = "free bodies, gyrostats, tops, several bodies and pseudo-rigid bodies"
 
 
 @pytree
@@ -113,16 +100,15 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
             are conserved to the residual only, which the step reports, and `converged` is False above round-off.
 
     Raises:
-        ValueError: the system is none of these, or its vector field differs from their equations of motion; stages or
+        ValueError: the system is none of these, or overrides their equations of motion; stages or
             sweeps is not a positive int.
 
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3, VI.4; Antoñana, Makazaga & Murua 2017,
     Numer. Algorithms 76.
     """
-    chart = canonical_chart(system) if isinstance(system, _KINDS) else None
-    if chart is None:
-        raise ValueError(f"gauss integrates {_NOUN}, got {type(system).__name__}{hint('gauss', system)}")
-    check_motion("gauss", _NOUN, chart.motion, system, system)
+    PROPERTIES.check(system)
+    if canonical_chart(system) is None:
+        raise ValueError(f"gauss has canonical coordinates on T*SO(3) only, not on those of {system.phase_space}")
     s = _checks.count("stages", stages, 1)
     return Gauss(system, s, None if sweeps is None else _checks.count("sweeps", sweeps, 1), 2.0 * s)
 
@@ -260,11 +246,22 @@ PROPERTIES = SchemeProperties(
     limit="about one radian of the fastest motion",
     aliases=("Gauss–Legendre collocation",),
     source="Hairer, Lubich & Wanner 2006, II.1.3, VI.4",
+    accepts=(
+        AbstractFreeBody,
+        AbstractGyrostat,
+        AbstractTop,
+        AbstractDrivenTop,
+        AbstractMechanicalSystem,
+        AbstractFreeBodies,
+        AbstractRigidBodies,
+        AbstractElasticBody,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """Order 8, for all systems except elastic bodies: for stiff ones, sweeps do not reach round-off."""
-    if not isinstance(system, _KINDS) or isinstance(system, AbstractElasticBody) or canonical_chart(system) is None:
+    taken = isinstance(system, PROPERTIES.accepts) and canonical_chart(system) is not None
+    if not taken or isinstance(system, AbstractElasticBody):
         return {}
     return {"gauss[4]": gauss(system, 4)}

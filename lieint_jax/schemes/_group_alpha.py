@@ -22,9 +22,8 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSystem
 from lieint_jax.maps import Map, Tau, as_tau, exponential
-from lieint_jax.schemes._group_energy_momentum import MECHANICAL
-from lieint_jax.schemes._group_midpoint import GEODESICS
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
     as_vector,
@@ -37,16 +36,7 @@ from lieint_jax.schemes._shared.group_newton import (
     translate,
 )
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import (
-    AbstractGeodesicFlow,
-    AbstractMechanicalSystem,
-    State,
-    Step,
-    StepInfo,
-    System,
-    pytree,
-    static,
-)
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar
 
 
@@ -161,7 +151,7 @@ def group_alpha(
 
     Source: Lewis & Simo 1994, Results 12 to 14, Appendix B; the place of the force: (6.5), (6.9) and (6.17).
     """
-    (MECHANICAL if MECHANICAL.declared(system) else GEODESICS).check("group_alpha", system)
+    PROPERTIES.check(system)
     alpha, tau = _checks.fraction("alpha", alpha), as_tau(tau, system.group)
     middle = tau.symmetric and (not concrete(alpha) or float(alpha) == 0.5)
     return GroupAlpha(system, alpha, tau, _checks.count("iterations", iterations, 1), 2 if middle else 1, middle)
@@ -176,12 +166,16 @@ PROPERTIES = SchemeProperties(
     limit="where the map is injective",
     aliases=("α-family on T*G",),
     source="Lewis & Simo 1994, (5.43), Results 12 to 14",
+    accepts=(
+        AbstractGeodesicFlow,
+        AbstractMechanicalSystem,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The step of α = ½ by the exponential map, on small groups; it costs as much as `group_midpoint`."""
-    if not (GEODESICS.declared(system) or MECHANICAL.declared(system)) or system.group.dim > 3:
+    if not isinstance(system, PROPERTIES.accepts) or system.group.dim > 3:
         return {}
     step = group_alpha(system)
     return {step.name: step}

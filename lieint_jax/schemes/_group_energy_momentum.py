@@ -23,12 +23,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax.capabilities import AbstractMechanicalSystem
 from lieint_jax.maps import Tau, as_tau, exponential
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
     as_vector,
-    body_velocity_field,
     coadjoint,
     force_jacobian,
     guess,
@@ -38,21 +37,10 @@ from lieint_jax.schemes._shared.group_newton import (
     translate,
 )
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AbstractMechanicalSystem, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = (_NODES + 1) / 2, _WEIGHTS / 2
-
-
-def _motion(system: AbstractMechanicalSystem, state: State) -> State:
-    """(q̇, π̇) = (qΩ̂, −T*R dV(q)) (5.41)."""
-    _, pull = jax.vjp(lambda theta: system.group.spatial_tangent(state.q, theta), jnp.zeros_like(state.p))
-    return State(body_velocity_field(system, state), -pull(jax.grad(system.potential)(state.q))[0])
-
-
-MECHANICAL = AcceptedSystems(
-    AbstractMechanicalSystem, "a metric and a potential on a group (systems.group_potential)", _motion
-)
 
 
 @pytree
@@ -131,7 +119,7 @@ def group_energy_momentum(system: AbstractMechanicalSystem, iterations: int = 6)
 
     Source: Lewis & Simo 1994, Result 13; the discrete force: this package.
     """
-    MECHANICAL.check("group_energy_momentum", system, "; without a potential use group_midpoint")
+    PROPERTIES.check(system, "; without a potential use group_midpoint")
     tau = as_tau(exponential, system.group)
     return GroupEnergyMomentum(system, tau, _checks.count("iterations", iterations, 1))
 
@@ -145,12 +133,13 @@ PROPERTIES = SchemeProperties(
     limit="where the map is injective",
     aliases=("energy–momentum method on T*G",),
     source="Lewis & Simo 1994, (5.49), Result 13",
+    accepts=(AbstractMechanicalSystem,),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The energy-momentum step, for systems with a potential on a group."""
-    if not MECHANICAL.declared(system):
+    if not isinstance(system, AbstractMechanicalSystem):
         return {}
     step = group_energy_momentum(system)
     return {step.name: step}

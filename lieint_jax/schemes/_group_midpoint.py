@@ -25,47 +25,20 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
     as_vector,
-    body_velocity_field,
     coadjoint,
     guess,
     newton_matrix,
     size_unit,
     solved,
     translate,
-    unpacked,
 )
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import (
-    AbstractGeodesicFlow,
-    AbstractRightGeodesicFlow,
-    State,
-    Step,
-    StepInfo,
-    System,
-    pytree,
-    static,
-)
-
-
-def _motion(system: AbstractGeodesicFlow, state: State) -> State:
-    """(q̇, π̇) = (qΩ̂, 0) (5.14)."""
-    return State(body_velocity_field(system, state), jnp.zeros_like(state.p))
-
-
-def _right_motion(system: AbstractRightGeodesicFlow, state: State) -> State:
-    """(q̇, π̇) = (ω̂q, −ad*_ω π) with mω = π."""
-    group, m = system.group, unpacked(system.group, system.metric)
-    omega = la.as_array(la.solve(m, as_vector(m, state.p)), state.p)
-    return State(group.spatial_tangent(state.q, omega), -group.ad_star(omega, state.p))
-
-
-GEODESICS = AcceptedSystems(AbstractGeodesicFlow, "geodesics on groups (systems.euler)", _motion)
-RIGHT_GEODESICS = AcceptedSystems(AbstractRightGeodesicFlow, "geodesics on groups (systems.euler)", _right_motion)
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 
 @pytree
@@ -148,8 +121,7 @@ def group_midpoint(
 
     Source: Lewis & Simo 1994, Results 9–11.
     """
-    integrand = RIGHT_GEODESICS if RIGHT_GEODESICS.declared(system) else GEODESICS
-    integrand.check("group_midpoint", system, "; with a potential use group_energy_momentum")
+    PROPERTIES.check(system, "; with a potential use group_energy_momentum")
     tau = as_tau(tau, system.group)
     order = 2 if tau.symmetric else 1
     return GroupMidpoint(system, tau, _checks.count("iterations", iterations, 1), order, tau.symmetric)
@@ -164,12 +136,16 @@ PROPERTIES = SchemeProperties(
     limit="where the map is injective",
     aliases=("midpoint rule on T*G",),
     source="Lewis & Simo 1994, (5.23) to (5.27), Results 9 to 11",
+    accepts=(
+        AbstractGeodesicFlow,
+        AbstractRightGeodesicFlow,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The exponential map, and the Cayley map where it lands in the group."""
-    if not (GEODESICS.declared(system) or RIGHT_GEODESICS.declared(system)):
+    if not isinstance(system, PROPERTIES.accepts):
         return {}
     maps = [exponential] + [cayley] * cayley_lands(system.group)
     return {step.name: step for step in (group_midpoint(system, tau) for tau in maps)}

@@ -19,14 +19,12 @@ from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.power_series import stumpff
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax.schemes._bodies_energy_momentum import BODIES
+from lieint_jax.capabilities import AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._nystrom import Stages, mirror
-from lieint_jax.schemes._shared.accepts import check_motion
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._splitting import kicked_motion
-from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar, Vector3
 from lieint_jax.types.vectors import dot, norm, vector
 
@@ -138,7 +136,7 @@ def kepler_splitting(
     method = tuple(order) if isinstance(order, list | tuple) else order
     if method not in METHODS:
         raise ValueError(f"order must be {', '.join(map(str, METHODS))}, got {order!r}")
-    BODIES.check("kepler_splitting", system)
+    PROPERTIES.check(system)
     if system.masses.shape != (2,):
         raise ValueError(f"kepler_splitting is for two bodies, got {system.masses.shape[0]}; use nystrom or splitting")
     given = getattr(system.potential, "G", None) if G is None else G
@@ -149,9 +147,7 @@ def kepler_splitting(
     elif not isinstance(drift, FreeFlight):
         raise ValueError(f"drift must be exact(system.free) or preprocessed(system.free, 10), got {drift!r}")
     else:
-        check_motion(
-            "kepler_splitting", "the motion of its drift with kicks", kicked_motion, (system, drift.system), system
-        )
+        PROPERTIES.check_drift(system.free, drift)
     formal = 2 if method == 2 else 4
     return KeplerSplitting(system, _checks.real_array("G", given, (), like=system.masses), drift, method, formal)
 
@@ -200,11 +196,12 @@ PROPERTIES = SchemeProperties(
     limit="that of the drift",
     aliases=("Wisdom–Holman", "WHFast"),
     source="Wisdom & Holman 1991; Laskar & Robutel 2001",
+    accepts=(AbstractRigidBodies,),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The three methods, for two bodies under gravity."""
-    if not (BODIES.declared(system) and system.masses.shape == (2,) and hasattr(system.potential, "G")):
+    if not (isinstance(system, AbstractRigidBodies) and system.masses.shape == (2,) and hasattr(system.potential, "G")):
         return {}
     return {step.name: step for step in (kepler_splitting(system, method) for method in METHODS)}

@@ -26,28 +26,21 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import random_bits
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax.groups import so3
-from lieint_jax.schemes._exact import exact
-from lieint_jax.schemes._shared.accepts import check_motion, hint
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._splitting import Splitting, kick, kicked_motion
-from lieint_jax.types import (
+from lieint_jax.capabilities import (
     AbstractForcedSystem,
     AbstractFreeBodies,
     AbstractFreeBody,
     AbstractRigidBodies,
     AbstractTop,
-    State,
-    Step,
-    StepInfo,
-    System,
-    pytree,
-    static,
 )
+from lieint_jax.groups import so3
+from lieint_jax.schemes._exact import exact
+from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._splitting import Splitting, kick
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import symmetric
 
 _KEY, _COUNT, _HEAT, _REJECTIONS = "key", "step", "heat", "rejections"
-_SYSTEMS = (AbstractFreeBody, AbstractTop, AbstractFreeBodies, AbstractRigidBodies)
 _MOST = 2**32  # steps with noise of their own
 
 
@@ -285,15 +278,9 @@ def langevin(system: Any, temperature: ArrayLike, friction: ArrayLike, metropoli
     Source: Leimkuhler & Matthews 2013, Appl. Math. Res. Express; for rigid bodies Davidchack, Handel & Tretyakov 2009,
     J. Chem. Phys. 130; Metropolized: Bou-Rabee & Owhadi 2010, SIAM J. Numer. Anal. 48.
     """
-    if not isinstance(system, _SYSTEMS):
-        raise ValueError(
-            "langevin integrates rigid bodies, tops and several bodies in a potential that does not depend on time, or "
-            f"in none, got {type(system).__name__}{hint('langevin', system)}"
-        )
+    PROPERTIES.check(system)
     free: Any = system.free if isinstance(system, AbstractForcedSystem) else system
     drift = exact(free)
-    if isinstance(system, AbstractForcedSystem):
-        check_motion("langevin", "that motion with kicks", kicked_motion, (system, free), system)
     kT = _checks.real_array("temperature", temperature, ())
     if concrete(kT) and not float(kT) > 0:
         raise ValueError(f"temperature must be positive, kT in units of energy, got {float(kT):g}")
@@ -316,6 +303,12 @@ PROPERTIES = SchemeProperties(
     limit="that of the potential's frequencies, Δtω < 2",
     aliases=("BAOAB", "Langevin thermostat", "GHMC"),
     source="Leimkuhler & Matthews 2013; Davidchack, Handel & Tretyakov 2009; Bou-Rabee & Owhadi 2010",
+    accepts=(
+        AbstractFreeBody,
+        AbstractTop,
+        AbstractFreeBodies,
+        AbstractRigidBodies,
+    ),
 )
 
 

@@ -18,22 +18,11 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics.stages import scan_stages
+from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBody
 from lieint_jax.schemes._exact import exact
-from lieint_jax.schemes._shared.accepts import check_motion, hint
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, attitude_error_limit
-from lieint_jax.schemes._splitting import kicked_motion
-from lieint_jax.types import (
-    AbstractDrivenSystem,
-    AbstractForcedSystem,
-    State,
-    Step,
-    StepInfo,
-    System,
-    promoted,
-    pytree,
-    static,
-)
+from lieint_jax.schemes._shared.properties import SchemeProperties, hint
+from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
+from lieint_jax.types import State, Step, StepInfo, System, promoted, pytree, static
 
 _KEY = "energy"
 _OFF = 0.1  # the largest |ln((K + B)/(−V))| in a step; it is O(h²) for a state of energy E
@@ -172,13 +161,13 @@ def log_hamiltonian(system: AbstractForcedSystem, energy: ArrayLike | None = Non
             f"log_hamiltonian needs a constant energy, got {type(system).__name__}, whose potential depends on time; "
             "use reversible_control of a splitting"
         )
-    if not (isinstance(system, AbstractForcedSystem) and FREE_BODIES.declared(system.free)):
+    if not (isinstance(system, AbstractForcedSystem) and isinstance(system.free, AbstractFreeBody)):
         raise ValueError(
             "log_hamiltonian integrates rigid bodies in a potential (systems.heavy_top, systems.potential_top), whose "
-            f"free motion is known exactly, got {type(system).__name__}{hint('log_hamiltonian', system)}"
+            f"free motion is known exactly, got {type(system).__name__}{hint(system)}"
         )
     free = system.free
-    check_motion("log_hamiltonian", "free motion with kicks", kicked_motion, (system, free), system)
+    PROPERTIES.check(system)
     given = None if energy is None else _checks.real_array("energy", energy, (), like=free.inertia)
     return LogHamiltonian(system, given, exact(free))
 
@@ -197,12 +186,13 @@ PROPERTIES = SchemeProperties(
     limit="a step of fictitious time",
     aliases=("logarithmic Hamiltonian", "Mikkola–Tanikawa", "Preto–Tremaine"),
     source="Mikkola & Tanikawa 1999; Preto & Tremaine 1999",
+    accepts=(AbstractForcedSystem,),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The scheme for rigid bodies in a potential that is negative at the origin of their phase space."""
-    if not (isinstance(system, AbstractForcedSystem) and FREE_BODIES.declared(system.free)):
+    if not (isinstance(system, AbstractForcedSystem) and isinstance(system.free, AbstractFreeBody)):
         return {}
     origin = system.phase_space.origin
     if not system.energy(origin._replace(p=jnp.zeros_like(origin.p))) < 0:

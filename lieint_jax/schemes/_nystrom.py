@@ -18,14 +18,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.stages import scan_stages
+from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
-from lieint_jax.schemes._shared.accepts import check_motion, hint
-from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
-from lieint_jax.schemes._splitting import kick, kicked_motion
-from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._shared.properties import SchemeProperties, hint
+from lieint_jax.schemes._splitting import kick
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 
 class Stages(NamedTuple):
@@ -126,20 +124,17 @@ def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, dri
     if order not in METHODS:
         raise ValueError(f"order must be 4 or 6, got {order!r}; compose(splitting(system), order) has others")
     free = system.free if isinstance(system, AbstractForcedSystem | AbstractDrivenSystem) else None
-    if not (FREE_BODIES.declared(free) or MANY_FREE_BODIES.declared(free)):
+    if not isinstance(free, AbstractFreeBody | AbstractFreeBodies):
         raise ValueError(
             "nystrom integrates rigid bodies in a potential (systems.rigid_bodies, systems.heavy_top, "
             "systems.potential_top, systems.driven_top, systems.gravity_gradient), got "
-            f"{type(system).__name__}{hint('nystrom', system)}"
+            f"{type(system).__name__}{hint(system)}"
         )
     if drift is None:
-        drift = preprocessed(free, 10) if FREE_BODIES.declared(free) else exact(free)
-    if not isinstance(drift, Step) or not drift.symmetric or drift.own_time or drift.order < order:
-        raise ValueError(
-            f"drift must be a symmetric step of system.free of order {order} or more, such as exact(system.free), got "
-            f"{getattr(drift, 'name', drift)!r}"
-        )
-    check_motion(f"nystrom with {drift.name}", "that motion with kicks", kicked_motion, (system, drift.system), system)
+        drift = preprocessed(free, 10) if isinstance(free, AbstractFreeBody) else exact(free)
+    PROPERTIES.check_drift(free, drift)
+    if drift.order < order:
+        raise ValueError(f"drift must be of order {order} or more, such as exact(system.free), got {drift.name}")
     return Nystrom(system, drift, order)
 
 
@@ -152,11 +147,15 @@ PROPERTIES = SchemeProperties(
     limit="that of the drift",
     aliases=("Runge–Kutta–Nyström splitting of Blanes & Moan",),
     source="Blanes & Moan 2002",
+    accepts=(
+        AbstractForcedSystem,
+        AbstractDrivenSystem,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """Both orders, for several bodies; those for one body would make the grid of tests too large."""
-    if not (isinstance(system, AbstractForcedSystem) and MANY_FREE_BODIES.declared(system.free)):
+    if not (isinstance(system, AbstractForcedSystem) and isinstance(system.free, AbstractFreeBodies)):
         return {}
     return {step.name: step for step in (nystrom(system, order) for order in METHODS)}

@@ -21,14 +21,14 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint
-from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar
 from lieint_jax.types.vectors import dot, symmetric, unit_trace
 
@@ -123,9 +123,9 @@ def preprocessed(
         raise ValueError(f"order must be 4, 6, 8 or 10, got {order!r}; calibrated(system) is exact")
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
+    PROPERTIES.check(system)
     if isinstance(system, AbstractFreeBodies):
-        return FreeFlight.from_scheme("preprocessed", system, lambda body: Preprocessed(body, order, iterations))
-    FREE_BODIES.check("preprocessed", system)
+        return FreeFlight.of(system, lambda body: Preprocessed(body, order, iterations))
     return Preprocessed(system, order, iterations)
 
 
@@ -138,11 +138,15 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| ≈ 1",
     aliases=("preprocessed discrete Moser–Veselov",),
     source="McLachlan & Zanna 2005; Hairer & Vilmart 2006",
+    accepts=(
+        AbstractFreeBody,
+        AbstractFreeBodies,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """Orders 4, 6 and 10, for free rigid bodies."""
-    if not FREE_BODIES.declared(system):
+    if not isinstance(system, AbstractFreeBody):
         return {}
     return {step.name: step for step in (preprocessed(system, order) for order in (4, 6, 10))}

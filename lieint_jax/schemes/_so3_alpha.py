@@ -28,13 +28,13 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
+from lieint_jax.capabilities import AbstractEmbeddedBody
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
 from lieint_jax.schemes._shared.vector_form import cross_apply, gyroscopic, on_branch
-from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -48,17 +48,6 @@ from lieint_jax.types.vectors import (
     outer,
     symmetric,
     unit_trace,
-)
-
-
-def _motion(body: AbstractEmbeddedBody, state: State) -> State:
-    """(Λ̇, π̇) = (ΛΩ̂, 0) with JΩ = Λ⁻¹π (2.12)."""
-    Omega = symmetric(body.inertia).solve(matrix(state.q).solve(state.p))
-    return State(_times_hat(matrix(state.q), Omega).array, jnp.zeros_like(state.p))
-
-
-EMBEDDED = AcceptedSystems(
-    AbstractEmbeddedBody, "free rigid bodies with an attitude in L(3) (systems.embedded_body)", _motion
 )
 
 
@@ -138,7 +127,7 @@ def so3_alpha(
 
     Source: Lewis & Simo 1994, (2.14)–(2.22), Results 1 and 2; T_α and ν corrected.
     """
-    EMBEDDED.check("so3_alpha", system, "; for a body that stays on SO(3), which α = 1/2 does, use so3_midpoint")
+    PROPERTIES.check(system, "; for a body that stays on SO(3), which α = 1/2 does, use so3_midpoint")
     alpha = _checks.fraction("alpha", alpha)
     middle = not concrete(alpha) or float(alpha) == 0.5
     iterations = _checks.count("iterations", iterations, 1)
@@ -154,12 +143,13 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| of 2 to 4",
     aliases=("α-family in L(3)",),
     source="Lewis & Simo 1994, (2.14) to (2.23), Results 1 and 2",
+    accepts=(AbstractEmbeddedBody,),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The step of α = ½ by the Cayley map, for bodies embedded in L(3)."""
-    if not EMBEDDED.declared(system):
+    if not isinstance(system, AbstractEmbeddedBody):
         return {}
     step = so3_alpha(system)
     return {step.name: step}

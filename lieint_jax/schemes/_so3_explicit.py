@@ -19,13 +19,13 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.half_rotation import scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_residual, scalar_root
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
-from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import dot, max_abs
 
 _ITERATIONS = 4  # corrections of m, which is solved for once
@@ -99,7 +99,7 @@ def so3_explicit(system: AbstractFreeBody) -> SO3Explicit:
     Source: this package; that the multiplier of the discrete Moser–Veselov step is constant is due to Hairer & Vilmart
     2006, J. Phys. A 39.
     """
-    FREE_BODIES.check("so3_explicit", system)
+    PROPERTIES.check(system)
     return SO3Explicit(system)
 
 
@@ -112,9 +112,10 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| ≈ 1",
     aliases=("discrete Moser–Veselov, solved once",),
     source="Lewis & Simo 1994, Result 5; the scalar form: this package",
+    accepts=(AbstractFreeBody,),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The explicit step, for free rigid bodies."""
-    return {"so3_explicit": so3_explicit(system)} if FREE_BODIES.declared(system) else {}
+    return {"so3_explicit": so3_explicit(system)} if isinstance(system, AbstractFreeBody) else {}

@@ -34,24 +34,14 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax.capabilities import AbstractDrivenGyrostat, AbstractFreeBody, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS, bias, half_rotation, scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import DRIVEN_GYROSTATS, FREE_BODIES, GYROSTATS, SLENDER
+from lieint_jax.schemes._shared.rigid_body import SLENDER
 from lieint_jax.schemes._shared.scalar_form import half_rotation_derivative
-from lieint_jax.types import (
-    AbstractDrivenGyrostat,
-    AbstractFreeBody,
-    AbstractGyrostat,
-    State,
-    Step,
-    StepInfo,
-    System,
-    clock,
-    pytree,
-    static,
-)
+from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 from lieint_jax.types.vectors import cross, dot, symmetric, vector
 
@@ -176,11 +166,10 @@ def so3_midpoint(
 
     Source: Lewis & Simo 1994, Results 1–5; scalar form and quaternion increments: this package.
     """
-    integrand = next((x for x in (GYROSTATS, DRIVEN_GYROSTATS) if x.declared(system)), FREE_BODIES)
-    integrand.check("so3_midpoint", system)
+    PROPERTIES.check(system)
     kappa = as_kappa(kappa)
     if iterations is None:
-        iterations = ITERATIONS[kappa.solve_by if integrand is FREE_BODIES else "vector"]
+        iterations = ITERATIONS[kappa.solve_by if isinstance(system, AbstractFreeBody) else "vector"]
     return SO3Midpoint(system, kappa, _checks.count("iterations", iterations, 1))
 
 
@@ -193,6 +182,11 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("discrete Moser–Veselov (symplectic κ)", "RATTLE (symplectic κ)"),
     source="Lewis & Simo 1994, (2.24), (2.28), Results 1 to 5",
+    accepts=(
+        AbstractFreeBody,
+        AbstractGyrostat,
+        AbstractDrivenGyrostat,
+    ),
 )
 
 

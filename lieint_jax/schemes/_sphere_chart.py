@@ -17,10 +17,10 @@ from jax.typing import ArrayLike, DTypeLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._sphere_midpoint import PENDULUMS
-from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, System, autodiff_gradient, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, autodiff_gradient, pytree, static
 
 
 @pytree
@@ -117,7 +117,7 @@ def sphere_chart(
 
     Source: Lewis & Simo 1994, Section 1.1, claims 4 and 5.
     """
-    PENDULUMS.check("sphere_chart", system)
+    PROPERTIES.check(system)
     gamma = _checks.unit_vector("axis", axis, like=system.mass)
     chart = SphericalChart(gamma / jnp.linalg.norm(gamma))
     return SphereChart(system, chart, _checks.count("iterations", iterations, 1))
@@ -132,12 +132,13 @@ PROPERTIES = SchemeProperties(
     limit="away from the axis",
     aliases=("implicit midpoint rule in spherical coordinates",),
     source="Lewis & Simo 1994, Section 1.1, claims 4 and 5",
+    accepts=(AbstractSphereSystem,),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The rule about the axis that pendulums have by default."""
-    if not PENDULUMS.declared(system):
+    if not isinstance(system, AbstractSphereSystem):
         return {}
     return {"sphere_chart": sphere_chart(system)}
 

@@ -18,20 +18,10 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics import newton
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, System, autodiff_gradient, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, autodiff_gradient, pytree, static
 from lieint_jax.types.vectors import cross, dot, matrix, max_abs, norm
-
-
-def _motion(system: AbstractSphereSystem, state: State) -> State:
-    """(q̇, π̇) = (π × q/m, −q × ∇V(q)) (1.4)."""
-    q, p = state.q, state.p
-    return State(jnp.cross(p, q) / system.mass, -jnp.cross(q, jax.grad(system.potential)(q)))
-
-
-PENDULUMS = AcceptedSystems(AbstractSphereSystem, "pendulums (systems.pendulum)", _motion)
-
 
 _TURN = 2.5  # radians; no step of a midpoint rule turns by 180°, and near that other branches come close
 
@@ -116,7 +106,7 @@ def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iter
 
     Source: Lewis & Simo 1994, Section 1.1 and its closing remark.
     """
-    PENDULUMS.check("sphere_midpoint", system)
+    PROPERTIES.check(system)
     return SphereMidpoint(system, bool(normalized), _checks.count("iterations", iterations, 1))
 
 
@@ -129,11 +119,12 @@ PROPERTIES = SchemeProperties(
     limit="less than 180° a step",
     aliases=("midpoint rule on T*S²",),
     source="Lewis & Simo 1994, (1.6)",
+    accepts=(AbstractSphereSystem,),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The plain and the normalized rule, for pendulums."""
-    if not PENDULUMS.declared(system):
+    if not isinstance(system, AbstractSphereSystem):
         return {}
     return {step.name: step for step in (sphere_midpoint(system), sphere_midpoint(system, normalized=True))}

@@ -29,13 +29,12 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
+from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import rigid_motion
 from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
-from lieint_jax.types import AbstractDrivenTop, AbstractTop, State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
 from lieint_jax.types.shapes import Vector3
 from lieint_jax.types.vectors import (
     Matrix,
@@ -52,30 +51,6 @@ from lieint_jax.types.vectors import (
 )
 
 _APART = 1e-4  # above this |ΔΓ|² the quadrature is corrected so that D̄·ΔΓ = ΔṼ exactly
-
-
-def _motion(top: AbstractTop, state: State) -> State:
-    """(q̇, π̇) = (½ q Ω, γ × Λ∇Ṽ(Γ)) (4.2)."""
-    gradient = jax.grad(top.potential)(so3.Ad_star(state.q, top.axis))
-    turning = rigid_motion(top, state)
-    return State(turning.q, jnp.stack(cross(top.axis, so3.Ad(state.q, gradient))))
-
-
-def _driven_motion(top: AbstractDrivenTop, state: State) -> State:
-    """(4.2) with the axis and the potential at the time of the state."""
-    t = clock(state)
-    axis = top.axis_at(t)
-    gradient = jax.grad(top.potential)(so3.Ad_star(state.q, axis), t)
-    turning = rigid_motion(top, state)
-    return State(turning.q, jnp.stack(cross(axis, so3.Ad(state.q, gradient))))
-
-
-DRIVEN_TOPS = AcceptedSystems(
-    AbstractDrivenTop, "driven tops with an axis (systems.driven_top, systems.gravity_gradient)", _driven_motion
-)
-TOPS = AcceptedSystems(
-    AbstractTop, "rigid bodies in a potential with an axis (systems.heavy_top, systems.potential_top)", _motion
-)
 
 
 @pytree
@@ -172,12 +147,12 @@ def top_energy_momentum(
     Source: Lewis & Simo 1994, Results 6–8, with the factor κ that (4.6) lacks; the discrete gradient: Gonzalez 1996,
     J. Nonlinear Sci. 6.
     """
-    tops = DRIVEN_TOPS if DRIVEN_TOPS.declared(system) else TOPS
-    if tops.declared(system) and system.axis is None:
+    PROPERTIES.check(system)
+    if system.axis is None:
         raise ValueError(
-            f"top_energy_momentum integrates {tops.noun}, got {type(system).__name__} without an axis; use splitting"
+            f"top_energy_momentum integrates {AbstractTop.noun}, got {type(system).__name__} without an axis; use "
+            "splitting"
         )
-    tops.check("top_energy_momentum", system)
     kappa = as_kappa(kappa)
     if iterations is None:
         iterations = (3 if kappa.constant else 5) if _is_linear(system.potential) else 6
@@ -347,11 +322,15 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
     aliases=("energy–momentum method",),
     source="Lewis & Simo 1994, (4.3), (4.4), Results 6 and 7, corrected",
+    accepts=(
+        AbstractTop,
+        AbstractDrivenTop,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
-    if not (TOPS.declared(system) or DRIVEN_TOPS.declared(system)) or system.axis is None:
+    if not isinstance(system, PROPERTIES.accepts) or system.axis is None:
         return {}
     return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in KAPPAS)}

@@ -32,16 +32,13 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import rigid_motion
 from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import (
-    AbstractDampedBody,
-    AbstractTorquedBody,
     Function,
     Law,
     Rotation,
@@ -50,7 +47,6 @@ from lieint_jax.types import (
     StepInfo,
     System,
     clock,
-    instant,
     labels,
     pytree,
     static,
@@ -69,41 +65,10 @@ from lieint_jax.types.vectors import (
 )
 
 
-def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
-    """(q̇, π̇) = (½ q Ω, Στ_k), and the rates of the laws' internal states."""
-    rotating = rigid_motion(body, state)
-    Omega, t = so3.body_velocity(state.q, rotating.q), clock(state)
-    omega, impulse, rates = so3.Ad(state.q, Omega), jnp.zeros_like(state.p), {}
-    q_half = functools.partial(so3.cayley_increment, state.q)
-    for law in body.laws:
-        torque, rate = instant(law, t, state.q, Omega, omega=omega, inner=_inner(state, law), q_half=q_half)
-        impulse = impulse + (torque if law.frame == "space" else so3.Ad(state.q, torque))
-        if law.key is not None:
-            rates[law.key] = rate
-    extra = jax.tree.map(jnp.zeros_like, state.extra)
-    return State(rotating.q, impulse, extra=(extra or {}) | rates if rates else extra)
-
-
 def _inner(state: State, law: Law) -> Array | None:
     """The internal state of a law, or the one that it reads; None if there is none."""
     key = law.key or law.reads
     return None if key is None else (state.extra or {})[key]
-
-
-def _damped_motion(body: AbstractDampedBody, state: State) -> State:
-    """(q̇, π̇) = (½ q (Ω + αΠ × Ω), 0)."""
-    turning = rigid_motion(body, state)
-    Omega = so3.body_velocity(state.q, turning.q)
-    more = internal_friction(body.friction, so3.Ad_star(state.q, state.p), Omega)
-    return turning._replace(q=turning.q + so3.tangent(state.q, jnp.stack(more)))
-
-
-TORQUED_BODIES = AcceptedSystems(
-    AbstractTorquedBody, "rigid bodies with a torque (systems.torqued_body)", _torqued_motion
-)
-DAMPED_BODIES = AcceptedSystems(
-    AbstractDampedBody, "rigid bodies with internal friction (systems.damped_body)", _damped_motion
-)
 
 
 @pytree
@@ -258,12 +223,11 @@ def torqued_midpoint(
 
     Source: the identities of Lewis & Simo 1994, Results 1 to 3, with a torque: this package.
     """
+    PROPERTIES.check(system)
     kappa = as_kappa(kappa)
     count = _checks.count("iterations", 5 if iterations is None else iterations, 1)
     if isinstance(system, AbstractDampedBody):
-        DAMPED_BODIES.check("torqued_midpoint", system)
         return DampedMidpoint(system, kappa, count)
-    TORQUED_BODIES.check("torqued_midpoint", system, "; for internal friction use systems.damped_body")
     return TorquedMidpoint(system, kappa, count, symmetric=all(law.symmetric for law in system.laws))
 
 
@@ -276,12 +240,16 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("energy–momentum midpoint rule",),
     source="Lewis & Simo 1994, Results 1 to 3, with torques: this package",
+    accepts=(
+        AbstractTorquedBody,
+        AbstractDampedBody,
+    ),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for bodies with a torque or with internal friction."""
-    if not (TORQUED_BODIES.declared(system) or DAMPED_BODIES.declared(system)):
+    if not isinstance(system, PROPERTIES.accepts):
         return {}
     return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
 

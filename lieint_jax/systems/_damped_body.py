@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.groups import so3
+from lieint_jax.capabilities import AbstractDampedBody
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.torques import internal_friction
-from lieint_jax.types import AbstractDampedBody, State, pytree, vectors
+from lieint_jax.types import State, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
@@ -35,14 +33,6 @@ class DampedBody(TimedBody, AbstractDampedBody):
     def momentum(self, state: State) -> MomentumMap:
         """π, (3,), which internal friction does not change."""
         return state.p
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q (Ω + αΠ × Ω), 0), and −α|Π × Ω|² as the rate of the work."""
-        Pi, Omega = self.body_momentum(state), self.angular_velocity(state)
-        more = jnp.stack(internal_friction(self.friction, Pi, Omega))
-        slip = vectors.cross(Pi, Omega)
-        q_dot = so3.tangent(state.q, Omega + more)
-        return State(q_dot, jnp.zeros_like(state.p), work=-self.friction * vectors.dot(slip, slip))
 
 
 def damped_body(inertia: ArrayLike, friction: ArrayLike) -> DampedBody:

@@ -5,23 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks, types
+from lieint_jax import _checks, capabilities
 from lieint_jax.systems._gyrostat import Gyrostat
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.body import OnRotations
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
-from lieint_jax.types import State, callable_pytree, clock, pytree, vectors
+from lieint_jax.types import State, callable_pytree, clock, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 
 @pytree
-class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
+class DrivenGyrostat(capabilities.AbstractDrivenGyrostat):
     """H = ½(Π − h_r)·J⁻¹(Π − h_r) as in `Gyrostat`, with ḣ_r = τ(t) and Ḣ = −Ω·τ. Made by `driven_gyrostat`.
 
     Attributes:
@@ -85,10 +83,6 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
         """The gyrostat with the constant rotor momentum `rotor`: this one, frozen at one time."""
         return Gyrostat(self.inertia, rotor)
 
-    def angular_velocity(self, state: State) -> Vector3:
-        """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
-        return self.with_rotor(self.rotor(state)).angular_velocity(state)
-
     def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r); energy less work is conserved."""
         return self.with_rotor(self.rotor(state)).energy(state)
@@ -96,13 +90,6 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
     def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space: π itself, of body and rotor together, shape (3,)."""
         return state.p
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q Ω, 0), ẇork = −Ω·τ, ḣ_r = τ; 0 for other entries of `extra`."""
-        turning, torque = self.with_rotor(self.rotor(state)).vector_field(state), self.torque(clock(state))
-        still = jax.tree.map(jnp.zeros_like, state.extra)
-        work = -vectors.dot(self.angular_velocity(state), torque)
-        return turning._replace(work=work, extra=still | {"rotor": torque})
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or the motor has no value at its time."""

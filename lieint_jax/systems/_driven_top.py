@@ -4,25 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks, types
+from lieint_jax import _checks, capabilities
 from lieint_jax._checks import concrete
 from lieint_jax._xla import unfused
 from lieint_jax.groups import so3
 from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._rigid_body import RigidBody
-from lieint_jax.systems._shared.body import TimedBody, spatial_torque
+from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import State, System, callable_pytree, clock, gradient, pytree, vectors
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
+from lieint_jax.types import State, System, callable_pytree, clock, pytree, vectors
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 
-class MovedBody(TimedBody, types.AbstractDrivenTop):
+class MovedBody(TimedBody, capabilities.AbstractDrivenTop):
     """The methods of all driven tops, which differ in the origin of their potential and axis."""
 
     @property
@@ -43,24 +42,6 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
         """Γ = Λᵀγ(t), the axis in the body, shape (3,)."""
         return so3.Ad_star(state.q, self.axis_at(clock(state)))
 
-    def potential_energy(self, q: Quaternion, t: Time) -> Scalar:
-        """V, a scalar, at an attitude and a time."""
-        if self.axis is None:
-            return self.potential(so3.to_matrix(q), t)
-        return self.potential(so3.Ad_star(q, self.axis_at(t)), t)
-
-    def force(self, q: Quaternion, t: Time) -> Vector3:
-        """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ, t) (4.1)."""
-        if self.axis is None:
-            return spatial_torque(lambda turned: self.potential_energy(turned, t), q)
-        axis = self.axis_at(t)
-        slope = gradient(self.potential, so3.Ad_star(q, axis), t)
-        return jnp.stack(vectors.cross(axis, so3.Ad(q, slope)))
-
-    def power(self, q: Quaternion, t: Time) -> Scalar:
-        """∂V/∂t, a scalar: the rate of the energy due to the explicit time dependence of the potential."""
-        return jax.jvp(lambda t: self.potential_energy(q, t), (t,), (jnp.ones_like(t),))[1]
-
     def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π + V."""
         return self.kinetic_energy(state) + self.potential_energy(state.q, clock(state))
@@ -69,12 +50,6 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
         """γ·π, shape (1,), if the axis is constant, so that rotations about it are a symmetry; otherwise shape (0,)."""
         moves = self.axis is None or callable(self.axis)
         return state.p[:0] if moves else vectors.dot(self.axis, state.p)[None]
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q Ω, torque) (4.2), and the power ∂V/∂t as the derivative of work."""
-        q, t = state.q, clock(state)
-        turning = so3.tangent(q, self.angular_velocity(state))
-        return State(turning, self.force(q, t), work=self.power(q, t))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or has no time."""

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks, types
+from lieint_jax import _checks, capabilities
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import EmbeddedRotations
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree, vectors
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
-
-_PHASE_SPACE = EmbeddedRotations()
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 @pytree
-class EmbeddedBody(Body, types.AbstractEmbeddedBody):
+class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):
     """H = ½ Π·J⁻¹Π with Π = Λ⁻¹π; Λ̇ = ΛΩ̂, π̇ = 0, Λ any matrix of L(3) with det Λ > 0. Made by `embedded_body`.
 
     From a rotation the flow is that of `rigid_body`.
@@ -29,10 +25,6 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
     """
 
     inertia: Array
-
-    @property
-    def phase_space(self) -> EmbeddedRotations:
-        return _PHASE_SPACE
 
     @explained
     def state(
@@ -52,14 +44,6 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
         )
         return State(so3.to_matrix(on_group.q), on_group.p)
 
-    def rotation_matrix(self, state: State) -> Matrix3:
-        """Λ itself, shape (3, 3): a rotation if the state is on T*SO(3)."""
-        return state.q
-
-    def body_momentum(self, state: State) -> Vector3:
-        """Π = Λ⁻¹π, shape (3,)."""
-        return jnp.stack(vectors.matrix(state.q).solve(state.p))
-
     def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π (2.11)."""
         return self.kinetic_energy(state)
@@ -67,11 +51,6 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
     def momentum(self, state: State) -> MomentumMap:
         """ΛΠ = π (2.13), shape (3,)."""
         return state.p
-
-    def vector_field(self, state: State) -> State:
-        """(Λ̇, π̇) = (ΛΩ̂, 0) (2.12)."""
-        Omega = self.angular_velocity(state)
-        return State(vectors.Matrix(vectors.cross(row, Omega) for row in state.q).array, jnp.zeros_like(state.p))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""

@@ -11,11 +11,13 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
+from lieint_jax._numerics.metric import flat
+from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.on_group import OnGroup, flat, sharp
+from lieint_jax.systems._shared.on_group import OnGroup
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, Group, State, pytree, static, vectors
-from lieint_jax.types.shapes import AlgebraVector, DualVector, MomentumMap, Scalar, Vector6
+from lieint_jax.types import Group, State, pytree, static, vectors
+from lieint_jax.types.shapes import DualVector, MomentumMap, Scalar, Vector6
 
 
 @pytree
@@ -37,10 +39,6 @@ class Euler(OnGroup, AbstractGeodesicFlow):
     def momentum(self, state: State) -> DualVector:
         """The momentum map of the left action (5.21): π itself, shape (d,)."""
         return state.p
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (qΩ̂, 0) (5.14)."""
-        return State(self.group.tangent(state.q, self.velocity(state)), jnp.zeros_like(state.p))
 
 
 @pytree
@@ -81,10 +79,6 @@ class RightEuler(OnGroup, AbstractRightGeodesicFlow):
             name, given = "spatial_momentum", flat(self.metric, _checks.real_array(name, given, (self.group.dim,)))
         return super().state(q, **{name: given})
 
-    def velocity(self, state: State) -> AlgebraVector:
-        """The spatial velocity ω = m⁻¹π, shape (d,)."""
-        return sharp(self.metric, state.p)
-
     def energy(self, state: State) -> Scalar:
         """½⟨π, m⁻¹π⟩."""
         return vectors.dot(state.p, self.velocity(state)) / 2
@@ -92,11 +86,6 @@ class RightEuler(OnGroup, AbstractRightGeodesicFlow):
     def momentum(self, state: State) -> DualVector:
         """The momentum map of the right action (5.21): Π = Ad*_q π, shape (d,)."""
         return self.body_momentum(state)
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (ω̂q, −ad*_ω π), so that Π̇ = 0."""
-        omega = self.velocity(state)
-        return State(self.group.spatial_tangent(state.q, omega), -self.group.ad_star(omega, state.p))
 
 
 Invariance = Literal["left", "right"]

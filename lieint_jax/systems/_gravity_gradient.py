@@ -18,7 +18,7 @@ from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, System, callable_pytree, pytree, vectors
-from lieint_jax.types.shapes import Quaternion, Time, Vector3
+from lieint_jax.types.shapes import Time, Vector3
 
 
 @pytree
@@ -63,12 +63,6 @@ class GravityGradient(MovedBody):
     def axis(self) -> TidalAxis:
         """γ(t) = √(3μ/r³) r̂."""
         return TidalAxis(self.orbit, self.mu)
-
-    def force(self, q: Quaternion, t: Time) -> Array:
-        """γ × ΛJΛᵀγ, the torque in space, shape (3,), in fewer operations than by autodiff."""
-        axis = self.axis_at(t)
-        Gamma = so3.Ad_star(q, axis)
-        return jnp.stack(vectors.cross(axis, so3.Ad(q, vectors.symmetric(self.inertia) @ Gamma)))
 
 
 def gravity_gradient(

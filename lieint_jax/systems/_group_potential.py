@@ -11,23 +11,13 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax.capabilities import AbstractDrivenSystem, AbstractMechanicalSystem, spatial_force
 from lieint_jax.systems._euler import Euler, kirchhoff
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
-from lieint_jax.types import (
-    AbstractDrivenSystem,
-    AbstractMechanicalSystem,
-    Group,
-    State,
-    System,
-    autodiff_gradient,
-    callable_pytree,
-    clock,
-    pytree,
-    static,
-)
+from lieint_jax.types import Group, State, System, callable_pytree, clock, pytree, static
 from lieint_jax.types.shapes import DualVector, MomentumMap, Scalar, SquareMatrix, Time
 
 
@@ -52,16 +42,6 @@ class GroupPotential(OnGroup, AbstractMechanicalSystem):
         """The geodesic flow of the metric, without the potential."""
         return Euler(self.metric, self.group)
 
-    def force(self, q: SquareMatrix) -> DualVector:
-        """−T*R dV, shape (d,): the force of the potential in π̇. Its i-th component is −d/dε V(exp(εeᵢ)q)."""
-        return _force(self.group, self.potential, q)
-
-    def body_force(self, q: SquareMatrix) -> DualVector:
-        """−T*L dV = Ad*_q of `force`, shape (d,): its i-th component is −d/dε V(q exp(εeᵢ))."""
-        zero = jnp.zeros(self.group.dim, q.dtype)
-        _, pull = jax.vjp(lambda Omega: self.group.tangent(q, Omega), zero)
-        return -pull(autodiff_gradient(self.potential)(q))[0]
-
     def energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ + V(q)."""
         return self.kinetic_energy(state) + self.potential(state.q)
@@ -69,10 +49,6 @@ class GroupPotential(OnGroup, AbstractMechanicalSystem):
     def momentum(self, state: State) -> MomentumMap:
         """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
         return self.symmetry @ state.p
-
-    def vector_field(self, state: State) -> State:
-        """(qΩ̂, −T*R dV) (5.41)."""
-        return State(self.group.tangent(state.q, self.velocity(state)), self.force(state.q))
 
 
 @pytree
@@ -122,7 +98,7 @@ class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
 
     def force(self, q: SquareMatrix, t: Time) -> DualVector:
         """−T*R dV, shape (d,), at a time."""
-        return _force(self.group, lambda q: self.potential(q, t), q)
+        return spatial_force(self.group, lambda q: self.potential(q, t), q)
 
     def power(self, q: SquareMatrix, t: Time) -> Scalar:
         """∂V/∂t, a scalar."""
@@ -136,21 +112,10 @@ class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
         """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
         return self.symmetry @ state.p
 
-    def vector_field(self, state: State) -> State:
-        """(qΩ̂, −T*R dV) (5.41), and the power ∂V/∂t as the derivative of work."""
-        q, t = state.q, clock(state)
-        return State(self.group.tangent(q, self.velocity(state)), self.force(q, t), work=self.power(q, t))
-
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
         super().check(state)
         check_timed(state)
-
-
-def _force(group: Group, potential: Callable[[Array], Array], q: SquareMatrix) -> DualVector:
-    """−T*R dV, shape (d,)."""
-    _, pull = jax.vjp(lambda theta: group.spatial_tangent(q, theta), jnp.zeros(group.dim, q.dtype))
-    return -pull(autodiff_gradient(potential)(q))[0]
 
 
 def group_potential(

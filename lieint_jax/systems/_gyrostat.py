@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks, types
+from lieint_jax import _checks, capabilities
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Rotating
@@ -16,7 +16,7 @@ from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
 
 @pytree
-class Gyrostat(Rotating, types.AbstractGyrostat):
+class Gyrostat(Rotating, capabilities.AbstractGyrostat):
     """H = ½(Π − h_r)·J⁻¹(Π − h_r) with Π = Λᵀπ = JΩ + h_r; Λ̇ = ΛΩ̂, π̇ = 0. Made by `gyrostat`.
 
     Attributes:
@@ -36,11 +36,6 @@ class Gyrostat(Rotating, types.AbstractGyrostat):
     def own_momentum(self) -> Vector3:
         return self.rotor
 
-    def angular_velocity(self, state: State) -> Vector3:
-        """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
-        own = self.body_momentum(state) - self.rotor
-        return jnp.stack(vectors.symmetric(self.inertia).solve(own))
-
     def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r)."""
         return vectors.dot(self.body_momentum(state) - self.rotor, self.angular_velocity(state)) / 2
@@ -48,10 +43,6 @@ class Gyrostat(Rotating, types.AbstractGyrostat):
     def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space: π itself, of body and rotor together, shape (3,)."""
         return state.p
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q Ω, 0)."""
-        return State(so3.tangent(state.q, self.angular_velocity(state)), jnp.zeros_like(state.p))
 
 
 def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:

@@ -9,10 +9,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks, types
+from lieint_jax import _checks, capabilities
 from lieint_jax._checks import concrete
-from lieint_jax.groups import special_linear
-from lieint_jax.phase_spaces import CotangentUnimodular
 from lieint_jax.systems._pseudo_rigid_body import PseudoRigidBody
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
@@ -22,7 +20,7 @@ from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar
 
 
 @pytree
-class IncompressibleBody(types.AbstractIncompressibleBody):
+class IncompressibleBody(capabilities.AbstractIncompressibleBody):
     """H = ½⟨P, PE⁻¹⟩ + W(FᵀF), det F = 1; Ḟ = PE⁻¹, Ṗ = −2F∇W + pF⁻ᵀ. Made by `incompressible_body`.
 
     The pressure p enforces det F = 1: p tr(C⁻¹E⁻¹) = tr(SE⁻¹) + tr((F⁻¹Ḟ)²) with S = 2∇W(C).
@@ -34,10 +32,6 @@ class IncompressibleBody(types.AbstractIncompressibleBody):
 
     inertia: Array
     stored_energy: StoredEnergy
-
-    @property
-    def phase_space(self) -> CotangentUnimodular:
-        return CotangentUnimodular(self.inertia, special_linear(3))
 
     @property
     def compressible(self) -> PseudoRigidBody:
@@ -73,10 +67,6 @@ class IncompressibleBody(types.AbstractIncompressibleBody):
         space = self.phase_space
         return State(q, space.tangential(q, space.spatial_momentum(State(q, state.p))))
 
-    def velocity(self, state: State) -> Matrix3:
-        """V = Ḟ = PE⁻¹, shape (3, 3)."""
-        return self.compressible.velocity(state)
-
     def energy(self, state: State) -> Scalar:
         """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
         return self.compressible.energy(state)
@@ -88,19 +78,6 @@ class IncompressibleBody(types.AbstractIncompressibleBody):
     def volume_rate(self, state: State) -> Scalar:
         """tr(VF⁻¹), which is 0 on T*SL(3), and O(Δt²) after a step, see `schemes.additive`."""
         return jnp.trace(jnp.linalg.solve(state.q, self.velocity(state)))
-
-    def pressure(self, state: State) -> Scalar:
-        """p, in units of energy."""
-        E = jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
-        inverse, weight = jnp.linalg.inv(state.q), jnp.linalg.inv(E)
-        rate = inverse @ self.velocity(state)
-        S = -inverse @ self.compressible.vector_field(state).p
-        return (jnp.trace(S @ weight) + jnp.trace(rate @ rate)) / jnp.trace(inverse @ inverse.T @ weight)
-
-    def vector_field(self, state: State) -> State:
-        """(Ḟ, Ṗ) = (PE⁻¹, −2F∇W + pF⁻ᵀ)."""
-        free = self.compressible.vector_field(state)
-        return State(free.q, free.p + self.pressure(state) * jnp.linalg.inv(state.q).T)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""

@@ -11,13 +11,11 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.phase_spaces import CotangentSphere
+from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import AbstractSphereSystem, State, autodiff_gradient, callable_pytree, pytree, vectors
+from lieint_jax.types import State, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
-
-_PHASE_SPACE = CotangentSphere()
 
 
 @pytree
@@ -43,10 +41,6 @@ class Pendulum(AbstractSphereSystem):
     mass: Array
     field: Callable[[Array], Array]
     axis: Array
-
-    @property
-    def phase_space(self) -> CotangentSphere:
-        return _PHASE_SPACE
 
     @explained
     def state(
@@ -74,10 +68,6 @@ class Pendulum(AbstractSphereSystem):
         dtype = jnp.result_type(q, p)
         return State(q.astype(dtype), p.astype(dtype))
 
-    def velocity(self, state: State) -> Vector3:
-        """q̇ = π × q/m, shape (3,)."""
-        return jnp.cross(state.p, state.q) / self.mass
-
     def potential(self, q: Vector3) -> Scalar:
         """V(q) = −g(γ·q), defined off the sphere too."""
         return -self.field(vectors.dot(self.axis, q))
@@ -89,10 +79,6 @@ class Pendulum(AbstractSphereSystem):
     def momentum(self, state: State) -> MomentumMap:
         """γ·π (1.5), shape (1,)."""
         return vectors.dot(self.axis, state.p)[None]
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (π × q/m, −q × ∇V(q))."""
-        return State(self.velocity(state), -jnp.cross(state.q, autodiff_gradient(self.potential)(state.q)))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""

@@ -12,21 +12,13 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax.capabilities import AbstractTop
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
-from lieint_jax.systems._shared.body import Body, spatial_torque
+from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import (
-    AbstractTop,
-    PotentialWithGradient,
-    State,
-    System,
-    callable_pytree,
-    gradient,
-    pytree,
-    vectors,
-)
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
+from lieint_jax.types import PotentialWithGradient, State, System, callable_pytree, pytree, vectors
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 
 @pytree
@@ -76,19 +68,6 @@ class PotentialTop(Body, AbstractTop):
         """Γ = Λᵀγ, the axis in the body, shape (3,)."""
         return so3.Ad_star(state.q, self._axis)
 
-    def potential_energy(self, q: Quaternion) -> Scalar:
-        """V, a scalar, at an attitude."""
-        if self.axis is None:
-            return self.potential(so3.to_matrix(q))
-        return self.potential(so3.Ad_star(q, self.axis))
-
-    def force(self, q: Quaternion) -> Vector3:
-        """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ) (4.1)."""
-        if self.axis is None:
-            return spatial_torque(self.potential_energy, q)
-        slope = gradient(self.potential, so3.Ad_star(q, self.axis))
-        return jnp.stack(vectors.cross(self.axis, so3.Ad(q, slope)))
-
     @property
     def _axis(self) -> Vector3:
         if self.axis is None:
@@ -102,10 +81,6 @@ class PotentialTop(Body, AbstractTop):
     def momentum(self, state: State) -> MomentumMap:
         """γ·π, shape (1,): rotations about γ are a symmetry. Shape (0,) without an axis."""
         return state.p[:0] if self.axis is None else vectors.dot(self.axis, state.p)[None]
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q Ω, torque) (4.2)."""
-        return State(so3.tangent(state.q, self.angular_velocity(state)), self.force(state.q))
 
 
 def potential_top(

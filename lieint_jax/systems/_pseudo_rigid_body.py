@@ -12,8 +12,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax.capabilities import AbstractDeformingBody, AbstractElasticBody, AbstractViscousBody
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import (
@@ -23,22 +23,14 @@ from lieint_jax.systems._shared.stored_energy import (
     saint_venant_kirchhoff,
 )
 from lieint_jax.systems._shared.time_and_work import check_counts, timed
-from lieint_jax.types import AbstractElasticBody, AbstractViscousBody, State, StoredEnergy, pytree, vectors
+from lieint_jax.types import State, StoredEnergy, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
-_PHASE_SPACE = CotangentMatrices()
 
-
-class _Deforming:
+class _Deforming(AbstractDeformingBody):
     """The methods of elastic and viscous bodies that create and evaluate states."""
 
-    inertia: Array
-    stored_energy: StoredEnergy
     _clock = None  # the time and the work of a state that is given none
-
-    @property
-    def phase_space(self) -> CotangentMatrices:
-        return _PHASE_SPACE
 
     @explained
     def state(
@@ -79,11 +71,6 @@ class _Deforming:
         t, work = self._clock if t is None else t, self._clock if work is None else work
         return state if t is None and work is None else timed(state, 0.0 if t is None else t, work)
 
-    def velocity(self, state: State) -> Matrix3:
-        """V = Ḟ = PE⁻¹, shape (3, 3)."""
-        E = vectors.symmetric(self.inertia)
-        return vectors.Matrix(E.solve(row) for row in state.p).array
-
     def strain(self, state: State) -> Matrix3:
         """C = FᵀF, shape (3, 3)."""
         return vectors.matrix(state.q).gram().rows.array
@@ -99,12 +86,6 @@ class _Deforming:
     def angular_momentum(self, state: State) -> Vector3:
         """∫ρ x × ẋ = 2 rot[PFᵀ], shape (3,): the physical angular momentum, twice the paper's (6.4)."""
         return 2 * self.momentum(state)
-
-    def vector_field(self, state: State) -> State:
-        """(Ḟ, Ṗ) = (PE⁻¹, −F S), S = 2∇W(FᵀF) (6.3)."""
-        F = vectors.matrix(state.q)
-        S = vectors.Symmetric(self.stored_energy.stress(F.gram()))
-        return State(self.velocity(state), -(F @ S).array)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or the system is a batch of systems."""
@@ -143,14 +124,6 @@ class ViscousBody(_Deforming, AbstractViscousBody):
     stored_energy: StoredEnergy
     viscosity: Array
     _clock = 0.0
-
-    def vector_field(self, state: State) -> State:
-        """(PE⁻¹, −F(S + νĊ)), and the rate of the work, −½ν|Ċ|²."""
-        elastic = super().vector_field(state)
-        change = state.q.T @ elastic.q
-        C_dot = change + change.T
-        force = self.viscosity * (state.q @ C_dot)
-        return elastic._replace(p=elastic.p - force, work=-self.viscosity * jnp.sum(C_dot * C_dot) / 2)
 
 
 @overload

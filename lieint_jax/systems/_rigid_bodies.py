@@ -16,36 +16,32 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, potentials
 from lieint_jax._checks import at_once, concrete, outermost
 from lieint_jax._xla import compiled
+from lieint_jax.capabilities import (
+    AbstractDissipativeBodies,
+    AbstractFreeBodies,
+    AbstractManyBodies,
+    AbstractRigidBodies,
+    rotations,
+)
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_counts, timed
 from lieint_jax.types import (
-    AbstractDissipativeBodies,
-    AbstractFreeBodies,
-    AbstractRigidBodies,
     PairLaw,
-    PhaseSpace,
     State,
-    autodiff_gradient,
     callable_pytree,
     pair_forces,
     pytree,
     vectors,
 )
 from lieint_jax.types.shapes import (
-    Inertia,
     Masses,
     MomentumMap,
-    PoseMomenta,
     Poses,
     Positions,
-    Quaternion,
-    Rotations,
     Scalar,
-    Vector3,
 )
 
 _ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
@@ -53,16 +49,10 @@ _LAW = "(r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j)"
 _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns
 
 
-class _Many:
+class _Many(AbstractManyBodies):
     """The methods of free and of interacting bodies that create and evaluate states."""
 
-    masses: Array
-    inertias: Array
     _clock = None  # the time and the work of a state that is given none
-
-    @property
-    def phase_space(self) -> PhaseSpace:
-        return CotangentMotions(self.masses.shape[0])
 
     @explained
     def state(
@@ -108,10 +98,6 @@ class _Many:
         t, work = self._clock if t is None else t, self._clock if work is None else work
         return state if t is None and work is None else timed(state, 0.0 if t is None else t, work)
 
-    def angular_velocities(self, state: State) -> Positions:
-        """The body angular velocities Ω = J⁻¹Λᵀπ, (N, 3)."""
-        return jax.vmap(_angular_velocity)(self.inertias, state.q[:, 3:], state.p[:, 3:])
-
     def kinetic_energy(self, state: State) -> Scalar:
         """Σ |p|²/2m + ½ Π·J⁻¹Π."""
         Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
@@ -143,11 +129,6 @@ class _Many:
         _check_places(q[:, :3])
 
 
-def _angular_velocity(J: Inertia, q: Quaternion, spin: Vector3) -> Vector3:
-    """Ω = J⁻¹Λᵀπ of one body, (3,)."""
-    return jnp.stack(vectors.symmetric(J).solve(so3.Ad_star(q, spin)))
-
-
 @pytree
 class FreeBodies(_Many, AbstractFreeBodies):
     """N free rigid bodies: `RigidBodies.free`.
@@ -163,12 +144,6 @@ class FreeBodies(_Many, AbstractFreeBodies):
     def energy(self, state: State) -> Scalar:
         """The kinetic energy."""
         return self.kinetic_energy(state)
-
-    def vector_field(self, state: State) -> State:
-        """ẋ = p/m, Λ̇ = ΛΩ̂, ṗ = 0, π̇ = 0."""
-        turning = jax.vmap(so3.tangent)(state.q[:, 3:], self.angular_velocities(state))
-        q_dot = jnp.concatenate([state.p[:, :3] / self.masses[:, None], turning], axis=1)
-        return State(q_dot, jnp.zeros_like(state.p))
 
     def single_body(self, inertia: Array) -> RigidBody:
         """A free body of this inertia."""
@@ -206,18 +181,6 @@ class RigidBodies(_Many, AbstractRigidBodies):
     def energy(self, state: State) -> Scalar:
         """The kinetic energy and V."""
         return self.kinetic_energy(state) + self.potential_energy(state.q)
-
-    def force(self, q: Poses) -> PoseMomenta:
-        """The forces −∂V/∂x and the torques −∂V(exp(δ̂)Λ)/∂δ in space, (N, 6)."""
-        R = rotations(q)
-        if hasattr(self.potential, "force"):
-            return self.potential.force(q[:, :3], R)  # pyright: ignore
-        along_x, along_R = autodiff_gradient(self.potential, (0, 1))(q[:, :3], R)
-        return jnp.concatenate([-along_x, potentials.torques(R, along_R)], axis=1)
-
-    def vector_field(self, state: State) -> State:
-        """ẋ = p/m, Λ̇ = ΛΩ̂, ṗ and π̇ the forces and torques."""
-        return State(self.free.vector_field(state).q, self.force(state.q))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
@@ -261,16 +224,6 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
     def energy(self, state: State) -> Array:
         """The kinetic energy plus V, which decreases; energy less `state.work` is conserved."""
         return self.conservative.energy(state)
-
-    def dissipative_force(self, state: State) -> tuple[Array, Array]:
-        """The forces and torques of the law in space, (N, 6), and the power dissipated."""
-        omega = jax.vmap(so3.Ad)(state.q[:, 3:], self.angular_velocities(state))
-        return pair_forces(self.dissipation, state.q[:, :3], state.p[:, :3] / self.masses[:, None], omega)
-
-    def vector_field(self, state: State) -> State:
-        """The motion with the forces and torques of potential and dissipation, and the rate of the work."""
-        moving, (force, lost) = self.conservative.vector_field(state), self.dissipative_force(state)
-        return moving._replace(p=moving.p + force, work=-lost)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
@@ -326,11 +279,6 @@ def _check_places(x: np.ndarray) -> None:
             RuntimeWarning,
             stacklevel=4,
         )
-
-
-def rotations(q: Poses) -> Rotations:
-    """Λ of each body, (N, 3, 3), of configurations (N, 7)."""
-    return jax.vmap(so3.to_matrix)(q[:, 3:])
 
 
 @overload

@@ -8,10 +8,11 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
 from lieint_jax._xla import compiled
+from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import AbstractFreeBody, State, pytree
+from lieint_jax.types import State, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
@@ -32,10 +33,6 @@ class RigidBody(Body, AbstractFreeBody):
     def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space (2.13): π itself, shape (3,)."""
         return state.p
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q Ω, 0) (2.12)."""
-        return State(so3.tangent(state.q, self.angular_velocity(state)), jnp.zeros_like(state.p))
 
     def solution(self, state: State, t: Array | float) -> State:
         """The exact state after a time t of any size and sign, in Jacobi's elliptic functions; π is equal bit for bit.

@@ -15,25 +15,13 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, torques
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
+from lieint_jax.capabilities import AbstractTorquedBody
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.older_laws import MEMBERS, OlderLaw
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import (
-    AbstractTorquedBody,
-    Law,
-    Rotation,
-    State,
-    System,
-    as_law,
-    callable_pytree,
-    clock,
-    instant,
-    labels,
-    pytree,
-)
+from lieint_jax.types import Law, Rotation, State, System, as_law, callable_pytree, clock, labels, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
-from lieint_jax.types.vectors import dot
 
 _WORKS = "works"
 
@@ -84,29 +72,13 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         of laws,), in their order.
         """
 
-    def inner(self, state: State, law: Law) -> Array | None:
-        """The internal state of a law, or the one that it reads; ValueError if a state lacks it."""
-        key = law.key or law.reads
-        if key is None:
-            return None
-        if state.extra is None or key not in state.extra:
-            raise ValueError(
-                f'{type(law).__name__} has an internal state, State.extra["{key}"]: make the state with '
-                f'system.state(...), or give it one with state._replace(extra={{"{key}": …}})'
-            )
-        return state.extra[key]
-
     def torque_at(self, state: State) -> Vector3:
         """The torque of all laws, (3,), in the axes of `frame`."""
-        torques = [self._instant(state, law)[0] for law in self.laws]
+        torques = [self.instant(state, law)[0] for law in self.laws]
         if len(self.laws) == 1:
             return torques[0]
         pairs = zip(self.laws, torques, strict=True)
         return sum((x if law.frame == "body" else so3.Ad_star(state.q, x) for law, x in pairs), jnp.zeros_like(state.p))
-
-    def power(self, state: State) -> Scalar:
-        """The rate of `State.work`, a scalar: the power of the torques and the rate of the laws' energies."""
-        return jnp.sum(self._rates(state)[2])
 
     def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π plus the energies of the laws: potentials and energies of internal states."""
@@ -119,16 +91,6 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         if not all(law.internal for law in self.laws):
             return state.p[:0]
         return sum((law.momentum(state.q, self.inner(state, law)) for law in self.laws), state.p)
-
-    def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q Ω, Στ_k), the rate of the work, and those of the internal states."""
-        impulse, rates, powers = self._rates(state)
-        extra = jax.tree.map(jnp.zeros_like, state.extra)
-        if rates or extra:
-            extra = (extra or {}) | rates
-        if extra and _WORKS in extra:
-            extra[_WORKS] = powers
-        return State(so3.tangent(state.q, self.angular_velocity(state)), impulse, work=jnp.sum(powers), extra=extra)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or has no time."""
@@ -148,30 +110,6 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
     def _starts(self, now: Rotation) -> dict[str, Array]:
         found = {law.key: law.start(now) for law in self.laws if law.key is not None}
         return {key: value for key, value in found.items() if value is not None}
-
-    def _instant(self, state: State, law: Law) -> tuple[Array, Array | None]:
-        """The torque of a law at a state, in the axes of its frame, and the rate of its internal state."""
-        Omega = self.angular_velocity(state)
-        omega, inner = so3.Ad(state.q, Omega), self.inner(state, law)
-        q_half = partial(so3.cayley_increment, state.q)
-        torque, rate = instant(law, clock(state), state.q, Omega, omega=omega, inner=inner, q_half=q_half)
-        return jnp.asarray(torque).astype(state.p.dtype), rate
-
-    def _rates(self, state: State) -> tuple[Array, dict[str, Array], Array]:
-        """π̇, the rates of the internal states, and the powers of the laws."""
-        Omega, t = self.angular_velocity(state), clock(state)
-        omega, q_dot = so3.Ad(state.q, Omega), so3.tangent(state.q, Omega)
-        impulse, rates, powers = jnp.zeros_like(state.p), {}, []
-        for law in self.laws:
-            torque, rate = self._instant(state, law)
-            inner = self.inner(state, law)
-            if law.key is not None:
-                rates[law.key] = rate
-            impulse = impulse + (torque if law.frame == "space" else so3.Ad(state.q, torque))
-            own = None if law.key is None else inner  # a law that reads another's state has none of its own
-            gain = jax.jvp(law.energy, (t, state.q, own), (jnp.ones_like(t), q_dot, rate))[1]
-            powers.append(dot(omega if law.frame == "space" else Omega, torque) + gain)
-        return impulse, rates, jnp.stack(powers)
 
 
 @partial(compiled, once=True)

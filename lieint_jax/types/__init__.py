@@ -1,46 +1,17 @@
-"""The core types: states, steps, trajectories, groups, phase spaces, systems and their capabilities.
+"""The core types: states, steps, trajectories, groups, phase spaces and systems.
 
 Systems and steps are frozen dataclasses registered as JAX pytrees (`pytree`). Their array fields are leaves, so
 derivatives and batches over an inertia tensor go through them; fields marked `static` (functions, options) are part of
 the tree's structure, so a step that is built again hits the same jit cache.
-
-A capability is an abstract class below, such as `AbstractFreeBody`, whose docstring states equations of motion. A
-system declares by inheritance that it moves by them. A scheme accepts only the systems that declare the capability
-that it integrates.
 """
 
 from __future__ import annotations
 
 from lieint_jax._deprecated import renamed as _renamed
-from lieint_jax.types._capabilities import (
-    AbstractDampedBody,
-    AbstractDissipativeBodies,
-    AbstractDrivenGyrostat,
-    AbstractDrivenSystem,
-    AbstractDrivenTop,
-    AbstractElasticBody,
-    AbstractEmbeddedBody,
-    AbstractForcedSystem,
-    AbstractFreeBodies,
-    AbstractFreeBody,
-    AbstractGeodesicFlow,
-    AbstractGyrostat,
-    AbstractIncompressibleBody,
-    AbstractMechanicalSystem,
-    AbstractRightGeodesicFlow,
-    AbstractRigidBodies,
-    AbstractSphereSystem,
-    AbstractTop,
-    AbstractTorquedBody,
-    AbstractViscousBody,
-    PotentialWithGradient,
-    StoredEnergy,
-    autodiff_gradient,
-    gradient,
-)
 from lieint_jax.types._catalogue import Catalogue
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
 from lieint_jax.types._pair_law import PairLaw, pair_forces
+from lieint_jax.types._potentials import PotentialWithGradient, StoredEnergy, autodiff_gradient, gradient
 from lieint_jax.types._pytree import Partitioned, argument, callable_pytree, pytree, static
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
@@ -49,26 +20,6 @@ from lieint_jax.types._tangents import push_forward
 from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, labels, parts, total
 
 __all__ = [
-    "AbstractDampedBody",
-    "AbstractDissipativeBodies",
-    "AbstractDrivenGyrostat",
-    "AbstractDrivenSystem",
-    "AbstractDrivenTop",
-    "AbstractElasticBody",
-    "AbstractEmbeddedBody",
-    "AbstractForcedSystem",
-    "AbstractFreeBodies",
-    "AbstractFreeBody",
-    "AbstractGeodesicFlow",
-    "AbstractGyrostat",
-    "AbstractIncompressibleBody",
-    "AbstractMechanicalSystem",
-    "AbstractRightGeodesicFlow",
-    "AbstractRigidBodies",
-    "AbstractSphereSystem",
-    "AbstractTop",
-    "AbstractTorquedBody",
-    "AbstractViscousBody",
     "AnalyticGroup",
     "Catalogue",
     "Function",
@@ -111,27 +62,33 @@ __all__ = [
     "total",
 ]
 
+_CAPABILITIES = """
+    DampedBody DissipativeBodies DrivenGyrostat DrivenSystem DrivenTop ElasticBody EmbeddedBody ForcedSystem
+    FreeBodies FreeBody GeodesicFlow Gyrostat IncompressibleBody MechanicalSystem RightGeodesicFlow RigidBodies
+    SphereSystem Top TorquedBody ViscousBody
+"""
 __getattr__ = _renamed(
     __name__,
     {
-        "FreeBody": "AbstractFreeBody",
-        "Gyrostat": "AbstractGyrostat",
-        "DrivenGyrostat": "AbstractDrivenGyrostat",
-        "EmbeddedBody": "AbstractEmbeddedBody",
-        "GeodesicFlow": "AbstractGeodesicFlow",
-        "RightGeodesicFlow": "AbstractRightGeodesicFlow",
-        "FreeBodies": "AbstractFreeBodies",
-        "Top": "AbstractTop",
-        "ElasticBody": "AbstractElasticBody",
-        "IncompressibleBody": "AbstractIncompressibleBody",
-        "DrivenTop": "AbstractDrivenTop",
-        "TorquedBody": "AbstractTorquedBody",
-        "DampedBody": "AbstractDampedBody",
-        "Forced": "AbstractForcedSystem",
-        "Driven": "AbstractDrivenSystem",
-        "OnSphere": "AbstractSphereSystem",
-        "Bodies": "AbstractRigidBodies",
-        "MechanicalSystem": "AbstractMechanicalSystem",
+        **{f"Abstract{name}": f"lieint_jax.capabilities:Abstract{name}" for name in _CAPABILITIES.split()},
+        "FreeBody": "lieint_jax.capabilities:AbstractFreeBody",
+        "Gyrostat": "lieint_jax.capabilities:AbstractGyrostat",
+        "DrivenGyrostat": "lieint_jax.capabilities:AbstractDrivenGyrostat",
+        "EmbeddedBody": "lieint_jax.capabilities:AbstractEmbeddedBody",
+        "GeodesicFlow": "lieint_jax.capabilities:AbstractGeodesicFlow",
+        "RightGeodesicFlow": "lieint_jax.capabilities:AbstractRightGeodesicFlow",
+        "FreeBodies": "lieint_jax.capabilities:AbstractFreeBodies",
+        "Top": "lieint_jax.capabilities:AbstractTop",
+        "ElasticBody": "lieint_jax.capabilities:AbstractElasticBody",
+        "IncompressibleBody": "lieint_jax.capabilities:AbstractIncompressibleBody",
+        "DrivenTop": "lieint_jax.capabilities:AbstractDrivenTop",
+        "TorquedBody": "lieint_jax.capabilities:AbstractTorquedBody",
+        "DampedBody": "lieint_jax.capabilities:AbstractDampedBody",
+        "Forced": "lieint_jax.capabilities:AbstractForcedSystem",
+        "Driven": "lieint_jax.capabilities:AbstractDrivenSystem",
+        "OnSphere": "lieint_jax.capabilities:AbstractSphereSystem",
+        "Bodies": "lieint_jax.capabilities:AbstractRigidBodies",
+        "MechanicalSystem": "lieint_jax.capabilities:AbstractMechanicalSystem",
         "SteepPotential": "PotentialWithGradient",
     },
 )

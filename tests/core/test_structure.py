@@ -28,6 +28,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("runs",),
     ("schemes",),
     ("systems",),
+    ("capabilities",),
     ("tides",),
     ("orbits", "potentials", "torques"),
     ("shapes",),

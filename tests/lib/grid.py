@@ -2,8 +2,6 @@
 
 import functools
 
-from internals import motions_as_declared
-
 import lieint_jax as li
 from lieint_jax import _discover
 
@@ -33,16 +31,12 @@ def examples(system):
 
 @functools.cache
 def cases():
-    """(module of the scheme, id, step, state, dt) of every system with every scheme that accepts it.
-
-    Every worker collects them, so here no motion is compared: that compiles two vector fields a pair.
-    """
-    with motions_as_declared():
-        return [
-            (module, f"{name}-{step_name}", step, step.start(state), dt)
-            for name, (system, state, dt) in systems()
-            for (module, step_name), step in examples(system).items()
-        ]
+    """(module of the scheme, id, step, state, dt) of every system with every scheme that accepts it."""
+    return [
+        (module, f"{name}-{step_name}", step, step.start(state), dt)
+        for name, (system, state, dt) in systems()
+        for (module, step_name), step in examples(system).items()
+    ]
 
 
 def steps():

@@ -6,7 +6,6 @@ Each change is made by pytest's `monkeypatch`, which undoes it.
 import collections
 import json
 from types import SimpleNamespace
-from unittest import mock
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from lieint_jax._xla import compiled
 from lieint_jax.native import _kernel, _march_code, _traced
 from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _results, _run
 from lieint_jax.runs.store import _bucket, _disk, _identity, _root, _store_output, _writer
-from lieint_jax.schemes._shared import accepts
 
 _DIFFERENCE = _engine.Engine._difference
 
@@ -97,19 +95,6 @@ def members_of_parts(members, count, most=8192):
     """The members of each of `count` parts of a run, and of how many a chunk is, at most `most`."""
     split = _root.Split.into_parts(members, count, most)
     return [split.part(k) for k in range(count)], split.chunk
-
-
-def motions_as_declared():
-    """A context in which schemes take each system's motion for the one that it declares, without a comparison."""
-    return mock.patch.object(accepts, "_difference", return_value=(0.0, 0.0))
-
-
-def compare_all_motions(monkeypatch):
-    """Let schemes compare the motion of the package's own systems too; returns the list of the comparisons."""
-    compared, difference = [], accepts._difference
-    monkeypatch.setattr(accepts, "_is_tested", lambda _: False)
-    monkeypatch.setattr(accepts, "_difference", lambda *x: (compared.append(x), difference(*x))[1])
-    return compared
 
 
 def compiled_once(function):

@@ -8,7 +8,7 @@ import pytest
 from paper import ONE, hat
 
 import lieint_jax as li
-from lieint_jax import _discover, diagnostics, groups, maps, schemes
+from lieint_jax import capabilities, _discover, diagnostics, groups, maps, schemes
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.groups import so3
 
@@ -108,7 +108,7 @@ def test_the_exact_flow_is_of_the_class_and_violates_the_sufficient_condition():
 class KickAndDrift(li.Step):
     """A kick, and a drift along the velocity after it: π_{n+1} − π_n depends on q_n alone, through a potential."""
 
-    system: li.types.AbstractTop
+    system: li.capabilities.AbstractTop
 
     order, symmetric, name = 1, False, "kick and drift"
 

@@ -20,15 +20,15 @@ from hypothesis import strategies as st
 
 import lieint_jax as li
 from lieint_jax import State, maps, schemes, systems
-from lieint_jax.types import (
+from lieint_jax.capabilities import (
     AbstractDissipativeBodies,
     AbstractDrivenGyrostat,
     AbstractGyrostat,
     AbstractIncompressibleBody,
     AbstractRigidBodies,
     AbstractViscousBody,
-    energy_less_work,
 )
+from lieint_jax.types import energy_less_work
 
 CASES = 10_000
 SE3 = li.groups.special_euclidean(3)

@@ -15,7 +15,7 @@ from two_bodies import reference
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, potentials, schemes, systems
 from lieint_jax.groups import so3
-from lieint_jax.types import AbstractRigidBodies
+from lieint_jax.capabilities import AbstractRigidBodies
 
 EXAMPLES = {k: x for k, x in examples_of("rigid_bodies").items() if isinstance(x[0], AbstractRigidBodies)}
 BINARY, START, DT = EXAMPLES["binary"]

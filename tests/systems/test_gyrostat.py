@@ -164,7 +164,7 @@ def test_compositions_raise_the_order(order):
 
 def test_a_gyrostat_splitting_accepts_other_drifts_of_the_same_body_only():
     assert schemes.splitting(GYROSTAT, schemes.so3_explicit(GYROSTAT.free)).name == "splitting[so3_explicit]"
-    with pytest.raises(ValueError, match=r"with rotations of the rotor; Gyrostat\.vector_field differs"):
+    with pytest.raises(ValueError, match=r"splitting with exact: the drift must be a step of system\.free"):
         schemes.splitting(GYROSTAT, schemes.exact(systems.rigid_body([1.0, 2.0, 2.9])))
     with pytest.raises(ValueError, match=r"symmetric step of system\.free"):
         schemes.splitting(GYROSTAT, "exact")
@@ -566,7 +566,7 @@ def test_a_gyrostat_with_an_altered_vector_field_is_refused():
 
     for system in (GYROSTAT, DRIVEN):
         changed = li.pytree(type("Changed", (Faster, type(system)), {}))
-        with pytest.raises(ValueError, match=r"Changed\.vector_field differs from their equations"):
+        with pytest.raises(ValueError, match=r"Changed\.vector_field overrides their equations"):
             schemes.so3_midpoint(changed(**vars(system)))
 
 

@@ -12,8 +12,9 @@ from lieint_jax.app.command import interpolation
 from lieint_jax.app.command.meshes import Solid, box, top
 from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.scenarios._body import spin_axis
+from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
-from lieint_jax.types import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies, Trajectory
+from lieint_jax.types import Trajectory
 
 _MAX_ROTATION = np.deg2rad(15)  # largest rotation of a body between frames, if states can be interpolated
 _MAX_TILT = np.deg2rad(2)  # the same for the axis of a top, whose spin may be much faster

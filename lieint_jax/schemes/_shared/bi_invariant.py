@@ -11,7 +11,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once
-from lieint_jax.types import AbstractGeodesicFlow, State, Step, StepInfo, pytree, static
+from lieint_jax.capabilities import AbstractGeodesicFlow
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 _ROUNDING = 1024  # largest error of Π that is rounding, in units of eps
 

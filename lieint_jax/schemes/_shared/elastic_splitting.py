@@ -10,7 +10,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from lieint_jax.types import AbstractElasticBody, State, Step, StepInfo, pytree, static
+from lieint_jax.capabilities import AbstractElasticBody
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import matrix
 
 

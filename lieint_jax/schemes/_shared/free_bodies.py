@@ -11,29 +11,9 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.accepts import AcceptedSystems
-from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, AbstractRigidBodies, State, Step, StepInfo, pytree
-from lieint_jax.types.shapes import Inertia, Poses, Quaternion, Vector3
-from lieint_jax.types.vectors import symmetric
-
-
-def free_motion(bodies: AbstractFreeBodies | AbstractRigidBodies, state: State) -> Poses:
-    """q̇ of bodies, (N, 7): ẋ = p/m and Λ̇ = ΛΩ̂."""
-
-    def attitude_rate(J: Inertia, q: Quaternion, spin: Vector3) -> Quaternion:
-        return so3.tangent(q, jnp.stack(symmetric(J).solve(so3.Ad_star(q, spin))))
-
-    rates = jax.vmap(attitude_rate)(bodies.inertias, state.q[:, 3:], state.p[:, 3:])
-    return jnp.concatenate([state.p[:, :3] / bodies.masses[:, None], rates], axis=1)
-
-
-def _motion(bodies: AbstractFreeBodies, state: State) -> State:
-    """The vector field of free bodies."""
-    return State(free_motion(bodies, state), jnp.zeros_like(state.p))
-
-
-MANY_FREE_BODIES = AcceptedSystems(AbstractFreeBodies, "free rigid bodies (systems.rigid_bodies(...).free)", _motion)
+from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
+from lieint_jax.types import State, Step, StepInfo, pytree
+from lieint_jax.types.shapes import Inertia
 
 
 @pytree
@@ -49,11 +29,8 @@ class FreeFlight(Step):
     turn: Step
 
     @classmethod
-    def from_scheme(
-        cls, scheme: str, system: AbstractFreeBodies, step: Callable[[AbstractFreeBody], Step]
-    ) -> FreeFlight:
+    def of(cls, system: AbstractFreeBodies, step: Callable[[AbstractFreeBody], Step]) -> FreeFlight:
         """The drift by the step of a scheme for one body."""
-        MANY_FREE_BODIES.check(scheme, system)
         return cls(system, step(system.single_body(system.inertias)))
 
     @property

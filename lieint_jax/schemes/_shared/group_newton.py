@@ -19,16 +19,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSystem, AbstractRightGeodesicFlow
 from lieint_jax.maps import Tau, derivative
-from lieint_jax.types import (
-    AbstractGeodesicFlow,
-    AbstractMechanicalSystem,
-    AbstractRightGeodesicFlow,
-    AnalyticGroup,
-    Group,
-    State,
-    StepInfo,
-)
+from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
 from lieint_jax.types.shapes import AlgebraVector, SquareMatrix
 from lieint_jax.types.vectors import Matrix, components
 

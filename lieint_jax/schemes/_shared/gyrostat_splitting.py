@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax.capabilities import AbstractGyrostat
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.accepts import check_motion
 from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
-from lieint_jax.types import AbstractGyrostat, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 from lieint_jax.types.vectors import max_abs, symmetric
 
@@ -63,20 +63,6 @@ class GyrostatSplitting(Step):
 
     def _angle(self, dt: ArrayLike) -> Array:
         return lax.stop_gradient(jnp.abs(dt) * max_abs(_velocity(self.system)))
-
-
-def gyrostat_splitting(system: AbstractGyrostat, drift: Step) -> GyrostatSplitting:
-    """The step rotation – drift – rotation; ValueError if `drift` is a step of another body."""
-    scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
-    check_motion(scheme, "that motion with rotations of the rotor", _motion, (system, drift.system), system)
-    return GyrostatSplitting(system, drift)
-
-
-def _motion(parts: tuple[AbstractGyrostat, System], state: State) -> State:
-    """The vector field of the drift's system plus the rotation by the rotor."""
-    system, drifting = parts
-    free = drifting.vector_field(state)
-    return State(free.q + so3.tangent(state.q, -_velocity(system)), free.p)
 
 
 def _velocity(system: AbstractGyrostat) -> Array:

@@ -7,12 +7,13 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
+from lieint_jax.capabilities import AbstractFreeBody, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
 from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
 from lieint_jax.schemes._shared.scalar_form import solve_scalar
 from lieint_jax.schemes._shared.vector_form import solve_vector
-from lieint_jax.types import AbstractFreeBody, AbstractGyrostat, State, StepInfo
+from lieint_jax.types import State, StepInfo
 from lieint_jax.types.shapes import Vector3
 from lieint_jax.types.vectors import Symmetric, VectorLike, max_abs, unit_trace
 

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from lieint_jax._checks import concrete
+from lieint_jax._discover import modules_with_examples
+from lieint_jax.capabilities import Capability
+from lieint_jax.types import Step, System
+
+_FEW = 3  # schemes that a message names
 
 
 class SchemeProperties(NamedTuple):
@@ -18,6 +29,7 @@ class SchemeProperties(NamedTuple):
         limit: the largest step.
         aliases: its names in the literature.
         source: a paper, or equations of Lewis & Simo 1994.
+        accepts: the capabilities whose equations it integrates.
     """
 
     name: str
@@ -28,8 +40,51 @@ class SchemeProperties(NamedTuple):
     limit: str
     aliases: tuple[str, ...]
     source: str
+    accepts: tuple[type[Capability], ...] = ()
 
     columns = ("scheme", "for", "conserves", "order")
 
     def cells(self) -> tuple[str, ...]:
         return self.name, self.systems, ", ".join(self.conserves) or "nothing", f"{self.order:g}"
+
+    def check(self, system: object, more: str = "") -> None:
+        """Raise ValueError unless a system has one of the accepted capabilities, and its equations of motion.
+
+        `more` is what the message adds if the capability is missing.
+        """
+        own = next((capability for capability in self.accepts if isinstance(system, capability)), None)
+        if own is None:
+            nouns = ", ".join(capability.noun for capability in self.accepts)
+            raise ValueError(f"{self.name} integrates {nouns}, got {type(system).__name__}{more or hint(system)}")
+        if changed := own.overridden(system):  # pyright: ignore[reportArgumentType]
+            raise ValueError(
+                f"{self.name} integrates {own.noun}, and {type(system).__name__}.{changed} overrides their equations "
+                "of motion: use extrapolate, which integrates every vector_field"
+            )
+
+    def check_drift(self, free: System, drift: Step) -> None:
+        """Raise ValueError if a drift is not a symmetric step of the system `free`."""
+        if not isinstance(drift, Step) or not drift.symmetric or drift.own_time:
+            raise ValueError(f"drift must be a symmetric step of system.free, got {getattr(drift, 'name', drift)!r}")
+        if not _equal(free, drift.system):
+            raise ValueError(
+                f"{self.name} with {drift.name}: the drift must be a step of system.free, a {type(free).__name__}, "
+                f"and is one of another {type(drift.system).__name__}"
+            )
+
+
+def hint(system: object) -> str:
+    """The end of a message that a scheme does not accept a system: the schemes that do, if they are few."""
+    found = (
+        module.PROPERTIES for module in modules_with_examples(importlib.import_module("lieint_jax.schemes")).values()
+    )
+    fitting = [scheme.name for scheme in found if isinstance(system, scheme.accepts)]
+    return f"; use {' or '.join(fitting)}" if 0 < len(fitting) <= _FEW else ""
+
+
+def _equal(a: System, b: System) -> bool:
+    """Whether two systems are the same, up to rounding; tracers are not compared."""
+    if jax.tree.structure(a) != jax.tree.structure(b):
+        return False
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(not concrete(x, y) or (np.shape(x) == np.shape(y) and np.allclose(x, y, 1e-6, 0)) for x, y in pairs)

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from lieint_jax.capabilities import AbstractGeodesicFlow
 from lieint_jax.groups import so3
 from lieint_jax.groups.catalogue import special_euclidean
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS, half_rotation
-from lieint_jax.types import AbstractGeodesicFlow, State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import cross, matrix, unit_trace, vector
 
 

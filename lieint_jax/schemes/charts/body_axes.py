@@ -14,20 +14,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax.capabilities import AbstractDrivenTop, AbstractFreeBody, AbstractGyrostat, AbstractTop
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts._chart import Chart
-from lieint_jax.types import (
-    AbstractDrivenTop,
-    AbstractFreeBody,
-    AbstractGyrostat,
-    AbstractTop,
-    State,
-    System,
-    clock,
-    gradient,
-    vectors,
-)
+from lieint_jax.types import State, System, clock, gradient, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Symmetric, Vector, VectorLike, cross, dot, norm, vector
 
@@ -95,14 +85,6 @@ def gyroscopic(inverse: Symmetric, Pi: Vector) -> Vector:
         return cross(Pi, inverse @ Pi)
     (x, y, z), a, b, c = Pi, *inverse[:3]
     return Vector(((c - b) * (y * z), (a - c) * (z * x), (b - a) * (x * y)))
-
-
-def motion(system: OneBody, state: State) -> State:
-    """The time derivative of q and p that follows from that of the unknowns."""
-    z, torque = BODY_AXES.unknowns(system, state), _torque(system)
-    now = jax.tree.map(lambda x: x[0], BODY_AXES.stage_times(system, state, jnp.zeros(1, state.p.dtype)))
-    q_dot = jnp.stack(_in_space(system, BODY_AXES.rate(system)(z, now)).q)
-    return State(q_dot, so3.Ad(state.q, jnp.stack(torque(z, now))) if torque else jnp.zeros_like(state.p))
 
 
 def axis_frame(axis: Any) -> tuple[Array, Array]:
@@ -192,9 +174,8 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
         """Whether a system is one body with at most a potential that has an axis, with its equations of motion."""
         if isinstance(system, AbstractTop | AbstractDrivenTop) and system.axis is None:
             return False
-        return isinstance(
-            system, AbstractTop | AbstractDrivenTop | AbstractFreeBody | AbstractGyrostat
-        ) and not vector_field_mismatch(motion, system, system)
+        kinds = AbstractTop, AbstractDrivenTop, AbstractFreeBody, AbstractGyrostat
+        return any(kind.governs(system) for kind in kinds)
 
     def unknowns(self, system: OneBody, state: State) -> BodyAxesState:
         """The unknowns of a step from this state."""

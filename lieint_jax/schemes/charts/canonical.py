@@ -26,6 +26,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax.capabilities import (
+    AbstractDrivenSystem,
+    AbstractDrivenTop,
+    AbstractForcedSystem,
+    AbstractGyrostat,
+    AbstractMechanicalSystem,
+    AbstractTop,
+)
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes.charts import several_bodies
@@ -38,18 +46,7 @@ from lieint_jax.schemes.charts.body_axes import (
     scalar_and_vector,
     to_axis_frame,
 )
-from lieint_jax.types import (
-    AbstractDrivenSystem,
-    AbstractDrivenTop,
-    AbstractForcedSystem,
-    AbstractGyrostat,
-    AbstractMechanicalSystem,
-    AbstractTop,
-    State,
-    System,
-    gradient,
-    vectors,
-)
+from lieint_jax.types import State, System, gradient, vectors
 from lieint_jax.types.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
 
 Components = tuple[Array, ...]
@@ -142,14 +139,6 @@ class CanonicalChart(Chart):
     def in_fixed_frame(self, system: Any, delta: Increments) -> Increments:
         """The increments in a frame that is fixed in space."""
         return delta
-
-    def motion(self, system: Any, state: State) -> State:
-        """The time derivative of q and p that follows from that of the coordinates, and from the force."""
-        z, t = self.unknowns(system, state), state.t
-        along = self.quadratures(system, state._replace(work=None))
-        rates = self.in_fixed_frame(system, Increments(self.rate(system)(z, t), along(z, t)))
-        _, q_dot = jax.jvp(self.configuration, (self.coordinates(state),), (rates.z,))
-        return State(q_dot, _momentum(state, rates))
 
 
 def _momentum(state: State, delta: Increments) -> Array:

@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax.capabilities import AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.accepts import vector_field_mismatch
 from lieint_jax.schemes.charts import body_axes
 from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.schemes.charts.body_axes import BodyAxesState, free_rates
-from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, System, vectors
+from lieint_jax.types import State, System, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, vector
 
@@ -53,12 +53,6 @@ def _parts(z: Array) -> Moving:
     return Moving(Vector(y[:3]), Vector(y[3:6]), BodyAxesState(y[6:10], Vector(y[10:]), None))
 
 
-def motion(system: AbstractRigidBodies, state: State) -> State:
-    """The time derivative of q and p that follows from that of the unknowns."""
-    z = SEVERAL_BODIES.unknowns(system, state)
-    return jax.jvp(_state, (z,), (SEVERAL_BODIES.rate(system)(z, None),))[1]
-
-
 def _state(z: Array) -> State:
     x, P, turning = _parts(z)
     spin = Matrix(so3.matrix_of(*turning.q)) @ turning.Pi
@@ -74,7 +68,7 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
 
     def supports(self, system: System) -> bool:
         """Whether a system is of several bodies with these equations of motion."""
-        return isinstance(system, AbstractRigidBodies) and not vector_field_mismatch(motion, system, system)
+        return AbstractRigidBodies.governs(system)
 
     def unknowns(self, system: AbstractRigidBodies, state: State) -> Array:
         """The unknowns of all bodies in one array, (N, 13)."""

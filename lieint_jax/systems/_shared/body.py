@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,36 +14,16 @@ from lieint_jax import _checks, _free_body
 from lieint_jax._checks import concrete
 from lieint_jax._free_body import Periods
 from lieint_jax._xla import compiled
+from lieint_jax.capabilities import AbstractRotatingBody
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
-from lieint_jax.types import PhaseSpace, State, autodiff_gradient, vectors
-from lieint_jax.types.shapes import Matrix3, Quaternion, Scalar, Vector3
-
-_PHASE_SPACE = CotangentGroup(so3)
+from lieint_jax.types import State, vectors
+from lieint_jax.types.shapes import Quaternion, Scalar, Vector3
 
 
-class OnRotations:
-    """A system on T*SO(3), its state an attitude q and a spatial momentum π."""
-
-    @property
-    def phase_space(self) -> PhaseSpace:
-        return _PHASE_SPACE
-
-    def rotation_matrix(self, state: State) -> Matrix3:
-        """Λ, body to space, shape (3, 3)."""
-        return so3.to_matrix(state.q)
-
-    def body_momentum(self, state: State) -> Vector3:
-        """Π = Λᵀπ, shape (3,)."""
-        return so3.Ad_star(state.q, state.p)
-
-
-class Rotating(OnRotations):
+class Rotating(AbstractRotatingBody):
     """A body whose states are made from an attitude and a motion."""
-
-    inertia: Array
 
     @property
     def own_momentum(self) -> Vector3 | None:
@@ -92,10 +71,6 @@ class Rotating(OnRotations):
 
 class Body(Rotating):
     """A body without rotors, so that Π = JΩ."""
-
-    def angular_velocity(self, state: State) -> Vector3:
-        """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
-        return jnp.stack(vectors.symmetric(self.inertia).solve(self.body_momentum(state)))
 
     def kinetic_energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π."""
@@ -193,11 +168,6 @@ class TimedBody(Body):
         super().check(state)
         if state.t is not None:
             check_timed(state)
-
-
-def spatial_torque(potential: Callable[[Array], Array], q: Quaternion) -> Vector3:
-    """The torque in space of a potential V(q), shape (3,): its i-th component is −d/dε V(exp(εeᵢ)q)."""
-    return -autodiff_gradient(lambda theta: potential(so3.multiply(so3.exp(theta), q)))(jnp.zeros_like(q[:3]))
 
 
 def _principal(J: Array) -> tuple[Array, Array]:

@@ -11,23 +11,16 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.metric import flat
 from lieint_jax._xla import compiled
-from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.capabilities import AbstractMetricSystem
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.types import Group, State, vectors
-from lieint_jax.types.shapes import AlgebraVector, DualVector, MomentumMap, Scalar
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
-class OnGroup:
-    """A motion on T*G with the kinetic energy of a left-invariant metric m, its state a configuration q and π."""
-
-    metric: Array
-    group: Group
-
-    @property
-    def phase_space(self) -> CotangentGroup:
-        return CotangentGroup(self.group)
+class OnGroup(AbstractMetricSystem):
+    """A motion on T*G whose states are made from a configuration q and a motion."""
 
     @explained
     def state(
@@ -57,14 +50,6 @@ class OnGroup:
         p = _momentum(self.group, self.metric, element, value, name)
         dtype = jnp.result_type(element, p)
         return State(element.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
-
-    def body_momentum(self, state: State) -> DualVector:
-        """Π = Ad*_q π, shape (d,)."""
-        return self.group.Ad_star(state.q, state.p)
-
-    def velocity(self, state: State) -> AlgebraVector:
-        """The body velocity Ω = m⁻¹Π, shape (d,)."""
-        return sharp(self.metric, self.body_momentum(state))
 
     def kinetic_energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
@@ -108,22 +93,3 @@ def _check_element(name: str, group: Group, q: Array) -> None:
                 f"{name} is off the group by {defect:.3g}, allowed is {2 * _checks.UNIT_TOLERANCE:g}; make it by "
                 "group.exp and group.multiply"
             )
-
-
-def flat(metric: Array, xi: AlgebraVector) -> DualVector:
-    """ξ♭ = m ξ."""
-    _check_shape(metric, len(xi))
-    return metric * xi if metric.ndim == 1 else la.as_array(la.unrolled(metric) @ la.unrolled(xi), xi)
-
-
-def sharp(metric: Array, mu: DualVector) -> AlgebraVector:
-    """μ♯ = m⁻¹ μ."""
-    _check_shape(metric, len(mu))
-    if metric.ndim == 1:
-        return mu / metric
-    return la.as_array(la.solve(la.unrolled(metric), la.unrolled(mu)), mu)
-
-
-def _check_shape(metric: Array, d: int) -> None:
-    if metric.shape not in ((d,), (d, d)):
-        raise ValueError(f"the metric of one system has shape ({d},) or ({d}, {d}), got {metric.shape}; use jax.vmap")

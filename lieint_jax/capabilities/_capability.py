@@ -1,0 +1,44 @@
+"""What a system declares by inheriting a capability: that it moves by the equations which the capability codes."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
+
+from lieint_jax.types import System
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def equation(function: _Function) -> _Function:
+    """Mark a method as one of the equations of motion of a capability (a decorator).
+
+    Schemes refuse a system that inherits the capability and overrides the method: its motion is another one.
+    """
+    function.is_equation = True  # pyright: ignore[reportFunctionMemberAccess]
+    return function
+
+
+class Capability(System):
+    """An abstract system with its equations of motion.
+
+    Attributes:
+        noun: what such systems are, in messages.
+    """
+
+    noun: ClassVar[str]
+
+    @classmethod
+    def governs(cls, system: System) -> bool:
+        """Whether a system moves by these equations."""
+        return isinstance(system, cls) and cls.overridden(system) is None
+
+    @classmethod
+    def overridden(cls, system: System) -> str | None:
+        """The name of an equation of this capability that a system which inherits it has overridden, or None."""
+        for name in dir(cls):
+            method = inspect.getattr_static(cls, name)
+            if getattr(method, "is_equation", False) and inspect.getattr_static(type(system), name) is not method:
+                return name
+        return None

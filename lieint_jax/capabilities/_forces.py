@@ -1,0 +1,60 @@
+"""A kinetic energy and a force that depends on the configuration, constant in time or driven: what splittings take."""
+
+from __future__ import annotations
+
+import abc
+
+from jax import Array
+
+from lieint_jax.capabilities._capability import Capability, equation
+from lieint_jax.types import State, System, clock
+from lieint_jax.types.shapes import Scalar, Time
+
+
+class AbstractForcedSystem(Capability):
+    """A system with a kinetic energy and a force that depends on the configuration: the kick of a splitting."""
+
+    noun = "systems with a potential (systems.heavy_top, systems.potential_top, systems.group_potential, …)"
+
+    @property
+    @abc.abstractmethod
+    def free(self) -> System:
+        """This system without its force."""
+
+    @abc.abstractmethod
+    def force(self, q: Array, /) -> Array:
+        """π̇ at the configuration q less π̇ of the free system, an array of the shape of π."""
+
+    @equation
+    def vector_field(self, state: State) -> State:
+        """That of the free system, and the force in π̇."""
+        free = self.free.vector_field(state)
+        return State(free.q, free.p + self.force(state.q))
+
+
+class AbstractDrivenSystem(Capability):
+    """A kinetic energy and a potential V(q, t) that depends on time in a given way.
+
+    H − W is conserved, with the work W = ∫∂V/∂t dt.
+    """
+
+    noun = "systems with a potential of time (systems.driven_top, systems.gravity_gradient, …)"
+
+    @property
+    @abc.abstractmethod
+    def free(self) -> System:
+        """This system without its potential."""
+
+    @abc.abstractmethod
+    def force(self, q: Array, t: Time, /) -> Array:
+        """π̇ at the configuration q and the time t less π̇ of the free system, an array of the shape of π."""
+
+    @abc.abstractmethod
+    def power(self, q: Array, t: Time, /) -> Scalar:
+        """∂V/∂t, a scalar."""
+
+    @equation
+    def vector_field(self, state: State) -> State:
+        """That of the free system, the force in π̇, and the power as the rate of the work."""
+        free, t = self.free.vector_field(state), clock(state)
+        return State(free.q, free.p + self.force(state.q, t), work=self.power(state.q, t))

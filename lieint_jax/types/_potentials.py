@@ -1,0 +1,62 @@
+"""Potentials and stored energies that have their derivatives in closed form, and those of any others."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from lieint_jax.types.shapes import Matrix3, PyTree, Scalar, Time, Vector3
+from lieint_jax.types.vectors import Symmetric
+
+
+class PotentialWithGradient(abc.ABC):
+    """A potential Ṽ(Γ) or Ṽ(Γ, t) of tops with its gradient in closed form, which costs far less than autodiff."""
+
+    @abc.abstractmethod
+    def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar: ...
+
+    @abc.abstractmethod
+    def gradient(self, Gamma: Vector3, t: Time | None = None) -> Vector3:
+        """∇Ṽ, shape (3,)."""
+
+
+def gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> Array:
+    """∇Ṽ(Γ) or ∇Ṽ(Γ, t), shape (3,), of any potential of tops."""
+    known = isinstance(potential, PotentialWithGradient)
+    return potential.gradient(Gamma, *t) if known else autodiff_gradient(potential)(Gamma, *t)
+
+
+def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:
+    """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
+
+    The derivative of log x is finite for x < 0, where log x is NaN: a step would continue where there is no motion.
+    """
+
+    def gradient(*arguments: Array) -> PyTree:
+        V, slopes = jax.value_and_grad(potential, argnums)(*arguments)
+        defined = jnp.isfinite(V)
+        return jax.tree.map(lambda slope: jnp.where(defined, slope, jnp.nan), slopes)
+
+    return gradient
+
+
+class StoredEnergy(abc.ABC):
+    """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3).
+
+    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy) with operators, see `types.vectors`.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, C: Matrix3) -> Scalar: ...
+
+    @abc.abstractmethod
+    def stress(self, C: Symmetric) -> tuple[Array, ...]:
+        """S = 2∇W(C)."""
+
+    @abc.abstractmethod
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> tuple[Array, ...]:
+        """S̄ with ½ S̄:D = W(C + D) − W(C)."""
