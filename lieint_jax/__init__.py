@@ -26,6 +26,7 @@ A system and a scheme make a step; a step and states make a run.
 | `transition` | state transition matrices, sensitivities to parameters, linear covariance |
 | `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
+| `capabilities` | equations of motion, which systems inherit and schemes integrate |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
 | `scan`, `engine`, `explain` | `jax.lax.scan` in machine code, for your own loops; which engine runs a loop, and why |
@@ -38,6 +39,7 @@ be used. `lieint list` on the command line lists systems, schemes and scenarios.
 
 from lieint_jax import (
     adjoints,
+    capabilities,
     diagnostics,
     elliptic,
     ensemble,
@@ -77,6 +79,7 @@ __all__ = [
     "__version__",
     "adjoints",
     "cache_programs",
+    "capabilities",
     "diagnostics",
     "elliptic",
     "engine",

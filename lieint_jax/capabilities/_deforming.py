@@ -52,7 +52,7 @@ class AbstractElasticBody(AbstractDeformingBody):
         stored_energy: W.
     """
 
-    noun = "pseudo-rigid bodies (systems.pseudo_rigid_body)"
+    noun = "elastic bodies (systems.pseudo_rigid_body without viscosity)"
 
 
 class AbstractViscousBody(AbstractDeformingBody):
@@ -65,7 +65,7 @@ class AbstractViscousBody(AbstractDeformingBody):
         viscosity: ν ≥ 0, an energy times a time.
     """
 
-    noun = "viscous pseudo-rigid bodies (systems.pseudo_rigid_body)"
+    noun = "viscous bodies (systems.pseudo_rigid_body)"
     viscosity: Array
 
     @equation

@@ -16,7 +16,7 @@ from lieint_jax.phase_spaces import CotangentGroup, EmbeddedRotations
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import Law, PhaseSpace, State, clock, instant, parts
 from lieint_jax.types.shapes import Matrix3, Scalar, Time, Vector3
-from lieint_jax.types.vectors import Matrix, cross, dot, matrix, symmetric
+from lieint_jax.types.vectors import cross, dot, matrix, symmetric, vector
 
 _PHASE_SPACE, _EMBEDDED = CotangentGroup(so3), EmbeddedRotations()
 _WORKS = "works"
@@ -152,7 +152,7 @@ class AbstractEmbeddedBody(AbstractRotatingBody):
     def vector_field(self, state: State) -> State:
         """(Λ̇, π̇) = (ΛΩ̂, 0) (2.12)."""
         Omega = self.angular_velocity(state)
-        return State(Matrix(cross(row, Omega) for row in state.q).array, jnp.zeros_like(state.p))
+        return State(matrix(state.q).times_hat(vector(Omega)).array, jnp.zeros_like(state.p))
 
 
 class AbstractDampedBody(AbstractRotatingBody):

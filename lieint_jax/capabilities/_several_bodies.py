@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,7 @@ from lieint_jax.capabilities._one_body import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.types import PhaseSpace, State, autodiff_gradient, pair_forces
-from lieint_jax.types.shapes import Inertia, PoseMomenta, Poses, Positions, Rotations
+from lieint_jax.types.shapes import Inertia, PoseMomenta, Poses, Positions, PyTree, Rotations
 from lieint_jax.types.vectors import symmetric
 
 
@@ -104,7 +103,7 @@ class AbstractDissipativeBodies(AbstractManyBodies):
 
     noun = "bodies with dissipation (systems.rigid_bodies)"
     potential: Callable[[Array, Array], Array]
-    dissipation: Callable[..., Any]
+    dissipation: Callable[..., PyTree]
 
     @property
     @abc.abstractmethod

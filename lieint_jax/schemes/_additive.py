@@ -51,11 +51,6 @@ _SHRINK = 0.1  # det G may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
 
 
-def _over(A: Matrix, E: Symmetric) -> Matrix:
-    """A E⁻¹."""
-    return Matrix(E.solve(row) for row in A)
-
-
 @pytree
 class Additive(Step):
     """The step made by `additive`.

@@ -281,6 +281,6 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: System) -> dict[str, Step]:
     """The scheme, for bodies in a potential, with dissipation or without."""
-    if isinstance(system, PROPERTIES.accepts):
+    if isinstance(system, AbstractRigidBodies | AbstractDissipativeBodies):
         return {"bodies_energy_momentum": bodies_energy_momentum(system)}
     return {}

@@ -175,7 +175,7 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: System) -> dict[str, Step]:
     """The step of α = ½ by the exponential map, on small groups; it costs as much as `group_midpoint`."""
-    if not isinstance(system, PROPERTIES.accepts) or system.group.dim > 3:
+    if not isinstance(system, AbstractGeodesicFlow | AbstractMechanicalSystem) or system.group.dim > 3:
         return {}
     step = group_alpha(system)
     return {step.name: step}

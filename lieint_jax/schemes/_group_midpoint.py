@@ -145,7 +145,7 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: System) -> dict[str, Step]:
     """The exponential map, and the Cayley map where it lands in the group."""
-    if not isinstance(system, PROPERTIES.accepts):
+    if not isinstance(system, AbstractGeodesicFlow | AbstractRightGeodesicFlow):
         return {}
     maps = [exponential] + [cayley] * cayley_lands(system.group)
     return {step.name: step for step in (group_midpoint(system, tau) for tau in maps)}

@@ -21,7 +21,7 @@ from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBody
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.properties import SchemeProperties, hint
-from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
+from lieint_jax.schemes._shared.rounding import attitude_error_limit
 from lieint_jax.types import State, Step, StepInfo, System, promoted, pytree, static
 
 _KEY = "energy"

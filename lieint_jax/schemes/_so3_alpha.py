@@ -32,7 +32,7 @@ from lieint_jax.capabilities import AbstractEmbeddedBody
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
+from lieint_jax.schemes._shared.rounding import SLENDER, attitude_error_limit
 from lieint_jax.schemes._shared.vector_form import cross_apply, gyroscopic, on_branch
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import (
@@ -185,13 +185,8 @@ def _solve(kappa: Kappa, alpha: Array, J: Symmetric, a: Vector, iterations: int)
 def _rotated_attitude(q: Array, alpha: Array, Theta: Vector) -> Array:
     """Λ T_α(Θ) = Λ + (ΛΘ̂ + αΛΘ̂²)/(1 + α²|Θ|²)."""
     r, L = 1 / (1 + alpha * alpha * dot(Theta, Theta)), matrix(q)
-    first = _times_hat(L, Theta)
-    return (L + r * (first + alpha * _times_hat(first, Theta))).array
-
-
-def _times_hat(A: Matrix, v: Vector) -> Matrix:
-    """A v̂."""
-    return Matrix(cross(row, v) for row in A)
+    first = L.times_hat(Theta)
+    return (L + r * (first + alpha * first.times_hat(Theta))).array
 
 
 def _digits_left(state: State) -> Array:

@@ -331,6 +331,6 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
-    if not isinstance(system, PROPERTIES.accepts) or system.axis is None:
+    if not isinstance(system, AbstractTop | AbstractDrivenTop) or system.axis is None:
         return {}
     return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in KAPPAS)}

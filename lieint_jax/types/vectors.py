@@ -239,6 +239,10 @@ class Matrix(_Space):
         """A + Aᵀ."""
         return Symmetric(self[i][j] + self[j][i] for i, j in PAIRS)
 
+    def times_hat(self, v: VectorLike) -> Matrix:
+        """A v̂."""
+        return Matrix(cross(row, v) for row in self)
+
     def gram(self) -> Symmetric:
         """AᵀA."""
         columns = self.T

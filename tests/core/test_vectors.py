@@ -54,7 +54,7 @@ def test_matrices_agree_with_numpy():
     pairs = [(A @ B, X @ Y), (A.T @ B, X.T @ Y), (A + 2.0 * B, X + 2 * Y), (A @ v, X @ v), (A.array, X)]
     pairs += [(A.gram().rows, X.T @ X), (A.plus_transpose().rows, X + X.T), (A.det(), np.linalg.det(X))]
     pairs += [(A.cofactors, np.linalg.det(X) * np.linalg.inv(X).T), (vectors.hat(v) @ X[0], np.cross(v, X[0]))]
-    pairs += [(A @ B.gram(), X @ (Y.T @ Y)), (A - B.gram(), X - Y.T @ Y)]
+    pairs += [(A @ B.gram(), X @ (Y.T @ Y)), (A - B.gram(), X - Y.T @ Y), (A.times_hat(v), X @ vectors.hat(v).array)]
     for ours, theirs in pairs:
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=64 * EPS)
     S, R = A.plus_transpose(), B.plus_transpose()

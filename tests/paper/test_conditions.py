@@ -8,7 +8,7 @@ import pytest
 from paper import ONE, hat
 
 import lieint_jax as li
-from lieint_jax import capabilities, _discover, diagnostics, groups, maps, schemes
+from lieint_jax import _discover, diagnostics, groups, maps, schemes
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.groups import so3
 

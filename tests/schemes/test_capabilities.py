@@ -138,8 +138,9 @@ def with_other_moments(system):
 def test_every_step_moves_by_the_vector_field_of_its_system(name):
     """With unequal moments in axes of their own: the symmetry of an example hides mistakes."""
     system, state, _ = dict(systems())[name]
-    system = with_other_moments(system) or system
-    dt = 1e-4
+    system, dt = with_other_moments(system) or system, 2e-5  # the error is O(Δt²), of elastic bodies 1200 Δt²
+    if isinstance(system, capabilities.AbstractIncompressibleBody):  # whose momenta depend on the moments
+        state = system.state(state.q, momentum=state.p)
     for module in _discover.modules_with_examples(schemes).values():
         for step in module.examples(system).values():
             start = step.start(state)

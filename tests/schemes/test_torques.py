@@ -708,7 +708,7 @@ REFUSED = {
     "κ": (lambda: torqued_midpoint(BODIES["viscous"], 1.0), "kappa"),
     "iterations": (lambda: torqued_midpoint(BODIES["viscous"], iterations=0), "iterations must be an integer ≥ 1"),
     "a free body": (
-        lambda: torqued_midpoint(li.systems.rigid_body(J)), "torqued_midpoint .* got RigidBody; .* systems.damped_body"
+        lambda: torqued_midpoint(li.systems.rigid_body(J)), "torqued_midpoint .* got RigidBody"
     ),
 }  # fmt: skip
 

@@ -547,7 +547,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_schemes_refuse_a_gyrostat_and_name_those_that_accept_it(name):
-    with pytest.raises(ValueError, match=f"{name} integrates .* got Gyrostat; use so3_midpoint or splitting"):
+    with pytest.raises(ValueError, match=f"{name} integrates .* got Gyrostat; use gauss or so3_midpoint or splitting"):
         OTHERS[name](GYROSTAT)
     with pytest.raises(ValueError, match=f"{name} integrates .* got DrivenGyrostat; use so3_midpoint$"):
         OTHERS[name](DRIVEN)

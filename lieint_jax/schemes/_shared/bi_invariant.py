@@ -7,10 +7,10 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once
+from lieint_jax._numerics.metric import sharp
 from lieint_jax.capabilities import AbstractGeodesicFlow
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
@@ -42,7 +42,7 @@ class OneParameterSubgroup(Step):
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group = self.system.group
         Pi = group.Ad_star(state.q, state.p)
-        q = group.multiply(state.q, group.exp(_velocity(self.system.metric, jnp.asarray(dt) * Pi)))
+        q = group.multiply(state.q, group.exp(sharp(self.system.metric, jnp.asarray(dt) * Pi)))
         size, error = (jnp.max(jnp.abs(x)) for x in (Pi, group.Ad_star(q, state.p) - Pi))
         eps = float(jnp.finfo(q.dtype).eps)
         return state._replace(q=q), StepInfo(error / jnp.where(size > 0, size, 1), error <= _ROUNDING * eps * size)
@@ -51,16 +51,12 @@ class OneParameterSubgroup(Step):
         return f"{self.name}: exp(Δt Ω) is not exact at dt = {dt}, or the state has left the group: use a smaller dt"
 
 
-def _velocity(metric: Array, Pi: Array) -> Array:
-    return Pi / metric if metric.ndim == 1 else jnp.linalg.solve(metric, Pi)
-
-
 def is_bi_invariant(system: AbstractGeodesicFlow) -> bool:
     """True if ad*_Ω Π = 0 with Ω = m⁻¹Π for every Π, of a concrete metric m; this is bilinear in Π."""
     with at_once():
         d, m = system.group.dim, jnp.asarray(system.metric)
         basis = jnp.eye(d, dtype=m.dtype)
-        velocities = jax.vmap(lambda Pi: _velocity(m, Pi))(basis)
+        velocities = jax.vmap(lambda Pi: sharp(m, Pi))(basis)
         terms = jax.vmap(lambda xi: jax.vmap(lambda Pi: system.group.ad_star(xi, Pi))(basis))(velocities)
         terms = np.asarray(terms)
     return bool(np.abs(terms + terms.swapaxes(0, 1)).max() <= 64 * np.finfo(terms.dtype).eps * np.abs(terms).max())

@@ -19,13 +19,15 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSystem, AbstractRightGeodesicFlow
+from lieint_jax.capabilities import (
+    AbstractMechanicalSystem,
+    AbstractMetricSystem,
+    AbstractRightGeodesicFlow,
+)
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
 from lieint_jax.types.shapes import AlgebraVector, SquareMatrix
 from lieint_jax.types.vectors import Matrix, components
-
-MetricSystem = AbstractGeodesicFlow | AbstractRightGeodesicFlow | AbstractMechanicalSystem
 
 
 class Equation(NamedTuple):
@@ -52,7 +54,7 @@ class Equation(NamedTuple):
     carried: la.Vector
 
     @classmethod
-    def from_state(cls, system: MetricSystem, tau: Tau, state: State, half: Array) -> Equation:
+    def from_state(cls, system: AbstractMetricSystem, tau: Tau, state: State, half: Array) -> Equation:
         """The equation of a step by τ, for a system with a group and a metric."""
         m = unpacked(system.group, system.metric)
         carried = a = as_vector(m, half * system.group.Ad_star(state.q, state.p))
@@ -100,13 +102,6 @@ def unpacked(group: Group, metric: Array) -> la.Matrix:
     if metric.ndim == 2:
         return la.unrolled(metric)
     return Matrix((x if i == j else 0.0 for j in range(len(metric))) for i, x in enumerate(components(metric)))
-
-
-def body_velocity_field(system: MetricSystem, state: State) -> AlgebraVector:
-    """q̇ = qΩ̂ with mΩ = Ad*_q π, of a system with a group and a metric."""
-    group, m = system.group, unpacked(system.group, system.metric)
-    Omega = la.solve(m, as_vector(m, group.Ad_star(state.q, state.p)))
-    return group.tangent(state.q, la.as_array(Omega, state.p))
 
 
 def as_vector(m: la.Matrix, x: Array) -> la.Vector:

@@ -10,7 +10,7 @@ from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractFreeBody, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
-from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
+from lieint_jax.schemes._shared.rounding import attitude_error_limit
 from lieint_jax.schemes._shared.scalar_form import solve_scalar
 from lieint_jax.schemes._shared.vector_form import solve_vector
 from lieint_jax.types import State, StepInfo

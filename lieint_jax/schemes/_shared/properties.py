@@ -50,16 +50,16 @@ class SchemeProperties(NamedTuple):
     def check(self, system: object, more: str = "") -> None:
         """Raise ValueError unless a system has one of the accepted capabilities, and its equations of motion.
 
-        `more` is what the message adds if the capability is missing.
+        `more` is what the message adds if the capability is missing and no scheme has it.
         """
         own = next((capability for capability in self.accepts if isinstance(system, capability)), None)
         if own is None:
             nouns = ", ".join(capability.noun for capability in self.accepts)
-            raise ValueError(f"{self.name} integrates {nouns}, got {type(system).__name__}{more or hint(system)}")
+            raise ValueError(f"{self.name} integrates {nouns}, got {type(system).__name__}{hint(system) or more}")
         if changed := own.overridden(system):  # pyright: ignore[reportArgumentType]
             raise ValueError(
                 f"{self.name} integrates {own.noun}, and {type(system).__name__}.{changed} overrides their equations "
-                "of motion: use extrapolate, which integrates every vector_field"
+                "of motion: remove it, or use extrapolate, which integrates every vector_field"
             )
 
     def check_drift(self, free: System, drift: Step) -> None:
