@@ -223,6 +223,26 @@ def function(name: str, given: Callable[..., object], of: str, shape: tuple[int,
         raise ValueError(f"{name} must be a function of {of} with {wanted} as its value, got {got}")
 
 
+def closed_form(owner: object, name: str, found: Callable[[], Array], by_autodiff: Callable[[], Array]) -> None:
+    """Raise ValueError if a derivative that a user's class has in closed form is not that of its values.
+
+    Args:
+        owner: an instance; those of this package, which tests compare, and of tracers are not compared.
+        name: of its method.
+        found, by_autodiff: the derivative at the same point, by the method and by autodiff.
+    """
+    if type(owner).__module__.startswith(f"{__package__}.") or not concrete(owner):
+        return
+    with at_once():
+        ours, theirs = np.asarray(found()), np.asarray(by_autodiff())
+    apart, size = np.max(np.abs(ours - theirs)), np.max(np.abs([ours, theirs]))
+    if np.isfinite(size) and apart > math.sqrt(jnp.finfo(theirs.dtype).eps) * size:
+        raise ValueError(
+            f"{type(owner).__name__}.{name} must be the derivative of its values: it is {ours} where autodiff finds "
+            f"{theirs}"
+        )
+
+
 def count(name: str, value: Input, least: int) -> int:
     """An integer ≥ `least`, as a Python int; at most 2⁵³, or 2³¹ − 1 where jax_enable_x64 is off."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:

@@ -119,7 +119,7 @@ def group_energy_momentum(system: AbstractMechanicalSystem, iterations: int = 6)
 
     Source: Lewis & Simo 1994, Result 13; the discrete force: this package.
     """
-    PROPERTIES.check(system, "; without a potential use group_midpoint")
+    PROPERTIES.check(system)
     tau = as_tau(exponential, system.group)
     return GroupEnergyMomentum(system, tau, _checks.count("iterations", iterations, 1))
 

@@ -17,7 +17,7 @@ from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import State, System, callable_pytree, clock, pytree, vectors
+from lieint_jax.types import State, System, callable_pytree, check_gradient, clock, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 
@@ -114,6 +114,7 @@ def driven_top(
     made = DrivenTop(inertia, callable_pytree(potential), axis)
     q, t = jnp.zeros(4, inertia.dtype), jnp.zeros((), inertia.dtype)
     _checks.function("potential", made.potential_energy, _argument(axis), (), q, t)
+    check_gradient(made.potential, jnp.array([0.48, -0.6, 0.64], inertia.dtype), t)
     return made
 
 

@@ -17,7 +17,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import PotentialWithGradient, State, System, callable_pytree, pytree, vectors
+from lieint_jax.types import PotentialWithGradient, State, System, callable_pytree, check_gradient, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 
@@ -114,6 +114,7 @@ def potential_top(
         raise ValueError(f"potential must be a function of {_argument(axis)}, got {potential!r}")
     made = PotentialTop(inertia, callable_pytree(potential), axis)
     _checks.function("potential", made.potential_energy, _argument(axis), (), jax.ShapeDtypeStruct((4,), inertia.dtype))
+    check_gradient(made.potential, jnp.array([0.48, -0.6, 0.64], inertia.dtype))
     return made
 
 

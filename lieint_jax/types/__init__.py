@@ -11,7 +11,13 @@ from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax.types._catalogue import Catalogue
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
 from lieint_jax.types._pair_law import PairLaw, pair_forces
-from lieint_jax.types._potentials import PotentialWithGradient, StoredEnergy, autodiff_gradient, gradient
+from lieint_jax.types._potentials import (
+    PotentialWithGradient,
+    StoredEnergy,
+    autodiff_gradient,
+    check_gradient,
+    gradient,
+)
 from lieint_jax.types._pytree import Partitioned, argument, callable_pytree, pytree, static
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
@@ -43,6 +49,7 @@ __all__ = [
     "as_law",
     "autodiff_gradient",
     "callable_pytree",
+    "check_gradient",
     "checked_step",
     "clock",
     "converges",

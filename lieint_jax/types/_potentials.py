@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._checks import closed_form
 from lieint_jax.types.shapes import Matrix3, PyTree, Scalar, Time, Vector3
 from lieint_jax.types.vectors import Symmetric
 
@@ -28,6 +29,13 @@ def gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> Arra
     """∇Ṽ(Γ) or ∇Ṽ(Γ, t), shape (3,), of any potential of tops."""
     known = isinstance(potential, PotentialWithGradient)
     return potential.gradient(Gamma, *t) if known else autodiff_gradient(potential)(Gamma, *t)
+
+
+def check_gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> None:
+    """Raise ValueError if the gradient that a user's potential has in closed form is not that of its values."""
+    if isinstance(potential, PotentialWithGradient):
+        at = Gamma, *t
+        closed_form(potential, "gradient", lambda: potential.gradient(*at), lambda: jax.grad(potential)(*at))
 
 
 def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:

@@ -103,7 +103,7 @@ def test_systems_with_a_potential_are_no_geodesic_flows_and_the_other_way_round(
     weight = li.systems.group_potential(plane, metric, lambda q: q[1, 2])
     with pytest.raises(ValueError, match="GroupPotential; with a potential use group_energy_momentum"):
         schemes.group_midpoint(weight)
-    with pytest.raises(ValueError, match="Euler; without a potential use group_midpoint"):
+    with pytest.raises(ValueError, match="Euler; use group_alpha or group_midpoint"):
         schemes.group_energy_momentum(flow)
     with pytest.raises(ValueError, match=r"splitting integrates systems with a potential .*got Euler"):
         schemes.splitting(flow)
@@ -189,6 +189,39 @@ def test_an_altered_motion_is_refused_by_every_scheme_with_a_field_of_its_own():
         fields = {field.name: getattr(system, field.name) for field in dataclasses.fields(system)}
         with pytest.raises(ValueError, match=f"{scheme.__name__} integrates .*Changed.vector_field overrides"):
             scheme(changed(**fields))
+
+
+@li.pytree
+class Wrong(types.PotentialWithGradient):
+    """A slip in the gradient, by which energy would drift."""
+
+    def __call__(self, Gamma, t=None):
+        return Gamma[0] ** 2 + 0.5 * Gamma[2]
+
+    def gradient(self, Gamma, t=None):
+        return jnp.array([Gamma[0], 0.0, 0.5])
+
+
+@li.pytree
+class WrongStress(types.StoredEnergy):
+    """Half of the stress."""
+
+    def __call__(self, C):
+        return jnp.sum((C - jnp.eye(3)) ** 2)
+
+    def stress(self, C):
+        return tuple(2 * (c - one) for c, one in zip(C, (1, 1, 1, 0, 0, 0), strict=True))
+
+    def mean_stress(self, C, D):
+        return self.stress(C)
+
+
+def test_a_wrong_derivative_in_closed_form_is_refused():
+    for make in (li.systems.potential_top, li.systems.driven_top):
+        with pytest.raises(ValueError, match=r"Wrong\.gradient must be the derivative of its values"):
+            make(J, Wrong())
+    with pytest.raises(ValueError, match=r"WrongStress\.stress must be the derivative of its values"):
+        li.systems.pseudo_rigid_body(J, WrongStress())
 
 
 @pytest.mark.long
