@@ -58,7 +58,7 @@ class AbstractDrivenTop(AbstractDrivenSystem, AbstractRotatingBody):
     """
 
     noun = "driven tops with an axis (systems.driven_top, systems.gravity_gradient)"
-    potential: Callable[..., Array]
+    potential: Any
     axis: Any
 
     @abc.abstractmethod
