@@ -29,32 +29,9 @@ A scheme raises ValueError for a system whose equations it does not integrate. `
 conserves; `catalogue()` lists what they declare, with their names in the literature and sources.
 """
 
-from lieint_jax.schemes import (
-    _additive,
-    _bodies_energy_momentum,
-    _calibrated,
-    _compose,
-    _exact,
-    _extrapolate,
-    _gauss,
-    _group_alpha,
-    _group_energy_momentum,
-    _group_midpoint,
-    _kepler_splitting,
-    _langevin,
-    _log_hamiltonian,
-    _nystrom,
-    _preprocessed,
-    _reversible_control,
-    _so3_alpha,
-    _so3_explicit,
-    _so3_midpoint,
-    _sphere_chart,
-    _sphere_midpoint,
-    _splitting,
-    _top_energy_momentum,
-    _torqued_midpoint,
-)
+import sys as _sys
+
+from lieint_jax._discover import modules_with_examples as _modules_with_examples
 from lieint_jax.schemes._additive import Additive, additive
 from lieint_jax.schemes._bodies_energy_momentum import BodiesEnergyMomentum, bodies_energy_momentum
 from lieint_jax.schemes._calibrated import Calibrated, calibrated
@@ -150,32 +127,4 @@ def catalogue() -> Catalogue[SchemeProperties]:
     Returns:
         A tuple of `SchemeProperties`, which prints as a table; `.markdown()` is one for a page.
     """
-    return Catalogue(
-        module.PROPERTIES
-        for module in (
-            _so3_midpoint,
-            _so3_explicit,
-            _exact,
-            _calibrated,
-            _preprocessed,
-            _torqued_midpoint,
-            _top_energy_momentum,
-            _splitting,
-            _nystrom,
-            _gauss,
-            _extrapolate,
-            _log_hamiltonian,
-            _reversible_control,
-            _bodies_energy_momentum,
-            _kepler_splitting,
-            _langevin,
-            _additive,
-            _sphere_midpoint,
-            _sphere_chart,
-            _group_midpoint,
-            _group_energy_momentum,
-            _group_alpha,
-            _so3_alpha,
-            _compose,
-        )
-    )
+    return Catalogue(module.PROPERTIES for module in _modules_with_examples(_sys.modules[__name__]).values())

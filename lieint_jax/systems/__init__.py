@@ -21,25 +21,10 @@ Integrals and closed forms to test with: `lagrange_motion`, `kovalevskaya_integr
 `manakov_integrals`. Each module has `examples()`: systems with a state worth integrating and a time step.
 """
 
+import sys as _sys
+
 from lieint_jax._deprecated import renamed as _renamed
-from lieint_jax.systems import (
-    _damped_body,
-    _driven_gyrostat,
-    _driven_top,
-    _embedded_body,
-    _euler,
-    _gravity_gradient,
-    _group_potential,
-    _gyrostat,
-    _heavy_top,
-    _incompressible_body,
-    _pendulum,
-    _potential_top,
-    _pseudo_rigid_body,
-    _rigid_bodies,
-    _rigid_body,
-    _torqued_body,
-)
+from lieint_jax._discover import modules_with_examples as _modules_with_examples
 from lieint_jax.systems._damped_body import DampedBody, damped_body
 from lieint_jax.systems._driven_gyrostat import DrivenGyrostat, SpinUpMotor, driven_gyrostat
 from lieint_jax.systems._driven_top import DrivenTop, driven_top
@@ -138,27 +123,7 @@ def catalogue() -> Catalogue[SystemProperties]:
     Returns:
         A tuple of `SystemProperties`, which prints as a table; `.markdown()` is one for a page.
     """
-    return Catalogue(
-        module.PROPERTIES
-        for module in (
-            _rigid_body,
-            _embedded_body,
-            _gyrostat,
-            _driven_gyrostat,
-            _damped_body,
-            _torqued_body,
-            _heavy_top,
-            _potential_top,
-            _driven_top,
-            _gravity_gradient,
-            _rigid_bodies,
-            _pendulum,
-            _pseudo_rigid_body,
-            _incompressible_body,
-            _euler,
-            _group_potential,
-        )
-    )
+    return Catalogue(module.PROPERTIES for module in _modules_with_examples(_sys.modules[__name__]).values())
 
 
 __getattr__ = _renamed(

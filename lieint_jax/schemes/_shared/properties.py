@@ -9,7 +9,6 @@ import jax
 import numpy as np
 
 from lieint_jax._checks import concrete
-from lieint_jax._discover import modules_with_examples
 from lieint_jax.capabilities import Capability
 from lieint_jax.types import Step, System
 
@@ -75,10 +74,8 @@ class SchemeProperties(NamedTuple):
 
 def hint(system: object) -> str:
     """The end of a message that a scheme does not accept a system: the schemes that do, if they are few."""
-    found = (
-        module.PROPERTIES for module in modules_with_examples(importlib.import_module("lieint_jax.schemes")).values()
-    )
-    fitting = [scheme.name for scheme in found if isinstance(system, scheme.accepts)]
+    catalogue = importlib.import_module("lieint_jax.schemes").catalogue()
+    fitting = [scheme.name for scheme in catalogue if isinstance(system, scheme.accepts)]
     return f"; use {' or '.join(fitting)}" if 0 < len(fitting) <= _FEW else ""
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -53,7 +51,7 @@ class FreeMotion(Step):
         return f"{self.name} does not converge at dt = {dt}, where |Δt Ω| must stay below 1: use a smaller dt"
 
 
-def is_free_motion(system: Any) -> bool:
+def is_free_motion(system: AbstractGeodesicFlow) -> bool:
     """True if a geodesic flow of a concrete metric is one that `FreeMotion` integrates."""
     if system.group != special_euclidean(3):
         return False
