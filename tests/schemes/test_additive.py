@@ -441,7 +441,7 @@ def test_pseudo_rigid_bodies_in_float32_stay_in_float32():
 def test_arguments_of_additive_out_of_range_raise_errors():
     rigid = li.systems.rigid_body([1.0, 2.0, 3.0])
     for arguments, message in (
-        ((rigid,), "pseudo-rigid bodies"),
+        ((rigid,), "elastic bodies"),
         ((SOFT, "magic"), "symplectic, energy, energy_momentum, average"),
         ((SOFT, "symplectic", 1.5), r"in \[0, 1\]"),
         ((SOFT, "average", 0.3), "alpha = 1/2 only"),

@@ -253,7 +253,7 @@ def test_bad_arguments_of_group_potential_raise_errors():
         li.systems.group_potential(g, [1.0, 1, 1], lambda q: q)
     with pytest.raises(ValueError, match="symmetry must have shape"):
         li.systems.group_potential(g, [1.0, 1, 1], jnp.sum, [1.0, 2.0])
-    with pytest.raises(ValueError, match="use group_midpoint"):
+    with pytest.raises(ValueError, match="use group_alpha or group_midpoint"):
         li.schemes.group_energy_momentum(li.systems.euler(g, [1.0, 1, 1]))
     with pytest.raises(ValueError, match="use group_energy_momentum"):
         li.schemes.group_midpoint(li.systems.group_potential(g, [1.0, 1, 1], jnp.sum))
