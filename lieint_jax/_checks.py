@@ -229,7 +229,8 @@ def closed_form(owner: object, name: str, found: Callable[[], Array], by_autodif
     Args:
         owner: an instance; those of this package, which tests compare, and of tracers are not compared.
         name: of its method.
-        found, by_autodiff: the derivative at the same point, by the method and by autodiff.
+        found, by_autodiff: the derivative at the same point, by the method and by autodiff; they make their arrays
+            themselves, so that inside jit these are values.
     """
     if type(owner).__module__.startswith(f"{__package__}.") or not concrete(owner):
         return

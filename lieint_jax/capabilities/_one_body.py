@@ -19,7 +19,6 @@ from lieint_jax.types.shapes import Matrix3, Scalar, Time, Vector3
 from lieint_jax.types.vectors import cross, dot, matrix, symmetric, vector
 
 _PHASE_SPACE, _EMBEDDED = CotangentGroup(so3), EmbeddedRotations()
-_WORKS = "works"
 
 
 class AbstractRotatingBody(Capability):
@@ -224,8 +223,8 @@ class AbstractTorquedBody(AbstractRotatingBody):
         extra = jax.tree.map(jnp.zeros_like, state.extra)
         if rates or extra:
             extra = (extra or {}) | rates
-        if extra and _WORKS in extra:
-            extra[_WORKS] = powers
+        if extra and "works" in extra:
+            extra["works"] = powers
         return State(so3.tangent(state.q, self.angular_velocity(state)), impulse, work=jnp.sum(powers), extra=extra)
 
     def _rates(self, state: State) -> tuple[Array, dict[str, Array], Array]:

@@ -192,11 +192,7 @@ PROPERTIES = SchemeProperties(
     limit="half a radian of the fastest vibration",
     aliases=("energy–momentum rules of pseudo-rigid bodies",),
     source="Lewis & Simo 1994, Results 15 and 16, (6.15) to (6.17)",
-    accepts=(
-        AbstractElasticBody,
-        AbstractViscousBody,
-        AbstractIncompressibleBody,
-    ),
+    accepts=(AbstractElasticBody, AbstractViscousBody, AbstractIncompressibleBody),
 )
 
 

@@ -122,13 +122,14 @@ def bodies_energy_momentum(
 
 def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -> None:
     """Raise ValueError if a potential is not one of relative poses, and has no invariants by which it is defined."""
-    space, terms = system.phase_space, getattr(system.potential, "terms", (system.potential,))
-    states = [space.perturb(space.origin, 0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim))) for phase in (0.3, 2.0)]
-    for term in terms:
+    for term in getattr(system.potential, "terms", (system.potential,)):
         if type(term).__call__ is Potential.__call__ or not concrete(term):
             continue
+        space, dtype = system.phase_space, system.masses.dtype
         with at_once():
-            pairs = np.array([_two_values(term, *_parts(state.q.astype(system.masses.dtype))) for state in states])
+            deltas = [0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim)) for phase in (0.3, 2.0)]
+            poses = [space.perturb(space.origin, delta).q.astype(dtype) for delta in deltas]
+            pairs = np.array([_two_values(term, *_parts(q)) for q in poses])
         size, apart = np.abs(pairs).max(), np.abs(pairs[:, 0] - pairs[:, 1]).max()
         if np.isfinite(size) and apart > math.sqrt(float(jnp.finfo(pairs.dtype).eps)) * size:
             raise ValueError(
@@ -272,10 +273,7 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
     aliases=("energy–momentum method",),
     source="Lewis & Simo 1994, Results 1 to 3, for several bodies: this package",
-    accepts=(
-        AbstractRigidBodies,
-        AbstractDissipativeBodies,
-    ),
+    accepts=(AbstractRigidBodies, AbstractDissipativeBodies),
 )
 
 

@@ -91,7 +91,7 @@ def exact(system: AbstractFreeBody | AbstractFreeBodies) -> Exact | FreeFlight:
     """
     PROPERTIES.check(system)
     if isinstance(system, AbstractFreeBodies):
-        return FreeFlight.of(system, Exact)
+        return FreeFlight.with_step(system, Exact)
     return Exact(system)
 
 
@@ -104,10 +104,7 @@ PROPERTIES = SchemeProperties(
     limit="none",
     aliases=("Jacobi's solution of the free rigid body",),
     source="Jacobi 1849; Hairer & Vilmart 2006",
-    accepts=(
-        AbstractFreeBody,
-        AbstractFreeBodies,
-    ),
+    accepts=(AbstractFreeBody, AbstractFreeBodies),
 )
 
 

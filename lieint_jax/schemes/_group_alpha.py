@@ -166,10 +166,7 @@ PROPERTIES = SchemeProperties(
     limit="where the map is injective",
     aliases=("α-family on T*G",),
     source="Lewis & Simo 1994, (5.43), Results 12 to 14",
-    accepts=(
-        AbstractGeodesicFlow,
-        AbstractMechanicalSystem,
-    ),
+    accepts=(AbstractGeodesicFlow, AbstractMechanicalSystem),
 )
 
 

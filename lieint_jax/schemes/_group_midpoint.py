@@ -136,10 +136,7 @@ PROPERTIES = SchemeProperties(
     limit="where the map is injective",
     aliases=("midpoint rule on T*G",),
     source="Lewis & Simo 1994, (5.23) to (5.27), Results 9 to 11",
-    accepts=(
-        AbstractGeodesicFlow,
-        AbstractRightGeodesicFlow,
-    ),
+    accepts=(AbstractGeodesicFlow, AbstractRightGeodesicFlow),
 )
 
 

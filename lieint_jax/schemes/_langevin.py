@@ -303,12 +303,7 @@ PROPERTIES = SchemeProperties(
     limit="that of the potential's frequencies, Δtω < 2",
     aliases=("BAOAB", "Langevin thermostat", "GHMC"),
     source="Leimkuhler & Matthews 2013; Davidchack, Handel & Tretyakov 2009; Bou-Rabee & Owhadi 2010",
-    accepts=(
-        AbstractFreeBody,
-        AbstractTop,
-        AbstractFreeBodies,
-        AbstractRigidBodies,
-    ),
+    accepts=(AbstractFreeBody, AbstractTop, AbstractFreeBodies, AbstractRigidBodies),
 )
 
 

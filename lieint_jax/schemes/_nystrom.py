@@ -130,6 +130,7 @@ def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, dri
             "systems.potential_top, systems.driven_top, systems.gravity_gradient), got "
             f"{type(system).__name__}{hint(system)}"
         )
+    PROPERTIES.check(system)
     if drift is None:
         drift = preprocessed(free, 10) if isinstance(free, AbstractFreeBody) else exact(free)
     PROPERTIES.check_drift(free, drift)
@@ -147,10 +148,7 @@ PROPERTIES = SchemeProperties(
     limit="that of the drift",
     aliases=("Runge–Kutta–Nyström splitting of Blanes & Moan",),
     source="Blanes & Moan 2002",
-    accepts=(
-        AbstractForcedSystem,
-        AbstractDrivenSystem,
-    ),
+    accepts=(AbstractForcedSystem, AbstractDrivenSystem),
 )
 
 

@@ -125,7 +125,7 @@ def preprocessed(
         iterations = _checks.count("iterations", iterations, 1)
     PROPERTIES.check(system)
     if isinstance(system, AbstractFreeBodies):
-        return FreeFlight.of(system, lambda body: Preprocessed(body, order, iterations))
+        return FreeFlight.with_step(system, lambda body: Preprocessed(body, order, iterations))
     return Preprocessed(system, order, iterations)
 
 
@@ -138,10 +138,7 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| ≈ 1",
     aliases=("preprocessed discrete Moser–Veselov",),
     source="McLachlan & Zanna 2005; Hairer & Vilmart 2006",
-    accepts=(
-        AbstractFreeBody,
-        AbstractFreeBodies,
-    ),
+    accepts=(AbstractFreeBody, AbstractFreeBodies),
 )
 
 

@@ -182,11 +182,7 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("discrete Moser–Veselov (symplectic κ)", "RATTLE (symplectic κ)"),
     source="Lewis & Simo 1994, (2.24), (2.28), Results 1 to 5",
-    accepts=(
-        AbstractFreeBody,
-        AbstractGyrostat,
-        AbstractDrivenGyrostat,
-    ),
+    accepts=(AbstractFreeBody, AbstractGyrostat, AbstractDrivenGyrostat),
 )
 
 

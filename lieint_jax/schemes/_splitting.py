@@ -226,12 +226,7 @@ PROPERTIES = SchemeProperties(
     limit="that of the drift; elastic bodies: Δtω < 2",
     aliases=("Strang splitting", "kick–drift–kick", "Störmer–Verlet", "central difference method"),
     source="Strang 1968; McLachlan & Quispel 2002",
-    accepts=(
-        AbstractForcedSystem,
-        AbstractDrivenSystem,
-        AbstractGyrostat,
-        AbstractElasticBody,
-    ),
+    accepts=(AbstractForcedSystem, AbstractDrivenSystem, AbstractGyrostat, AbstractElasticBody),
 )
 
 

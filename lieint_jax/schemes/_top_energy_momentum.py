@@ -322,10 +322,7 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
     aliases=("energy–momentum method",),
     source="Lewis & Simo 1994, (4.3), (4.4), Results 6 and 7, corrected",
-    accepts=(
-        AbstractTop,
-        AbstractDrivenTop,
-    ),
+    accepts=(AbstractTop, AbstractDrivenTop),
 )
 
 

@@ -240,10 +240,7 @@ PROPERTIES = SchemeProperties(
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("energy–momentum midpoint rule",),
     source="Lewis & Simo 1994, Results 1 to 3, with torques: this package",
-    accepts=(
-        AbstractTorquedBody,
-        AbstractDampedBody,
-    ),
+    accepts=(AbstractTorquedBody, AbstractDampedBody),
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from functools import partial
-from typing import Any, overload
+from typing import overload
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +41,7 @@ from lieint_jax.types.shapes import (
     MomentumMap,
     Poses,
     Positions,
+    PyTree,
     Scalar,
 )
 
@@ -205,7 +206,7 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
     masses: Array
     inertias: Array
     potential: Callable[[Array, Array], Array]
-    dissipation: Callable[..., Any]
+    dissipation: Callable[..., PyTree]
     _clock = 0.0
 
     @property
@@ -287,13 +288,16 @@ def rigid_bodies(
 ) -> RigidBodies: ...
 @overload
 def rigid_bodies(
-    masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Array, Array], Array], dissipation: Callable[..., Any]
+    masses: ArrayLike,
+    inertias: ArrayLike,
+    potential: Callable[[Array, Array], Array],
+    dissipation: Callable[..., PyTree],
 ) -> DissipativeBodies: ...
 def rigid_bodies(
     masses: ArrayLike,
     inertias: ArrayLike,
     potential: Callable[[Array, Array], Array],
-    dissipation: Callable[..., Any] | None = None,
+    dissipation: Callable[..., PyTree] | None = None,
 ) -> RigidBodies | DissipativeBodies:
     """N ≥ 1 rigid bodies in a potential V(x, Λ) of their positions and attitudes.
 
@@ -358,7 +362,7 @@ PROPERTIES = SystemProperties(
 )
 
 
-def _pair_law(dissipation: Callable[..., Any], n: int) -> Callable[..., Any]:
+def _pair_law(dissipation: Callable[..., PyTree], n: int) -> Callable[..., PyTree]:
     """The law; ValueError if it is not a law for n bodies."""
     if not callable(dissipation):
         raise ValueError(

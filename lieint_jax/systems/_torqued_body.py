@@ -23,8 +23,6 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import Law, Rotation, State, System, as_law, callable_pytree, clock, labels, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
-_WORKS = "works"
-
 
 @pytree
 class TorquedBody(TimedBody, AbstractTorquedBody):
@@ -62,7 +60,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         now = Rotation.at_instant(clock(state), state.q, Omega, so3.Ad(state.q, Omega))
         extra = jax.tree.map(lambda x: x.astype(state.p.dtype), self._starts(now))
         if works:
-            extra[_WORKS] = jnp.zeros(len(self.laws), state.p.dtype)
+            extra["works"] = jnp.zeros(len(self.laws), state.p.dtype)
             state = state if state.work is not None else state._replace(work=jnp.zeros((), state.p.dtype))
         return state._replace(extra=extra) if extra else state
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import DTypeLike
 
 from lieint_jax._checks import closed_form
 from lieint_jax.types.shapes import Matrix3, PyTree, Scalar, Time, Vector3
@@ -31,11 +32,20 @@ def gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> Arra
     return potential.gradient(Gamma, *t) if known else autodiff_gradient(potential)(Gamma, *t)
 
 
-def check_gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> None:
+def check_gradient(potential: Callable[..., Array], dtype: DTypeLike, driven: bool = False) -> None:
     """Raise ValueError if the gradient that a user's potential has in closed form is not that of its values."""
-    if isinstance(potential, PotentialWithGradient):
-        at = Gamma, *t
-        closed_form(potential, "gradient", lambda: potential.gradient(*at), lambda: jax.grad(potential)(*at))
+    if not isinstance(potential, PotentialWithGradient):
+        return
+
+    def arguments() -> list[Array]:
+        return [jnp.array([0.48, -0.6, 0.64], dtype), *[jnp.zeros((), dtype)] * driven]
+
+    closed_form(
+        potential,
+        "gradient",
+        lambda: potential.gradient(*arguments()),
+        lambda: jax.grad(potential)(*arguments()),
+    )
 
 
 def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:

@@ -29,7 +29,7 @@ class FreeFlight(Step):
     turn: Step
 
     @classmethod
-    def of(cls, system: AbstractFreeBodies, step: Callable[[AbstractFreeBody], Step]) -> FreeFlight:
+    def with_step(cls, system: AbstractFreeBodies, step: Callable[[AbstractFreeBody], Step]) -> FreeFlight:
         """The drift by the step of a scheme for one body."""
         return cls(system, step(system.single_body(system.inertias)))
 

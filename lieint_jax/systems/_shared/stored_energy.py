@@ -170,12 +170,16 @@ def as_stored_energy(energy: StoredEnergy | Callable[[Array], Array]) -> StoredE
     A function with parameters is a `jax.tree_util.Partial`.
     """
     if isinstance(energy, StoredEnergy):
-        C = jnp.array([[1.3, 0.2, -0.1], [0.2, 0.9, 0.15], [-0.1, 0.15, 1.1]])
 
-        def stress() -> Array:
-            return jnp.stack(energy.stress(vectors.symmetric(C)))
+        def strain() -> Array:
+            return jnp.array([[1.3, 0.2, -0.1], [0.2, 0.9, 0.15], [-0.1, 0.15, 1.1]])
 
-        _checks.closed_form(energy, "stress", stress, lambda: jnp.stack(vectors.symmetric(2 * jax.grad(energy)(C))))
+        _checks.closed_form(
+            energy,
+            "stress",
+            lambda: jnp.stack(energy.stress(vectors.symmetric(strain()))),
+            lambda: jnp.stack(vectors.symmetric(2 * jax.grad(energy)(strain()))),
+        )
         return energy
     if not callable(energy):
         raise ValueError(
