@@ -54,7 +54,7 @@ def command_names() -> list[str]:
         *(f"run {name}" for name in scenarios.scenario_names()),
         *(f"study {name}" for name in _discover.public_modules(studies)),
         *(f"figure {number}" for number in FIGURES),
-        *(f"check {name}" for name in _discover.modules_with_examples(systems)),
+        *(f"check {name}" for name in _discover.modules_with("examples", systems)),
         "check",
     ]
 

@@ -45,11 +45,11 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
     from lieint_jax import _discover
 
     jax.config.update("jax_enable_x64", True)
-    for name, module in _discover.modules_with_examples(li.systems).items():
+    for name, module in _discover.modules_with("examples", li.systems).items():
         if quick and name not in _FIRST:
             continue
         examples = list(module.examples().values())
-        for scheme, schemes in _discover.modules_with_examples(li.schemes).items():
+        for scheme, schemes in _discover.modules_with("examples", li.schemes).items():
             if only and scheme not in only:
                 continue
             for step, state, dt in itertools.islice(accepted_steps(schemes, examples), 1):
@@ -120,7 +120,7 @@ def others() -> list[dict[str, Any]]:
     one = jax.tree.map(lambda x: x[0], states)
     step, solution = li.schemes.so3_midpoint(body), jax.jit(jax.vmap(body.solution, (0, None)))
     run = functools.partial(li.ensemble.run, num_steps=STEPS, progress=False)
-    modules = _discover.modules_with_examples
+    modules = functools.partial(_discover.modules_with, "examples")
     satellite = modules(li.systems)["gravity_gradient"].examples().values()
     orbiting, start, dt = next(accepted_steps(modules(li.schemes)["splitting"], satellite))
     satellites = jax.tree.map(lambda x: jnp.stack([x] * 4), orbiting.start(start))

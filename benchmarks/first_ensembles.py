@@ -42,11 +42,11 @@ def pairs(quick: bool) -> Iterator[tuple[str, str, str]]:
     from lieint_jax import _discover
 
     jax.config.update("jax_enable_x64", True)
-    for name, module in _discover.modules_with_examples(li.systems).items():
+    for name, module in _discover.modules_with("examples", li.systems).items():
         if quick and name != "rigid_body":
             continue
         systems = [system for system, _, _ in module.examples().values()]
-        for scheme, schemes in _discover.modules_with_examples(li.schemes).items():
+        for scheme, schemes in _discover.modules_with("examples", li.schemes).items():
             steps = [step for system in systems for step in schemes.examples(system).values()]
             if steps:
                 yield name, scheme, steps[0].name
@@ -67,8 +67,8 @@ def waited(system: str, scheme: str, name: str) -> dict[str, Any]:
     from lieint_jax import _discover
 
     jax.config.update("jax_enable_x64", True)
-    examples = _discover.modules_with_examples(li.systems)[system].examples().values()
-    schemes = _discover.modules_with_examples(li.schemes)[scheme]
+    examples = _discover.modules_with("examples", li.systems)[system].examples().values()
+    schemes = _discover.modules_with("examples", li.schemes)[scheme]
     step, state, dt = next(
         (step, state, dt)
         for system, state, dt in examples

@@ -4,7 +4,21 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import sys
 from types import ModuleType
+
+
+def publish(package: str) -> list[str]:
+    """Put the public names of the modules of a package, those of their `__all__`, into the package; their list.
+
+    `__init__.pyi` says the same to type checkers and editors.
+    """
+    room = sys.modules[package]
+    public = {
+        name: getattr(module, name) for module in modules_with("__all__", room).values() for name in module.__all__
+    }
+    vars(room).update(public)
+    return sorted(public)
 
 
 def public_modules(package: ModuleType) -> dict[str, ModuleType]:
@@ -12,12 +26,13 @@ def public_modules(package: ModuleType) -> dict[str, ModuleType]:
     return {name: module for name, module in _modules(package) if not name.startswith("_")}
 
 
-def modules_with_examples(package: ModuleType) -> dict[str, ModuleType]:
-    """The modules of `package` that define `examples`, such as its systems or schemes, by the names of their files.
+def modules_with(attribute: str, package: ModuleType) -> dict[str, ModuleType]:
+    """The modules of `package` that define an attribute, by the names of their files.
 
-    A file `_so3_midpoint.py` is called "so3_midpoint": the underscore keeps it from being hidden by its own function.
+    `examples` are in its systems or schemes, `__all__` in the modules that have public names. A file `_so3_midpoint.py`
+    is called "so3_midpoint": the underscore keeps it from being hidden by its own function.
     """
-    return {name.lstrip("_"): module for name, module in _modules(package) if hasattr(module, "examples")}
+    return {name.lstrip("_"): module for name, module in _modules(package) if hasattr(module, attribute)}
 
 
 def _modules(package: ModuleType) -> list[tuple[str, ModuleType]]:

@@ -13,52 +13,9 @@ the momenta that a potential conserves.
 """
 
 from lieint_jax._deprecated import renamed as _renamed
-from lieint_jax.potentials._ellipsoid_sphere import EllipsoidSphere, ellipsoid_sphere
-from lieint_jax.potentials._maccullagh import MacCullagh, maccullagh
-from lieint_jax.potentials._molecule import Molecule, molecule
-from lieint_jax.potentials._mutual_gravity import MutualGravity, mutual_gravity
-from lieint_jax.potentials._outer_field import OuterField, UniformField, outer_field, uniform_field
-from lieint_jax.potentials._potential import Potential, SumPotential, count, invariant_form, symmetry, torques
-from lieint_jax.potentials._site_pairs import (
-    InverseDistance,
-    LennardJones,
-    lennard_jones,
-    point_charges,
-    point_masses,
-    sites,
-)
-from lieint_jax.potentials._springs import Springs, springs
-from lieint_jax.potentials._water import water
+from lieint_jax._discover import publish as _publish
 
-__all__ = [
-    "EllipsoidSphere",
-    "InverseDistance",
-    "LennardJones",
-    "MacCullagh",
-    "Molecule",
-    "MutualGravity",
-    "OuterField",
-    "Potential",
-    "Springs",
-    "SumPotential",
-    "UniformField",
-    "count",
-    "ellipsoid_sphere",
-    "invariant_form",
-    "lennard_jones",
-    "maccullagh",
-    "molecule",
-    "mutual_gravity",
-    "outer_field",
-    "point_charges",
-    "point_masses",
-    "sites",
-    "springs",
-    "symmetry",
-    "torques",
-    "uniform_field",
-    "water",
-]
+__all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
 
 __getattr__ = _renamed(
     __name__,

@@ -20,6 +20,8 @@ from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
+__all__ = ["EllipsoidSphere", "ellipsoid_sphere"]
+
 _MOST = 64  # corrections: at most 8 for axes of a ratio of 30, 15 for 10⁶
 
 

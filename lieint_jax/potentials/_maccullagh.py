@@ -13,6 +13,8 @@ from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree, vectors
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
+__all__ = ["MacCullagh", "maccullagh"]
+
 
 @pytree
 class MacCullagh(Potential):

@@ -12,6 +12,8 @@ from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_pairs import sites
 
+__all__ = ["Molecule", "molecule"]
+
 _ALIGNED = 1e-12  # of the largest moment: smaller products of inertia are rounding
 
 

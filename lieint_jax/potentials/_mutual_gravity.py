@@ -26,6 +26,8 @@ from lieint_jax.potentials._potential import Potential
 from lieint_jax.shapes import Shape, trace_free
 from lieint_jax.types import pytree, static
 
+__all__ = ["MutualGravity", "mutual_gravity"]
+
 _POWERS = (1, 5, 7, 9)
 
 

@@ -18,6 +18,8 @@ from lieint_jax.potentials._site_groups import group_sites, site_positions
 from lieint_jax.types import callable_pytree, pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
+__all__ = ["OuterField", "UniformField", "outer_field", "uniform_field"]
+
 
 @pytree
 class UniformField(Potential):

@@ -13,6 +13,8 @@ from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
+__all__ = ["Potential", "SumPotential", "count", "invariant_form", "symmetry", "torques"]
+
 _APART = 1e-6  # above this |ΔI|²/|I|² the quadrature is corrected so that D·ΔI = ΔV exactly
 
 

@@ -22,6 +22,8 @@ from lieint_jax.potentials._site_groups import group_sites, site_positions
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
+__all__ = ["InverseDistance", "LennardJones", "lennard_jones", "point_charges", "point_masses", "sites"]
+
 
 class _SitePairs(Potential):
     """A potential that is a sum over pairs of sites. Subclasses define the term of a pair.

@@ -15,6 +15,8 @@ from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
+__all__ = ["Springs", "springs"]
+
 
 @pytree
 class Springs(Potential):

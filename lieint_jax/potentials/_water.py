@@ -8,6 +8,8 @@ import numpy as np
 
 from lieint_jax.potentials._molecule import Molecule, molecule
 
+__all__ = ["water"]
+
 _CALORIE, _OXYGEN, _HYDROGEN = 4.184, 15.9994, 1.008  # J; u
 
 

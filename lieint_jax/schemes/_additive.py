@@ -46,6 +46,8 @@ from lieint_jax.types import State, Step, StepInfo, StoredEnergy, System, pytree
 from lieint_jax.types.shapes import Scalar
 from lieint_jax.types.vectors import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
 
+__all__ = ["Additive", "additive"]
+
 Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompressible"]
 _SHRINK = 0.1  # det G may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried

@@ -40,6 +40,8 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pair_forces, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
+__all__ = ["BodiesEnergyMomentum", "bodies_energy_momentum"]
+
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 
 

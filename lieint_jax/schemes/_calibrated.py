@@ -28,6 +28,8 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import dot
 
+__all__ = ["Calibrated", "calibrated"]
+
 
 class Clock(NamedTuple):
     """The constants s and d, whether they exist, and the step size, energy and |π|² that they belong to."""

@@ -36,6 +36,8 @@ from lieint_jax.schemes._so3_midpoint import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, System, clock, counts_work, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 
+__all__ = ["Composition", "compose"]
+
 _Carried = TypeVar("_Carried")
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
 

@@ -17,6 +17,8 @@ from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 from lieint_jax.types.vectors import symmetric
 
+__all__ = ["Exact", "FreeFlight", "exact"]
+
 
 @pytree
 class Exact(Step):

@@ -31,6 +31,8 @@ from lieint_jax.schemes.charts.several_bodies import SEVERAL_BODIES
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import PyTree
 
+__all__ = ["Extrapolated", "extrapolate"]
+
 _CHARTS = {
     "one body": BODY_AXES,
     "several bodies": SEVERAL_BODIES,

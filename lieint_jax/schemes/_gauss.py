@@ -36,6 +36,8 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
+__all__ = ["Gauss", "gauss"]
+
 _MOST = 100  # sweeps
 _NODES = 4  # of the guess of a step with more, and its sweeps: each gains an order
 _CONVERGED = 32  # eps: the largest last change of a step that converged

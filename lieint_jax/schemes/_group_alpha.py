@@ -39,6 +39,8 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar
 
+__all__ = ["GroupAlpha", "group_alpha"]
+
 
 @pytree
 class GroupAlpha(Step):

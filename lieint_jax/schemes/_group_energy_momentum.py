@@ -39,6 +39,8 @@ from lieint_jax.schemes._shared.group_newton import (
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
+__all__ = ["GroupEnergyMomentum", "group_energy_momentum"]
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = (_NODES + 1) / 2, _WEIGHTS / 2
 

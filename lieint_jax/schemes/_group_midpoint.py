@@ -40,6 +40,8 @@ from lieint_jax.schemes._shared.group_newton import (
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
+__all__ = ["GroupMidpoint", "group_midpoint"]
+
 
 @pytree
 class GroupMidpoint(Step):

@@ -28,6 +28,8 @@ from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar, Vector3
 from lieint_jax.types.vectors import dot, norm, vector
 
+__all__ = ["KeplerSplitting", "kepler_splitting"]
+
 _ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
 Order = int | tuple[int, ...]
 METHODS: dict[Order, Stages] = {

@@ -40,6 +40,8 @@ from lieint_jax.schemes._splitting import Splitting, kick
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import symmetric
 
+__all__ = ["Langevin", "langevin"]
+
 _KEY, _COUNT, _HEAT, _REJECTIONS = "key", "step", "heat", "rejections"
 _MOST = 2**32  # steps with noise of their own
 

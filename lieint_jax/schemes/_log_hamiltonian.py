@@ -24,6 +24,8 @@ from lieint_jax.schemes._shared.properties import SchemeProperties, hint
 from lieint_jax.schemes._shared.rounding import attitude_error_limit
 from lieint_jax.types import State, Step, StepInfo, System, promoted, pytree, static
 
+__all__ = ["LogHamiltonian", "log_hamiltonian"]
+
 _KEY = "energy"
 _OFF = 0.1  # the largest |ln((K + B)/(−V))| in a step; it is O(h²) for a state of energy E
 _STARTS = 1e-3  # the same at the start of a run

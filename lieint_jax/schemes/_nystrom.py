@@ -25,6 +25,8 @@ from lieint_jax.schemes._shared.properties import SchemeProperties, hint
 from lieint_jax.schemes._splitting import kick
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
+__all__ = ["Nystrom", "nystrom"]
+
 
 class Stages(NamedTuple):
     """The stages of a splitting: alternating drifts a and kicks b; the kind with one more is first and last."""

@@ -32,6 +32,8 @@ from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar
 from lieint_jax.types.vectors import dot, symmetric, unit_trace
 
+__all__ = ["Preprocessed", "preprocessed"]
+
 ORDERS = (4, 6, 8, 10)
 
 

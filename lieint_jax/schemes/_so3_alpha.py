@@ -50,6 +50,8 @@ from lieint_jax.types.vectors import (
     unit_trace,
 )
 
+__all__ = ["SO3Alpha", "so3_alpha"]
+
 
 @pytree
 class SO3Alpha(Step):

@@ -28,6 +28,8 @@ from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import dot, max_abs
 
+__all__ = ["SO3Explicit", "so3_explicit"]
+
 _ITERATIONS = 4  # corrections of m, which is solved for once
 _FEEDBACK = 1 / 32  # of an energy error taken back per step, where the lever is longest
 _DRIFT = 4096  # round-offs that a·h may drift from m before the step is called unconverged

@@ -45,6 +45,8 @@ from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, stati
 from lieint_jax.types.shapes import TangentVectors
 from lieint_jax.types.vectors import cross, dot, symmetric, vector
 
+__all__ = ["SO3Midpoint", "so3_midpoint"]
+
 
 @pytree
 class SO3Midpoint(Step):

@@ -22,6 +22,8 @@ from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, autodiff_gradient, pytree, static
 
+__all__ = ["SphereChart", "sphere_chart"]
+
 
 @pytree
 class SphereChart(Step):

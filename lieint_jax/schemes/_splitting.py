@@ -45,6 +45,8 @@ from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import Group, State, Step, StepInfo, System, clock, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 
+__all__ = ["ElasticSplitting", "GyrostatSplitting", "Splitting", "splitting"]
+
 # Bodies from which a drift costs less than their forces: 19 and 310 µs for 64 molecules, 260 and 140 ns for two.
 _MANY = 8
 

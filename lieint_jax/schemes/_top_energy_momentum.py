@@ -50,6 +50,8 @@ from lieint_jax.types.vectors import (
     vector,
 )
 
+__all__ = ["TopEnergyMomentum", "top_energy_momentum"]
+
 _APART = 1e-4  # above this |ΔΓ|² the quadrature is corrected so that D̄·ΔΓ = ΔṼ exactly
 
 

@@ -64,6 +64,8 @@ from lieint_jax.types.vectors import (
     vector,
 )
 
+__all__ = ["DampedMidpoint", "TorquedMidpoint", "torqued_midpoint"]
+
 
 def _inner(state: State, law: Law) -> Array | None:
     """The internal state of a law, or the one that it reads; None if there is none."""

@@ -17,6 +17,8 @@ from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import State, callable_pytree, clock, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
+__all__ = ["DrivenGyrostat", "SpinUpMotor", "driven_gyrostat"]
+
 
 @pytree
 class DrivenGyrostat(capabilities.AbstractDrivenGyrostat):

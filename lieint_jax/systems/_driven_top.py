@@ -20,6 +20,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, System, callable_pytree, check_gradient, clock, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
+__all__ = ["DrivenTop", "driven_top"]
+
 
 class MovedBody(TimedBody, capabilities.AbstractDrivenTop):
     """The methods of all driven tops, which differ in the origin of their potential and axis."""

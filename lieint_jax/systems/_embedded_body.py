@@ -13,6 +13,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
+__all__ = ["EmbeddedBody", "embedded_body"]
+
 
 @pytree
 class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):

@@ -19,6 +19,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import Group, State, pytree, static, vectors
 from lieint_jax.types.shapes import DualVector, MomentumMap, Scalar, Vector6
 
+__all__ = ["Euler", "RightEuler", "euler", "kirchhoff", "manakov", "manakov_integrals"]
+
 
 @pytree
 class Euler(OnGroup, AbstractGeodesicFlow):

@@ -20,6 +20,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, System, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import Time, Vector3
 
+__all__ = ["GravityGradient", "gravity_gradient"]
+
 
 @pytree
 class TidalAxis:

@@ -20,6 +20,8 @@ from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import Group, State, System, callable_pytree, clock, pytree, static
 from lieint_jax.types.shapes import DualVector, MomentumMap, Scalar, SquareMatrix, Time
 
+__all__ = ["DrivenGroupPotential", "GroupPotential", "group_potential"]
+
 
 @pytree
 class GroupPotential(OnGroup, AbstractMechanicalSystem):

@@ -14,6 +14,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
+__all__ = ["Gyrostat", "gyrostat"]
+
 
 @pytree
 class Gyrostat(Rotating, capabilities.AbstractGyrostat):

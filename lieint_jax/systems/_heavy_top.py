@@ -16,6 +16,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import PotentialWithGradient, State, System, pytree, static, vectors
 from lieint_jax.types.shapes import Scalar, Time, Vector3
 
+__all__ = ["LagrangeMotion", "LinearPotential", "heavy_top", "kovalevskaya_integral", "lagrange_motion"]
+
 
 @pytree
 class LinearPotential(PotentialWithGradient):

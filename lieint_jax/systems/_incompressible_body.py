@@ -18,6 +18,8 @@ from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_ri
 from lieint_jax.types import State, StoredEnergy, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar
 
+__all__ = ["IncompressibleBody", "incompressible_body"]
+
 
 @pytree
 class IncompressibleBody(capabilities.AbstractIncompressibleBody):

@@ -17,6 +17,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
+__all__ = ["Pendulum", "pendulum"]
+
 
 @pytree
 class UniformGravity:

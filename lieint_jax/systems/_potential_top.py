@@ -20,6 +20,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import PotentialWithGradient, State, System, callable_pytree, check_gradient, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
+__all__ = ["PotentialTop", "QuadraticPotential", "clebsch_integral", "potential_top"]
+
 
 @pytree
 class QuadraticPotential(PotentialWithGradient):

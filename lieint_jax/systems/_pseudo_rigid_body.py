@@ -26,6 +26,16 @@ from lieint_jax.systems._shared.time_and_work import check_counts, timed
 from lieint_jax.types import State, StoredEnergy, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
+__all__ = [
+    "PseudoRigidBody",
+    "StoredEnergy",
+    "ViscousBody",
+    "mooney_rivlin",
+    "neo_hookean",
+    "pseudo_rigid_body",
+    "saint_venant_kirchhoff",
+]
+
 
 class _Deforming(AbstractDeformingBody):
     """The methods of elastic and viscous bodies that create and evaluate states."""

@@ -45,6 +45,8 @@ from lieint_jax.types.shapes import (
     Scalar,
 )
 
+__all__ = ["DissipativeBodies", "FreeBodies", "RigidBodies", "rigid_bodies"]
+
 _ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
 _LAW = "(r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j)"
 _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns

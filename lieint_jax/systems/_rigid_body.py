@@ -15,6 +15,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
+__all__ = ["RigidBody", "rigid_body"]
+
 
 @pytree
 class RigidBody(Body, AbstractFreeBody):

@@ -23,6 +23,8 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import Law, Rotation, State, System, as_law, callable_pytree, clock, labels, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
+__all__ = ["TorquedBody", "torqued_body"]
+
 
 @pytree
 class TorquedBody(TimedBody, AbstractTorquedBody):

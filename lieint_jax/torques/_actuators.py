@@ -19,6 +19,8 @@ from lieint_jax.types import Law, Rotation, argument, parts, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
+__all__ = ["Torquers", "Unloading", "WheelMotor", "allocation", "torquers", "unloading", "wheel_motor", "wheel_pyramid"]
+
 
 def wheel_pyramid(tilt: ArrayLike = 0.6154797086703874, wheels: int = 4) -> Array:
     """The axes of reaction wheels on a pyramid about the body's z axis, unit vectors (m, 3).

@@ -17,6 +17,8 @@ from lieint_jax.types import Law, Rotation, argument, as_law, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import dot
 
+__all__ = ["PDQuaternion", "PDTrace", "Saturated", "pd_quaternion", "pd_trace", "saturated"]
+
 
 def _attitude(target: ArrayLike) -> Array:
     return so3.normalize(_checks.unit_quaternion("target", target))

@@ -13,6 +13,8 @@ from lieint_jax.types import Law, Rotation, argument, pytree, static, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Scalar, Vector, VectorLike, cross, dot
 
+__all__ = ["KaneDamper", "Viscous", "internal_friction", "kane_damper", "viscous"]
+
 
 def _damping(damping: ArrayLike) -> Array:
     D = _checks.real_array("damping", damping, (), (3,), (3, 3))

@@ -18,6 +18,8 @@ from lieint_jax.types import Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot, norm
 
+__all__ = ["BDot", "Hysteresis", "LimitedBDot", "bdot", "hysteresis"]
+
 _ROUNDINGS = 16  # tolerance, in ulps of |b| + |w|, for a rod at the edge of its hysteresis band
 
 

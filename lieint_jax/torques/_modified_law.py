@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from lieint_jax.types import Law
 
+__all__ = ["ModifiedLaw"]
+
 
 class ModifiedLaw(Law):
     """A law without an internal state whose torque is that of another law, changed by its `mean`.

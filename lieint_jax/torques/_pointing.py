@@ -16,6 +16,8 @@ from lieint_jax.types import Law, Rotation, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross
 
+__all__ = ["Pointing", "SlidingMode", "Target", "pointing", "sliding_mode"]
+
 
 class _Error(NamedTuple):
     """The difference of a body from its target.

@@ -20,6 +20,16 @@ from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, v
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
+__all__ = [
+    "AnyPotential",
+    "Dipole",
+    "DirectionalPotential",
+    "GravityGradient",
+    "dipole",
+    "gravity_gradient",
+    "potential",
+]
+
 
 class DirectionalPotential(Law):
     """V(Γ, t) with Γ = Λᵀγ(t): T̄ = κ Γ̄ × D̄, with Γ̄ = ½(Λ_n + Λ_{n+1})ᵀγ at the middle of the step.

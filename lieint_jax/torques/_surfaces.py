@@ -19,6 +19,17 @@ from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, vector
 
+__all__ = [
+    "Aerodynamic",
+    "Plates",
+    "SolarPlate",
+    "SolarPlates",
+    "aerodynamic",
+    "box_plates",
+    "solar_plate",
+    "solar_plates",
+]
+
 
 @pytree
 class SolarPlate(Law):

@@ -11,6 +11,8 @@ from lieint_jax._checks import concrete
 from lieint_jax.types import Law, Rotation, pytree
 from lieint_jax.types.shapes import PyTree
 
+__all__ = ["Thruster", "thruster"]
+
 
 @pytree
 class Thruster(Law):

@@ -17,6 +17,8 @@ from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross
 
+__all__ = ["Wheels", "body_inertia", "wheels"]
+
 
 @pytree
 class Wheels(Law):

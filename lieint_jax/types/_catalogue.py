@@ -32,9 +32,9 @@ class Catalogue(tuple[_Entry, ...]):
         lines = ("  ".join(x.ljust(n) for x, n in zip(row, widths, strict=True)).rstrip() for row in rows)
         return "\n".join(lines)
 
-    def markdown(self) -> str:
-        """A table for a page; the first column is code."""
-        title, *rows = [tuple(cell.replace("|", "\\|") for cell in row) for row in self._rows()]
+    def markdown(self, columns: int | None = None) -> str:
+        """A table for a page, of all columns or the first ones; the first column is code."""
+        title, *rows = [tuple(cell.replace("|", "\\|") for cell in row[:columns]) for row in self._rows()]
         body = [(f"`{name}`", *cells) for name, *cells in rows]
         return "\n".join(f"| {' | '.join(row)} |" for row in (title, ("---",) * len(title), *body))
 

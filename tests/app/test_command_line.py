@@ -152,7 +152,7 @@ def test_a_run_can_omit_the_certificate_and_the_pictures(capsys):
 @pytest.mark.long
 def test_rigid_body_scenarios_accept_every_scheme_of_a_free_body():
     body = systems.rigid_body([1.0, 2.0, 3.0])
-    takes = {name for name, module in _discover.modules_with_examples(schemes).items() if module.examples(body)}
+    takes = {name for name, module in _discover.modules_with("examples", schemes).items() if module.examples(body)}
     kinds = rigid_body.Scenario.model_fields["scheme"].annotation
     assert set(typing.get_args(kinds)) == takes - {"compose"}  # which is the key `order`
     for scheme, order, step in (("gauss", "", 16), ("gauss", "order = 8", 8), ("extrapolate", "", 12)):

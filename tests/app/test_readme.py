@@ -30,12 +30,22 @@ def test_the_readme_is_short_and_shows_code_early():
     assert lines.index("```python") < len(lines) / 3
 
 
-def test_every_scheme_in_the_readme_exists():
+def test_the_table_of_schemes_in_the_readme_says_what_they_declare():
+    declared = {entry.name: entry for entry in li.schemes.catalogue()}
+    same = {"γ·π": "momentum", "both momenta": "momentum"}
     table = README.partition("## Which scheme?")[2].partition("\n## ")[0]
-    rows = [line.split("|")[2] for line in table.splitlines() if line.startswith("| ")][1:]
-    assert len(rows) <= 10
-    named = {name for row in rows for name in re.findall(r"`(\w+)\(", row)}
-    assert named <= set(li.schemes.__all__)
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines() if line.startswith("| ")][
+        1:
+    ]
+    assert len(rows) == 10
+    for _, steps, conserved, orders in rows:
+        named = [declared[name] for name in re.findall(r"`(\w+)\(", steps)]
+        kinds = {kind.partition(" (")[0] for entry in named for kind in entry.conserves}
+        assert {same.get(x, x) for x in re.split(", | or ", conserved)} <= (kinds or {"nothing exactly"})
+        assert (
+            any(f"{entry.order:g}".replace("inf", "exact") in orders.split(", ") for entry in named)
+            or "(8, 6, 4)" in steps
+        )
 
 
 def test_every_link_of_the_readme_has_a_target():

@@ -10,7 +10,7 @@ import pytest
 import lieint_jax as li
 from lieint_jax import _discover, groups
 
-MATRIX = _discover.modules_with_examples(groups)["matrix"]
+MATRIX = _discover.modules_with("examples", groups)["matrix"]
 THREE = {
     "SU(3)": groups.special_unitary(3),
     "Sp(4)": groups.symplectic(4),

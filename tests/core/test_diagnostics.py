@@ -14,12 +14,12 @@ from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step, StepInfo, pytree
 
-BODIES = jax.jit(_discover.modules_with_examples(li.systems)["rigid_body"].examples)()
+BODIES = jax.jit(_discover.modules_with("examples", li.systems)["rigid_body"].examples)()
 GRID = {  # every scheme that takes a rigid body
     f"rigid_body.{name}-{step_name}": (step, jax.tree.map(np.asarray, state), float(dt))
     for name, (body, state, dt) in BODIES.items()
     if name in ("asymmetric", "full_tensor")
-    for module in _discover.modules_with_examples(li.schemes).values()
+    for module in _discover.modules_with("examples", li.schemes).values()
     for step_name, step in module.examples(body).items()
 }
 PAPER = [name for name in GRID if "-so3_midpoint[" in name]

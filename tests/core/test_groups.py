@@ -13,7 +13,7 @@ import lieint_jax as li
 from lieint_jax import _discover, groups, maps
 from lieint_jax._numerics import small_linalg as la
 
-MATRIX = _discover.modules_with_examples(groups)["matrix"]
+MATRIX = _discover.modules_with("examples", groups)["matrix"]
 CATALOGUE = groups.catalogue.examples() | MATRIX.examples()
 QUICK = {"xla_llvm_disable_expensive_passes": True}  # compiled to be run once
 FEW = ("SO(3)", "SE(3)", "SO(3) x Aff(1)")

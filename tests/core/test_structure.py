@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jax
 import pytest
+import stubs
 from grid import examples, schemes, steps, systems
 
 import lieint_jax as li
@@ -246,7 +247,7 @@ def test_schemes_give_no_hints_to_a_compiler():
 @pytest.mark.parametrize("package", [li.groups, li.systems, li.schemes], ids=lambda p: p.__name__)
 def test_every_module_has_examples_and_is_exported(package):
     names = {name for name, _ in systems()}
-    for name, module in _discover.modules_with_examples(package).items():
+    for name, module in _discover.modules_with("examples", package).items():
         if package is li.schemes:
             assert name in schemes(), f"{name}: no example on any system"
         else:
@@ -254,6 +255,12 @@ def test_every_module_has_examples_and_is_exported(package):
         assert hasattr(package, name), f"{name} is not exported by {package.__name__}"
     assert names
     assert maps.examples()
+
+
+@pytest.mark.parametrize("room", stubs.ROOMS, ids=lambda room: room.__name__)
+def test_type_checkers_see_the_names_of_a_room(room):
+    """`python tests/lib/stubs.py` writes them."""
+    assert stubs.path(room).read_text(encoding="utf-8") == stubs.stub(room)
 
 
 once = jax.jit(lambda step, state, dt: step(state, dt))

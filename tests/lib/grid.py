@@ -8,14 +8,14 @@ from lieint_jax import _discover
 
 def examples_of(module):
     """The examples of a module of systems, such as "heavy_top", by their names: (system, state, dt)."""
-    return _discover.modules_with_examples(li.systems)[module].examples()
+    return _discover.modules_with("examples", li.systems)[module].examples()
 
 
 @functools.cache
 def systems():
     """(id, (system, state, dt)) of every example of a system."""
     found = []
-    for module in _discover.modules_with_examples(li.systems):
+    for module in _discover.modules_with("examples", li.systems):
         found += [(f"{module}.{name}", example) for name, example in examples_of(module).items()]
     return found
 
@@ -24,7 +24,7 @@ def examples(system):
     """The steps of a system by every scheme that takes it, by the name of the scheme's module and of the step."""
     return {
         (module_name, name): step
-        for module_name, module in _discover.modules_with_examples(li.schemes).items()
+        for module_name, module in _discover.modules_with("examples", li.schemes).items()
         for name, step in module.examples(system).items()
     }
 

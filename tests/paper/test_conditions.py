@@ -19,8 +19,8 @@ FLOW = li.systems.euler(groups.special_linear(2), [1.0, 2.0, 3.0])
 MOVING = FLOW.state(velocity=[0.5, -0.4, 0.6])
 TOP = li.systems.heavy_top([1.0, 2.0, 3.0], [0.3, -0.2, 1.0])
 LEANING = TOP.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.3, 1.0])
-STAR, HENON, _ = _discover.modules_with_examples(li.systems)["group_potential"].examples()["henon_heiles"]
-BALL, SPUN, _ = next(iter(_discover.modules_with_examples(li.systems)["pseudo_rigid_body"].examples().values()))
+STAR, HENON, _ = _discover.modules_with("examples", li.systems)["group_potential"].examples()["henon_heiles"]
+BALL, SPUN, _ = next(iter(_discover.modules_with("examples", li.systems)["pseudo_rigid_body"].examples().values()))
 EMBEDDED = li.systems.embedded_body([1.0, 2.0, 3.0])
 TILTED = EMBEDDED.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.3, 1.0])
 

@@ -13,7 +13,7 @@ from lieint_jax._numerics import newton
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.types import State, Step, StepInfo, pytree
 
-MATRIX = _discover.modules_with_examples(groups)["matrix"]
+MATRIX = _discover.modules_with("examples", groups)["matrix"]
 QUICK = {"xla_llvm_disable_expensive_passes": True}
 DT = 0.3
 

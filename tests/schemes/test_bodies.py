@@ -180,7 +180,7 @@ def test_energy_of_a_plain_function_as_potential_is_conserved_by_quadrature():
 def test_no_other_kappa_conserves_angular_momentum():
     """κτ̄ in place of τ̄ keeps energy at κ ≠ 1, and L changes by Δt Σ(κ − 1)τ̄: the discrete balance has no other way."""
     kappa, dt = 1.2, jnp.asarray(0.3)
-    scheme = _discover.modules_with_examples(schemes)["bodies_energy_momentum"]
+    scheme = _discover.modules_with("examples", schemes)["bodies_energy_momentum"]
     equation = scheme._Equation(BINARY, START, dt)
     J, (q, p) = np.array(BINARY.inertias), (np.array(x) for x in START[:2])
     Pi = np.array(jax.vmap(so3.Ad_star)(q[:, 3:], p[:, 3:]))

@@ -1,5 +1,9 @@
 """What the schemes declare of themselves, against their steps and against measurements."""
 
+import re
+import sys
+from pathlib import Path
+
 import jax
 import pytest
 from grid import steps
@@ -8,7 +12,7 @@ import lieint_jax as li
 from lieint_jax import _discover
 
 ENTRIES = {entry.name: entry for entry in li.schemes.catalogue()}
-MODULES = _discover.modules_with_examples(li.schemes)
+MODULES = _discover.modules_with("examples", li.schemes)
 # certificates of one example each; the grid's first step of a scheme need not be the default
 MEASURED = ["so3_explicit", "calibrated", "preprocessed", "splitting", "group_midpoint", "so3_midpoint", "extrapolate"]
 
@@ -26,6 +30,30 @@ def test_every_scheme_has_an_entry_with_a_source():
     table = repr(li.schemes.catalogue())
     assert len(table.splitlines()) == len(ENTRIES) + 1
     assert all(name in table for name in ENTRIES)
+
+
+def test_a_scheme_of_ones_own_is_one_file(tmp_path, monkeypatch):
+    """That which CONTRIBUTING.md prints: the file, and nothing else, puts it into the room and its catalogue."""
+    page = (Path(li.__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", page, re.DOTALL)[1]
+    (tmp_path / "_sphere_verlet.py").write_text(code, encoding="utf-8")
+    monkeypatch.setattr(li.schemes, "__path__", [*li.schemes.__path__, str(tmp_path)])
+    for name in ("SphereVerlet", "sphere_verlet", "_sphere_verlet"):
+        monkeypatch.setattr(li.schemes, name, None, raising=False)  # taken away again
+    monkeypatch.setitem(sys.modules, "lieint_jax.schemes._sphere_verlet", None)
+    del sys.modules["lieint_jax.schemes._sphere_verlet"]
+
+    assert {"SphereVerlet", "sphere_verlet"} == set(_discover.publish("lieint_jax.schemes")) - set(li.schemes.__all__)
+    entry = next(entry for entry in li.schemes.catalogue() if entry.name == "sphere_verlet")
+    assert f"| `sphere_verlet` | {entry.systems} | momentum, form | 2 |" in li.schemes.catalogue().markdown()
+
+    pendulum, state, dt = next(iter(_discover.modules_with("examples", li.systems)["pendulum"].examples().values()))
+    step = li.schemes.sphere_verlet(pendulum)
+    run = jax.jit(lambda z: li.integrate(step, z, dt, 100))(state)
+    assert float(abs(li.diagnostics.momentum_error(pendulum, run)).max()) < 1e-15  # observed: 0
+    assert float(li.diagnostics.symplectic_defect(step, state, dt)) < 2e-15  # observed: 2.2e-16
+    with pytest.raises(ValueError, match="sphere_verlet integrates pendulums"):
+        li.schemes.sphere_verlet(li.systems.rigid_body([1.0, 2.0, 3.0]))
 
 
 def examples(scheme):

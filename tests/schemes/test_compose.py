@@ -17,7 +17,7 @@ from lieint_jax.maps import kappa_cayley, kappa_symplectic
 from lieint_jax.schemes import calibrated, compose, so3_explicit, so3_midpoint
 from lieint_jax.types import State, Step, StepInfo
 
-METHODS = _discover.modules_with_examples(li.schemes)["compose"].METHODS
+METHODS = _discover.modules_with("examples", li.schemes)["compose"].METHODS
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STATE = jax.jit(BODY.state)(np.array([1.0, 2, -1, 0.5]) / 2.5, angular_velocity=[0.3, 0.6, 0.8])
 SYMPLECTIC, CAYLEY = (so3_midpoint(BODY, kappa, iterations=5) for kappa in (kappa_symplectic, kappa_cayley))

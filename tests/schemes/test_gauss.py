@@ -19,7 +19,7 @@ from lieint_jax.schemes.charts.canonical import canonical_chart
 
 TOP, STATE, _ = examples_of("heavy_top")["asymmetric_top"]
 STEP = schemes.gauss(TOP)
-_Equation = _discover.modules_with_examples(schemes)["gauss"]._Equation
+_Equation = _discover.modules_with("examples", schemes)["gauss"]._Equation
 
 
 @functools.cache

@@ -24,7 +24,7 @@ from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.types import State
 
-MATRIX = _discover.modules_with_examples(groups)["matrix"]
+MATRIX = _discover.modules_with("examples", groups)["matrix"]
 CATALOGUE = groups.catalogue.examples() | MATRIX.examples()
 QUICK = {"xla_llvm_disable_expensive_passes": True}  # compiled to be run once
 BOUNDED = {"SO(3)", "SO(4)", "SU(2)", "Heis(3)", "Heis(5)", "R^3"}  # compact or nilpotent

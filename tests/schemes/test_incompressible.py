@@ -14,7 +14,7 @@ from lieint_jax import _discover
 from lieint_jax.diagnostics import energy_error, flow, momentum_error
 from lieint_jax.types import vectors
 
-BODY, STATE, DT = _discover.modules_with_examples(li.systems)["incompressible_body"].examples()["ball"]
+BODY, STATE, DT = _discover.modules_with("examples", li.systems)["incompressible_body"].examples()["ball"]
 STEP = li.schemes.additive(BODY, "incompressible")
 QUICK = {"xla_llvm_disable_expensive_passes": True}
 number = st.floats(-1, 1, width=64)

@@ -31,7 +31,7 @@ KEPT = {  # the powers of Δt to which a method is exact, for each power of ε f
 def test_the_coefficients_satisfy_every_order_condition_to_their_last_digit(scheme, order):
     """In 30 digits. The errors are 1.2e-16 at most, those of the next power 6e-8 and more."""
     kept = KEPT[scheme, order]
-    method = _discover.modules_with_examples(schemes)[scheme].METHODS[order]
+    method = _discover.modules_with("examples", schemes)[scheme].METHODS[order]
     found = splitting_series.errors(method, max(kept) + 1, len(kept))
     assert found[:, 0].max() < 1e-15  # the drifts add up to Δt
     for k, power in enumerate(kept, 1):

@@ -22,7 +22,7 @@ from lieint_jax.systems import damped_body, torqued_body
 from lieint_jax.types import StepInfo
 from lieint_jax.types.vectors import Vector
 
-EQUATION = _discover.modules_with_examples(schemes)["torqued_midpoint"]._Equation
+EQUATION = _discover.modules_with("examples", schemes)["torqued_midpoint"]._Equation
 
 KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 J = np.array([1.0, 2.0, 2.7])
@@ -777,7 +777,7 @@ def test_a_step_too_large_for_the_torque_is_refused_with_advice():
 
 
 OTHERS = {"compose", "extrapolate", "reversible_control", "torqued_midpoint"}  # two take steps, one any system
-SCHEMES = sorted(set(_discover.modules_with_examples(schemes)) - OTHERS)
+SCHEMES = sorted(set(_discover.modules_with("examples", schemes)) - OTHERS)
 
 
 @pytest.mark.parametrize("name", SCHEMES)

@@ -11,8 +11,8 @@ import pytest
 import lieint_jax as li
 from lieint_jax import _discover, groups
 
-EULER = _discover.modules_with_examples(li.systems)["euler"]
-MATRIX = _discover.modules_with_examples(groups)["matrix"]
+EULER = _discover.modules_with("examples", li.systems)["euler"]
+MATRIX = _discover.modules_with("examples", groups)["matrix"]
 QUICK = {"xla_llvm_disable_expensive_passes": True}
 
 

@@ -14,7 +14,7 @@ from lieint_jax import _discover, groups
 from lieint_jax.diagnostics import energy_error, flow, symplectic_defect
 from lieint_jax.types import State
 
-MATRIX = _discover.modules_with_examples(groups)["matrix"]
+MATRIX = _discover.modules_with("examples", groups)["matrix"]
 QUICK = {"xla_llvm_disable_expensive_passes": True}
 
 
@@ -81,7 +81,7 @@ def test_result_13_energy_for_any_potential(name):
 def test_momentum_of_the_symmetries_is_conserved():
     """A bottom-heavy ellipsoid in a fluid: spatial momentum and the angular momentum about the vertical."""
     g = MATRIX.MatrixGroup(groups.special_euclidean(3).basis, "SE(3)", unrolled=False)
-    example, _, dt = _discover.modules_with_examples(li.systems)["group_potential"].examples()["bottom_heavy"]
+    example, _, dt = _discover.modules_with("examples", li.systems)["group_potential"].examples()["bottom_heavy"]
     system = li.systems.group_potential(g, example.metric, example.potential, example.symmetry)
     state = system.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3])
     out = check(system, state, dt)

@@ -9,7 +9,7 @@ from lieint_jax import _discover
 from lieint_jax.types import energy_less_work, time_derivative
 
 ENTRIES = {entry.name: entry for entry in li.systems.catalogue()}
-EXAMPLES = {name: module.examples() for name, module in _discover.modules_with_examples(li.systems).items()}
+EXAMPLES = {name: module.examples() for name, module in _discover.modules_with("examples", li.systems).items()}
 CASES = [  # the first of each system by default, the others in the shards
     pytest.param(name, key, marks=[pytest.mark.long] * (key != next(iter(found)) or name in ("euler", "rigid_bodies")))
     for name, found in EXAMPLES.items()

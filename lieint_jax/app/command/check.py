@@ -72,7 +72,7 @@ def check(system: str, scheme: str, num_steps: int | None, every: bool = False) 
     tasks = [
         _Task(x, y, example, scheme, brief, num_steps or 1000)
         for x in named
-        for y in _discover.modules_with_examples(schemes)
+        for y in _discover.modules_with("examples", schemes)
     ]
     steps, printed = [], False
     for found in _run_tasks(tasks):
@@ -93,7 +93,7 @@ def _find_modules(system: str) -> tuple[list[str], str]:
     Raises:
         ValueError: no system has this name; the message lists the existing ones.
     """
-    modules = _discover.modules_with_examples(systems)
+    modules = _discover.modules_with("examples", systems)
     if not system:
         return list(modules), ""
     name, _, example = system.partition(".")
@@ -115,7 +115,7 @@ def _find_modules(system: str) -> tuple[list[str], str]:
 
 @cache
 def _examples(system: str) -> dict[str, Any]:
-    return _discover.modules_with_examples(systems)[system].examples()
+    return _discover.modules_with("examples", systems)[system].examples()
 
 
 def _run_tasks(tasks: list[_Task]) -> Iterator[_TaskResult]:
@@ -135,7 +135,7 @@ def _run_tasks(tasks: list[_Task]) -> Iterator[_TaskResult]:
 
 
 def _certificates(task: _Task) -> _TaskResult:
-    scheme, uses = _discover.modules_with_examples(schemes)[task.scheme], {}
+    scheme, uses = _discover.modules_with("examples", schemes)[task.scheme], {}
     for name, (body, state, dt) in _examples(task.system).items():
         if task.example in ("", name) and not (task.brief and uses):
             for label, step in scheme.examples(body).items():

@@ -53,7 +53,7 @@ _QUICK = {"xla_llvm_disable_expensive_passes": True}  # for programs that run on
 
 def catalogue() -> dict[str, MatrixGroup]:
     """The groups of the catalogue and the examples of `groups.matrix`, by name."""
-    return groups.catalogue.examples() | _discover.modules_with_examples(groups)["matrix"].examples()
+    return groups.catalogue.examples() | _discover.modules_with("examples", groups)["matrix"].examples()
 
 
 def find_group(name: str) -> MatrixGroup | None:

@@ -120,7 +120,7 @@ def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
     """Compute the exponents of an asymmetric heavy top by Strang splitting; `quick` runs for a fifth of the time."""
     from tqdm import tqdm  # where it is used: the package imports in a moment
 
-    top, state, _ = _discover.modules_with_examples(systems)["heavy_top"].examples()["asymmetric_top"]
+    top, state, _ = _discover.modules_with("examples", systems)["heavy_top"].examples()["asymmetric_top"]
     dt, steps = 0.05, 4000 if quick else 20_000
     step = schemes.splitting(top)
     fine, short = 0.005, 20.0
