@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
@@ -90,11 +90,13 @@ class Engine:
     def _examined(self) -> Known:
         """What this engine makes of the loop."""
         arguments = self._first_step()
+        blocks = [slice(0, 1), slice(1, 2)] if self.job.members == 1 else [slice(None)]  # one member has its own code
+        parts = [self._members(arguments, block) for block in blocks]
         with self._computing():
-            code = native.machine_code(self._intervals.loop(*arguments))
+            code = native.machine_code(self._intervals.loop(*parts[0]))
         if isinstance(code, str):
             return Known(code)
-        return Known(self._difference(arguments) if self.name == "native" else "", code.shared)
+        return Known(self._difference(arguments, parts) if self.name == "native" else "", code.shared)
 
     def _first_step(self) -> tuple[Tree, ...]:
         """The arguments of a first step of a few members."""
@@ -109,24 +111,31 @@ class Engine:
         carry = _loop.start(job.states, job.first_change(value, None))
         return carry, given._replace(quantity=value), spans, np.int32(1)
 
-    def _difference(self, arguments: tuple[Tree, ...]) -> str:
+    def _members(self, arguments: tuple[Tree, ...], which: int | slice) -> tuple[Tree, ...]:
+        """The arguments for some of these members."""
+        carry, given, *others = arguments
+        carry, given = (_part(axes, x, which) for axes, x in zip(self._axes, (carry, given), strict=True))
+        return carry, given, *others
+
+    def _difference(self, arguments: tuple[Tree, ...], parts: Sequence[tuple[Tree, ...]]) -> str:
         """In what a first step of a few members differs from XLA's; or ""."""
-        *of_members, spans, _ = arguments
 
         def of_member(m: int) -> tuple[Tree, ...]:
-            parts = [_member(axes, part, m) for axes, part in zip(self._axes, of_members, strict=True)]
-            return *parts, jax.tree.map(lambda x: x[0], spans)
+            carry, given, spans, _ = self._members(arguments, m)
+            return carry, given, jax.tree.map(lambda x: x[0], spans)
 
         try:
             with unsupported_if_it_fails():
                 with self._computing():
-                    carry, saved = self._intervals(*arguments)
+                    ours = [self._intervals(*part) for part in parts]
                     by_xla = self._intervals.by_xla(*of_member(0))
-                theirs = [by_xla(*of_member(m)) for m in range(len(carry.failed))]
+                theirs = [by_xla(*of_member(m)) for m in range(sum(len(carry.failed) for carry, _ in ours))]
         except UnsupportedError as reason:
             return str(reason)
-        ours = carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)
-        return difference(ours, jax.tree.map(lambda *x: np.stack(x), *theirs))
+        ours = [(carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)) for carry, saved in ours]
+        return difference(
+            jax.tree.map(lambda *x: np.concatenate(x), *ours), jax.tree.map(lambda *x: np.stack(x), *theirs)
+        )
 
     def start(self, layout: Layout) -> tuple[Given, Carry]:
         """What is given for the members of a process, and their carry."""
@@ -171,10 +180,10 @@ class Engine:
         return computed_by(self.name, self._threads)
 
 
-def _member(axes: Axes, tree: Tree, m: int) -> Tree:
-    """The part of one member; `axes` as in `jax.vmap`."""
+def _part(axes: Axes, tree: Tree, which: int | slice) -> Tree:
+    """The part of one member, or of some; `axes` as in `jax.vmap`."""
     return jax.tree.map(
-        lambda axis, part: part if axis is None else jax.tree.map(lambda x: np.asarray(x)[m], part),
+        lambda axis, part: part if axis is None else jax.tree.map(lambda x: np.asarray(x)[which], part),
         axes,
         tree,
         is_leaf=lambda x: x is None,

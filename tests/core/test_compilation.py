@@ -18,7 +18,7 @@ import pytest
 import lieint_jax as li
 from lieint_jax._xla import _compile
 from lieint_jax.app.command.compilation import use_program_cache
-from lieint_jax.native import _traced
+from lieint_jax.native import _machine, _traced
 
 NAMES = (
     "jax_compilation_cache_dir",
@@ -123,6 +123,19 @@ def run_and_scale(p, factor=1.0, count=4):
 
 
 @pytest.mark.long
+@pytest.mark.compared
+@pytest.mark.parametrize("members", [1, 3])
+def test_a_run_compiles_its_machine_code_once(monkeypatch, members):
+    """The check against XLA of a run of one body was of code for vectors of members, which nothing else used."""
+    made, compile_handler = [], _machine.compile_handler
+    monkeypatch.setattr(_machine, "compile_handler", lambda *texts: made.append(texts) or compile_handler(*texts))
+    top = li.systems.potential_top([1.0, 2.0, 3.0], lambda g: 0.3 * g[2] ** 2)
+    states = jax.vmap(lambda w: top.state(angular_velocity=w))(jnp.eye(3)[:members])
+    run = li.run(li.schemes.splitting(top), states, 0.05, 20, progress=False)
+    assert run.converged.all()
+    assert len(made) == 1
+
+
 def test_li_jit_gives_the_values_of_jax_jit_and_serves_inside_transformations():
     p, ours, theirs = a_step()[1].p, li.jit(run_and_scale, static_argnums=2), jax.jit(run_and_scale, static_argnums=2)
     assert float(ours(p, 2.0, 5)) == pytest.approx(float(theirs(p, 2.0, 5)), rel=1e-15)

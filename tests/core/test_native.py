@@ -506,11 +506,11 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
     """A wrong formula of a primitive, of which nothing else would tell, in two runs; and if only `reduce` has it."""
 
     def potential(axis):  # of this test alone, so that no engine of it is in the cache
-        return axis @ jnp.array([0.1, 0.2, 0.3]) + jnp.cos(axis[0])
+        return axis @ jnp.array([0.1, 0.2, 0.3]) + jnp.sin(axis[0])
 
     free = lambda axis: axis @ jnp.array([0.2, 0.1, 0.3])  # noqa: E731
     top = systems.potential_top([1.0, 2.0, 3.0], free if reduce else potential)
-    step, states = schemes.top_energy_momentum(top), jax.vmap(lambda w: top.state(angular_velocity=w))(normal(3))
+    step, states = schemes.splitting(top), jax.vmap(lambda w: top.state(angular_velocity=w))(normal(3))
     quantity = (lambda step, state: jnp.cos(state.p[0])) if reduce else None
     with monkeypatch.context() as patch:
         patch.setitem(ELEMENTWISE, "cos", lambda walk, x, dtype: walk.number("mul", x[0], x[0]))

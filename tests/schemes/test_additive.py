@@ -218,6 +218,7 @@ def vibrations():
     return eigh(jax.jit(jax.hessian(W))(np.eye(3).ravel()), np.kron(np.eye(3), E), eigvals_only=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.8, 1.0])
 def test_6_17_is_stable_below_2_over_1_less_2_alpha(alpha):
     """At rest its eigenvalues are those of an oscillator: λ + 1/λ = (2 − (α² + β²)x)/(1 + αβx), x = (Δtω)², β = 1 − α.

@@ -460,7 +460,7 @@ def test_kepler_s_flow_is_exact_on_every_conic(speed):
         (q, p, *_), info = step(start, dt)
         return q[1, :3] - q[0, :3], 2 * (p[1, :3] - p[0, :3]), info.converged
 
-    moved, faster, good = jax.jit(flow)(jnp.asarray(0.7))
+    (moved, faster, good), (slope, *_) = jax.jit(lambda dt: jax.jvp(flow, (dt,), (jnp.ones(()),)))(jnp.asarray(0.7))
     assert good
     end = solve_ivp(
         lambda t, y: np.concatenate([y[3:], -y[:3] / np.linalg.norm(y[:3]) ** 3]),
@@ -471,7 +471,6 @@ def test_kepler_s_flow_is_exact_on_every_conic(speed):
         atol=1e-14,
     ).y[:, -1]
     np.testing.assert_allclose(np.concatenate([moved, faster]), end, rtol=0, atol=3e-14)
-    slope = jax.jit(jax.jacfwd(lambda t: flow(t)[0]))(jnp.asarray(0.7))
     np.testing.assert_allclose(slope, faster, rtol=0, atol=3e-14)
 
 
