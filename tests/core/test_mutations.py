@@ -18,7 +18,6 @@ def functions(file):
     }
 
 
-@pytest.mark.long
 def test_every_change_can_be_made_and_has_tests_that_readme_s_command_runs():
     entries = mutations()
     assert len(entries) >= 60
