@@ -105,8 +105,8 @@ def test_laws_at_once_balance_to_round_off(laws):
     for k, law in enumerate(laws):
         if isinstance(law, torques.LimitedBDot | torques.Viscous | torques.KaneDamper):
             assert works[:, k].max() < 0, law  # they take energy in every step
-    check_works(path, laws, 3)
-    check_works(path, laws, 200)
+    for n in (3, 7, 200):  # of the five laws, the rod begins to change within step 7
+        check_works(path, laws, n)
 
 
 def check_works(path, laws, n):
