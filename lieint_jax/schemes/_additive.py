@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
 import jax
@@ -38,8 +39,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, StoredEnergy, System, pytree, static
@@ -83,36 +84,15 @@ class Additive(Step):
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt)
         equation = _Equation.from_state(self, state, dt)
-        rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F
-        guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
-        x, R, steady = newton.root(
-            equation.residual,
-            equation.correction,
-            guess,
-            self.iterations,
-            done=equation.is_converged,
-            length=_displacement,
-            first=equation.size,
+        W, size = equation.W, equation.size
+        x, info = equation.solve(
+            equation.guess(), self.iterations, done=equation.is_converged, length=_displacement, first=size
         )
-        U = _matrix(x)
-        D = equation.change(U)
-        S = rule.stress(W, equation.C, D, *x[9:])
-        middle, end = F + alpha * U, F + U
-        after = equation.P - dt * (middle @ S)
-
-        stiff = max_abs(S) + equation.stiffness
-        scale = equation.size * (max_abs(E) + equation.c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
-        residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
-        converged = (residual <= tolerance) & steady & (middle.det() > 0) & (end.det() > 0)
-        if rule.constrained:
-            size = max_abs(*end)
-            converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
-        elif rule.gammas:
-            converged &= jnp.abs(_energy_defect(W, equation.C, D, S)) <= tolerance * stiff * max_abs(D)
-        moved = state._replace(q=end.array, p=after.array)
+        middle, end, D, S = equation.at(x)
+        moved = state._replace(q=end.array, p=(equation.P - dt * (middle @ S)).array)
         if isinstance(W, _Viscous) and state.work is not None:
             moved = moved._replace(work=state.work - W.rate * D.inner(D) / 2)
-        return moved, lax.stop_gradient(StepInfo(residual, converged))
+        return moved, info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -300,7 +280,8 @@ class _Viscous(StoredEnergy):
 # The equation, and Newton's step for it -------------------------------------------------------------------------------
 
 
-class _Equation(NamedTuple):
+@dataclass(frozen=True)
+class _Equation(ImplicitEquation[Array]):
     """R(x) = 0 of one step, for x = (U, γ): nine entries of U, row by row, and γ if the rule has one.
 
     Attributes:
@@ -344,6 +325,17 @@ class _Equation(NamedTuple):
             stiffness = stiffness + jnp.abs(W.rate) * max_abs(C)
         return cls(rule, W, alpha, E, F, P, C, dt, c, a, stiffness, jnp.max(jnp.abs(state.q)))
 
+    def guess(self) -> Array:
+        """U = 0, and the γ of D → 0."""
+        dtype = self.size.dtype
+        return jnp.concatenate([jnp.zeros(9, dtype), jnp.full(self.rule.gammas, self.rule.guess, dtype)])
+
+    def at(self, x: Array) -> tuple[Matrix, Matrix, Symmetric, Symmetric]:
+        """F_{n+α}, F_{n+1}, D and S."""
+        U = _matrix(x)
+        D = self.change(U)
+        return self.F + self.alpha * U, self.F + U, D, self.rule.stress(self.W, self.C, D, *x[9:])
+
     def change(self, U: Matrix) -> Symmetric:
         """D = FᵀV + VᵀF + VᵀV with V = aU."""
         V = self.a * U
@@ -382,6 +374,19 @@ class _Equation(NamedTuple):
         dU, d_gamma = _newton_step(N, G, middle, a, c, columns, R, limits)
         t = _fraction(G, dU, a)
         return jnp.concatenate([t * jnp.stack(_entries(dU)), *(g[None] for g in d_gamma)])
+
+    def report(self, x: Array, R: Array, steady: Array) -> StepInfo:
+        rule, (middle, end, D, S) = self.rule, self.at(x)
+        stiff = max_abs(S) + self.stiffness
+        scale = self.size * (max_abs(self.E) + self.c * stiff) + jnp.abs(self.dt) * max_abs(*self.P)
+        residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
+        converged = (residual <= tolerance) & steady & (middle.det() > 0) & (end.det() > 0)
+        if rule.constrained:
+            size = max_abs(*end)
+            converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
+        elif rule.gammas:
+            converged &= jnp.abs(_energy_defect(self.W, self.C, D, S)) <= tolerance * stiff * max_abs(D)
+        return lax.stop_gradient(StepInfo(residual, converged))
 
     def is_converged(self, x: Array, step: Array) -> Array:
         """Whether the next correction, quadratically smaller, would be round-off."""

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics import newton
+from lieint_jax._numerics.equation import FixedPointEquation
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
@@ -41,8 +42,6 @@ from lieint_jax.types import State, Step, StepInfo, System, pair_forces, pytree,
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
 __all__ = ["BodiesEnergyMomentum", "bodies_energy_momentum"]
-
-_CONVERGED = 32  # eps: the largest last change of a step that converged
 
 
 class _Ends(NamedTuple):
@@ -72,13 +71,13 @@ class BodiesEnergyMomentum(Step):
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
-        ends, change = _solve(equation, _iterations_at_precision(self.iterations, state.p.dtype))
+        most = _iterations_at_precision(self.iterations, state.p.dtype)
+        ends, info = equation.solve(equation.guess(), most, 2, most)
         force, lost = equation.force(ends), equation.dissipation(ends)[1]
-        good = change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)
-        good &= jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
+        good = jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
         work = None if state.work is None else state.work - equation.dt * lost
         end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
-        return end, StepInfo(change, good)
+        return end, info._replace(converged=info.converged & good)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -147,7 +146,8 @@ def _two_values(potential: Callable[[Array, Array], Array], x: Array, R: Array) 
     return potential(x, R), form.value(form.invariants(x, R))
 
 
-class _Equation(NamedTuple):
+@dataclass(frozen=True)
+class _Equation(FixedPointEquation[_Ends]):
     """The equations of one step."""
 
     system: AbstractRigidBodies | AbstractDissipativeBodies
@@ -179,8 +179,16 @@ class _Equation(NamedTuple):
         return pair_forces(self.system.dissipation, x, v, jax.vmap(so3.Ad)(self.state.q[:, 3:], 2 * rate * ends.turn))
 
     def residual(self, ends: _Ends) -> _Ends:
-        """The residual of the equations of the step."""
         return self.linearized(ends)[0]
+
+    def improve(self, ends: _Ends) -> tuple[_Ends, Array]:
+        F, K = self.linearized(ends)
+        step = _correction(K, F)
+        return _Ends(ends.move - step.move, ends.turn - step.turn), _relative(step, ends)
+
+    def inverses(self) -> tuple[Callable[[_Ends], _Ends], Callable[[_Ends], _Ends]]:
+        K = lax.stop_gradient(self.linearized(self.guess())[1])  # near that of the ends, which are not known here
+        return partial(_correction, K), partial(_correction, jnp.swapaxes(K, 1, 2))
 
     def linearized(self, ends: _Ends) -> tuple[_Ends, Array]:
         """The residual, and the derivative of its rotational part by y without that of the forces, (N, 3, 3)."""
@@ -213,36 +221,6 @@ class _Equation(NamedTuple):
 def _iterations_at_precision(iterations: int, dtype: DTypeLike) -> int:
     """The iterations that need the same contraction for full precision as `iterations` do in float64."""
     return math.ceil(iterations * math.log(jnp.finfo(dtype).eps) / math.log(jnp.finfo(jnp.float64).eps))
-
-
-def _solve(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
-    """The ends of a step, and the last relative change of an iteration."""
-    guess = equation.guess()
-
-    def solve(residual: Callable[[_Ends], _Ends], start: _Ends) -> tuple[_Ends, Array]:
-        def improve(ends: _Ends) -> tuple[_Ends, Array]:
-            F, K = equation.linearized(ends)
-            step = _correction(K, F)
-            return _Ends(ends.move - step.move, ends.turn - step.turn), _relative(step, ends)
-
-        return newton.iterate_until_stalled(improve, start, guess.move.dtype, iterations, 2)
-
-    def tangent_solve(linear: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
-        K = lax.stop_gradient(equation.linearized(guess)[1])  # near that of the ends, which are not known here
-
-        def solver(K: Array) -> Callable[[Callable[[_Ends], _Ends], _Ends], _Ends]:
-            def refine_solve(matvec: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
-                def refine(_: int, v: _Ends) -> _Ends:
-                    return jax.tree.map(jnp.add, v, _correction(K, jax.tree.map(jnp.subtract, b, matvec(v))))
-
-                return lax.fori_loop(0, iterations, refine, _correction(K, b))
-
-            return refine_solve
-
-        return lax.custom_linear_solve(linear, b, solver(K), solver(jnp.swapaxes(K, 1, 2)))
-
-    ends, change = newton.implicit_root(equation.residual, guess, solve, tangent_solve)
-    return ends, lax.stop_gradient(change)
 
 
 def _correction(K: Array, F: _Ends) -> _Ends:

@@ -9,19 +9,21 @@ symplectic there. The equations are solved by fixed-point iteration on all k_i t
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import collocation, newton
+from lieint_jax._numerics import collocation
+from lieint_jax._numerics.equation import FixedPointEquation
 from lieint_jax.capabilities import (
     AbstractDrivenTop,
     AbstractElasticBody,
@@ -40,7 +42,6 @@ __all__ = ["Gauss", "gauss"]
 
 _MOST = 100  # sweeps
 _NODES = 4  # of the guess of a step with more, and its sweeps: each gains an order
-_CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
 
 
@@ -71,9 +72,9 @@ class Gauss(Step):
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt, state.p.dtype)
         equation = _Equation.from_state(self, state, dt)
-        k, change = _solve(equation, self.sweeps)
-        end, change = equation.end(k), lax.stop_gradient(change)
-        return end, StepInfo(change, change <= _CONVERGED * float(jnp.finfo(change.dtype).eps))
+        guess = equation.without_derivative().guess()
+        k, info = equation.solve(guess, _MOST, 4, _REFINEMENTS)
+        return equation.end(k), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         limit = "its sweeps diverge" if self.sweeps is None else f"{self.sweeps} sweeps are too few"
@@ -115,7 +116,8 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
     return Gauss(system, s, None if sweeps is None else _checks.count("sweeps", sweeps, 1), 2.0 * s)
 
 
-class _Equation(NamedTuple):
+@dataclass(frozen=True)
+class _Equation(FixedPointEquation[Coordinates]):
     """The equations of one step, for the derivatives k of the coordinates at the stages.
 
     Attributes:
@@ -126,6 +128,7 @@ class _Equation(NamedTuple):
         start: its coordinates.
         dt: Δt.
         stages: s.
+        sweeps: their number if it is fixed.
     """
 
     chart: CanonicalChart
@@ -135,16 +138,19 @@ class _Equation(NamedTuple):
     start: Coordinates
     dt: Array
     stages: int
+    sweeps: int | None
 
     @classmethod
     def from_state(cls, step: Gauss, state: State, dt: Array) -> _Equation:
         chart, system = canonical_chart(step.system), step.system
         assert chart is not None
-        return cls(chart, system, chart.rate(system), state, chart.unknowns(system, state), dt, step.stages)
+        start = chart.unknowns(system, state)
+        return cls(chart, system, chart.rate(system), state, start, dt, step.stages, step.sweeps)
 
     def without_derivative(self) -> _Equation:
         system, state, start, dt = lax.stop_gradient((self.system, self.state, self.start, self.dt))
-        return _Equation(self.chart, system, self.chart.rate(system), state, start, dt, self.stages)
+        rate = self.chart.rate(system)
+        return dataclasses.replace(self, system=system, rate=rate, state=state, start=start, dt=dt)
 
     def at_stages(self, function: Callable[[Any, Any], Any], Y: Coordinates, nodes: np.ndarray) -> Any:
         """`function(z, t)` at all stages."""
@@ -169,13 +175,28 @@ class _Equation(NamedTuple):
     def residual(self, k: Coordinates) -> Coordinates:
         return jax.tree.map(jnp.subtract, k, self.sweep(k))
 
-    def guess(self, most: int) -> tuple[Coordinates, int]:
-        """The k_i after at most `most` sweeps with few nodes, and the number of these sweeps."""
-        if self.stages <= _NODES or most <= 2 * _NODES:
-            return self._zeros(), 0
-        few = self._replace(stages=_NODES)
+    @property
+    def _begins_with_few(self) -> bool:
+        """Whether the first sweeps have few nodes."""
+        return self.stages > _NODES and (self.sweeps is None or self.sweeps > 2 * _NODES)
+
+    def guess(self) -> Coordinates:
+        """The k_i after the sweeps with few nodes."""
+        if not self._begins_with_few:
+            return self._zeros()
+        few = dataclasses.replace(self, stages=_NODES)
         k = lax.fori_loop(0, _NODES, lambda _, k: few.sweep(k), few._zeros())
-        return jax.tree.map(lambda x: _interpolate_nodes(x, _NODES, self.stages), k), _NODES
+        return jax.tree.map(lambda x: _interpolate_nodes(x, _NODES, self.stages), k)
+
+    def improve(self, k: Coordinates) -> tuple[Coordinates, Array]:
+        new = self.sweep(k)
+        return new, self.change(new, k)
+
+    def iterate(self, x: Coordinates, most: int, enough: float) -> tuple[Coordinates, Array]:
+        if self.sweeps is None:
+            return super().iterate(x, most, enough)
+        left = self.sweeps - _NODES * self._begins_with_few - 1
+        return self.improve(lax.fori_loop(0, max(0, left), lambda _, k: self.sweep(k), x))
 
     def _zeros(self) -> Coordinates:
         return jax.tree.map(lambda x: jnp.zeros((self.stages, *x.shape), x.dtype), self.start)
@@ -204,39 +225,6 @@ def _interpolate_nodes(k: Array, few: int, many: int) -> Array:
     weights = collocation.values(few, collocation.nodes(many)).astype(k.dtype)
     columns = (w.reshape(-1, *[1] * (k.ndim - 1)) * x for w, x in zip(weights.T, k, strict=True))
     return functools.reduce(jnp.add, columns)
-
-
-def _solve(equation: _Equation, sweeps: int | None) -> tuple[Coordinates, Array]:
-    """The k_i, and their last change."""
-    guess, taken = equation.without_derivative().guess(_MOST if sweeps is None else sweeps)
-
-    def solve(_: Callable[[Coordinates], Coordinates], k: Coordinates) -> tuple[Coordinates, Array]:
-        if sweeps is None:
-            return _iterate(equation, k)
-        last = lax.fori_loop(0, max(0, sweeps - taken - 1), lambda _, k: equation.sweep(k), k)
-        k = equation.sweep(last)
-        return k, equation.change(k, last)
-
-    def tangent_solve(linear: Callable[[Coordinates], Coordinates], b: Coordinates) -> Coordinates:
-        flat, components = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
-
-        def refine_solve(matvec: Callable[[Array], Array], b: Array) -> Array:
-            return lax.fori_loop(0, _REFINEMENTS, lambda _, v: v + b - matvec(v), b)
-
-        x = lax.custom_linear_solve(lambda v: ravel_pytree(linear(components(v)))[0], flat, refine_solve, refine_solve)
-        return components(x)
-
-    return newton.implicit_root(equation.residual, guess, solve, tangent_solve)
-
-
-def _iterate(equation: _Equation, k: Coordinates) -> tuple[Coordinates, Array]:
-    """The k_i after sweeps until they no longer change."""
-
-    def improve(k: Coordinates) -> tuple[Coordinates, Array]:
-        new = equation.sweep(k)
-        return new, equation.change(new, k)
-
-    return newton.iterate_until_stalled(improve, k, equation.dt.dtype, _MOST, 4)
 
 
 PROPERTIES = SchemeProperties(

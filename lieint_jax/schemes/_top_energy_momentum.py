@@ -18,6 +18,7 @@ moments replaces γ × e and w. Result 7 at each frozen time gives, exactly and 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -29,6 +30,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
+from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
@@ -78,11 +80,11 @@ class TopEnergyMomentum(Step):
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         q = state.q
         fields = _fields(self.system, state, dt)
-        y, gradients, info = self._solve(fields, state, dt)
-        k = self.kappa(4 * dot(y, y))
-        h = k * y
+        equation = _Equation.from_state(self, fields, state, dt)
+        y, info = equation.solve(equation.guess(), self.iterations, unroll=_is_linear(self.system.potential))
+        k, h = equation.turn(y)
         p = vector(state.p)
-        for field, D in zip(fields, gradients, strict=True):
+        for field, D in zip(fields, equation.gradients(h), strict=True):
             e = so3.Ad(q, k * _half_rotated(h, D))
             p = p + field.share * dt * cross(field.axis, e)
         # stacked last: many kernels read them, number by number
@@ -96,16 +98,6 @@ class TopEnergyMomentum(Step):
         ends = [(field.value(field.Gamma), field.value(_rotated_axis(h, field.Gamma))) for field in fields]
         (at_start, turned), (at_end, both) = ends
         return (at_end - at_start) / 2 + (both - turned) / 2
-
-    def _solve(self, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> tuple[Vector, list[Vector], StepInfo]:
-        """y, the discrete gradient of each field, and the report."""
-        equation, linear = _Equation.from_state(self, fields, state, dt), _is_linear(self.system.potential)
-        guess, count = equation.guess(), self.iterations
-        y, f, steady = newton.root(equation.residual, equation.correction, guess, count, unroll=linear)
-        good = equation.J.well_conditioned & steady
-        gradients, at = equation.gradients(equation.turn(y)[1]), lax.stop_gradient(y)
-        good &= on_branch(self.kappa, at, equation.matrix(at))
-        return y, gradients, newton.report(norm(f), good, equation.size(gradients, y))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -208,7 +200,8 @@ def _fields(system: AbstractTop | AbstractDrivenTop, state: State, dt: ArrayLike
     return (field(system.axis, (), 1),)
 
 
-class _Equation(NamedTuple):
+@dataclass(frozen=True)
+class _Equation(ImplicitEquation[Vector]):
     """The equation for y of one step from a state; J, a and s are divided by tr J, so that |a| is an angle.
 
     Attributes:
@@ -258,7 +251,6 @@ class _Equation(NamedTuple):
         return K
 
     def correction(self, y: Vector, f: Vector) -> Vector:
-        """Newton's step."""
         _, h = self.turn(y)
         return self.matrix(y).solve(f, 1 + dot(h, h))
 
@@ -269,13 +261,18 @@ class _Equation(NamedTuple):
         torque = sum(s * cross(field.Gamma, field.gradient(still)) for field, s in self.fields)
         return u + self.J.solve(cross(self.a, u) + torque)
 
-    def size(self, gradients: list[Vector], y: Vector) -> Array:
+    def report(self, y: Vector, f: Vector, steady: Array) -> StepInfo:
+        at = lax.stop_gradient(y)
+        good = steady & self.J.well_conditioned & on_branch(self.kappa, at, self.matrix(at))
+        return newton.report(norm(f), good, self.size(y))
+
+    def size(self, y: Vector) -> Array:
         """The size of the terms of the equation, by which its rounding errors are measured.
 
         The size of the force is |D̄|, and |Ṽ|/|ΔΓ| where D̄ is corrected.
         """
         total = max_abs(self.a)
-        for (field, s), D in zip(self.fields, gradients, strict=True):
+        for (field, s), D in zip(self.fields, self.gradients(self.turn(y)[1]), strict=True):
             step = 2 * cross(field.Gamma, y)
             square = dot(step, step)
             corrected = (square > _APART / 4) & (not hasattr(field.potential, "discrete_gradient"))

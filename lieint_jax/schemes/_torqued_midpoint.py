@@ -22,6 +22,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -32,6 +33,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
@@ -95,7 +97,9 @@ class TorquedMidpoint(Step):
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation.from_state(self, state, dt)
-        y, z, info = equation.solve(self.iterations)
+        guess, limit = equation.guess()
+        x, info = equation.solve(guess, self.iterations, done=newton.quadratic, first=limit)
+        y, z = Vector(x[:3]), Vector(x[3:])
         rotation = equation.rotation(y)
         torques = equation.torques(rotation, z)
         q = state.q + jnp.stack(so3.cayley_difference(state.q, rotation.h))
@@ -285,7 +289,8 @@ def _extra_after(
     return extra | after | counted
 
 
-class _Equation(NamedTuple):
+@dataclass(frozen=True)
+class _Equation(ImplicitEquation[Vector]):
     """The equation of one step from a state; J and Π_n are divided by tr J, so that the unknowns are angles.
 
     The unknowns x are y and, for each internal state η that a law leaves to the step, z = ½Δt(η_{n+1} − η_n)/tr J.
@@ -389,7 +394,6 @@ class _Equation(NamedTuple):
         return Vector((*free, *x[3:])) - self.scaled_torques_at(x)
 
     def correction(self, x: Vector, f: Vector) -> Vector:
-        """Newton's step."""
         return la.solve(self._matrix(x, _jacobian(self.scaled_torques_at, x)), f)
 
     def _matrix(self, x: Vector, *of_sides: Matrix) -> Matrix:
@@ -398,23 +402,22 @@ class _Equation(NamedTuple):
         free = Matrix((K[i][j] if max(i, j) < 3 else float(i == j) for j in range(n)) for i in range(n))
         return functools.reduce(operator.sub, of_sides, free)
 
-    def solve(self, iterations: int) -> tuple[Vector, Vector, StepInfo]:
-        """y, z, and the report."""
-        at = lax.stop_gradient
+    def guess(self) -> tuple[Vector, Array]:
+        """y and z to begin with, and the length that a steady solve may give its first correction."""
         u = self.J.solve(self.a)  # ½ΔtΩ_n
         f = self.residual(Vector((*u, *(jnp.zeros_like(u[0]) for _ in self.implicit_states))))
         push = self.J.solve(f[:3])
-        limit = at(max_abs(u, f[3:]) + max_abs(push))
+        limit = lax.stop_gradient(max_abs(u, f[3:]) + max_abs(push))
         short = max_abs(push) <= _SHORT * max_abs(u)
-        guess = Vector((*(u - Vector(jnp.where(short, x, 0) for x in push)), *(-x for x in f[3:])))
-        x, f, steady = newton.root(
-            self.residual, self.correction, guess, iterations, done=newton.quadratic, first=limit
-        )
+        return Vector((*(u - Vector(jnp.where(short, x, 0) for x in push)), *(-x for x in f[3:]))), limit
+
+    def report(self, x: Vector, f: Vector, steady: Array) -> StepInfo:
+        at = lax.stop_gradient
         branch, sizes = self.branch_and_sizes(at(x))
         good = steady & branch & self.J.well_conditioned & jnp.isfinite(at(self.t))
         errors = [norm(rows) for rows in (f[:3], f[3:]) if rows]
         infos = [newton.report(error, good, size) for error, size in zip(errors, sizes, strict=True)]
-        return Vector(x[:3]), Vector(x[3:]), functools.reduce(StepInfo.merge, infos)
+        return functools.reduce(StepInfo.merge, infos)
 
     def branch_and_sizes(self, x: Vector) -> tuple[Array, list[Array]]:
         """Whether x is on the branch from Δt = 0, and the sizes of the terms, which measure their rounding errors.
