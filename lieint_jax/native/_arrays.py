@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array, lax
 
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
-from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of
+from lieint_jax.native._program import Block, Branch, Loop, Program, Value, blocks_of
 from lieint_jax.native._traced import Leaf, Operation
 
 _LONGEST_ARRAY = 64  # numbers of an array with an index: all of them are looked at
@@ -75,7 +75,7 @@ class Evaluation:
     """
 
     def __init__(
-        self, program: Program, members: int, table: Callable[[Any, Array], Array], values: dict[Number, _Value]
+        self, program: Program, members: int, table: Callable[[Any, Array], Array], values: dict[Value, _Value]
     ):
         self.program, self.members, self.table, self.values = program, members, table, values
 
@@ -83,11 +83,11 @@ class Evaluation:
         """An evaluation of a block that JAX traces separately."""
         return Evaluation(self.program, self.members, self.table, dict(self.values))
 
-    def varies(self, x: Number) -> bool:
+    def varies(self, x: Value) -> bool:
         """Whether a number depends on the member."""
         return x in self.program.varying
 
-    def value(self, x: Number, vector: bool | None = None) -> _Value:
+    def value(self, x: Value, vector: bool | None = None) -> _Value:
         """A number as an array (members,) or as a scalar."""
         found = lax.full((), x.data, jax.dtypes.canonicalize_dtype(x.dtype)) if x.is_constant else self.values[x]
         wanted = self.varies(x) if vector is None else vector
@@ -95,7 +95,7 @@ class Evaluation:
             return found
         return jax.tree.map(lambda y: y if y.ndim else lax.broadcast(y, (self.members,)), found)
 
-    def vector(self, x: Number) -> Array:
+    def vector(self, x: Value) -> Array:
         """A number as an array (members,)."""
         return self.value(x, True)
 
@@ -109,7 +109,7 @@ class Evaluation:
             elif item in self.program.live:
                 self.values[item] = self.operation(item)
 
-    def operation(self, x: Number) -> _Value:
+    def operation(self, x: Value) -> _Value:
         """The value of an operation."""
         vector = self.varies(x)
         if x.op == "array":
@@ -225,7 +225,7 @@ _READS = frozenset({"convert", "entry", "put", "table", "values"})
 def check_operations(block: Block, program: Program) -> None:
     """UnsupportedError if a program has an operation without counterpart here, or an index into a long array."""
     for item in block.items:
-        if not isinstance(item, Number):
+        if not isinstance(item, Value):
             for inner in blocks_of(item):
                 check_operations(inner, program)
         elif item in program.live:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 from lieint_jax.native._calls import Functions
 from lieint_jax.native._llvm.loops import Loops, Tape
-from lieint_jax.native._program import Number, Program
+from lieint_jax.native._program import Program, Value
 from lieint_jax.native._traced import Leaf
 
 
@@ -113,7 +113,7 @@ class _Writer(Loops):
         parts = [*self.globals.values(), *self.declared, head, *self.front, *self.lines, tail]
         return "\n".join(parts) + "\n"
 
-    def rows(self, used: list[Number]) -> None:
+    def rows(self, used: list[Value]) -> None:
         """The loop over rows."""
         arguments = {x.data: x for x in used if self.leaves[x.data[0]].kind == "carry"}
         carries = [(k, arguments.get(at)) for k, at in enumerate(_carry_entries(self.leaves))]
@@ -164,7 +164,7 @@ class _Writer(Loops):
     def from_the_end(self, count: str, index: str) -> str:
         return self.add(f"sub i64 {self.add(f'sub i64 {count}, 1')}, {index}")
 
-    def read_row(self, x: Number, row: str) -> None:
+    def read_row(self, x: Value, row: str) -> None:
         """An argument that differs from row to row, if it is one."""
         leaf, pointer = self.leaves[x.data[0]], self.inputs[x.data[0]]
         if leaf.kind == "counter":

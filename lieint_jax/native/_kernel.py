@@ -18,7 +18,7 @@ from jax import Array, lax
 from jax.extend.core import ClosedJaxpr
 
 from lieint_jax.native._arrays import Evaluation, check_operations, computed_before
-from lieint_jax.native._march import Deferred, Loop, Value, Values, jaxpr_of, march_p
+from lieint_jax.native._march import AnyArray, AnyArrays, Deferred, Loop, jaxpr_of, march_p
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._traced import Leaf, Traced
 
@@ -44,7 +44,7 @@ class KernelCode:
 
     engine, lanes, shared = "kernel", _BLOCK, 0
 
-    def __init__(self, step: ClosedJaxpr | Deferred, kinds: Values, examples: Values):
+    def __init__(self, step: ClosedJaxpr | Deferred, kinds: AnyArrays, examples: AnyArrays):
         importlib.import_module("jax.experimental.pallas.triton")  # ImportError where JAX has none
 
         begin = time.perf_counter()
@@ -56,7 +56,7 @@ class KernelCode:
         self.pressure = traced.pressure
         self.seconds = {"walk": time.perf_counter() - begin}
 
-    def call(self, arguments: Values, loop: Loop, interpret: bool = False) -> list[Value]:
+    def call(self, arguments: AnyArrays, loop: Loop, interpret: bool = False) -> list[AnyArray]:
         """The carries after the last step and the stored rows; without a GPU if it is to `interpret` the kernel."""
         from jax.experimental import pallas as pl
         from jax.experimental.pallas import triton
@@ -80,7 +80,7 @@ class KernelCode:
         return [next(full).reshape(x.shape) if x.size else jnp.zeros(x.shape, x.dtype) for x in shapes]
 
 
-def _three_axes(x: Value, leaf: Leaf, members: int | None) -> Array:
+def _three_axes(x: AnyArray, leaf: Leaf, members: int | None) -> Array:
     """An array of axes (rows, members, entries), of which the first two have length 1 where they make no difference."""
     rows = len(x) if leaf.has_rows else 1
     return jnp.asarray(x).reshape(rows, (members or 1) if leaf.varies else 1, leaf.size)
@@ -176,18 +176,18 @@ class _Members:
         at = pl.program_id(0) * _BLOCK + jnp.arange(_BLOCK, dtype=jnp.int32)
         self._at = jnp.minimum(at, members - 1)
 
-    def entry(self, name: Any, k: Value, row: Value = 0, member: Value = 0) -> Array:
+    def entry(self, name: Any, k: AnyArray, row: AnyArray = 0, member: AnyArray = 0) -> Array:
         """Entry k of an input, such as a table."""
         from jax.experimental.pallas import triton
 
         return triton.load(self._inputs[name].at[_index(row), _index(member), _index(k)])
 
-    def read(self, k: int, entry: int, row: Value = 0) -> Array:
+    def read(self, k: int, entry: int, row: AnyArray = 0) -> Array:
         """An entry of a leaf, at a row if it has rows."""
         leaf = self._leaves[k]
         return self.entry(k, entry, row if leaf.has_rows else 0, self._at if leaf.varies else 0)
 
-    def write(self, ref: Any, row: Value, values: _Numbers) -> None:
+    def write(self, ref: Any, row: AnyArray, values: _Numbers) -> None:
         """Write the entries of a result."""
         from jax.experimental.pallas import triton
 
@@ -195,5 +195,5 @@ class _Members:
             triton.store(ref.at[_index(row), self._at, _index(k)], x)
 
 
-def _index(k: Value) -> Array:
+def _index(k: AnyArray) -> Array:
     return jnp.asarray(k, jnp.int32)  # Pallas wants arrays, of one type

@@ -21,8 +21,8 @@ from lieint_jax._checks import outermost
 from lieint_jax._xla import result_like, unchecked, with_common_axes
 
 Tree = Any  # a tree of arrays
-Value = Any  # an array, a tracer, a shape or a tangent
-Values = Sequence[Value]
+AnyArray = Any  # an array, or what stands for one in JAX: a tracer, a shape, a tangent
+AnyArrays = Sequence[AnyArray]
 march_p = Primitive("march")
 march_p.multiple_results = True
 
@@ -34,7 +34,7 @@ class Deferred:
         in_avals, out_avals: as those of a jaxpr.
     """
 
-    def __init__(self, function: Callable[..., Values], arguments: Values, results: Values):
+    def __init__(self, function: Callable[..., AnyArrays], arguments: AnyArrays, results: AnyArrays):
         self._function = function
         self.in_avals = [ShapedArray(x.shape, x.dtype) for x in arguments]
         self.out_avals = [ShapedArray(x.shape, x.dtype) for x in results]
@@ -50,12 +50,12 @@ def jaxpr_of(step: ClosedJaxpr | Deferred) -> ClosedJaxpr:
     return step.jaxpr if isinstance(step, Deferred) else step
 
 
-def function_of(step: ClosedJaxpr | Deferred) -> Callable[..., list[Value]]:
+def function_of(step: ClosedJaxpr | Deferred) -> Callable[..., list[AnyArray]]:
     """A step as a function of arrays."""
     return lambda *arguments: list(jaxpr_as_fun(jaxpr_of(step))(*arguments))
 
 
-def with_results(step: ClosedJaxpr | Deferred, results: Callable[[Values, Values], Values]) -> ClosedJaxpr:
+def with_results(step: ClosedJaxpr | Deferred, results: Callable[[AnyArrays, AnyArrays], AnyArrays]) -> ClosedJaxpr:
     """A step with other results: those of (its arguments, its results)."""
     closed = jaxpr_of(step)
     inner, unnamed = closed.jaxpr, closed.jaxpr.debug_info.with_unknown_names()
@@ -146,7 +146,7 @@ class Loop(NamedTuple):
         """For each argument, whether each member has its own."""
         return (self.members is not None,) * self.carried + self.own
 
-    def split(self, items: Values) -> tuple[list[Value], list[Value], list[Value]]:
+    def split(self, items: AnyArrays) -> tuple[list[AnyArray], list[AnyArray], list[AnyArray]]:
         """What belongs to the carries, to the constants and to the rows."""
         ends = self.carried, self.carried + self.fixed
         return list(items[: ends[0]]), list(items[ends[0] : ends[1]]), list(items[ends[1] :])
@@ -155,12 +155,12 @@ class Loop(NamedTuple):
         """Whether argument k has an axis of steps."""
         return k >= self.carried + self.fixed
 
-    def bind(self, arguments: Values) -> list[Value]:
+    def bind(self, arguments: AnyArrays) -> list[AnyArray]:
         """The carries after the last step, and the stored rows of results, of axes (rows, members, …)."""
         return march_p.bind(*with_common_axes(arguments), loop=self)
 
 
-def shape_of(x: Value) -> jax.ShapeDtypeStruct:
+def shape_of(x: AnyArray) -> jax.ShapeDtypeStruct:
     """The shape and type of an array, a tracer or an abstract value."""
     return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
@@ -171,8 +171,8 @@ def march(
     xs: Tree = None,
     consts: Sequence[Tree] | None = None,
     *,
-    rows: int | Value,
-    every: int | Value = 1,
+    rows: int | AnyArray,
+    every: int | AnyArray = 1,
     most: int | None = None,
     reverse: bool = False,
 ) -> tuple[Tree, Tree]:
@@ -218,12 +218,12 @@ class _Checked(NamedTuple):
     step: Callable[..., tuple[Tree, Tree]]
 
     def __call__(
-        self, n: Value, carry: Tree, count: list[Value], consts: tuple[Tree, ...], x: Tree
+        self, n: AnyArray, carry: Tree, count: list[AnyArray], consts: tuple[Tree, ...], x: Tree
     ) -> tuple[Tree, Tree]:
         return _checked(self.step(n, carry, x, *consts), carry)
 
 
-def _traced(step: _Checked, shapes: Values, is_closed: bool) -> tuple[ClosedJaxpr, Tree]:
+def _traced(step: _Checked, shapes: AnyArrays, is_closed: bool) -> tuple[ClosedJaxpr, Tree]:
     """The jaxpr of a step, and the shapes of its results; where no tracer can be closed over, the one of before."""
     if is_closed and _has_hash(step):
         traced = _jitted_step(step).trace(*shapes)
@@ -261,13 +261,13 @@ def _checked(result: Tree, carry: Tree) -> tuple[Tree, Tree]:
     return after, y
 
 
-def _strong(x: Value) -> Value:
+def _strong(x: AnyArray) -> AnyArray:
     """An array that does not take the type of another."""
     x = jnp.asarray(x)
     return lax.convert_element_type(x, x.dtype)
 
 
-def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[Value]]:
+def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[AnyArray]]:
     """A jaxpr in which the tracers that it closes over are arguments, from position `place` on; and these tracers."""
     consts, inner = list(closed.consts), closed.jaxpr
     traced = [isinstance(x, Tracer) for x in consts]
@@ -280,7 +280,7 @@ def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[
     return ClosedJaxpr(made, [x for x, t in zip(consts, traced, strict=True) if not t]), tracers
 
 
-def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..., Tree], list[Value]]:
+def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..., Tree], list[AnyArray]]:
     """A function as one of the tracers that it closes over, (tracers, arguments) ↦ results; and these tracers.
 
     It is traced once: calls, and their derivatives, evaluate its jaxpr.
@@ -289,7 +289,7 @@ def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..
         closed, out = jax.make_jaxpr(function, return_shape=True)(*examples)
     closed, tracers = _with_arguments(closed, 0)
 
-    def explicit(tracers: Values, *arguments: Tree) -> Tree:
+    def explicit(tracers: AnyArrays, *arguments: Tree) -> Tree:
         found = jaxpr_as_fun(closed)(*tracers, *jax.tree.leaves(arguments))
         return jax.tree.unflatten(jax.tree.structure(out), found)
 
@@ -304,16 +304,16 @@ def _shapes(*given: ShapedArray, loop: Loop) -> list[ShapedArray]:
 
 
 @march_p.def_impl
-def _evaluate(*arguments: Value, loop: Loop) -> list[Value]:
+def _evaluate(*arguments: AnyArray, loop: Loop) -> list[AnyArray]:
     return _jitted(loop)(*arguments)
 
 
 @functools.lru_cache(64)
-def _jitted(loop: Loop) -> Callable[..., list[Value]]:
+def _jitted(loop: Loop) -> Callable[..., list[AnyArray]]:
     return jax.jit(lambda *arguments: loop.bind(arguments))
 
 
-def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
+def by_xla(*arguments: AnyArray, loop: Loop) -> list[AnyArray]:
     """The loop by XLA: a scan over rows, of a loop over the steps of each."""
     carry, fixed, series = loop.split(arguments)
     step = function_of(loop.step)
@@ -321,7 +321,7 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
         axes = [0 if own else None for own in loop.owns]
         step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
 
-    def step_once(n: Value, carry: list[Value], row: list[Value]) -> tuple[list[Value], list[Value]]:
+    def step_once(n: AnyArray, carry: list[AnyArray], row: list[AnyArray]) -> tuple[list[AnyArray], list[AnyArray]]:
         found = list(step(n, *carry, *fixed, *row))
         return found[: loop.carried], found[loop.carried :]
 
@@ -334,8 +334,10 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
         return [*carry, *ys]
     in_rows = [x.reshape(loop.rows, loop.known_every, *x.shape[1:]) for x in series]
 
-    def row(carry: list[Value], given: tuple[Value, list[Value]]) -> tuple[list[Value], list[Value]]:
-        def next_step(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
+    def row(carry: list[AnyArray], given: tuple[AnyArray, list[AnyArray]]) -> tuple[list[AnyArray], list[AnyArray]]:
+        def next_step(
+            k: AnyArray, both: tuple[list[AnyArray], list[AnyArray]]
+        ) -> tuple[list[AnyArray], list[AnyArray]]:
             at = loop.known_every - 1 - k if loop.reverse else k
             x = [lax.dynamic_index_in_dim(x, at, keepdims=False) for x in given[1]]
             return step_once(given[0] * loop.known_every + at, both[0], x)
@@ -352,20 +354,20 @@ def by_xla(*arguments: Value, loop: Loop) -> list[Value]:
 
 
 def _counted_by_xla(
-    step: Callable[[Value, list[Value], list[Value]], tuple[list[Value], list[Value]]],
-    carry: list[Value],
-    series: list[Value],
-    every: Value,
-    count: Value,
+    step: Callable[[AnyArray, list[AnyArray], list[AnyArray]], tuple[list[AnyArray], list[AnyArray]]],
+    carry: list[AnyArray],
+    series: list[AnyArray],
+    every: AnyArray,
+    count: AnyArray,
     rows: int,
-) -> list[Value]:
-    def row_of(n: Value) -> list[Value]:
+) -> list[AnyArray]:
+    def row_of(n: AnyArray) -> list[AnyArray]:
         return [lax.dynamic_index_in_dim(x, n, keepdims=False) for x in series]
 
     shapes = jax.eval_shape(lambda carry: step(jnp.zeros_like(every), carry, row_of(0))[1], carry)
     empty = [jnp.zeros(s.shape, s.dtype) for s in shapes]
 
-    def row(k: Value, both: tuple[list[Value], list[Value]]) -> tuple[list[Value], list[Value]]:
+    def row(k: AnyArray, both: tuple[list[AnyArray], list[AnyArray]]) -> tuple[list[AnyArray], list[AnyArray]]:
         begin = both[0], empty
         carry, found = lax.fori_loop(0, every, lambda i, both: step(k * every + i, both[0], row_of(k)), begin)
         return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], found, strict=True)]

@@ -21,7 +21,7 @@ from lieint_jax._xla import unchecked
 from lieint_jax.native._arrays import computed_before
 from lieint_jax.native._handler import handler
 from lieint_jax.native._kernel import KernelCode
-from lieint_jax.native._march import Deferred, Loop, Value, Values, by_xla, jaxpr_of, march_p, shape_of
+from lieint_jax.native._march import AnyArray, AnyArrays, Deferred, Loop, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._traced import Traced, make_once
 
@@ -54,7 +54,7 @@ class LoopCode:
 
     engine = ENGINES[0]
 
-    def __init__(self, body: _Body, kinds: Values, examples: Values):
+    def __init__(self, body: _Body, kinds: AnyArrays, examples: AnyArrays):
         from lieint_jax.native import _machine
         from lieint_jax.native._pieces import modules
 
@@ -73,7 +73,7 @@ class LoopCode:
         self.length, self.pressure, self.lanes = traced.length, pressure, lanes
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
-    def call(self, arguments: Values, loop: Loop) -> list[Value]:
+    def call(self, arguments: AnyArrays, loop: Loop) -> list[AnyArray]:
         """The carries after the last step and the stored rows."""
         shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
         members = loop.members or 1
@@ -131,7 +131,7 @@ def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | s
         return str(reason)
 
 
-def _compiled(*arguments: Value, loop: Loop, platform: str) -> list[Value]:
+def _compiled(*arguments: AnyArray, loop: Loop, platform: str) -> list[AnyArray]:
     """The loop in its own code; by XLA if its step is not a program of numbers, or if the user wants it."""
     found = machine_code(loop, platform)
     if isinstance(found, str):
@@ -163,7 +163,7 @@ def _say_once(reason: str) -> None:
     _log.warning("XLA runs a loop, which is slower than machine code: %s", reason)
 
 
-def _lowering(function: Callable[..., list[Value]]) -> Callable[..., Any]:
+def _lowering(function: Callable[..., list[AnyArray]]) -> Callable[..., Any]:
     """The rule of a loop that `function` computes; it sees no types of arrays that differ between devices."""
     rule = mlir.lower_fun(function, multiple_results=True)
 

@@ -11,15 +11,15 @@ import numpy as np
 from jax.interpreters import batching
 
 from lieint_jax.native._dependence import varying_in_loop
-from lieint_jax.native._march import Loop, Value, Values, function_of, jaxpr_of, march_p, shape_of
+from lieint_jax.native._march import AnyArray, AnyArrays, Loop, function_of, jaxpr_of, march_p, shape_of
 
 _SHORT = 12  # the longest axis, such as that of tangent vectors, that may go inside of a step
 _COMMON = 0.3  # the least part of a carry without the axis, such as the point of the tangents, for which it does
 Axis = int | None
-_Batched = tuple[list[Value], list[Axis]]
+_Batched = tuple[list[AnyArray], list[Axis]]
 
 
-def _batch(axis_data: Any, arguments: Values, axes: Sequence[Axis], *, loop: Loop) -> _Batched:
+def _batch(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], *, loop: Loop) -> _Batched:
     """The results of a loop, and their axes, if some of its arguments have another axis."""
     if loop.every is None and any(axis is not None for axis in axes[loop.carried : loop.carried + 2]):
         return _batch_counts(axis_data, arguments, axes, loop)
@@ -36,14 +36,14 @@ def _batch(axis_data: Any, arguments: Values, axes: Sequence[Axis], *, loop: Loo
 batching.fancy_primitive_batchers[march_p] = _batch
 
 
-def _batch_counts(axis_data: Any, arguments: Values, axes: Sequence[Axis], loop: Loop) -> _Batched:
+def _batch_counts(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], loop: Loop) -> _Batched:
     """`_batch` where members have their own numbers of steps: each runs as many as the one with the most."""
     n, place = loop.carried, loop.carried + 2  # of the number of a member's steps, among the arguments of a step
     if loop.rows > 1 or len(loop.results) > n or axes[n + 1] is not None:
         raise NotImplementedError("members with their own numbers of steps between rows of results")
     function = function_of(loop.step)
 
-    def step(number: Value, *arguments: Value) -> list[Value]:
+    def step(number: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
         before, count = arguments[:n], arguments[place]
         after = function(number, *arguments[:place], *arguments[place + 1 :])
         return [jnp.where(number < count, x, y) for x, y in zip(after, before, strict=True)]
@@ -56,7 +56,7 @@ def _batch_counts(axis_data: Any, arguments: Values, axes: Sequence[Axis], loop:
     return _batch(axis_data, given, [*axes[:n], None, None, axes[n], *axes[place:]], loop=longer)
 
 
-def _as_members(size: int, arguments: Values, axes: Sequence[Axis], varying: list[bool], loop: Loop) -> _Batched:
+def _as_members(size: int, arguments: AnyArrays, axes: Sequence[Axis], varying: list[bool], loop: Loop) -> _Batched:
     """The axis, times the one of members, if there is one, is that of members."""
     old = loop.members
     given, own = [], []
@@ -75,7 +75,7 @@ def _as_members(size: int, arguments: Values, axes: Sequence[Axis], varying: lis
     return results, out_axes
 
 
-def _joined(x: Value, axis: Axis, place: int, size: int, old: int | None, owns: bool) -> Value:
+def _joined(x: AnyArray, axis: Axis, place: int, size: int, old: int | None, owns: bool) -> AnyArray:
     """An array with one axis of members at `place`: the new axis times the old one."""
     if axis is not None:
         x = jnp.moveaxis(x, axis, place)
@@ -90,7 +90,7 @@ def _joined(x: Value, axis: Axis, place: int, size: int, old: int | None, owns: 
 
 
 def _inside(
-    axis_data: Any, arguments: Values, axes: Sequence[Axis], has: list[bool], varying: list[bool], loop: Loop
+    axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], has: list[bool], varying: list[bool], loop: Loop
 ) -> _Batched:
     """The axis is the first one of each array inside of a step; what has none is computed once."""
     size, old = axis_data.size, int(loop.members is not None)
@@ -105,7 +105,7 @@ def _inside(
     inner_axes = [None, *(0 if h else None for h in has)]
     batched = jax.vmap(function_of(loop.step), inner_axes, 0, axis_name=axis_data.name, axis_size=size)
 
-    def step(*arguments: Value) -> list[Value]:
+    def step(*arguments: AnyArray) -> list[AnyArray]:
         return [x if v else x[0] for x, v in zip(batched(*arguments), varying, strict=True)]
 
     number, *shapes = map(shape_of, loop.step.in_avals)

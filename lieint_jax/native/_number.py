@@ -20,27 +20,27 @@ def with_element(type_: ir.Type, element: ir.Type) -> ir.Type:
 
 
 @dataclass(frozen=True, eq=False)
-class Number:
+class LlvmValue:
     """A double, a 64-bit integer or a truth value per lane. Python numbers become constants of the same type."""
 
     builder: Llvm
     value: Llvm
 
-    def like(self, other: "Number | float") -> "Number":
+    def like(self, other: "LlvmValue | float") -> "LlvmValue":
         """`other` as a number of this type."""
-        if isinstance(other, Number):
+        if isinstance(other, LlvmValue):
             return other
         type_ = self.value.type
         lanes = [other] * type_.count if isinstance(type_, ir.VectorType) else other
-        return Number(self.builder, ir.Constant(type_, lanes))
+        return LlvmValue(self.builder, ir.Constant(type_, lanes))
 
-    def _new(self, value: Llvm) -> "Number":
-        return Number(self.builder, value)
+    def _new(self, value: Llvm) -> "LlvmValue":
+        return LlvmValue(self.builder, value)
 
     def _is_double(self) -> bool:
         return getattr(self.value.type, "element", self.value.type) == DOUBLE
 
-    def _binary(self, real: str, integer: str, other: "Number | float", reverse: bool = False) -> "Number":
+    def _binary(self, real: str, integer: str, other: "LlvmValue | float", reverse: bool = False) -> "LlvmValue":
         operation = getattr(self.builder, real if self._is_double() else integer)
         left, right = self.value, self.like(other).value
         return self._new(operation(right, left) if reverse else operation(left, right))
@@ -89,7 +89,7 @@ class Number:
     def __neg__(self):
         return self._new(self.builder.fneg(self.value))
 
-    def compare(self, operator: str, other: "Number | float") -> "Number":
+    def compare(self, operator: str, other: "LlvmValue | float") -> "LlvmValue":
         """False where a double is NaN, but for `!=`."""
         right = self.like(other).value
         if not self._is_double():
@@ -113,15 +113,15 @@ class Number:
         """Whether both are equal, lane by lane."""
         return self.compare("==", other)
 
-    def bits(self) -> "Number":
+    def bits(self) -> "LlvmValue":
         """The bits of doubles as integers."""
         return self._new(self.builder.bitcast(self.value, with_element(self.value.type, INT)))
 
-    def double(self) -> "Number":
+    def double(self) -> "LlvmValue":
         """The doubles of these bits."""
         return self._new(self.builder.bitcast(self.value, with_element(self.value.type, DOUBLE)))
 
-    def intrinsic(self, name: str, *others: "Number | float") -> "Number":
+    def intrinsic(self, name: str, *others: "LlvmValue | float") -> "LlvmValue":
         """The value of an LLVM intrinsic `llvm.name` of doubles."""
         type_, module = self.value.type, self.builder.module
         symbol = f"llvm.{name}.{f'v{type_.count}' if isinstance(type_, ir.VectorType) else ''}f64"
@@ -129,39 +129,39 @@ class Number:
         function = module.globals.get(symbol) or ir.Function(module, signature, symbol)
         return self._new(self.builder.call(function, [self.value, *(self.like(other).value for other in others)]))
 
-    def sign(self) -> "Number":
+    def sign(self) -> "LlvmValue":
         """The sign bit, in its place."""
         return self.bits() & _SIGN
 
-    def flip(self, sign: "Number") -> "Number":
+    def flip(self, sign: "LlvmValue") -> "LlvmValue":
         """Minus this number where the sign bit is set."""
         return (self.bits() ^ sign).double()
 
 
-def where(condition: Number, yes: Number | float, no: Number | float) -> Number:
-    """`yes` in the lanes where the condition holds, `no` in the others; at least one of them is a `Number`."""
-    number = yes if isinstance(yes, Number) else no
-    assert isinstance(number, Number)
+def where(condition: LlvmValue, yes: LlvmValue | float, no: LlvmValue | float) -> LlvmValue:
+    """`yes` in the lanes where the condition holds, `no` in the others; at least one of them is a `LlvmValue`."""
+    number = yes if isinstance(yes, LlvmValue) else no
+    assert isinstance(number, LlvmValue)
     left, right = number.like(yes).value, number.like(no).value
-    return Number(condition.builder, condition.builder.select(condition.value, left, right))
+    return LlvmValue(condition.builder, condition.builder.select(condition.value, left, right))
 
 
-def fma(a: Number, b: Number | float, c: Number | float) -> Number:
+def fma(a: LlvmValue, b: LlvmValue | float, c: LlvmValue | float) -> LlvmValue:
     """a b + c, rounded once."""
     return a.intrinsic("fma", b, c)
 
 
-def sqrt(a: Number) -> Number:
+def sqrt(a: LlvmValue) -> LlvmValue:
     """The square root, correctly rounded."""
     return a.intrinsic("sqrt")
 
 
-def absolute(a: Number) -> Number:
+def absolute(a: LlvmValue) -> LlvmValue:
     """|a|."""
     return a.intrinsic("fabs")
 
 
-def polynomial(x: Number, coefficients: tuple[float, ...]) -> Number:
+def polynomial(x: LlvmValue, coefficients: tuple[float, ...]) -> LlvmValue:
     """c₀ + c₁ x + c₂ x² + …, by Estrin's scheme: pairs, then pairs of pairs."""
     terms: list = [
         fma(x, pair[1], pair[0]) if len(pair) == 2 else x.like(pair[0])
@@ -176,23 +176,23 @@ def polynomial(x: Number, coefficients: tuple[float, ...]) -> Number:
 
 # A double-double is a pair (h, l) that stands for h + l, |l| ≤ ulp(h)/2 or little more. The operations are those of
 # Dekker; see Muller et al., Handbook of Floating-Point Arithmetic, chapters 4 and 5.
-Pair = tuple[Number, Number]
+Pair = tuple[LlvmValue, LlvmValue]
 
 
-def fast_two_sum(a: Number, b: Number | float) -> Pair:
+def fast_two_sum(a: LlvmValue, b: LlvmValue | float) -> Pair:
     """a + b exactly, for |a| ≥ |b| or a = 0."""
     total = a + b
     return total, b - (total - a)
 
 
-def two_sum(a: Number, b: Number | float) -> Pair:
+def two_sum(a: LlvmValue, b: LlvmValue | float) -> Pair:
     """a + b exactly."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
 
 
-def two_product(a: Number, b: Number | float) -> Pair:
+def two_product(a: LlvmValue, b: LlvmValue | float) -> Pair:
     """a b exactly."""
     product = a * b
     return product, fma(a, b, -product)

@@ -19,8 +19,8 @@ COMMUTATIVE = frozenset({"add", "mul", "max", "min", "eq", "ne", "and", "or", "x
 _COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
 
 
-class Number:
-    """One number: the result of an operation, a constant, an argument, or a number carried by a loop.
+class Value:
+    """One value: the result of an operation, a constant, an argument, or what a loop carries.
 
     Attributes:
         op: the name of the operation, in most cases that of JAX's primitive.
@@ -32,7 +32,7 @@ class Number:
 
     __slots__ = ("block", "data", "dtype", "inputs", "op")
 
-    def __init__(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype, data: Data, block: Block | None):
+    def __init__(self, op: str, inputs: tuple[Value, ...], dtype: np.dtype, data: Data, block: Block | None):
         self.op, self.inputs, self.dtype, self.data, self.block = op, inputs, dtype, data, block
 
     @property
@@ -66,8 +66,8 @@ class Block:
         self.parent, self.pinned, self.tested = parent, pinned, tested
         self.depth: int = 0 if parent is None else parent.depth + 1
         self.floor: Block = self if pinned or parent is None else parent.floor
-        self.items: list[Number | Loop | Branch] = []
-        self.by_operation: dict[object, Number] = {}
+        self.items: list[Value | Loop | Branch] = []
+        self.by_operation: dict[object, Value] = {}
 
 
 class Loop:
@@ -81,20 +81,20 @@ class Loop:
         results: the carried numbers after the loop.
     """
 
-    def __init__(self, parent: Block, starts: Sequence[Number]):
+    def __init__(self, parent: Block, starts: Sequence[Value]):
         self.starts = list(starts)
         self.head = Block(parent)
         self.body = Block(self.head, tested=True)
         self.carries = [_carried(x, "carry", self.head) for x in starts]
         self.results = [_carried(x, "result", parent) for x in starts]
-        self.test: Number
-        self.following: list[Number] = []
+        self.test: Value
+        self.following: list[Value] = []
 
 
-def _carried(start: Number, op: str, block: Block) -> Number:
+def _carried(start: Value, op: str, block: Block) -> Value:
     """A number, or an array of the same length, that a loop carries."""
     name, length = (f"{op} array", start.data) if start.is_array else (op, None)
-    return Number(name, (), start.dtype, length, block)
+    return Value(name, (), start.dtype, length, block)
 
 
 class Branch:
@@ -107,11 +107,11 @@ class Branch:
         results: the results of the chosen block, after the branch.
     """
 
-    def __init__(self, parent: Block, test: Number):
+    def __init__(self, parent: Block, test: Value):
         self.test = test
         self.blocks = (Block(parent, pinned=True), Block(parent, pinned=True))
-        self.values: list[list[Number]] = []
-        self.results: list[Number] = []
+        self.values: list[list[Value]] = []
+        self.results: list[Value] = []
 
 
 class Builder:
@@ -119,11 +119,11 @@ class Builder:
 
     def __init__(self) -> None:
         self.root = self.block = Block()
-        self._constants: dict[object, Number] = {}
-        self._order: dict[Number, int] = {}
+        self._constants: dict[object, Value] = {}
+        self._order: dict[Value, int] = {}
         self.length = self.stacked = 0  # operations; entries of arrays that loops write
 
-    def constant(self, value: ArrayLike, dtype: DTypeLike | None = None) -> Number:
+    def constant(self, value: ArrayLike, dtype: DTypeLike | None = None) -> Value:
         """A constant."""
         value = np.asarray(value, dtype)[()]
         key = (value.dtype, value.tobytes())
@@ -131,18 +131,18 @@ class Builder:
             self._constants[key] = self._new("const", (), value.dtype, value, None)
         return self._constants[key]
 
-    def argument(self, dtype: DTypeLike, data: Data) -> Number:
+    def argument(self, dtype: DTypeLike, data: Data) -> Value:
         """An argument of the program."""
         return self._new("argument", (), np.dtype(dtype), data, self.root)
 
-    def empty(self, length: int, dtype: DTypeLike) -> Number:
+    def empty(self, length: int, dtype: DTypeLike) -> Value:
         """A new array in memory, of which one loop writes each entry."""
         found = self._new("empty", (), np.dtype(dtype), length, self.block.floor)
         self.block.floor.items.append(found)
         self.stacked += length
         return found
 
-    def number(self, op: str, *inputs: Number, dtype: DTypeLike | None = None, data: Data = None) -> Number:
+    def number(self, op: str, *inputs: Value, dtype: DTypeLike | None = None, data: Data = None) -> Value:
         """The result of an operation."""
         kind = np.dtype(bool if op in _COMPARISONS else inputs[0].dtype if dtype is None else dtype)
         if all(x.is_constant for x in inputs):
@@ -173,10 +173,10 @@ class Builder:
 
     def loop(
         self,
-        starts: Sequence[Number],
-        test: Callable[[list[Number]], Number],
-        following: Callable[[list[Number]], list[Number]],
-    ) -> list[Number]:
+        starts: Sequence[Value],
+        test: Callable[[list[Value]], Value],
+        following: Callable[[list[Value]], list[Value]],
+    ) -> list[Value]:
         """Add a loop, and return the carried numbers after it."""
         outside = self.block
         made = Loop(outside, starts)
@@ -190,9 +190,7 @@ class Builder:
         outside.items.append(made)
         return made.results
 
-    def branch(
-        self, test: Number, sides: tuple[Callable[[], list[Number]], Callable[[], list[Number]]]
-    ) -> list[Number]:
+    def branch(self, test: Value, sides: tuple[Callable[[], list[Value]], Callable[[], list[Value]]]) -> list[Value]:
         """Add a branch: the results of the first side if `test`, else those of the second."""
         if test.is_constant:
             return sides[0 if test.data else 1]()
@@ -214,12 +212,12 @@ class Builder:
             inner = inner.parent
         return inner
 
-    def _new(self, op: str, inputs: tuple[Number, ...], dtype: DTypeLike, data: Data, block: Block | None) -> Number:
-        found = Number(op, inputs, np.dtype(dtype), data, block)
+    def _new(self, op: str, inputs: tuple[Value, ...], dtype: DTypeLike, data: Data, block: Block | None) -> Value:
+        found = Value(op, inputs, np.dtype(dtype), data, block)
         self._order[found] = len(self._order)
         return found
 
-    def _simplify(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype) -> Number | None:
+    def _simplify(self, op: str, inputs: tuple[Value, ...], dtype: np.dtype) -> Value | None:
         """A simpler number that is equal, or None. 0·x and 0/x may be NaN; as for XLA, x ± 0 is x, also if x is −0."""
         x, y, *_ = *inputs, None, None
         whole = dtype.kind in "iu"
@@ -336,29 +334,29 @@ class Program:
     def __init__(
         self,
         block: Block,
-        outputs: Sequence[Number],
-        varying_arguments: Callable[[Number], bool],
-        written: Sequence[Number] = (),
-        given: frozenset[Number] = frozenset(),
+        outputs: Sequence[Value],
+        varying_arguments: Callable[[Value], bool],
+        written: Sequence[Value] = (),
+        given: frozenset[Value] = frozenset(),
     ):
         self.block, self.outputs, self.written, self.given = block, list(outputs), list(written), given
         self._varying_arguments = varying_arguments
         self.live = _live_numbers(block, [*self.outputs, *self.written], given)
         self.varying = _varying_numbers(block, self.live, varying_arguments)
 
-    def part_that_computes(self, written: Sequence[Number]) -> Program:
+    def part_that_computes(self, written: Sequence[Value]) -> Program:
         """The part of this program that computes some of its numbers for another one."""
         return Program(self.block, [], self._varying_arguments, written=written)
 
-    def with_given(self, given: Iterable[Number]) -> Program:
+    def with_given(self, given: Iterable[Value]) -> Program:
         """This program, with some of its numbers computed by another one."""
         return Program(self.block, self.outputs, self._varying_arguments, given=frozenset(given))
 
-    def depending_on(self, arguments: Callable[[Number], bool]) -> set[Number]:
+    def depending_on(self, arguments: Callable[[Value], bool]) -> set[Value]:
         """The numbers that depend on some of the arguments."""
         return _varying_numbers(self.block, self.live, arguments)
 
-    def needed_positions(self, numbers: Sequence[Number]) -> list[int]:
+    def needed_positions(self, numbers: Sequence[Value]) -> list[int]:
         """The positions of the numbers that must be computed: outputs depend on them, and they are not given."""
         return [k for k, x in enumerate(numbers) if x in self.live and x not in self.given]
 
@@ -366,7 +364,7 @@ class Program:
         """The largest count of varying numbers that an innermost loop needs from one iteration to the next."""
 
         def block_pressure(block: Block) -> int:
-            return max((item_pressure(item) for item in block.items if not isinstance(item, Number)), default=0)
+            return max((item_pressure(item) for item in block.items if not isinstance(item, Value)), default=0)
 
         def item_pressure(item: Loop | Branch) -> int:
             if isinstance(item, Branch):
@@ -389,18 +387,18 @@ def blocks_of(item: Loop | Branch) -> tuple[Block, Block]:
     return (item.head, item.body) if isinstance(item, Loop) else item.blocks
 
 
-def numbers_of(item: Number | Loop | Branch) -> Iterable[Number]:
+def numbers_of(item: Value | Loop | Branch) -> Iterable[Value]:
     """All numbers to which an item refers directly."""
-    if isinstance(item, Number):
+    if isinstance(item, Value):
         return item.inputs
     if isinstance(item, Loop):
         return (*item.starts, *item.following, item.test)
     return (item.test, *item.values[0], *item.values[1])
 
 
-def _live_numbers(root: Block, outputs: Sequence[Number], given: frozenset[Number]) -> set[Number]:
+def _live_numbers(root: Block, outputs: Sequence[Value], given: frozenset[Value]) -> set[Value]:
     """The numbers on which the outputs depend; given numbers depend on no others."""
-    place: dict[Number, tuple[Loop | Branch, int]] = {}
+    place: dict[Value, tuple[Loop | Branch, int]] = {}
 
     def index(block: Block) -> None:
         for item in block.items:
@@ -416,7 +414,7 @@ def _live_numbers(root: Block, outputs: Sequence[Number], given: frozenset[Numbe
                     index(side)
 
     index(root)
-    live: set[Number] = set()
+    live: set[Value] = set()
     pending = list(outputs)
     while pending:
         x = pending.pop()
@@ -435,13 +433,13 @@ def _live_numbers(root: Block, outputs: Sequence[Number], given: frozenset[Numbe
     return live
 
 
-def _varying_numbers(root: Block, live: set[Number], varying_arguments: Callable[[Number], bool]) -> set[Number]:
+def _varying_numbers(root: Block, live: set[Value], varying_arguments: Callable[[Value], bool]) -> set[Value]:
     """The numbers that depend on the member."""
-    varying: set[Number] = set()
+    varying: set[Value] = set()
 
     def visit(block: Block) -> None:
         for item in block.items:
-            if isinstance(item, Number):
+            if isinstance(item, Value):
                 if item.op == "argument":
                     continue
                 if any(x in varying for x in item.inputs):

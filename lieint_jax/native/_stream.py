@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator, Sequence
 from typing import NamedTuple
 
-from lieint_jax.native._program import Block, Branch, Loop, Number, Program
+from lieint_jax.native._program import Block, Branch, Loop, Program, Value
 from lieint_jax.native._traced import Leaf
 
 _FEW = 30  # the most shared operations that are computed in every block instead
@@ -28,7 +28,7 @@ class Stream(NamedTuple):
 
     first: Program
     rest: Program
-    numbers: dict[Block, list[Number]]
+    numbers: dict[Block, list[Value]]
 
 
 def split(program: Program, leaves: Sequence[Leaf]) -> Stream | None:
@@ -53,7 +53,7 @@ def split(program: Program, leaves: Sequence[Leaf]) -> Stream | None:
     return Stream(first, rest, numbers)
 
 
-def _is_shared(x: Number, program: Program) -> bool:
+def _is_shared(x: Value, program: Program) -> bool:
     if x.op in ("argument", "constant") or x not in program.live or x in program.varying:
         return False
     return x.dtype.kind == "f" and not x.is_array
@@ -69,10 +69,10 @@ def _loops(block: Block, program: Program) -> Iterator[Loop]:
             yield from _loops(item.body, program)
 
 
-def _numbers(body: Block) -> Iterator[Number]:
+def _numbers(body: Block) -> Iterator[Value]:
     """The numbers of a block, without those inside its loops and branches."""
     for item in body.items:
-        if isinstance(item, Number):
+        if isinstance(item, Value):
             yield item
         else:
             yield from item.results
@@ -85,7 +85,7 @@ def _length(block: Block, program: Program, others: Container[Block]) -> int:
     """
     found = 0
     for item in block.items:
-        if isinstance(item, Number):
+        if isinstance(item, Value):
             found += item in program.live
         elif isinstance(item, Branch):
             found += sum(_length(side, program, others) for side in item.blocks)

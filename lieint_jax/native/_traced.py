@@ -14,7 +14,7 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
 from lieint_jax.native._primitives.abstract_walk import Table, UnsupportedError, array_of, unsupported_if_it_fails
-from lieint_jax.native._program import Builder, Number, Program
+from lieint_jax.native._program import Builder, Program, Value
 from lieint_jax.native._walk import Walk, shapes_of
 
 _Compiled = TypeVar("_Compiled")
@@ -114,7 +114,7 @@ class Traced:
         numbers = [self._builder.argument(x.dtype, (k, entry)) for entry in range(self.leaves[k].size)]
         return array_of(numbers, x.shape)
 
-    def _program(self, outputs: list[Number]) -> Program:
+    def _program(self, outputs: list[Value]) -> Program:
         return Program(self._builder.root, outputs, lambda x: self.leaves[x.data[0]].varies)
 
     def _compute_before(self, equation: JaxprEqn, inputs: list[np.ndarray]) -> list[Any] | None:
@@ -128,7 +128,7 @@ class Traced:
         self.outside.append(Operation(equation, kind, program, leaves_before_rows(self.leaves), shapes))
         return [self._argument(kind, x) for x in shapes_of(equation.outvars)]
 
-    def _is_fixed(self, x: Number) -> bool:
+    def _is_fixed(self, x: Value) -> bool:
         """True if a number does not change during a call, provided that its inputs do not."""
         if x.op == "argument":
             return self.leaves[x.data[0]].kind in ("member", "shared")

@@ -9,7 +9,7 @@ import numpy as np
 
 from lieint_jax.native._calls import Functions
 from lieint_jax.native._llvm.operations import Operations
-from lieint_jax.native._program import Block, Branch, Loop, Number, Program
+from lieint_jax.native._program import Block, Branch, Loop, Program, Value
 from lieint_jax.native._traced import Leaf
 
 
@@ -21,7 +21,7 @@ class Tape(NamedTuple):
         writes: True if this program writes them.
     """
 
-    numbers: dict[Block, list[Number]]
+    numbers: dict[Block, list[Value]]
     writes: bool
 
 
@@ -132,17 +132,17 @@ class Loops(Operations):
         """The type of the members' booleans that a loop carries: integers as wide as a number."""
         return f"<{self.lanes} x {self.wide}>"
 
-    def phi_type(self, carry: Number) -> str:
+    def phi_type(self, carry: Value) -> str:
         return self.mask_type if carry.dtype.kind == "b" and self.varies(carry) else self.type_of(carry)
 
     def as_mask(self, name: str) -> str:
         return self.add(f"sext <{self.lanes} x i1> {name} to {self.mask_type}")
 
-    def into_phi(self, x: Number, carry: Number) -> str:
+    def into_phi(self, x: Value, carry: Value) -> str:
         value = self.value(x, self.varies(carry))
         return self.as_mask(value) if carry.dtype.kind == "b" and self.varies(carry) else value
 
-    def out_of_phi(self, phi: str, carry: Number) -> str:
+    def out_of_phi(self, phi: str, carry: Value) -> str:
         if carry.dtype.kind == "b" and self.varies(carry):
             return self.add(f"trunc {self.mask_type} {phi} to <{self.lanes} x i1>")
         return phi

@@ -10,7 +10,7 @@ import numpy as np
 from lieint_jax.native._calls import Functions
 from lieint_jax.native._llvm.memory import Memory
 from lieint_jax.native._llvm.text import literal
-from lieint_jax.native._program import Block, Number, Program, blocks_of, numbers_of
+from lieint_jax.native._program import Block, Program, Value, blocks_of, numbers_of
 from lieint_jax.native._traced import Leaf
 
 _ARITHMETIC = {"add": ("fadd", "add"), "sub": ("fsub", "sub"), "mul": ("fmul", "mul"), "div": ("fdiv", "sdiv")}
@@ -44,7 +44,7 @@ class Operations(Memory):
         self.functions = functions
         self.fused, self.absorbed = _fusions(program)
 
-    def operation(self, x: Number) -> str:
+    def operation(self, x: Value) -> str:
         vector = self.varies(x)
         if x in self.fused:
             product, other, sign = self.fused[x]
@@ -75,17 +75,17 @@ class Operations(Memory):
         name = self.functions.name(x.op, self.scalar(x.dtype), self.lanes if vector else 0, len(values))
         return self.call(kind, name, [(kind, value) for value in values])
 
-    def predicate(self, x: Number) -> str:
+    def predicate(self, x: Value) -> str:
         found = _SIGNED[x.op]
         return found.replace("s", "u", 1) if x.inputs[0].dtype.kind in "ub" and found[0] == "s" else found
 
-    def op_neg(self, x: Number, vector: bool) -> str:
+    def op_neg(self, x: Value, vector: bool) -> str:
         kind, value = self.type(x.dtype, vector), self.value(x.inputs[0], vector)
         if x.dtype.kind == "f":
             return self.add(f"fneg {kind} {value}")
         return self.add(f"sub {kind} {'zeroinitializer' if vector else '0'}, {value}")
 
-    def op_abs(self, x: Number, vector: bool) -> str:
+    def op_abs(self, x: Value, vector: bool) -> str:
         value = self.value(x.inputs[0], vector)
         if x.dtype.kind == "f":
             return self.intrinsic("fabs", x.dtype, vector, value)
@@ -93,7 +93,7 @@ class Operations(Memory):
         name = f"llvm.abs.{self.suffix(x.dtype, vector)}"
         return self.call(kind, name, [(kind, value), ("i1", "false")])
 
-    def op_max(self, x: Number, vector: bool) -> str:
+    def op_max(self, x: Value, vector: bool) -> str:
         values = [self.value(y, vector) for y in x.inputs]
         name = {"f": {"max": "maximum", "min": "minimum"}, "i": {"max": "smax", "min": "smin"}}
         name |= {"u": {"max": "umax", "min": "umin"}, "b": {"max": "umax", "min": "umin"}}
@@ -101,13 +101,13 @@ class Operations(Memory):
 
     op_min = op_max
 
-    def op_not(self, x: Number, vector: bool) -> str:
+    def op_not(self, x: Value, vector: bool) -> str:
         kind = self.type(x.dtype, vector)
         ones = "true" if x.dtype.kind == "b" else "-1"
         ones = f"splat ({self.scalar(x.dtype)} {ones})" if vector else ones
         return self.add(f"xor {kind} {self.value(x.inputs[0], vector)}, {ones}")
 
-    def op_select(self, x: Number, vector: bool) -> str:
+    def op_select(self, x: Value, vector: bool) -> str:
         test, on_true, on_false = x.inputs
         kind = self.type(x.dtype, vector)
         tested = self.varies(test)
@@ -116,7 +116,7 @@ class Operations(Memory):
             f"{kind} {self.value(on_false, vector)}"
         )
 
-    def op_convert(self, x: Number, vector: bool) -> str:
+    def op_convert(self, x: Value, vector: bool) -> str:
         [y] = x.inputs
         a, b, value = self.type(y.dtype, vector), self.type(x.dtype, vector), self.value(y, vector)
         before, after = y.dtype, x.dtype
@@ -135,7 +135,7 @@ class Operations(Memory):
             return self.add(f"{'sext' if before.kind == 'i' else 'zext'} {a} {value} to {b}")
         return value if a == b else self.add(f"trunc {a} {value} to {b}")
 
-    def op_sin(self, x: Number, vector: bool) -> str:
+    def op_sin(self, x: Value, vector: bool) -> str:
         """The sine or cosine; if both are needed, one call computes both."""
         scalar, kind = self.scalar(x.dtype), self.type(x.dtype, vector)
         lanes, [angle] = self.lanes if vector else 0, x.inputs
@@ -152,12 +152,12 @@ class Operations(Memory):
 
     op_cos = op_sin
 
-    def op_rem(self, x: Number, vector: bool) -> str:
+    def op_rem(self, x: Value, vector: bool) -> str:
         kind, values = self.type(x.dtype, vector), [self.value(y, vector) for y in x.inputs]
         name = {"f": "frem", "i": "srem", "u": "urem"}[x.dtype.kind]
         return self.add(f"{name} {kind} {values[0]}, {values[1]}")
 
-    def op_values(self, x: Number, vector: bool) -> str:
+    def op_values(self, x: Value, vector: bool) -> str:
         if x.data not in self.globals:
             dtype, values = np.dtype(x.data[0]), np.frombuffer(x.data[1], x.data[0])
             scalar = "i8" if dtype.kind == "b" else self.scalar(dtype)
@@ -166,10 +166,10 @@ class Operations(Memory):
             self.globals[x.data] = f"{name} = private constant [{len(values)} x {scalar}] [{entries}]"
         return self.read(self.globals[x.data].split(" ")[0], x, vector)
 
-    def op_table(self, x: Number, vector: bool) -> str:
+    def op_table(self, x: Value, vector: bool) -> str:
         return self.read(self.inputs[x.data], x, vector)
 
-    def read(self, pointer: str, x: Number, vector: bool) -> str:
+    def read(self, pointer: str, x: Value, vector: bool) -> str:
         """The entry of an array in memory whose index is the input of x."""
         if not vector:
             return self.load(pointer, x.dtype, self.value(x.inputs[0], False))
@@ -177,37 +177,37 @@ class Operations(Memory):
         at = self.add(f"getelementptr {stored}, ptr {pointer}, <{self.lanes} x i64> {self.value(x.inputs[0], True)}")
         return self.gather_at(at, x.dtype)
 
-    def op_array(self, x: Number, vector: bool) -> str:
+    def op_array(self, x: Value, vector: bool) -> str:
         name = self.new_array(len(x.inputs), x)
         for k, y in enumerate(x.inputs):
             self.write(name, str(k), y, vector)
         return name
 
-    def op_empty(self, x: Number, vector: bool) -> str:
+    def op_empty(self, x: Value, vector: bool) -> str:
         return ""  # the loop that writes it knows whether its entries vary
 
-    def op_put(self, x: Number, vector: bool) -> str:
+    def op_put(self, x: Value, vector: bool) -> str:
         array, k, y = x.inputs
         self.write(self.names[array], self.value(k, False), y, vector)
         return self.names[array]
 
-    def new_array(self, length: int, x: Number) -> str:
+    def new_array(self, length: int, x: Value) -> str:
         """Memory for the array that a number stands for; booleans are bytes there."""
         name = self.new()
         self.front.append(f"  {name} = alloca [{length} x {self.stored_type(x, self.varies(x))}], align 64")
         return name
 
-    def stored_type(self, x: Number, vector: bool) -> str:
+    def stored_type(self, x: Value, vector: bool) -> str:
         return self.type(np.int8 if x.dtype.kind == "b" else x.dtype, vector)
 
-    def write(self, array: str, k: str, x: Number, vector: bool) -> None:
+    def write(self, array: str, k: str, x: Value, vector: bool) -> None:
         kind, value = self.stored_type(x, vector), self.value(x, vector)
         if x.dtype.kind == "b":
             value = self.add(f"zext {self.type(bool, vector)} {value} to {kind}")
         at = self.add(f"getelementptr {kind}, ptr {array}, i64 {k}")
         self.lines.append(f"  store {kind} {value}, ptr {at}")
 
-    def op_entry(self, x: Number, vector: bool) -> str:
+    def op_entry(self, x: Value, vector: bool) -> str:
         index, array = x.inputs
         if not self.varies(index):
             return self.entry(array, self.value(index, False), self.varies(array))
@@ -222,21 +222,21 @@ class Operations(Memory):
             found = self.add(f"select <{self.lanes} x i1> {here}, {kind} {y}, {kind} {found}")
         return found
 
-    def entry(self, array: Number, k: str, vector: bool) -> str:
+    def entry(self, array: Value, k: str, vector: bool) -> str:
         kind = self.stored_type(array, vector)
         at = self.add(f"getelementptr {kind}, ptr {self.names[array]}, i64 {k}")
         found = self.add(f"load {kind}, ptr {at}")
         return found if array.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, vector)}")
 
 
-def _fusions(program: Program) -> tuple[dict[Number, tuple[Number, Number, str]], set[Number]]:
+def _fusions(program: Program) -> tuple[dict[Value, tuple[Value, Value, str]], set[Value]]:
     """The sums that are fused with a product, as (product, other term, which of them is negative), and the products."""
-    uses: Counter[Number] = Counter([*program.outputs, *program.written])
-    items: list[Number] = []
+    uses: Counter[Value] = Counter([*program.outputs, *program.written])
+    items: list[Value] = []
 
     def visit(block: Block) -> None:
         for item in block.items:
-            if isinstance(item, Number):
+            if isinstance(item, Value):
                 if item in program.live and item not in program.given:
                     uses.update(item.inputs)
                     items.append(item)
@@ -246,8 +246,8 @@ def _fusions(program: Program) -> tuple[dict[Number, tuple[Number, Number, str]]
                     visit(inner)
 
     visit(program.block)
-    fused: dict[Number, tuple[Number, Number, str]] = {}
-    absorbed: set[Number] = set()
+    fused: dict[Value, tuple[Value, Value, str]] = {}
+    absorbed: set[Value] = set()
     for x in items:
         if x.op not in ("add", "sub") or x.dtype.kind != "f":
             continue

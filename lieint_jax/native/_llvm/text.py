@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
-from lieint_jax.native._program import Number, Program
+from lieint_jax.native._program import Program, Value
 
 _TYPES = {
     "f8": "double",
@@ -40,14 +40,14 @@ class Text:
         self.globals: dict[object, str] = {}
         self.declared: dict[str, None] = {}
         self.label = "entry"
-        self.names: dict[Number, str] = {}
+        self.names: dict[Value, str] = {}
         self.count = 0
 
     def new(self) -> str:
         self.count += 1
         return f"%v{self.count}"
 
-    def varies(self, x: Number) -> bool:
+    def varies(self, x: Value) -> bool:
         return x in self.program.varying
 
     def scalar(self, dtype: DTypeLike) -> str:
@@ -59,7 +59,7 @@ class Text:
     def type(self, dtype: DTypeLike, vector: bool) -> str:
         return f"<{self.lanes} x {self.scalar(dtype)}>" if vector else self.scalar(dtype)
 
-    def type_of(self, x: Number) -> str:
+    def type_of(self, x: Value) -> str:
         return self.type(x.dtype, self.varies(x))
 
     def add(self, text: str) -> str:
@@ -92,7 +92,7 @@ class Text:
         scalar = {"double": "f64", "float": "f32"}.get(self.scalar(dtype), self.scalar(dtype))
         return f"v{self.lanes}{scalar}" if vector else scalar
 
-    def value(self, x: Number, vector: bool | None = None) -> str:
+    def value(self, x: Value, vector: bool | None = None) -> str:
         """The name of a number's value, as a vector or as a scalar."""
         vector = self.varies(x) if vector is None else vector
         if x.is_constant:

@@ -12,7 +12,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.typing import ArrayLike, DTypeLike
 
-from lieint_jax.native._program import Builder, Number
+from lieint_jax.native._program import Builder, Value
 
 Parameters = Mapping[str, Any]  # of a primitive
 LARGEST = 10_000  # the most entries of an array
@@ -82,26 +82,26 @@ class AbstractWalk(abc.ABC):
             raise UnsupportedError(f"an array of {x.size} entries")
         return array_of([self.builder.constant(value) for value in x.flat], x.shape)
 
-    def number(self, op: str, *inputs: Number, dtype: DTypeLike | None = None, data: object = None) -> Number:
+    def number(self, op: str, *inputs: Value, dtype: DTypeLike | None = None, data: object = None) -> Value:
         """The result of an operation on numbers; a sum of booleans is "or", and their product "and", as in XLA."""
         if inputs[0].dtype == bool:
             op = {"add": "or", "mul": "and"}.get(op, op)
         return self.builder.number(op, *inputs, dtype=dtype, data=data)
 
-    def index(self, k: int) -> Number:
+    def index(self, k: int) -> Value:
         """A constant index."""
         return self.builder.constant(k, np.int64)
 
-    def clip_index(self, index: Number, last: int) -> Number:
+    def clip_index(self, index: Value, last: int) -> Value:
         """An index from 0 to `last`, an int64."""
         if index.dtype == np.uint64:  # beyond the range of int64 too
             index = self.number("min", index, self.builder.constant(last, np.uint64))
         index = self.number("convert", index, dtype=np.int64)
         return self.number("min", self.number("max", index, self.index(0)), self.index(last))
 
-    def select(self, test: Number, on_true: Any, on_false: Any) -> Any:
+    def select(self, test: Value, on_true: Any, on_false: Any) -> Any:
         """Numbers or arrays, by a boolean."""
-        if isinstance(on_true, Number):
+        if isinstance(on_true, Value):
             return self.number("select", test, on_true, on_false, dtype=on_true.dtype)
         pairs = zip(on_true.flat, on_false.flat, strict=True)
         return array_of([self.select(test, x, y) for x, y in pairs], on_true.shape)
@@ -109,17 +109,17 @@ class AbstractWalk(abc.ABC):
     def loop_over_arrays(
         self,
         starts: list[np.ndarray],
-        test: Callable[[list[np.ndarray]], Number],
+        test: Callable[[list[np.ndarray]], Value],
         next_carry: Callable[[list[np.ndarray]], list[np.ndarray]],
     ) -> list[np.ndarray]:
         """A loop that carries arrays."""
         shapes = [x.shape for x in starts]
 
-        def joined(numbers: list[Number]) -> list[np.ndarray]:
+        def joined(numbers: list[Value]) -> list[np.ndarray]:
             left = iter(numbers)
             return [array_of([next(left) for _ in range(int(np.prod(shape)))], shape) for shape in shapes]
 
-        def flat(arrays: list[np.ndarray]) -> list[Number]:
+        def flat(arrays: list[np.ndarray]) -> list[Value]:
             return [x for array in arrays for x in array.flat]
 
         found = self.builder.loop(flat(starts), lambda c: test(joined(c)), lambda c: flat(next_carry(joined(c))))

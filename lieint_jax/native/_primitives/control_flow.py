@@ -19,7 +19,7 @@ from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters
 from lieint_jax.native._primitives.indexing import empty_rows, row_of, rows_of, write_rows
 from lieint_jax.native._primitives.moves import MOVES, stack
 from lieint_jax.native._primitives.reductions import reduce_terms
-from lieint_jax.native._program import Number
+from lieint_jax.native._program import Value
 
 _UNROLLED = 4  # the longest counted loop that is unrolled in any case
 _UNROLLED_NUMBERS = 400  # the most numbers of a longer unrolled loop, in all iterations together
@@ -35,7 +35,7 @@ def _while(
     def tests(carry: list[np.ndarray]) -> np.ndarray:
         return walk.jaxpr(cond, [*of_test, *carry])[0]
 
-    def test(carry: list[np.ndarray]) -> Number:
+    def test(carry: list[np.ndarray]) -> Value:
         return reduce_terms(walk, "or", list(tests(carry).flat), np.dtype(bool))
 
     def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
@@ -122,7 +122,7 @@ def _cond(
 
 
 def _branches(
-    walk: AbstractWalk, index: Number, branches: Sequence[ClosedJaxpr], operands: list[np.ndarray]
+    walk: AbstractWalk, index: Value, branches: Sequence[ClosedJaxpr], operands: list[np.ndarray]
 ) -> list[np.ndarray]:
     """The results of the branch of number `index`."""
     if len(branches) == 1:
@@ -134,10 +134,10 @@ def _branches(
         test = walk.number("le", index, walk.builder.constant(0, index.dtype))
     rest = index if index.dtype == bool else walk.number("sub", index, walk.builder.constant(1, index.dtype))
 
-    def first() -> list[Number]:
+    def first() -> list[Value]:
         return [x for array in walk.jaxpr(branches[0], operands) for x in array.flat]
 
-    def others() -> list[Number]:
+    def others() -> list[Value]:
         return [x for array in _branches(walk, rest, branches[1:], operands) for x in array.flat]
 
     left = iter(walk.builder.branch(test, (first, others)))

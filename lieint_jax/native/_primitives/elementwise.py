@@ -10,10 +10,10 @@ from jax import lax
 
 from lieint_jax._xla import UNKNOWN_ONE
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, names
-from lieint_jax.native._program import Number
+from lieint_jax.native._program import Value
 
 
-def _integer_power(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, y: int) -> Number:
+def _integer_power(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, *, y: int) -> Value:
     found, power = None, x[0]
     for bit in reversed(bin(abs(y))[2:]):
         if bit == "1":
@@ -24,7 +24,7 @@ def _integer_power(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, 
     return walk.number("div", one, found) if y < 0 else found
 
 
-def _select(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
+def _select(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     which, cases = x[0], x[1:]
     if which.dtype == bool:
         return walk.select(which, cases[1], cases[0]) if len(cases) > 1 else cases[0]
@@ -34,7 +34,7 @@ def _select(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     return found
 
 
-def _quotient(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, op: str) -> Number:
+def _quotient(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, op: str) -> Value:
     """A quotient or a remainder; that of integers by 0 and −1, where a CPU would trap, as XLA defines it."""
     if dtype.kind == "f":
         return walk.number(op, *x)
@@ -47,7 +47,7 @@ def _quotient(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, op: str)
     return walk.select(by_zero, ones if op == "div" else a, found)
 
 
-def _shift(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, op: str) -> Number:
+def _shift(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, op: str) -> Value:
     """A shift; for a shift by too many bits, or by a negative number, all bits are shifted out."""
     zero, last = (walk.builder.constant(k, dtype) for k in (0, 8 * dtype.itemsize - 1))
     inside = walk.number("and", walk.number("ge", x[1], zero), walk.number("le", x[1], last))
@@ -55,20 +55,20 @@ def _shift(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, op: str) ->
     return found if op == "shift_right_arithmetic" else walk.select(inside, found, zero)
 
 
-def _absolute(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
+def _absolute(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     return x[0] if dtype.kind == "u" else walk.number("abs", x[0])
 
 
 def _reduce_precision(
-    walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, exponent_bits: int, mantissa_bits: int
-) -> Number:
+    walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, *, exponent_bits: int, mantissa_bits: int
+) -> Value:
     info = np.finfo(dtype)
     if (exponent_bits, mantissa_bits) != (info.nexp, info.nmant):
         raise UnsupportedError("reduce_precision")
     return x[0]
 
 
-def _sign(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
+def _sign(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     if dtype.kind == "u":
         return walk.number("min", x[0], walk.builder.constant(1, dtype))
     zero, one, minus = (walk.builder.constant(k, dtype) for k in (0, 1, -1))
@@ -76,38 +76,38 @@ def _sign(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
     return walk.select(walk.number("gt", x[0], zero), one, below)
 
 
-def _round(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, rounding_method: lax.RoundingMethod) -> Number:
+def _round(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, *, rounding_method: lax.RoundingMethod) -> Value:
     return walk.number(_ROUNDINGS[rounding_method], x[0])
 
 
-def _power(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
+def _power(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     return walk.number("pow", x[0], walk.number("convert", x[1], dtype=dtype))
 
 
-def _log2(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
+def _log2(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     return walk.number("mul", walk.number("log", x[0]), walk.builder.constant(1 / np.log(2.0), dtype))
 
 
-def _one_minus_square(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
+def _one_minus_square(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     one = walk.builder.constant(1, dtype)
     return walk.number("mul", walk.number("add", one, x[0]), walk.number("sub", one, x[0]))
 
 
-def _polynomial(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
+def _polynomial(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     """Horner's rule; the coefficients begin with the constant."""
     at, *coefficients = x
     return functools.reduce(lambda y, c: walk.number("add", walk.number("mul", y, at), c), coefficients[::-1])
 
 
-def _name(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, *, name: str) -> Number:
+def _name(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, *, name: str) -> Value:
     return walk.builder.constant(1, dtype) if name == UNKNOWN_ONE else x[0]
 
 
-def _is_finite(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype) -> Number:
+def _is_finite(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
 
-def _operation(walk: AbstractWalk, x: Sequence[Number], dtype: np.dtype, op: str) -> Number:
+def _operation(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, op: str) -> Value:
     return walk.number(op, *x, dtype=dtype)
 
 
@@ -119,7 +119,7 @@ _OPERATIONS = names(  # of programs, which JAX calls by the same names
     "acos acosh add and asin asinh atan atan2 atanh cbrt ceil cos cosh eq exp exp2 expm1 floor ge gt le log log1p "
     "logistic lt max min mul ne neg not or sin sinh sqrt sub tan tanh xor"
 )
-ELEMENTWISE: dict[str, Callable[..., Number]] = {
+ELEMENTWISE: dict[str, Callable[..., Value]] = {
     name: functools.partial(_operation, op=name) for name in _OPERATIONS
 } | {
     "abs": _absolute,

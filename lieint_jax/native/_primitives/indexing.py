@@ -13,14 +13,14 @@ from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, Table, UnsupportedError, array_of
 from lieint_jax.native._primitives.reductions import reduce_terms
-from lieint_jax.native._program import Number
+from lieint_jax.native._program import Value
 
-Window = tuple[list[Number], Number, np.ndarray]  # its first index, whether it is written, its numbers
+Window = tuple[list[Value], Value, np.ndarray]  # its first index, whether it is written, its numbers
 _CLIP, _FILL = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
 _SELECTED = 8  # the most numbers from which one is selected by comparing indices; longer arrays are read from memory
 
 
-def row_of(walk: AbstractWalk, x: np.ndarray | Table, k: Number) -> np.ndarray:
+def row_of(walk: AbstractWalk, x: np.ndarray | Table, k: Value) -> np.ndarray:
     """x[k] of an array of numbers at an index that the program computes."""
     if isinstance(x, Table):
         return array_of([walk.number("table", k, dtype=x.dtype, data=x.data)], ())
@@ -28,7 +28,7 @@ def row_of(walk: AbstractWalk, x: np.ndarray | Table, k: Number) -> np.ndarray:
     return array_of([_entry(walk, list(column), k) for column in columns], x.shape[1:])
 
 
-def _entry(walk: AbstractWalk, column: list[Number], k: Number) -> Number:
+def _entry(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
     """An entry of a long column of numbers: if they are constants, they are data of the program."""
     if all(x is column[0] for x in column):
         return column[0]
@@ -41,7 +41,7 @@ def _entry(walk: AbstractWalk, column: list[Number], k: Number) -> Number:
     return walk.number("entry", k, array, dtype=column[0].dtype)
 
 
-def _is_array_in_order(column: list[Number]) -> bool:
+def _is_array_in_order(column: list[Value]) -> bool:
     """True if these are all entries of an array that a loop has written, in order."""
     if not all(x.op == "entry" and x.inputs[1] is column[0].inputs[1] for x in column):
         return False
@@ -54,7 +54,7 @@ def empty_rows(walk: AbstractWalk, length: int, row: ShapedArray) -> np.ndarray:
     return array_of([walk.builder.empty(length, row.dtype) for _ in range(int(np.prod(row.shape)))], row.shape)
 
 
-def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Number) -> np.ndarray:
+def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Value) -> np.ndarray:
     """The arrays with row k written."""
     pairs = zip(arrays.flat, row.flat, strict=True)
     return array_of([walk.number("put", array, k, x, dtype=array.dtype) for array, x in pairs], arrays.shape)
@@ -66,7 +66,7 @@ def rows_of(walk: AbstractWalk, length: int, arrays: np.ndarray) -> np.ndarray:
     return array_of(numbers, (length, *arrays.shape))
 
 
-def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Number]) -> Number:
+def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Value]) -> Value:
     """x[index], where each index is in bounds, and may be a number that the program computes."""
     if not len(index):
         return x.item()
@@ -82,7 +82,7 @@ def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Number]) -> Num
     return chosen
 
 
-def _offset(walk: AbstractWalk, start: Number, offset: int) -> Number:
+def _offset(walk: AbstractWalk, start: Value, offset: int) -> Value:
     return walk.number("add", start, walk.index(offset))
 
 
@@ -105,7 +105,7 @@ def _dynamic_update_slice(walk: AbstractWalk, inputs: list[np.ndarray], out: Sha
 
 
 def _write_windows(
-    walk: AbstractWalk, x: np.ndarray, updates: Sequence[Window], combine: Callable[[Number, Number], Number]
+    walk: AbstractWalk, x: np.ndarray, updates: Sequence[Window], combine: Callable[[Value, Value], Value]
 ) -> np.ndarray:
     """x with windows (their first index, whether they are written, their numbers) written into it."""
     found = np.array(x, object)
@@ -124,11 +124,11 @@ def _window(
     walk: AbstractWalk,
     shape: Sequence[int],
     sizes: Sequence[int],
-    index: Sequence[Number],
+    index: Sequence[Value],
     axes: Sequence[int],
     batch: dict[int, int],
     mode: lax.GatherScatterMode,
-) -> tuple[list[Number], Number]:
+) -> tuple[list[Value], Value]:
     """The first index of a window of an array, moved inside, and whether it was inside before (or counts as inside).
 
     Args:
@@ -149,7 +149,7 @@ def _window(
     return starts, inside
 
 
-def _fill(walk: AbstractWalk, inside: Number, found: Number, value: Any) -> Number:
+def _fill(walk: AbstractWalk, inside: Value, found: Value, value: Any) -> Value:
     """The entry of a gather if it is inside, else the fill value."""
     dtype = found.dtype
     if value is None:
@@ -197,7 +197,7 @@ def _scatter(op: str | None) -> Callable[..., np.ndarray]:
     ) -> np.ndarray:
         (x, indices, updates), numbers = inputs, dimension_numbers
 
-        def combine(old: Number, new: Number) -> Number:
+        def combine(old: Value, new: Value) -> Value:
             if update_jaxpr is None:
                 return new if op is None else walk.number(op, old, new)
             operands = [array_of([y], ()) for y in (old, new)]

@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import ShapedArray
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of
-from lieint_jax.native._program import Number
+from lieint_jax.native._program import Value
 
 _LARGEST = 12  # unknowns of a system, and entries to sort; XLA runs what is larger
 
@@ -33,7 +33,7 @@ def _lu(walk: AbstractWalk, inputs: list[np.ndarray], out: Sequence[ShapedArray]
     return found
 
 
-def _swap_with_largest(walk: AbstractWalk, A: np.ndarray, order: np.ndarray, k: int, dtype: np.dtype) -> Number:
+def _swap_with_largest(walk: AbstractWalk, A: np.ndarray, order: np.ndarray, k: int, dtype: np.dtype) -> Value:
     """Swap row k with the row at or below it whose entry of column k is the largest; returns the place of that row."""
     place = walk.builder.constant(k, dtype)
     row, number, largest = A[k], order[k], walk.number("abs", A[k, k])
@@ -119,7 +119,7 @@ def _sort(
     return [np.moveaxis(x, -1, dimension) for x in found]
 
 
-def _comes_after(walk: AbstractWalk, x: Number, y: Number) -> Number:
+def _comes_after(walk: AbstractWalk, x: Value, y: Value) -> Value:
     greater = walk.number("gt", x, y)
     if x.dtype.kind != "f":
         return greater
@@ -134,11 +134,11 @@ def _batches(x: np.ndarray, axes: int) -> list[tuple[int, ...]]:
     return list(np.ndindex(x.shape[: x.ndim - axes]))
 
 
-def _reciprocal(walk: AbstractWalk, x: Number) -> Number:
+def _reciprocal(walk: AbstractWalk, x: Value) -> Value:
     return walk.number("div", walk.builder.constant(1, x.dtype), x)
 
 
-def _less_product(walk: AbstractWalk, x: Number, y: Number, z: Number) -> Number:
+def _less_product(walk: AbstractWalk, x: Value, y: Value, z: Value) -> Value:
     return walk.number("sub", x, walk.number("mul", y, z))
 
 

@@ -13,7 +13,7 @@ from jax.core import ShapedArray
 from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of
-from lieint_jax.native._program import Number
+from lieint_jax.native._program import Value
 
 
 def _reduction(op: str) -> Callable[..., np.ndarray]:
@@ -35,7 +35,7 @@ def _empty_reduction(op: str, dtype: np.dtype) -> Any:
     return {"add": 0, "mul": 1, "and": np.array(-1).astype(dtype), "or": 0, "xor": 0}[op]
 
 
-def reduce_terms(walk: AbstractWalk, op: str, terms: list[Number], dtype: np.dtype) -> Number:
+def reduce_terms(walk: AbstractWalk, op: str, terms: list[Value], dtype: np.dtype) -> Value:
     """x₁ ∘ x₂ ∘ …, from the left; of no terms, what a reduction by this operation starts from."""
     if not terms:
         return walk.builder.constant(_empty_reduction(op, dtype), dtype)
@@ -76,7 +76,7 @@ def _product(
     left, right = _as_matrices(a, a_each, a_sum), _as_matrices(b, b_each, b_sum)
     dtype = np.dtype(out.dtype)
 
-    def as_result(x: Number) -> Number:
+    def as_result(x: Value) -> Value:
         return walk.number("convert", x, dtype=dtype)
 
     entries = [
@@ -119,7 +119,7 @@ def _extreme(by: str) -> Callable[..., np.ndarray]:
     return index_of
 
 
-def _first_nan(walk: AbstractWalk, x: Number, before: Number) -> Number:
+def _first_nan(walk: AbstractWalk, x: Value, before: Value) -> Value:
     """Whether x is NaN, and the number before is not."""
     if x.dtype.kind != "f":
         return walk.builder.constant(False)

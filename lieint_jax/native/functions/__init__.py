@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from llvmlite import ir
 
-from lieint_jax.native._number import DOUBLE, Llvm, Number, with_element
+from lieint_jax.native._number import DOUBLE, Llvm, LlvmValue, with_element
 from lieint_jax.native.functions._angles import ANGLES, sine_and_cosine
 from lieint_jax.native.functions._calls import call_function
 from lieint_jax.native.functions._exponentials import EXPONENTIALS
@@ -27,7 +27,7 @@ def _emit(name: str, formula: Callable, builder: Llvm, args: tuple[Llvm, ...]) -
     type_ = args[0].type
     doubles = with_element(type_, DOUBLE)
     narrow = type_ != doubles
-    numbers = tuple(Number(builder, builder.fpext(value, doubles) if narrow else value) for value in args)
+    numbers = tuple(LlvmValue(builder, builder.fpext(value, doubles) if narrow else value) for value in args)
     results = call_function(name, formula, numbers, "alwaysinline" if name in _INLINED else None)
     return [builder.fptrunc(number.value, type_) if narrow else number.value for number in results]
 

@@ -10,7 +10,7 @@ from lieint_jax.native._number import (
     DOUBLE,
     INT,
     Llvm,
-    Number,
+    LlvmValue,
     Pair,
     absolute,
     divide,
@@ -39,7 +39,7 @@ from lieint_jax.native.functions._floats import (
 from lieint_jax.native.functions.coefficients import ATAN, COS, SIN
 
 
-def _reduce(x: Number) -> tuple[Number, Number, Number]:
+def _reduce(x: LlvmValue) -> tuple[LlvmValue, LlvmValue, LlvmValue]:
     """(r, −l, k): x = k π/2 + r + l, |r| ≤ π/4 and a little, k in the low bits of an integer.
 
     Cody and Waite with FMA (Li, Boldo & Daumas, IEEE Trans. Comp. 60, 2011): x − kP₁ is exact. P₂ has 29 bits, thus
@@ -67,12 +67,12 @@ def _reduce(x: Number) -> tuple[Number, Number, Number]:
         phi = builder.phi(first.value.type)
         phi.add_incoming(first.value, before)
         phi.add_incoming(second.value, after)
-        joined.append(Number(builder, phi))
+        joined.append(LlvmValue(builder, phi))
     r, minus_l, k = joined
     return r, minus_l, k
 
 
-def _reduce_large(x: Number, *reduced: Number) -> tuple[Number, ...]:
+def _reduce_large(x: LlvmValue, *reduced: LlvmValue) -> tuple[LlvmValue, ...]:
     """(r, −l, k) with the lanes of finite |x| > 2²⁴ reduced again, one by one."""
     builder, type_ = x.builder, x.value.type
     large = (absolute(x) > LARGE_ANGLE) & (absolute(x) < INF)
@@ -81,10 +81,10 @@ def _reduce_large(x: Number, *reduced: Number) -> tuple[Number, ...]:
         return tuple(where(large, new, old) for new, old in zip(lanes, reduced, strict=True))
     values: list[Llvm] = [number.value for number in reduced]
     for index in map(ir.IntType(32), range(type_.count)):
-        lane = Number(builder, builder.extract_element(x.value, index))
+        lane = LlvmValue(builder, builder.extract_element(x.value, index))
         for part, number in enumerate(call_function("payne_hanek", _payne_hanek, (lane,), "noinline")):
             values[part] = builder.insert_element(values[part], number.value, index)
-    return tuple(where(large, Number(builder, new), old) for new, old in zip(values, reduced, strict=True))
+    return tuple(where(large, LlvmValue(builder, new), old) for new, old in zip(values, reduced, strict=True))
 
 
 def _two_over_pi(bits: int) -> int:
@@ -110,7 +110,7 @@ _WIDE = ir.IntType(192)
 _PADDING = 32  # zeros before the bits of 2/π, so that the window of the smallest large angle begins at a byte
 
 
-def _payne_hanek(x: Number) -> tuple[Number, Number, Number]:
+def _payne_hanek(x: LlvmValue) -> tuple[LlvmValue, LlvmValue, LlvmValue]:
     """(r, −l, k) of `_reduce` for one double |x| > 2²⁴.
 
     x = m 2^E with an integer m. Of the bits of 2/π, those that contribute multiples of 4 to x · 2/π are left out; the
@@ -149,22 +149,22 @@ def _payne_hanek(x: Number) -> tuple[Number, Number, Number]:
     count = module.declare_intrinsic("llvm.ctlz", [_WIDE], ir.FunctionType(_WIDE, [_WIDE, BIT]))
     zeros = builder.call(count, [magnitude, BIT(1)])
     magnitude = builder.shl(magnitude, zeros)
-    leading = [Number(builder, builder.trunc(builder.lshr(magnitude, _WIDE(192 - n)), INT)) for n in (53, 106)]
+    leading = [LlvmValue(builder, builder.trunc(builder.lshr(magnitude, _WIDE(192 - n)), INT)) for n in (53, 106)]
     high, low = (
-        Number(builder, builder.sitofp((part & ((1 << 53) - 1)).value, DOUBLE)) * 2.0**-n
+        LlvmValue(builder, builder.sitofp((part & ((1 << 53) - 1)).value, DOUBLE)) * 2.0**-n
         for part, n in zip(leading, (53, 106), strict=True)
     )
     head, tail = multiply((high, low), (high.like(HALF_PI[0]), high.like(HALF_PI[1])))
-    shift = Number(builder, builder.trunc(zeros, INT))
+    shift = LlvmValue(builder, builder.trunc(zeros, INT))
     scale = ((shift.like(1023) - shift) << 52).double()
-    negative = Number(builder, builder.icmp_signed("<", bits, INT(0)))
-    sign = where(negative ^ Number(builder, below), shift.like(SIGN_BIT), 0)
+    negative = LlvmValue(builder, builder.icmp_signed("<", bits, INT(0)))
+    sign = where(negative ^ LlvmValue(builder, below), shift.like(SIGN_BIT), 0)
     head, tail = ((part * scale).flip(sign) for part in (head, tail))
-    k = where(negative, 0 - Number(builder, quadrant), Number(builder, quadrant))
+    k = where(negative, 0 - LlvmValue(builder, quadrant), LlvmValue(builder, quadrant))
     return head, -tail, k
 
 
-def _angle_parts(x: Number) -> tuple[Pair, Pair, Number]:
+def _angle_parts(x: LlvmValue) -> tuple[Pair, Pair, LlvmValue]:
     """(sin r, cos r, k) of x = k π/2 + r, sin and cos as pairs that are not yet added."""
     r, minus_l, k = _reduce(x)
     square = r * r
@@ -176,7 +176,7 @@ def _angle_parts(x: Number) -> tuple[Pair, Pair, Number]:
     return (r, -minus_tail), (cosine, cosine_tail), k
 
 
-def sine_and_cosine(x: Number) -> Pair:
+def sine_and_cosine(x: LlvmValue) -> Pair:
     """(sin x, cos x)."""
     sine, cosine, k = _angle_parts(x)
     sine, cosine = sine[0] + sine[1], cosine[0] + cosine[1]
@@ -187,15 +187,15 @@ def sine_and_cosine(x: Number) -> Pair:
     )
 
 
-def _sin(x: Number) -> Number:
+def _sin(x: LlvmValue) -> LlvmValue:
     return sine_and_cosine(x)[0]
 
 
-def _cos(x: Number) -> Number:
+def _cos(x: LlvmValue) -> LlvmValue:
     return sine_and_cosine(x)[1]
 
 
-def _tan(x: Number) -> Number:
+def _tan(x: LlvmValue) -> LlvmValue:
     """sin r / cos r, or −cos r / sin r."""
     sine, cosine, k = _angle_parts(x)
     odd = (k << 63) < 0
@@ -205,7 +205,7 @@ def _tan(x: Number) -> Number:
     return where(x.equals(0.0), x, (head + tail).flip(k << 63))
 
 
-def _angle(y: Pair, x: Pair, swapped: Number, negative: Number) -> Number:
+def _angle(y: Pair, x: Pair, swapped: LlvmValue, negative: LlvmValue) -> LlvmValue:
     """The angle in [0, π] of the point (x, y), given 0 ≤ y ≤ x after swapping the two and dropping the sign of x.
 
     Above y = x/2, arctan(y/x) = π/4 − arctan((x − y)/(x + y)); the arctangent left is that of t ≤ 1/2.
@@ -232,7 +232,7 @@ def _angle(y: Pair, x: Pair, swapped: Number, negative: Number) -> Number:
     return head + (tail + (base_low + fma(t * square, polynomial(square, ATAN), t_low)))
 
 
-def _atan2(y: Number, x: Number) -> Number:
+def _atan2(y: LlvmValue, x: LlvmValue) -> LlvmValue:
     """The angle of the point (x, y); the larger coordinate is scaled to [2, 4)."""
     tall, wide = absolute(y), absolute(x)
     swapped = tall > wide
@@ -247,7 +247,7 @@ def _atan2(y: Number, x: Number) -> Number:
     return where(x.compare("!=", x) | y.compare("!=", y), x + y, copy_sign(angle, y))
 
 
-def _atan(x: Number) -> Number:
+def _atan(x: LlvmValue) -> LlvmValue:
     size = absolute(x)
     steep = size > 1.0
     one, zero = x.like(1.0), x.like(0.0)
@@ -256,28 +256,28 @@ def _atan(x: Number) -> Number:
     return copy_sign(_angle((small, zero), (great, zero), steep, _no_lane(x)), x)
 
 
-def _no_lane(x: Number) -> Number:
-    return Number(x.builder, ir.Constant(with_element(x.value.type, BIT), None))
+def _no_lane(x: LlvmValue) -> LlvmValue:
+    return LlvmValue(x.builder, ir.Constant(with_element(x.value.type, BIT), None))
 
 
-def _leg(x: Number) -> Pair:
+def _leg(x: LlvmValue) -> Pair:
     """√(1 − x²) as a pair."""
     square, square_low = two_product(x, x)
     head = 1.0 - square
     return root(fast_two_sum(head, ((1.0 - head) - square) - square_low))
 
 
-def _arc(y: Pair, x: Pair, negative: Number) -> Number:
+def _arc(y: Pair, x: Pair, negative: LlvmValue) -> LlvmValue:
     """The angle of a point of the upper half of the unit circle."""
     swapped = y[0] > x[0]
     return _angle(choose(swapped, x, y), choose(swapped, y, x), swapped, negative)
 
 
-def _asin(x: Number) -> Number:
+def _asin(x: LlvmValue) -> LlvmValue:
     return copy_sign(_arc((absolute(x), x.like(0.0)), _leg(x), _no_lane(x)), x)
 
 
-def _acos(x: Number) -> Number:
+def _acos(x: LlvmValue) -> LlvmValue:
     return _arc(_leg(x), (absolute(x), x.like(0.0)), x < 0.0)
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from lieint_jax.native._number import (
-    Number,
+    LlvmValue,
     Pair,
     absolute,
     add,
@@ -21,7 +21,7 @@ from lieint_jax.native.functions._floats import LN2, ONE, SHIFT, choose, copy_si
 from lieint_jax.native.functions.coefficients import EXP, EXP_CUBIC
 
 
-def reduce_exponent(x: Number, low: Number | None = None) -> tuple[Pair, Number]:
+def reduce_exponent(x: LlvmValue, low: LlvmValue | None = None) -> tuple[Pair, LlvmValue]:
     """(r, k): x = k ln 2 + r with |r| ≤ ½ ln 2, k in the low bits of an integer."""
     shifted = fma(x, 1 / math.log(2), SHIFT)
     k = unshift(shifted)
@@ -31,18 +31,18 @@ def reduce_exponent(x: Number, low: Number | None = None) -> tuple[Pair, Number]
     return (r, rest) if low is None else two_sum(r, rest + low), shifted.bits()
 
 
-def scale(x: Number, k: Number) -> Number:
+def scale(x: LlvmValue, k: LlvmValue) -> LlvmValue:
     """x 2^k, rounded once, k in the low bits of an integer."""
     half = k >> 1
     return x * ((half << 52) + ONE).double() * (((k - half) << 52) + ONE).double()
 
 
-def clamp(x: Number, least: float, greatest: float) -> Number:
+def clamp(x: LlvmValue, least: float, greatest: float) -> LlvmValue:
     """The nearest number from `least` to `greatest`; NaN stays."""
     return where(x > greatest, greatest, where(x < least, least, x))
 
 
-def _exp(x: Number) -> Number:
+def _exp(x: LlvmValue) -> LlvmValue:
     (r, rest), k = reduce_exponent(clamp(x, -746.0, 710.0))
     head, tail = fast_two_sum(x.like(1.0), r)
     return scale(head + (tail + fma(r * r, polynomial(r, EXP), rest)), k)
@@ -63,7 +63,7 @@ def one_plus(x: Pair) -> Pair:
     return fast_two_sum(head, tail + x[1])
 
 
-def _exp_pair(x: Number) -> Pair:
+def _exp_pair(x: LlvmValue) -> Pair:
     """exp(x) as a pair, for |x| ≤ 700."""
     r, k = reduce_exponent(x)
     power = ((k << 52) + ONE).double()
@@ -71,7 +71,7 @@ def _exp_pair(x: Number) -> Pair:
     return head * power, tail * power
 
 
-def _expm1_pair(x: Number) -> Pair:
+def _expm1_pair(x: LlvmValue) -> Pair:
     """exp(x) − 1 as a pair, for |x| ≤ 60."""
     r, k = reduce_exponent(x)
     power = ((k << 52) + ONE).double()
@@ -79,7 +79,7 @@ def _expm1_pair(x: Number) -> Pair:
     return add(two_sum(power, -1.0), (head * power, tail * power))
 
 
-def _exp2(x: Number) -> Number:
+def _exp2(x: LlvmValue) -> LlvmValue:
     x = clamp(x, -1076.0, 1025.0)
     shifted = x + SHIFT
     r = multiply((x - unshift(shifted), x.like(0.0)), (x.like(LN2[0]), x.like(LN2[1])))
@@ -87,19 +87,19 @@ def _exp2(x: Number) -> Number:
     return scale(head + tail, shifted.bits())
 
 
-def _expm1(x: Number) -> Number:
+def _expm1(x: LlvmValue) -> LlvmValue:
     head, tail = _expm1_pair(clamp(x, -50.0, 50.0))
     return where(absolute(x) < 2.0**-54, x, where(x > 50.0, _exp(x), head + tail))
 
 
-def _half_exp(x: Number) -> Number:
+def _half_exp(x: LlvmValue) -> LlvmValue:
     """exp(x)/2, which is finite a little longer than exp(x)."""
     r, k = reduce_exponent(clamp(x, -50.0, 712.0))
     head, tail = one_plus(exp_fraction(r))
     return scale(head + tail, k - 1)
 
 
-def _sinh(x: Number) -> Number:
+def _sinh(x: LlvmValue) -> LlvmValue:
     """(E + E/(1 + E))/2, E = exp|x| − 1."""
     size = absolute(x)
     minus_one = _expm1_pair(clamp(size, 0.0, 50.0))
@@ -113,14 +113,14 @@ def one_plus_any(x: Pair) -> Pair:
     return add((x[0].like(1.0), x[0].like(0.0)), x)
 
 
-def _cosh(x: Number) -> Number:
+def _cosh(x: LlvmValue) -> LlvmValue:
     size = absolute(x)
     power = _exp_pair(clamp(size, 0.0, 50.0))
     head, tail = add(power, divide((size.like(1.0), size.like(0.0)), power))
     return where(size > 50.0, _half_exp(size), 0.5 * head + 0.5 * tail)
 
 
-def _tanh(x: Number) -> Number:
+def _tanh(x: LlvmValue) -> LlvmValue:
     """E/(E + 2), E = exp(2|x|) − 1."""
     size = absolute(x)
     minus_one = _expm1_pair(2.0 * clamp(size, 0.0, 25.0))
@@ -128,7 +128,7 @@ def _tanh(x: Number) -> Number:
     return copy_sign(where(size < 2.0**-28, size, head + tail), x)
 
 
-def _logistic(x: Number) -> Number:
+def _logistic(x: LlvmValue) -> LlvmValue:
     """1/(1 + exp(−x)); for negative x, exp(x)/(1 + exp(x))."""
     power = _exp_pair(clamp(-absolute(x), -700.0, 0.0))
     one = (x.like(1.0), x.like(0.0))

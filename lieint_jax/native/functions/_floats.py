@@ -2,7 +2,7 @@
 
 import math
 
-from lieint_jax.native._number import Number, Pair, where
+from lieint_jax.native._number import LlvmValue, Pair, where
 
 INF, NAN = math.inf, math.nan
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17)
@@ -14,16 +14,16 @@ SHIFT = 1.5 * 2**52  # x + this: the low bits are those of round(x)
 ONE, EXPONENT, SIGN_BIT = 1023 << 52, 0x7FF << 52, 1 << 63
 
 
-def unshift(shifted: Number) -> Number:
+def unshift(shifted: LlvmValue) -> LlvmValue:
     """The integer k of k + 1.5·2⁵²."""
     return shifted - SHIFT
 
 
-def copy_sign(magnitude: Number, sign: Number) -> Number:
+def copy_sign(magnitude: LlvmValue, sign: LlvmValue) -> LlvmValue:
     """The magnitude, not negative, with the sign of another number."""
     return (magnitude.bits() | sign.sign()).double()
 
 
-def choose(condition: Number, yes: Pair, no: Pair) -> Pair:
+def choose(condition: LlvmValue, yes: Pair, no: Pair) -> Pair:
     """One of two pairs, by a boolean."""
     return where(condition, yes[0], no[0]), where(condition, yes[1], no[1])

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from lieint_jax.native._number import (
-    Number,
+    LlvmValue,
     Pair,
     absolute,
     add,
@@ -22,7 +22,7 @@ from lieint_jax.native.functions._floats import INF, LN2_42_BITS, NAN, copy_sign
 from lieint_jax.native.functions.coefficients import LOG, LOG_FIFTH
 
 
-def _mantissa(x: Number) -> tuple[Number, Number, Number]:
+def _mantissa(x: LlvmValue) -> tuple[LlvmValue, LlvmValue, LlvmValue]:
     """(m, k, e): x = m 2^k with √½ ≤ m < √2, for positive finite normal x; e = (k + 1024) 2⁵² as an integer."""
     bits = x.bits()
     exponent = (bits - 0x3FE6A09E667F3BCD + (1024 << 52)) & ~((1 << 52) - 1)
@@ -31,19 +31,19 @@ def _mantissa(x: Number) -> tuple[Number, Number, Number]:
     return m, k, exponent
 
 
-def normalize(x: Number) -> tuple[Number, Number]:
+def normalize(x: LlvmValue) -> tuple[LlvmValue, LlvmValue]:
     """(x 2⁵⁴, −54) for subnormal x, else (x, 0)."""
     tiny = x < 2.0**-1022
     return where(tiny, x * 2.0**54, x), where(tiny, x.like(-54.0), 0.0)
 
 
-def _log_limits(x: Number, log: Number) -> Number:
+def _log_limits(x: LlvmValue, log: LlvmValue) -> LlvmValue:
     """log x where x is positive and finite, else IEEE's values."""
     log = where(x < INF, log, x)
     return where(x.equals(0.0), -INF, where(x < 0.0, NAN, log))
 
 
-def _log(x: Number) -> Number:
+def _log(x: LlvmValue) -> LlvmValue:
     """k ln 2 + f − f²/2 + s (f²/2 + s² P(s²)), f = m − 1, s = f/(2 + f); the first three terms without an error."""
     normal, shift = normalize(x)
     m, k, _ = _mantissa(normal)
@@ -60,7 +60,7 @@ def _log(x: Number) -> Number:
     return _log_limits(x, log)
 
 
-def log_pair(x: Pair, k_more: Number | float = 0.0) -> Pair:
+def log_pair(x: Pair, k_more: LlvmValue | float = 0.0) -> Pair:
     """log x + k ln 2 as a pair with a relative error near 2⁻⁶⁶, for positive finite normal x."""
     m, k, exponent = _mantissa(x[0])
     power = ((2047 << 52) - exponent).double()
@@ -82,12 +82,12 @@ def _log1p_pair(x: Pair) -> Pair:
     return log_pair(fast_two_sum(head, tail + x[1]))
 
 
-def _log1p(x: Number) -> Number:
+def _log1p(x: LlvmValue) -> LlvmValue:
     head, tail = _log1p_pair((x, x.like(0.0)))
     return where(absolute(x) < 2.0**-54, x, _log_limits(x + 1.0, head + tail))
 
 
-def _asinh(x: Number) -> Number:
+def _asinh(x: LlvmValue) -> LlvmValue:
     """log(1 + a + a²/(1 + √(1 + a²))); log a + ln 2 for large a."""
     size = absolute(x)
     large = size > 2.0**30
@@ -103,7 +103,7 @@ def _asinh(x: Number) -> Number:
     return copy_sign(result, x)
 
 
-def _acosh(x: Number) -> Number:
+def _acosh(x: LlvmValue) -> LlvmValue:
     """log(1 + t + √(t (t + 2))), t = x − 1; log x + ln 2 for large x."""
     large = x > 2.0**30
     zero = x.like(0.0)
@@ -115,7 +115,7 @@ def _acosh(x: Number) -> Number:
     return where(x < 1.0, NAN, where(x < INF, head + tail, x))
 
 
-def _atanh(x: Number) -> Number:
+def _atanh(x: LlvmValue) -> LlvmValue:
     """log(1 + 2a/(1 − a))/2, a = |x|."""
     size = absolute(x)
     zero = x.like(0.0)

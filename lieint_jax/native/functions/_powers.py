@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 
-from lieint_jax.native._number import Number, absolute, fma, polynomial, two_product, where
+from lieint_jax.native._number import LlvmValue, absolute, fma, polynomial, two_product, where
 from lieint_jax.native.functions._exponentials import clamp, exp_fraction, one_plus, reduce_exponent, scale
 from lieint_jax.native.functions._floats import INF, NAN, ONE, SHIFT, copy_sign, unshift
 from lieint_jax.native.functions._logarithms import log_pair, normalize
 from lieint_jax.native.functions.coefficients import CBRT
 
 
-def _pow(x: Number, y: Number) -> Number:
+def _pow(x: LlvmValue, y: LlvmValue) -> LlvmValue:
     """exp(y log|x|) with log as a pair; signs and limits as in C99, annex F.9.4.4."""
     size = absolute(x)
     normal, shift = normalize(size)
@@ -33,7 +33,7 @@ def _pow(x: Number, y: Number) -> Number:
     return where(x.equals(1.0) | y.equals(0.0) | (x.equals(-1.0) & length.equals(INF)), 1.0, result)
 
 
-def _cbrt(x: Number) -> Number:
+def _cbrt(x: LlvmValue) -> LlvmValue:
     """x = m 8^j with 1 ≤ m < 8; two steps of Halley from a polynomial, and Newton's correction of an exact residual."""
     normal, shift = normalize(absolute(x))
     bits = normal.bits()
