@@ -14,10 +14,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-from lieint_jax.native._calls import Functions
 from lieint_jax.native._llvm.loops import Loops, Tape
 from lieint_jax.native._program import Program, Value
 from lieint_jax.native._traced import Leaf
+from lieint_jax.native.functions import Functions
 
 
 def emit(
@@ -48,25 +48,13 @@ def emit(
     leaves that are in memory; the carries after these rows, leaf by leaf; the results; the tape, of 8 bytes per number,
     and two integers, its capacity and how many numbers there were to write. Nothing is written beyond its end.
     """
-    return _Writer(program, leaves, results, lanes, functions, tape, reverse).text(name)
+    return _Writer(program, lanes, leaves, functions, tape).text(name, results, reverse)
 
 
 class _Writer(Loops):
-    def __init__(
-        self,
-        program: Program,
-        leaves: Sequence[Leaf],
-        results: Sequence[int],
-        lanes: int,
-        functions: Functions,
-        tape: Tape | None,
-        reverse: bool,
-    ):
-        super().__init__(program, lanes, leaves, functions, tape)
+    def text(self, name: str, results: Sequence[int], reverse: bool) -> str:
         self.results, self.reverse = results, reverse
-        self.carried = len(program.outputs) - sum(results)
-
-    def text(self, name: str) -> str:
+        self.carried = len(self.program.outputs) - sum(results)
         slots = itertools.count()
         self.inputs = ["" if leaf.kind == "counter" else self.pointer(next(slots)) for leaf in self.leaves]
         self.carry_outputs = [self.pointer(next(slots)) for _ in _carry_leaves(self.leaves)]
@@ -108,10 +96,8 @@ class _Writer(Loops):
             self.lines.append(f"  store i64 {self.add('load i64, ptr %cursor')}, ptr {self.count_pointer}")
         self.lines.append("  ret void")
         numbers = ", ".join(f"i64 %{x}" for x in ("first", "last", "members", "begin", "end", "rows", "every"))
-        head = f"define void @{name}({numbers}, ptr %pointers) #0 {{\nentry:"
-        tail = "}\nattributes #0 = { nounwind }"
-        parts = [*self.globals.values(), *self.declared, head, *self.front, *self.lines, tail]
-        return "\n".join(parts) + "\n"
+        self.define(name, f"void @{name}({numbers}, ptr %pointers) nounwind")
+        return self.module.text()
 
     def rows(self, used: list[Value]) -> None:
         """The loop over rows."""

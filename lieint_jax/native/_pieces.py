@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from lieint_jax.native._calls import Functions
 from lieint_jax.native._emit import emit
 from lieint_jax.native._llvm.loops import Tape
 from lieint_jax.native._program import Program
 from lieint_jax.native._stream import split
 from lieint_jax.native._traced import Leaf, leaves_before_rows
+from lieint_jax.native.functions import Functions
 
 _CAPACITY = 4096  # numbers of a piece, if a row has no more: 32 KiB, which stay in the cache
 _ALL_ROWS = """

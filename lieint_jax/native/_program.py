@@ -16,7 +16,7 @@ Data = Any  # the value of a constant, the exponent of a power, the place of an 
 # Arrays in memory: of given numbers; not written yet; with one more entry; as a loop carries it; after the loop.
 _ARRAYS = frozenset({"array", "empty", "put", "carry array", "result array"})
 COMMUTATIVE = frozenset({"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"})
-_COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
+COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
 
 
 class Value:
@@ -144,7 +144,7 @@ class Builder:
 
     def number(self, op: str, *inputs: Value, dtype: DTypeLike | None = None, data: Data = None) -> Value:
         """The result of an operation."""
-        kind = np.dtype(bool if op in _COMPARISONS else inputs[0].dtype if dtype is None else dtype)
+        kind = np.dtype(bool if op in COMPARISONS else inputs[0].dtype if dtype is None else dtype)
         if all(x.is_constant for x in inputs):
             folded = _fold(op, [x.data for x in inputs], kind)
             if folded is not None:

@@ -4,41 +4,50 @@ import ctypes
 
 import llvmlite.binding as llvm
 import numpy as np
-from llvmlite import ir
 
-from lieint_jax.native.functions import FUNCTIONS, sincos
+from lieint_jax.native.functions import FUNCTIONS, Functions
 
-DOUBLE, FLOAT, INT = ir.DoubleType(), ir.FloatType(), ir.IntType(64)
-EMITTERS = {**FUNCTIONS, "sincos": sincos}
-INPUTS = {name: 2 if name in ("atan2", "pow") else 1 for name in EMITTERS}
-OUTPUTS = {name: 2 if name == "sincos" else 1 for name in EMITTERS}
+DOUBLE, FLOAT = "double", "float"
+INPUTS = {name: 2 if name in ("atan2", "pow") else 1 for name in FUNCTIONS}
+OUTPUTS = {name: 2 if name == "sincos" else 1 for name in FUNCTIONS}
+LOOP = """
+declare {result} @{function}({types})
+define void @loop.{function}(i64 %count, {pointers}) {{
+entry:
+  br label %body
+body:
+  %index = phi i64 [ 0, %entry ], [ %next, %body ]
+{lines}
+  %next = add i64 %index, {step}
+  %more = icmp slt i64 %next, %count
+  br i1 %more, label %body, label %done
+done:
+  ret void
+}}
+"""
 
 
-def define_loop(module, name, lanes, element):
-    """Define `loop(count, in…, out…)`, which computes `lanes` numbers at a time; 0 lanes are scalars."""
-    vector = ir.VectorType(element, lanes) if lanes else element
-    pointers = [element.as_pointer()] * (INPUTS[name] + OUTPUTS[name])
-    function = ir.Function(module, ir.FunctionType(ir.VoidType(), [INT, *pointers]), f"{name}.{lanes}.{element}")
-    entry, body, done = (function.append_basic_block(label) for label in ("entry", "body", "done"))
-    builder = ir.IRBuilder(entry)
-    builder.branch(body)
-    builder.position_at_end(body)
-    index = builder.phi(INT)
-    index.add_incoming(INT(0), entry)
-    places = [
-        builder.bitcast(builder.gep(argument, [index], source_etype=element), vector.as_pointer())
-        for argument in function.args[1:]
-    ]
-    arguments = [builder.load(place, typ=vector, align=4) for place in places[: INPUTS[name]]]
-    results = EMITTERS[name](builder, *arguments)
-    for result, place in zip(results if OUTPUTS[name] == 2 else [results], places[INPUTS[name] :], strict=True):
-        builder.store(result, place, align=4)
-    following = builder.add(index, INT(lanes or 1))
-    index.add_incoming(following, builder.block)
-    builder.cbranch(builder.icmp_signed("<", following, function.args[0]), body, done)
-    builder.position_at_end(done)
-    builder.ret_void()
-    return function.name
+def loop_text(functions, name, lanes, element):
+    """`loop.FUNCTION(count, in…, out…)`, which computes `lanes` numbers at a time; 0 lanes are scalars."""
+    inputs, outputs = INPUTS[name], OUTPUTS[name]
+    function = functions.name(name, element, lanes, inputs)
+    kind = f"<{lanes} x {element}>" if lanes else element
+    result = f"{{ {kind}, {kind} }}" if outputs == 2 else kind
+    lines = [f"%at{k} = getelementptr {element}, ptr %p{k}, i64 %index" for k in range(inputs + outputs)]
+    lines += [f"%x{k} = load {kind}, ptr %at{k}, align 4" for k in range(inputs)]
+    lines += [f"%found = call {result} @{function}({', '.join(f'{kind} %x{k}' for k in range(inputs))})"]
+    for k in range(outputs):
+        if outputs == 2:
+            lines += [f"%y{k} = extractvalue {result} %found, {k}"]
+        lines += [f"store {kind} {f'%y{k}' if outputs == 2 else '%found'}, ptr %at{inputs + k}, align 4"]
+    return LOOP.format(
+        function=function,
+        result=result,
+        types=", ".join([kind] * inputs),
+        pointers=", ".join(f"ptr %p{k}" for k in range(inputs + outputs)),
+        lines="\n".join(lines),
+        step=lanes or 1,
+    )
 
 
 class NativeLoops:
@@ -47,14 +56,15 @@ class NativeLoops:
     def __init__(self, keys, optimization=2):
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
-        module = ir.Module("loops")
-        self.symbols = {key: define_loop(module, *key) for key in keys}
+        functions = Functions()
+        loops = [loop_text(functions, *key) for key in keys]
         features = llvm.get_host_cpu_features().flatten()
         target = llvm.Target.from_default_triple()
         self.machine = target.create_target_machine(
             cpu=llvm.get_host_cpu_name(), features=features, opt=optimization, jit=True
         )
-        self.module = llvm.parse_assembly(str(module))
+        self.module = llvm.parse_assembly("\n".join(loops))
+        self.module.link_in(llvm.parse_assembly(functions.text()))
         self.module.verify()
         options = llvm.create_pipeline_tuning_options(speed_level=optimization)
         options.loop_vectorization = options.slp_vectorization = False
@@ -67,7 +77,8 @@ class NativeLoops:
         """A call without arguments of one loop over arrays, inputs and then outputs, whose size the lanes divide."""
         pointers = [array.ctypes.data for array in arrays]
         signature = ctypes.CFUNCTYPE(None, ctypes.c_int64, *[ctypes.c_void_p] * len(pointers))
-        loop = signature(self.engine.get_function_address(self.symbols[key]))
+        name, lanes, element = key
+        loop = signature(self.engine.get_function_address(f"loop.{name}.{element}.{lanes}"))
         return lambda: loop(len(arrays[0]), *pointers)
 
     def __call__(self, name, *arrays, lanes=8, element=DOUBLE):

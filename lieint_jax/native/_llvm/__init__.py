@@ -1,1 +1,1 @@
-"""The text of LLVM IR, in layers: instructions (`text`), arrays (`memory`), numbers (`operations`), loops (`loops`)."""
+"""The text of LLVM IR, in layers: instructions (`text`), values, arrays (`memory`), operations, loops."""

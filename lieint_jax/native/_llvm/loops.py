@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lieint_jax.native._calls import Functions
 from lieint_jax.native._llvm.operations import Operations
 from lieint_jax.native._program import Block, Branch, Loop, Program, Value
 from lieint_jax.native._traced import Leaf
+from lieint_jax.native.functions import Functions
 
 
 class Tape(NamedTuple):
@@ -84,9 +84,7 @@ class Loops(Operations):
             inside, after = loop.carries[k], loop.following[k]
             if masked and self.varies(inside):
                 kind = self.type_of(inside)
-                chosen = self.add(
-                    f"select {mask} {going}, {kind} {self.value(after, True)}, {kind} {self.names[inside]}"
-                )
+                chosen = self.select(f"{mask} {going}", kind, self.value(after, True), self.names[inside])
                 following.append(self.as_mask(chosen) if inside.dtype.kind == "b" else chosen)
             else:
                 following.append(self.into_phi(after, inside))
@@ -155,13 +153,11 @@ class Loops(Operations):
         if self.varies(test):
             for side in branch.blocks:
                 self.block(side)
-            chosen = self.value(test)
+            chosen = f"{self.type(bool, True)} {self.value(test)}"
             for k in live:
                 kind = self.type(branch.results[k].dtype, True)
                 yes, no = (self.value(values[k], True) for values in branch.values)
-                self.names[branch.results[k]] = self.add(
-                    f"select {self.type(bool, True)} {chosen}, {kind} {yes}, {kind} {no}"
-                )
+                self.names[branch.results[k]] = self.select(chosen, kind, yes, no)
             return
         labels = [self.new_label(x) for x in ("yes", "no", "after")]
         self.lines.append(f"  br i1 {self.value(test, False)}, label %{labels[0]}, label %{labels[1]}")

@@ -7,16 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from jax.typing import DTypeLike
 
-from lieint_jax.native._llvm.text import Text
+from lieint_jax.native._llvm.text import suffix
+from lieint_jax.native._llvm.values import Values
 from lieint_jax.native._program import Program
 from lieint_jax.native._traced import Leaf
 
 
-class Memory(Text):
+class Memory(Values):
     """Text with access to arrays, whose layout is NumPy's.
 
     Args:
-        program, lanes: see `Text`.
+        program, lanes: see `Values`.
         leaves: the arrays that the program reads.
     """
 
@@ -30,8 +31,12 @@ class Memory(Text):
         at = self.add(f"getelementptr ptr, ptr %pointers, i64 {slot}")
         return self.add(f"load ptr, ptr {at}")
 
+    def stored(self, dtype: DTypeLike, vector: bool = False) -> str:
+        """The type of numbers in memory; booleans are bytes there."""
+        return self.type(np.int8 if np.dtype(dtype).kind == "b" else dtype, vector)
+
     def load(self, pointer: str, dtype: DTypeLike, index: str) -> str:
-        stored = "i8" if np.dtype(dtype).kind == "b" else self.scalar(dtype)
+        stored = self.stored(dtype)
         at = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {index}")
         found = self.add(f"load {stored}, ptr {at}")
         return self.add(f"trunc i8 {found} to i1") if np.dtype(dtype).kind == "b" else found
@@ -43,12 +48,12 @@ class Memory(Text):
         kind = f"<{self.lanes} x i64>"
         each = ", ".join(f"i64 {k}" for k in range(self.lanes))
         index = self.add(f"add {kind} {first}, <{each}>")
-        return self.intrinsic("smin", np.int64, True, index, last)
+        return self.intrinsic("smin", kind, index, last)
 
     def entry_pointers(self, pointer: str, dtype: DTypeLike, size: int, entry: int, row: str | None = None) -> str:
         """Pointers to an entry of each member of the block."""
         kind = f"<{self.lanes} x i64>"
-        stored = "i8" if np.dtype(dtype).kind == "b" else self.scalar(dtype)
+        stored = self.stored(dtype)
         index = self.index
         if size != 1:
             index = self.add(f"mul {kind} {index}, splat (i64 {size})")
@@ -65,18 +70,16 @@ class Memory(Text):
         return self.gather_at(at, leaf.dtype)
 
     def gather_at(self, at: str, dtype: DTypeLike) -> str:
-        stored = np.dtype(np.int8) if np.dtype(dtype).kind == "b" else np.dtype(dtype)
-        kind, n = self.type(stored, True), self.lanes
-        name = f"llvm.masked.gather.{self.suffix(stored, True)}.v{n}p0"
+        kind, n = self.stored(dtype, True), self.lanes
+        name = f"llvm.masked.gather.{suffix(kind)}.v{n}p0"
         mask = f"<{n} x i1>", "splat (i1 true)"
         found = self.call(kind, name, [(f"<{n} x ptr>", at), mask, (kind, "poison")])
         return self.add(f"trunc {kind} {found} to <{n} x i1>") if np.dtype(dtype).kind == "b" else found
 
     def scatter(self, value: str, dtype: DTypeLike, at: str) -> None:
-        stored = np.dtype(np.int8) if np.dtype(dtype).kind == "b" else np.dtype(dtype)
-        kind, n = self.type(stored, True), self.lanes
+        kind, n = self.stored(dtype, True), self.lanes
         if np.dtype(dtype).kind == "b":
             value = self.add(f"zext <{n} x i1> {value} to {kind}")
-        name = f"llvm.masked.scatter.{self.suffix(stored, True)}.v{n}p0"
-        self.declared[f"declare void @{name}({kind}, <{n} x ptr>, <{n} x i1>)"] = None
+        name = f"llvm.masked.scatter.{suffix(kind)}.v{n}p0"
+        self.module.declared[f"declare void @{name}({kind}, <{n} x ptr>, <{n} x i1>)"] = None
         self.lines.append(f"  call void @{name}({kind} {value}, <{n} x ptr> {at}, <{n} x i1> splat (i1 true))")

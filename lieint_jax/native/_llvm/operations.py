@@ -7,28 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lieint_jax.native._calls import Functions
+from lieint_jax.native._llvm.instructions import instruction
 from lieint_jax.native._llvm.memory import Memory
-from lieint_jax.native._llvm.text import literal
+from lieint_jax.native._llvm.text import constant, literal, suffix
 from lieint_jax.native._program import Block, Program, Value, blocks_of, numbers_of
 from lieint_jax.native._traced import Leaf
+from lieint_jax.native.functions import Functions
 
-_ARITHMETIC = {"add": ("fadd", "add"), "sub": ("fsub", "sub"), "mul": ("fmul", "mul"), "div": ("fdiv", "sdiv")}
-_ORDERED = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
-_SIGNED = {"eq": "eq", "ne": "ne", "lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge"}
-_INTRINSICS = {
-    "abs": "fabs",
-    "ceil": "ceil",
-    "floor": "floor",
-    "max": "maximum",
-    "min": "minimum",
-    "round_away": "round",
-    "round_even": "roundeven",
-    "sqrt": "sqrt",
-}
-_BITS = {"and": "and", "or": "or", "xor": "xor", "shift_left": "shl", "shift_right_logical": "lshr"} | {
-    "shift_right_arithmetic": "ashr"
-}
+_INTRINSICS = {"ceil": "ceil", "floor": "floor", "round_away": "round", "round_even": "roundeven", "sqrt": "sqrt"}
 
 
 class Operations(Memory):
@@ -55,65 +41,47 @@ class Operations(Memory):
                 a = self.add(f"fneg {kind} {a}")
             elif sign == "other":
                 c = self.add(f"fneg {kind} {c}")
-            return self.intrinsic("fma", x.dtype, vector, a, b, c)
+            return self.intrinsic("fma", kind, a, b, c)
         method = getattr(self, f"op_{x.op}", None)
         if method is not None:
             return method(x, vector)
         values = [self.value(y, vector) for y in x.inputs]
         kind = self.type(x.inputs[0].dtype, vector)
-        real = x.inputs[0].dtype.kind == "f"
-        if x.op in _ARITHMETIC:
-            name = "udiv" if x.op == "div" and x.dtype.kind == "u" else _ARITHMETIC[x.op][not real]
+        name = instruction(x.op, x.inputs[0].dtype.kind)
+        if name:
             return self.add(f"{name} {kind} {values[0]}, {values[1]}")
-        if x.op in _ORDERED:
-            compare = f"fcmp {_ORDERED[x.op]}" if real else f"icmp {self.predicate(x)}"
-            return self.add(f"{compare} {kind} {values[0]}, {values[1]}")
-        if x.op in _BITS:
-            return self.add(f"{_BITS[x.op]} {kind} {values[0]}, {values[1]}")
-        if x.op in _INTRINSICS and real:
-            return self.intrinsic(_INTRINSICS[x.op], x.dtype, vector, *values)
-        name = self.functions.name(x.op, self.scalar(x.dtype), self.lanes if vector else 0, len(values))
+        if x.op in _INTRINSICS and x.dtype.kind == "f":
+            return self.intrinsic(_INTRINSICS[x.op], kind, *values)
+        name = self.functions.name(x.op, self.scalar(x.dtype), self.lanes * vector, len(values))
         return self.call(kind, name, [(kind, value) for value in values])
-
-    def predicate(self, x: Value) -> str:
-        found = _SIGNED[x.op]
-        return found.replace("s", "u", 1) if x.inputs[0].dtype.kind in "ub" and found[0] == "s" else found
 
     def op_neg(self, x: Value, vector: bool) -> str:
         kind, value = self.type(x.dtype, vector), self.value(x.inputs[0], vector)
-        if x.dtype.kind == "f":
-            return self.add(f"fneg {kind} {value}")
-        return self.add(f"sub {kind} {'zeroinitializer' if vector else '0'}, {value}")
+        return self.add(f"fneg {kind} {value}" if x.dtype.kind == "f" else f"sub {kind} zeroinitializer, {value}")
 
     def op_abs(self, x: Value, vector: bool) -> str:
-        value = self.value(x.inputs[0], vector)
+        kind, value = self.type(x.dtype, vector), self.value(x.inputs[0], vector)
         if x.dtype.kind == "f":
-            return self.intrinsic("fabs", x.dtype, vector, value)
-        kind = self.type(x.dtype, vector)
-        name = f"llvm.abs.{self.suffix(x.dtype, vector)}"
-        return self.call(kind, name, [(kind, value), ("i1", "false")])
+            return self.intrinsic("fabs", kind, value)
+        return self.call(kind, f"llvm.abs.{suffix(kind)}", [(kind, value), ("i1", "false")])
 
     def op_max(self, x: Value, vector: bool) -> str:
         values = [self.value(y, vector) for y in x.inputs]
-        name = {"f": {"max": "maximum", "min": "minimum"}, "i": {"max": "smax", "min": "smin"}}
-        name |= {"u": {"max": "umax", "min": "umin"}, "b": {"max": "umax", "min": "umin"}}
-        return self.intrinsic(name[x.dtype.kind][x.op], x.dtype, vector, *values)
+        name = {"f": f"{x.op}imum", "i": f"s{x.op}"}.get(x.dtype.kind, f"u{x.op}")
+        return self.intrinsic(name, self.type(x.dtype, vector), *values)
 
     op_min = op_max
 
     def op_not(self, x: Value, vector: bool) -> str:
         kind = self.type(x.dtype, vector)
-        ones = "true" if x.dtype.kind == "b" else "-1"
-        ones = f"splat ({self.scalar(x.dtype)} {ones})" if vector else ones
+        ones = constant(self.scalar(x.dtype), True if x.dtype.kind == "b" else -1, self.lanes * vector)
         return self.add(f"xor {kind} {self.value(x.inputs[0], vector)}, {ones}")
 
     def op_select(self, x: Value, vector: bool) -> str:
         test, on_true, on_false = x.inputs
-        kind = self.type(x.dtype, vector)
-        tested = self.varies(test)
-        return self.add(
-            f"select {self.type(bool, tested)} {self.value(test, tested)}, {kind} {self.value(on_true, vector)}, "
-            f"{kind} {self.value(on_false, vector)}"
+        tested = f"{self.type_of(test)} {self.value(test)}"
+        return self.select(
+            tested, self.type(x.dtype, vector), self.value(on_true, vector), self.value(on_false, vector)
         )
 
     def op_convert(self, x: Value, vector: bool) -> str:
@@ -121,14 +89,12 @@ class Operations(Memory):
         a, b, value = self.type(y.dtype, vector), self.type(x.dtype, vector), self.value(y, vector)
         before, after = y.dtype, x.dtype
         if after.kind == "b":
-            zero = "zeroinitializer" if vector else ("0.0" if before.kind == "f" else "0")
-            return self.add(f"{'fcmp une' if before.kind == 'f' else 'icmp ne'} {a} {value}, {zero}")
+            return self.add(f"{instruction('ne', before.kind)} {a} {value}, zeroinitializer")
         if before.kind == "f" and after.kind == "f":
             return self.add(f"{'fpext' if after.itemsize > before.itemsize else 'fptrunc'} {a} {value} to {b}")
         if before.kind == "f":
             how = "fptosi" if after.kind == "i" else "fptoui"
-            name = f"llvm.{how}.sat.{self.suffix(after, vector)}.{self.suffix(before, vector)}"
-            return self.call(b, name, [(a, value)])
+            return self.call(b, f"llvm.{how}.sat.{suffix(b)}.{suffix(a)}", [(a, value)])
         if after.kind == "f":
             return self.add(f"{'sitofp' if before.kind == 'i' else 'uitofp'} {a} {value} to {b}")
         if before.kind == "b" or after.itemsize > before.itemsize:
@@ -138,10 +104,9 @@ class Operations(Memory):
     def op_sin(self, x: Value, vector: bool) -> str:
         """The sine or cosine; if both are needed, one call computes both."""
         scalar, kind = self.scalar(x.dtype), self.type(x.dtype, vector)
-        lanes, [angle] = self.lanes if vector else 0, x.inputs
-        other = (
-            x.block.by_operation.get(("cos" if x.op == "sin" else "sin", x.inputs, x.dtype, None)) if x.block else None
-        )
+        lanes, [angle] = self.lanes * vector, x.inputs
+        key = "cos" if x.op == "sin" else "sin", x.inputs, x.dtype, None
+        other = x.block.by_operation.get(key) if x.block else None
         if other is None or other not in self.program.live:
             return self.call(kind, self.functions.name(x.op, scalar, lanes, 1), [(kind, self.value(angle, vector))])
         pair = f"{{ {kind}, {kind} }}"
@@ -152,19 +117,14 @@ class Operations(Memory):
 
     op_cos = op_sin
 
-    def op_rem(self, x: Value, vector: bool) -> str:
-        kind, values = self.type(x.dtype, vector), [self.value(y, vector) for y in x.inputs]
-        name = {"f": "frem", "i": "srem", "u": "urem"}[x.dtype.kind]
-        return self.add(f"{name} {kind} {values[0]}, {values[1]}")
-
     def op_values(self, x: Value, vector: bool) -> str:
-        if x.data not in self.globals:
+        parts = self.module.parts
+        if x.data not in parts:
             dtype, values = np.dtype(x.data[0]), np.frombuffer(x.data[1], x.data[0])
-            scalar = "i8" if dtype.kind == "b" else self.scalar(dtype)
+            scalar = self.stored(dtype)
             entries = ", ".join(f"{scalar} {literal(v) if dtype.kind != 'b' else int(v)}" for v in values)
-            name = f"@values{len(self.globals)}"
-            self.globals[x.data] = f"{name} = private constant [{len(values)} x {scalar}] [{entries}]"
-        return self.read(self.globals[x.data].split(" ")[0], x, vector)
+            parts[x.data] = f"@values{len(parts)} = private constant [{len(values)} x {scalar}] [{entries}]"
+        return self.read(parts[x.data].split(" ")[0], x, vector)
 
     def op_table(self, x: Value, vector: bool) -> str:
         return self.read(self.inputs[x.data], x, vector)
@@ -173,8 +133,9 @@ class Operations(Memory):
         """The entry of an array in memory whose index is the input of x."""
         if not vector:
             return self.load(pointer, x.dtype, self.value(x.inputs[0], False))
-        stored = "i8" if x.dtype.kind == "b" else self.scalar(x.dtype)
-        at = self.add(f"getelementptr {stored}, ptr {pointer}, <{self.lanes} x i64> {self.value(x.inputs[0], True)}")
+        at = self.add(
+            f"getelementptr {self.stored(x.dtype)}, ptr {pointer}, <{self.lanes} x i64> {self.value(x.inputs[0], True)}"
+        )
         return self.gather_at(at, x.dtype)
 
     def op_array(self, x: Value, vector: bool) -> str:
@@ -192,16 +153,13 @@ class Operations(Memory):
         return self.names[array]
 
     def new_array(self, length: int, x: Value) -> str:
-        """Memory for the array that a number stands for; booleans are bytes there."""
+        """Memory for the array that a number stands for."""
         name = self.new()
-        self.front.append(f"  {name} = alloca [{length} x {self.stored_type(x, self.varies(x))}], align 64")
+        self.front.append(f"  {name} = alloca [{length} x {self.stored(x.dtype, self.varies(x))}], align 64")
         return name
 
-    def stored_type(self, x: Value, vector: bool) -> str:
-        return self.type(np.int8 if x.dtype.kind == "b" else x.dtype, vector)
-
     def write(self, array: str, k: str, x: Value, vector: bool) -> None:
-        kind, value = self.stored_type(x, vector), self.value(x, vector)
+        kind, value = self.stored(x.dtype, vector), self.value(x, vector)
         if x.dtype.kind == "b":
             value = self.add(f"zext {self.type(bool, vector)} {value} to {kind}")
         at = self.add(f"getelementptr {kind}, ptr {array}, i64 {k}")
@@ -219,11 +177,11 @@ class Operations(Memory):
         kind, found = self.type(x.dtype, True), entries[0]
         for k, y in enumerate(entries[1:], 1):
             here = self.add(f"icmp eq <{self.lanes} x i64> {self.value(index, True)}, splat (i64 {k})")
-            found = self.add(f"select <{self.lanes} x i1> {here}, {kind} {y}, {kind} {found}")
+            found = self.select(f"<{self.lanes} x i1> {here}", kind, y, found)
         return found
 
     def entry(self, array: Value, k: str, vector: bool) -> str:
-        kind = self.stored_type(array, vector)
+        kind = self.stored(array.dtype, vector)
         at = self.add(f"getelementptr {kind}, ptr {self.names[array]}, i64 {k}")
         found = self.add(f"load {kind}, ptr {at}")
         return found if array.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, vector)}")

@@ -1,23 +1,11 @@
 """Exponentials and hyperbolic functions."""
 
 import math
-from collections.abc import Callable
 
-from lieint_jax.native._number import (
-    LlvmValue,
-    Pair,
-    absolute,
-    add,
-    divide,
-    fast_two_sum,
-    fma,
-    multiply,
-    polynomial,
-    two_product,
-    two_sum,
-    where,
-)
-from lieint_jax.native.functions._floats import LN2, ONE, SHIFT, choose, copy_sign, unshift
+from lieint_jax.native.functions._definitions import Formula
+from lieint_jax.native.functions._double_double import Pair, choose, fast_two_sum, pair, two_product, two_sum
+from lieint_jax.native.functions._floats import LN2, ONE, SHIFT, copy_sign, unshift
+from lieint_jax.native.functions._value import LlvmValue, absolute, fma, polynomial, where
 from lieint_jax.native.functions.coefficients import EXP, EXP_CUBIC
 
 
@@ -28,7 +16,7 @@ def reduce_exponent(x: LlvmValue, low: LlvmValue | None = None) -> tuple[Pair, L
     first = fma(-k, LN2[0], x)
     r = fma(-k, LN2[1], first)
     rest = fma(-k, LN2[1], first - r)
-    return (r, rest) if low is None else two_sum(r, rest + low), shifted.bits()
+    return Pair(r, rest) if low is None else two_sum(r, rest + low), shifted.bits()
 
 
 def scale(x: LlvmValue, k: LlvmValue) -> LlvmValue:
@@ -50,17 +38,17 @@ def _exp(x: LlvmValue) -> LlvmValue:
 
 def exp_fraction(r: Pair) -> Pair:
     """exp(r) − 1 for |r| ≤ ½ ln 2 and a little, with a relative error near 2⁻⁶²."""
-    half = 0.5 * r[0]
-    square, square_low = two_product(half, r[0])
-    head, tail = fast_two_sum(r[0], square)
-    cubic = fma(r[0] * (square + square), polynomial(r[0], EXP_CUBIC), fma(r[1], r[0], r[1]))
+    high, low = r
+    square, square_low = two_product(0.5 * high, high)
+    head, tail = fast_two_sum(high, square)
+    cubic = fma(high * (square + square), polynomial(high, EXP_CUBIC), fma(low, high, low))
     return fast_two_sum(head, tail + (square_low + cubic))
 
 
 def one_plus(x: Pair) -> Pair:
     """1 + x for |x| < 1."""
-    head, tail = fast_two_sum(x[0].like(1.0), x[0])
-    return fast_two_sum(head, tail + x[1])
+    head, tail = fast_two_sum(x.high.like(1.0), x.high)
+    return fast_two_sum(head, tail + x.low)
 
 
 def _exp_pair(x: LlvmValue) -> Pair:
@@ -68,7 +56,7 @@ def _exp_pair(x: LlvmValue) -> Pair:
     r, k = reduce_exponent(x)
     power = ((k << 52) + ONE).double()
     head, tail = one_plus(exp_fraction(r))
-    return head * power, tail * power
+    return Pair(head * power, tail * power)
 
 
 def _expm1_pair(x: LlvmValue) -> Pair:
@@ -76,13 +64,13 @@ def _expm1_pair(x: LlvmValue) -> Pair:
     r, k = reduce_exponent(x)
     power = ((k << 52) + ONE).double()
     head, tail = exp_fraction(r)
-    return add(two_sum(power, -1.0), (head * power, tail * power))
+    return two_sum(power, -1.0) + Pair(head * power, tail * power)
 
 
 def _exp2(x: LlvmValue) -> LlvmValue:
     x = clamp(x, -1076.0, 1025.0)
     shifted = x + SHIFT
-    r = multiply((x - unshift(shifted), x.like(0.0)), (x.like(LN2[0]), x.like(LN2[1])))
+    r = pair(x - unshift(shifted)) * pair(x.like(LN2[0]), LN2[1])
     head, tail = one_plus(exp_fraction(r))
     return scale(head + tail, shifted.bits())
 
@@ -103,20 +91,15 @@ def _sinh(x: LlvmValue) -> LlvmValue:
     """(E + E/(1 + E))/2, E = exp|x| − 1."""
     size = absolute(x)
     minus_one = _expm1_pair(clamp(size, 0.0, 50.0))
-    head, tail = add(minus_one, divide(minus_one, one_plus_any(minus_one)))
+    head, tail = minus_one + minus_one / (1.0 + minus_one)
     middle = 0.5 * head + 0.5 * tail
     return copy_sign(where(size < 2.0**-28, size, where(size > 50.0, _half_exp(size), middle)), x)
-
-
-def one_plus_any(x: Pair) -> Pair:
-    """1 + x."""
-    return add((x[0].like(1.0), x[0].like(0.0)), x)
 
 
 def _cosh(x: LlvmValue) -> LlvmValue:
     size = absolute(x)
     power = _exp_pair(clamp(size, 0.0, 50.0))
-    head, tail = add(power, divide((size.like(1.0), size.like(0.0)), power))
+    head, tail = power + 1.0 / power
     return where(size > 50.0, _half_exp(size), 0.5 * head + 0.5 * tail)
 
 
@@ -124,18 +107,17 @@ def _tanh(x: LlvmValue) -> LlvmValue:
     """E/(E + 2), E = exp(2|x|) − 1."""
     size = absolute(x)
     minus_one = _expm1_pair(2.0 * clamp(size, 0.0, 25.0))
-    head, tail = divide(minus_one, add((size.like(2.0), size.like(0.0)), minus_one))
+    head, tail = minus_one / (2.0 + minus_one)
     return copy_sign(where(size < 2.0**-28, size, head + tail), x)
 
 
 def _logistic(x: LlvmValue) -> LlvmValue:
     """1/(1 + exp(−x)); for negative x, exp(x)/(1 + exp(x))."""
     power = _exp_pair(clamp(-absolute(x), -700.0, 0.0))
-    one = (x.like(1.0), x.like(0.0))
-    head, tail = divide(choose(x < 0.0, power, one), add(one, power))
+    head, tail = choose(x < 0.0, power, pair(x.like(1.0))) / (1.0 + power)
     return where(x < -690.0, _exp(x), head + tail)
 
 
-EXPONENTIALS: dict[str, Callable] = {
+EXPONENTIALS: dict[str, Formula] = {
     "exp": _exp, "exp2": _exp2, "expm1": _expm1, "sinh": _sinh, "cosh": _cosh, "tanh": _tanh, "logistic": _logistic,
 }  # fmt: skip

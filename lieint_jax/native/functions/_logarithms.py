@@ -1,24 +1,9 @@
 """Logarithms and inverse hyperbolic functions."""
 
-from collections.abc import Callable
-
-from lieint_jax.native._number import (
-    LlvmValue,
-    Pair,
-    absolute,
-    add,
-    divide,
-    fast_two_sum,
-    fma,
-    multiply,
-    polynomial,
-    root,
-    two_product,
-    two_sum,
-    where,
-)
-from lieint_jax.native.functions._exponentials import one_plus_any
+from lieint_jax.native.functions._definitions import Formula
+from lieint_jax.native.functions._double_double import Pair, choose, fast_two_sum, pair, root, two_product, two_sum
 from lieint_jax.native.functions._floats import INF, LN2_42_BITS, NAN, copy_sign
+from lieint_jax.native.functions._value import LlvmValue, absolute, fma, polynomial, where
 from lieint_jax.native.functions.coefficients import LOG, LOG_FIFTH
 
 
@@ -62,28 +47,27 @@ def _log(x: LlvmValue) -> LlvmValue:
 
 def log_pair(x: Pair, k_more: LlvmValue | float = 0.0) -> Pair:
     """log x + k ln 2 as a pair with a relative error near 2⁻⁶⁶, for positive finite normal x."""
-    m, k, exponent = _mantissa(x[0])
+    m, k, exponent = _mantissa(x.high)
     power = ((2047 << 52) - exponent).double()
-    low = where(x[0] < 2.0**900, x[1] * power, 0.0)
+    low = where(x.high < 2.0**900, x.low * power, 0.0)
     f = fast_two_sum(m - 1.0, low)
-    zero = f[0].like(0.0)
-    s = divide(f, add((zero + 2.0, zero), f))
-    square = multiply(s, s)
-    fifth = square[0] * polynomial(square[0], LOG_FIFTH)
-    third = two_sum(f[0].like(2 / 3), fifth)
-    series = multiply(multiply(square, s), (third[0], third[1] + 3.700743415417188e-17))
-    log = add((s[0] + s[0], s[1] + s[1]), series)
+    s = f / (2.0 + f)
+    square = s * s
+    fifth = square.high * polynomial(square.high, LOG_FIFTH)
+    third = two_sum(m.like(2 / 3), fifth)
+    series = square * s * Pair(third.high, third.low + 3.700743415417188e-17)
+    log = Pair(s.high + s.high, s.low + s.low) + series
     k = k + k_more
-    return add((k * LN2_42_BITS[0], k * LN2_42_BITS[1]), log)
+    return Pair(k * LN2_42_BITS[0], k * LN2_42_BITS[1]) + log
 
 
 def _log1p_pair(x: Pair) -> Pair:
-    head, tail = two_sum(x[0], 1.0)
-    return log_pair(fast_two_sum(head, tail + x[1]))
+    head, tail = two_sum(x.high, 1.0)
+    return log_pair(fast_two_sum(head, tail + x.low))
 
 
 def _log1p(x: LlvmValue) -> LlvmValue:
-    head, tail = _log1p_pair((x, x.like(0.0)))
+    head, tail = _log1p_pair(pair(x))
     return where(absolute(x) < 2.0**-54, x, _log_limits(x + 1.0, head + tail))
 
 
@@ -92,13 +76,9 @@ def _asinh(x: LlvmValue) -> LlvmValue:
     size = absolute(x)
     large = size > 2.0**30
     a = where(large, 1.0, size)
-    zero = a.like(0.0)
     square = two_product(a, a)
-    hypotenuse = root(one_plus_any(square))
-    more = add((a, zero), divide(square, one_plus_any(hypotenuse)))
-    one_more = add((a.like(1.0), zero), more)
-    argument = where(large, size, one_more[0]), where(large, 0.0, one_more[1])
-    head, tail = log_pair(argument, where(large, a.like(1.0), 0.0))
+    more = pair(a) + square / (1.0 + root(1.0 + square))
+    head, tail = log_pair(choose(large, pair(size), 1.0 + more), where(large, a.like(1.0), 0.0))
     result = where(size < 2.0**-28, size, where(size < INF, head + tail, size))
     return copy_sign(result, x)
 
@@ -106,26 +86,22 @@ def _asinh(x: LlvmValue) -> LlvmValue:
 def _acosh(x: LlvmValue) -> LlvmValue:
     """log(1 + t + √(t (t + 2))), t = x − 1; log x + ln 2 for large x."""
     large = x > 2.0**30
-    zero = x.like(0.0)
     t = two_sum(where(large, 1.0, x), -1.0)
-    more = add(t, root(multiply(t, add((zero + 2.0, zero), t))))
-    one_more = add((zero + 1.0, zero), more)
-    argument = where(large, x, one_more[0]), where(large, 0.0, one_more[1])
-    head, tail = log_pair(argument, where(large, x.like(1.0), 0.0))
+    more = t + root(t * (2.0 + t))
+    head, tail = log_pair(choose(large, pair(x), 1.0 + more), where(large, x.like(1.0), 0.0))
     return where(x < 1.0, NAN, where(x < INF, head + tail, x))
 
 
 def _atanh(x: LlvmValue) -> LlvmValue:
     """log(1 + 2a/(1 − a))/2, a = |x|."""
     size = absolute(x)
-    zero = x.like(0.0)
-    head, tail = _log1p_pair(divide((2.0 * size, zero), two_sum(zero + 1.0, -size)))
+    head, tail = _log1p_pair(pair(2.0 * size) / two_sum(x.like(1.0), -size))
     result = where(
         size < 2.0**-28, size, where(size < 1.0, 0.5 * (head + tail), where(size.equals(1.0), x.like(INF), NAN))
     )
     return copy_sign(result, x)
 
 
-LOGARITHMS: dict[str, Callable] = {
+LOGARITHMS: dict[str, Formula] = {
     "log": _log, "log1p": _log1p, "asinh": _asinh, "acosh": _acosh, "atanh": _atanh,
 }  # fmt: skip

@@ -1,11 +1,11 @@
 """Powers and the cube root."""
 
-from collections.abc import Callable
-
-from lieint_jax.native._number import LlvmValue, absolute, fma, polynomial, two_product, where
+from lieint_jax.native.functions._definitions import Formula
+from lieint_jax.native.functions._double_double import pair, two_product
 from lieint_jax.native.functions._exponentials import clamp, exp_fraction, one_plus, reduce_exponent, scale
 from lieint_jax.native.functions._floats import INF, NAN, ONE, SHIFT, copy_sign, unshift
 from lieint_jax.native.functions._logarithms import log_pair, normalize
+from lieint_jax.native.functions._value import LlvmValue, absolute, fma, is_nan, polynomial, where
 from lieint_jax.native.functions.coefficients import CBRT
 
 
@@ -13,7 +13,7 @@ def _pow(x: LlvmValue, y: LlvmValue) -> LlvmValue:
     """exp(y log|x|) with log as a pair; signs and limits as in C99, annex F.9.4.4."""
     size = absolute(x)
     normal, shift = normalize(size)
-    head, tail = log_pair((normal, x.like(0.0)), shift)
+    head, tail = log_pair(pair(normal), shift)
     head, tail = where(size < INF, head, size), where(size < INF, tail, 0.0)
     head = where(size.equals(0.0), -INF, head)
     product = y * head
@@ -26,10 +26,10 @@ def _pow(x: LlvmValue, y: LlvmValue) -> LlvmValue:
     length = absolute(y)
     whole = length.equals((length + 2.0**52) - 2.0**52) | (length >= 2.0**52)
     half = 0.5 * length
-    odd = whole & (half.compare("!=", (half + 2.0**52) - 2.0**52)) & (length < 2.0**53)
+    odd = whole & (half.differs((half + 2.0**52) - 2.0**52)) & (length < 2.0**53)
     result = result.flip(where(odd, x.sign(), 0))
     result = where((x < 0.0) & (x > -INF) & ~whole, NAN, result)
-    result = where(x.compare("!=", x) | y.compare("!=", y), x + y, result)
+    result = where(is_nan(x) | is_nan(y), x + y, result)
     return where(x.equals(1.0) | y.equals(0.0) | (x.equals(-1.0) & length.equals(INF)), 1.0, result)
 
 
@@ -50,7 +50,7 @@ def _cbrt(x: LlvmValue) -> LlvmValue:
     cube_root = root + rest / (3.0 * square)
     power = ((j + shift / 3.0 + SHIFT).bits() << 52) + ONE
     result = copy_sign(cube_root * power.double(), x)
-    return where((absolute(x) < INF) & x.compare("!=", 0.0), result, x)
+    return where((absolute(x) < INF) & x.differs(0.0), result, x)
 
 
-POWERS: dict[str, Callable] = {"pow": _pow, "cbrt": _cbrt}
+POWERS: dict[str, Formula] = {"pow": _pow, "cbrt": _cbrt}
