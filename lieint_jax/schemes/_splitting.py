@@ -13,36 +13,27 @@ step.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import at_once, concrete
 from lieint_jax.capabilities import (
     AbstractDrivenSystem,
     AbstractElasticBody,
     AbstractForcedSystem,
     AbstractFreeBodies,
     AbstractFreeBody,
-    AbstractGeodesicFlow,
     AbstractGyrostat,
 )
-from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.schemes._exact import exact
-from lieint_jax.schemes._group_midpoint import group_midpoint
-from lieint_jax.schemes._shared.bi_invariant import OneParameterSubgroup, is_bi_invariant
+from lieint_jax.schemes._shared.default_drift import default_drift
 from lieint_jax.schemes._shared.elastic_splitting import ElasticSplitting
 from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.se3_free_body import FreeMotion, is_free_motion
-from lieint_jax.schemes._so3_midpoint import so3_midpoint
-from lieint_jax.types import Group, State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types import Group, State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 
 __all__ = ["ElasticSplitting", "GyrostatSplitting", "Splitting", "splitting"]
@@ -179,44 +170,13 @@ def splitting(
             raise ValueError(f"the drift of an elastic body is a straight line: give none, got {drift!r}")
         return ElasticSplitting(system)
     if drift is None:
-        drift = exact(system.free) if isinstance(system, AbstractGyrostat) else _drift(system.free)
+        drift = default_drift(system)
     else:
         PROPERTIES.check_drift(system.free, drift)
     if isinstance(system, AbstractGyrostat):
         return GyrostatSplitting(system, drift)
     few = not (isinstance(drift.system, AbstractFreeBodies) and len(drift.system.masses) >= _MANY)
     return Splitting(system, drift, kick_first=few)
-
-
-def _drift(free: System) -> Step:
-    if isinstance(free, AbstractFreeBody):
-        return so3_midpoint(free)
-    if isinstance(free, AbstractFreeBodies):
-        return exact(free)
-    if isinstance(free, AbstractGeodesicFlow):
-        if concrete(free.metric) and is_bi_invariant(free):
-            return OneParameterSubgroup(free)
-        with suppress(ValueError), at_once():  # groups where the arcsine map is not defined
-            if all(is_symplectic(arcsine, free.group, metric) for metric in _metrics(free)):
-                return group_midpoint(free, arcsine)
-        if concrete(free.metric) and is_free_motion(free):
-            return FreeMotion(free)
-    traced = (
-        "" if concrete(free) else "; one is for a bi-invariant metric whose numbers are known when the step is made"
-    )
-    raise ValueError(
-        f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric{traced}: "
-        "give a symmetric step of system.free, such as group_midpoint(system.free), whose form has a defect O(Δt³) per "
-        "step unless the metric is bi-invariant"
-    )
-
-
-def _metrics(free: AbstractGeodesicFlow) -> list[Array]:
-    """The system's metric; if it is a tracer, two random ones: a map symplectic for both is so for every metric."""
-    if concrete(free.metric):
-        return [free.metric]
-    roots = np.random.default_rng(0).normal(size=(2, free.group.dim, free.group.dim))
-    return [jnp.asarray(root @ root.T + np.eye(free.group.dim)) for root in roots]
 
 
 PROPERTIES = SchemeProperties(
