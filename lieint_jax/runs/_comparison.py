@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from lieint_jax.runs._job import Job
+from lieint_jax.runs._layout import on_host
 
 _FEW = 3  # members that are compared
 _CHANGE = 8  # round-offs by which a copy of each of them differs
@@ -23,8 +24,8 @@ def few_members(job: Job) -> Job:
     """The job of a few members and of a copy of each of them that differs by rounding."""
     chosen = np.unique(np.linspace(0, job.members - 1, _FEW).astype(int))
 
-    def take(x: Any) -> np.ndarray:
-        return np.tile(np.asarray(x)[chosen], (2, *[1] * (np.ndim(x) - 1)))
+    def take(x: Any) -> Any:
+        return on_host(x)[np.tile(chosen, 2)]
 
     def changed(x: Any) -> np.ndarray:
         x, n = take(x), len(chosen)

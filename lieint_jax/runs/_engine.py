@@ -183,7 +183,7 @@ class Engine:
 def _part(axes: Axes, tree: Tree, which: int | slice) -> Tree:
     """The part of one member, or of some; `axes` as in `jax.vmap`."""
     return jax.tree.map(
-        lambda axis, part: part if axis is None else jax.tree.map(lambda x: np.asarray(x)[which], part),
+        lambda axis, part: part if axis is None else jax.tree.map(lambda x: _layout.on_host(x)[which], part),
         axes,
         tree,
         is_leaf=lambda x: x is None,

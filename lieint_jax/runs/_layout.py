@@ -117,7 +117,7 @@ def placed(layout: Layout, tree: _T, first: int = 0) -> _T:
     """The part of this process of host arrays that begin at member `first`, on its devices."""
     mine = layout.computed_members
     mine = slice(mine.start - first, mine.stop - first)
-    tree = jax.tree.map(lambda x: _on_host(x)[mine], tree)
+    tree = jax.tree.map(lambda x: on_host(x)[mine], tree)
     if _on_cpu(layout):
         return tree
     return jax.device_put(jax.tree.map(partial(_padded, layout), tree), _sharding(layout, AXIS))
@@ -125,11 +125,11 @@ def placed(layout: Layout, tree: _T, first: int = 0) -> _T:
 
 def replicated(layout: Layout, tree: _T) -> _T:
     """What all members share, on all devices of this process."""
-    tree = jax.tree.map(_on_host, tree)
+    tree = jax.tree.map(on_host, tree)
     return tree if _on_cpu(layout) else jax.device_put(tree, _sharding(layout))
 
 
-def _on_host(x: Numbers) -> Numbers:
+def on_host(x: Numbers) -> Numbers:
     """An array of NumPy, where there is one: random keys have none."""
     return x if jax.numpy.issubdtype(getattr(x, "dtype", float), jax.dtypes.extended) else np.asarray(x)
 
