@@ -76,7 +76,7 @@ class TopScenario(BodyScenario):
     kappa: Literal["cayley", "exponential", "symplectic"] | None = None
     """The κ of top_energy_momentum; by default cayley."""
     order: Literal[2, 4, 6, 8] = 2
-    """Of accuracy; above 2 by composition."""
+    """The order of accuracy; above 2 by composition."""
 
     @model_validator(mode="after")
     def _check_kappa(self) -> Self:

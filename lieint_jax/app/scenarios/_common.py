@@ -242,7 +242,7 @@ class AttitudeSpread(RateSpread):
     """Standard deviations of an attitude and an angular velocity."""
 
     attitude_deg: NonNegative = 0.0
-    """Of a rotation about each axis of space, in degrees."""
+    """Standard deviation of a rotation about each axis of space, in degrees."""
 
 
 def _sources(tree: Any) -> list[str]:

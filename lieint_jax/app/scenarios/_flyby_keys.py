@@ -71,7 +71,7 @@ class Orbit(Table):
     perigee_utc: str
     """The date of the perigee, as 2029-04-13T21:45:04Z."""
     frame: Frame = "ecliptic"
-    """Of the elements, J2000; attitudes and poles are ecliptic."""
+    """The frame of the elements, J2000; attitudes and poles are ecliptic."""
 
     @field_validator("perigee_utc")
     @classmethod
@@ -111,13 +111,13 @@ class SpinValues(Table):
     middle_moment: Measured | None = None
     """The middle one, about y, over the greatest."""
     precession_period_h: Measured | None = None
-    """Of the long axis about the angular momentum, in h."""
+    """The period of the long axis about the angular momentum, in h."""
     rotation_period_h: Measured | None = None
-    """Of the angular momentum in the body, in h."""
+    """The period of the angular momentum in the body, in h."""
     momentum_longitude_deg: Measured | None = None
-    """Of the angular momentum, ecliptic, in degrees; its error along the parallel, in degrees of a great circle."""
+    """The ecliptic longitude of the angular momentum, in degrees; its error along the parallel, in degrees of arc."""
     momentum_latitude_deg: Measured | None = None
-    """Of the angular momentum, ecliptic, in degrees."""
+    """The ecliptic latitude of the angular momentum, in degrees."""
 
 
 class Tumbling(SpinValues):
@@ -175,7 +175,7 @@ class Variant(SpinValues):
     label: Text
     """Shown in the report."""
     frame: Frame | None = None
-    """Of the orbit's elements."""
+    """The frame of the orbit's elements."""
 
 
 class Phases(Table):
@@ -226,7 +226,7 @@ class Scenario(Common):
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """The mean step, which follows from hours and steps; files of results have it."""
     order: Literal[2, 4, 6, 8] = 8
-    """Of the symplectic splitting, above 2 by composition."""
+    """The order of the symplectic splitting, above 2 by composition."""
     hours: PositiveFloat
     """The length of the run before and after the perigee, in h."""
     arcs_hours: Annotated[list[PositiveFloat], Field(min_length=1)]

@@ -42,9 +42,9 @@ class BodySpread(AttitudeSpread):
     """Standard deviations of the members' bodies about the nominal one."""
 
     mass_percent: NonNegative = 0.0
-    """Of the mass, for unchanged size and shape."""
+    """Relative standard deviation of the mass, at fixed size and shape."""
     axes_percent: NonNegative = 0.0
-    """Of each semi-axis of the homogeneous ellipsoid with the body's moments, for unchanged mass."""
+    """Relative standard deviation of each semi-axis of the equivalent ellipsoid, at fixed mass."""
 
 
 class ExtendedBody(GivenRate):
@@ -57,7 +57,7 @@ class ExtendedBody(GivenRate):
     semi_axes_m: PositiveTriple | None = None
     """Semi-axes of an ellipsoid along the principal axes, in m."""
     density_kg_m3: PositiveFloat | None = None
-    """Of the ellipsoid, in kg/m³."""
+    """The density of the ellipsoid, in kg/m³."""
     euler_313_deg: Triple = [0.0, 0.0, 0.0]
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
     spread: BodySpread = BodySpread()

@@ -80,11 +80,11 @@ class Wheels(Table):
     tilt_deg: Annotated[float, Field(gt=0, lt=90)] = 35.264389682754654
     """From the xy-plane to the axes."""
     inertia_kg_m2: PositiveFloat
-    """Of each, about its axis."""
+    """The moment of inertia of each wheel about its axis."""
     max_torque: PositiveFloat
-    """Of each motor, in N m."""
+    """The largest torque of each motor, in N m."""
     max_momentum: PositiveFloat
-    """Of each wheel, in N m s."""
+    """The largest momentum of each wheel, in N m s."""
 
     def axes(self) -> Array:
         return torques.wheel_pyramid(np.deg2rad(self.tilt_deg), self.number)
@@ -114,7 +114,7 @@ class Pointing(Control):
     """Wheels that point z to the nadir and x forward, like a damped spring about each axis."""
 
     frequency: PositiveFloat
-    """Of the spring, in rad/s: that of small errors without damping."""
+    """The frequency of the spring, in rad/s: that of small errors without damping."""
     damping_ratio: PositiveFloat = 1.0
     """1: critical."""
 

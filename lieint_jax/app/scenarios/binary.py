@@ -107,7 +107,7 @@ class Scenario(Common):
     """The constant of gravity, in m³ kg⁻¹ s⁻²."""
     scheme: Scheme = "kepler_splitting"
     order: int | list[int] | None = None
-    """Of kepler_splitting 2, [8, 4] or [8, 6, 4]; of nystrom 4 or 6; of the others 2, 4, 6 or 8."""
+    """The order: of kepler_splitting 2, [8, 4] or [8, 6, 4]; of nystrom 4 or 6; of the others 2, 4, 6 or 8."""
     primary: Body
     secondary: Body
     orbit: Orbit

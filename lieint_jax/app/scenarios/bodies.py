@@ -63,9 +63,9 @@ class Spread(BodySpread):
     """Standard deviations of the members' bodies about the nominal one."""
 
     position_m: NonNegative = 0.0
-    """Of each component of the position, in m."""
+    """Standard deviation of each component of the position, in m."""
     velocity_m_s: NonNegative = 0.0
-    """Of each component of the velocity, in m/s."""
+    """Standard deviation of each component of the velocity, in m/s."""
 
 
 PublishedKey = Literal["orbital_period_h", "apsidal_precession_deg_d", "rotation_period_h"]
@@ -80,11 +80,11 @@ class Body(ExtendedBody):
     """One body. Its angular velocity is in its own axes."""
 
     name: Annotated[Text, Field(min_length=1, max_length=100), checked(_check_name)]
-    """Of the body, in reports, in pictures and in `between`."""
+    """The name of the body, in reports, in pictures and in `between`."""
     position_m: Triple
-    """Of the center of mass, in m."""
+    """The position of the center of mass, in m."""
     velocity_m_s: Triple
-    """Of the center of mass, in m/s."""
+    """The velocity of the center of mass, in m/s."""
     quaternion: Quadruple | None = None
     """Attitude (w, x, y, z), body to space, of unit length, instead of euler_313_deg."""
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -129,17 +129,17 @@ class Term(Table):
     G: PositiveFloat | None = None
     """The constant of gravity, in m³ kg⁻¹ s⁻²; by default 6.67430e-11."""
     softening_m: NonNegative | None = None
-    """Of point_masses: the length ε of −G m₁m₂/√(r² + ε²), in m; by default 0."""
+    """For point_masses: the length ε of −G m₁m₂/√(r² + ε²), in m; by default 0."""
     between: Annotated[list[str], Field(min_length=2, max_length=2)] | None = None
-    """Of a spring: the names of its two bodies."""
+    """For a spring: the names of its two bodies."""
     points_m: Annotated[list[Triple], Field(min_length=2, max_length=2)] | None = None
-    """Of a spring: its ends, each in the axes of its body from the center of mass, in m."""
+    """For a spring: its ends, each in the axes of its body from the center of mass, in m."""
     stiffness_n_m: NonNegative | None = None
-    """Of a spring, in N/m."""
+    """For a spring: its stiffness, in N/m."""
     length_m: NonNegative | None = None
-    """Of a spring: where it is slack, in m; by default 0."""
+    """For a spring: the length at which it is slack, in m; by default 0."""
     field_m_s2: Triple | None = None
-    """Of uniform_field: the acceleration of every mass, in m/s²."""
+    """For uniform_field: the acceleration of every mass, in m/s²."""
 
     @model_validator(mode="after")
     def _check_keys(self) -> Self:
@@ -172,8 +172,8 @@ class Scenario(Common):
     scheme: Literal["nystrom", "splitting", "gauss", "kepler_splitting", "bodies_energy_momentum"] = "nystrom"
     """kepler_splitting is for two bodies that attract each other."""
     order: int | list[int] | None = None
-    """Of nystrom 6 or 4; of splitting and bodies_energy_momentum 2, 4, 6 or 8; of gauss 16 or any even one below it; of
-    kepler_splitting [8, 6, 4], [8, 4] or 2. By default the first of these."""
+    """The order: of nystrom 6 or 4; of splitting and bodies_energy_momentum 2, 4, 6 or 8; of gauss 16 or any even one
+    below it; of kepler_splitting [8, 6, 4], [8, 4] or 2. By default the first of these."""
     barycentric: bool = False
     """Whether every member's barycenter is put at rest at the origin; else positions and velocities are as given."""
     bodies: Annotated[list[Body], Field(min_length=1, max_length=100)]

@@ -44,7 +44,7 @@ class Spread(RateSpread, NumberSpread):
     """Standard deviations of the members about the nominal state, and of numbers of the scenario by their paths."""
 
     velocity: NonNegative = 0.0
-    """Of each component, in the unit of semi_axes per time_unit."""
+    """Standard deviation of each component, in the unit of semi_axes per time_unit."""
 
 
 class Scenario(Common):
@@ -52,13 +52,13 @@ class Scenario(Common):
 
     system: Literal["kirchhoff"]  # pyright: ignore[reportIncompatibleVariableOverride]
     semi_axes: PositiveTriple
-    """Of the ellipsoid, in a unit of length."""
+    """The semi-axes of the ellipsoid, in a unit of length."""
     center_of_mass: Triple = [0.0, 0.0, 0.0]
     """In body axes from the center of the ellipsoid, in the same unit."""
     scheme: Literal["group_midpoint"] = "group_midpoint"
     map: Literal["exponential", "cayley"] = "exponential"
     order: Literal[2, 4, 6, 8] = 2
-    """Of accuracy; above 2 by composition."""
+    """The order of accuracy; above 2 by composition."""
     state: InitialState
     spread: Spread = Spread()
 

@@ -31,14 +31,14 @@ class Scenario(Common):
 
     system: Literal["maclaurin"]  # pyright: ignore[reportIncompatibleVariableOverride]
     eccentricity: Eccentricity
-    """Of the nominal spheroid, √(1 − c²/a²)."""
+    """The eccentricity of the nominal spheroid, √(1 − c²/a²)."""
     last_eccentricity: Eccentricity | None = None
-    """Of the last member; the members between have eccentricities at equal distances."""
+    """That of the last member; the members between have eccentricities at equal distances."""
     bar: Annotated[float, Field(gt=0, le=0.01)] = 1e-6
     """The initial deformation: two opposite axes are longer by this factor, two are shorter."""
     scheme: Literal["additive"] = "additive"
     order: Literal[2, 4, 6] = 2
-    """Of accuracy; above 2 by composition."""
+    """The order of accuracy; above 2 by composition."""
 
     no_spread: ClassVar[str] = "the members are spheroids of eccentricities at equal distances"
 

@@ -69,9 +69,9 @@ class Observed(Table):
     inertia: Moments
     """Principal moments about the axes a, b, c."""
     eccentricity: Eccentricity
-    """Of the orbit then."""
+    """The eccentricity of the orbit at that date."""
     mean_anomaly_deg: float
-    """Of the moon then, in degrees."""
+    """The mean anomaly at that date, in degrees."""
     euler_313_deg: Triple
     """Attitude R_z(α) R_x(β) R_z(γ), axes a, b, c to space, in degrees; in space x is toward pericenter, z normal."""
     spin_axis: Direction
@@ -111,13 +111,13 @@ class Scenario(Common):
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """Follows from steps_per_orbit; files of results have it."""
     period: PositiveFloat
-    """Of the orbit, in period_unit: for times in reports."""
+    """The period of the orbit, in period_unit: for times in reports."""
     period_unit: str = "d"
     """The name of that unit."""
     inertia: Annotated[Moments, checked(_check_in_order)]
     """Principal moments of the planar motions, the axes of the least and the greatest first and last."""
     eccentricity: Eccentricity
-    """Of the orbit of the planar motions."""
+    """The eccentricity of the orbit of the planar motions."""
     steps_per_orbit: PositiveInt
     """The period over the step size; a state is saved at every pericenter."""
     angles: PositiveInt

@@ -41,7 +41,7 @@ class InitialState(Table):
     direction: Annotated[UnitVector, DIRECTION]
     """A unit vector in space, from the pivot to the bob."""
     velocity: Triple
-    """Of the direction, per time_unit: for a pendulum of length 1 the bob's velocity."""
+    """The velocity of the direction, per time_unit: for a pendulum of length 1 the bob's velocity."""
 
 
 class Spread(NumberSpread):
@@ -50,7 +50,7 @@ class Spread(NumberSpread):
     direction_deg: NonNegative = 0.0
     """In degrees."""
     velocity: NonNegative = 0.0
-    """Of the direction, per time_unit."""
+    """Standard deviation of the velocity of the direction, per time_unit."""
 
 
 class Scenario(Common):
@@ -67,7 +67,7 @@ class Scenario(Common):
     normalized: bool = Field(default=False, validation_alias=AliasChoices("normalized", "normalised"))
     """Whether the midpoint is projected to the sphere, which makes the scheme symplectic."""
     order: Literal[2, 4, 6, 8] = 2
-    """Of accuracy; above 2 by composition."""
+    """The order of accuracy; above 2 by composition."""
     state: InitialState
     spread: Spread = Spread()
 

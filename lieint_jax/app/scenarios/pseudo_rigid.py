@@ -84,7 +84,7 @@ class Spread(RateSpread, NumberSpread):
     numbers of the scenario by their paths."""
 
     deformation: NonNegative = 0.0
-    """Of each entry of F, without unit."""
+    """Standard deviation of each entry of F, without unit."""
 
 
 class Scenario(Common):
@@ -99,7 +99,7 @@ class Scenario(Common):
     alpha: Annotated[float, Field(ge=0, le=1)] = 0.5
     """α of the symplectic rule."""
     lag: PositiveInt = 3
-    """Of the delay plots, in steps."""
+    """The delay of the delay plots, in steps."""
     state: InitialState
     spread: Spread = Spread()
     published: dict[Literal["midpoint_energy_variation"], Published] = {}

@@ -55,9 +55,9 @@ class Spread(_body.Spread):
     """Standard deviations of the members about the nominal satellite and its state."""
 
     inertia: NonNegative = 0.0
-    """Of the logarithms of the second moments of mass along the body axes, so of about this part of them."""
+    """Relative standard deviation of the second moments of mass along each body axis."""
     residual_dipole: NonNegative = 0.0
-    """Of each component, in A m²."""
+    """Standard deviation of each component of the residual dipole, in A m²."""
 
 
 class Scenario(_body.BodyScenario):
@@ -74,7 +74,7 @@ class Scenario(_body.BodyScenario):
     rods: Rods | None = None
     wheels: Wheels | None = None
     max_dipole: PositiveFloat | None = None
-    """Of each magnetic torquer, along the body axes, in A m²; required by detumbling and unloading."""
+    """The largest dipole of a magnetic torquer along each body axis, in A m²; for detumbling and unloading."""
     detumbling: Detumbling | None = None
     pointing: Pointing | None = None
     unloading: Unloading | None = None

@@ -53,12 +53,12 @@ class Scenario(Common):
     system: Literal["water"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["ps"] = "ps"  # pyright: ignore[reportIncompatibleVariableOverride]
     model: Literal["TIP4P", "TIP4P/2005"] = "TIP4P/2005"
-    """Of the molecule: its charges and its Lennard-Jones site."""
+    """The model of the molecule: its charges and its Lennard-Jones site."""
     molecules: Annotated[int, Field(ge=2, le=1000)]
     """The number of molecules of a droplet; all interact, without a cut-off."""
     scheme: Literal["splitting", "nystrom", "bodies_energy_momentum"] = "splitting"
     order: Literal[2, 4, 6] = 2
-    """Of accuracy; above 2 by composition. nystrom has 4 and 6."""
+    """The order of accuracy; above 2 by composition. nystrom has 4 and 6."""
     settling: Settling
     spread: NumberSpread = NumberSpread()
     """Standard deviations of how a droplet is made by their paths, such as `settling.temperature_kelvin`."""
