@@ -325,7 +325,7 @@ def one_of(**given: Input) -> tuple[str, Input]:
     return named.popitem()
 
 
-def inertia(value: Input) -> Array:
+def inertia(value: Input, stacklevel: int = 3) -> Array:
     """A positive definite inertia: principal moments (3,) or a symmetric tensor (3, 3).
 
     Moments that violate the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass. They cause a warning,
@@ -337,7 +337,7 @@ def inertia(value: Input) -> Array:
     moments = _moments(array)
     if moments[2] > (1 + UNIT_TOLERANCE) * (moments[0] + moments[1]):
         warnings.warn(
-            f"principal moments {moments} break the triangle inequality: no rigid body has them", stacklevel=3
+            f"principal moments {moments} break the triangle inequality: no rigid body has them", stacklevel=stacklevel
         )
     return array
 

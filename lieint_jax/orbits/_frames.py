@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -11,15 +12,30 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.groups import so3
-from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types import argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, dot, norm
+
+
+def _orbit(orbit: Callable[..., tuple[Array, Array]]) -> Callable[..., tuple[Array, Array]]:
+    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
+    return callable_pytree(orbit)
 
 
 @pytree
 class LocalFrame:
-    """Local vertical, local horizontal along an orbit: `frame(t)` is its attitude. Made by `lvlh`."""
+    """The frame local vertical, local horizontal (LVLH): z to the center, y opposite to the orbit's normal, x = y × z.
 
-    orbit: Any
+    A body at q = frame(t) points its z axis to the nadir. x points forward; on a circular orbit, along the velocity.
+
+    Args:
+        orbit: t ↦ (position, velocity) from the center of attraction, such as `kepler(…)`; JAX must be able to
+            differentiate it by t.
+
+    Raises:
+        ValueError: `orbit` is not such a function.
+    """
+
+    orbit: Any = argument(converter=_orbit)
 
     def __call__(self, t: ArrayLike) -> Array:
         """The attitude of the frame at time t: the unit quaternion (4,) from its axes to those of space, q₀ ≥ 0."""
@@ -50,20 +66,4 @@ class LocalFrame:
         return jnp.stack([jnp.zeros_like(size), -size / square, -tilt])
 
 
-def lvlh(orbit: Any) -> LocalFrame:
-    """The frame local vertical, local horizontal (LVLH): z to the center, y opposite to the orbit's normal, x = y × z.
-
-    A body at q = frame(t) points its z axis to the nadir. x points forward; on a circular orbit, along the velocity.
-
-    Args:
-        orbit: t ↦ (position, velocity) from the center of attraction, such as `kepler(…)`; JAX must be able to
-            differentiate it by t.
-
-    Returns:
-        t ↦ the attitude quaternion of the frame, (4,), with a method `angular_velocity(t)` in the axes of the frame.
-
-    Raises:
-        ValueError: `orbit` is not such a function.
-    """
-    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
-    return LocalFrame(callable_pytree(orbit))
+lvlh = LocalFrame

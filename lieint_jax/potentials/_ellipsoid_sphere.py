@@ -11,13 +11,13 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._checks import named, positive
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.elliptic import carlson_rf_rd
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import pytree
+from lieint_jax.types import argument, pytree
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 __all__ = ["EllipsoidSphere", "ellipsoid_sphere"]
@@ -27,17 +27,22 @@ _MOST = 64  # corrections: at most 8 for axes of a ratio of 30, 15 for 10⁶
 
 @pytree
 class EllipsoidSphere(Potential):
-    """Gravity of a homogeneous ellipsoid, body 0, and a sphere, body 1. Made by `ellipsoid_sphere`.
+    """Gravity of a homogeneous ellipsoid, body 0, and a sphere or a point, body 1, at any distance.
 
-    Attributes:
+    Invariant: P and L are conserved. The ellipsoid's moments of inertia are m(b² + c²)/5 and so on.
+
+    Args:
         G: the constant of gravity.
-        masses: (2,).
-        semi_axes: a of the ellipsoid, (3,).
+        masses: (2,), of the ellipsoid and the sphere.
+        semi_axes: of the ellipsoid along its own axes, (3,), > 0, in any order.
+
+    Source: Dirichlet's integral, Chandrasekhar 1969, Ellipsoidal Figures of Equilibrium, ch. 3; Carlson's forms, DLMF
+    19.16.
     """
 
-    G: Array
-    masses: Array
-    semi_axes: Array
+    G: Array = argument(converter=named(_checks.real_array, "G", ()))
+    masses: Array = argument(converter=named(positive, "masses", (2,)))
+    semi_axes: Array = argument(converter=named(positive, "semi_axes", (3,)))
 
     @property
     def count(self) -> int:
@@ -87,18 +92,4 @@ def _confocal(squares: Array, axes: Array) -> Array:
     return jnp.where(outside, jnp.where(enough >= F, root, jnp.nan), 0)
 
 
-def ellipsoid_sphere(G: ArrayLike, masses: ArrayLike, semi_axes: ArrayLike) -> EllipsoidSphere:
-    """Gravity of a homogeneous ellipsoid, body 0, and a sphere or a point, body 1, at any distance.
-
-    Invariant: P and L are conserved. The ellipsoid's moments of inertia are m(b² + c²)/5 and so on.
-
-    Args:
-        G: the constant of gravity.
-        masses: (2,), of the ellipsoid and the sphere.
-        semi_axes: of the ellipsoid along its own axes, (3,), > 0, in any order.
-
-    Source: Dirichlet's integral, Chandrasekhar 1969, Ellipsoidal Figures of Equilibrium, ch. 3; Carlson's forms, DLMF
-    19.16.
-    """
-    m, a = _checks.positive("masses", masses, (2,)), _checks.positive("semi_axes", semi_axes, (3,))
-    return EllipsoidSphere(_checks.real_array("G", G, ()), m, a)
+ellipsoid_sphere = EllipsoidSphere

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from jax import Array
 from numpy.typing import ArrayLike
 
@@ -10,7 +12,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import State, pytree, vectors
+from lieint_jax.types import State, argument, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
 __all__ = ["EmbeddedBody", "embedded_body"]
@@ -18,15 +20,27 @@ __all__ = ["EmbeddedBody", "embedded_body"]
 
 @pytree
 class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):
-    """H = ½ Π·J⁻¹Π with Π = Λ⁻¹π; Λ̇ = ΛΩ̂, π̇ = 0, Λ any matrix of L(3) with det Λ > 0. Made by `embedded_body`.
+    """A free rigid body whose attitude is a matrix Λ, which a scheme may move out of SO(3).
 
-    From a rotation the flow is that of `rigid_body`.
+    H = ½ Π·J⁻¹Π with Π = Λ⁻¹π; Λ̇ = ΛΩ̂, π̇ = 0, Λ any matrix of L(3) with det Λ > 0. From a rotation the flow is that of
+    `rigid_body`.
 
-    Attributes:
-        inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
+    Args:
+        inertia: J, principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), as in `rigid_body`.
+
+    Raises:
+        ValueError: as in `rigid_body`.
+
+    Source: Lewis & Simo 1994, Section 2.2.
+
+    Example:
+        >>> body = embedded_body([1.0, 2.0, 3.0])
+        >>> state = body.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0])
+        >>> state.q.shape, float(body.energy(state))
+        ((3, 3), 1.52)
     """
 
-    inertia: Array
+    inertia: Array = argument(converter=partial(_checks.inertia, stacklevel=4))
 
     @explained
     def state(
@@ -62,26 +76,6 @@ class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):
             raise ValueError(f"state.q must have a positive determinant, got {det:.3g}")
 
 
-def embedded_body(inertia: ArrayLike) -> EmbeddedBody:
-    """A free rigid body whose attitude is a matrix Λ, which a scheme may move out of SO(3).
-
-    Args:
-        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), as in `rigid_body`.
-
-    Raises:
-        ValueError: as in `rigid_body`.
-
-    Source: Lewis & Simo 1994, Section 2.2.
-
-    Example:
-        >>> body = embedded_body([1.0, 2.0, 3.0])
-        >>> state = body.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0])
-        >>> state.q.shape, float(body.energy(state))
-        ((3, 3), 1.52)
-    """
-    return EmbeddedBody(_checks.inertia(inertia))
-
-
 PROPERTIES = SystemProperties(
     name="embedded_body",
     models="a free rigid body with its attitude in L(3)",
@@ -98,3 +92,6 @@ def examples() -> dict[str, tuple[EmbeddedBody, State, float]]:
     """The body of the paper's Figure 1."""
     body = embedded_body([1.0, 2.0, 3.0])
     return {"embedded": (body, body.state(angular_velocity=[0.2, 0.0, 1.0]), 0.05)}
+
+
+embedded_body = EmbeddedBody

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, named
 from lieint_jax.systems._pseudo_rigid_body import PseudoRigidBody
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
-from lieint_jax.types import State, StoredEnergy, pytree
+from lieint_jax.types import State, StoredEnergy, argument, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar
 
 __all__ = ["IncompressibleBody", "incompressible_body"]
@@ -23,17 +21,33 @@ __all__ = ["IncompressibleBody", "incompressible_body"]
 
 @pytree
 class IncompressibleBody(capabilities.AbstractIncompressibleBody):
-    """H = ½⟨P, PE⁻¹⟩ + W(FᵀF), det F = 1; Ḟ = PE⁻¹, Ṗ = −2F∇W + pF⁻ᵀ. Made by `incompressible_body`.
+    """An elastic body that deforms homogeneously at constant volume, about its center of mass: F in SL(3).
 
-    The pressure p enforces det F = 1: p tr(C⁻¹E⁻¹) = tr(SE⁻¹) + tr((F⁻¹Ḟ)²) with S = 2∇W(C).
+    H = ½⟨P, PE⁻¹⟩ + W(FᵀF), det F = 1; Ḟ = PE⁻¹, Ṗ = −2F∇W + pF⁻ᵀ. The pressure p enforces det F = 1:
+    p tr(C⁻¹E⁻¹) = tr(SE⁻¹) + tr((F⁻¹Ḟ)²) with S = 2∇W(C).
 
-    Attributes:
-        inertia: E, as in `PseudoRigidBody`.
-        stored_energy: W.
+    Energy and the angular momentum 2 rot[PFᵀ] are conserved. `schemes.additive(body, "incompressible")` conserves both
+    and det F = 1 to round-off. Without elasticity, W = 0, this is the motion of an ideal fluid ellipsoid with a linear
+    velocity and no gravity (Dirichlet's problem), a geodesic of SL(3).
+
+    Args:
+        inertia: E, as in `pseudo_rigid_body`.
+        stored_energy: W, as in `pseudo_rigid_body`; its dependence on det C has no effect.
+
+    Raises:
+        ValueError: as in `pseudo_rigid_body`.
+
+    Source: Lewis & Simo 1994, Sections 1.1 and 6.1.1; Arnold 1966 for W = 0.
+
+    Example:
+        >>> body = incompressible_body([2.0, 2.0, 2.0], mooney_rivlin(lam=2000.0, mu=6.0))
+        >>> state = body.state(angular_velocity=[0.0, 0.0, 3.0])
+        >>> float(body.energy(state))
+        18.0
     """
 
-    inertia: Array
-    stored_energy: StoredEnergy
+    inertia: Array = argument(converter=named(_checks.positive_definite, "inertia"))
+    stored_energy: StoredEnergy = argument(converter=as_stored_energy)
 
     @property
     def compressible(self) -> PseudoRigidBody:
@@ -87,33 +101,6 @@ class IncompressibleBody(capabilities.AbstractIncompressibleBody):
         _volume("state.q", state.q)
 
 
-def incompressible_body(
-    inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array]
-) -> IncompressibleBody:
-    """An elastic body that deforms homogeneously at constant volume, about its center of mass: F in SL(3).
-
-    Energy and the angular momentum 2 rot[PFᵀ] are conserved. `schemes.additive(body, "incompressible")` conserves both
-    and det F = 1 to round-off. Without elasticity, W = 0, this is the motion of an ideal fluid ellipsoid with a linear
-    velocity and no gravity (Dirichlet's problem), a geodesic of SL(3).
-
-    Args:
-        inertia: E, as in `pseudo_rigid_body`.
-        stored_energy: W, as in `pseudo_rigid_body`; its dependence on det C has no effect.
-
-    Raises:
-        ValueError: as in `pseudo_rigid_body`.
-
-    Source: Lewis & Simo 1994, Sections 1.1 and 6.1.1; Arnold 1966 for W = 0.
-
-    Example:
-        >>> body = incompressible_body([2.0, 2.0, 2.0], mooney_rivlin(lam=2000.0, mu=6.0))
-        >>> state = body.state(angular_velocity=[0.0, 0.0, 3.0])
-        >>> float(body.energy(state))
-        18.0
-    """
-    return IncompressibleBody(_checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
-
-
 def _volume(name: str, F: Matrix3) -> None:
     if not concrete(F):
         return
@@ -139,3 +126,6 @@ def examples() -> dict[str, tuple[IncompressibleBody, State, float]]:
     ball = incompressible_body(np.full(3, 2.0), mooney_rivlin(2000.0, 6.0))
     F = np.array([[1.25, 0.1, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 0.8]])
     return {"ball": (ball, ball.state(F, angular_velocity=np.array([0.3, 0.0, 1.0])), 0.02)}
+
+
+incompressible_body = IncompressibleBody
