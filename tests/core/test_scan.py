@@ -345,6 +345,7 @@ def by_python(z, count, r=0.9):
     return z, jnp.stack([*angles, z[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["native", "xla"])
 def test_a_number_of_steps_may_be_an_argument(engine, caplog):
     z, zs = jnp.array([0.3, 0.2]), jnp.array([[0.3, 0.2], [0.6, -0.2], [1.0, 0.1]])
