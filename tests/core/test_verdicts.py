@@ -29,10 +29,7 @@ LOOPS = {
     "native/functions/_powers.py:_cbrt": "two corrections, tested in ulps for all exponents",
     "orbits/_anomaly.py:_halley": "two corrections suffice for all M and e, which tests compare with mpmath",
     "orbits/_graded_times.py:graded_times": "any grid will do",
-    "schemes/_gauss.py:_solve": "of a derivative: the contraction of the sweeps, which have a verdict",
     "schemes/_gauss.py:guess": "a guess",
-    "schemes/_gauss.py:refine_solve": "a part of _solve",
-    "schemes/_gauss.py:tangent_solve": "a part of _solve",
 }
 
 
