@@ -35,7 +35,7 @@ class ImplicitEquation(abc.ABC, Generic[_Unknown]):
 
     @abc.abstractmethod
     def report(self, x: _Unknown, F: _Unknown, steady: Array, /) -> StepInfo:
-        """Whether x is a root at round-off on the branch from Δt = 0, by F(x) and `steady` as of `newton.root`."""
+        """Whether x is a root at round-off on the branch from Δt = 0, by F(x) and the `steady` of `newton.root`."""
 
     def solve(self, guess: _Unknown, iterations: int, **options: Any) -> tuple[_Unknown, StepInfo]:
         """The root near a guess, and the report on it. The options are those of `newton.root`."""

@@ -88,7 +88,7 @@ class Additive(Step):
         x, info = equation.solve(
             equation.guess(), self.iterations, done=equation.is_converged, length=_displacement, first=size
         )
-        middle, end, D, S = equation.at(x)
+        middle, end, D, S = equation.evaluate(x)
         moved = state._replace(q=end.array, p=(equation.P - dt * (middle @ S)).array)
         if isinstance(W, _Viscous) and state.work is not None:
             moved = moved._replace(work=state.work - W.rate * D.inner(D) / 2)
@@ -330,7 +330,7 @@ class _Equation(ImplicitEquation[Array]):
         dtype = self.size.dtype
         return jnp.concatenate([jnp.zeros(9, dtype), jnp.full(self.rule.gammas, self.rule.guess, dtype)])
 
-    def at(self, x: Array) -> tuple[Matrix, Matrix, Symmetric, Symmetric]:
+    def evaluate(self, x: Array) -> tuple[Matrix, Matrix, Symmetric, Symmetric]:
         """F_{n+α}, F_{n+1}, D and S."""
         U = _matrix(x)
         D = self.change(U)
@@ -376,7 +376,7 @@ class _Equation(ImplicitEquation[Array]):
         return jnp.concatenate([t * jnp.stack(_entries(dU)), *(g[None] for g in d_gamma)])
 
     def report(self, x: Array, R: Array, steady: Array) -> StepInfo:
-        rule, (middle, end, D, S) = self.rule, self.at(x)
+        rule, (middle, end, D, S) = self.rule, self.evaluate(x)
         stiff = max_abs(S) + self.stiffness
         scale = self.size * (max_abs(self.E) + self.c * stiff) + jnp.abs(self.dt) * max_abs(*self.P)
         residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps

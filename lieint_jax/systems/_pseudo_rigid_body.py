@@ -206,14 +206,3 @@ def examples() -> dict[str, tuple[PseudoRigidBody | ViscousBody, State, float]]:
         "ball": (ball, ball.state(angular_velocity=spin), 0.005),
         "dough": (dough, dough.state(angular_velocity=spin), 0.005),
     }
-
-
-__all__ = [
-    "PseudoRigidBody",
-    "StoredEnergy",
-    "ViscousBody",
-    "mooney_rivlin",
-    "neo_hookean",
-    "pseudo_rigid_body",
-    "saint_venant_kirchhoff",
-]

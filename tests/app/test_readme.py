@@ -34,9 +34,8 @@ def test_the_table_of_schemes_in_the_readme_says_what_they_declare():
     declared = {entry.name: entry for entry in li.schemes.catalogue()}
     same = {"γ·π": "momentum", "both momenta": "momentum"}
     table = README.partition("## Which scheme?")[2].partition("\n## ")[0]
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines() if line.startswith("| ")][
-        1:
-    ]
+    lines = [line for line in table.splitlines() if line.startswith("| ")]
+    _, *rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in lines)
     assert len(rows) == 10
     for _, steps, conserved, orders in rows:
         named = [declared[name] for name in re.findall(r"`(\w+)\(", steps)]

@@ -31,12 +31,12 @@ class Memory(Values):
         at = self.add(f"getelementptr ptr, ptr %pointers, i64 {slot}")
         return self.add(f"load ptr, ptr {at}")
 
-    def stored(self, dtype: DTypeLike, vector: bool = False) -> str:
+    def stored_type(self, dtype: DTypeLike, vector: bool = False) -> str:
         """The type of numbers in memory; booleans are bytes there."""
         return self.type(np.int8 if np.dtype(dtype).kind == "b" else dtype, vector)
 
     def load(self, pointer: str, dtype: DTypeLike, index: str) -> str:
-        stored = self.stored(dtype)
+        stored = self.stored_type(dtype)
         at = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {index}")
         found = self.add(f"load {stored}, ptr {at}")
         return self.add(f"trunc i8 {found} to i1") if np.dtype(dtype).kind == "b" else found
@@ -53,7 +53,7 @@ class Memory(Values):
     def entry_pointers(self, pointer: str, dtype: DTypeLike, size: int, entry: int, row: str | None = None) -> str:
         """Pointers to an entry of each member of the block."""
         kind = f"<{self.lanes} x i64>"
-        stored = self.stored(dtype)
+        stored = self.stored_type(dtype)
         index = self.index
         if size != 1:
             index = self.add(f"mul {kind} {index}, splat (i64 {size})")
@@ -70,14 +70,14 @@ class Memory(Values):
         return self.gather_at(at, leaf.dtype)
 
     def gather_at(self, at: str, dtype: DTypeLike) -> str:
-        kind, n = self.stored(dtype, True), self.lanes
+        kind, n = self.stored_type(dtype, True), self.lanes
         name = f"llvm.masked.gather.{suffix(kind)}.v{n}p0"
         mask = f"<{n} x i1>", "splat (i1 true)"
         found = self.call(kind, name, [(f"<{n} x ptr>", at), mask, (kind, "poison")])
         return self.add(f"trunc {kind} {found} to <{n} x i1>") if np.dtype(dtype).kind == "b" else found
 
     def scatter(self, value: str, dtype: DTypeLike, at: str) -> None:
-        kind, n = self.stored(dtype, True), self.lanes
+        kind, n = self.stored_type(dtype, True), self.lanes
         if np.dtype(dtype).kind == "b":
             value = self.add(f"zext <{n} x i1> {value} to {kind}")
         name = f"llvm.masked.scatter.{suffix(kind)}.v{n}p0"

@@ -121,7 +121,7 @@ class Operations(Memory):
         parts = self.module.parts
         if x.data not in parts:
             dtype, values = np.dtype(x.data[0]), np.frombuffer(x.data[1], x.data[0])
-            scalar = self.stored(dtype)
+            scalar = self.stored_type(dtype)
             entries = ", ".join(f"{scalar} {literal(v) if dtype.kind != 'b' else int(v)}" for v in values)
             parts[x.data] = f"@values{len(parts)} = private constant [{len(values)} x {scalar}] [{entries}]"
         return self.read(parts[x.data].split(" ")[0], x, vector)
@@ -133,9 +133,8 @@ class Operations(Memory):
         """The entry of an array in memory whose index is the input of x."""
         if not vector:
             return self.load(pointer, x.dtype, self.value(x.inputs[0], False))
-        at = self.add(
-            f"getelementptr {self.stored(x.dtype)}, ptr {pointer}, <{self.lanes} x i64> {self.value(x.inputs[0], True)}"
-        )
+        kind, index = self.stored_type(x.dtype), self.value(x.inputs[0], True)
+        at = self.add(f"getelementptr {kind}, ptr {pointer}, <{self.lanes} x i64> {index}")
         return self.gather_at(at, x.dtype)
 
     def op_array(self, x: Value, vector: bool) -> str:
@@ -155,11 +154,11 @@ class Operations(Memory):
     def new_array(self, length: int, x: Value) -> str:
         """Memory for the array that a number stands for."""
         name = self.new()
-        self.front.append(f"  {name} = alloca [{length} x {self.stored(x.dtype, self.varies(x))}], align 64")
+        self.front.append(f"  {name} = alloca [{length} x {self.stored_type(x.dtype, self.varies(x))}], align 64")
         return name
 
     def write(self, array: str, k: str, x: Value, vector: bool) -> None:
-        kind, value = self.stored(x.dtype, vector), self.value(x, vector)
+        kind, value = self.stored_type(x.dtype, vector), self.value(x, vector)
         if x.dtype.kind == "b":
             value = self.add(f"zext {self.type(bool, vector)} {value} to {kind}")
         at = self.add(f"getelementptr {kind}, ptr {array}, i64 {k}")
@@ -181,7 +180,7 @@ class Operations(Memory):
         return found
 
     def entry(self, array: Value, k: str, vector: bool) -> str:
-        kind = self.stored(array.dtype, vector)
+        kind = self.stored_type(array.dtype, vector)
         at = self.add(f"getelementptr {kind}, ptr {self.names[array]}, i64 {k}")
         found = self.add(f"load {kind}, ptr {at}")
         return found if array.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, vector)}")
