@@ -20,7 +20,7 @@ class Facts(NamedTuple):
         dt: the step size; None if times were given.
         num_steps: the number of steps that were asked for.
         save_every: the number of steps between saves; None if output times were given.
-        engine: what computed it, "native" (machine code), "kernel" (of a GPU) or "xla".
+        engine: what computed it, "native" (machine code), "kernel" (of a GPU) or "xla"; "" if that is not known.
         versions: the versions of packages that computed it, by name.
         complete: whether it has reached its last step.
         source: the path or URL of the store from which its arrays are read; "" if they are in memory.
@@ -45,8 +45,8 @@ def lines(run: Any) -> dict[str, str]:
         return shown | {"values": "traced"}
     if run.members is not None:
         shown["members"] = f"{run.members}"
-    sizes = "given times" if facts.dt is None else f"{facts.num_steps} steps of {facts.dt:g}"
-    shown["times"] = f"{float(run.t[0]):.6g} … {float(run.t[-1]):.6g}, {sizes}; {_saves(run)}"
+    sizes = "given times; " if facts.dt is None else f"{facts.num_steps} steps of {facts.dt:g}; "
+    shown["times"] = f"{float(run.t[0]):.6g} … {float(run.t[-1]):.6g}, {sizes if facts.engine else ''}{_saves(run)}"
     state = run.state if run.summary is None else run.summary.state
     leading = (1 if run.summary is None else 0) + facts.batch
     shapes = {name: np.shape(x)[leading:] for name, x in leaves_by_name(state).items()}
@@ -58,7 +58,8 @@ def lines(run: Any) -> dict[str, str]:
         first = bad[failed[bad].argmin()]
         shown["converged"] = f"not {list_members(bad)}; first member {first} at step {failed[first]}"
     versions = ", ".join(f"{name} {version}" for name, version in facts.versions if name != "jaxlib")
-    shown["computed"] = f"by {facts.engine}, {versions}{'' if facts.complete else '; not complete'}"
+    if facts.engine:
+        shown["computed"] = f"by {facts.engine}, {versions}{'' if facts.complete else '; not complete'}"
     if facts.source:
         shown["store"] = facts.source
     return shown
@@ -67,6 +68,8 @@ def lines(run: Any) -> dict[str, str]:
 def _saves(run: Any) -> str:
     if isinstance(run.summary, MemberSummary):
         return "the quantity of each member over all steps"
+    if not run.facts.engine:
+        return f"{len(run.t)} saves"
     every = run.facts.save_every
     how = "at given times" if every is None else "one per step" if every == 1 else f"one per {every} steps"
     what = "saves" if run.summary is None else "entries of changes over all members"

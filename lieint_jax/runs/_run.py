@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -20,7 +21,7 @@ from lieint_jax.runs._facts import Facts, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
 from lieint_jax.runs._job import MemberSummary, Saves
 from lieint_jax.runs._make_job import checked_job
-from lieint_jax.runs._member_axis import member_of, saves_of_batch, with_member_axis
+from lieint_jax.runs._member_axis import is_batch, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._results import Results, compute, write
 from lieint_jax.runs.store._identity import package_versions
 from lieint_jax.runs.store._reading import Stored
@@ -56,7 +57,8 @@ class Run:
         trajectory: the saved states: a `Trajectory` with the axes (time, …), or (time, member, …); None if the run was
             reduced.
         summary: a `Summary` of a reduced run, else None.
-        failed: the first step that did not converge, or −1, for each member.
+        failed: the first step that did not converge, or −1, for each member; of a run made by `Run.of` the first save
+            after which one did not.
         reduction, condition: the functions `reduce` and `first` of a reduced run, or None.
         times: the times of the boundaries of steps, if they were given.
         facts: see `Facts`.
@@ -71,6 +73,26 @@ class Run:
     condition: Any
     times: Array | None
     facts: Facts = static()
+
+    @staticmethod
+    def of(step: Step, trajectory: Trajectory, own_step: bool = False) -> Run:
+        """The run of states that are known already, such as those of `integrate` inside of jit.
+
+        It can be asked everything but to be extended or saved, as its step sizes are not known.
+
+        Args:
+            step: the step that made the states; with `own_step` its leaves have the member axis.
+            trajectory: the saved states, (times, …), or (times, members, …) of a batch.
+            own_step: whether each member has a step of its own.
+
+        Raises:
+            ValueError: states of another shape than the step's system needs.
+        """
+        batch = is_batch(step, jax.tree.map(lambda x: x[0], trajectory.state), own_step)
+        good = jnp.asarray(trajectory.info.converged)
+        failed = jnp.where(good.all(axis=0), -1, jnp.argmin(good, axis=0) - 1)
+        facts = Facts(batch, own_step, None, len(trajectory.t) - 1, None, "", ())
+        return Run(step, None, trajectory, None, failed, None, None, None, facts)
 
     @property
     def t(self) -> Array:
