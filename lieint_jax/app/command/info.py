@@ -15,8 +15,9 @@ from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.printer import readable, show
-from lieint_jax.app.scenarios._common import Common
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import POINTS
+from lieint_jax.runs import Run
 from lieint_jax.runs.store import Address, UnreadableError, check_system, system_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
@@ -46,20 +47,21 @@ def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
     show(f"\nwritten: {', '.join(map(str, drawn))}")
 
 
-def _plot_scenario(scenario: Common, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:
-    kind, members = scenarios.kind(scenario), scenario.members
-    files.check_replaceable(files.pictures(plain, kind.PICTURES), force)
+def _plot_scenario(scenario: Kind, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:
+    drawings, members = scenario.pictures(), scenario.members
+    files.check_replaceable(files.pictures(plain, drawings), force)
     shown = slice(_count_drawn(run))
-    run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
-    changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
+    saved = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
+    changes = {"steps": (len(saved.t) - 1) * scenario.save_every, "members": saved.state.p.shape[1]}
     step = scenarios.build_first(scenario, changes["members"])
-    check_system(path, step.system, run, scenarios.step_axis(scenario) == 0)
+    check_system(path, step.system, saved, scenario.has_own_steps())
+    made = Run.of(step, saved, scenario.has_own_steps())
     scenario = scenario.model_copy(update=changes)
     show(headline(scenario, step))
     if scenario.members < members:
         show(f"  the first {scenario.members} of {members} members")
-    drawn = draw(plain, kind.PICTURES, scenario, step, run)
-    show(scenarios.report(scenario, step, run))
+    drawn = draw(plain, drawings, scenario, made)
+    show(readable(scenario).report(made))
     return drawn
 
 
@@ -118,7 +120,7 @@ def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
         system = scenarios.build_first(scenario, run.state.p.shape[1]).system
-        title, own_system = _checks.printable(scenario.title), scenarios.step_axis(scenario) == 0
+        title, own_system = _checks.printable(scenario.title), scenario.has_own_steps()
     elif "run" in metadata:
         system, title, own_system = (
             system_from_store(path, metadata),
@@ -239,7 +241,7 @@ def _conservation(stored: StoredRun) -> list[str]:
     ]
 
 
-def headline(scenario: Common, step: Step) -> str:
+def headline(scenario: Kind, step: Step) -> str:
     """The first lines of a scenario's report: its title, its size and its scheme."""
     scenario = readable(scenario)
     lines = [scenario.title, f"  {scenario.members} member(s), {scenario.describe_steps()}, {step.name}"]

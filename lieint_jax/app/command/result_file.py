@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from lieint_jax.app import scenarios
-from lieint_jax.app.scenarios._common import Common
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.runs import store as archives
 
 _PACKAGE = __name__.partition(".")[0]
@@ -99,7 +99,7 @@ def _encode(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
             raise ValueError(f"two parts of the tree are called {at}")
         arrays[at] = np.asarray(value)
         return {"array": at}
-    if isinstance(value, Common):
+    if isinstance(value, Kind):
         return {"scenario": value.model_dump()}
     if isinstance(value, dict):
         return {"dict": [[key, encode_child(key, inner)] for key, inner in value.items()]}

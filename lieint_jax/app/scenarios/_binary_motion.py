@@ -1,7 +1,7 @@
 """Measured motions of two bodies about one another: periods, librations, energies.
 
 Positions are relative: d = x₂ − x₁, v = ẋ₂ − ẋ₁. Longitudes are angles about the total angular momentum L, which is
-conserved. The leaves of `step` and `system` have the member axis: every member has its own masses and moments.
+conserved.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax.app.scenarios._runs import cached_for_last_run, over_members
+from lieint_jax.app.scenarios._runs import series
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
-from lieint_jax.runs import integrate
+from lieint_jax.runs import Run, integrate
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step, Trajectory, vectors
+from lieint_jax.types import State, Step, vectors
 
 _MAX_ITERATIONS = 8  # of Newton's method for the speed
 _TOLERANCE = 1e-5  # largest last correction over the change; the error that Newton's method leaves is its square
@@ -74,15 +74,9 @@ def relative_motion(system: RigidBodies, state: State) -> tuple[Array, Array]:
     return x[1] - x[0], v[1] - v[0]
 
 
-@cached_for_last_run
-def motion(_: Any, system: RigidBodies, run: Trajectory) -> Motion:
-    """The angles and distances of a scenario's run."""
-    return measure_motion(system, run)
-
-
-def measure_motion(system: RigidBodies, run: Trajectory) -> Motion:
-    """The angles and distances of any run."""
-    angles, rates = over_members(_motion_at, system, run)
+def measure_motion(run: Run) -> Motion:
+    """The angles and distances of a run."""
+    angles, rates = series(_motion_at, run)
     continued = {name: continue_angle(run.t, getattr(angles, name), rate) for name, rate in rates.items()}
     continued["libration"] = np.unwrap(angles.libration, axis=0)
     continued["node"] = np.unwrap(angles.node, axis=0)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lieint_jax.app.scenarios.rigid_body import Scenario
+from lieint_jax.app.scenarios.rigid_body import FreeBody
 from lieint_jax.app.studies._flyby import Flyby
 from lieint_jax.app.studies._spin_fit import Coverage, Estimate
 from lieint_jax.fitting import Fit
@@ -72,7 +72,7 @@ class SpinFit(NamedTuple):
     flyby: Flyby
     factors: np.ndarray
     coverage: Coverage
-    scenario: Scenario
+    scenario: FreeBody
 
     @property
     def periods(self) -> np.ndarray:
