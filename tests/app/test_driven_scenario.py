@@ -77,20 +77,20 @@ def test_the_orbit_s_axes_rotate_at_the_returned_rate():
 
 @functools.cache
 def small_run():
-    """The scenario, the step, and the trajectories."""
+    """The scenario and its run."""
     scenario = scenarios.load(small())
-    return scenario, *run(scenario)
+    return scenario, run(scenario)
 
 
 @pytest.mark.long
 def test_members_share_their_time_and_start_relative_to_the_orbit():
-    scenario, step, path = small_run()
-    states = scenarios.build(scenario)[1]
+    scenario, path = small_run()
+    states = scenario.build()[1]
     assert states.t.shape == ()
     assert float(states.t) == 0.3
     assert scenario.dt == pytest.approx(2 * np.pi / N / 200, rel=1e-15)
-    assert driven.Scenario.model_validate(scenario.model_dump()) == scenario  # as results hold it
-    body, nominal = step.system, jax.tree.map(lambda x: x[0, 0], path.state)
+    assert driven.Driven.model_validate(scenario.model_dump()) == scenario  # as results hold it
+    body, nominal = path.system, jax.tree.map(lambda x: x[0, 0], path.state)
     R, spin = driven.orbit_axes(body.orbit, nominal.t)
     np.testing.assert_allclose(body.rotation_matrix(nominal), R, rtol=0, atol=1e-15)
     np.testing.assert_allclose(
@@ -110,8 +110,8 @@ def _rate(t, y, J):
 @pytest.mark.long
 def test_an_orbit_of_the_driven_satellite_agrees_with_another_integrator():
     """Splitting with 200 steps an orbit: 8e-4 rad off by its order. DOP853 moves the center along, without Kepler."""
-    scenario, step, path = small_run()
-    body = step.system
+    scenario, path = small_run()
+    body = path.system
     state = jax.tree.map(lambda x: x[0, 0], path.state)
     start = [body.rotation_matrix(state).ravel(), body.angular_velocity(state), *body.orbit(state.t)]
     end = solve_ivp(
@@ -126,7 +126,7 @@ def test_an_orbit_of_the_driven_satellite_agrees_with_another_integrator():
     q = np.asarray(path.state.q[-1, 0])
     apart = Rotation.from_quat(q[[1, 2, 3, 0]]).inv() * Rotation.from_matrix(end.reshape(3, 3))
     assert apart.magnitude() < 2.5e-3
-    changes = {x.name: x.change().max() for x in driven.conserved(scenario, body, path)}
+    changes = {x.name: x.change().max() for x in scenario.conserved(path)}
     assert set(changes) == {"energy, on which the orbit works", "energy less work"}
     assert changes["energy less work"] < 7e-4  # 2.2e-4
     assert changes["energy, on which the orbit works"] == pytest.approx(0.83, abs=0.01)
@@ -135,10 +135,10 @@ def test_an_orbit_of_the_driven_satellite_agrees_with_another_integrator():
     up = np.stack([np.asarray(body.orbit(t)[0]) for t in path.t])
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     angle = np.rad2deg(np.arctan2(np.linalg.norm(np.cross(boom, up), axis=1), abs((boom * up).sum(axis=1))))
-    row = {found.name: found.nominal for found in driven.quantities(scenario, body, path)}
+    row = {found.name: found.nominal for found in scenario.quantities(path)}
     assert row["least inertia's axis from the vertical, largest (°)"] == pytest.approx(angle.max(), abs=1e-9)
     assert row["least inertia's axis from the vertical, mean (°)"] == pytest.approx(angle.mean(), abs=1e-9)
-    assert driven.librating(body, path).tolist() == [bool((angle < 90).all())] * 3
+    assert driven.librating(path).tolist() == [bool((angle < 90).all())] * 3
 
 
 BAD = [

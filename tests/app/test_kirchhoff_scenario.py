@@ -51,7 +51,7 @@ def test_the_spin_needed_is_where_the_linearized_equations_turn_unstable():
 @pytest.mark.long
 def test_kirchhoff_s_members_have_the_given_spread_and_their_axes_tilt():
     scenario = scenarios.load("kirchhoff", members=500)
-    step, states = scenarios.build(scenario)
+    step, states = scenario.build()
     exp = jax.jit(step.system.group.exp)
     velocities = np.linalg.solve(np.asarray(step.system.metric), np.asarray(states.p).T).T  # q is the identity
     np.testing.assert_allclose(velocities[0], [0, 0, 8, 0, 0, 1], rtol=0, atol=1e-15)

@@ -232,15 +232,17 @@ class Kind(Table):
         """Further lines of the report."""
         return []
 
+    def measured(self, run: Run) -> tuple[list[Conserved], list[Quantity]]:
+        """What is conserved and measured; of each member alone, where only the spread makes their systems differ."""
+        if self.own_step is not None or not run.own_step:
+            return self.conserved(run), self.quantities(run)
+        each = [(its, as_batch(run.member(m))) for m, its in enumerate(_spread.member_scenarios(self))]
+        conserved = join_members([its.conserved(one) for its, one in each])
+        return conserved, join_members([its.quantities(one) for its, one in each])
+
     def report(self, run: Run) -> str:
         """The text that reports a run: what is conserved, what was measured, and the remarks."""
-        if self.own_step is None and run.own_step:  # only the spread makes systems differ
-            each = [(its, as_batch(run.member(m))) for m, its in enumerate(_spread.member_scenarios(self))]
-            conserved = join_members([its.conserved(one) for its, one in each])
-            quantities = join_members([its.quantities(one) for its, one in each])
-        else:
-            conserved, quantities = self.conserved(run), self.quantities(run)
-        return text(self, conserved, quantities, self.remarks(run))
+        return text(self, *self.measured(run), self.remarks(run))
 
     @classmethod
     def pictures(cls) -> dict[str, Picture]:

@@ -77,11 +77,8 @@ class Kirchhoff(Kind):
 
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy, the momentum in space and the Casimirs."""
-        H, p, (Pi_P, P_P) = (
-            series(Euler.energy, run),
-            np.asarray(run.state.p),
-            np.moveaxis(series(Euler.casimirs, run), -1, 0),
-        )
+        H, (Pi_P, P_P) = series(Euler.energy, run), np.moveaxis(series(Euler.casimirs, run), -1, 0)
+        p = np.asarray(run.state.p)
         angular, linear = length(p[..., :3]), length(p[..., 3:])
         return [
             Conserved("energy", H, H[0], "round-off"),
