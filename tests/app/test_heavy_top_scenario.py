@@ -154,7 +154,7 @@ angular_velocity_rad = [0.0, 1.0, 5.0]
         ("weight = [0.0, 0.0, 20.0]", "", "weight: key missing"),
         ("dt = 0.01", 'dt = 0.01\nkappa = "cayley"', "kappa is a key of top_energy_momentum"),
         ("dt = 0.01", "dt = 0.01\norder = 3", "order: "),
-        ('"splitting"', '"nystrom"', "order of nystrom is 4 or 6, got 2"),
+        ('"splitting"', '"nystrom"', "order of nystrom is 6 or 4, got 2"),
         ('"splitting"', '"rk4"', "scheme: .*'nystrom', 'top_energy_momentum' or 'splitting'"),
         ("dt = 0.01", "dt = 0.01\naxis = [0.0, 1.0]", "axis: "),
     ],
