@@ -98,7 +98,9 @@ def test_scenarios_in_pages_are_valid(name):
     import tomllib
 
     for _, code in blocks(TEXTS[name], "toml"):
-        assert scenarios.parse(tomllib.loads(code), name).members >= 1
+        table = tomllib.loads(code)
+        if ".py:" not in table["system"]:  # whose kind another test runs
+            assert scenarios.parse(table, name).members >= 1
 
 
 @pytest.mark.parametrize("scheme", [entry.name for entry in li.schemes.catalogue()])

@@ -188,6 +188,7 @@ def _add_results(commands: Any) -> None:
     plot.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
     plot.add_argument("--force", action="store_true", help="replace existing pictures")
+    plot.add_argument("--kind", default="", metavar="FILE.py:CLASS", help="the kind of its scenario, if it is your own")
     plot.set_defaults(command=_plot)
     animate = commands.add_parser("animate", help="rotating bodies as GIF, MP4 or HTML", description="Animate a run.")
     animate.add_argument("path", type=Path, metavar="PATH")
@@ -326,7 +327,10 @@ def _info(options: argparse.Namespace) -> None:
 def _plot(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import info, study
 
-    (study.plot if study.is_study_file(options.path) else info.plot)(options.path, options.out, options.force)
+    if study.is_study_file(options.path):
+        study.plot(options.path, options.out, options.force)
+    else:
+        info.plot(options.path, options.out, options.force, options.kind)
 
 
 def _animate(options: argparse.Namespace) -> None:

@@ -25,7 +25,7 @@ _SHOWN = 2**28  # largest number of bytes that are read from a store to draw it
 _TIMES, _BLOCK = 17, 8192  # number of saved times at which energies are computed, and of members at once
 
 
-def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
+def plot(path: Address, out: Path | None = None, force: bool = False, own_kind: str = "") -> None:
     """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
 
     The pictures of a scenario require states at evenly spaced steps; a run with `save_at` is drawn as any other run.
@@ -34,12 +34,13 @@ def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
         path: the file of results.
         out: the folder of the pictures; by default that of the file.
         force: replace existing pictures.
+        own_kind: the kind of its scenario, FILE.py:CLASS, if it is a user's.
     """
     run, metadata = files.load(path)
     if len(_times(run)) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
     plain = files.path_in_folder(path, out)
-    scenario = _scenario(path, metadata)
+    scenario = _scenario(path, metadata, own_kind)
     if scenario and scenario.save_at is None and isinstance(run, Trajectory):
         drawn = _plot_scenario(scenario, run, path, plain, force)
     else:
@@ -92,10 +93,10 @@ def _times(run: Any) -> Any:
     return run.t if isinstance(run, Trajectory) else run["time"]
 
 
-def _scenario(path: Address, metadata: dict[str, Any]) -> Any:
+def _scenario(path: Address, metadata: dict[str, Any], own_kind: str = "") -> Any:
     """The scenario of results; None if `lieint run` did not write them."""
     table = _table(metadata)
-    return scenarios.from_results(table, str(path)) if "system" in table else None
+    return scenarios.from_results(table, str(path), own_kind) if "system" in table else None
 
 
 def _table(metadata: dict[str, Any]) -> dict[str, Any]:

@@ -112,29 +112,37 @@ def _kind_of(system: Any, name: str) -> type[Kind]:
     if not file.endswith(".py"):
         allowed = " or ".join(map(repr, kind_names()))
         raise ValueError(f"{name}: system: must be {allowed}, or 'FILE.py:CLASS' (got {_quoted(system)})")
-    path = next((p for p in (Path(file), Path(name).parent / file) if p.is_file()), None)
-    if path is None:
-        raise ValueError(f"{name}: system: there is no file {_quoted(file)}, here or next to {name}")
+    places = Path(file), Path(name).parent / file
+    if (path := next((place for place in places if place.is_file()), None)) is None:
+        raise ValueError(f"{name}: system: there is no file {_quoted(file)}, neither here nor next to {name}")
     return _own_kind(path, chosen, name)
 
 
 def _own_kind(path: Path, chosen: str, name: str) -> type[Kind]:
-    """The kind of a class in a user's file."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    """The kind of a class in a user's file, which is imported."""
+    spec = importlib.util.spec_from_file_location(f"lieint_kind_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # where annotations are looked up
-    spec.loader.exec_module(module)
-    found = {x.__name__: x for x in _classes(module)}
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where annotations are looked up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"{name}: system: {path} fails when it is imported: {error!r}") from error
+    found = {kind.__name__: kind for kind in _classes(module)}
     if chosen not in found:
         there = ", ".join(found) or "none: a kind is a subclass of lieint_jax.app.kind.Kind"
         raise ValueError(f"{name}: system: {path} has no kind {_quoted(chosen)}; it has {there}")
     return found[chosen]
 
 
-def from_results(table: dict[str, Any], name: str) -> Any:
-    """The scenario in a file of results; keys of version 0.1, which have no units, are renamed."""
+def from_results(table: dict[str, Any], name: str, own_kind: str = "") -> Any:
+    """The scenario in a file of results; keys of version 0.1, which have no units, are renamed.
+
+    Args:
+        table: its keys.
+        name: the file.
+        own_kind: the kind, FILE.py:CLASS, if it is a user's: a file of results must not choose what is imported.
+    """
 
     def renamed(tree: Any) -> Any:
         if isinstance(tree, list):
@@ -143,7 +151,12 @@ def from_results(table: dict[str, Any], name: str) -> Any:
             return {_OLD_KEYS.get(key, key): renamed(value) for key, value in tree.items()}
         return tree
 
-    return parse(renamed(table), name)
+    if own_kind or table.get("system") in kind_names():
+        return parse(renamed(table) | ({"system": own_kind} if own_kind else {}), name)
+    raise ValueError(
+        f"{name}: the run is of the kind {_quoted(table.get('system'))}, and a file of results does not choose what is "
+        "imported: give --kind FILE.py:CLASS if it is yours"
+    )
 
 
 def schema() -> dict[str, Any]:

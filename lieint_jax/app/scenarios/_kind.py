@@ -20,7 +20,7 @@ from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._keys import PositiveInt, Table, Text
-from lieint_jax.app.scenarios._report import Conserved, Quantity, join_members, text
+from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity, join_members, text
 from lieint_jax.app.scenarios._runs import LONGEST, as_batch, drawn_run, length, nominal_state, series
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, System, energy_less_work
@@ -211,11 +211,22 @@ class Kind(Table):
         return _spread.build(self, self.deviates(self.indices(indices)))
 
     def conserved(self, run: Run) -> list[Conserved]:
-        """Energy, less the work that states count, relative to the largest; momentum map, relative to the first."""
+        """Energy, less the work that states count, and the momentum map, with what the scheme promises."""
         H, Phi = series(energy_less_work, run), series(_momentum, run)
         name = "energy" if run.state.work is None else "energy less work"
-        found = [Conserved(f"{name}, relative", H, positive(abs(H).max(axis=0)))]
-        return [*found, Conserved("momentum, relative", Phi, positive(length(Phi[0])))] if Phi.shape[-1] else found
+        found = [Conserved(f"{name}, relative", H, positive(abs(H).max(axis=0)), self._promise(name))]
+        if Phi.shape[-1]:
+            found.append(Conserved("momentum, relative", Phi, positive(length(Phi[0])), self._promise("momentum")))
+        return found
+
+    def _promise(self, name: str) -> str:
+        """How well the scheme conserves energy, energy less work, or momentum, as it declares."""
+        scheme = dict(self).get("scheme", "")
+        declared = next((x.conserves for x in schemes.catalogue() if x.name == scheme), ())
+        case = {what: condition for what, _, condition in (x.partition(" (") for x in declared)}
+        if name in case:
+            return f"{ROUND_OFF} ({case[name]}" if case[name] else ROUND_OFF
+        return "bounded, not conserved" if "form" in case else ""
 
     def quantities(self, run: Run) -> list[Quantity]:
         """The values of the methods that are marked `quantity`, in their order."""
