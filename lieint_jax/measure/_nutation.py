@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, Self
 
 import jax
@@ -92,7 +94,7 @@ def _motion(axis: Array | None, step: Step, state: State) -> tuple[Array, Array]
     return jnp.stack([jnp.stack([vectors.dot(x, y) for y in (*across, up)]) for x in (e, v, a)]), hangs
 
 
-def _axis_of(system: System, axis: Array | None):
+def _axis_of(system: System, axis: Array | None) -> Callable[[State], Array]:
     """The measured axis in space as a function of the state."""
     if isinstance(system, AbstractSphereSystem) and axis is None:
         return lambda z: z.q
@@ -103,8 +105,13 @@ def _axis_of(system: System, axis: Array | None):
     if axis is None:
         if not hasattr(system.potential, "weight"):  # pyright: ignore[reportAttributeAccessIssue]
             raise ValueError("the potential has no center of mass: give the axis of the top in the body, axis=(…)")
-        axis = system.potential.weight / vectors.norm(system.potential.weight)  # pyright: ignore
-    return lambda z: rotate(system.rotation_matrix(z), axis)
+        weight: Array = system.potential.weight  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
+        axis = weight / vectors.norm(weight)
+    return partial(_rotated, system, axis)
+
+
+def _rotated(system: AbstractTop, axis: Array, state: State) -> Array:
+    return rotate(system.rotation_matrix(state), axis)
 
 
 def _field_axis(system: System) -> Vector3:
@@ -116,10 +123,7 @@ def _field_axis(system: System) -> Vector3:
 
 def _measure(h: float, rows: np.ndarray) -> tuple[float, float, float, float]:
     """Period, mean rate, least and greatest angle from "up" of one member, from its rows (times, 3, 3)."""
-    (x, y, u), (dx, dy, slope) = (
-        rows[:, 0].T,
-        h * rows[:, 1].T,
-    )  # rates per saved state: backward runs are no other case
+    (x, y, u), (dx, dy, slope) = rows[:, 0].T, h * rows[:, 1].T  # rates per saved state, also backward
     curvature = h * h * rows[:, 2, 2]
     phi = np.unwrap(np.arctan2(y, x))
     period = rate = np.nan

@@ -202,11 +202,9 @@ def _explained(f: np.ndarray, t: np.ndarray, w: np.ndarray, y: np.ndarray) -> np
     turn = np.arctan2(2 * cs, cc - ss)[:, None] / 2
     middle, half = (cc + ss)[:, None] / 2, np.hypot(cc - ss, 2 * cs)[:, None] / 2
     waves = (yc * np.cos(turn) + ys * np.sin(turn), ys * np.cos(turn) - yc * np.sin(turn))
-    squares = (middle + half, middle - half)
-    return sum(
-        (np.where(square > _SINGULAR, b * b / np.maximum(square, _SINGULAR), 0) for b, square in zip(waves, squares)),
-        np.zeros_like(yc),
-    )
+    pairs = zip(waves, (middle + half, middle - half), strict=True)
+    first, second = (np.where(square > _SINGULAR, b * b / np.maximum(square, _SINGULAR), 0) for b, square in pairs)
+    return first + second
 
 
 def _false_alarm_probability(power: np.ndarray, n: int, width: float) -> np.ndarray:

@@ -13,7 +13,6 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.shapes._solids import surface
 from lieint_jax.types import pytree
-from lieint_jax.types.shapes import Float
 
 __all__ = ["Facets", "box_facets", "ellipsoid_facets", "facets"]
 
@@ -30,8 +29,8 @@ class Facets:
         areas: the areas, (F,).
     """
 
-    normals: Float[Array, "facets 3"]
-    areas: Float[Array, "facets"]
+    normals: Array
+    areas: Array
 
 
 def facets(vertices: ArrayLike, faces: Any) -> Facets:
