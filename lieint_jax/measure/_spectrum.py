@@ -15,6 +15,7 @@ _FEWEST = 4  # times of a spectrum
 _EVEN = 0.01  # largest deviation of a time from even spacing, over the spacing
 _OVERSAMPLING = 10  # default frequencies per resolution, 1/duration
 _AT_ONCE = 2**21  # waves times data that are summed together
+_ROUNDING = 4 * np.finfo(float).eps  # standard deviation of a constant, over its size
 _SINGULAR = 1e-12  # mean square of a wave that the times do not see, such as a sine at the Nyquist frequency
 
 
@@ -183,8 +184,10 @@ def periodogram(
     y = columns - w @ columns
     parts = np.array_split(f, -(-f.size * n // _AT_ONCE))
     explained = np.concatenate([_explained(part, t, w, y) for part in parts])
+    variance = w @ (y * y)
+    constant = variance <= (_ROUNDING * np.max(abs(columns), axis=0)) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
-        power = (explained / (w @ (y * y))).reshape(len(f), *x.shape[1:])
+        power = np.clip(explained / np.where(constant, np.nan, variance), 0, 1).reshape(len(f), *x.shape[1:])
         width = np.ptp(f) * math.sqrt(4 * math.pi * (w @ (t * t)))
         return Periodogram(f, power, _false_alarm_probability(power, n, width))
 

@@ -65,7 +65,7 @@ def ellipsoid_facets(semi_axes: ArrayLike, rings: int = 24) -> Facets:
 
     Their normals are those of the ellipsoid at the points of a quadrature over the sphere, Gauss's in z, and their
     areas are those of the surface there. Integrals of smooth functions of the normal converge faster than any power
-    of n, those over the part that is lit or seen as n⁻².
+    of n, those over the part that is lit or seen as n⁻² at least.
 
     Args:
         semi_axes: along x, y and z, (3,), > 0.
