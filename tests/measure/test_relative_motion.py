@@ -1,0 +1,117 @@
+"""Two bodies about one another, against Kepler's motion and small oscillations in closed form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import jvp
+
+import lieint_jax as li
+from lieint_jax import measure
+from lieint_jax.groups import so3
+
+
+def go(step, states, dt, num_steps, **options):
+    return li.run(step, states, dt, num_steps, progress=False, **options)
+
+
+MU, E = 1.0, 0.05
+SATELLITE = np.array([0.9, 1.0, 1.05]) * 1e-14  # B − A = C/10.5; of mass 1e-9 its size is 0.003 of the distance
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    """A sphere and a small triaxial moon, locked but for a swing of 0.02; and two spheres in an orbit of e = 0.05."""
+    masses, inertias = jnp.array([1.0, 1e-9]), jnp.array([[0.4, 0.4, 0.4], SATELLITE])
+    round_moon = jnp.array([[0.4, 0.4, 0.4], [1e-14] * 3])
+
+    @jax.vmap
+    def make(J, e, swing):
+        bodies = li.systems.rigid_bodies(masses, J, li.potentials.maccullagh(MU, masses, J))
+        speed = jnp.sqrt(MU * (1 + 1e-9) * (1 + e) / (1 - e))  # at the distance 1 − e, a = 1
+        x, v = jnp.array([1.0, 0, 0]) * (1 - e), jnp.array([0.0, 1, 0]) * speed
+        share = jnp.array([-1e-9, 1.0])[:, None] / (1 + 1e-9)
+        q = jnp.stack([jnp.array([1.0, 0, 0, 0]), so3.exp(jnp.array([0.0, 0, 1]) * swing)])
+        spin = jnp.array([[0.0, 0.0, 3.0], [0.0, 0.0, 1.0]])
+        step = li.schemes.compose(li.schemes.splitting(bodies), 4)
+        return step, bodies.state(share * x, q, velocities=share * v, angular_velocities=spin)
+
+    step, states = make(jnp.stack([jnp.asarray(inertias), round_moon]), jnp.array([0.002, E]), jnp.array([0.02, 0.0]))
+    return go(step, states, 2 * np.pi / 80, 80 * 60, own_step=True, save_every=2)
+
+
+def test_the_orbit_of_two_spheres_is_kepler_s(pairs):
+    """Of Kepler's motion the distance has the line 2J₁′(e) a e, over the mean a(1 + e²/2)."""
+    motion = measure.relative_motion(pairs)
+    assert motion.distance.shape == (2401, 2)
+    found = measure.apsides(motion)
+    np.testing.assert_allclose(found.period, 2 * np.pi, rtol=2e-4)
+    np.testing.assert_allclose(found.anomalistic_period[1], found.period[1], rtol=1e-4)
+    np.testing.assert_allclose(found.precession_rate[1], 0, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(found.eccentricity[1], 2 * E * jvp(1, E) / (1 + E**2 / 2), rtol=1e-4)
+    orbit = li.orbits.kepler(1.0, 1.0, E)
+    exact = np.array([np.linalg.norm(orbit(t)[0]) for t in np.linspace(0, found.anomalistic_period[1], 9)])
+    at = np.interp(np.linspace(0, 2 * np.pi, 9), motion.t, motion.distance[:, 1])
+    np.testing.assert_allclose(at, exact, rtol=0, atol=1e-3)
+    for name in ("inclination", "out_of_plane", "obliquity"):
+        np.testing.assert_allclose(getattr(motion, name), 0, rtol=0, atol=1e-7)
+    rates = [measure.mean_rate(motion.t, x) for x in (motion.spin_1, motion.spin_2)]
+    np.testing.assert_allclose(rates, [[3.0, 3.0], [1.0, 1.0]], rtol=2e-4)
+    np.testing.assert_allclose(measure.distances(pairs)[..., 0], motion.distance, rtol=1e-14)
+    ends = measure.distances(pairs, [0.1, 0.0, 0.0])[..., 0]  # of points on the x axes
+    apart = motion.spin_1 - motion.longitude
+    tips = np.stack([motion.distance, 0 * apart]) + 0.1 * np.stack(
+        [np.cos(motion.libration) - np.cos(apart), np.sin(motion.libration) - np.sin(apart)]
+    )
+    np.testing.assert_allclose(ends, np.hypot(*tips), rtol=1e-9)
+    np.testing.assert_allclose(measure.rotation_rates(pairs)[:, 1], [[3.0, 1.0]] * 2401, rtol=1e-9)
+
+
+def test_a_locked_moon_librates_with_its_free_and_its_forced_line(pairs):
+    """Of small swings the free frequency is √(3(B − A)/C) n, and the forced amplitude 2e n²/(n² − ω²)."""
+    motion = measure.relative_motion(pairs)
+    assert measure.is_librating(motion.libration).tolist() == [True, True]
+    found = measure.librations(motion)
+    A, B, C = SATELLITE
+    omega = np.sqrt(3 * (B - A) / C)
+    np.testing.assert_allclose(2 * np.pi / found.free_period[0], omega, rtol=2e-3)
+    np.testing.assert_allclose(found.forced[0], 2 * 0.002 / (1 - omega**2), rtol=0.02)
+    one = measure.relative_motion(pairs.member(0), 1, 0)
+    np.testing.assert_allclose(one.distance, motion.distance[:, 0], rtol=1e-14)
+    np.testing.assert_allclose(
+        measure.librations(measure.relative_motion(pairs.member(0)))[0], found.forced[0], rtol=1e-9
+    )
+    short = measure.relative_motion(go(pairs.member(0).step, jax.tree.map(lambda x: x[0, 0], pairs.state), 0.1, 20))
+    assert np.isnan(measure.apsides(short)).all()
+    assert np.isnan(measure.librations(short)).all()
+
+
+def test_the_energies_of_a_pair_add_up(pairs):
+    found = measure.pair_energies(pairs)
+    parts = found.orbit + found.spin_1 + found.spin_2 + found.shape
+    np.testing.assert_allclose(parts, found.total, rtol=1e-13)
+    np.testing.assert_allclose(found.orbit[:, 1], -0.5e-9, rtol=1e-4)
+    np.testing.assert_allclose(found.shape[:, 1], 0, rtol=0, atol=1e-20)
+    for first, second in ((0, 2), (1, 1), (-1, 0)):
+        with pytest.raises(ValueError, match="must be two of the numbers 0 to 1"):
+            measure.relative_motion(pairs, first, second)
+
+
+def test_apsides_precess_about_an_oblate_body():
+    """Near a circle by Ω − κ, with Ω² = μ/r³ (1 + 3k/r²) and κ² = μ/r³ (1 − 3k/r²), k = (C − A)/2m."""
+    masses, J = np.array([1.0, 1e-6]), np.array([[0.02, 0.02, 0.03], [1e-12] * 3])
+    bodies = li.systems.rigid_bodies(masses, J, li.potentials.maccullagh(1.0, masses, J))
+    k, mu = 0.005, 1.0 + 1e-6
+    Omega, kappa = np.sqrt(mu * (1 + 3 * k)), np.sqrt(mu * (1 - 3 * k))
+    for sense in (1, -1):
+        v = sense * Omega * 1.001
+        spins = [[0, 0, 1.0], [0, 0, 0]]  # which set L, and so what is retrograde
+        state = bodies.state(
+            [[-1e-6, 0, 0], [1, 0, 0]], velocities=[[0, -1e-6 * v, 0], [0, v, 0]], angular_velocities=spins
+        )
+        run = go(li.schemes.compose(li.schemes.splitting(bodies), 4), state, 0.1, 6000, save_every=2)
+        motion = measure.relative_motion(run)
+        found = measure.apsides(motion)
+        assert 2 * np.pi / found.anomalistic_period == pytest.approx(kappa * (1 - 3e-3), rel=1e-3)
+        slow = Omega * (1 - 3e-3)  # the orbit is larger by 0.002 of itself
+        assert found.precession_rate == pytest.approx(sense * (slow - kappa * (1 - 3e-3)), rel=5e-3)
