@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from lieint_jax.app.scenarios._kind import Kind
 
 ROUND_OFF = "conserved to round-off"
+CLOSED_FORM = (
+    "  closed form: elliptic integrals; the difference is the scheme's error, of its order in dt, or round-off"
+)
 _MAX_MISFIT = 3  # published errors; a larger difference is noted
 _WIDTH = 34  # smallest width of the column of names
 

@@ -15,18 +15,17 @@ import numpy as np
 from jax import Array
 from pydantic import model_validator
 
-from lieint_jax import potentials, systems
+from lieint_jax import measure, potentials, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _binary_motion
-from lieint_jax.app.scenarios._binary_motion import Energies, Motion, energies, mean_rate, measure_motion
 from lieint_jax.app.scenarios._keys import DAY, HOUR, NonNegative, NumberSpread, PositiveFloat, Published, Table
 from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, step_of
 from lieint_jax.app.scenarios._multibody import ExtendedBody, build_members, member_bodies
 from lieint_jax.app.scenarios._pictures import draw_errors
 from lieint_jax.app.scenarios._report import Conserved, Quantity, citation
 from lieint_jax.app.scenarios._runs import as_batch, length, nominal_state, nominal_system, series, standard_deviation
-from lieint_jax.app.scenarios._spectrum import line, spectrum
 from lieint_jax.groups import so3
+from lieint_jax.measure import RelativeMotion, mean_rate
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
@@ -36,6 +35,7 @@ _SHOWN = {_ENERGY: "H", _MOMENTUM: "L"}  # in the picture of errors
 _BRIEF, _FINE = 4, 4  # orbits in the picture of energies; steps of pictures per step of the scenario
 _MAX_DRAWN = 100  # members whose range is drawn
 _UPRIGHT = 30  # degrees; a secondary of larger obliquity counts as tumbling
+_DEG_D = np.rad2deg(DAY)  # of rad/s
 _LONG = 8  # length of the spectrum's run, over that of the scenario
 
 
@@ -129,13 +129,13 @@ class Binary(Kind):
         return step_of(bodies, scheme, self.order if scheme == self.scheme else None)
 
     @for_last_run
-    def motion(self, run: Run) -> Motion:
+    def motion(self, run: Run) -> RelativeMotion:
         """The angles and distances of a run."""
-        return measure_motion(run)
+        return measure.relative_motion(run)
 
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy and momenta."""
-        parts, Phi = series(_energies_and_momenta, run)
+        parts, Phi = measure.pair_energies(run), series(RigidBodies.momentum, run)
         P, L = Phi[..., :3], Phi[..., 3:]
         of_secondary = length(np.asarray(run.state.p)[0, :, 1, :3])
         return [
@@ -148,30 +148,30 @@ class Binary(Kind):
     def quantities(self, run: Run) -> list[Quantity]:
         """Periods, precessions and librations, with published values."""
         t, found = np.asarray(run.t), self.motion(run)
-        orbital, lines = mean_rate(t, found.longitude), frequencies(t, found)
-        swing = np.rad2deg(abs(found.libration - _libration_center(found)).max(axis=0))
-        apsides = np.rad2deg(orbital - 2 * np.pi * lines.anomalistic) * DAY
+        orbit, lines = measure.apsides(found), measure.librations(found)
+        inclined = found.inclination.max(axis=0) > 1e-9  # less is round-off
+        precession = np.where(inclined, measure.mean_rate(t, found.node), np.nan)
         published: dict[str, Published] = {**self.published}
         table: list[tuple[str, np.ndarray, str]] = [
-            ("orbital period (h)", _hours(orbital), "orbital_period_h"),
-            ("primary's spin period (h)", _hours(mean_rate(t, found.spin_1)), "primary_spin_period_h"),
-            ("secondary's spin period (h)", _hours(mean_rate(t, found.spin_2)), ""),
-            ("eccentricity: amplitude of the distance over its mean", lines.eccentricity, ""),
-            ("precession of the line of apsides (°/d)", apsides, "apsidal_precession_deg_d"),
-            ("precession of the orbit's normal about L (°/d)", _precession(t, found), ""),
-            ("libration of the secondary, largest (°)", swing, ""),
+            ("orbital period (h)", orbit.period / HOUR, "orbital_period_h"),
+            ("primary's spin period (h)", _hours(measure.mean_rate(t, found.spin_1)), "primary_spin_period_h"),
+            ("secondary's spin period (h)", _hours(measure.mean_rate(t, found.spin_2)), ""),
+            ("eccentricity: amplitude of the distance over its mean", orbit.eccentricity, ""),
+            ("precession of the line of apsides (°/d)", _DEG_D * orbit.precession_rate, "apsidal_precession_deg_d"),
+            ("precession of the orbit's normal about L (°/d)", _DEG_D * precession, ""),
+            ("libration of the secondary, largest (°)", np.rad2deg(_swing(found)), ""),
             ("  its line at the orbit's anomalistic frequency (°)", np.rad2deg(lines.forced), ""),
             ("  its strongest line below that (°)", np.rad2deg(lines.free), ""),
-            ("  the frequency of that line, over the orbit's", 2 * np.pi * lines.free_frequency / orbital, ""),
+            ("  the frequency of that line, over the orbit's", orbit.period / lines.free_period, ""),
             ("line of centers from its equator, largest (°)", np.rad2deg(abs(found.out_of_plane).max(axis=0)), ""),
-            ("its obliquity, largest (°)", np.rad2deg(found.obliquity_2.max(axis=0)), ""),
+            ("its obliquity, largest (°)", np.rad2deg(found.obliquity.max(axis=0)), ""),
         ]
         return [Quantity(name, x, published=published.get(key)) for name, x, key in table]
 
     def remarks(self, run: Run) -> list[str]:
         """How periods are measured, which members stay upright, exchanges of energy, and the published impact."""
         found, days = self.motion(run), abs(run.t[-1] - run.t[0]) / DAY
-        faces, upright = faces_primary(found), np.rad2deg(found.obliquity_2).max(axis=0) < _UPRIGHT
+        faces, upright = measure.is_librating(found.libration), np.rad2deg(found.obliquity).max(axis=0) < _UPRIGHT
         lines = [
             f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares",
             f"  {faces.sum()} of {len(faces)} members: one end of the secondary's x axis stays toward the primary",
@@ -192,7 +192,7 @@ class Binary(Kind):
 
         before, after = (self.published[key].value * HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
         ends = [_binary_motion.speed_change_for(period, measure) for period in (before, after)]
-        d = float(jnp.linalg.norm(_binary_motion.relative_motion(first.system, start)[0]))
+        d = float(jnp.linalg.norm(_binary_motion.relative_state(first.system, start)[0]))
         mu = self.G * float(jnp.sum(first.system.masses))
         unchanged = float(measure(jnp.asarray(-self.orbit.speed_change_mm_s / 1000))[0])
         middle = (before + after) / 2
@@ -227,7 +227,7 @@ class Binary(Kind):
     def draw_orbit(self, axes: np.ndarray, run: Run) -> None:
         """Plot distance and libration of the secondary: the nominal member, and 90 % of up to `_MAX_DRAWN` members."""
         days, found = self._fine_motion(run)
-        swing = np.rad2deg(found.libration - _libration_center(found))
+        swing = np.rad2deg(found.libration - np.pi * np.round(found.libration[0] / np.pi))
         for ax, x, label in zip(
             axes, (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
         ):
@@ -241,7 +241,7 @@ class Binary(Kind):
         axes[0].set_ylim(low, high + 0.1 * (high - low))  # room for the legend
         axes[0].legend(loc="upper right", ncols=2)
 
-    def _fine_motion(self, run: Run) -> tuple[np.ndarray, Motion]:
+    def _fine_motion(self, run: Run) -> tuple[np.ndarray, RelativeMotion]:
         """The times in days and the motion of the first members, in smaller steps than those of the run."""
         first = [run.member(m) for m in range(min(self.members, _MAX_DRAWN))]
         steps, starts = (
@@ -250,18 +250,18 @@ class Binary(Kind):
         )
         long = jax.vmap(lambda step, z: self.drawn(step, z, _FINE).trajectory, out_axes=1)(steps, starts)
         made = Run.of(steps, Trajectory(long.t[:, 0], long.state, long.info), own_step=True)
-        return np.asarray(made.t) / DAY, measure_motion(made)
+        return np.asarray(made.t) / DAY, measure.relative_motion(made)
 
     @picture(size=(7.2, 4.2))
     def draw_spectrum(self, axes: np.ndarray, run: Run) -> None:
         """Plot the spectrum of the nominal secondary's libration over a longer run, and its expected frequencies."""
         one, ax = run.member(0), axes[0]
         long = as_batch(self.drawn(one.step, nominal_state(one), steps=_LONG * self.steps))
-        t, found = np.asarray(long.t), measure_motion(long)
-        f, amplitude = spectrum(t, np.rad2deg(found.libration[:, 0]))
+        t, found = np.asarray(long.t), measure.relative_motion(long)
+        f, amplitude = measure.spectrum(t, np.rad2deg(found.libration[:, 0]))
         orbital = float(mean_rate(t, found.longitude)[0]) / (2 * np.pi)
         A, B, C = (float(x) for x in nominal_system(one).inertias[1])
-        anomalistic = float(frequencies(t, found).anomalistic[0])
+        anomalistic = 1 / float(measure.apsides(found).anomalistic_period[0])
         shown = (f > 0) & (f < 3 * orbital)
         ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
         marks = {"once an orbit, from apsis to apsis": anomalistic / orbital}
@@ -281,7 +281,7 @@ class Binary(Kind):
         orbital_period = 2 * np.pi / abs(mean_rate(run.t, self.motion(run).longitude)[0])
         steps = min(self.steps, round(_BRIEF * orbital_period / abs(self.dt)))
         brief = self.drawn(one.step, nominal_state(one), _FINE, steps)  # the primary rotates once in few steps
-        parts = series(energies, brief)
+        parts = measure.pair_energies(brief)
         size = abs(parts.orbit[0])
         names = {
             "orbit": "orbit",
@@ -302,10 +302,6 @@ class Binary(Kind):
         right.set_title("energy H and angular momentum L")
 
 
-def _energies_and_momenta(system: RigidBodies, state: State) -> tuple[Energies, Array]:
-    return energies(system, state), system.momentum(state)
-
-
 def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Array:
     """The relative speed before its change: the given one, or that of a circle under the force along the line."""
     if orbit.speed_m_s is not None:
@@ -321,53 +317,15 @@ def _hours(rate: np.ndarray) -> np.ndarray:
     return 2 * np.pi / rate / HOUR
 
 
-def _precession(t: np.ndarray, found: Motion) -> np.ndarray:
-    """The precession of the orbit's normal, °/d; nan where the inclination is round-off."""
-    inclined = found.inclination.max(axis=0) > 1e-9
-    return np.where(inclined, np.rad2deg(mean_rate(t, found.node)) * DAY, np.nan)
-
-
-def _libration_center(found: Motion) -> np.ndarray:
-    """The multiple of π nearest to the start of each member's libration."""
-    return np.pi * np.round(found.libration[0] / np.pi)
-
-
-def faces_primary(found: Motion) -> np.ndarray:
-    """Whether one end of the x axis of each member's secondary stays toward the primary."""
-    return abs(found.libration - _libration_center(found)).max(axis=0) < np.pi / 2
-
-
-class Lines(NamedTuple):
-    """Lines of the distance and of the libration of every member; frequencies in Hz, amplitudes in rad.
-
-    Attributes:
-        anomalistic: the frequency of the distance.
-        eccentricity: the amplitude of the distance at that frequency, over the mean distance.
-        forced: the amplitude of the libration at that frequency.
-        free_frequency: the frequency of the strongest line of the libration below it.
-        free: the amplitude of the libration at `free_frequency`.
-    """
-
-    anomalistic: np.ndarray
-    eccentricity: np.ndarray
-    forced: np.ndarray
-    free_frequency: np.ndarray
-    free: np.ndarray
-
-
-def frequencies(t: np.ndarray, found: Motion) -> Lines:
-    """The lines of a run; nan where the run is too short to resolve them."""
-    f = abs(mean_rate(t, found.longitude)) / (2 * np.pi)
-    resolved = 2 / abs(t[-1] - t[0])  # half the width of a line under the window
-    anomalistic, size = line(t, found.distance, 0.9 * f, 1.1 * f)
-    forced = line(t, found.libration, anomalistic - resolved / 2, anomalistic + resolved / 2)[1]
-    free_frequency, free = line(t, found.libration, 0.4 * f, anomalistic - resolved)
-    return Lines(anomalistic, size / found.distance.mean(axis=0), forced, free_frequency, free)
+def _swing(motion: RelativeMotion) -> np.ndarray:
+    """The largest libration of each member about the multiple of π nearest to its start."""
+    center = np.pi * np.round(motion.libration[0] / np.pi)
+    return abs(motion.libration - center).max(axis=0)
 
 
 def _exchange(run: Run) -> list[str]:
     """The range of each part of the energy, greatest less least."""
-    parts = series(energies, run)
+    parts = measure.pair_energies(run)
     size = abs(parts.orbit[0, 0])
     heads = f"{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|"
     lines = [f"\n  {'energy exchanged, greatest − least (J)':<54}{heads}"]

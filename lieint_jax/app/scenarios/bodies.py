@@ -9,17 +9,15 @@ from __future__ import annotations
 
 import operator
 from functools import reduce
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from pydantic import Field, field_validator, model_validator
 
-from lieint_jax import _checks, potentials, systems
+from lieint_jax import _checks, measure, potentials, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._binary_motion import continue_angle, longitude, mean_rate
 from lieint_jax.app.scenarios._keys import (
     DAY,
     HOUR,
@@ -40,11 +38,10 @@ from lieint_jax.app.scenarios._multibody import BodySpread, ExtendedBody, build_
 from lieint_jax.app.scenarios._pictures import draw_changes
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runs import length, nominal_system, series
-from lieint_jax.app.scenarios._spectrum import line
 from lieint_jax.potentials import Potential, Springs
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step, vectors
+from lieint_jax.types import State, Step
 
 _MAX_PAIRS = 6  # pairs whose distances are reported one by one
 _MAX_SHOWN = 8  # bodies and pairs in a picture and in the report's periods
@@ -268,10 +265,9 @@ class Bodies(Kind):
         return self.attraction() is not None and all(term.kind != "uniform_field" for term in self.potential)
 
     @for_last_run
-    def motion(self, run: Run) -> Motion:
-        """The distances and angles of a run."""
-        found, rates = series(_motion_at, run)
-        return found._replace(longitudes=continue_angle(run.t, found.longitudes, rates))
+    def distances(self, run: Run) -> np.ndarray:
+        """The distances of all pairs i < j, (times, members, pairs)."""
+        return measure.distances(run) if len(self.bodies) > 1 else np.zeros((*run.state.q.shape[:2], 0))
 
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy and momenta, relative to the greatest term of each."""
@@ -285,30 +281,26 @@ class Bodies(Kind):
 
     def quantities(self, run: Run) -> list[Quantity]:
         """Distances and periods of orbits and rotations, with published values."""
-        found = self.motion(run)
-        rows = _distances(self.names(), found.distances)
+        rows = _distances(self.names(), self.distances(run))
         if self._in_orbit():
             for k in range(1, min(len(self.bodies), _MAX_SHOWN)):
-                rows += self._orbit(k, np.asarray(run.t), found)
+                rows += self._orbit(k, run)
+        rates = measure.rotation_rates(run).mean(axis=0)
         for k, body in enumerate(self.bodies[:_MAX_SHOWN]):
-            hours = 2 * np.pi / np.maximum(found.rotation_rate[..., k].mean(axis=0), TINY) / HOUR
+            hours = 2 * np.pi / np.maximum(rates[..., k], TINY) / HOUR
             name = f"{body.name}: rotation period, mean rate (h)"
             rows.append(_row(name, hours, body.published.get("rotation_period_h")))
         return rows
 
-    def _orbit(self, k: int, t: np.ndarray, found: Motion) -> list[Quantity]:
+    def _orbit(self, k: int, run: Run) -> list[Quantity]:
         """The orbit of body k about the first: nan for less than one revolution, or without lines to measure."""
-        first, body = self.bodies[0], self.bodies[k]
-        longitudes, distance = found.longitudes[..., k - 1], found.distances[..., k - 1]
-        revolutions = abs(longitudes[-1] - longitudes[0]) / (2 * np.pi)
-        orbital = np.where(revolutions > 1, mean_rate(t, longitudes), np.nan)
-        f = abs(orbital) / (2 * np.pi)
-        anomalistic, size = line(t, distance, 0.9 * f, 1.1 * f)
-        apsides = np.rad2deg(orbital - np.sign(orbital) * 2 * np.pi * anomalistic) * DAY
+        first, body, found = self.bodies[0], self.bodies[k], measure.apsides(measure.relative_motion(run, 0, k))
+        name, known = f"{body.name} about {first.name}: period (h)", body.published
+        apsides = np.rad2deg(found.precession_rate) * DAY
         return [
-            _row(f"{body.name} about {first.name}: period (h)", 1 / f / HOUR, body.published.get("orbital_period_h")),
-            _row("  eccentricity: amplitude of the distance over its mean", size / distance.mean(axis=0)),
-            _row("  precession of the line of apsides (°/d)", apsides, body.published.get("apsidal_precession_deg_d")),
+            _row(name, found.period / HOUR, known.get("orbital_period_h")),
+            _row("  eccentricity: amplitude of the distance over its mean", found.eccentricity),
+            _row("  precession of the line of apsides (°/d)", apsides, known.get("apsidal_precession_deg_d")),
         ]
 
     def remarks(self, run: Run) -> list[str]:
@@ -325,7 +317,7 @@ class Bodies(Kind):
     def draw_motion(self, axes: np.ndarray, run: Run) -> None:
         """Plot the nominal bodies' paths about their barycenter, their distances from the first, and the errors."""
         left, middle, right = axes
-        one, names, distances = run.member(0), self.names(), self.motion(run).distances[:, 0]
+        one, names, distances = run.member(0), self.names(), self.distances(run)[:, 0]
         x, m = np.asarray(one.state.q[..., :3]), np.asarray(nominal_system(one).masses)
         x = x - (m @ x / m.sum())[:, None]
         unit, seconds = _clock(float(abs(run.t[-1] - run.t[0])))
@@ -353,36 +345,6 @@ def _springs(names: list[str], springs: list[Term]) -> Springs:
         array([term.stiffness_n_m for term in springs]),
         array([0.0 if term.length_m is None else term.length_m for term in springs]),
     )
-
-
-class Motion(NamedTuple):
-    """The motion of all members at the saved times; angles in rad.
-
-    Attributes:
-        distances: the distances of all pairs i < j, (times, members, pairs).
-        longitudes: the longitudes about L of the lines from the first body to the others, continuous in time,
-            (times, members, N − 1).
-        rotation_rate: the size of the angular velocity of each body, in rad/s, (times, members, N).
-    """
-
-    distances: np.ndarray
-    longitudes: np.ndarray
-    rotation_rate: np.ndarray
-
-
-def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, Array]:
-    """The motion at one time, longitudes in (−π, π], and the rates of the longitudes."""
-    x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
-    i, j = np.triu_indices(x.shape[0], 1)
-    L = system.free.momentum(state)[3:]
-    up = L / vectors.norm(L)
-
-    def angle(d: Array, v: Array) -> tuple[Array, Any]:
-        return longitude(up, d), vectors.dot(jnp.stack(vectors.cross(d, v)), up) / vectors.dot(d, d)
-
-    longitudes, rates = jax.vmap(angle)(x[1:] - x[0], v[1:] - v[0])
-    rotation_rate = jnp.sqrt(jnp.sum(system.angular_velocities(state) ** 2, axis=1))
-    return Motion(jnp.sqrt(jnp.sum((x[j] - x[i]) ** 2, axis=1)), longitudes, rotation_rate), rates  # pyright: ignore[reportArgumentType]
 
 
 def _invariants(system: RigidBodies, state: State) -> tuple[Array, ...]:

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from pydantic import Field, model_validator
 
-from lieint_jax import orbits, systems
+from lieint_jax import measure, orbits, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
-from lieint_jax.app.scenarios._body import TopKind, axis_in_space, inertia_matrix
+from lieint_jax.app.scenarios._body import TopKind, inertia_matrix
 from lieint_jax.app.scenarios._keys import PositiveFloat, Table, radians
 from lieint_jax.app.scenarios._kind import picture
 from lieint_jax.app.scenarios._pictures import draw_on_sphere
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import angles_deg, as_batch, nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
 from lieint_jax.app.scenarios._spread import same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
 from lieint_jax.runs import Run
 from lieint_jax.systems import GravityGradient
-from lieint_jax.types import State, energy_less_work, vectors
+from lieint_jax.types import State, energy_less_work
 
 _ENERGY, _LESS_WORK = "energy, on which the orbit works", "energy less work"
 _DISTINCT = 1e-9  # the least relative difference of two moments of inertia that distinguishes their axes
@@ -109,7 +108,7 @@ class Driven(TopKind):
         given = self.state
         q, Omega = given.attitude(), jnp.asarray(given.rate())
         if given.relative_to == "orbit":
-            R, rate = orbit_axes(system.orbit, jnp.asarray(given.t))
+            R, rate = measure.orbit_axes(system.orbit, jnp.asarray(given.t))
             q = so3.multiply(so3.from_matrix(R), q)
             Omega = Omega + so3.Ad_star(q, rate)
         return self.state_about(system, noise, q, Omega, t=given.t, work=0.0)
@@ -120,30 +119,30 @@ class Driven(TopKind):
         size = abs(H).max(axis=0)
         found = [Conserved(_ENERGY, H, size), Conserved(_LESS_WORK, less_work, size)]
         if self.orbit.eccentricity == 0:
-            spin = np.asarray(orbit_axes(nominal_system(run).orbit, jnp.zeros(()))[1])
+            spin = np.asarray(measure.orbit_axes(nominal_system(run).orbit, jnp.zeros(()))[1])
             found.append(Conserved("Jacobi's integral H − n·π", H - np.asarray(run.state.p) @ spin, size))
         return found
 
     def quantities(self, run: Run) -> list[Quantity]:
         """The angles (°, ≤ 90) of the axes of least and greatest inertia from the orbit's vertical and normal."""
+        angles = measure.orbit_angles(run)
+        rows = {"least inertia's axis from the vertical": angles.vertical}
+        rows |= {"greatest inertia's axis from the orbit's normal": angles.normal}
         found = []
-        for which, (name, axis, fixed) in _directions(run).items():
-            angles = angles_deg(axis, fixed)
-            angles = np.minimum(angles, 180 - angles)
-            for kind, x in (("mean", angles.mean(axis=0)), ("largest", angles.max(axis=0))):
-                found.append(Quantity(f"{which} inertia's axis from the {name}, {kind} (°)", x, ".3f"))
+        for name, x in rows.items():
+            if np.isfinite(x).all():  # there is such an axis
+                degrees = np.rad2deg(np.minimum(x, np.pi - x))
+                found.append(Quantity(f"{name}, mean (°)", degrees.mean(axis=0), ".3f"))
+                found.append(Quantity(f"{name}, largest (°)", degrees.max(axis=0), ".3f"))
         return found
 
     def remarks(self, run: Run) -> list[str]:
         """The unit of the changes, and the number of librating members."""
         lines = ["  changes are relative to the largest |energy| of each member"]
-        each = [librating(as_batch(run.member(m))) for m in range(self.members)] if run.own_step else [librating(run)]
-        if all(x is not None for x in each):
-            captured = np.concatenate([x for x in each if x is not None])
-            lines.append(
-                f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia never "
-                "crosses the horizon"
-            )
+        vertical = measure.orbit_angles(run).vertical
+        if np.isfinite(vertical).all():
+            count, horizon = measure.is_librating(vertical).sum(), "never crosses the horizon"
+            lines.append(f"  {count} of {self.members} members librate: their axis of least inertia {horizon}")
         return lines
 
     @picture(2, spatial=(0,))
@@ -154,15 +153,12 @@ class Driven(TopKind):
         found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
         which, (axis, stable, k) = next(iter(found.items()))
         long = self.drawn(one.step, nominal_state(one))
-        R = np.asarray(_matrices(body.orbit, jnp.asarray(long.t)))
-        path = np.einsum("tij,ti->tj", R, axis_in_space(long.state.q, axis))
-        ends = axis_in_space(run.state.q[-1], axis) @ np.asarray(orbit_axes(body.orbit, jnp.asarray(run.t[-1]))[0])
+        path, ends = series(_in_axes_of_orbit, long) @ axis, series(_in_axes_of_orbit, run)[-1] @ axis
         pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
         t, unit = self._clock(long.t)
         look: dict[str, Any] = {"pole_label": stable, "angle_label": f"angle from the {stable} (°)", "unit": unit}
-        draw_on_sphere(
-            axes, t, path, self._clock(run.t)[0][-1], ends, pole, eye=pole + 0.6 * aside + 0.4 * above, **look
-        )
+        look |= {"eye": pole + 0.6 * aside + 0.4 * above}
+        draw_on_sphere(axes, t, path, self._clock(run.t)[0][-1], ends, pole, **look)
         axes[0].set_title(f"the axis of {which} inertia in the orbit's axes, nominal member")
 
     @picture(size=(6.4, 4.2))
@@ -184,40 +180,9 @@ class Driven(TopKind):
         return np.asarray(t) * float(self.orbit.motion().mean_motion) / (2 * np.pi), "orbits"
 
 
-def orbit_axes(orbit: Any, t: Array) -> tuple[Array, Array]:
-    """The matrix with columns radially outward, along the motion and the normal, and its angular velocity in space."""
-    position, velocity = orbit(t)
-    normal = jnp.stack(vectors.cross(position, velocity))
-    r, z = (x / vectors.norm(x) for x in (position, normal))
-    return jnp.stack([r, jnp.stack(vectors.cross(z, r)), z], axis=1), normal / vectors.dot(position, position)
-
-
-def librating(run: Run) -> np.ndarray | None:
-    """Whether each member's axis of least inertia never crosses the horizon; None if there is no such axis."""
-    directions = _directions(run)
-    if "least" not in directions:
-        return None
-    _, axis, fixed = directions["least"]
-    cosine = (axis * fixed).sum(axis=-1)
-    return (cosine * np.sign(cosine[0]) > 0).all(axis=0)
-
-
-def _directions(run: Run) -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
-    """By body axis: the name of the orbit's axis; the body's axis (times, members, 3), the orbit's (times, 1, 3)."""
-    body = nominal_system(run)
-    R = np.asarray(_matrices(body.orbit, jnp.asarray(run.t)))
-    attitudes = series(_matrix, run)
-    return {which: (name, attitudes @ e, R[:, None, :, k]) for which, (e, name, k) in _principal(body).items()}
-
-
-@jax.jit
-def _matrices(orbit: Any, t: Array) -> Array:
-    """The matrices of `orbit_axes` at many times."""
-    return jax.vmap(lambda t: orbit_axes(orbit, t)[0])(t)
-
-
-def _matrix(body: GravityGradient, state: State) -> Array:
-    return so3.to_matrix(state.q)
+def _in_axes_of_orbit(body: GravityGradient, state: State) -> Array:
+    """The axes of the body, as columns, in those of the orbit."""
+    return measure.orbit_axes(body.orbit, jnp.asarray(state.t))[0].T @ so3.to_matrix(state.q)
 
 
 def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax import maps, systems
+from lieint_jax import maps, measure, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._keys import (
@@ -24,7 +24,7 @@ from lieint_jax.app.scenarios._kind import Kind, picture, positive, quantity
 from lieint_jax.app.scenarios._pictures import draw_errors, draw_members
 from lieint_jax.app.scenarios._report import Conserved
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta
-from lieint_jax.app.scenarios._runs import angles_deg, length, nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._runs import length, nominal_state, nominal_system, series
 from lieint_jax.runs import Run
 from lieint_jax.systems import Euler
 from lieint_jax.types import State
@@ -95,7 +95,7 @@ class Kirchhoff(Kind):
 
     @quantity("third axis strays by (°)")
     def largest_tilt(self, run: Run) -> np.ndarray:
-        return tilts(run.state.q).max(axis=0)
+        return np.rad2deg(measure.tilt(run)).max(axis=0)
 
     def remarks(self, run: Run) -> list[str]:
         """Whether the spin is stable, and the added mass and inertia of the fluid."""
@@ -142,7 +142,9 @@ class Kirchhoff(Kind):
         one = run.member(-1)
         steps = one.step, RungeKutta(one.system)
         draw_errors(axes[0], self, one, steps, {"energy": ""}, "energy error, relative")
-        draw_members(axes[1], np.asarray(run.t), tilts(run.state.q), "third axis strays by (°)", self.time_unit)
+        draw_members(
+            axes[1], np.asarray(run.t), np.rad2deg(measure.tilt(run)), "third axis strays by (°)", self.time_unit
+        )
 
 
 def spin_needed(body: Euler) -> float | None:
@@ -155,9 +157,3 @@ def spin_needed(body: Euler) -> float | None:
     if max(abs(I1 - I2), abs(m1 - m2), abs(m - np.diag(np.diag(m))).max()) > 1e-12 * m.max():
         return None
     return float(2 * np.sqrt(max(I1 * (1 / m3 - 1 / m1), 0.0)))
-
-
-def tilts(q: Any) -> np.ndarray:
-    """The angle in degrees of the third axis from its initial direction, for motions (times, …, 4, 4)."""
-    axis = np.asarray(q)[..., :3, 2]
-    return angles_deg(axis, axis[0])

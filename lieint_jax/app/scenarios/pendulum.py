@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from pydantic import AliasChoices, Field, model_validator
 
-from lieint_jax import schemes, systems
-from lieint_jax.app.scenarios import heavy_top
+from lieint_jax import measure, schemes, systems
 from lieint_jax.app.scenarios._keys import NonNegative, NumberSpread, PositiveFloat, Table, Triple, UnitVector
 from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._pictures import draw_errors, draw_on_sphere
-from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import as_batch, nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._report import CLOSED_FORM, ROUND_OFF, Conserved, Quantity
+from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
 from lieint_jax.app.scenarios._spread import DIRECTION, same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
-from lieint_jax.systems import Pendulum, PotentialTop
+from lieint_jax.systems import LagrangeMotion, Pendulum, lagrange_motion
 from lieint_jax.types import State
 
 _FINE = 4  # steps of the drawn path per step of the scenario, so that it reaches its bounds
@@ -92,30 +90,31 @@ class SphericalPendulum(Kind):
 
     def quantities(self, run: Run) -> list[Quantity]:
         """Period, precession and bounds of the swing, measured for every member, and in closed form."""
-        period, rate, least, greatest = heavy_top.nutations(as_top(run), self.time_unit)
-        return [
-            replace(period, name=f"lowest point to lowest point ({self.time_unit})"),
-            _complement(f"mean rate about γ (rad/{self.time_unit})", rate, 0.0),
-            _complement("least angle from γ (°)", greatest, 180.0),
-            _complement("greatest angle from γ (°)", least, 180.0),
+        found, exact = measure.nutation(run), as_top(nominal_system(run), nominal_state(run))
+        bounds = 180 - np.rad2deg(exact.inclination)
+        rows = [
+            (f"lowest point to lowest point ({self.time_unit})", found.period, exact.nutation_period),
+            (f"mean rate about γ (rad/{self.time_unit})", found.precession_rate, -exact.precession_rate),
+            ("least angle from γ (°)", np.rad2deg(found.least), bounds[1]),
+            ("greatest angle from γ (°)", np.rad2deg(found.greatest), bounds[0]),
         ]
+        return [Quantity(name, x, closed_form=float(closed)) for name, x, closed in rows]
 
     def remarks(self, run: Run) -> list[str]:
         """How to read the table."""
         reasons = "fewer than two swings, states saved too rarely, or a swing through the axis"
-        return [heavy_top.CLOSED_FORM, f"  — none: {reasons}"]
+        return [CLOSED_FORM, f"  — none: {reasons}"]
 
     @picture(2, spatial=(0,))
     def draw_path(self, axes: np.ndarray, run: Run) -> None:
         """Plot a dozen swings of the bob on the sphere, seen from below, and its angle from γ against time."""
         one = run.member(0)
-        period, _, *bounds = (x for x in self.quantities(as_batch(one)))
-        steps = self.steps
-        if np.isfinite(period.nominal):
-            steps = min(steps, int(12 * period.nominal / abs(self.dt)) + 1)
+        period, steps = measure.nutation(one).period, self.steps
+        if np.isfinite(period):
+            steps = min(steps, int(12 * period / abs(self.dt)) + 1)
         long = self.drawn(one.step, nominal_state(one), _FINE, steps)
-        known = [x.closed_form for x in bounds if x.closed_form is not None and np.isfinite(x.closed_form)]
-        look: Any = {"unit": self.time_unit, "pole_label": "γ, down", "bounds": known}
+        bounds = 180 - np.rad2deg(as_top(nominal_system(one), nominal_state(one)).inclination)
+        look: Any = {"unit": self.time_unit, "pole_label": "γ, down", "bounds": bounds[np.isfinite(bounds)]}
         path, ends, pole = (np.asarray(x) for x in (long.state.q, run.state.q[-1], nominal_system(one).axis))
         draw_on_sphere(axes, np.asarray(long.t), path, float(run.t[-1]), ends, pole, **look)
         axes[0].set_title(f"the nominal bob to t = {long.t[-1]:.4g} {self.time_unit}")
@@ -134,22 +133,8 @@ def _defect(bob: Pendulum, state: State) -> Any:
     return bob.phase_space.defect(state)
 
 
-def as_top(run: Run) -> Run:
-    """The pendulum in a uniform field as Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
-    bob, state = nominal_system(run), run.state._replace(q=series(_attitude, run))
-    return Run.of(schemes.top_energy_momentum(_top(bob)), run.trajectory._replace(state=state))
-
-
-def _top(bob: Pendulum) -> PotentialTop:
+def as_top(bob: Pendulum, state: State) -> LagrangeMotion:
+    """The motion in closed form, of Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
     depth = -bob.potential(bob.axis)
-    return systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
-
-
-def _attitude(bob: Pendulum, state: State) -> Any:
-    return so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1))
-
-
-def _complement(name: str, of_top: Quantity, total: float) -> Quantity:
-    """The quantity of the pendulum that adds up with one of the top to `total`."""
-    assert of_top.closed_form is not None
-    return replace(of_top, name=name, values=total - of_top.values, closed_form=total - of_top.closed_form)
+    top = systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
+    return lagrange_motion(top, State(so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1)), state.p))

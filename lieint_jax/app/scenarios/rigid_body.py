@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import model_validator
 
-from lieint_jax import diagnostics, maps, systems
+from lieint_jax import diagnostics, maps, measure, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import (
     BodyKind,
@@ -17,14 +17,12 @@ from lieint_jax.app.scenarios._body import (
     axis_in_space,
     inertia_matrix,
     is_long_axis_mode,
-    longitude_latitude,
 )
 from lieint_jax.app.scenarios._keys import TINY, Published, Text
 from lieint_jax.app.scenarios._kind import check_order, picture
 from lieint_jax.app.scenarios._report import Quantity
 from lieint_jax.app.scenarios._runs import angles_deg, drawn_steps, length, nominal_state, nominal_system, series
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBody
 
@@ -112,14 +110,15 @@ class FreeBody(BodyKind):
 
     def quantities(self, run: Run) -> list[Quantity]:
         """Mean periods of the tumbling and the direction of the angular momentum, with their published values."""
-        p = np.asarray(run.state.p)[0]
+        periods, pole = measure.periods(run), measure.pole(run)
         rows = {
             "precession_period": f"precession period ({self.time_unit})",
             "rotation_period": f"rotation period ({self.time_unit})",
             "momentum_longitude_deg": "angular momentum longitude (°)",
             "momentum_latitude_deg": "angular momentum latitude (°)",
         }
-        values, known = (*measured_periods(run), *longitude_latitude(p / length(p)[:, None])), {**self.published}
+        angles = np.rad2deg(pole.longitude[0]), np.rad2deg(pole.latitude[0])
+        values, known = (periods.precession, periods.rotation, *angles), {**self.published}
         return [
             Quantity(name, x, published=known.get(key), angle=key.endswith("_deg"))  # pyright: ignore[reportArgumentType]
             for (key, name), x in zip(rows.items(), values, strict=True)
@@ -129,7 +128,7 @@ class FreeBody(BodyKind):
         """The reason for a missing period, and predictions next to observations."""
         one = run.member(0)
         lines = [self._prediction_lines(found) for found in self.predictions(run)]
-        if np.isnan(measured_periods(one)).any():
+        if np.isnan(measure.periods(one)[:2]).any():
             missing = "  — no period: the body spins about an axis, or states are saved too rarely (lower save_every)"
             return [missing, *lines]
         return lines
@@ -236,32 +235,6 @@ class FreeBody(BodyKind):
         plots.log_error(axes[0], t, {"nominal member": energy}, "relative energy error", self.time_unit)
         plots.log_error(axes[1], t, {"nominal member": sigma}, "Poisson error |σ|", self.time_unit)
         _draw_polhode(axes[2], one)
-
-
-def measured_periods(run: Run) -> np.ndarray:
-    """Mean precession and rotation periods of a tumbling free body, (2,), or (2, members).
-
-    The body tumbles about its axis of least inertia if |Π|² < 2H J₂, else about that of greatest inertia (Poinsot). The
-    first period is that of the axis' precession about the angular momentum, the second that of Π about the axis in the
-    body. nan where states are saved too rarely to unwrap the angles (more than 2.5 rad at |Π|/J₁).
-    """
-    if run.members is not None:
-        return np.stack([measured_periods(run.member(m)) for m in range(run.members)], axis=1)
-    moments, axes = np.linalg.eigh(inertia_matrix(run.system))  # ascending; columns are axes in the body
-    axes[:, 2] *= np.linalg.det(axes)  # right-handed
-    R, pi, t = np.asarray(_matrices(run.state.q)), np.asarray(run.state.p[0]), np.asarray(run.t)
-    Pi = R.transpose(0, 2, 1) @ pi @ axes
-    long = is_long_axis_mode(moments, Pi[0])
-    e = R @ axes[:, 0 if long else 2]
-    x, y = (Pi[:, [1, 2, 0]] if long else Pi)[:, :2].T
-    across = np.stack(frame(jnp.asarray(pi / np.maximum(np.linalg.norm(pi), TINY)))) @ e.T
-    total = np.array([np.ptp(np.unwrap(np.arctan2(b, a))[[0, -1]]) for a, b in (across, (x, y))])
-    too_coarse = np.linalg.norm(Pi[0]) / moments[0] * abs(t[1] - t[0]) > 2.5
-    known = (total > 0) & ~too_coarse
-    return np.where(known, 2 * np.pi * abs(t[-1] - t[0]) / np.where(known, total, 1), np.nan)
-
-
-_matrices = jax.jit(jax.vmap(so3.to_matrix))
 
 
 def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed: np.ndarray) -> None:

@@ -36,6 +36,7 @@ from lieint_jax.app.scenarios._satellite_laws import (
 from lieint_jax.app.scenarios._spread import draw_members as draw_numbers
 from lieint_jax.app.scenarios._spread import stretch_inertia, with_numbers
 from lieint_jax.groups import so3
+from lieint_jax.measure import captured_since, first_below
 from lieint_jax.runs import Run
 from lieint_jax.systems import TorquedBody
 from lieint_jax.types import State, Step, labels
@@ -200,8 +201,10 @@ class Satellite(BodyKind):
         found = [
             Quantity("rate at the end (°/s)", c.rate[-1]),
             Quantity("z axis from the nadir at the end (°)", c.nadir_angle[-1]),
-            Quantity(f"first slower than {_SLOW:g} °/s (s)", first_slow(t, c.rate), ".0f"),
-            Quantity(f"within {_CAPTURED:g}° of the nadir since (s)", captured_since(t, c.nadir_angle), ".0f"),
+            Quantity(f"first slower than {_SLOW:g} °/s (s)", first_below(t, c.rate, _SLOW), ".0f"),
+            Quantity(
+                f"within {_CAPTURED:g}° of the nadir since (s)", captured_since(t, c.nadir_angle, _CAPTURED), ".0f"
+            ),
         ]
         if self.wheels is not None:
             found += [
@@ -291,7 +294,10 @@ class Satellite(BodyKind):
         """Plot when each start became slow, by its initial rate and fate, and how many are slow or captured."""
         left, right = axes
         c, t = self.course(run), np.asarray(run.t)
-        captured, slow = np.isfinite(captured_since(t, c.nadir_angle)), crossing(t, c.rate)
+        captured, slow = (
+            np.isfinite(captured_since(t, c.nadir_angle, _CAPTURED)),
+            first_below(t, c.rate, _SLOW, interpolate=True),
+        )
         never = int(np.isnan(slow).sum())
         hours = np.where(np.isnan(slow), t[-1], slow) / HOUR
         for fate, chosen, look in (
@@ -336,29 +342,6 @@ class Course(NamedTuple):
     works: np.ndarray
     energy: np.ndarray
     names: list[str]
-
-
-def first_slow(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """The first saved time at which a member rotates slowly, (members,); nan if there is none."""
-    slow = rate < _SLOW
-    return np.where(slow.any(axis=0), t[slow.argmax(axis=0)], np.nan)
-
-
-def crossing(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """The time at which a member first rotates slowly, (members,), between the saved times around it; or nan."""
-    first = first_slow(t, rate)
-    k = np.searchsorted(t, np.where(np.isnan(first), t[-1], first))
-    members, before = np.arange(rate.shape[1]), np.maximum(k - 1, 0)
-    fall = rate[before, members] - rate[k, members]
-    part = np.where(fall > 0, (rate[before, members] - _SLOW) / np.where(fall > 0, fall, 1), 1.0)
-    return np.where(np.isnan(first), np.nan, t[before] + np.clip(part, 0, 1) * (t[k] - t[before]))
-
-
-def captured_since(t: np.ndarray, nadir_angle: np.ndarray) -> np.ndarray:
-    """The first saved time after which a member stays near the nadir, (members,); nan if it is not near at the end."""
-    far = nadir_angle > _CAPTURED
-    last = np.where(far.any(axis=0), len(t) - 1 - far[::-1].argmax(axis=0), -1)
-    return np.where(last == len(t) - 1, np.nan, t[np.minimum(last + 1, len(t) - 1)])
 
 
 def _percent(part: float, error: float) -> str:

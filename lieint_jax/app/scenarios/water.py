@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array, lax
 from pydantic import Field, model_validator
 
-from lieint_jax import potentials, schemes, systems
+from lieint_jax import measure, potentials, schemes, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._keys import NumberSpread, PositiveFloat, Published, Table
@@ -129,14 +129,7 @@ class Water(Kind):
 
     def distances(self, run: Run) -> np.ndarray:
         """The O–O distances at all saved times of all members, in nm, (times, members, pairs)."""
-        site = jnp.asarray(potentials.water(self.model).points[0])
-        i, j = np.triu_indices(self.molecules, 1)
-
-        def pair_distances(bodies: RigidBodies, state: State) -> Array:
-            oxygens = state.q[:, :3] + jax.vmap(lambda q: so3.Ad(q, site))(state.q[:, 3:])
-            return jnp.sqrt(jnp.sum((oxygens[i] - oxygens[j]) ** 2, axis=1))
-
-        return series(pair_distances, run)
+        return measure.distances(run, potentials.water(self.model).points[0])
 
     @picture(2, sharey=True)
     def draw_errors(self, axes: np.ndarray, run: Run) -> None:
