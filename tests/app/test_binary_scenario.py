@@ -18,7 +18,6 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
 from lieint_jax.app.scenarios import _binary_motion, _report, _runs, binary
 from lieint_jax.app.scenarios._keys import Published
-from lieint_jax.app.scenarios._spectrum import line, spectrum
 
 
 @pytest.fixture(autouse=True)
@@ -30,21 +29,6 @@ def changed(name, **tables):
     """The shipped scenario with keys of its tables replaced."""
     given = scenarios.load(name).model_dump(exclude_none=True)
     return scenarios.parse(given | {key: given.get(key, {}) | keys for key, keys in tables.items()}, name)
-
-
-def test_lines_of_a_series_have_their_frequencies_and_amplitudes():
-    """Two lines 6 widths of the transform apart: observed 1.4e-2 of a width, and 4e-4 of the amplitude."""
-    t = np.arange(500.0)
-    x = 2.0 * np.cos(2 * np.pi * 0.1013 * t + 0.3) + 0.5 * np.cos(2 * np.pi * 0.1133 * t)
-    columns = np.stack([x, np.roll(x, 7) * 3], axis=1)
-    for low, high, f, a in ((0.05, 0.107, 0.1013, 2.0), (0.109, 0.2, 0.1133, 0.5)):
-        found, size = line(t, columns[:, :1], np.array([low]), np.array([high]))
-        assert abs(found[0] - f) < 0.04 / 500
-        assert size[0] == pytest.approx(a, rel=2e-3)
-    f, a = spectrum(t, x)
-    assert a.max() == pytest.approx(2.0, rel=0.16)
-    assert abs(f[a.argmax()] - 0.1013) < 1 / 500
-    assert np.isnan(line(t, columns, np.array([0.1, 0.1]), np.array([0.1001, 0.1001]))[0]).all()
 
 
 @pytest.mark.long

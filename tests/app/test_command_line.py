@@ -12,7 +12,7 @@ import pytest
 import scenario_files
 import scenario_runs
 
-from lieint_jax import _discover, schemes, systems
+from lieint_jax import _discover, measure, schemes, systems
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import check, check_groups, cli, files
 from lieint_jax.app.command import info as info_command
@@ -87,7 +87,7 @@ def test_the_periods_of_toutatis_over_800_days_are_those_of_its_state(members):
     scenario = scenarios.load("toutatis", members=members)
     run = scenario_runs.run(scenario)
     assert run.t[-1] >= 800
-    precession, rotation = rigid_body.measured_periods(run)
+    precession, rotation, _ = measure.periods(run)
     assert precession[0] == pytest.approx(7.3998, abs=2e-4)
     assert rotation[0] == pytest.approx(5.3804, abs=2e-4)
     rows = {row.name: row for row in scenario.quantities(run)}
@@ -113,7 +113,7 @@ def test_measured_periods_of_symmetric_bodies_are_the_closed_form():
             state = body.state(angular_velocity=rate)
             states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
             run = li.run(li.schemes.so3_midpoint(body), states, 0.01, 20_000, save_every=100, progress=False)
-            precession, rotation = rigid_body.measured_periods(run)
+            precession, rotation, _ = measure.periods(run)
             np.testing.assert_allclose(precession, 2 * np.pi / (angle / J[0]), rtol=1e-3)
             np.testing.assert_allclose(rotation, 2 * np.pi / abs(0.9 * (J[2] - J[0]) / J[0]), rtol=1e-3)
 

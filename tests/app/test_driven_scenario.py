@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from internals import commit_every
@@ -15,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from stores import disk_for
 
-from lieint_jax import orbits
+from lieint_jax import measure
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import driven
@@ -62,19 +61,6 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def test_the_orbit_s_axes_rotate_at_the_returned_rate():
-    """Ṙ = ω × R by forward differentiation, and the columns are r̂, the direction of motion and the normal."""
-    orbit = orbits.kepler(2.0, 1.5, 0.4, 0.5, node=0.3, periapsis=0.9)
-    t = jnp.array(0.7)
-    (R, spin), (rate, _) = jax.jvp(jax.jit(lambda t: driven.orbit_axes(orbit, t)), (t,), (jnp.ones(()),))
-    np.testing.assert_allclose(np.cross(spin, R, axisb=0, axisc=0), rate, rtol=0, atol=3e-15)  # 7e-16
-    position, velocity = (np.asarray(x) for x in orbit(t))
-    np.testing.assert_allclose(R[:, 0], position / np.linalg.norm(position), rtol=0, atol=1e-15)
-    np.testing.assert_allclose(R.T @ R, np.eye(3), rtol=0, atol=1e-15)
-    assert R[:, 1] @ velocity > 0
-    assert np.cross(position, velocity) @ R[:, 2] > 0
-
-
 @functools.cache
 def small_run():
     """The scenario and its run."""
@@ -91,7 +77,7 @@ def test_members_share_their_time_and_start_relative_to_the_orbit():
     assert scenario.dt == pytest.approx(2 * np.pi / N / 200, rel=1e-15)
     assert driven.Driven.model_validate(scenario.model_dump()) == scenario  # as results hold it
     body, nominal = path.system, jax.tree.map(lambda x: x[0, 0], path.state)
-    R, spin = driven.orbit_axes(body.orbit, nominal.t)
+    R, spin = measure.orbit_axes(body.orbit, nominal.t)
     np.testing.assert_allclose(body.rotation_matrix(nominal), R, rtol=0, atol=1e-15)
     np.testing.assert_allclose(
         R @ body.angular_velocity(nominal), spin + R @ np.array([0.1, 0.2, 0.3]), rtol=0, atol=1e-14
@@ -138,7 +124,7 @@ def test_an_orbit_of_the_driven_satellite_agrees_with_another_integrator():
     row = {found.name: found.nominal for found in scenario.quantities(path)}
     assert row["least inertia's axis from the vertical, largest (°)"] == pytest.approx(angle.max(), abs=1e-9)
     assert row["least inertia's axis from the vertical, mean (°)"] == pytest.approx(angle.mean(), abs=1e-9)
-    assert driven.librating(path).tolist() == [bool((angle < 90).all())] * 3
+    assert measure.is_librating(measure.orbit_angles(path).vertical).tolist() == [bool((angle < 90).all())] * 3
 
 
 BAD = [

@@ -162,9 +162,7 @@ def test_the_pendulum_as_a_top_has_its_energy_and_momentum():
     scenario = scenarios.load("pendulum", members=5, axis=[0.6, 0.0, 0.8], mass=2.0)
     step, states = scenario.build()
     bob = step.system
-    turned = pendulum.as_top(still(step, states))
-    top = turned.system
-    as_top = jax.tree.map(lambda x: np.asarray(x[0]), turned.state)
+    top, as_top = jax.vmap(pendulum.as_top, (None, 0), (None, 0))(bob, states)
 
     def measured(system, states):
         return jax.vmap(system.energy)(states), jax.vmap(system.momentum)(states)

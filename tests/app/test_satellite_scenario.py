@@ -6,6 +6,7 @@ import pytest
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import satellite
 from lieint_jax.groups import so3
+from lieint_jax.measure import captured_since
 from tests.lib.scenario_runs import run
 
 SHORT = {  # rods and drag are in the long test: each adds seconds of compilation
@@ -80,7 +81,7 @@ def test_pictures_name_the_laws_and_count_the_captured(short):
     worst = next(line for line in right.get_lines() if line.get_label() == "worst member")
     assert np.max(worst.get_ydata()) < 1e-14
     fates, course = scenario.draw_capture(made).axes
-    captured = int(np.isfinite(satellite.captured_since(np.asarray(made.t), c.nadir_angle)).sum())
+    captured = int(np.isfinite(captured_since(made.t, c.nadir_angle, 10.0)).sum())
     names = [text.get_text() for text in fates.get_legend().get_texts()]
     assert names == [f"captured: {captured} of 6", f"not captured: {6 - captured} of 6"]
     curves = {line.get_label(): line.get_ydata() for line in course.get_lines()}
@@ -127,16 +128,6 @@ def test_a_state_relative_to_the_orbit_rotates_with_its_axes():
     np.testing.assert_allclose(so3.to_matrix(q)[:, 2], -r / np.linalg.norm(r), rtol=0, atol=1e-15)
     normal = np.cross(r, v)
     np.testing.assert_allclose(so3.Ad(q, Omega), normal / (r @ r), rtol=0, atol=1e-17)
-
-
-def test_times_of_capture_are_those_of_the_saved_states():
-    t, off = np.arange(4.0), np.array([[5.0, 20, 20, 5], [20.0, 5, 20, 5], [5.0, 5, 20, 20], [5.0, 5, 5, 20]])
-    np.testing.assert_array_equal(satellite.captured_since(t, off), [2.0, 1.0, 3.0, np.nan])
-    np.testing.assert_array_equal(satellite.captured_since(t, np.zeros((4, 1))), [0.0])
-    np.testing.assert_array_equal(satellite.first_slow(t, np.array([[1.0, 0.1]] * 4)), [np.nan, 0.0])
-    rates = np.array([[1.0, 0.1, 0.9], [0.9, 1.0, 0.4], [0.6, 0.2, 0.8], [0.1, 0.1, 0.1]])
-    np.testing.assert_allclose(satellite.crossing(t, rates), [2.2, 0.0, 0.8])
-    np.testing.assert_array_equal(satellite.crossing(t, np.ones((4, 1))), [np.nan])
 
 
 BAD = [

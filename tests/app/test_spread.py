@@ -9,10 +9,10 @@ import pytest
 from scenario_runs import run
 
 import lieint_jax as li
+from lieint_jax import measure
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
-from lieint_jax.app.scenarios import _spread, driven, water
-from lieint_jax.app.scenarios._runs import as_batch
+from lieint_jax.app.scenarios import _spread, water
 from lieint_jax.ensemble import archives
 
 KINDS = {  # a scenario of each kind with a spread of numbers, and the paths of all those that it has
@@ -335,8 +335,8 @@ def test_the_command_line_draws_and_stores_the_members_own_numbers(tmp_path, mon
 def test_every_member_librates_about_the_axis_of_its_own_body():
     scenario = load("driven", {"inertia": 0.05}, members=3, steps=100, save_every=10)
     made = run(scenario)
-    each = [driven.librating(as_batch(made.member(m))) for m in range(3)]
-    assert f"  {sum(bool(x[0]) for x in each)} of 3 members librate" in "\n".join(scenario.remarks(made))
+    each = [measure.is_librating(measure.orbit_angles(made.member(m)).vertical) for m in range(3)]
+    assert f"  {sum(map(int, each))} of 3 members librate" in "\n".join(scenario.remarks(made))
 
 
 def test_a_stretched_inertia_is_that_of_a_body():

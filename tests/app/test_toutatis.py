@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.scenarios import rigid_body
 from lieint_jax.app.studies import _flyby, _radar, _spin_fit, _tumbling, toutatis
 
 PUBLISHED = (("toutatis", 9.96, 3.9, 18.8), ("toutatis_takahashi", 7.70, 1.3, 15.9))
@@ -86,8 +85,7 @@ def test_mean_periods_in_closed_form_are_those_of_a_trajectory(mode):
     state = body.state(angular_velocity=rate)
     precession, rotation = np.asarray(jax.jit(_tumbling.mean_periods)(body, state))
     run = li.integrate(li.schemes.exact(body), state, 5 * rotation / 400, 400)  # of whole turns the mean is exact
-    several = run._replace(state=jax.tree.map(lambda leaf: leaf[:, None], run.state))
-    measured = np.concatenate(rigid_body.measured_periods(body, several))
+    measured = li.measure.periods(li.Run.of(li.schemes.exact(body), run))[:2]
     np.testing.assert_allclose([precession, rotation], measured, rtol=1e-12)
 
 

@@ -125,3 +125,16 @@ def test_a_satellite_librates_about_the_vertical(tumblers):
         measure.orbit_angles(tumblers)
     with pytest.raises(ValueError, match="periods are those of a free body"):
         measure.periods(run)
+
+
+def test_the_orbit_s_axes_rotate_at_the_returned_rate():
+    """Ṙ = ω × R by forward differentiation, and the columns are r̂, the direction of motion and the normal."""
+    orbit = li.orbits.kepler(2.0, 1.5, 0.4, 0.5, node=0.3, periapsis=0.9)
+    t = jnp.array(0.7)
+    (R, spin), (rate, _) = jax.jvp(jax.jit(lambda t: measure.orbit_axes(orbit, t)), (t,), (jnp.ones(()),))
+    np.testing.assert_allclose(np.cross(spin, R, axisb=0, axisc=0), rate, rtol=0, atol=3e-15)  # 7e-16
+    position, velocity = (np.asarray(x) for x in orbit(t))
+    np.testing.assert_allclose(R[:, 0], position / np.linalg.norm(position), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(R.T @ R, np.eye(3), rtol=0, atol=1e-15)
+    assert R[:, 1] @ velocity > 0
+    assert np.cross(position, velocity) @ R[:, 2] > 0

@@ -56,7 +56,7 @@ def orbital_period(
             return jnp.arctan2(vectors.dot(e2, d), vectors.dot(e1, d))
 
         angles = jax.vmap(longitude)(run.state)
-        return 2 * jnp.pi / mean_rate(run.t, jnp.unwrap(angles))
+        return jnp.asarray(2 * jnp.pi / mean_rate(run.t, jnp.unwrap(angles)))
 
     return jax.jvp(period_after, (change,), (jnp.ones_like(change),))
 

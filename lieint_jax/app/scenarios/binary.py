@@ -154,8 +154,8 @@ class Binary(Kind):
         published: dict[str, Published] = {**self.published}
         table: list[tuple[str, np.ndarray, str]] = [
             ("orbital period (h)", orbit.period / HOUR, "orbital_period_h"),
-            ("primary's spin period (h)", _hours(measure.mean_rate(t, found.spin_1)), "primary_spin_period_h"),
-            ("secondary's spin period (h)", _hours(measure.mean_rate(t, found.spin_2)), ""),
+            ("primary's spin period (h)", _hours(t, found.spin_1), "primary_spin_period_h"),
+            ("secondary's spin period (h)", _hours(t, found.spin_2), ""),
             ("eccentricity: amplitude of the distance over its mean", orbit.eccentricity, ""),
             ("precession of the line of apsides (°/d)", _DEG_D * orbit.precession_rate, "apsidal_precession_deg_d"),
             ("precession of the orbit's normal about L (°/d)", _DEG_D * precession, ""),
@@ -278,7 +278,7 @@ class Binary(Kind):
         """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
         left, right = axes
         one = run.member(0)
-        orbital_period = 2 * np.pi / abs(mean_rate(run.t, self.motion(run).longitude)[0])
+        orbital_period = float(measure.apsides(self.motion(run)).period[0])
         steps = min(self.steps, round(_BRIEF * orbital_period / abs(self.dt)))
         brief = self.drawn(one.step, nominal_state(one), _FINE, steps)  # the primary rotates once in few steps
         parts = measure.pair_energies(brief)
@@ -313,8 +313,9 @@ def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Arr
     return jnp.sqrt(-force * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
 
 
-def _hours(rate: np.ndarray) -> np.ndarray:
-    return 2 * np.pi / rate / HOUR
+def _hours(t: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """The mean period of an angle."""
+    return 2 * np.pi / np.asarray(mean_rate(t, angle)) / HOUR
 
 
 def _swing(motion: RelativeMotion) -> np.ndarray:

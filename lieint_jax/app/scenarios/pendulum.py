@@ -18,7 +18,7 @@ from lieint_jax.app.scenarios._spread import DIRECTION, same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
-from lieint_jax.systems import LagrangeMotion, Pendulum, lagrange_motion
+from lieint_jax.systems import Pendulum, PotentialTop, lagrange_motion
 from lieint_jax.types import State
 
 _FINE = 4  # steps of the drawn path per step of the scenario, so that it reaches its bounds
@@ -90,7 +90,8 @@ class SphericalPendulum(Kind):
 
     def quantities(self, run: Run) -> list[Quantity]:
         """Period, precession and bounds of the swing, measured for every member, and in closed form."""
-        found, exact = measure.nutation(run), as_top(nominal_system(run), nominal_state(run))
+        exact = lagrange_motion(*as_top(nominal_system(run), nominal_state(run)))
+        found = measure.nutation(run)
         bounds = 180 - np.rad2deg(exact.inclination)
         rows = [
             (f"lowest point to lowest point ({self.time_unit})", found.period, exact.nutation_period),
@@ -113,7 +114,7 @@ class SphericalPendulum(Kind):
         if np.isfinite(period):
             steps = min(steps, int(12 * period / abs(self.dt)) + 1)
         long = self.drawn(one.step, nominal_state(one), _FINE, steps)
-        bounds = 180 - np.rad2deg(as_top(nominal_system(one), nominal_state(one)).inclination)
+        bounds = 180 - np.rad2deg(lagrange_motion(*as_top(nominal_system(one), nominal_state(one))).inclination)
         look: Any = {"unit": self.time_unit, "pole_label": "γ, down", "bounds": bounds[np.isfinite(bounds)]}
         path, ends, pole = (np.asarray(x) for x in (long.state.q, run.state.q[-1], nominal_system(one).axis))
         draw_on_sphere(axes, np.asarray(long.t), path, float(run.t[-1]), ends, pole, **look)
@@ -133,8 +134,8 @@ def _defect(bob: Pendulum, state: State) -> Any:
     return bob.phase_space.defect(state)
 
 
-def as_top(bob: Pendulum, state: State) -> LagrangeMotion:
-    """The motion in closed form, of Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
+def as_top(bob: Pendulum, state: State) -> tuple[PotentialTop, State]:
+    """The pendulum as Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
     depth = -bob.potential(bob.axis)
     top = systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
-    return lagrange_motion(top, State(so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1)), state.p))
+    return top, State(so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1)), state.p)
