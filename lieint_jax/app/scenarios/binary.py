@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from pydantic import model_validator
 
-from lieint_jax import measure, potentials, systems
+from lieint_jax import measure, potentials, runs, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _binary_motion
 from lieint_jax.app.scenarios._keys import DAY, HOUR, NonNegative, NumberSpread, PositiveFloat, Published, Table
@@ -23,12 +23,20 @@ from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, pict
 from lieint_jax.app.scenarios._multibody import ExtendedBody, build_members, member_bodies
 from lieint_jax.app.scenarios._pictures import draw_errors
 from lieint_jax.app.scenarios._report import Conserved, Quantity, citation
-from lieint_jax.app.scenarios._runs import as_batch, length, nominal_state, nominal_system, series, standard_deviation
+from lieint_jax.app.scenarios._runs import (
+    as_batch,
+    drawn_steps,
+    length,
+    nominal_state,
+    nominal_system,
+    series,
+    standard_deviation,
+)
 from lieint_jax.groups import so3
 from lieint_jax.measure import RelativeMotion, mean_rate
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step
 
 _ENERGY, _MOMENTUM = "energy, over |energy|", "angular momentum, relative"
 _SHOWN = {_ENERGY: "H", _MOMENTUM: "L"}  # in the picture of errors
@@ -228,9 +236,8 @@ class Binary(Kind):
         """Plot distance and libration of the secondary: the nominal member, and 90 % of up to `_MAX_DRAWN` members."""
         days, found = self._fine_motion(run)
         swing = np.rad2deg(found.libration - np.pi * np.round(found.libration[0] / np.pi))
-        for ax, x, label in zip(
-            axes, (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
-        ):
+        panels = (found.distance, "distance (m)"), (swing, "libration of the secondary (°)")
+        for ax, (x, label) in zip(axes, panels, strict=True):
             if x.shape[1] > 1:
                 low, high = np.percentile(x, [5, 95], axis=1)
                 ax.fill_between(days, low, high, color=plots.GRAY, lw=0, label=f"90 % of {x.shape[1]} members")
@@ -243,13 +250,10 @@ class Binary(Kind):
 
     def _fine_motion(self, run: Run) -> tuple[np.ndarray, RelativeMotion]:
         """The times in days and the motion of the first members, in smaller steps than those of the run."""
-        first = [run.member(m) for m in range(min(self.members, _MAX_DRAWN))]
-        steps, starts = (
-            jax.tree.map(lambda *x: jnp.stack(x), *xs)
-            for xs in ([r.step for r in first], [nominal_state(r) for r in first])
-        )
-        long = jax.vmap(lambda step, z: self.drawn(step, z, _FINE).trajectory, out_axes=1)(steps, starts)
-        made = Run.of(steps, Trajectory(long.t[:, 0], long.state, long.info), own_step=True)
+        given = run.step, State(run.state.q[0], run.state.p[0])
+        first, start = jax.tree.map(lambda x: jnp.asarray(x)[:_MAX_DRAWN], given)
+        count, every = drawn_steps(_FINE * self.steps)
+        made = runs.run(first, start, self.dt / _FINE, count, save_every=every, own_step=True, progress=False)
         return np.asarray(made.t) / DAY, measure.relative_motion(made)
 
     @picture(size=(7.2, 4.2))
