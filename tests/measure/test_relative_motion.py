@@ -41,18 +41,21 @@ def pairs():
 
 
 def test_the_orbit_of_two_spheres_is_kepler_s(pairs):
-    """Of Kepler's motion the distance has the line 2J₁′(e) a e, over the mean a(1 + e²/2)."""
+    """Of Kepler's motion the distance has the line 2J₁′(e) a e, over the mean a(1 + e²/2).
+
+    The line is resolved to 1e-5 in 60 revolutions.
+    """
     motion = measure.relative_motion(pairs)
     assert motion.distance.shape == (2401, 2)
     found = measure.apsides(motion)
-    np.testing.assert_allclose(found.period, 2 * np.pi, rtol=2e-4)
-    np.testing.assert_allclose(found.anomalistic_period[1], found.period[1], rtol=1e-4)
-    np.testing.assert_allclose(found.precession_rate[1], 0, rtol=0, atol=2e-4)
-    np.testing.assert_allclose(found.eccentricity[1], 2 * E * jvp(1, E) / (1 + E**2 / 2), rtol=1e-4)
+    np.testing.assert_allclose(found.period, 2 * np.pi, rtol=3e-5)
+    np.testing.assert_allclose(found.anomalistic_period[1], found.period[1], rtol=3e-5)
+    np.testing.assert_allclose(found.precession_rate[1], 0, rtol=0, atol=3e-5)
+    np.testing.assert_allclose(found.eccentricity[1], 2 * E * jvp(1, E) / (1 + E**2 / 2), rtol=5e-5)
     orbit = li.orbits.kepler(1.0, 1.0, E)
     exact = np.array([np.linalg.norm(orbit(t)[0]) for t in np.linspace(0, found.anomalistic_period[1], 9)])
     at = np.interp(np.linspace(0, 2 * np.pi, 9), motion.t, motion.distance[:, 1])
-    np.testing.assert_allclose(at, exact, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(at, exact, rtol=0, atol=3e-6)
     for name in ("inclination", "out_of_plane", "obliquity"):
         np.testing.assert_allclose(getattr(motion, name), 0, rtol=0, atol=1e-7)
     rates = [measure.mean_rate(motion.t, x) for x in (motion.spin_1, motion.spin_2)]
@@ -74,8 +77,8 @@ def test_a_locked_moon_librates_with_its_free_and_its_forced_line(pairs):
     found = measure.librations(motion)
     A, B, C = SATELLITE
     omega = np.sqrt(3 * (B - A) / C)
-    np.testing.assert_allclose(2 * np.pi / found.free_period[0], omega, rtol=2e-3)
-    np.testing.assert_allclose(found.forced[0], 2 * 0.002 / (1 - omega**2), rtol=0.02)
+    np.testing.assert_allclose(2 * np.pi / found.free_period[0], omega, rtol=5e-4)
+    np.testing.assert_allclose(found.forced[0], 2 * 0.002 / (1 - omega**2), rtol=6e-3)
     one = measure.relative_motion(pairs.member(0), 1, 0)
     np.testing.assert_allclose(one.distance, motion.distance[:, 0], rtol=1e-14)
     np.testing.assert_allclose(
@@ -90,7 +93,7 @@ def test_the_energies_of_a_pair_add_up(pairs):
     found = measure.pair_energies(pairs)
     parts = found.orbit + found.spin_1 + found.spin_2 + found.shape
     np.testing.assert_allclose(parts, found.total, rtol=1e-13)
-    np.testing.assert_allclose(found.orbit[:, 1], -0.5e-9, rtol=1e-4)
+    np.testing.assert_allclose(found.orbit[:, 1], -0.5e-9, rtol=3e-7)
     np.testing.assert_allclose(found.shape[:, 1], 0, rtol=0, atol=1e-20)
     for first, second in ((0, 2), (1, 1), (-1, 0)):
         with pytest.raises(ValueError, match="must be two of the numbers 0 to 1"):
@@ -98,20 +101,20 @@ def test_the_energies_of_a_pair_add_up(pairs):
 
 
 def test_apsides_precess_about_an_oblate_body():
-    """Near a circle by Ω − κ, with Ω² = μ/r³ (1 + 3k/r²) and κ² = μ/r³ (1 − 3k/r²), k = (C − A)/2m."""
+    """Near a circle by Ω − κ, with Ω² = μ/r³ (1 + 3k/r²) and κ² = μ/r³ (1 − 3k/r²), k = (C − A)/2m, at the radius r of
+    the circle of equal angular momentum; L is that of the spin, about which one of the two orbits is retrograde."""
     masses, J = np.array([1.0, 1e-6]), np.array([[0.02, 0.02, 0.03], [1e-12] * 3])
     bodies = li.systems.rigid_bodies(masses, J, li.potentials.maccullagh(1.0, masses, J))
-    k, mu = 0.005, 1.0 + 1e-6
-    Omega, kappa = np.sqrt(mu * (1 + 3 * k)), np.sqrt(mu * (1 - 3 * k))
+    k, mu, more = 0.005, 1.0 + 1e-6, 1.001  # over the speed in a circle
+    b = more**2 * (1 + 3 * k)
+    r = (b + np.sqrt(b**2 - 12 * k)) / 2
+    Omega, kappa = (np.sqrt(mu / r**3 * (1 + sign * 3 * k / r**2)) for sign in (1, -1))
     for sense in (1, -1):
-        v = sense * Omega * 1.001
-        spins = [[0, 0, 1.0], [0, 0, 0]]  # which set L, and so what is retrograde
-        state = bodies.state(
-            [[-1e-6, 0, 0], [1, 0, 0]], velocities=[[0, -1e-6 * v, 0], [0, v, 0]], angular_velocities=spins
-        )
-        run = go(li.schemes.compose(li.schemes.splitting(bodies), 4), state, 0.1, 6000, save_every=2)
-        motion = measure.relative_motion(run)
-        found = measure.apsides(motion)
-        assert 2 * np.pi / found.anomalistic_period == pytest.approx(kappa * (1 - 3e-3), rel=1e-3)
-        slow = Omega * (1 - 3e-3)  # the orbit is larger by 0.002 of itself
-        assert found.precession_rate == pytest.approx(sense * (slow - kappa * (1 - 3e-3)), rel=5e-3)
+        v = sense * more * np.sqrt(mu * (1 + 3 * k))
+        velocities, spins = [[0, -1e-6 * v / mu, 0], [0, v / mu, 0]], [[0, 0, 1.0], [0, 0, 0]]
+        state = bodies.state([[-1e-6 / mu, 0, 0], [1 / mu, 0, 0]], velocities=velocities, angular_velocities=spins)
+        run = go(li.schemes.compose(li.schemes.splitting(bodies), 4), state, 0.05, 12000, save_every=4)
+        found = measure.apsides(measure.relative_motion(run))
+        np.testing.assert_allclose(2 * np.pi / found.period, Omega, rtol=1e-5)
+        np.testing.assert_allclose(2 * np.pi / found.anomalistic_period, kappa, rtol=1e-5)
+        np.testing.assert_allclose(found.precession_rate, sense * (Omega - kappa), rtol=2e-5)
