@@ -19,7 +19,7 @@ from lieint_jax.capabilities import AbstractManyBodies
 from lieint_jax.groups import so3
 from lieint_jax.measure._series import mean_rate, unwrapped
 from lieint_jax.measure._spectrum import line
-from lieint_jax.measure._states import along, angular_momentum, longitude
+from lieint_jax.measure._states import angular_momentum, longitude, series_of
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, vectors
 
@@ -77,7 +77,7 @@ def relative_motion(run: Run, first: int = 0, second: int = 1) -> RelativeMotion
         ValueError: the run is not of several bodies, or has no bodies of these numbers.
     """
     first, second = _two(run, first, second)
-    found, rates = along(run, _motion_at, first, second)
+    found, rates = series_of(run, _motion_at, first, second)
     t = np.asarray(run.t)
     continued = {name: unwrapped(t, found[name], rate[0]) for name, rate in rates.items()}
     continued |= {name: unwrapped(t, found[name]) for name in ("libration", "node")}
@@ -224,7 +224,7 @@ def distances(run: Run, point: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
         ValueError: the run is not of several bodies.
     """
     _count(run)
-    return along(run, _distances_at, _checks.real_array("point", point, (3,)))
+    return series_of(run, _distances_at, _checks.real_array("point", point, (3,)))
 
 
 def _distances_at(point: Array, step: Step, state: State) -> Array:
@@ -268,7 +268,7 @@ def pair_energies(run: Run) -> PairEnergies:
             "pair_energies needs a run of two bodies under gravity, such as potentials.maccullagh(G, …), got "
             f"{_count(run)} in {getattr(run.system, 'potential', None)!r}"
         )
-    return along(run, _energies_at)
+    return series_of(run, _energies_at)
 
 
 def _energies_at(step: Step, state: State) -> PairEnergies:

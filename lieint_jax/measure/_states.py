@@ -29,7 +29,7 @@ def map_run(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> Py
     return run.map(Partial(function, *arguments))
 
 
-def along(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
+def series_of(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
     """As `map_run`, as arrays of NumPy."""
     return jax.tree.map(np.asarray, map_run(run, function, *arguments))
 
