@@ -20,6 +20,7 @@ from lieint_jax.measure._states import (
     rotate,
     rotation,
     series_of,
+    system_of,
 )
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
@@ -140,7 +141,7 @@ def periods(run: Run) -> MeasuredPeriods:
     Raises:
         ValueError: the body is not free.
     """
-    if not isinstance(run.system, AbstractFreeBody):
+    if not isinstance(system_of(run), AbstractFreeBody):
         raise ValueError(f"periods are those of a free body, such as systems.rigid_body(…); got {run.system!r}")
     (moments, axes), R = principal_axes(run), series_of(run, rotation)
     pi, t = np.asarray(run.state.p[0], float), np.asarray(run.t, float)

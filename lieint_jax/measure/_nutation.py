@@ -52,7 +52,7 @@ def nutation(run: Run, axis: ArrayLike | None = None) -> Nutation:
 
     Args:
         run: of a top or a pendulum, saved at even times.
-        axis: of the top in the body, (3,); by default that from the fixed point to the center of mass.
+        axis: of the top in the body, a unit vector (3,); by default that from the fixed point to the center of mass.
 
     Returns:
         A `Nutation`; period and rate are NaN where the axis is lowest fewer than twice, or states are saved fewer than

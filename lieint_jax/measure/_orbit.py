@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax.measure._states import angles, principal_axes, rotation, series_of
+from lieint_jax.measure._states import angles, principal_axes, rotation, series_of, system_of
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, clock, vectors
 from lieint_jax.types.shapes import Matrix3, Time, Vector3
@@ -63,7 +63,7 @@ def orbit_angles(run: Run) -> OrbitAngles:
     Raises:
         ValueError: the body has no orbit.
     """
-    if not hasattr(run.system, "orbit"):
+    if not hasattr(system_of(run), "orbit"):
         raise ValueError(f"the body must have an orbit, as systems.gravity_gradient(…) has one; got {run.system!r}")
     moments, axes = principal_axes(run)
     R, of_orbit = series_of(run, _both_axes)

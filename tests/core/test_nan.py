@@ -283,6 +283,12 @@ CASES = {
         for name, law in {"constant_lag": dict(lags=0.1), "constant_q": dict(Q=30.0, threshold=0.1)}.items()
     },
 }
+OUTSIDE = """
+measure.apsides measure.captured_since measure.distances measure.first_below measure.is_librating measure.librations
+measure.light_curve measure.line measure.nutation measure.orbit_angles measure.pair_density measure.pair_energies
+measure.periodogram measure.periods measure.pole measure.relative_motion measure.rotation_rates measure.spectrum
+measure.tilt measure.unwrapped
+"""
 NO_NUMBERS = {
     "orbits.graded_times": "numbers outside of jit only; the orbit's are those of its function",
     "orbits.julian_date": "numbers outside of jit only",
@@ -299,16 +305,7 @@ NO_NUMBERS = {
     "maps.cayley_lands": "a property of a group",
     "maps.examples": "functions",
     "shapes.obj": "a file",
-    **{
-        f"measure.{name}": "a series outside of jit: tests/measure/test_measured_series.py"
-        for name in ("captured_since", "first_below", "is_librating", "line", "periodogram", "spectrum", "unwrapped")
-    },
-    **{
-        f"measure.{name}": "a run"
-        for name in measure.__all__
-        if name in ("apsides", "distances", "librations", "light_curve", "nutation", "orbit_angles", "pair_energies")
-        or name in ("periods", "pole", "relative_motion", "rotation_rates", "tilt")
-    },
+    **dict.fromkeys(OUTSIDE.split(), "a run, or a series outside of jit, as in tests/measure/test_measured_series.py"),
 }
 
 

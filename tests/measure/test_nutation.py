@@ -49,7 +49,8 @@ def test_nutation_of_a_pendulum_is_that_of_a_top_without_spin():
     for gravity in (3.0, -3.0):
         bob = li.systems.pendulum(1.5, gravity, gamma)
         state = bob.state([0.6, 0.8, 0.0], velocity=[0.32, -0.24, 0.9])
-        found = measure.nutation(go(li.schemes.compose(li.schemes.sphere_midpoint(bob, True), 6), state, 0.02, 600))
+        run = go(li.schemes.compose(li.schemes.sphere_midpoint(bob, True), 6), state, 0.02, 600)
+        found = measure.nutation(run)
         top = li.systems.heavy_top(np.full(3, 1.5), [0.0, 0.0, 1.5 * gravity], -gamma)
         across = jnp.stack([*li.phase_spaces.frame(state.q), state.q], axis=1)
         exact = li.systems.lagrange_motion(top, li.State(so3.from_matrix(across), state.p))
@@ -57,6 +58,8 @@ def test_nutation_of_a_pendulum_is_that_of_a_top_without_spin():
         down = np.sign(gravity)  # the axis to the center of mass is −q for a negative weight
         np.testing.assert_allclose(found.precession_rate, -exact.precession_rate, rtol=2e-12)
         angles = np.sort(np.pi - exact.inclination) if down > 0 else exact.inclination
+        with pytest.raises(ValueError, match="which have attitudes"):
+            measure.tilt(run)
         np.testing.assert_allclose([found.least, found.greatest], angles, rtol=0, atol=2e-13)
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist
 from scipy.special import jvp
 
 import lieint_jax as li
@@ -67,6 +68,9 @@ def test_the_orbit_of_two_spheres_is_kepler_s(pairs):
         [np.cos(motion.libration) - np.cos(apart), np.sin(motion.libration) - np.sin(apart)]
     )
     np.testing.assert_allclose(ends, np.hypot(*tips), rtol=1e-9)
+    tilts = measure.tilt(pairs, [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(np.cos(tilts[:, 1]), np.cos(np.outer(motion.t, [3.0, 1.0])), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(measure.pole(pairs).latitude, np.pi / 2, rtol=1e-7)
     np.testing.assert_allclose(measure.rotation_rates(pairs)[:, 1], [[3.0, 1.0]] * 2401, rtol=1e-9)
 
 
@@ -98,6 +102,27 @@ def test_the_energies_of_a_pair_add_up(pairs):
     for first, second in ((0, 2), (1, 1), (-1, 0)):
         with pytest.raises(ValueError, match="must be two of the numbers 0 to 1"):
             measure.relative_motion(pairs, first, second)
+
+
+def test_the_distances_of_random_points_in_a_ball_have_their_density():
+    """1 − 3r/2D + r³/2D³ of N²/2V, for a ball of diameter D; a cluster of equal distances has its peak there."""
+    random = np.random.default_rng(0)
+    boxes = random.uniform(-1, 1, (200, 400, 3))
+    r = np.array([pdist(x[np.sum(x * x, axis=1) < 1][:150]) for x in boxes])
+    found = measure.pair_density(r, np.linspace(0.5, 1.8, 27))
+    s = found.r / 2
+    exact = 150 * 149 / 2 / (4 * np.pi / 3) * (1 - 1.5 * s + 0.5 * s**3)
+    np.testing.assert_allclose(found.density, exact, rtol=0, atol=0.01 * exact[0])  # observed 0.005
+    edges = np.arange(0.2, 0.6 + 0.0025, 0.005)
+    shell = random.normal(0.2812, 0.02, (7, 5, 4000))
+    peak = measure.pair_density(shell, edges, peak_below=0.35)
+    assert peak.peak == pytest.approx(0.2812 - 2 * 0.02**2 / 0.2812, abs=2e-3)  # r⁻² moves the maximum inward
+    assert peak.height == peak.density.max()
+    assert measure.pair_density(np.concatenate([shell, shell + 0.1], axis=-1), edges, peak_below=0.35).peak == peak.peak
+    with pytest.raises(ValueError, match="at least three bins"):
+        measure.pair_density(shell, [0.1, 0.2])
+    with pytest.raises(ValueError, match="measurements need a run"):
+        measure.distances(r)
 
 
 def test_apsides_precess_about_an_oblate_body():
