@@ -6,7 +6,8 @@
 | `periods` | the two mean periods of a tumbling body |
 | `nutation` | nutation and precession of a top or a pendulum |
 | `orbit_angles`, `orbit_axes` | how a body on a given orbit points |
-| `relative_motion`, `distances` | the motion of one of several bodies about another; distances of all pairs |
+| `relative_motion` | the motion of one of several bodies about another |
+| `distances`, `pair_density` | the distances of all pairs, and how often each occurs |
 | `apsides`, `librations` | mean orbit and precession of its apsides; forced and free libration |
 | `pair_energies` | how two bodies exchange energy |
 | `light_curve`, `brightness`, `lambert` | the light that a convex body of facets reflects (`shapes.facets`) |
@@ -20,6 +21,7 @@ and (times, members), also where each member has its own step. What a run does n
 """
 
 from lieint_jax.measure._attitude import MeasuredPeriods, Pole, periods, pole, rotation_rates, tilt
+from lieint_jax.measure._distances import PairDensity, distances, pair_density
 from lieint_jax.measure._light import brightness, lambert, light_curve
 from lieint_jax.measure._nutation import Nutation, nutation
 from lieint_jax.measure._orbit import OrbitAngles, orbit_angles, orbit_axes
@@ -29,7 +31,6 @@ from lieint_jax.measure._relative_motion import (
     PairEnergies,
     RelativeMotion,
     apsides,
-    distances,
     librations,
     pair_energies,
     relative_motion,
@@ -44,6 +45,7 @@ __all__ = [
     "MeasuredPeriods",
     "Nutation",
     "OrbitAngles",
+    "PairDensity",
     "PairEnergies",
     "Periodogram",
     "Pole",
@@ -63,6 +65,7 @@ __all__ = [
     "nutation",
     "orbit_angles",
     "orbit_axes",
+    "pair_density",
     "pair_energies",
     "periodogram",
     "periods",

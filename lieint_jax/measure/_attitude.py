@@ -13,13 +13,14 @@ from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractFreeBody, AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.measure._states import (
     Directions,
-    along,
     angles,
     angular_momentum,
     directions,
     principal_axes,
     rotate,
     rotation,
+    series_of,
+    system_of,
 )
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
@@ -45,7 +46,7 @@ def tilt(run: Run, axis: ArrayLike = (0.0, 0.0, 1.0), direction: Directions | No
     Raises:
         ValueError: the states have no attitude; a wrong shape.
     """
-    e = along(run, _axis_in_space, _checks.real_array("axis", axis, (3,)))
+    e = series_of(run, _axis_in_space, _checks.real_array("axis", axis, (3,)))
     if direction is None:
         return angles(e, e[0])
     given = np.asarray(directions("direction", direction, jnp.asarray(run.t)))
@@ -80,7 +81,7 @@ def pole(run: Run) -> Pole:
     Raises:
         ValueError: the system has no angular momentum (3,).
     """
-    x, y, z = np.moveaxis(along(run, angular_momentum), -1, 0)
+    x, y, z = np.moveaxis(series_of(run, angular_momentum), -1, 0)
     return Pole(np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y)))
 
 
@@ -96,7 +97,7 @@ def rotation_rates(run: Run) -> np.ndarray:
     Raises:
         ValueError: the system has no angular velocity.
     """
-    return along(run, _rotation_rate)
+    return series_of(run, _rotation_rate)
 
 
 def _rotation_rate(step: Step, state: State) -> Array:
@@ -140,9 +141,9 @@ def periods(run: Run) -> MeasuredPeriods:
     Raises:
         ValueError: the body is not free.
     """
-    if not isinstance(run.system, AbstractFreeBody):
+    if not isinstance(system_of(run), AbstractFreeBody):
         raise ValueError(f"periods are those of a free body, such as systems.rigid_body(…); got {run.system!r}")
-    (moments, axes), R = principal_axes(run), along(run, rotation)
+    (moments, axes), R = principal_axes(run), series_of(run, rotation)
     pi, t = np.asarray(run.state.p[0], float), np.asarray(run.t, float)
     Pi = np.einsum("t...ji,...j,...ik->t...k", R, pi, axes)
     square = np.sum(Pi[0] ** 2, axis=-1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -92,7 +93,7 @@ def _curve(law: ScatteringLaw, facets: Facets, R: Array, sun: Array, observer: A
 
     def at_time(given: tuple[Array, Array, Array]) -> Array:
         R, s, o = given
-        one = lambda R: brightness(facets, R, s, o, law=law)  # noqa: E731
-        return one(R) if R.ndim == 2 else jax.vmap(one)(R)
+        light = partial(brightness, facets, sun=s, observer=o, law=law)
+        return light(R) if R.ndim == 2 else jax.vmap(light)(R)
 
     return jax.lax.map(at_time, (R, sun, observer))

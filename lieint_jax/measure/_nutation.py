@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractSphereSystem, AbstractTop
 from lieint_jax.measure._spectrum import even_spacing
-from lieint_jax.measure._states import along, rotate
+from lieint_jax.measure._states import rotate, series_of
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, System, vectors
@@ -52,7 +52,7 @@ def nutation(run: Run, axis: ArrayLike | None = None) -> Nutation:
 
     Args:
         run: of a top or a pendulum, saved at even times.
-        axis: of the top in the body, (3,); by default that from the fixed point to the center of mass.
+        axis: of the top in the body, a unit vector (3,); by default that from the fixed point to the center of mass.
 
     Returns:
         A `Nutation`; period and rate are NaN where the axis is lowest fewer than twice, or states are saved fewer than
@@ -62,7 +62,7 @@ def nutation(run: Run, axis: ArrayLike | None = None) -> Nutation:
         ValueError: the system is neither, its field has no fixed axis, or its axis is not known; uneven times.
     """
     given = None if axis is None else _checks.unit_vector("axis", axis)
-    rows, down = along(run, _motion, given)
+    rows, down = series_of(run, _motion, given)
     h = even_spacing(run.t)
     members = rows.reshape(len(rows), -1, 3, 3).astype(float)
     found = np.array([_measure(h, members[:, m]) for m in range(members.shape[1])])
@@ -117,7 +117,7 @@ def _rotated(system: AbstractTop, axis: Array, state: State) -> Array:
 def _field_axis(system: System) -> Vector3:
     axis = getattr(system, "axis", None)
     if axis is None:
-        raise ValueError("the potential is a function V(Λ) without an axis γ about which a top could precess")
+        raise ValueError("the potential is a function V(Λ) without an axis γ, about which there is no precession")
     return axis / vectors.norm(axis)
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax.measure._states import along, angles, principal_axes, rotation
+from lieint_jax.measure._states import angles, principal_axes, rotation, series_of, system_of
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, clock, vectors
 from lieint_jax.types.shapes import Matrix3, Time, Vector3
@@ -63,10 +63,10 @@ def orbit_angles(run: Run) -> OrbitAngles:
     Raises:
         ValueError: the body has no orbit.
     """
-    if not hasattr(run.system, "orbit"):
+    if not hasattr(system_of(run), "orbit"):
         raise ValueError(f"the body must have an orbit, as systems.gravity_gradient(…) has one; got {run.system!r}")
     moments, axes = principal_axes(run)
-    R, of_orbit = along(run, _both_axes)
+    R, of_orbit = series_of(run, _both_axes)
     distinct = np.diff(moments, axis=-1) > _DISTINCT * moments[..., 2:]
 
     def angle(body: int, orbit: int, exists: np.ndarray) -> np.ndarray:

@@ -12,14 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.typing import ArrayLike
 
-from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractManyBodies
 from lieint_jax.groups import so3
 from lieint_jax.measure._series import mean_rate, unwrapped
 from lieint_jax.measure._spectrum import line
-from lieint_jax.measure._states import along, angular_momentum, longitude
+from lieint_jax.measure._states import angular_momentum, count_bodies, longitude, series_of
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, vectors
 
@@ -29,7 +27,6 @@ __all__ = [
     "PairEnergies",
     "RelativeMotion",
     "apsides",
-    "distances",
     "librations",
     "pair_energies",
     "relative_motion",
@@ -77,7 +74,7 @@ def relative_motion(run: Run, first: int = 0, second: int = 1) -> RelativeMotion
         ValueError: the run is not of several bodies, or has no bodies of these numbers.
     """
     first, second = _two(run, first, second)
-    found, rates = along(run, _motion_at, first, second)
+    found, rates = series_of(run, _motion_at, first, second)
     t = np.asarray(run.t)
     continued = {name: unwrapped(t, found[name], rate[0]) for name, rate in rates.items()}
     continued |= {name: unwrapped(t, found[name]) for name in ("libration", "node")}
@@ -86,17 +83,10 @@ def relative_motion(run: Run, first: int = 0, second: int = 1) -> RelativeMotion
 
 def _two(run: Run, first: int, second: int) -> tuple[int, int]:
     """The checked numbers of two bodies."""
-    count = _count(run)
+    count = count_bodies(run)
     if not (0 <= first < count and 0 <= second < count and first != second):
         raise ValueError(f"first and second must be two of the numbers 0 to {count - 1}, got {first} and {second}")
     return int(first), int(second)
-
-
-def _count(run: Run) -> int:
-    """The number of bodies of a run."""
-    if not isinstance(run.system, AbstractManyBodies):
-        raise ValueError(f"the run must be of several bodies, systems.rigid_bodies(…); got {run.system!r}")
-    return run.state.q.shape[-2]
 
 
 def _relative(system: AbstractManyBodies, state: State, first: Array | int, second: Array | int) -> tuple[Array, Array]:
@@ -209,30 +199,6 @@ def librations(motion: RelativeMotion) -> Librations:
     return Librations(forced, free.amplitude, 1 / free.frequency)
 
 
-def distances(run: Run, point: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """The distances of all pairs i < j of bodies.
-
-    Args:
-        run: of N bodies.
-        point: in the axes of each body, from its center of mass, (3,): distances are those of these points, such as the
-            oxygen atoms of molecules of water.
-
-    Returns:
-        (times, pairs) or (times, members, pairs), in the order (0, 1), (0, 2), …, (1, 2), …
-
-    Raises:
-        ValueError: the run is not of several bodies.
-    """
-    _count(run)
-    return along(run, _distances_at, _checks.real_array("point", point, (3,)))
-
-
-def _distances_at(point: Array, step: Step, state: State) -> Array:
-    x = state.q[:, :3] + jax.vmap(so3.Ad, (0, None))(state.q[:, 3:], point.astype(state.q.dtype))
-    i, j = np.triu_indices(len(x), 1)
-    return jnp.sqrt(jnp.sum((x[i] - x[j]) ** 2, axis=1))
-
-
 class PairEnergies(NamedTuple):
     """The parts of the energy H of two bodies under gravity; all but `total` add up to it.
 
@@ -263,12 +229,12 @@ def pair_energies(run: Run) -> PairEnergies:
     Raises:
         ValueError: the run is not of two bodies, or its potential has no `G`.
     """
-    if _count(run) != 2 or not hasattr(getattr(run.system, "potential", None), "G"):
+    if count_bodies(run) != 2 or not hasattr(getattr(run.system, "potential", None), "G"):
         raise ValueError(
             "pair_energies needs a run of two bodies under gravity, such as potentials.maccullagh(G, …), got "
-            f"{_count(run)} in {getattr(run.system, 'potential', None)!r}"
+            f"{count_bodies(run)} in {getattr(run.system, 'potential', None)!r}"
         )
-    return along(run, _energies_at)
+    return series_of(run, _energies_at)
 
 
 def _energies_at(step: Step, state: State) -> PairEnergies:

@@ -65,8 +65,7 @@ def spectrum(t: ArrayLike, x: ArrayLike) -> Spectrum:
 def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
     """The frequency and the amplitude of the strongest line of a series between two frequencies.
 
-    It is the highest value of the transform under Hann's window between them, refined between its two neighbors: a
-    single line to about the fourth power of the resolution over its frequency.
+    It is the highest value of the transform under Hann's window between them, refined between its two neighbors.
 
     Args:
         t: evenly spaced times, (times,).

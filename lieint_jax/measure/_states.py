@@ -16,22 +16,35 @@ from lieint_jax.capabilities import AbstractManyBodies, AbstractMetricSystem, Ab
 from lieint_jax.groups import so3, special_euclidean, special_orthogonal
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
-from lieint_jax.types import State, Step, vectors
+from lieint_jax.types import State, Step, System, vectors
 from lieint_jax.types.shapes import PyTree, Vector3
 
 Directions = ArrayLike | Callable[[Array], Array]  # one, one for each time, or a function of time
 
 
-def map_run(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
-    """The values of function(*arguments, step, state) along a run as a tree of arrays of JAX."""
+def system_of(run: Run) -> System:
+    """The system of a run; ValueError if it is none, such as a trajectory of `integrate`."""
     if not isinstance(run, Run):
         raise ValueError(f"measurements need a run, as li.run(step, state, dt, num_steps) returns; got {type(run)}")
+    return run.system
+
+
+def map_run(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
+    """The values of function(*arguments, step, state) along a run as a tree of arrays of JAX."""
+    system_of(run)
     return run.map(Partial(function, *arguments))
 
 
-def along(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
+def series_of(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> PyTree:
     """As `map_run`, as arrays of NumPy."""
     return jax.tree.map(np.asarray, map_run(run, function, *arguments))
+
+
+def count_bodies(run: Run) -> int:
+    """The number of bodies of a run of several; ValueError if it is none."""
+    if not isinstance(system_of(run), AbstractManyBodies):
+        raise ValueError(f"the run must be of several bodies, systems.rigid_bodies(…); got {run.system!r}")
+    return run.state.q.shape[-2]
 
 
 def rotation(step: Step, state: State) -> Array:

@@ -136,13 +136,13 @@ def total_light(J, semi_axes):
 
 
 def test_derivatives_by_inertia_and_shape_are_those_of_differences():
-    """Through a whole run. Lambert's light is once differentiable where a facet rises; observed 1e-8 of them."""
+    """Through a whole run. Lambert's light is once differentiable where a facet rises; observed 3e-9 of them."""
     at = jnp.array([1.0, 1.4, 1.9]), jnp.array([3.0, 2.0, 1.5])
     slopes = jax.jit(jax.grad(total_light, (0, 1)))(*at)
     for k, slope in enumerate(slopes):
         for direction in np.eye(3):
             ends = [total_light(*(x + h * direction if j == k else x for j, x in enumerate(at))) for h in (1e-6, -1e-6)]
-            assert float(slope @ direction) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-6, abs=1e-7)
+            assert float(slope @ direction) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=2e-8)
 
 
 def test_a_light_curve_is_the_brightness_of_each_state():

@@ -17,7 +17,7 @@ def go(step, states, dt, num_steps, **options):
 
 
 def test_the_periods_of_a_tumbling_body_are_those_in_closed_form():
-    """Over 12 rotations, after which periodic parts return: observed 1e-13. The short axis precesses by one more
+    """Over 12 rotations, after which periodic parts return: observed 2e-14. The short axis precesses by one more
     revolution than the long one in each rotation. The axes of the body are not its principal ones."""
     turn = so3.to_matrix(so3.exp(jnp.array([0.4, -0.2, 0.7])))
     body = li.systems.rigid_body(turn @ jnp.diag(jnp.array([1.0, 2.0, 2.4])) @ turn.T)
@@ -28,7 +28,7 @@ def test_the_periods_of_a_tumbling_body_are_those_in_closed_form():
         found = measure.periods(go(step, state, float(exact.rotation) / 60, 720))
         precession = 1 / (1 / exact.precession + (0 if long_axis else 1 / exact.rotation))
         assert bool(found.long_axis) == long_axis == bool(exact.long_axis)
-        np.testing.assert_allclose([found.precession, found.rotation], [precession, exact.rotation], rtol=1e-11)
+        np.testing.assert_allclose([found.precession, found.rotation], [precession, exact.rotation], rtol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +46,8 @@ def test_periods_of_members_with_their_own_bodies_and_modes(tumblers):
         tumblers.system, jax.tree.map(lambda x: x[0], tumblers.state)
     )
     assert found.long_axis[:2].tolist() == [True, False] == expected.long_axis[:2].tolist()
-    np.testing.assert_allclose(found.rotation[:2], expected.rotation[:2], rtol=0.01)
-    np.testing.assert_allclose(found.precession[0], expected.precession[0], rtol=0.01)
+    np.testing.assert_allclose(found.rotation[:2], expected.rotation[:2], rtol=2e-3)
+    np.testing.assert_allclose(found.precession[0], expected.precession[0], rtol=5e-4)
     assert np.isnan([found.precession[2], found.rotation[2]]).all()
     for k in range(3):
         np.testing.assert_allclose(measure.periods(tumblers.member(k)), [x[k] for x in found], rtol=1e-12)
@@ -93,8 +93,8 @@ def test_tilt_and_rates_of_groups_and_of_several_bodies():
     swimmer = li.systems.kirchhoff([1.0, 1.0, 2.0])
     state = swimmer.state(velocity=[0.0, 0.0, 0.6, 0.0, 0.0, 1.0])
     run = go(li.schemes.group_midpoint(swimmer, li.maps.exponential), state, 0.1, 20)
-    np.testing.assert_allclose(measure.tilt(run, [1, 0, 0]), 0.6 * np.asarray(run.t), rtol=1e-6)
-    np.testing.assert_allclose(measure.tilt(run), 0, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(measure.tilt(run, [1, 0, 0]), 0.6 * np.asarray(run.t), rtol=1e-13)
+    np.testing.assert_allclose(measure.tilt(run), 0, rtol=0, atol=1e-12)
     for function in (measure.rotation_rates, measure.pole):
         with pytest.raises(ValueError, match="the system must be of rigid bodies"):
             function(run)
@@ -110,7 +110,7 @@ def test_a_satellite_librates_about_the_vertical(tumblers):
     states = jax.vmap(lambda q, w: body.state(q, angular_velocity=w, t=0.0, work=0.0))(starts, spins)
     run = go(li.schemes.splitting(body), states, 2 * np.pi / 100, 3000)
     found = measure.orbit_angles(run)
-    np.testing.assert_allclose(found.normal, 0, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(found.normal, 0, rtol=0, atol=1e-12)
     assert found.vertical[:, 0].max() == pytest.approx(0.05, rel=1e-3)
     assert measure.is_librating(found.vertical).tolist() == [True, False]
     omega = np.sqrt(3 * (J[1] - J[0]) / J[2])

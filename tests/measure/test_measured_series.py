@@ -69,12 +69,12 @@ def test_a_threshold_of_many_members_is_that_of_each():
 
 
 def test_a_line_is_found_with_its_frequency_and_amplitude():
-    """Observed: frequencies to 4e-10, amplitudes to 7e-9 of the larger of two lines that are 13 resolutions apart."""
+    """Observed 2e-8 of the frequency and 6e-7 of the amplitude, next to a weak line 13 resolutions away."""
     f, a = np.array([1.2345, 2.0]), np.array([0.7, 2.5])
     x = 4 + a * np.cos(2 * np.pi * T[:, None] * f + 0.4) + 0.01 * np.sin(2 * np.pi * T * 1.5)[:, None]
     found = measure.line(T, x, 0.9 * f, 1.1 * f)
-    np.testing.assert_allclose(found.frequency, f, rtol=3e-6)
-    np.testing.assert_allclose(found.amplitude, a, rtol=3e-5)
+    np.testing.assert_allclose(found.frequency, f, rtol=1e-7)
+    np.testing.assert_allclose(found.amplitude, a, rtol=3e-6)
     backward = measure.line(-T, x, 0.9 * f, 1.1 * f)
     np.testing.assert_allclose(backward, found, rtol=1e-12)
     assert measure.line(T, x[:, 0], 0.9 * f[0], 1.1 * f[0]).frequency == pytest.approx(found.frequency[0], rel=1e-13)
@@ -102,7 +102,7 @@ def uneven(n, seed=5):
 
 
 def test_a_periodogram_is_that_of_scipy():
-    """Generalized, with a floating mean and weights; observed 2e-11 at the epoch of 2.4e6, where t is held to 5e-10."""
+    """Generalized, with a floating mean and weights; observed 1e-14."""
     t, random = uneven(60), np.random.default_rng(2)
     x, errors = 5 + np.sin(2.1 * t) + random.normal(size=60), random.uniform(0.5, 2.0, 60)
     for e in (None, errors):
@@ -111,7 +111,7 @@ def test_a_periodogram_is_that_of_scipy():
         theirs = lombscargle(
             t - t[0], x, 2 * np.pi * found.frequency, normalize=True, weights=weights, floating_mean=True
         )
-        np.testing.assert_allclose(found.power, np.stack([theirs, theirs], axis=1), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.power, np.stack([theirs, theirs], axis=1), rtol=0, atol=1e-12)
     resolution, duration = np.diff(found.frequency), np.ptp(t)
     np.testing.assert_allclose(resolution, 1 / (10 * duration), rtol=1e-9)
     assert found.frequency[0] == pytest.approx(1 / duration, rel=1e-12)
