@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from lieint_jax.app import plots
 from lieint_jax.app.command import files, info
 from lieint_jax.app.command.scene import Scene, Span, scene_of
-from lieint_jax.app.printer import show
+from lieint_jax.app.printer import show, show_written
 from lieint_jax.types import Trajectory
 
 SUFFIXES = (".gif", ".mp4", ".html")
@@ -61,7 +61,7 @@ def animate(
         show(f"  the rest does not fit at this speed: {longer}")
     show("  drawing; 100 frames need about ten seconds …")
     (_write_html if out.suffix == ".html" else _write_film)(scene, out, fps)
-    show(f"\nwritten: {out} ({files.megabytes(out)})")
+    show_written(out, about=files.megabytes(out))
 
 
 def _check(out: Path, force: bool) -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import codecs
 import contextlib
+import functools
+import importlib.metadata
 import io
+import platform
 import sys
 import threading
 import unicodedata
@@ -15,6 +18,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from lieint_jax import _checks
+from lieint_jax._version import __version__
+from lieint_jax.app import printer
 from lieint_jax.app.printer import show
 
 _EPILOG = """examples:
@@ -22,6 +27,7 @@ _EPILOG = """examples:
   lieint list schemes                      what each scheme declares: its systems, conserved quantities, order
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/app/scenarios/toutatis.toml)
+  lieint run toutatis --set dt=0.01 --set 'state.angular_velocity_deg=[10, 0, 90]'   with other values of its keys
   lieint run toutatis --out runs.zarr --members 100000   write to disk during the run; --resume continues it
   lieint info runs.zarr                    describe that store
   lieint plot runs.zarr                    report on that store and draw it
@@ -46,6 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command; return 0 on success, 2 with one line on stderr for an error that the user can correct."""
     _print_in_any_encoding()
     options = _parser().parse_args(arguments)
+    printer.choose(options.verbosity if options.writes or options.verbosity != "quiet" else "normal")
     import jax
 
     from lieint_jax.app.command.compilation import use_program_cache
@@ -131,14 +138,31 @@ def _parser() -> argparse.ArgumentParser:
         description="Conserving integrators for Hamiltonian systems on Lie groups. Everything runs in float64.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        parents=[_common_options()],
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser.set_defaults(verbosity="normal", writes=False)
+    make_parser = functools.partial(_Parser, parents=[_common_options()])
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=make_parser)
     _add_run(commands)
     _add_list(commands)
     _add_results(commands)
     _add_check(commands)
     _add_paper(commands)
     return parser
+
+
+def _common_options() -> argparse.ArgumentParser:
+    """The options of every command, before or after its name."""
+    common = argparse.ArgumentParser(add_help=False)
+    versions = f"lieint_jax {__version__}, jax {importlib.metadata.version('jax')}, python {platform.python_version()}"
+    common.add_argument("--version", action="version", version=versions, help="print the versions, and exit")
+    printed = common.add_mutually_exclusive_group()
+    choose: dict[str, Any] = {"dest": "verbosity", "action": "store_const", "default": argparse.SUPPRESS}
+    about = "of a command that writes files: print errors, warnings and the paths of these files only"
+    printed.add_argument("-q", "--quiet", const="quiet", help=about, **choose)
+    about = "print which engine runs the steps, machine code or XLA, and why, and the times of phases, on stderr"
+    printed.add_argument("-v", "--verbose", const="verbose", help=about, **choose)
+    return common
 
 
 def _add_run(commands: Any) -> None:
@@ -151,6 +175,8 @@ def _add_run(commands: Any) -> None:
         help="file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the "
         "run, which may be s3://BUCKET/NAME.zarr (gs://, az://)",
     )
+    help_ = "another value of a key of the scenario, such as dt=0.1 or bodies.1.mass_kg=2e9; none removes it; repeatable"
+    run.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=help_)
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
     run.add_argument("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one per line")
@@ -170,7 +196,7 @@ def _add_run(commands: Any) -> None:
     run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
     run.add_argument("--processes", type=_positive, metavar="N", help="… the number of processes")
     run.add_argument("--process", type=int, metavar="K", help="… the index of this process, from 0")
-    run.set_defaults(command=_run)
+    run.set_defaults(command=_run, writes=True)
 
 
 def _add_list(commands: Any) -> None:
@@ -188,7 +214,7 @@ def _add_results(commands: Any) -> None:
     plot.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
     plot.add_argument("--force", action="store_true", help="replace existing pictures")
-    plot.set_defaults(command=_plot)
+    plot.set_defaults(command=_plot, writes=True)
     animate = commands.add_parser("animate", help="rotating bodies as GIF, MP4 or HTML", description="Animate a run.")
     animate.add_argument("path", type=Path, metavar="PATH")
     animate.add_argument("--member", type=int, default=0, metavar="K", help="index of the member, from 0 (default 0)")
@@ -198,7 +224,7 @@ def _add_results(commands: Any) -> None:
     animate.add_argument("--seconds", type=float, default=6.0, metavar="S", help="duration of the film (default 6)")
     animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
     animate.add_argument("--force", action="store_true", help="replace an existing file")
-    animate.set_defaults(command=_animate)
+    animate.set_defaults(command=_animate, writes=True)
     schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="A schema.")
     schema.set_defaults(command=_schema)
 
@@ -230,12 +256,12 @@ def _add_paper(commands: Any) -> None:
     help_ = "numbers in the paper, 1 to 5, or showtop: the tips of the body axes, of Appendix A"
     figure.add_argument("figures", nargs="+", metavar="N", help=help_)
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
-    figure.set_defaults(command=_figure)
+    figure.set_defaults(command=_figure, writes=True)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
     study.add_argument("name", metavar="NAME", help="a study that lieint list shows")
     study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     study.add_argument("--quick", action="store_true", help="run a small version of the study")
-    study.set_defaults(command=_study)
+    study.set_defaults(command=_study, writes=True)
 
 
 def _address(text: str) -> Any:
@@ -271,7 +297,8 @@ def _run(options: argparse.Namespace) -> None:
         if options.distributed:
             raise ValueError("--part is for independent processes, --distributed for processes that start together")
         part = ensemble.part_of_text(options.part)
-    if options.members is None and options.steps is None and not options.distributed:
+    default = options.members is None and options.steps is None and not options.set
+    if default and not options.distributed:
         listing.announce(f"run {options.scenario}")
     if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
@@ -287,6 +314,7 @@ def _run(options: argparse.Namespace) -> None:
             options.devices,
             options.resume,
             options.save_at,
+            given=options.set,
             certificate=not options.no_certificate,
             pictures=not options.no_pictures,
             part=part,
@@ -372,8 +400,8 @@ def _figure(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     for n in options.figures:
         listing.announce(f"figure {n}")
-        written = ", ".join(map(str, plots.files(options.out / f"figure-{n}.png")))
-        show(FIGURES[n](options.out), f"  written to {written}")
+        show(FIGURES[n](options.out))
+        printer.show_written(*plots.files(options.out / f"figure-{n}.png"))
 
 
 def _study(options: argparse.Namespace) -> None:

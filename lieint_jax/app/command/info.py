@@ -14,7 +14,7 @@ from lieint_jax import _checks
 from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.command.pictures import StoredRun
-from lieint_jax.app.printer import readable, show
+from lieint_jax.app.printer import readable, show, show_written
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.runs.store import Address, UnreadableError, check_system, system_from_store
@@ -43,7 +43,7 @@ def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
         drawn = _plot_scenario(scenario, run, path, plain, force)
     else:
         drawn = _plot_any(stored_run(path, run, metadata), contents(path, run, metadata), plain, force)
-    show(f"\nwritten: {', '.join(map(str, drawn))}")
+    show_written(*drawn)
 
 
 def _plot_scenario(scenario: Common, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:
