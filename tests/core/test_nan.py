@@ -289,6 +289,7 @@ NO_NUMBERS = {
     "maps.cayley_lands": "a property of a group",
     "maps.examples": "functions",
     "shapes.obj": "a file",
+    "shapes.surface": "a file",
 }
 
 

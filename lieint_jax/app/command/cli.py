@@ -219,9 +219,21 @@ def _add_results(commands: Any) -> None:
     animate.add_argument("path", type=Path, metavar="PATH")
     animate.add_argument("--member", type=int, default=0, metavar="K", help="index of the member, from 0 (default 0)")
     animate.add_argument("--out", type=Path, metavar="FILE", help="NAME.gif (default, next to PATH), .mp4 or .html")
-    animate.add_argument("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: all)")
-    animate.add_argument("--to", type=float, dest="last", metavar="T", help="time of the last frame (default: all)")
-    animate.add_argument("--seconds", type=float, default=6.0, metavar="S", help="duration of the film (default 6)")
+    animate.add_argument("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: start)")
+    animate.add_argument(
+        "--to", type=float, dest="last", metavar="T", help="time of the last frame (default: as far as is smooth)"
+    )
+    animate.add_argument(
+        "--seconds", type=float, metavar="S", help="duration of the film (default 6; with --to as smooth, up to 30)"
+    )
+    animate.add_argument(
+        "--shape",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="shape of the body in the axes of its inertia: .obj, .stl or .toml with [[parts]]; of several bodies one each",
+    )
     animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
     animate.add_argument("--force", action="store_true", help="replace an existing file")
     animate.set_defaults(command=_animate, writes=True)
@@ -361,7 +373,9 @@ def _animate(options: argparse.Namespace) -> None:
     from lieint_jax.app.command.animate import animate
 
     span = (options.first, options.last)
-    animate(options.path, options.out, options.member, options.seconds, options.fps, options.force, span)
+    animate(
+        options.path, options.out, options.member, options.seconds, options.fps, options.force, span, options.shape
+    )
 
 
 def _schema(_: argparse.Namespace) -> None:

@@ -147,7 +147,11 @@ def parse(table: dict[str, Any], name: str) -> Any:
     if not isinstance(table["system"], str) or table["system"] not in kinds():
         allowed = " or ".join(map(repr, kinds()))
         raise ValueError(f"{name}: system: must be {allowed} (got {_quoted(table['system'])})")
-    model = kinds()[table["system"]].Scenario
+    return validate(kinds()[table["system"]].Scenario, table, name)
+
+
+def validate(model: Any, table: dict[str, Any], name: str) -> Any:
+    """A table of keys as a pydantic model; a ValueError that begins with `name` names the first wrong key."""
     try:
         return model.model_validate(table)
     except ValidationError as error:
