@@ -200,7 +200,9 @@ def test_points_are_dots_that_shrink_and_above_2000_counted_in_hexagons():
     assert len(counts) < 60 * 60
     assert axes[0, 2].get_legend_handles_labels()[1] == ["10000 members: darker where there are more"]
     _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
-    ax = plots.sky_points(axes[0, 0], plots.unit_vectors(*rng.normal(size=(2, 3000))), "members", marker="P", s=45, lw=0)
+    ax = plots.sky_points(
+        axes[0, 0], plots.unit_vectors(*rng.normal(size=(2, 3000))), "members", marker="P", s=45, lw=0
+    )
     assert ax.collections[0].get_sizes()[0] == 45
     assert len(ax.collections[0].get_offsets()) == 3000
 

@@ -1,4 +1,4 @@
-"""`lieint run --set`, `--quiet`, `--verbose` and `--version`: values of any key, checked like a file, and what is printed."""
+"""`lieint run --set`, `--quiet`, `--verbose`, `--version`: values of any key, checked like a file; what is printed."""
 
 import importlib.metadata
 import logging
@@ -69,7 +69,9 @@ def test_a_bad_value_is_named_as_in_a_file(setting, message):
 
 
 def test_the_bodies_of_a_scenario_are_listed():
-    with pytest.raises(ValueError, match=r"--set bodies\.Eve\.mass_kg: bodies is a list of tables: give a key of Alpha"):
+    with pytest.raises(
+        ValueError, match=r"--set bodies\.Eve\.mass_kg: bodies is a list of tables: give a key of Alpha"
+    ):
         settings.load("sn263", ["bodies.Eve.mass_kg=1.0"])
 
 

@@ -64,9 +64,9 @@ class Part(Table):
     """Radius and full length; the axis is z."""
     ellipsoid: PositiveTriple | None = None
     """Semi-axes along x, y and z."""
-    position: Triple = [0.0, 0.0, 0.0]
+    position: Triple = Field([0.0, 0.0, 0.0])
     """Of its center."""
-    euler_313_deg: Triple = [0.0, 0.0, 0.0]
+    euler_313_deg: Triple = Field([0.0, 0.0, 0.0])
     """Attitude R_z(α) R_x(β) R_z(γ), in degrees."""
     density: PositiveFloat = 1.0
     """Relative to other parts."""
@@ -110,4 +110,3 @@ def read(path: Path) -> BodyShape:
         return BodyShape(path.name, meshes.join(solids), reduce(add, found))
     corners, faces = shapes.surface(path)
     return BodyShape(path.name, meshes.colored(corners, faces.tolist()), shapes.mesh(corners, faces, density=1.0))
-

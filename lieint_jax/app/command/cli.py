@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import codecs
 import contextlib
-import functools
 import importlib.metadata
 import io
 import platform
@@ -27,7 +26,7 @@ _EPILOG = """examples:
   lieint list schemes                      what each scheme declares: its systems, conserved quantities, order
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/app/scenarios/toutatis.toml)
-  lieint run toutatis --set dt=0.01 --set 'state.angular_velocity_deg=[10, 0, 90]'   with other values of its keys
+  lieint run toutatis --set order=4 --set 'state.angular_velocity_deg=[10, 0, 90]'   other values of its keys
   lieint run toutatis --out runs.zarr --members 100000   write to disk during the run; --resume continues it
   lieint info runs.zarr                    describe that store
   lieint plot runs.zarr                    report on that store and draw it
@@ -126,7 +125,10 @@ def _spell_in_ascii(character: str) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors end with the command that prints help; so do the parsers of its subcommands."""
+    """A parser with the options of every command, whose errors end with the command that prints help."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(parents=[_common_options()], **options)
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"lieint: {_checks.printable(message, _MESSAGE)}; see {self.prog} --help\n")
@@ -138,11 +140,9 @@ def _parser() -> argparse.ArgumentParser:
         description="Conserving integrators for Hamiltonian systems on Lie groups. Everything runs in float64.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        parents=[_common_options()],
     )
     parser.set_defaults(verbosity="normal", writes=False)
-    make_parser = functools.partial(_Parser, parents=[_common_options()])
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=make_parser)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_run(commands)
     _add_list(commands)
     _add_results(commands)
@@ -175,7 +175,7 @@ def _add_run(commands: Any) -> None:
         help="file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the "
         "run, which may be s3://BUCKET/NAME.zarr (gs://, az://)",
     )
-    help_ = "another value of a key of the scenario, such as dt=0.1 or bodies.1.mass_kg=2e9; none removes it; repeatable"
+    help_ = "another value of a key, such as dt=0.1 or bodies.1.mass_kg=2e9 (KEY= removes it); may be repeated"
     run.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=help_)
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
@@ -216,10 +216,12 @@ def _add_results(commands: Any) -> None:
     plot.add_argument("--force", action="store_true", help="replace existing pictures")
     plot.set_defaults(command=_plot, writes=True)
     animate = commands.add_parser("animate", help="rotating bodies as GIF, MP4 or HTML", description="Animate a run.")
-    animate.add_argument("path", type=Path, metavar="PATH")
+    animate.add_argument("path", type=Path, metavar="PATH", help="NAME.npz or NAME.zarr")
     animate.add_argument("--member", type=int, default=0, metavar="K", help="index of the member, from 0 (default 0)")
     animate.add_argument("--out", type=Path, metavar="FILE", help="NAME.gif (default, next to PATH), .mp4 or .html")
-    animate.add_argument("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: start)")
+    animate.add_argument(
+        "--from", type=float, dest="first", metavar="T", help="time of the first frame (default: start)"
+    )
     animate.add_argument(
         "--to", type=float, dest="last", metavar="T", help="time of the last frame (default: as far as is smooth)"
     )
@@ -232,7 +234,7 @@ def _add_results(commands: Any) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="shape of the body in the axes of its inertia: .obj, .stl or .toml with [[parts]]; of several bodies one each",
+        help="shape of the body in the axes of its inertia: .obj, .stl, or .toml with [[parts]]; repeated for more bodies",
     )
     animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
     animate.add_argument("--force", action="store_true", help="replace an existing file")
@@ -373,9 +375,7 @@ def _animate(options: argparse.Namespace) -> None:
     from lieint_jax.app.command.animate import animate
 
     span = (options.first, options.last)
-    animate(
-        options.path, options.out, options.member, options.seconds, options.fps, options.force, span, options.shape
-    )
+    animate(options.path, options.out, options.member, options.seconds, options.fps, options.force, span, options.shape)
 
 
 def _schema(_: argparse.Namespace) -> None:

@@ -86,7 +86,7 @@ def figure_2(out: Path) -> str:
         "max |σ|": [run.poisson.max() for run in runs],
         "max H − min H": [max(np.ptp(run.energy), np.finfo(float).eps / 10) for run in runs],
     }
-    for ax, (label, values) in zip(axes[0], quantities.items(), strict=True):
+    for ax, values in zip(axes[0], quantities.values(), strict=True):
         for k, kappa in enumerate(KAPPAS):
             color = (plots.INK, plots.RED, plots.BLUE)[k]
             ax.bar(np.arange(4) + 0.27 * (k - 1), values[k::3], 0.25, color=color, label=LABELS[kappa.name])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,7 +109,7 @@ def second_moments(inertia: np.ndarray) -> np.ndarray:
 
 
 def of_inertia(inertia: np.ndarray, mass: float | None = None) -> Solid:
-    """The homogeneous ellipsoid of a mass and an inertia about its center; without a mass a box, whose corners are at 1.
+    """The homogeneous ellipsoid of a mass and an inertia about its center; without a mass a box with its corners at 1.
 
     With half-axes a, the second moments of an ellipsoid are m a²/5, and those of a box m a²/3.
     """

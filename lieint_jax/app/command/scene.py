@@ -214,7 +214,9 @@ def _bodies(
         raise ValueError(f"--shape is given {len(shapes)} times, but the run has {len(inertias)} bodies")
     for shape, inertia in zip(shapes, inertias, strict=False):
         if (tilt := shape.tilt(inertia)) > _TILTED:
-            warnings.warn(f"the principal axes of {shape.name} differ by {tilt:.0f}° from those of the body", stacklevel=2)
+            warnings.warn(
+                f"the principal axes of {shape.name} differ by {tilt:.0f}° from those of the body", stacklevel=2
+            )
     if axis is not None:
         solids = [shapes[0].solid if shapes else meshes.top(inertias[0], axis)]
         return (solids[0].scaled_by(1 / solids[0].size()),), axis[None], 1.0

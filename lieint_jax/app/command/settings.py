@@ -19,9 +19,9 @@ def load(name: str, settings: Sequence[str], **changes: Any) -> Any:
 
     Args:
         name: a shipped scenario or a file.
-        settings: texts KEY=VALUE, applied in order. KEY is a path such as `state.quaternion`; a table of a list is named
-            by its `name` or counted from 1, as in `[spread]`, and a part that contains dots is quoted. VALUE is a value
-            of TOML or a text without quotes; an empty one removes the key.
+        settings: texts KEY=VALUE, applied in order. KEY is a path such as `state.quaternion`; a table of a list has its
+            `name` or number, from 1, as in `[spread]`, and a part that contains dots is quoted. VALUE is a value of
+            TOML or a text without quotes; an empty one removes the key.
         changes: values of keys, which replace those in `settings`; None for no change.
 
     Raises:
