@@ -328,7 +328,7 @@ def sky(ax: Axes, center: float = 0.0) -> Any:
 
 
 def sky_path(ax: Axes, path: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
-    """Draw a path of unit vectors (n, 3) on the map of `sky`; where it crosses the edge, up to it and from the other."""
+    """Draw a path of unit vectors (n, 3) on the map of `sky`; at an edge it goes on at the other one."""
     longitude, latitude = _map_coordinates(path, center)
     last = np.flatnonzero(abs(np.diff(longitude)) > np.pi)  # before a crossing
     side = np.cos(latitude) * np.sin(longitude)  # 0 at the edge

@@ -38,31 +38,27 @@ def choose(verbosity: Verbosity) -> None:
     package.addHandler(_log)  # once: a logger has each handler once
 
 
-def show(*lines: object, error: bool = False) -> None:
-    """Print lines on stdout or stderr, with control and format characters escaped; if quiet, errors only."""
-    if error or _log.verbosity != "quiet":
-        _print("\n".join(map(str, lines)), sys.stderr if error else sys.stdout)
+def show(*lines: object, error: bool = False, always: bool = False) -> None:
+    """Print lines on stdout or stderr, control characters escaped. If quiet, only errors and what is `always` shown."""
+    if error or always or _log.verbosity != "quiet":
+        text = _checks.printable("\n".join(map(str, lines)), sys.maxsize, keep="\n")
+        print(text, file=sys.stderr if error else sys.stdout, flush=True)
 
 
 def show_written(*paths: object, about: str = "") -> None:
     """Print the paths of the files that a command has written, and what the first one holds; if quiet, one per line."""
-    first, *others = map(str, paths)
     if _log.verbosity == "quiet":
-        _print("\n".join([first, *others]), sys.stdout)
+        show(*paths, always=True)
     else:
+        first, *others = map(str, paths)
         show(f"\nwritten: {', '.join([f'{first} ({about})' if about else first, *others])}")
 
 
 def show_time(phase: str) -> None:
     """If verbose, print the time since the last phase ended."""
-    now = time.perf_counter()
+    last, _log.last = _log.last, time.perf_counter()
     if _log.verbosity == "verbose":
-        show(f"lieint: {phase}: {now - _log.last:.2f} s", error=True)
-    _log.last = now
-
-
-def _print(text: str, stream: Any) -> None:
-    print(_checks.printable(text, sys.maxsize, keep="\n"), file=stream, flush=True)
+        show(f"lieint: {phase}: {_log.last - last:.2f} s", error=True)
 
 
 def readable(tree: Any, most: int = _PROSE) -> Any:

@@ -41,6 +41,10 @@ _EPILOG = """examples:
   lieint figure 1 2 3 --out figures        the paper's figures
 """
 
+_VERBOSITIES = {
+    "quiet": "of a command that writes files: print errors, warnings and the paths of these files only",
+    "verbose": "print which engine runs the steps, machine code or XLA, and why, and the times of phases, on stderr",
+}
 _NAME, _MESSAGE = 100, 4000  # largest number of characters of a file's name in a message, and of a message
 _WAIT = 5.0  # seconds of silence while the processes of a run connect
 _PLAIN = {"·": "*", "×": "x", "÷": "/", "−": "-", "–": "-", "—": "-", "→": "->", "↦": "->"}
@@ -144,10 +148,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.set_defaults(verbosity="normal", writes=False)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_run(commands)
-    _add_list(commands)
     _add_results(commands)
-    _add_check(commands)
-    _add_paper(commands)
+    _add_others(commands)
     return parser
 
 
@@ -157,125 +159,97 @@ def _common_options() -> argparse.ArgumentParser:
     versions = f"lieint_jax {__version__}, jax {importlib.metadata.version('jax')}, python {platform.python_version()}"
     common.add_argument("--version", action="version", version=versions, help="print the versions, and exit")
     printed = common.add_mutually_exclusive_group()
-    choose: dict[str, Any] = {"dest": "verbosity", "action": "store_const", "default": argparse.SUPPRESS}
-    about = "of a command that writes files: print errors, warnings and the paths of these files only"
-    printed.add_argument("-q", "--quiet", const="quiet", help=about, **choose)
-    about = "print which engine runs the steps, machine code or XLA, and why, and the times of phases, on stderr"
-    printed.add_argument("-v", "--verbose", const="verbose", help=about, **choose)
+    for name, about in _VERBOSITIES.items():
+        options: dict[str, Any] = {"dest": "verbosity", "const": name, "default": argparse.SUPPRESS, "help": about}
+        printed.add_argument(f"-{name[0]}", f"--{name}", action="store_const", **options)
     return common
 
 
 def _add_run(commands: Any) -> None:
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
-    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (lieint list shows them) or a .toml file")
-    run.add_argument(
-        "--out",
-        type=_address,
-        metavar="PATH",
-        help="file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the "
-        "run, which may be s3://BUCKET/NAME.zarr (gs://, az://)",
-    )
-    help_ = "another value of a key, such as dt=0.1 or bodies.1.mass_kg=2e9 (KEY= removes it); may be repeated"
-    run.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=help_)
-    run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
-    run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
-    run.add_argument("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one per line")
-    run.add_argument("--resume", action="store_true", help="continue the run in PATH.zarr; start it if there is none")
-    run.add_argument("--no-certificate", action="store_true", help="do not measure what the scheme conserves")
-    run.add_argument("--no-pictures", action="store_true", help="draw no pictures; lieint plot PATH draws them later")
-    run.add_argument(
-        "--devices", type=_positive, metavar="N", help="number of devices (default: all; CPU: one per core)"
-    )
-    run.add_argument(
-        "--part",
-        metavar="K/N",
-        help="run only part K = 0 ... N-1 of the members, as one of N independent processes that fill one NAME.zarr; "
-        "auto: K and N of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)",
-    )
-    run.add_argument("--distributed", action="store_true", help="run as one of the processes that srun or mpirun start")
-    run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
-    run.add_argument("--processes", type=_positive, metavar="N", help="… the number of processes")
-    run.add_argument("--process", type=int, metavar="K", help="… the index of this process, from 0")
     run.set_defaults(command=_run, writes=True)
-
-
-def _add_list(commands: Any) -> None:
-    about = "List the scenarios and studies, or the schemes or systems of the library with their declared properties."
-    shown = commands.add_parser("list", help="list scenarios and studies, schemes or systems", description=about)
-    shown.add_argument("catalogue", nargs="?", choices=("schemes", "systems"), help="by default scenarios and studies")
-    shown.set_defaults(command=_list)
+    add = run.add_argument
+    add("scenario", metavar="SCENARIO", help="a shipped scenario (lieint list shows them) or a .toml file")
+    about = (
+        "file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the run, "
+    )
+    add("--out", type=_address, metavar="PATH", help=f"{about}which may be s3://BUCKET/NAME.zarr (gs://, az://)")
+    about = "another value of a key, such as dt=0.1 or bodies.1.mass_kg=2e9 (KEY= removes it); may be repeated"
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help=about)
+    add("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
+    add("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
+    add("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one per line")
+    add("--resume", action="store_true", help="continue the run in PATH.zarr; start it if there is none")
+    add("--no-certificate", action="store_true", help="do not measure what the scheme conserves")
+    add("--no-pictures", action="store_true", help="draw no pictures; lieint plot PATH draws them later")
+    add("--devices", type=_positive, metavar="N", help="number of devices (default: all; CPU: one per core)")
+    about = (
+        "run only part K = 0 ... N-1 of the members, as one of N independent processes that fill one NAME.zarr; auto: "
+    )
+    more = "K and N of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)"
+    add("--part", metavar="K/N", help=about + more)
+    add("--distributed", action="store_true", help="run as one of the processes that srun or mpirun start")
+    add("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
+    add("--processes", type=_positive, metavar="N", help="… the number of processes")
+    add("--process", type=int, metavar="K", help="… the index of this process, from 0")
 
 
 def _add_results(commands: Any) -> None:
     info = commands.add_parser("info", help="describe results", description="Describe a file of results.")
-    info.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     info.set_defaults(command=_info)
     plot = commands.add_parser("plot", help="report on results and draw them", description="Report on results.")
-    plot.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
+    plot.set_defaults(command=_plot, writes=True)
+    for reader in (info, plot):
+        reader.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
     plot.add_argument("--force", action="store_true", help="replace existing pictures")
-    plot.set_defaults(command=_plot, writes=True)
     animate = commands.add_parser("animate", help="rotating bodies as GIF, MP4 or HTML", description="Animate a run.")
-    animate.add_argument("path", type=Path, metavar="PATH", help="NAME.npz or NAME.zarr")
-    animate.add_argument("--member", type=int, default=0, metavar="K", help="index of the member, from 0 (default 0)")
-    animate.add_argument("--out", type=Path, metavar="FILE", help="NAME.gif (default, next to PATH), .mp4 or .html")
-    animate.add_argument(
-        "--from", type=float, dest="first", metavar="T", help="time of the first frame (default: start)"
-    )
-    animate.add_argument(
-        "--to", type=float, dest="last", metavar="T", help="time of the last frame (default: as far as is smooth)"
-    )
-    animate.add_argument(
-        "--seconds", type=float, metavar="S", help="duration of the film (default 6; with --to as smooth, up to 30)"
-    )
-    animate.add_argument(
-        "--shape",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="shape of the body in the axes of its inertia: .obj, .stl, or .toml with [[parts]]; repeated for more bodies",
-    )
-    animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
-    animate.add_argument("--force", action="store_true", help="replace an existing file")
     animate.set_defaults(command=_animate, writes=True)
-    schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="A schema.")
-    schema.set_defaults(command=_schema)
+    add = animate.add_argument
+    add("path", type=Path, metavar="PATH", help="NAME.npz or NAME.zarr")
+    add("--member", type=int, default=0, metavar="K", help="index of the member, from 0 (default 0)")
+    add("--out", type=Path, metavar="FILE", help="NAME.gif (default, next to PATH), .mp4 or .html")
+    add("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: start)")
+    add("--to", type=float, dest="last", metavar="T", help="time of the last frame (default: as far as is smooth)")
+    add("--seconds", type=float, metavar="S", help="duration of the film (default 6; with --to as smooth, up to 30)")
+    about = (
+        "shape of the body in the axes of its inertia: .obj, .stl, or .toml with [[parts]]; repeated for more bodies"
+    )
+    add("--shape", type=Path, action="append", default=[], metavar="FILE", help=about)
+    add("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
+    add("--force", action="store_true", help="replace an existing file")
 
 
-def _add_check(commands: Any) -> None:
-    check = commands.add_parser(
-        "check", help="print certificates", description="Measure what each scheme conserves, system by system."
-    )
-    check.add_argument(
-        "system",
-        nargs="?",
-        default="",
-        metavar="SYSTEM",
-        help="a module of systems (such as rigid_body), an example or a group; default: one example of each system",
-    )
+def _add_others(commands: Any) -> None:
+    about = "List the scenarios and studies, or the schemes or systems of the library with their declared properties."
+    shown = commands.add_parser("list", help="list scenarios and studies, schemes or systems", description=about)
+    shown.set_defaults(command=_list)
+    shown.add_argument("catalogue", nargs="?", choices=("schemes", "systems"), help="by default scenarios and studies")
+    about = "Measure what each scheme conserves, system by system."
+    check = commands.add_parser("check", help="print certificates", description=about)
+    check.set_defaults(command=_check)
+    about = "a module of systems (such as rigid_body), an example or a group; default: one example of each system"
+    check.add_argument("system", nargs="?", default="", metavar="SYSTEM", help=about)
     check.add_argument("--all", action="store_true", help="check every example of every system: many minutes")
     check.add_argument("--scheme", default="", metavar="NAME", help="check only schemes whose name contains NAME")
-    check.add_argument(
-        "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
-    )
+    about = "length of a run (default 1000; 100 where Ad_q grows)"
+    check.add_argument("--steps", type=_positive, metavar="N", help=about)
     check.add_argument("--published", action="store_true", help="recompute published numbers of other codes instead")
-    check.set_defaults(command=_check)
-
-
-def _add_paper(commands: Any) -> None:
-    figure = commands.add_parser(
-        "figure", help="recompute figures of the paper", description="Write figures as PNG and PDF."
-    )
-    help_ = "numbers in the paper, 1 to 5, or showtop: the tips of the body axes, of Appendix A"
-    figure.add_argument("figures", nargs="+", metavar="N", help=help_)
-    figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
+    about = "Write figures as PNG and PDF."
+    figure = commands.add_parser("figure", help="recompute figures of the paper", description=about)
     figure.set_defaults(command=_figure, writes=True)
+    about = "numbers in the paper, 1 to 5, or showtop: the tips of the body axes, of Appendix A"
+    figure.add_argument("figures", nargs="+", metavar="N", help=about)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
-    study.add_argument("name", metavar="NAME", help="a study that lieint list shows")
-    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
-    study.add_argument("--quick", action="store_true", help="run a small version of the study")
     study.set_defaults(command=_study, writes=True)
+    study.add_argument("name", metavar="NAME", help="a study that lieint list shows")
+    for writer in (figure, study):
+        writer.add_argument(
+            "--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)"
+        )
+    study.add_argument("--quick", action="store_true", help="run a small version of the study")
+    schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="A schema.")
+    schema.set_defaults(command=_schema)
 
 
 def _address(text: str) -> Any:
