@@ -14,7 +14,7 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 from lieint_jax import _checks
 from lieint_jax._version import __version__
@@ -129,13 +129,13 @@ def _spell_in_ascii(character: str) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser with the options of every command, whose errors end with the command that prints help."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(parents=[_common_options()], **options)
+    """A parser whose errors end with the command that prints help; so do the parsers of its subcommands."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"lieint: {_checks.printable(message, _MESSAGE)}; see {self.prog} --help\n")
+
+
+_Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -150,22 +150,22 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_results(commands)
     _add_others(commands)
+    for each in (parser, *commands.choices.values()):
+        _add_common_options(each)
     return parser
 
 
-def _common_options() -> argparse.ArgumentParser:
-    """The options of every command, before or after its name."""
-    common = argparse.ArgumentParser(add_help=False)
+def _add_common_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that are accepted before and after the name of every command."""
     versions = f"lieint_jax {__version__}, jax {importlib.metadata.version('jax')}, python {platform.python_version()}"
-    common.add_argument("--version", action="version", version=versions, help="print the versions, and exit")
-    printed = common.add_mutually_exclusive_group()
+    parser.add_argument("--version", action="version", version=versions, help="print the versions, and exit")
+    add = parser.add_mutually_exclusive_group().add_argument
     for name, about in _VERBOSITIES.items():
-        options: dict[str, Any] = {"dest": "verbosity", "const": name, "default": argparse.SUPPRESS, "help": about}
-        printed.add_argument(f"-{name[0]}", f"--{name}", action="store_const", **options)
-    return common
+        names, omitted = (f"-{name[0]}", f"--{name}"), argparse.SUPPRESS
+        add(*names, dest="verbosity", action="store_const", const=name, default=omitted, help=about)
 
 
-def _add_run(commands: Any) -> None:
+def _add_run(commands: _Commands) -> None:
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
     run.set_defaults(command=_run, writes=True)
     add = run.add_argument
@@ -194,7 +194,7 @@ def _add_run(commands: Any) -> None:
     add("--process", type=int, metavar="K", help="… the index of this process, from 0")
 
 
-def _add_results(commands: Any) -> None:
+def _add_results(commands: _Commands) -> None:
     info = commands.add_parser("info", help="describe results", description="Describe a file of results.")
     info.set_defaults(command=_info)
     plot = commands.add_parser("plot", help="report on results and draw them", description="Report on results.")
@@ -220,7 +220,7 @@ def _add_results(commands: Any) -> None:
     add("--force", action="store_true", help="replace an existing file")
 
 
-def _add_others(commands: Any) -> None:
+def _add_others(commands: _Commands) -> None:
     about = "List the scenarios and studies, or the schemes or systems of the library with their declared properties."
     shown = commands.add_parser("list", help="list scenarios and studies, schemes or systems", description=about)
     shown.set_defaults(command=_list)

@@ -14,7 +14,7 @@ _PART = re.compile(r'"([^"]*)"|([^."]+)')  # of a key
 _WORDS = re.compile(r"[^\W\d][^\[\]{}\"'=#\n]*")  # a text without quotes
 
 
-def load(name: str, settings: Sequence[str], **changes: Any) -> Any:
+def load(name: str, settings: Sequence[str], **changes: object) -> Any:
     """The scenario of a name or a file with other values of its keys.
 
     Args:
@@ -59,7 +59,7 @@ def _assign(table: dict[str, Any], path: Sequence[str], text: str) -> None:
         raise ValueError(f"there is no such key to remove; the keys are {', '.join(table)}")
 
 
-def _value(text: str) -> Any:
+def _value(text: str) -> object:
     """The value of a text, as TOML reads it, or the text itself if it has no quotes and is no such value."""
     try:
         [(_, value)] = tomllib.loads(f"value = {text}").items()
