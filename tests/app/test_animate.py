@@ -124,7 +124,7 @@ def test_a_span_begins_and_ends_at_the_requested_times(sign):
     fast = scene.scene_of(run, 0, 5, (0.0, sign * 8.0))  # with an end it is all shown, in frames of 115°
     np.testing.assert_allclose(fast.t, sign * np.linspace(0, 8, 5), rtol=0, atol=1e-14)
     np.testing.assert_allclose(fast.rotations[:, 0, 0, 0], np.cos(fast.t), rtol=0, atol=1e-12)
-    assert "a body rotates by up to 115° from frame to frame, and may seem to rotate backward" in fast.notes
+    assert "up to 115° of rotation from frame to frame, which may seem backward" in fast.notes
     chord = np.linalg.norm(np.diff(fast.paths[:, 0], axis=0), axis=1).max() / np.linalg.norm(fast.paths[0, 0])
     assert chord <= np.deg2rad(15) / 4 * 1.01  # the path is as fine as that of a slow film
     for span in ((-1.0, None), (3.0, 3.0), (3.0, 9.0), (4.0, 3.0)):

@@ -168,12 +168,11 @@ def _drawable_span(
         notes = (f"the first {abs(end - first):.4g} of {length}",)
     largest = angles[low:high].max()
     if largest <= interpolation.MAX_ROTATION:
-        coarse = max(1.0, (needed - 1) / (frames - 1)) if at_last <= limit else 1.0
-        if coarse > 1:
-            rotation = np.rad2deg(coarse * per_frame)
-            backward = ", and may seem to rotate backward" if rotation > 90 else ""
-            notes = (f"a body rotates by up to {rotation:.0f}° from frame to frame{backward}",)
-        fine = max(_FINE, min(int(np.ceil(coarse * _FINE)), _MOST_POINTS // frames))
+        in_frame = abs(np.diff(np.interp(sign * np.linspace(first, end, frames), sign * t, total))).max()
+        if in_frame > 2 * per_frame:
+            backward = ", which may seem backward" if in_frame > np.pi / 2 else ""
+            notes += (f"up to {np.rad2deg(in_frame):.0f}° of rotation from frame to frame{backward}",)
+        fine = max(_FINE, min(int(np.ceil(in_frame / per_frame * _FINE)), _MOST_POINTS // frames))
         times = np.linspace(first, end, (frames - 1) * fine + 1)
         part = jax.tree.map(lambda x: x[low : high + 1], run)
         return interpolation.interpolate_at(system, part, times), fine, notes, needed

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Sequence
 from typing import Any
 
 from lieint_jax import _checks
 from lieint_jax.app import scenarios
+from lieint_jax.runs import store as archives
 
 _PART = re.compile(r'"([^"]*)"|([^."]+)')  # of a key
 _WORDS = re.compile(r"[^\W\d][^\[\]{}\"'=#\n]*")  # a text without quotes
@@ -35,7 +35,7 @@ def load(name: str, settings: Sequence[str], **changes: object) -> Any:
             raise ValueError(f"--set {_checks.printable(text)}: give KEY=VALUE, such as dt=0.1")
         try:
             _assign(table, path, value)
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             raise ValueError(f"--set {_checks.printable(key)}: {error}") from error
     return scenarios.parse(table | {key: x for key, x in changes.items() if x is not None}, name)
 
@@ -62,7 +62,7 @@ def _assign(table: dict[str, Any], path: Sequence[str], text: str) -> None:
 def _value(text: str) -> object:
     """The value of a text, as TOML reads it, or the text itself if it has no quotes and is no such value."""
     try:
-        [(_, value)] = tomllib.loads(f"value = {text}").items()
+        [(_, value)] = archives.parse_toml(f"value = {text}").items()
     except ValueError as error:
         if _WORDS.fullmatch(text):
             return text
