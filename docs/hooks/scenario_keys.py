@@ -1,5 +1,6 @@
-"""The page of all scenario keys, from the JSON schema that `lieint schema` prints; and the table of `lieint list`."""
+"""The page of all scenario keys, by `lieint schema`; the table of `lieint list`; the options of all commands."""
 
+import argparse
 import inspect
 import json
 from importlib import resources
@@ -7,8 +8,8 @@ from importlib import resources
 from mkdocs.structure.files import File
 
 from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli, study
 from lieint_jax.app.command import list as listing
-from lieint_jax.app.command import study
 from lieint_jax.app.scenarios._kind import Kind
 
 INTRODUCTION = """# Every scenario key
@@ -32,8 +33,34 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, **_):
-    """Put the scenarios and studies where a page has the mark."""
+    """Put the scenarios and studies, and the options of the commands, where a page has their marks."""
+    if "<!-- lieint options -->" in markdown:
+        markdown = markdown.replace("<!-- lieint options -->", options())
     return markdown.replace("<!-- lieint list -->", _listed())
+
+
+def options():
+    """The arguments of every command with their help, from the parser of the command line."""
+    parser = cli._parser()
+    [commands] = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    rows = ["### Every command", "", *_arguments(parser, [])]
+    for name, command in commands.choices.items():
+        own = _arguments(command, parser._actions)
+        rows += ["", f"### `lieint {name}`", "", command.description, "", *(own or ["It has no arguments of its own."])]
+    return "\n".join(rows)
+
+
+def _arguments(parser, known):
+    """The rows of a table of a parser's arguments, without those that have the options of known ones."""
+    shared = {option for action in known for option in action.option_strings}
+    rows = []
+    for action in parser._actions:
+        if shared & {*action.option_strings} or isinstance(action, argparse._SubParsersAction):
+            continue
+        value = parser._get_formatter()._format_args(action, action.metavar or action.dest)
+        names = [f"{option} {value}".strip() for option in action.option_strings] or [value]
+        rows.append(f"| {', '.join(f'`{name}`' for name in names)} | {_cell(action.help or '')} |")
+    return ["| argument | |", "|---|---|", *rows] if rows else []
 
 
 def _listed():

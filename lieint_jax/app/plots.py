@@ -23,7 +23,9 @@ import matplotlib
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 _STYLE = Path(__file__).with_name("lieint.mplstyle")
 _LOOK = matplotlib.rc_params_from_file(_STYLE, use_default_template=False)
@@ -39,6 +41,8 @@ SpatialAxes: TypeAlias = Any  # matplotlib's Axes3D, some of whose declared type
 _MARKED = 8  # markers on each curve of `series`
 _COMPARABLE = 30  # works with peaks of such a ratio are drawn on a linear axis
 _LAYOUTS = 4  # drawings after which a constrained layout has settled: each moves the panels less
+_DOTS, _HEXAGONS = 2000, 60  # points that are drawn as dots, and hexagons across an axis for more
+_AMPLIFIED = 100.0  # growth of deviations that is worth a line
 _NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
 
@@ -215,6 +219,24 @@ def round_off(ax: Axes, epsilon: float = float(np.finfo(float).eps), of: str = "
     return ax
 
 
+def amplified_round_off(ax: Axes, t: np.ndarray, growth: np.ndarray, of: str = "") -> Axes:
+    """Draw how far a motion amplifies round-off, if that is more than a hundredfold: errors below are no defect.
+
+    Args:
+        ax: the axes, as `log_error` returns them.
+        t: times (n,).
+        growth: the norm of the linearization of the motion from its start to these times, (n,). It grows like t for a
+            stable motion, and exponentially for an unstable one, such as a rotation about the middle axis.
+        of: symbol of the quantity whose errors are drawn.
+    """
+    largest = np.maximum.accumulate(growth)
+    if largest[-1] > _AMPLIFIED:
+        label = f"ε{of} × growth of deviations: the motion amplifies round-off"
+        ax.plot(t, np.finfo(float).eps * largest, color=GRAY, lw=1.2, ls="--", zorder=1, label=label)
+        ax.legend()
+    return ax
+
+
 def sphere_path(
     ax: SpatialAxes,
     path: np.ndarray,
@@ -272,27 +294,57 @@ def unit_vectors(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
     )
 
 
+def points(ax: Any, x: np.ndarray, y: np.ndarray, label: str, color: str = INK, **look: Any) -> Any:
+    """Mark points (n,) such that their density is seen: dots that are smaller and paler the more there are.
+
+    Above 2000 they are counted in hexagons, which are darker the more points they hold; on a map they remain dots.
+    `look` overrides the look of the dots, as in `Axes.scatter`.
+    """
+    if len(x) <= _DOTS or ax.name != "rectilinear":
+        ax.scatter(x, y, label=label, color=color, **_look_of_dots(len(x), look))
+        return ax
+    shades = LinearSegmentedColormap.from_list("shades", [(*to_rgb(color), 0.15), (*to_rgb(color), 1.0)])
+    ax.hexbin(x, y, gridsize=_HEXAGONS, bins="log", mincnt=1, cmap=shades, linewidths=0, rasterized=True)
+    ax.scatter([], [], marker="h", color=color, label=f"{label}: darker where there are more")
+    return ax
+
+
+def _look_of_dots(count: int, look: dict[str, Any]) -> dict[str, Any]:
+    """The look of so many dots, 2 to 4 points across, unless their size `s` is given."""
+    share = min(count / _DOTS, 1.0) ** 0.5
+    return look if "s" in look else {"s": 16 - 12 * share, "alpha": 0.9 - 0.6 * share, "lw": 0} | look
+
+
 def sky(ax: Axes, center: float = 0.0) -> Any:
     """Label axes in Mollweide's equal-area projection as a map of the sphere centered on a longitude (°)."""
     ticks = range(-120, 121, 60)
     ax.set_xticks(np.deg2rad(ticks), [f"{(tick + center) % 360:g}°" for tick in ticks])
     ax.set_yticks(np.deg2rad(range(-60, 61, 30)), [f"{y}°".replace("-", "−") for y in range(-60, 61, 30)])
-    ax.tick_params(axis="x", labelcolor="#606060")
+    for label in ax.get_xticklabels():  # they are inside the map: on top of its curves, with a white outline
+        label.set(color="#404040", path_effects=[withStroke(linewidth=2.5, foreground="white")])
+    ax.xaxis.set_zorder(5)
     ax.grid(True)
     return ax
 
 
 def sky_path(ax: Axes, path: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
-    """Draw a path of unit vectors (n, 3) on the map of `sky`, interrupted where it crosses the edge of the map."""
+    """Draw a path of unit vectors (n, 3) on the map of `sky`; at an edge it goes on at the other one."""
     longitude, latitude = _map_coordinates(path, center)
-    leaves = np.flatnonzero(abs(np.diff(longitude)) > np.pi) + 1
-    ax.plot(np.insert(longitude, leaves, np.nan), np.insert(latitude, leaves, np.nan), label=label, **look)
+    last = np.flatnonzero(abs(np.diff(longitude)) > np.pi)  # before a crossing
+    side = np.cos(latitude) * np.sin(longitude)  # 0 at the edge
+    share = (side[last] / (side[last] - side[last + 1]))[:, None]
+    crossing = (1 - share) * path[last] + share * path[last + 1]
+    edge = np.arcsin(crossing[:, 2] / np.linalg.norm(crossing, axis=1))
+    end, gap, places = np.sign(longitude[last]) * np.pi, np.full(len(last), np.nan), np.repeat(last + 1, 3)
+    longitude = np.insert(longitude, places, np.stack([end, gap, -end], axis=1).ravel())
+    latitude = np.insert(latitude, places, np.stack([edge, gap, edge], axis=1).ravel())
+    ax.plot(longitude, latitude, label=label, **look)
     return ax
 
 
 def sky_points(ax: Axes, points: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
-    """Mark unit vectors (n, 3) on the map of `sky`."""
-    ax.scatter(*_map_coordinates(points, center), label=label, **look)
+    """Mark unit vectors (n, 3) on the map of `sky`, by default in a look that suits their number."""
+    ax.scatter(*_map_coordinates(points, center), label=label, **_look_of_dots(len(points), look))
     return ax
 
 
@@ -302,10 +354,10 @@ def _map_coordinates(points: np.ndarray, center: float) -> tuple[np.ndarray, np.
     return np.angle(np.exp(1j * longitude)), np.arcsin(np.clip(points[:, 2], -1, 1))
 
 
-def sphere_points(ax: SpatialAxes, points: np.ndarray, label: str, **style: Any) -> SpatialAxes:
+def sphere_points(ax: SpatialAxes, points: np.ndarray, label: str, **look: Any) -> SpatialAxes:
     """Draw unit vectors (n, 3) as dots on the sphere of `sphere_path`; those on the far side are left out."""
     seen = points[points @ _view_direction(ax) >= 0]
-    ax.scatter(*(1.01 * seen.T), label=label, depthshade=False, **style)
+    ax.scatter(*(1.01 * seen.T), label=label, depthshade=False, **_look_of_dots(len(points), look))
     return ax
 
 
@@ -353,7 +405,7 @@ def delay_plot(ax: SpatialAxes, points: np.ndarray, symbol: str = "x") -> Spatia
 def cube(ax: SpatialAxes) -> SpatialAxes:
     """Give axes in three dimensions equal sides and few small ticks."""
     ax.set_box_aspect((1, 1, 1), zoom=0.85)  # room for the labels
-    ax.tick_params(labelsize="xx-small", pad=-2)
+    ax.tick_params(labelsize="small", pad=-2)
     ax.tick_params(axis="z", pad=1)  # or the axis crosses the minus signs
     ax.locator_params(nbins=4)
     return ax

@@ -29,15 +29,18 @@ def engine_of(job: Job, mesh: Mesh, threads: int) -> Engine:
     """The engine of a run: machine code on a CPU, a kernel on a GPU, XLA's loop where neither is possible."""
     on_cpu = mesh.devices.flat[0].platform == "cpu"
     if native.engine_name() == "xla":
+        _log.info("XLA runs %s: LIEINT_ENGINE or li.engine selects it", job.step.name)
         return Engine(job, "xla", threads)
     engine = Engine(job, "native" if on_cpu else "kernel", threads)
     reason = engine.refusal
     if not reason:
+        what = f"machine code, in {threads} thread(s)," if on_cpu else "a kernel of the GPU"
+        _log.info("%s runs %s: it computes every operation of the step", what, job.step.name)
         return engine
     if on_cpu:
         _warn_once("ensembles" if "llvmlite" in reason else job.step.name, reason)
     else:
-        _log.debug("%s runs in XLA's plain loop: %s", job.step.name, reason)
+        _log.info("XLA runs %s: %s", job.step.name, reason)
     return Engine(job, "xla", threads)
 
 

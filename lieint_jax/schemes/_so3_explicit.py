@@ -80,7 +80,7 @@ class SO3Explicit(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         if self.m is not None and dataclasses.replace(self, m=None, gain=None)(state, dt)[1].converged:
             return f"{self.name} was prepared for another trajectory or another step size than {dt}: prepare it again"
-        return so3_midpoint(self.system).advice(state, dt)
+        return so3_midpoint(self.system).advice_to(self.name, state, dt)
 
 
 def so3_explicit(system: AbstractFreeBody) -> SO3Explicit:

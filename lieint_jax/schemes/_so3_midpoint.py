@@ -108,16 +108,20 @@ class SO3Midpoint(Step):
         return end._replace(work=state.work - dot(Omega, change)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
+        return self.advice_to(self.name, state, dt, f", or more iterations than {self.iterations}")
+
+    def advice_to(self, name: str, state: State, dt: ArrayLike, iterations: str = "") -> str:
+        """The advice to a step of this name with the same equation; `iterations` is what helps Newton's method."""
         J = np.asarray(self.system.inertia)
         own = np.asarray(so3.Ad_star(state.q, state.p) - _rotor(self.system, state))
         turn = float(np.abs(dt) * np.linalg.norm(own / J if J.ndim == 1 else np.linalg.solve(J, own)))
-        more = f", or more iterations than {self.iterations}" if turn < 1 else ""  # beyond, Newton may fail to converge
+        more = iterations if turn < 1 else ""  # beyond, Newton may fail to converge
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
         if not symmetric(self.system.inertia).well_conditioned:
-            return f"{self.name}: {SLENDER}"
+            return f"{name}: {SLENDER}"
         return (
-            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the rotation in a step, rad; the branch "
+            f"{name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the rotation in a step, rad; the branch "
             f"of this κ {self.kappa.branch}. Use a smaller dt{more}"
         )
 

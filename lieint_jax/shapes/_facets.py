@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.shapes._solids import surface
+from lieint_jax.shapes._solids import closed_surface
 from lieint_jax.types import pytree
 
 __all__ = ["Facets", "box_facets", "ellipsoid_facets", "facets"]
@@ -51,7 +51,7 @@ def facets(vertices: ArrayLike, faces: Any) -> Facets:
         >>> found.areas.round(3).tolist(), found.normals[0].tolist()
         ([0.5, 0.5, 0.5, 0.866], [0.0, 0.0, -1.0])
     """
-    at, triangles = surface(vertices, faces)
+    at, triangles = closed_surface(vertices, faces)
     a, b, c = jnp.moveaxis((at - jnp.mean(at, axis=0))[triangles], 1, 0)
     vectors = jnp.cross(b - a, c - a) / 2
     vectors = vectors * jnp.sign(jnp.sum(a * vectors))  # three times the volume

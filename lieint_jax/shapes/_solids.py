@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.types import pytree, static
 
-__all__ = ["Shape", "box", "cylinder", "ellipsoid", "mesh", "obj", "sites", "surface", "trace_free"]
+__all__ = ["Shape", "box", "closed_surface", "cylinder", "ellipsoid", "mesh", "obj", "sites", "surface", "trace_free"]
 
 ORDER = 4  # the highest moments of a shape
 
@@ -223,7 +224,7 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
         >>> float(corner.mass), corner.center.tolist()
         (1.0, [0.25, 0.25, 0.25])
     """
-    at, triangles = surface(vertices, faces)
+    at, triangles = closed_surface(vertices, faces)
     if concrete(at):
         _check_parts(np.asarray(at, float)[triangles], triangles)
     reference = jnp.mean(at, axis=0)  # near the center: the moments about a distant point would cancel
@@ -259,7 +260,26 @@ def obj(
     return mesh(scale * vertices, faces, mass=mass, density=density)
 
 
+def surface(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """The triangles of a file, Wavefront OBJ or STL (text or binary), for `mesh` or to draw.
+
+    Args:
+        path: a path that ends in .obj or .stl.
+
+    Returns:
+        The vertices (V, 3), those at one place merged, and the indices of the vertices of each triangle, (F, 3).
+
+    Raises:
+        ValueError: another ending, no triangles, or a line of another format.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".obj", ".stl"):
+        raise ValueError(f"a surface is read from a file .obj or .stl, got {path}")
+    return _read_obj(path) if path.suffix.lower() == ".obj" else _read_stl(path)
+
+
 _SAMPLES = 16  # faces of a part of a surface whose centers decide whether it lies inside another
+_STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 # ⟨x_i² x_j²⟩ over the squares of the lengths i and j
 _ELLIPSOID = (np.ones((3, 3)) + 2 * np.eye(3)) / 35
@@ -364,7 +384,7 @@ def _sums(a: Array, b: Array) -> Array:
     return jnp.matmul(a.T, b, precision="highest")
 
 
-def surface(vertices: ArrayLike, faces: Any) -> tuple[Array, np.ndarray]:
+def closed_surface(vertices: ArrayLike, faces: Any) -> tuple[Array, np.ndarray]:
     """The vertices (V, 3) and faces (F, 3) of a closed surface of triangles, checked as in `mesh`."""
     at = _checks.real_array("vertices", vertices)
     if at.ndim != 2 or at.shape[1] != 3:
@@ -486,3 +506,20 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
     places, merged = np.unique(np.array(vertices), axis=0, return_inverse=True)
     triangles = merged.reshape(-1)[indices]
     return places, triangles
+
+
+def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices and the triangles of an STL file, in text or binary, vertices at one place merged."""
+    data = path.read_bytes()
+    if len(data) == 84 + _STL.itemsize * int.from_bytes(data[80:84], "little"):
+        corners = np.frombuffer(data, _STL, offset=84)["corners"].astype(float)
+    else:
+        rows = re.findall(r"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", data.decode("utf-8", "replace"), re.MULTILINE)
+        try:
+            corners = np.array(rows, float).reshape(-1, 3, 3)
+        except ValueError as error:
+            raise ValueError(f"{path} must have three vertices of three numbers per triangle: {error}") from error
+    if not corners.size or not np.isfinite(corners).all():
+        raise ValueError(f"{path} must have triangles of finite numbers, as STL in text or binary, got {len(corners)}")
+    places, merged = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return places, merged.reshape(-1, 3)

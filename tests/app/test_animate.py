@@ -4,6 +4,7 @@ import html.parser
 import itertools
 import re
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from PIL import Image
 
 import lieint_jax as li
 from lieint_jax.app import plots
-from lieint_jax.app.command import cli, meshes, pictures, scene
+from lieint_jax.app.command import body_shapes, cli, meshes, pictures, scene
 from lieint_jax.app.command.pictures import StoredRun
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -63,12 +64,20 @@ def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
 
 
 @pytest.mark.parametrize("J", [[1.0, 2.0, 2.5], [[2.0, 0.2, -0.1], [0.2, 2.5, 0.15], [-0.1, 0.15, 3.0]]])
-def test_a_box_has_the_given_inertia(J):
+def test_a_box_has_the_given_inertia_up_to_its_size(J):
     """Homogeneous, its second moments are a third of those of its corners with an eighth of the mass each."""
-    mass = 1.7
-    corners = meshes.box(np.array(J), mass).corners
-    E = mass / 8 / 3 * corners.T @ corners
-    np.testing.assert_allclose(np.trace(E) * np.eye(3) - E, np.diag(J) if np.ndim(J) == 1 else J, rtol=0, atol=1e-14)
+    corners = meshes.of_inertia(np.array(J)).corners
+    E = corners.T @ corners
+    J = np.diag(J) if np.ndim(J) == 1 else np.array(J)
+    np.testing.assert_allclose((np.trace(E) * np.eye(3) - E) / np.trace(E) * np.trace(J) / 2, J, rtol=0, atol=1e-14)
+
+
+def test_a_body_with_a_mass_is_the_ellipsoid_of_its_inertia():
+    """In rotated axes; its corners are on the ellipsoid, and reach the ends of its semi-axes."""
+    squares, R = np.array([9.0, 4.0, 1.0]), np.linalg.qr(np.arange(9.0).reshape(3, 3) % 4 + np.eye(3))[0]
+    corners = meshes.of_inertia(R @ np.diag(1.7 / 5 * (squares.sum() - squares)) @ R.T, 1.7).corners
+    corners = corners @ R / np.sqrt(squares)
+    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 1, rtol=1e-12)
 
 
 def test_a_top_has_the_given_inertia():
@@ -111,7 +120,13 @@ def test_a_span_begins_and_ends_at_the_requested_times(sign):
     short = scene.scene_of(run, 0, 5, (sign * 2.0, None))  # 6 rad at 15° a frame
     np.testing.assert_allclose(short.t[[0, -1]], [sign * 2, sign * (2 + np.pi / 3)], rtol=0, atol=1e-12)
     assert short.needed == 24
-    assert "the first 1.047 of 6 s that were requested" in short.notes
+    assert "the first 1.047 of 6 s" in short.notes
+    fast = scene.scene_of(run, 0, 5, (0.0, sign * 8.0))  # with an end it is all shown, in frames of 115°
+    np.testing.assert_allclose(fast.t, sign * np.linspace(0, 8, 5), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(fast.rotations[:, 0, 0, 0], np.cos(fast.t), rtol=0, atol=1e-12)
+    assert "up to 115° of rotation from frame to frame, which may seem backward" in fast.notes
+    chord = np.linalg.norm(np.diff(fast.paths[:, 0], axis=0), axis=1).max() / np.linalg.norm(fast.paths[0, 0])
+    assert chord <= np.deg2rad(15) / 4 * 1.01  # the path is as fine as that of a slow film
     for span in ((-1.0, None), (3.0, 3.0), (3.0, 9.0), (4.0, 3.0)):
         with pytest.raises(ValueError, match=r"--from and --to must lie in the run, from -?0 to -?8 s"):
             scene.scene_of(run, 0, 5, tuple(x if x is None else sign * x for x in span))
@@ -120,6 +135,9 @@ def test_a_span_begins_and_ends_at_the_requested_times(sign):
 def test_a_span_of_sparsely_saved_states_shows_the_saved_states():
     found = scene.scene_of(uniform(2.8 * np.arange(6.0)), 0, 9, (2.0, 9.0))
     np.testing.assert_array_equal(found.t, 2.8 * np.arange(1.0, 4.0))
+    whole = scene.scene_of(uniform(2.8 * np.arange(9.0)), 0, 3, (None, 2.8 * 8))
+    np.testing.assert_array_equal(whole.t, 2.8 * np.array([0.0, 3.0, 6.0]))
+    assert "the frames are the saved states, one of 3;" in whole.notes[-1]
     with pytest.raises(ValueError, match="fewer than two states are saved from t = 3 to 4"):
         scene.scene_of(uniform(2.8 * np.arange(6.0)), 0, 9, (3.0, 4.0))
 
@@ -151,7 +169,7 @@ def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
     told = capsys.readouterr().out
     assert f"Rigid body, {store.name}, member 1: t = 0 … t = " in told  # neither the scheme's name nor a unit "1"
     assert "5 frames" in told
-    assert re.search(r"the rest does not fit at this speed: --seconds \d+ shows all, --from and --to another", told)
+    assert re.search(r"the rest does not fit at this speed: --seconds \d+ shows all, --to T all up to T, --from", told)
     with Image.open(out) as film:
         assert film.n_frames == 5
         assert film.info["duration"] == 100
@@ -259,3 +277,90 @@ def test_two_bodies_are_drawn_at_their_centers(dissipative):
     np.testing.assert_allclose(found.rotations, turns, rtol=0, atol=1e-12)
     middles = np.stack([found.corners(3, b).mean(axis=0) for b in range(2)])
     np.testing.assert_allclose(middles, found.centers[3], rtol=0, atol=1e-12)
+
+
+HANDLE = """
+parts = [{cylinder = [0.1, 1.0], position = [0.0, 0.3, 0.2]},
+         {box = [1.2, 0.2, 0.4], position = [0.0, 0.3, 0.8], euler_313_deg = [90, 0, 0], density = 2}]
+"""
+
+
+def area(solid):
+    corners = [solid.corners[list(face)] for face in solid.faces]
+    return sum(np.linalg.norm(np.cross(x[1:-1] - x[0], x[2:] - x[0]), axis=1).sum() / 2 for x in corners)
+
+
+def volume(solid):
+    """Of a closed surface whose faces are counted by their distance from a point inside a convex solid."""
+    corners = [solid.corners[list(face)] - solid.corners.mean(axis=0) for face in solid.faces]
+    return sum(abs(np.linalg.det([x[0], *pair])) / 6 for x in corners for pair in itertools.pairwise(x[1:]))
+
+
+def test_solids_have_their_volumes_and_keep_their_surface_in_smaller_faces():
+    sides = np.sin(np.pi / 12) * 12 / np.pi  # of a polygon of 24 corners, over a circle
+    cylinder, ball = meshes.cylinder(0.5, 3.0), meshes.ellipsoid(np.array([1.0, 2.0, 3.0]))
+    assert volume(meshes.box(np.array([1.0, 2.0, 3.0]))) == pytest.approx(6, rel=1e-12)
+    assert volume(cylinder) == pytest.approx(sides * np.pi * 0.75, rel=1e-12)
+    assert volume(ball) == pytest.approx(8 * np.pi, rel=0.05)
+    joined = meshes.join([cylinder, meshes.box(np.array([1.0, 2.0, 3.0]))])
+    assert area(joined) == pytest.approx(area(cylinder) + 22, rel=1e-12)
+    assert max(np.ptp(joined.corners[list(face)], axis=0).max() for face in joined.faces) <= 0.25 * 3
+
+
+@pytest.mark.long
+def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
+    """A cylinder of mass π/100 and a box of mass 0.192 above it, which is rotated by 90°."""
+    path = tmp_path / "handle.toml"
+    path.write_text(HANDLE)
+    found = body_shapes.read(path)
+    low, high = found.solid.corners.min(axis=0), found.solid.corners.max(axis=0)
+    np.testing.assert_allclose(low, [-0.1, -0.3, -0.3], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(high, [0.1, 0.9, 1.0], rtol=0, atol=1e-12)
+    masses = np.array([np.pi / 100, 0.192])
+    center = [0, 0.3, masses @ [0.2, 0.8] / masses.sum()]
+    np.testing.assert_allclose(found.centered().corners.min(axis=0), low - center, rtol=0, atol=1e-12)
+    t = np.linspace(0, 1, 5)
+    with pytest.warns(UserWarning, match=r"the principal axes of handle\.toml differ by 90° from those of the body"):
+        drawn = scene.scene_of(uniform(t), 0, 5, shapes=[found])
+    np.testing.assert_allclose(
+        drawn.corners(0, 0) * found.centered().size(), found.centered().corners, atol=1e-12, rtol=0
+    )
+    with pytest.raises(ValueError, match="--shape is given 2 times, but the run has 1 bodies"):
+        scene.scene_of(uniform(t), 0, 5, shapes=[found, found])
+
+
+def test_the_axes_of_a_shape_are_compared_where_moments_differ():
+    c, s = np.cos(np.deg2rad(25)), np.sin(np.deg2rad(25))
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    solid, zero = meshes.box(np.ones(3)), np.zeros(())
+
+    def brick(rotation):
+        second = rotation @ np.diag([9.0, 4.0, 1.0]) @ rotation.T / 12
+        return body_shapes.BodyShape(
+            "brick", solid, li.shapes.Shape(zero, np.zeros(3), jnp.asarray(second), zero, zero)
+        )
+
+    turned = brick(R)
+    assert brick(np.eye(3)).tilt(np.array([1.0, 2.0, 2.5])) == pytest.approx(0, abs=1e-12)
+    assert turned.tilt(np.array([1.0, 2.0, 2.5])) == pytest.approx(25, abs=1e-9)
+    assert turned.tilt(np.array([1.0, 1.0, 1.5])) == pytest.approx(0, abs=1e-9)  # its own axes there are arbitrary
+    assert turned.tilt(np.array([2.5, 2.0, 1.0])) == pytest.approx(90, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.toml", "parts = []", r"a\.toml: parts: .*at least 1"),
+        ("a.toml", "[[parts]]\nboxx = [1, 2, 3]", r"parts\.0\.boxx: unknown key; did you mean box\?"),
+        ("a.toml", "[[parts]]\nbox = [1, 2, 3]\nellipsoid = [1, 2, 3]", "exactly one of box, cylinder and ellipsoid"),
+        ("a.toml", "[[parts]]\ncylinder = [1, -2]", r"cylinder\.1: .*greater than 0"),
+        ("a.ply", "", r"a surface is read from a file \.obj or \.stl, got .*a\.ply"),
+        ("a.stl", "solid nothing", r"a\.stl must have triangles"),
+    ],
+)
+def test_a_bad_file_of_a_shape_is_refused_by_its_name(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=message):
+        body_shapes.read(tmp_path / name)
+    with pytest.raises(ValueError, match=r"there is no file nowhere\.toml"):
+        body_shapes.read(Path("nowhere.toml"))

@@ -4,6 +4,7 @@ import ast
 import contextlib
 import io
 import re
+import runpy
 import shlex
 import types
 from pathlib import Path
@@ -14,7 +15,7 @@ from documents import blocks, words
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
+from lieint_jax.app.command import body_shapes, cli, settings
 
 PAGES = Path(__file__).parents[2] / "docs" / "pages"
 TEXTS = {path.relative_to(PAGES).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PAGES.rglob("*.md"))}
@@ -89,7 +90,10 @@ def test_commands_in_pages_parse_and_name_existing_files(page, command):
         with pytest.raises(SystemExit, match=r"^0$"):
             cli._parser().parse_args([words[0], "--help"])
         return
-    scenario = getattr(cli._parser().parse_args(words), "scenario", "NAME")
+    options = cli._parser().parse_args(words)
+    scenario = getattr(options, "scenario", "NAME")
+    if getattr(options, "set", None) and scenario in scenarios.scenario_names():
+        assert settings.load(scenario, options.set)
     assert scenario in (*scenarios.scenario_names(), "NAME", "SCENARIO") or scenario.endswith(".toml")
 
 
@@ -99,8 +103,26 @@ def test_scenarios_in_pages_are_valid(name):
 
     for _, code in blocks(TEXTS[name], "toml"):
         table = tomllib.loads(code)
-        if ".py:" not in table["system"]:  # whose kind another test runs
+        if "parts" in table:
+            assert len(scenarios.validate(body_shapes.Parts, table, name).parts) > 1
+        elif ".py:" not in table["system"]:  # whose kind another test runs
             assert scenarios.parse(table, name).members >= 1
+
+
+def test_the_page_of_the_command_line_has_every_command_and_option():
+    """They are made from the parser; the table at the top of the page is written by hand."""
+    pytest.importorskip("mkdocs")
+    hook = runpy.run_path(str(PAGES.parent / "hooks" / "scenario_keys.py"))
+    page, rows = TEXTS["reference/command_line.md"], hook["options"]().splitlines()
+    assert "<!-- lieint options -->" in page
+    [commands] = [action for action in cli._parser()._actions if action.choices and not action.option_strings]
+    for name, command in commands.choices.items():
+        assert f"### `lieint {name}`" in rows
+        assert f"| `lieint {name}" in page
+        for action in command._actions:
+            for option in action.option_strings:
+                assert any(option in row.split("`")[1::2] or f"`{option} " in row for row in rows), option
+    assert all(row.rstrip("| ").count("|") == 2 for row in rows if row.startswith("| `"))  # each has its help
 
 
 @pytest.mark.parametrize("scheme", [entry.name for entry in li.schemes.catalogue()])

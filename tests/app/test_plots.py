@@ -150,16 +150,74 @@ def test_errors_are_drawn_with_the_line_of_round_off(kind):
     assert len(ax.get_lines()) == 1  # nothing near it, no line
 
 
-def test_a_path_on_the_map_is_broken_where_it_leaves_the_map():
+def map_path(path, center=0.0):
+    """Longitudes and latitudes in degrees of a path as drawn."""
     _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
-    longitude = np.deg2rad([150, 170, 190, 210])
-    ax = plots.sky_path(plots.sky(axes[0, 0]), plots.unit_vectors(longitude, np.zeros(4)), "equator")
-    x = ax.get_lines()[0].get_xdata()
-    np.testing.assert_allclose(np.rad2deg(x), [150, 170, np.nan, -170, -150])
+    ax = plots.sky_path(plots.sky(axes[0, 0], center), path, "path", center)
+    return np.rad2deg(ax.get_lines()[0].get_xydata()).T
+
+
+def test_a_path_on_the_map_ends_at_its_edge_and_begins_at_the_other_one():
+    equator = plots.unit_vectors(np.deg2rad([150, 170, 190, 210]), np.zeros(4))
+    np.testing.assert_allclose(map_path(equator)[0], [150, 170, 180, np.nan, -180, -170, -150])
+    np.testing.assert_allclose(map_path(equator[::-1])[0], [-150, -170, -180, np.nan, 180, 170, 150])
+    np.testing.assert_allclose(map_path(equator, 180)[0], [-30, -10, 10, 30])
+    on_the_edge = map_path(plots.unit_vectors(np.deg2rad([170, 180, 190]), np.zeros(3)))[0]
+    np.testing.assert_allclose(on_the_edge[[0, 1, 2, -2, -1]], [170, 180, 180, -180, -170])
+
+
+def test_a_path_crosses_the_edge_of_the_map_on_its_great_circle():
+    """tan(latitude) of a great circle is a sine of the longitude."""
+    angle = np.deg2rad(np.arange(0.0, 360.0, 25.0))
+    longitude, latitude = map_path(np.stack([np.sin(angle), 0.6 * np.cos(angle), 0.8 * np.cos(angle)], axis=1))
+    drawn = np.isfinite(longitude)
+    assert (~drawn).sum() == 1
+    np.testing.assert_allclose(
+        np.tan(np.deg2rad(latitude[drawn])), 4 / 3 * np.sin(np.deg2rad(longitude[drawn])), rtol=0, atol=1e-12
+    )
+    assert np.isclose(abs(longitude[drawn]), 180).sum() == 2
+
+
+def test_labels_of_longitudes_are_on_top_of_curves():
     _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
-    ax = plots.sky_path(plots.sky(axes[0, 0], 180), plots.unit_vectors(longitude, np.zeros(4)), "equator", 180)
-    np.testing.assert_allclose(np.rad2deg(ax.get_lines()[0].get_xdata()), [-30, -10, 10, 30])
+    ax = plots.sky(axes[0, 0], 180)
+    plots.sky_path(ax, np.eye(3), "path", 180)
     assert ax.get_xticklabels()[0].get_text() == "60°"
+    assert ax.get_lines()[0].get_zorder() < ax.xaxis.get_zorder()
+
+
+def test_points_are_dots_that_shrink_and_above_2000_counted_in_hexagons():
+    rng = np.random.default_rng(0)
+    _, axes = plots.figure(3)
+    few, many, most = (
+        plots.points(ax, *rng.normal(size=(2, n)), f"{n} members", plots.BLUE).collections[0]
+        for ax, n in zip(axes[0], (20, 2000, 10_000), strict=True)
+    )
+    assert few.get_sizes()[0] > many.get_sizes()[0] >= 4  # of an area in points²
+    assert few.get_alpha() > many.get_alpha() >= 0.3
+    counts = most.get_array()
+    assert counts.sum() == 10_000
+    assert len(counts) < 60 * 60
+    assert axes[0, 2].get_legend_handles_labels()[1] == ["10000 members: darker where there are more"]
+    _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
+    ax = plots.sky_points(
+        axes[0, 0], plots.unit_vectors(*rng.normal(size=(2, 3000))), "members", marker="P", s=45, lw=0
+    )
+    assert ax.collections[0].get_sizes()[0] == 45
+    assert len(ax.collections[0].get_offsets()) == 3000
+
+
+def test_round_off_that_a_motion_amplifies_is_a_line_of_its_own():
+    """For a saddle, cosh λt; the line does not fall where the deviations do."""
+    t = np.linspace(0, 10, 11)
+    for rate, drawn in ((0.1, False), (1.0, True)):
+        _, axes = plots.figure()
+        growth = np.where(t == 10, 1.0, np.cosh(rate * t))
+        ax = plots.log_error(axes[0, 0], t, {"nominal": 1e-16 * growth}, "Poisson error")
+        lines = plots.amplified_round_off(ax, t, growth, "|H₀|").get_lines()
+        assert (len(lines) == 3) is drawn
+    np.testing.assert_allclose(lines[2].get_ydata()[9:], np.finfo(float).eps * np.cosh(9), rtol=1e-12)
+    assert "amplifies round-off" in ax.get_legend().get_texts()[-1].get_text()
 
 
 def alone(step, start):

@@ -306,6 +306,7 @@ NO_NUMBERS = {
     "maps.examples": "functions",
     "shapes.obj": "a file",
     **dict.fromkeys(OUTSIDE.split(), "a run, or a series outside of jit, as in tests/measure/test_measured_series.py"),
+    "shapes.surface": "a file",
 }
 
 

@@ -93,3 +93,12 @@ def test_a_step_prepared_for_another_run_does_not_converge():
     with pytest.raises(ValueError, match="free rigid bodies"):
         so3_explicit("top")
     assert not so3_explicit(body)(state._replace(p=state.p * jnp.nan), 0.4)[1].converged
+
+
+def test_a_failure_is_reported_by_its_own_name_without_advice_that_it_cannot_follow():
+    body = RigidBody(INERTIAS["principal"])
+    advice = so3_explicit(body).advice(moving(body.inertia), 3.0)
+    assert advice.startswith("so3_explicit does not converge: |Δt Ω| = ")
+    assert "so3_midpoint[" not in advice
+    assert "more iterations" not in so3_explicit(body).advice(moving(body.inertia), 0.1)
+    assert "more iterations than 3" in so3_midpoint(body).advice(moving(body.inertia), 0.1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +11,27 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.command import files, info
+from lieint_jax.app.command import body_shapes, files, info
 from lieint_jax.app.command.scene import Scene, Span, scene_of
-from lieint_jax.app.printer import show
+from lieint_jax.app.printer import show, show_written
 from lieint_jax.types import Trajectory
 
 SUFFIXES = (".gif", ".mp4", ".html")
 _DPI = 100
 _INCHES = 4.8
+_SECONDS, _LONGEST = 6.0, 30.0  # durations of an animation without --seconds: with --to it is as long as is smooth
+_EDGES = 60  # faces of a body, up to which their edges are drawn
 
 
 def animate(
     path: Path,
     out: Path | None = None,
     member: int = 0,
-    seconds: float = 6.0,
+    seconds: float | None = None,
     fps: int = 20,
     force: bool = False,
     span: Span = (None, None),
+    shapes: Sequence[Path] = (),
 ) -> None:
     """Write an animation of one member of a stored run, with the paths of body axes and the momentum vectors.
 
@@ -36,32 +39,38 @@ def animate(
         path: the file of results.
         out: NAME.gif, NAME.mp4 or NAME.html; by default a GIF next to the file.
         member: the index of the member.
-        seconds: the duration of the animation; it is shorter if the run has fewer states to show.
+        seconds: the duration of the animation; it is shorter if the run has fewer states to show. By default 6, or with
+            the end of a span as many as show it smoothly, up to 30.
         fps: frames per second.
         force: replace an existing file.
-        span: the times to show, from the first to the second; None stands for the start or the end of the run.
+        span: the times to show, from the first to the second, all of it. Without the second, as much as is smooth.
+        shapes: files with the shapes of the bodies, see `body_shapes.read`.
 
     Raises:
         ValueError: `out` cannot be written, the run has no rigid bodies or no states, or a program is not installed.
     """
     out = path.with_suffix(".gif") if out is None else out
     _check(out, force)
-    if not 0 < seconds < float("inf"):
+    if seconds is not None and not 0 < seconds < float("inf"):
         raise ValueError(f"--seconds must be positive, got {seconds:g}")
     run, metadata = files.load(path)
     if not isinstance(run, Trajectory):
         raise ValueError(f"{path} holds a run with `reduce`, which stores no states: there is nothing to animate")
     if len(run.t) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to animate yet")
-    scene = scene_of(info.stored_run(path, run, metadata), member, max(2, round(seconds * fps)), span)
+    stored, found = info.stored_run(path, run, metadata), [body_shapes.read(file) for file in shapes]
+    scene = scene_of(stored, member, max(2, round((seconds or _SECONDS) * fps)), span, found)
+    if seconds is None and span[1] is not None and scene.needed > len(scene.t):
+        scene = scene_of(stored, member, min(scene.needed, round(_LONGEST * fps)), span, found)
     show(f"{scene.title}, member {member}: {scene.clock(0)} … {scene.clock(-1)}, {len(scene.t)} frames")
     show(*(f"  {note}" for note in scene.notes))
     if scene.needed > len(scene.t):
-        longer = f"--seconds {np.ceil(scene.needed / fps):.0f} shows all, --from and --to another part"
-        show(f"  the rest does not fit at this speed: {longer}")
+        longer = f"--seconds {np.ceil(scene.needed / fps):.0f}"
+        part = f"{longer} shows all, --to T all up to T, --from T another part"
+        show(f"  the rest does not fit at this speed: {part}" if span[1] is None else f"  {longer} shows it smoothly")
     show("  drawing; 100 frames need about ten seconds …")
     (_write_html if out.suffix == ".html" else _write_film)(scene, out, fps)
-    show(f"\nwritten: {out} ({files.megabytes(out)})")
+    show_written(out, about=files.megabytes(out))
 
 
 def _check(out: Path, force: bool) -> None:
@@ -118,7 +127,8 @@ def _draw(fig: Figure, ax: Any, scene: Scene) -> list[tuple[Any, ...]]:
 
     moving = []
     for body, solid in enumerate(scene.solids):
-        surface = Poly3DCollection(_polygons(scene, 0, body), facecolors=solid.colors, edgecolors=plots.INK, lw=0.3)
+        edges = plots.INK if len(solid.faces) <= _EDGES else solid.colors
+        surface = Poly3DCollection(_polygons(scene, 0, body), facecolors=solid.colors, edgecolors=edges, lw=0.3)
         ax.add_collection3d(surface)
         ax.plot(*scene.paths[:, body].T, color=plots.BLUE, lw=0.5, alpha=0.3)
         [path] = ax.plot([], [], [], color=plots.BLUE, lw=1.0)

@@ -5,16 +5,20 @@ from __future__ import annotations
 import argparse
 import codecs
 import contextlib
+import importlib.metadata
 import io
+import platform
 import sys
 import threading
 import unicodedata
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 from lieint_jax import _checks
+from lieint_jax._version import __version__
+from lieint_jax.app import printer
 from lieint_jax.app.printer import show
 
 _EPILOG = """examples:
@@ -22,6 +26,7 @@ _EPILOG = """examples:
   lieint list schemes                      what each scheme declares: its systems, conserved quantities, order
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/app/scenarios/toutatis.toml)
+  lieint run toutatis --set order=4 --set 'state.angular_velocity_deg=[10, 0, 90]'   other values of its keys
   lieint run toutatis --out runs.zarr --members 100000   write to disk during the run; --resume continues it
   lieint info runs.zarr                    describe that store
   lieint plot runs.zarr                    report on that store and draw it
@@ -36,6 +41,10 @@ _EPILOG = """examples:
   lieint figure 1 2 3 --out figures        the paper's figures
 """
 
+_VERBOSITIES = {
+    "quiet": "of a command that writes files: print errors, warnings and the paths of these files only",
+    "verbose": "print which engine runs the steps, machine code or XLA, and why, and the times of phases, on stderr",
+}
 _NAME, _MESSAGE = 100, 4000  # largest number of characters of a file's name in a message, and of a message
 _WAIT = 5.0  # seconds of silence while the processes of a run connect
 _PLAIN = {"·": "*", "×": "x", "÷": "/", "−": "-", "–": "-", "—": "-", "→": "->", "↦": "->"}
@@ -46,6 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command; return 0 on success, 2 with one line on stderr for an error that the user can correct."""
     _print_in_any_encoding()
     options = _parser().parse_args(arguments)
+    printer.choose(options.verbosity if options.writes or options.verbosity != "quiet" else "normal")
     import jax
 
     from lieint_jax.app.command.compilation import use_program_cache
@@ -125,6 +135,9 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"lieint: {_checks.printable(message, _MESSAGE)}; see {self.prog} --help\n")
 
 
+_Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="lieint",
@@ -132,111 +145,112 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.set_defaults(verbosity="normal", writes=False)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_run(commands)
-    _add_list(commands)
     _add_results(commands)
-    _add_check(commands)
-    _add_paper(commands)
+    _add_others(commands)
+    for each in (parser, *commands.choices.values()):
+        _add_common_options(each)
     return parser
 
 
-def _add_run(commands: Any) -> None:
+def _add_common_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that are accepted before and after the name of every command."""
+    versions = f"lieint_jax {__version__}, jax {importlib.metadata.version('jax')}, python {platform.python_version()}"
+    parser.add_argument("--version", action="version", version=versions, help="print the versions, and exit")
+    add = parser.add_mutually_exclusive_group().add_argument
+    for name, about in _VERBOSITIES.items():
+        names, omitted = (f"-{name[0]}", f"--{name}"), argparse.SUPPRESS
+        add(*names, dest="verbosity", action="store_const", const=name, default=omitted, help=about)
+
+
+def _add_run(commands: _Commands) -> None:
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
-    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (lieint list shows them) or a .toml file")
-    run.add_argument(
-        "--out",
-        type=_address,
-        metavar="PATH",
-        help="file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the "
-        "run, which may be s3://BUCKET/NAME.zarr (gs://, az://)",
+    run.set_defaults(command=_run, writes=True)
+    add = run.add_argument
+    add("scenario", metavar="SCENARIO", help="a shipped scenario (lieint list shows them) or a .toml file")
+    about = (
+        "file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the run, "
     )
-    run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
-    run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
-    run.add_argument("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one per line")
-    run.add_argument("--resume", action="store_true", help="continue the run in PATH.zarr; start it if there is none")
-    run.add_argument("--no-certificate", action="store_true", help="do not measure what the scheme conserves")
-    run.add_argument("--no-pictures", action="store_true", help="draw no pictures; lieint plot PATH draws them later")
-    run.add_argument(
-        "--devices", type=_positive, metavar="N", help="number of devices (default: all; CPU: one per core)"
+    add("--out", type=_address, metavar="PATH", help=f"{about}which may be s3://BUCKET/NAME.zarr (gs://, az://)")
+    about = "another value of a key, such as dt=0.1 or bodies.1.mass_kg=2e9 (KEY= removes it); may be repeated"
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help=about)
+    add("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
+    add("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
+    add("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one per line")
+    add("--resume", action="store_true", help="continue the run in PATH.zarr; start it if there is none")
+    add("--no-certificate", action="store_true", help="do not measure what the scheme conserves")
+    add("--no-pictures", action="store_true", help="draw no pictures; lieint plot PATH draws them later")
+    add("--devices", type=_positive, metavar="N", help="number of devices (default: all; CPU: one per core)")
+    about = (
+        "run only part K = 0 ... N-1 of the members, as one of N independent processes that fill one NAME.zarr; auto: "
     )
-    run.add_argument(
-        "--part",
-        metavar="K/N",
-        help="run only part K = 0 ... N-1 of the members, as one of N independent processes that fill one NAME.zarr; "
-        "auto: K and N of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)",
-    )
-    run.add_argument("--distributed", action="store_true", help="run as one of the processes that srun or mpirun start")
-    run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
-    run.add_argument("--processes", type=_positive, metavar="N", help="… the number of processes")
-    run.add_argument("--process", type=int, metavar="K", help="… the index of this process, from 0")
-    run.set_defaults(command=_run)
+    more = "K and N of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)"
+    add("--part", metavar="K/N", help=about + more)
+    add("--distributed", action="store_true", help="run as one of the processes that srun or mpirun start")
+    add("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
+    add("--processes", type=_positive, metavar="N", help="… the number of processes")
+    add("--process", type=int, metavar="K", help="… the index of this process, from 0")
 
 
-def _add_list(commands: Any) -> None:
-    about = "List the scenarios and studies, or the schemes or systems of the library with their declared properties."
-    shown = commands.add_parser("list", help="list scenarios and studies, schemes or systems", description=about)
-    shown.add_argument("catalogue", nargs="?", choices=("schemes", "systems"), help="by default scenarios and studies")
-    shown.set_defaults(command=_list)
-
-
-def _add_results(commands: Any) -> None:
+def _add_results(commands: _Commands) -> None:
     info = commands.add_parser("info", help="describe results", description="Describe a file of results.")
-    info.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     info.set_defaults(command=_info)
     plot = commands.add_parser("plot", help="report on results and draw them", description="Report on results.")
-    plot.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
+    plot.set_defaults(command=_plot, writes=True)
+    for reader in (info, plot):
+        reader.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
     plot.add_argument("--force", action="store_true", help="replace existing pictures")
     plot.add_argument("--kind", default="", metavar="FILE.py:CLASS", help="the kind of its scenario, if it is your own")
-    plot.set_defaults(command=_plot)
     animate = commands.add_parser("animate", help="rotating bodies as GIF, MP4 or HTML", description="Animate a run.")
-    animate.add_argument("path", type=Path, metavar="PATH")
-    animate.add_argument("--member", type=int, default=0, metavar="K", help="index of the member, from 0 (default 0)")
-    animate.add_argument("--out", type=Path, metavar="FILE", help="NAME.gif (default, next to PATH), .mp4 or .html")
-    animate.add_argument("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: all)")
-    animate.add_argument("--to", type=float, dest="last", metavar="T", help="time of the last frame (default: all)")
-    animate.add_argument("--seconds", type=float, default=6.0, metavar="S", help="duration of the film (default 6)")
-    animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
-    animate.add_argument("--force", action="store_true", help="replace an existing file")
-    animate.set_defaults(command=_animate)
-    schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="A schema.")
-    schema.set_defaults(command=_schema)
+    animate.set_defaults(command=_animate, writes=True)
+    add = animate.add_argument
+    add("path", type=Path, metavar="PATH", help="NAME.npz or NAME.zarr")
+    add("--member", type=int, default=0, metavar="K", help="index of the member, from 0 (default 0)")
+    add("--out", type=Path, metavar="FILE", help="NAME.gif (default, next to PATH), .mp4 or .html")
+    add("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: start)")
+    add("--to", type=float, dest="last", metavar="T", help="time of the last frame (default: as far as is smooth)")
+    add("--seconds", type=float, metavar="S", help="duration of the film (default 6; with --to as smooth, up to 30)")
+    about = (
+        "shape of the body in the axes of its inertia: .obj, .stl, or .toml with [[parts]]; repeated for more bodies"
+    )
+    add("--shape", type=Path, action="append", default=[], metavar="FILE", help=about)
+    add("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
+    add("--force", action="store_true", help="replace an existing file")
 
 
-def _add_check(commands: Any) -> None:
-    check = commands.add_parser(
-        "check", help="print certificates", description="Measure what each scheme conserves, system by system."
-    )
-    check.add_argument(
-        "system",
-        nargs="?",
-        default="",
-        metavar="SYSTEM",
-        help="a module of systems (such as rigid_body), an example or a group; default: one example of each system",
-    )
+def _add_others(commands: _Commands) -> None:
+    about = "List the scenarios and studies, or the schemes or systems of the library with their declared properties."
+    shown = commands.add_parser("list", help="list scenarios and studies, schemes or systems", description=about)
+    shown.set_defaults(command=_list)
+    shown.add_argument("catalogue", nargs="?", choices=("schemes", "systems"), help="by default scenarios and studies")
+    about = "Measure what each scheme conserves, system by system."
+    check = commands.add_parser("check", help="print certificates", description=about)
+    check.set_defaults(command=_check)
+    about = "a module of systems (such as rigid_body), an example or a group; default: one example of each system"
+    check.add_argument("system", nargs="?", default="", metavar="SYSTEM", help=about)
     check.add_argument("--all", action="store_true", help="check every example of every system: many minutes")
     check.add_argument("--scheme", default="", metavar="NAME", help="check only schemes whose name contains NAME")
-    check.add_argument(
-        "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
-    )
+    about = "length of a run (default 1000; 100 where Ad_q grows)"
+    check.add_argument("--steps", type=_positive, metavar="N", help=about)
     check.add_argument("--published", action="store_true", help="recompute published numbers of other codes instead")
-    check.set_defaults(command=_check)
-
-
-def _add_paper(commands: Any) -> None:
-    figure = commands.add_parser(
-        "figure", help="recompute figures of the paper", description="Write figures as PNG and PDF."
-    )
-    help_ = "numbers in the paper, 1 to 5, or showtop: the tips of the body axes, of Appendix A"
-    figure.add_argument("figures", nargs="+", metavar="N", help=help_)
-    figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
-    figure.set_defaults(command=_figure)
+    about = "Write figures as PNG and PDF."
+    figure = commands.add_parser("figure", help="recompute figures of the paper", description=about)
+    figure.set_defaults(command=_figure, writes=True)
+    about = "numbers in the paper, 1 to 5, or showtop: the tips of the body axes, of Appendix A"
+    figure.add_argument("figures", nargs="+", metavar="N", help=about)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
+    study.set_defaults(command=_study, writes=True)
     study.add_argument("name", metavar="NAME", help="a study that lieint list shows")
-    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
+    for writer in (figure, study):
+        writer.add_argument(
+            "--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)"
+        )
     study.add_argument("--quick", action="store_true", help="run a small version of the study")
-    study.set_defaults(command=_study)
+    schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="A schema.")
+    schema.set_defaults(command=_schema)
 
 
 def _address(text: str) -> Any:
@@ -272,7 +286,8 @@ def _run(options: argparse.Namespace) -> None:
         if options.distributed:
             raise ValueError("--part is for independent processes, --distributed for processes that start together")
         part = ensemble.part_of_text(options.part)
-    if options.members is None and options.steps is None and not options.distributed:
+    default = options.members is None and options.steps is None and not options.set
+    if default and not options.distributed:
         listing.announce(f"run {options.scenario}")
     if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
@@ -288,6 +303,7 @@ def _run(options: argparse.Namespace) -> None:
             options.devices,
             options.resume,
             options.save_at,
+            given=options.set,
             certificate=not options.no_certificate,
             pictures=not options.no_pictures,
             part=part,
@@ -337,7 +353,7 @@ def _animate(options: argparse.Namespace) -> None:
     from lieint_jax.app.command.animate import animate
 
     span = (options.first, options.last)
-    animate(options.path, options.out, options.member, options.seconds, options.fps, options.force, span)
+    animate(options.path, options.out, options.member, options.seconds, options.fps, options.force, span, options.shape)
 
 
 def _schema(_: argparse.Namespace) -> None:
@@ -376,8 +392,8 @@ def _figure(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     for n in options.figures:
         listing.announce(f"figure {n}")
-        written = ", ".join(map(str, plots.files(options.out / f"figure-{n}.png")))
-        show(FIGURES[n](options.out), f"  written to {written}")
+        show(FIGURES[n](options.out))
+        printer.show_written(*plots.files(options.out / f"figure-{n}.png"))
 
 
 def _study(options: argparse.Namespace) -> None:

@@ -23,6 +23,11 @@ from lieint_jax.types import State, Step
 BODIES = {"A": (1.0, 2.0, 3.0), "S": (1.0, 1.0, 2.0)}  # asymmetric and symmetric, as in the caption of Fig. 2
 DURATION, OMEGA = 50.0, (0.2, 0.0, 1.0)
 STEPS = 4000  # of Figures 3 to 5
+LABELS = {  # of the scalings κ by their names, in TeX
+    "cayley": r"$\kappa = 1$, Cayley",
+    "exponential": r"$\kappa = \tan(|\bar\Theta|/2)\,/\,(|\bar\Theta|/2)$, exponential",
+    "symplectic": r"$\kappa = 2\,/\,(1 + \sqrt{1 - |\bar\Theta|^2})$, symplectic",
+}
 
 
 class Run(NamedTuple):
@@ -50,6 +55,10 @@ def free_body_run(body: str, kappa_index: int, dt: float) -> Run:
     return Run(body, step.kappa.name, dt, *map(np.asarray, jax.jit(measure)()))
 
 
+def _inertia(body: str) -> str:
+    return f"J = diag{tuple(int(x) for x in BODIES[body])}"
+
+
 @plots.style()
 def figure_1(out: Path) -> str:
     """Poisson errors at Δt = 0.05, both bodies: the paper's Figure 1, and a line of the symplectic κ, which is at 0."""
@@ -58,9 +67,11 @@ def figure_1(out: Path) -> str:
     for ax, body in zip(axes[0], BODIES, strict=True):
         runs = [free_body_run(body, k, 0.05) for k in range(len(KAPPAS))]
         t = 0.05 * np.arange(len(runs[0].poisson))
-        plots.series(ax, t, {run.kappa: run.poisson for run in runs}, "Poisson error |σ|")
-        ax.set_title(f"J = diag{tuple(int(x) for x in BODIES[body])}")
+        plots.series(ax, t, {LABELS[run.kappa]: run.poisson for run in runs}, "Poisson error |σ|")
         lines += [f"  J = {BODIES[body]}  {run.kappa:<12} max|σ| = {run.poisson.max():.3g}" for run in runs]
+    plots.letter_panels(axes, [_inertia(body) for body in BODIES])
+    plots.legend_below(axes)
+    fig.suptitle("Poisson errors of the scalings κ at Δt = 0.05: only the symplectic κ has none")
     plots.save(fig, out / "figure-1.png")
     return "\n".join(["Figure 1: Poisson errors over t = 50 at Δt = 0.05", *lines])
 
@@ -75,15 +86,16 @@ def figure_2(out: Path) -> str:
         "max |σ|": [run.poisson.max() for run in runs],
         "max H − min H": [max(np.ptp(run.energy), np.finfo(float).eps / 10) for run in runs],
     }
-    for ax, (label, values) in zip(axes[0], quantities.items(), strict=True):
+    for ax, values in zip(axes[0], quantities.values(), strict=True):
         for k, kappa in enumerate(KAPPAS):
             color = (plots.INK, plots.RED, plots.BLUE)[k]
-            ax.bar(np.arange(4) + 0.27 * (k - 1), values[k::3], 0.25, color=color, label=kappa.name)
-        ax.set_xticks(range(4), [f"{body}\nΔt={dt}" for body, dt in groups])
+            ax.bar(np.arange(4) + 0.27 * (k - 1), values[k::3], 0.25, color=color, label=LABELS[kappa.name])
+        ax.set_xticks(range(4), [f"{_inertia(body)}\nΔt = {dt}" for body, dt in groups], fontsize="small")
         ax.set_yscale("log")
-        ax.set_ylim(1e-17, 1000 * max(values))
-        ax.set_ylabel(label)
-        plots.round_off(ax).legend(ncols=2, loc="upper center")
+        ax.set_ylim(1e-17, 10 * max(values))
+        plots.round_off(ax)
+    plots.letter_panels(axes, [f"{label}, t ≤ {DURATION:g}" for label in quantities])
+    plots.legend_below(axes)
     plots.save(fig, out / "figure-2.png")
     rows = [
         f"  {run.dt:<6} {run.body}  {run.kappa:<12} {run.poisson.max():>10.3g} {np.ptp(run.energy):>12.2g}"
@@ -102,11 +114,14 @@ def showtop(out: Path) -> str:
     tips = fig.add_subplot(1, 3, 1, projection="3d")
     for k, color in enumerate((plots.INK, plots.RED, plots.BLUE)):
         tips.plot(*run.rotations[:, :, k].T, color=color, lw=0.7, label=f"axis {k + 1}")
-    tips.set(title=f"tips of the body axes, J = diag{tuple(int(x) for x in BODIES[run.body])}", box_aspect=(1, 1, 1))
-    tips.legend()
+    plots.cube(tips).set(xlabel="x", ylabel="y", zlabel="z")
+    tips.legend(loc="upper right")
     t = run.dt * np.arange(len(run.energy))
     for ax, y, label in zip(axes[0, 1:], (run.energy, run.poisson), ("H − H₀", "Poisson error |σ|"), strict=True):
-        plots.series(ax, t, {run.kappa: y}, label)
+        plots.series(ax, t, {"": y}, label)
+    titles = [f"tips of the body axes, {_inertia(run.body)}", "energy", "Poisson error"]
+    plots.letter_panels(np.array([tips, *axes[0, 1:]]), titles)
+    fig.suptitle(f"Free body by the scheme with {LABELS[run.kappa]}, Δt = {run.dt}")
     plots.save(fig, out / "figure-showtop.png")
     return (
         f"showtop (Appendix A): {run.kappa} κ, t = {DURATION:g}, Δt = {run.dt}\n"

@@ -14,7 +14,7 @@ from lieint_jax import _checks
 from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.command.pictures import StoredRun
-from lieint_jax.app.printer import readable, show
+from lieint_jax.app.printer import readable, show, show_written
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.runs import Run
@@ -45,7 +45,7 @@ def plot(path: Address, out: Path | None = None, force: bool = False, own_kind: 
         drawn = _plot_scenario(scenario, run, path, plain, force)
     else:
         drawn = _plot_any(stored_run(path, run, metadata), contents(path, run, metadata), plain, force)
-    show(f"\nwritten: {', '.join(map(str, drawn))}")
+    show_written(*drawn)
 
 
 def _plot_scenario(scenario: Kind, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:

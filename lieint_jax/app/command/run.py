@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -11,8 +12,8 @@ import numpy as np
 from lieint_jax import _checks, ensemble, runs
 from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import files, info
-from lieint_jax.app.printer import readable, show
+from lieint_jax.app.command import files, info, settings
+from lieint_jax.app.printer import readable, show, show_time, show_written
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import nominal_state
 from lieint_jax.diagnostics import certify
@@ -32,6 +33,7 @@ def run(
     resume: bool = False,
     save_at: Path | None = None,
     *,
+    given: Sequence[str] = (),
     certificate: bool = True,
     pictures: bool = True,
     part: tuple[int, int] | None = None,
@@ -42,6 +44,7 @@ def run(
         name: a shipped scenario or a file.
         out: the file of results, NAME.npz or NAME.zarr, the latter also a URL; by default named after the scenario.
         members, steps, save_at: values that replace those of the scenario.
+        given: further ones, as texts KEY=VALUE.
         devices: the number of devices to use.
         resume: continue the run in a NAME.zarr.
         certificate: measure what the scheme conserves along the nominal member, if an .npz is written.
@@ -50,7 +53,8 @@ def run(
     """
     if part is not None:
         resume = True  # a part always continues what it finds
-    scenario = scenarios.load(name, members=members, steps=steps, save_at=save_at and files.read_numbers(save_at))
+    times = save_at and files.read_numbers(save_at)
+    scenario = settings.load(name, given, members=members, steps=steps, save_at=times)
     drawings = scenario.pictures() if pictures else {}
     certificate = certificate and scenario.certified
     if out is None:
@@ -65,6 +69,7 @@ def run(
         step, states = scenarios.build_first(scenario, 1), partial(scenarios.states_of, scenario)
     else:
         step, states = scenario.build()
+    show_time("making the scenario")
     if leader:
         show(info.headline(scenario, step))
         needed = ensemble.peak_memory(
@@ -84,6 +89,7 @@ def run(
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
         try:
             integrate(store=ensemble.StoreOptions(out, description, scenario.time_unit))
+            show_time("the run")
         except KeyboardInterrupt as stop:
             again = "the same command" if part else "the same command with --resume"
             raise KeyboardInterrupt(f"{stop}: {again}" if stop.args else "") from None
@@ -91,9 +97,10 @@ def run(
             show(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
         elif leader:
             show(info.contents(out))
-            show(f"\nwritten: {out} ({files.megabytes(out)}); lieint plot {out} reports on it and draws it")
+            show_written(out, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
         return
     run = integrate()
+    show_time("the run")
     if not leader:
         return
     assert not isinstance(out, Url)  # whose suffix is .zarr
@@ -106,16 +113,18 @@ def run(
     doing = " and ".join(["drawing"] * pictures + ["certifying"] * certificate)
     show(f"  results in {out}{f'; {doing} …' if doing else ''}")
     drawn = info.draw(out, drawings, scenario, run)
+    show_time("results and pictures")
     show(readable(scenario).report(run))
+    show_time("the report")
     if certificate:
         watched = min(scenario.steps, _WATCHED)
         show(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
         show(certify(run.member(0).step, nominal_state(run), scenario.dt, watched))
+        show_time("the certificate")
     converged = int(np.asarray(run.info.converged).all(axis=0).sum())
     show(f"  {converged} of {scenario.members} members converged at every step")
     arrays = ", ".join(["t, q, p, residual, converged, metadata", *(f"member.{name}" for name in own)])
-    written = [f"{out} ({arrays}; {files.megabytes(out)})", *map(str, drawn)]
-    show(f"\nwritten: {', '.join(written)}")
+    show_written(out, *drawn, about=f"{arrays}; {files.megabytes(out)}")
 
 
 def _report_outputs(out: Path, pictures: bool) -> None:
@@ -123,7 +132,8 @@ def _report_outputs(out: Path, pictures: bool) -> None:
     if pictures:
         info.plot(out)
     else:
-        show(f"{info.contents(out)}\n\nwritten: {out} ({files.megabytes(out)})")
+        show(info.contents(out))
+        show_written(out, about=files.megabytes(out))
 
 
 def _entries(scenario: Kind) -> int:

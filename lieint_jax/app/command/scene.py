@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.app.command import interpolation
-from lieint_jax.app.command.meshes import Solid, box, top
+from lieint_jax.app.command import interpolation, meshes
+from lieint_jax.app.command.body_shapes import BodyShape
+from lieint_jax.app.command.meshes import Solid
 from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.scenarios._body import spin_axis
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies
@@ -18,7 +21,9 @@ from lieint_jax.types import Trajectory
 
 _MAX_ROTATION = np.deg2rad(15)  # largest rotation of a body between frames, if states can be interpolated
 _MAX_TILT = np.deg2rad(2)  # the same for the axis of a top, whose spin may be much faster
-_FINE = 4  # number of points of an axis' path from frame to frame
+_FINE = 4  # number of points of an axis' path from frame to frame, of such a rotation
+_MOST_POINTS = 20_000  # of a path
+_TILTED = 10.0  # degrees between the principal axes of a body and of its shape, above which a warning is given
 _MIN_SIZE = 0.06  # smallest size of the largest body, over that of the scene: smaller bodies are drawn larger
 _TIP, _ARROW = 1.2, 1.5  # lengths of axes and momentum vectors, over the size of their body
 _SYSTEMS_OF_BODIES = (AbstractFreeBodies, AbstractRigidBodies, AbstractDissipativeBodies)
@@ -42,7 +47,7 @@ class Scene(NamedTuple):
         fine: the number of points of a path from frame to frame.
         middle: the center of the scene, (3,).
         reach: half the side of a cube about the center that contains the scene.
-        needed: the number of frames that would show the requested span.
+        needed: the number of frames that would show the requested span smoothly.
     """
 
     title: str
@@ -76,14 +81,18 @@ class Scene(NamedTuple):
         return f"t = {self.t[frame]:.4g} {self.time_unit}".rstrip()
 
 
-def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, None)) -> Scene:
+def scene_of(
+    stored: StoredRun, member: int, frames: int, span: Span = (None, None), shapes: Sequence[BodyShape] = ()
+) -> Scene:
     """The scene of one member of a run, in at most `frames` frames.
 
     Args:
         stored: the run.
         member: the index of the member.
         frames: the largest number of frames.
-        span: the times of the first and the last frame; None selects that of the run.
+        span: the times of the first and the last frame. Without the last, the scene ends where bodies that rotate by
+            15° from frame to frame are when the frames are used up.
+        shapes: of the first bodies, in the axes of their inertia; others are the solids that have their inertia.
 
     Raises:
         ValueError: a system without rigid bodies, no such member, or times outside the run.
@@ -106,7 +115,7 @@ def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, No
     if is_multibody:
         x, attitudes, spins = q[..., :3], q[..., 3:], p[..., 3:]
     rotations = np.asarray(jax.jit(jax.vmap(jax.vmap(so3.to_matrix)))(jnp.asarray(attitudes)))
-    solids, axes, factor = _bodies(system, rotations[0], spins[0], x)
+    solids, axes, factor = _bodies(system, rotations[0], spins[0], x, shapes)
     if factor > 1:
         notes = (*notes, f"bodies are drawn {factor:.2g} times as large as they are")
     sizes = np.array([solid.size() for solid in solids])[:, None]
@@ -137,10 +146,10 @@ def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, No
 def _drawable_span(
     system: Any, run: Trajectory, frames: int, time_unit: str, span: Span
 ) -> tuple[Trajectory, int, tuple[str, ...], int]:
-    """The part of a span of a trajectory that `frames` frames can show, at the points of the paths.
+    """The part of a trajectory that `frames` frames show, at the points of the paths: all of a span with an end.
 
     Returns:
-        The trajectory, its number of points per frame, notes, and the number of frames that would show the whole span.
+        The trajectory, its number of points per frame, notes, and the number of frames that would show it smoothly.
     """
     t = np.asarray(run.t)
     sign, (first, last) = np.sign(t[-1] - t[0]), _span(t, span, time_unit)
@@ -148,31 +157,37 @@ def _drawable_span(
     steps, per_frame = (angles, _MAX_ROTATION) if interpolation.top_axis(system) is None else (tilts, _MAX_TILT)
     total = np.concatenate([[0.0], np.cumsum(steps)])
     at_first, at_last = np.interp(sign * np.array([first, last]), sign * t, total)
-    limit = at_first + (frames - 1) * per_frame
+    limit = at_last if span[1] is not None else at_first + (frames - 1) * per_frame
     end = last if at_last <= limit else np.interp(limit, total, t)
     needed = int(np.ceil((at_last - at_first) / per_frame)) + 1
-    low = int(np.searchsorted(sign * t, sign * first, side="right")) - 1
-    low = min(low, len(t) - 2)
+    low = min(int(np.searchsorted(sign * t, sign * first, side="right")) - 1, len(t) - 2)
     high = max(int(np.searchsorted(sign * t, sign * end)), low + 1)
-    part = jax.tree.map(lambda x: x[low : high + 1], run)
     notes: tuple[str, ...] = ()
     if at_last > limit:
-        requested = "" if span == (None, None) else " that were requested"
         length = f"{abs(last - first):.4g} {time_unit}".rstrip()
-        notes = (f"the first {abs(end - first):.4g} of {length}{requested}",)
+        notes = (f"the first {abs(end - first):.4g} of {length}",)
     largest = angles[low:high].max()
     if largest <= interpolation.MAX_ROTATION:
-        times = np.linspace(first, end, (frames - 1) * _FINE + 1)
-        return interpolation.interpolate_at(system, part, times), _FINE, notes, needed
-    saved = np.flatnonzero((sign * (t - first) >= 0) & (sign * (last - t) >= 0))[:frames]
+        in_frame = abs(np.diff(np.interp(sign * np.linspace(first, end, frames), sign * t, total))).max()
+        if in_frame > 2 * per_frame:
+            backward = ", which may seem backward" if in_frame > np.pi / 2 else ""
+            notes += (f"up to {np.rad2deg(in_frame):.0f}° of rotation from frame to frame{backward}",)
+        fine = max(_FINE, min(int(np.ceil(in_frame / per_frame * _FINE)), _MOST_POINTS // frames))
+        times = np.linspace(first, end, (frames - 1) * fine + 1)
+        part = jax.tree.map(lambda x: x[low : high + 1], run)
+        return interpolation.interpolate_at(system, part, times), fine, notes, needed
+    saved = np.flatnonzero((sign * (t - first) >= 0) & (sign * (last - t) >= 0))
     if len(saved) < 2:
         raise ValueError(f"fewer than two states are saved from t = {first:.6g} to {last:.6g}: save more often")
-    which = "first" if saved[0] == 0 else "next"
+    shown = saved[:frames] if span[1] is None else saved[:: -(-len(saved) // frames)]
+    which = f"{'first' if shown[0] == 0 else 'next'} {len(shown)} saved states"
+    if shown[1] - shown[0] > 1:
+        which = f"saved states, one of {shown[1] - shown[0]}"
     note = (
         f"the saved states are too far from each other to be interpolated, up to {np.rad2deg(largest):.0f}° of "
-        f"rotation: the frames are the {which} {len(saved)} saved states; save more often to see the motion between"
+        f"rotation: the frames are the {which}; save more often to see the motion between"
     )
-    return jax.tree.map(lambda x: x[saved], run), 1, (note,), len(saved)
+    return jax.tree.map(lambda x: x[shown], run), 1, (note,), len(saved)
 
 
 def _span(t: np.ndarray, span: Span, time_unit: str) -> tuple[float, float]:
@@ -189,17 +204,25 @@ def _span(t: np.ndarray, span: Span, time_unit: str) -> tuple[float, float]:
 
 
 def _bodies(
-    system: Any, rotations: np.ndarray, spins: np.ndarray, x: np.ndarray
+    system: Any, rotations: np.ndarray, spins: np.ndarray, x: np.ndarray, shapes: Sequence[BodyShape]
 ) -> tuple[tuple[Solid, ...], np.ndarray, float]:
     """The surfaces of the bodies, the axis of each in the body (bodies, 3), and how many times they are enlarged."""
-    axis = interpolation.top_axis(system)
-    if axis is not None:
-        return (top(np.asarray(system.inertia), axis),), axis[None], 1.0
-    single = not hasattr(system, "inertias")
+    axis, single = interpolation.top_axis(system), not hasattr(system, "inertias")
     inertias = np.asarray(system.inertia)[None] if single else np.asarray(system.inertias)
+    if len(shapes) > len(inertias):
+        raise ValueError(f"--shape is given {len(shapes)} times, but the run has {len(inertias)} bodies")
+    for shape, inertia in zip(shapes, inertias, strict=False):
+        if (tilt := shape.tilt(inertia)) > _TILTED:
+            warnings.warn(
+                f"the principal axes of {shape.name} differ by {tilt:.0f}° from those of the body", stacklevel=2
+            )
+    if axis is not None:
+        solids = [shapes[0].solid if shapes else meshes.top(inertias[0], axis)]
+        return (solids[0].scaled_by(1 / solids[0].size()),), axis[None], 1.0
     masses = [None] if single else np.asarray(system.masses)
     axes = np.stack([spin_axis(J, R.T @ p) for J, R, p in zip(inertias, rotations, spins, strict=True)])
-    solids = [box(J, m) for J, m in zip(inertias, masses, strict=True)]
-    extent = np.ptp(x, axis=(0, 1)).max() / 2
-    factor = max(1.0, _MIN_SIZE * extent / max(solid.size() for solid in solids))
-    return tuple(solid.scaled_by(factor) for solid in solids), axes, factor
+    solids = [shape.centered() for shape in shapes]
+    solids += [meshes.of_inertia(J, m) for J, m in zip(inertias, masses, strict=True)][len(shapes) :]
+    size, extent = max(solid.size() for solid in solids), np.ptp(x, axis=(0, 1)).max() / 2
+    factor = 1 / size if single else max(1.0, _MIN_SIZE * extent / size)
+    return tuple(solid.scaled_by(factor) for solid in solids), axes, 1.0 if single else factor

@@ -12,7 +12,7 @@ from lieint_jax import _discover
 from lieint_jax._version import __version__
 from lieint_jax.app import plots, studies
 from lieint_jax.app.command import files, result_file
-from lieint_jax.app.printer import readable, show
+from lieint_jax.app.printer import readable, show, show_time, show_written
 from lieint_jax.runs import store as archives
 
 
@@ -27,11 +27,11 @@ def run(name: str, out: Path, quick: bool) -> None:
     out.mkdir(parents=True, exist_ok=True)
     path = files.unused_path(out / f"study-{name}.npz", _pictures)
     result = study.run(quick=quick)
+    show_time("the study")
     result_file.save(path, result, {"study": name, "quick": quick, "lieint_jax": __version__, "jax": jax.__version__})
     show(study.text(result))
     drawn = plots.save(study.draw(result), path.with_suffix(".png"))
-    again = f"{files.megabytes(path)}; lieint plot {path} draws it again"
-    show(f"\nwritten: {path} ({again}), {', '.join(map(str, drawn))}")
+    show_written(path, *drawn, about=f"{files.megabytes(path)}; lieint plot {path} draws it again")
 
 
 def _find_study(name: str) -> ModuleType:
@@ -64,7 +64,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
         text, figure = study.text(result), study.draw(result)
     show(text)
     drawn = plots.save(figure, plain.with_suffix(".png"))
-    show(f"\nwritten: {', '.join(map(str, drawn))}")
+    show_written(*drawn)
 
 
 def _metadata(path: Path) -> dict[str, Any]:

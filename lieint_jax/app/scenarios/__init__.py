@@ -90,14 +90,18 @@ def load(name: str, **changes: Any) -> Any:
     Raises:
         ValueError: no such scenario, not TOML, or a key is missing, unknown or out of range: the message names it.
     """
-    return parse(_table(name) | {key: value for key, value in changes.items() if value is not None}, name)
+    return parse(table(name) | {key: value for key, value in changes.items() if value is not None}, name)
 
 
 def parse(table: dict[str, Any], name: str) -> Any:
     """The scenario of a table of keys; error messages begin with `name`."""
     if "system" not in table:
         raise ValueError(f"{name}: system: key missing")
-    model = _kind_of(table["system"], name)
+    return validate(_kind_of(table["system"], name), table, name)
+
+
+def validate(model: Any, table: dict[str, Any], name: str) -> Any:
+    """A table of keys as a pydantic model; a ValueError that begins with `name` names the first wrong key."""
     try:
         return model.model_validate(table)
     except ValidationError as error:
@@ -170,7 +174,8 @@ def schema() -> dict[str, Any]:
     return {"oneOf": list(found.values()), **definitions}
 
 
-def _table(name: str) -> dict[str, Any]:
+def table(name: str) -> dict[str, Any]:
+    """The keys of the scenario shipped under `name`, or in the file `name`, unchecked; ValueError if there is none."""
     path = Path(name)
     if name in scenario_names():
         return archives.read_toml(resources.files(__name__).joinpath(f"{name}.toml"), name)

@@ -10,7 +10,7 @@ from lieint_jax.runs.store._open_archive import TIME, Archive, open_archive, rea
 from lieint_jax.runs.store._reading import check_system, load_store, open_run, system_from_store
 from lieint_jax.runs.store._storage import Address, Url, address
 from lieint_jax.runs.store._store_options import StoreOptions
-from lieint_jax.runs.store._untrusted import SUFFIXES, UnreadableError, read_toml, wrap_errors
+from lieint_jax.runs.store._untrusted import SUFFIXES, UnreadableError, parse_toml, read_toml, wrap_errors
 
 __all__ = [
     "SUFFIXES",
@@ -27,6 +27,7 @@ __all__ = [
     "open_archive",
     "open_run",
     "open_storage",
+    "parse_toml",
     "read_toml",
     "read_trajectory",
     "system_from_store",

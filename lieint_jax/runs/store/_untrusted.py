@@ -104,14 +104,19 @@ def read_toml(file: Traversable, name: str) -> dict[str, Any]:
     text = ""
     try:
         text = data.decode("utf-8-sig")
-        _check_toml_depth(text)
-        return tomllib.loads(text)
+        return parse_toml(text)
     except UnicodeDecodeError as error:
         raise UnreadableError(f"{name} is not UTF-8 text: {error}") from error
     except ValueError as error:  # of its grammar, or an integer of more digits than Python reads
         reason = str(error)
         more = _missing_quotes(text, reason) if isinstance(error, tomllib.TOMLDecodeError) else ""
         raise UnreadableError(f"{name} is not valid TOML: {_checks.printable(reason)}{more}") from error
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The tables of a TOML text; ValueError if it is none, or nested too deeply."""
+    _check_toml_depth(text)
+    return tomllib.loads(text)
 
 
 def _check_toml_depth(text: str) -> None:

@@ -1,0 +1,70 @@
+"""The option `--set KEY=VALUE`: other values of keys of a scenario, inside tables too, checked like those of a file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from lieint_jax import _checks
+from lieint_jax.app import scenarios
+from lieint_jax.runs import store as archives
+
+_PART = re.compile(r'"([^"]*)"|([^."]+)')  # of a key
+_WORDS = re.compile(r"[^\W\d][^\[\]{}\"'=#\n]*")  # a text without quotes
+
+
+def load(name: str, settings: Sequence[str], **changes: object) -> Any:
+    """The scenario of a name or a file with other values of its keys.
+
+    Args:
+        name: a shipped scenario or a file.
+        settings: texts KEY=VALUE, applied in order. KEY is a path such as `state.quaternion`; a table of a list has its
+            `name` or number, from 1, as in `[spread]`, and a part that contains dots is quoted. VALUE is a value of
+            TOML or a text without quotes; an empty one removes the key.
+        changes: values of keys, which replace those in `settings`; None for no change.
+
+    Raises:
+        ValueError: no such table of a list, no value, or an error of `scenarios.load`; the message names the key.
+    """
+    table = scenarios.table(name)
+    for text in settings:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        path = [quoted or plain for quoted, plain in _PART.findall(key)]
+        if not equals or not path:
+            raise ValueError(f"--set {_checks.printable(text)}: give KEY=VALUE, such as dt=0.1")
+        try:
+            _assign(table, path, value)
+        except ValueError as error:
+            raise ValueError(f"--set {_checks.printable(key)}: {error}") from error
+    return scenarios.parse(table | {key: x for key, x in changes.items() if x is not None}, name)
+
+
+def _assign(table: dict[str, Any], path: Sequence[str], text: str) -> None:
+    """Give the key at a path its value. What is no table becomes one, so that the scenario refuses it by name."""
+    part, *rest = path
+    inner = table.get(part)
+    if rest and isinstance(inner, list) and inner and all(isinstance(row, dict) for row in inner):
+        names = [str(row.get("name", k)) for k, row in enumerate(inner, 1)]
+        numbers = [str(k) for k in range(1, len(inner) + 1)]
+        if rest[0] not in (*names, *numbers) or not rest[1:]:
+            raise ValueError(f"{part} is a list of tables: give a key of {' or '.join(names)}, such as {names[0]}.KEY")
+        _assign(inner[(names if rest[0] in names else numbers).index(rest[0])], rest[1:], text)
+    elif rest:
+        table[part] = inner if isinstance(inner, dict) else {}
+        _assign(table[part], rest, text)
+    elif text:
+        table[part] = _value(text)
+    elif table.pop(part, None) is None:
+        raise ValueError(f"there is no such key to remove; the keys are {', '.join(table)}")
+
+
+def _value(text: str) -> object:
+    """The value of a text, as TOML reads it, or the text itself if it has no quotes and is no such value."""
+    try:
+        [(_, value)] = archives.parse_toml(f"value = {text}").items()
+    except ValueError as error:
+        if _WORDS.fullmatch(text):
+            return text
+        raise ValueError(f"must be a value of TOML, such as 0.1, [1, 0, 0] or text, got {text}: {error}") from error
+    return value
