@@ -21,7 +21,7 @@ SHORT = {  # rods and drag are in the long test: each adds seconds of compilatio
 
 @pytest.fixture(scope="module")
 def short():
-    table = {key: value for key, value in scenarios._table("cubesat").items() if key not in ("rods", "drag")}
+    table = {key: value for key, value in scenarios.table("cubesat").items() if key not in ("rods", "drag")}
     scenario = scenarios.parse(table | SHORT, "short")
     return scenario, run(scenario)
 
@@ -151,7 +151,7 @@ def test_bad_keys_of_a_satellite_are_named(changes, message):
 
 
 def test_control_needs_its_equipment():
-    table = scenarios._table("cubesat")
+    table = scenarios.table("cubesat")
     for key, message in (("max_dipole", "detumbling needs torquers"), ("wheels", "pointing needs wheels")):
         with pytest.raises(ValueError, match=message):
             scenarios.parse({name: value for name, value in table.items() if name != key}, "file")

@@ -69,7 +69,7 @@ def bare(name):
             return {key: cleared(x) for key, x in tree.items() if key not in LEFT_OUT}
         return [cleared(x) for x in tree] if isinstance(tree, list) else tree
 
-    return cleared(scenarios._table(name))
+    return cleared(scenarios.table(name))
 
 
 def possible(scenario):
