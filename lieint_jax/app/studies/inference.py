@@ -1,0 +1,488 @@
+"""One engine of inference, for studies and for your own data: estimates, tested errors, comparisons and predictions.
+
+A `Problem` declares the unknowns, the errors of a model against data, their noise, and published values. `infer` does
+
+1. a fit from many starts, `fit_starts`, which also fits many data sets at once;
+2. the covariance, and quantities derived from the parameters with theirs: `estimates`;
+3. a test of the reported errors on synthetic data: `synthetic`, `coverage`;
+4. the enlargement of the errors, by the scatter in synthetic data and by χ²: `enlarge_errors`;
+5. a prediction by members drawn from the estimate: `draw_members`, `predict`.
+
+`text` and `draw` report on its result, with published values. Other studies call the stages one by one.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from lieint_jax.app import plots
+from lieint_jax.fitting import (
+    DEGREES_OF_FREEDOM,
+    Bound,
+    Fit,
+    fit,
+    free,
+    interval,
+    student_t,
+    student_t_curvature,
+    student_t_noise_error,
+)
+from lieint_jax.types.shapes import PyTree
+
+Params = dict[str, Array]
+_SAME = 1e-4  # difference of the losses of starts that end in one minimum
+
+
+class Unknown(NamedTuple):
+    """A parameter to estimate: a number or a vector.
+
+    Attributes:
+        names: a name with its unit for each number, such as ("rate x (rad/s)", …).
+        start: the first guess, a number or (n,).
+        bound: its domain, one of `lieint_jax.fitting`.
+        scatter: the standard deviation of random starts about the first guess.
+    """
+
+    names: tuple[str, ...]
+    start: ArrayLike
+    bound: Bound = free
+    scatter: float = 0.0
+
+
+class StudentT(NamedTuple):
+    """Noise with outliers: Student's t, of which each kind of error has a scale that is fitted.
+
+    Attributes:
+        start: the first guess of the scales, (kinds,).
+        low, high: their bounds.
+    """
+
+    start: tuple[float, ...]
+    low: float
+    high: float
+
+
+class Published(NamedTuple):
+    """A published value of an unknown or a derived quantity.
+
+    Attributes:
+        quantity: the name of the quantity.
+        value, error: its value and standard error; 0 where none is published.
+        source: where it is published.
+    """
+
+    quantity: str
+    value: float
+    error: float = 0.0
+    source: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What `infer` needs: unknowns, the errors of a model against data, noise, and what to compare and predict.
+
+    Attributes:
+        unknowns: the unknowns, by the names of the parameters.
+        errors: (params, data) ↦ calculated less observed values, an array, or a pair (errors, converged). For
+            `StudentT` noise their shape is (kinds, n, d): n vectors of d components of each kind.
+        data: the observed values, an array; a tree, if `errors` needs more and `simulate` is given.
+        noise: the standard deviation of the errors, which broadcasts with them, or `StudentT`.
+        title: the first line of the report.
+        derived: (params, data) ↦ quantities that follow from the parameters, (q,).
+        quantities: their names with units, (q,). Differences of those that end in (°) are wrapped to ±180°.
+        published: published values of unknowns and derived quantities.
+        simulate: (params, data, noise) ↦ synthetic data; by default the calculated values less the noise.
+        t: the times of the data, (n,), for the picture.
+        labels: those of the picture's axes, the times and the data.
+        forecast: times and a function params ↦ values at these times, (times,), for a prediction.
+    """
+
+    unknowns: Mapping[str, Unknown]
+    errors: Callable[[Params, PyTree], PyTree]
+    data: PyTree
+    noise: ArrayLike | StudentT = 1.0
+    title: str = "A fit"
+    derived: Callable[[Params, PyTree], Array] | None = None
+    quantities: Sequence[str] = ()
+    published: Sequence[Published] = ()
+    simulate: Callable[[Params, PyTree, Array], PyTree] | None = None
+    t: ArrayLike | None = None
+    labels: tuple[str, str] = ("t", "data")
+    forecast: tuple[ArrayLike, Callable[[Params], Array]] | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all numbers, in the order of the vector x."""
+        return [name for key in sorted(self.unknowns) for name in self.unknowns[key].names]
+
+    @cached_property
+    def guess(self) -> Params:
+        """The first guess, with that of the noise."""
+        found = {name: jnp.asarray(u.start, float) for name, u in self.unknowns.items()}
+        return found | ({"noise": jnp.asarray(self.noise.start)} if isinstance(self.noise, StudentT) else {})
+
+    @cached_property
+    def unravel(self) -> Callable[[Array], Params]:
+        """The parameters of a vector x, (p,)."""
+        return ravel_pytree(split_noise(self.guess)[0])[1]
+
+    @cached_property
+    def bounds(self) -> dict[str, Bound]:
+        """The bound of each parameter, and of the noise."""
+        found = {name: u.bound for name, u in self.unknowns.items()}
+        return found | ({"noise": interval(*self.noise[1:])} if isinstance(self.noise, StudentT) else {})
+
+    def residuals(self, params: Params, given: PyTree) -> PyTree:
+        """The residuals that `fit` minimizes, and whether all steps converged; `given`: data, degrees of freedom."""
+        (data, freedom), (motion, levels) = given, split_noise(params)
+        errors, converged = self.flagged_errors(motion, data)
+        if not isinstance(self.noise, StudentT):
+            return errors / self.noise, converged
+        low = self.noise.low
+        return [student_t(errors[k], levels[k], low, freedom) for k in range(len(self.noise.start))], converged
+
+    def flagged_errors(self, params: Params, data: PyTree) -> tuple[Array, ArrayLike]:
+        """The errors, and whether they converged."""
+        found = self.errors(params, data)
+        return found if isinstance(found, tuple) else (found, np.array(True))
+
+    @cached_property
+    def estimate(self) -> Callable[..., Estimate]:
+        """The compiled `_estimate` of this problem."""
+        return jax.jit(partial(_estimate, self))
+
+
+class Estimate(NamedTuple):
+    """Parameters with their uncertainty; for several fits, every field has a leading axis.
+
+    Attributes:
+        x: the parameters as a vector, (p,), in the order of `Problem.names`.
+        covariance: the covariance of x, (p, p).
+        noise: the noise levels of `StudentT`, corrected for the fitted parameters, (kinds,); otherwise (0,).
+        derived: the derived quantities, (q,).
+        derived_covariance: their covariance, to first order, (q, q).
+    """
+
+    x: np.ndarray
+    covariance: np.ndarray
+    noise: np.ndarray
+    derived: np.ndarray
+    derived_covariance: np.ndarray
+
+    @classmethod
+    def exact(cls, x: ArrayLike, derived: ArrayLike = ()) -> Estimate:
+        """Known parameters and derived quantities, for comparisons."""
+        none = np.zeros(0)
+        return cls(np.asarray(x), none, none, np.asarray(derived), none)
+
+    @property
+    def values(self) -> np.ndarray:
+        """The parameters and derived quantities, (…, p + q)."""
+        return np.concatenate([self.x, self.derived], axis=-1)
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Their standard errors, (…, p + q)."""
+        each = (np.sqrt(np.diagonal(C, axis1=-2, axis2=-1)) for C in (self.covariance, self.derived_covariance))
+        return np.concatenate([*each], axis=-1)
+
+
+class Coverage(NamedTuple):
+    """How often the reported uncertainty includes the truth, over synthetic data sets.
+
+    Attributes:
+        pulls: (estimate − truth)/reported σ of parameters, logarithms of noise levels, and derived quantities,
+            (sets, p + kinds + q).
+        mahalanobis_squared: the squared distance of the estimate from the truth by its covariance, (sets,), expected
+            to be χ² with p degrees of freedom.
+        success: whether each fit succeeded.
+    """
+
+    pulls: np.ndarray
+    mahalanobis_squared: np.ndarray
+    success: np.ndarray
+
+    def scatter(self, parameters: int, levels: int = 0) -> np.ndarray:
+        """Root mean square of the pulls of the parameters, and of the noise levels, (2,); 1 for correct errors."""
+        groups = self.pulls[:, :parameters], self.pulls[:, parameters : parameters + levels]
+        return np.array([np.sqrt((x**2).mean()) if x.size else 1.0 for x in groups])
+
+    def select(self, sets: slice) -> Coverage:
+        """The coverage over a part of the sets."""
+        return Coverage(*(leaf[sets] for leaf in self))
+
+    def rescale(self, factors: np.ndarray, parameters: int, levels: int = 0) -> Coverage:
+        """The coverage with reported errors enlarged by two factors, for parameters and for noise levels."""
+        column = np.arange(self.pulls.shape[1])
+        each = np.where((column >= parameters) & (column < parameters + levels), factors[1], factors[0])
+        return Coverage(self.pulls / each, self.mahalanobis_squared / factors[0] ** 2, self.success)
+
+
+class Shares(NamedTuple):
+    """The scatter of pulls.
+
+    Attributes:
+        within_1, within_2: the percentages within one and two standard errors; 68.3 and 95.4 are expected.
+        rms: the root mean square; 1 is expected.
+    """
+
+    within_1: np.ndarray
+    within_2: np.ndarray
+    rms: np.ndarray
+
+
+def split_noise(params: Params) -> tuple[Params, Array]:
+    """Separate the parameters of the motion from the noise levels."""
+    return {name: leaf for name, leaf in params.items() if name != "noise"}, params.get("noise", jnp.zeros(0))
+
+
+def repeat(tree: PyTree, times: int) -> PyTree:
+    """Repeat every leaf of a tree along a new leading axis of length `times`."""
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (times, *jnp.shape(leaf))), tree)
+
+
+def random_starts(problem: Problem, count: int, seed: int) -> Params:
+    """Random starts, with a leading axis: normal about the first guess, and drawn nearer to it until in bounds."""
+    rng, starts = np.random.default_rng(seed), {}
+    for name, u in problem.unknowns.items():
+        guess = np.asarray(problem.guess[name])
+        away = u.scatter * rng.normal(size=(count, *guess.shape))
+        inside = jax.vmap(lambda p, bound=u.bound: jnp.isfinite(bound.free(p)).all())
+        while u.scatter and not (ok := np.asarray(inside(jnp.asarray(guess + away)))).all():
+            away[~ok] /= 2
+        starts[name] = jnp.asarray(guess + away)
+    return starts | repeat({name: leaf for name, leaf in problem.guess.items() if name == "noise"}, count)
+
+
+def fit_starts(
+    problem: Problem,
+    starts: Params,
+    data: PyTree,
+    freedom: ArrayLike = DEGREES_OF_FREEDOM,
+    progress: bool = True,
+    standardized: bool = False,
+    tolerance: float = 1e-9,
+    iterations: int = 100,
+) -> Fit:
+    """Run many fits at once, by `lieint_jax.fitting.fit`; each leaf of `starts` and `data` has a leading axis.
+
+    Args:
+        problem: the problem.
+        starts: the first guesses.
+        data: the data of each fit.
+        freedom: degrees of freedom of Student's t, of all fits or of each.
+        progress, standardized, tolerance, iterations: as in `fit`.
+    """
+    given = data, jnp.broadcast_to(jnp.asarray(freedom, float), len(jax.tree.leaves(starts)[0]))
+    options = {"tolerance": tolerance, "iterations": iterations, "standardized": standardized, "progress": progress}
+    return fit(problem.residuals, starts, bounds=problem.bounds, starts=True, data=given, **options)
+
+
+def estimates(
+    problem: Problem,
+    found: Fit,
+    data: PyTree,
+    freedom: ArrayLike = DEGREES_OF_FREEDOM,
+    which: Iterable[int] | None = None,
+) -> Estimate:
+    """The estimates of many fits, or of `which` of them, with their covariances; each leaf has a leading axis."""
+    starts = found.starts
+    assert starts is not None
+    given = starts.params, starts.covariance, data, jnp.broadcast_to(jnp.asarray(freedom, float), len(starts.loss))
+    several = jax.tree.map(np.asarray, given)  # slices of NumPy arrays need no dispatch by JAX
+    chosen = range(len(starts.loss)) if which is None else which
+    each = [problem.estimate(*jax.tree.map(lambda leaf, k=k: leaf[k], several)) for k in chosen]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *each)
+
+
+def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree, freedom: Array) -> Estimate:
+    """The estimate of one fit; for `StudentT` its covariance is the inverse of the observed information.
+
+    The information is that of the linearized model: the second derivatives of the errors are left out. The
+    maximum-likelihood σ of a fit is too small, since the parameters are fitted to the same errors. So σₖ² is multiplied
+    by n/(n − m): n is the number of components of kind k, and m, the number of parameters that they determine, is the
+    trace of the projection onto kind k.
+    """
+    motion, noise = split_noise(params)
+    x, unravel = ravel_pytree(motion)
+    if isinstance(problem.noise, StudentT):
+        J, e = _with_jacobian(lambda x: problem.flagged_errors(unravel(x), data)[0], x)
+
+        def information(noise: Array) -> Array:
+            curvature = jnp.stack([student_t_curvature(e[k], noise[k], freedom) for k in range(len(e))])
+            return jnp.einsum("knci,kncd,kndj->kij", J, curvature, J)
+
+        share, count = information(noise), e.shape[1] * e.shape[2]
+        used = jnp.trace(jnp.linalg.inv(jnp.sum(share, axis=0)) @ share, axis1=1, axis2=2)
+        noise = noise * jnp.sqrt(count / (count - used))
+        covariance = jnp.linalg.inv(jnp.sum(information(noise), axis=0))
+    if problem.derived is None:
+        return Estimate(x, covariance, noise, jnp.zeros(0), jnp.zeros((0, 0)))
+    derived = problem.derived
+    D, of_x = _with_jacobian(lambda x: derived(unravel(x), data), x)
+    return Estimate(x, covariance, noise, of_x, D @ covariance @ D.T)
+
+
+def _with_jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+    """The Jacobian of a function, and its value."""
+
+    def twice(x: Array) -> tuple[Array, Array]:
+        value = function(x)
+        return value, value
+
+    return jax.jacfwd(twice, has_aux=True)(x)
+
+
+def synthetic(problem: Problem, truth: Estimate, sets: int, seed: int) -> PyTree:
+    """Synthetic data sets of the model with the parameters `truth`, with noise; each leaf has a leading axis."""
+    rng, params = np.random.default_rng(seed), problem.unravel(jnp.asarray(truth.x))
+    errors = problem.flagged_errors(params, problem.data)[0]
+    if isinstance(problem.noise, StudentT):
+        shape = len(errors), sets, *errors.shape[1:]
+        levels = np.asarray(truth.noise).reshape(-1, *[1] * errors.ndim)
+        noise = levels * rng.normal(size=shape)
+        gamma = rng.chisquare(DEGREES_OF_FREEDOM, (*shape[:-1], 1)) / DEGREES_OF_FREEDOM
+        noise = np.moveaxis(noise / np.sqrt(gamma), 0, 1)
+    else:
+        noise = problem.noise * rng.normal(size=(sets, *errors.shape))
+    if problem.simulate is None:
+        return problem.data + errors - jnp.asarray(noise)
+    return jax.vmap(partial(problem.simulate, params, problem.data))(jnp.asarray(noise))
+
+
+def coverage(problem: Problem, truth: Estimate, sets: int, seed: int, progress: bool = True) -> Coverage:
+    """Fit synthetic data sets of the fitted model, and compare their estimates with the model's parameters."""
+    data = synthetic(problem, truth, sets, seed)
+    levels = {"noise": truth.noise} if isinstance(problem.noise, StudentT) else {}
+    found = fit_starts(problem, repeat(problem.unravel(jnp.asarray(truth.x)) | levels, sets), data, progress=progress)
+    assert found.starts is not None
+    return compare(problem, truth, estimates(problem, found, data), found.starts.success)
+
+
+def compare(problem: Problem, truth: Estimate, each: Estimate, success: np.ndarray) -> Coverage:
+    """The coverage of the truth by the estimates of many fits."""
+    p, error = len(truth.x), np.asarray(each.x - truth.x)
+    level = np.zeros((len(error), 0))
+    if isinstance(problem.noise, StudentT):
+        _, n, d = jax.eval_shape(problem.flagged_errors, problem.unravel(jnp.asarray(truth.x)), problem.data)[0].shape
+        level = np.log(each.noise / truth.noise) / student_t_noise_error(n, d)
+    wrapped = _difference(np.asarray(each.derived), np.asarray(truth.derived), problem.quantities)
+    pulls = np.concatenate([error / each.sigmas[:, :p], level, wrapped / each.sigmas[:, p:]], axis=1)
+    return Coverage(pulls, squared_distances(error, each.covariance), success)
+
+
+def _difference(a: np.ndarray, b: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """a − b; for angles in degrees, wrapped to ±180°."""
+    angle = np.array([name.endswith("(°)") for name in names], bool)
+    return np.where(angle, (a - b + 180) % 360 - 180, a - b)
+
+
+def pull(name: str, value: float, sigma: float, other: float, error: float = 0.0) -> float:
+    """The difference of another value from ours, in units of the combined standard error."""
+    return float(_difference(np.array([other]), np.array([value]), [name])[0] / np.hypot(sigma, error))
+
+
+def enlarge_errors(estimate: Estimate, factor: float) -> Estimate:
+    """Multiply the standard errors of an estimate by a factor."""
+    of_x, of_derived = (factor**2 * C for C in (estimate.covariance, estimate.derived_covariance))
+    return estimate._replace(covariance=of_x, derived_covariance=of_derived)
+
+
+def draw_members(estimate: Estimate, members: int, seed: int) -> np.ndarray:
+    """Parameters drawn from the normal distribution of an estimate, (members, p)."""
+    return np.random.default_rng(seed).multivariate_normal(estimate.x, estimate.covariance, members)
+
+
+def predict(problem: Problem, function: Callable[[Params], Array], x: ArrayLike) -> np.ndarray:
+    """A function of the parameters for every row of x, (members, p)."""
+    return np.asarray(jax.lax.map(jax.jit(lambda x: function(problem.unravel(x))), jnp.asarray(x)))
+
+
+def squared_distances(errors: np.ndarray, covariances: ArrayLike) -> np.ndarray:
+    """The squared Mahalanobis distances eᵀC⁻¹e, (n,), of errors (n, parameters) with covariances (n, …, …)."""
+    errors = np.asarray(errors)
+    return np.einsum("ti,ti->t", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+
+
+def chi_square_point(parameters: int) -> float:
+    """The 95 % point of χ²: the squared distance at the joint ellipsoid of 95 % probability."""
+    from scipy.special import chdtri
+
+    return float(chdtri(parameters, 0.05))
+
+
+def shares(pulls: np.ndarray, axis: int | None = 0) -> Shares:
+    """The shares of pulls (sets, parameters), for each parameter, or with `axis=None` for all together."""
+    one, two = (100 * (np.abs(pulls) <= limit).mean(axis=axis) for limit in (1, 2))
+    return Shares(one, two, np.sqrt((pulls**2).mean(axis=axis)))
+
+
+def chance_errors(sets: int) -> Shares:
+    """The standard errors of the shares of one parameter, for a number of synthetic sets."""
+    one, two = (100 * np.sqrt(p * (1 - p) / sets) for p in (0.683, 0.954))
+    return Shares(one, two, 1 / np.sqrt(2 * sets))
+
+
+def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> list[str]:
+    """The lines of a table: the first column to the left, the others to the right, each as wide as its widest cell."""
+    rows = [tuple(map(str, row)) for row in rows]
+    width = [max(len(row[k]) for row in rows if k < len(row)) for k in range(max(map(len, rows)))]
+    cells = (zip(row[1:], width[1:], strict=False) for row in rows)
+    right = ("".join(f"  {cell:>{w}}" for cell, w in cells_of_row) for cells_of_row in cells)
+    return [f"{indent}{row[0]:<{width[0]}}{rest}".rstrip() for row, rest in zip(rows, right, strict=True)]
+
+
+def coverage_cells(pulls: np.ndarray) -> list[tuple[str, str, str]]:
+    """The cells of a table with the shares within 1σ and 2σ and the rms/σ, for each column of pulls."""
+    return [(f"{one:.0f}%", f"{two:.0f}%", f"{rms:.2f}") for one, two, rms in zip(*shares(pulls), strict=True)]
+
+
+def published_lines(names: Sequence[str], estimate: Estimate, published: Iterable[Published]) -> list[str]:
+    """The lines with published values, their differences from ours in units of the combined error, and their sources.
+
+    The names are those of parameters and derived quantities, or of the derived quantities only.
+    """
+    rows, sources = [], []
+    values, sigmas = (x[-len(names) :] for x in (estimate.values, estimate.sigmas))
+    for quantity, value, error, source in published:
+        k = list(names).index(quantity)
+        given = f"{value:g}" + (f" ± {error:g}" if error else "")
+        rows.append((quantity, f"{given:<16}", f"{pull(quantity, values[k], sigmas[k], value, error):+.1f} σ"))
+        sources.append(source)
+    return [f"{line}   {source}" for line, source in zip(table(rows, "    "), sources, strict=True)] if rows else []
+
+
+def draw_pulls(ax: Axes, pulls: np.ndarray, own: np.ndarray | None = None) -> None:
+    """Plot the distribution of pulls (sets, parameters) and the normal one, and mark the pulls `own` of a solution."""
+    sets, parameters = pulls.shape
+    clipped = np.clip(pulls.ravel(), -3.99, 3.99)
+    edges = np.linspace(-4, 4, 33).tolist()
+    ax.hist(clipped, edges, density=True, color=plots.BLUE, alpha=0.6, label=f"{parameters} parameters")
+    x = np.linspace(-4, 4, 201)
+    ax.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=plots.INK, lw=1.2, label="normal")
+    if own is not None:
+        ax.plot(own, np.full(len(own), 0.02), "|", color=plots.RED, ms=14, mew=1.5, label="the best solution")
+    one, two, _ = shares(pulls, None)
+    note = f"within 1σ {one:.0f} % (68)\nwithin 2σ {two:.0f} % (95)"
+    ax.text(0.03, 0.97, note, transform=ax.transAxes, va="top", fontsize="x-small")
+    ax.set(xlabel=f"(estimate − truth)/σ, {sets} synthetic sets", ylabel="density", ylim=(0, 0.6))
+    ax.legend(frameon=False, fontsize="x-small", loc="upper right")
+
+
+def ellipse(center: np.ndarray, covariance: np.ndarray, radius: float) -> np.ndarray:
+    """The points of two numbers at `radius` standard errors from their center, (145, 2)."""
+    angle = np.linspace(0, 2 * np.pi, 145)
+    return center + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(covariance).T
