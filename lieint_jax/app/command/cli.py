@@ -27,6 +27,7 @@ _EPILOG = """examples:
   lieint plot runs.zarr                    report on that store and draw it
   lieint animate runs.zarr --out turn.html a rotating body, its axis and its momentum; also .gif and .mp4
   lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
+  lieint study mine.py                     your own fit: see Fit my data in the documentation
   lieint check rigid_body                  what every scheme conserves of a free body, measured
   lieint check rigid_body --scheme cayley  the same, only for schemes with cayley in their name
   lieint check                             one example of each system: a few minutes the first time
@@ -188,6 +189,7 @@ def _add_results(commands: Any) -> None:
     plot.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
     plot.add_argument("--force", action="store_true", help="replace existing pictures")
+    plot.add_argument("--study", type=Path, metavar="FILE", help="the FILE.py of your own study of which PATH is")
     plot.set_defaults(command=_plot)
     animate = commands.add_parser("animate", help="rotating bodies as GIF, MP4 or HTML", description="Animate a run.")
     animate.add_argument("path", type=Path, metavar="PATH")
@@ -232,7 +234,7 @@ def _add_paper(commands: Any) -> None:
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
-    study.add_argument("name", metavar="NAME", help="a study that lieint list shows")
+    study.add_argument("name", metavar="NAME", help="a study that lieint list shows, or your own file NAME.py")
     study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     study.add_argument("--quick", action="store_true", help="run a small version of the study")
     study.set_defaults(command=_study)
@@ -326,7 +328,10 @@ def _info(options: argparse.Namespace) -> None:
 def _plot(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import info, study
 
-    (study.plot if study.is_study_file(options.path) else info.plot)(options.path, options.out, options.force)
+    if study.is_study_file(options.path):
+        study.plot(options.path, options.out, options.force, options.study)
+    else:
+        info.plot(options.path, options.out, options.force)
 
 
 def _animate(options: argparse.Namespace) -> None:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.studies._toutatis import FITTED, HUDSON_OSTRO, MIDDLE, SpinFit, later_fixes, radar_epochs
-from lieint_jax.app.studies.inference import draw_pulls, ellipse
+from lieint_jax.app.studies._report import draw_pulls, ellipse
 
 _MARKS = {"fitted": ("o", plots.INK), "Zhao et al. 2015": ("^", plots.RED), "Takahashi et al. 2013": ("s", plots.BLUE)}
 _DECEMBER = 20.2571  # days from the published epoch, 1992-11-09 17:49:47, to 1992-11-30 00:00

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax import schemes
 from lieint_jax.app import plots
-from lieint_jax.app.studies import inference
+from lieint_jax.app.studies import _report, inference
 from lieint_jax.app.studies.inference import Estimate, Params, Problem, Unknown
 from lieint_jax.fitting import Fit, inertia_ratios
 from lieint_jax.runs import integrate
@@ -109,8 +109,8 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
         truth,
         each.sigmas,
         each.covariance.mean(axis=0),
-        inference.shares(test.pulls).within_2 / 100,
-        float((test.mahalanobis_squared <= inference.chi_square_point(8)).mean()),
+        _report.shares(test.pulls).within_2 / 100,
+        float((test.mahalanobis_squared <= _report.chi_square_point(8)).mean()),
         (_EVERY * np.arange(1, _READINGS + 1), np.asarray(data[0]), np.asarray(rates(PROBLEM.unravel(each.x[0]))[0])),
     )
 
@@ -128,7 +128,7 @@ def text(found: GyroTrials) -> str:
         [
             f"A rate gyro on a tumbling body: {len(x)} synthetic trials of {_READINGS} readings, noise {NOISE} rad/s",
             f"  {int(starts.success.sum())} of {len(x)} fits succeeded; {found.fit.iterations} iterations\n",
-            *inference.table([("", "truth", "mean", "scatter", "reported σ", "within 2σ"), *rows]),
+            *_report.table([("", "truth", "mean", "scatter", "reported σ", "within 2σ"), *rows]),
             f"\n  truth inside the joint 95 % ellipsoid: {100 * found.inside_ellipsoid:.0f} % of the trials",
         ]
     )
@@ -147,11 +147,11 @@ def draw(found: GyroTrials) -> Figure:
     left.set_title("readings of the first trial and the fitted motion")
     radius, ratios = np.sqrt(-2 * np.log(0.05)), slice(3, 5)  # 95 % of χ² with two degrees of freedom
     estimates, truth, covariance = found.estimates[:, ratios], found.truth[ratios], found.covariance[ratios, ratios]
-    inside = int((inference.squared_distances(estimates - truth, covariance[None]) <= radius**2).sum())
+    inside = int((_report.squared_distances(estimates - truth, covariance[None]) <= radius**2).sum())
     right.plot(*estimates.T, ".", ms=4, color=plots.BLUE, label="estimates")
     right.plot(*truth, "x", ms=9, mew=2, color=plots.RED, label="truth")
     label = f"95 % ellipse of the mean reported\ncovariance: {inside} of {len(estimates)} inside"
-    right.plot(*inference.ellipse(truth, covariance, radius).T, color=plots.INK, lw=1, label=label)
+    right.plot(*_report.ellipse(truth, covariance, radius).T, color=plots.INK, lw=1, label=label)
     right.set(xlabel="$J_x/J_z$", ylabel="$J_y/J_z$", title=f"inertia ratios, {len(estimates)} trials")
     right.locator_params(axis="x", nbins=5)
     right.margins(y=0.1)

@@ -29,6 +29,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
+from lieint_jax.app.studies._report import chi_square_point, coverage_cells, shares, squared_distances, table
 from lieint_jax.fitting import (
     DEGREES_OF_FREEDOM,
     Bound,
@@ -160,6 +161,11 @@ class Problem:
         return found if isinstance(found, tuple) else (found, np.array(True))
 
     @cached_property
+    def calculate(self) -> Callable[[Params, PyTree], tuple[Array, ArrayLike]]:
+        """The compiled `flagged_errors`."""
+        return jax.jit(self.flagged_errors)
+
+    @cached_property
     def estimate(self) -> Callable[..., Estimate]:
         """The compiled `_estimate` of this problem."""
         return jax.jit(partial(_estimate, self))
@@ -229,19 +235,6 @@ class Coverage(NamedTuple):
         column = np.arange(self.pulls.shape[1])
         each = np.where((column >= parameters) & (column < parameters + levels), factors[1], factors[0])
         return Coverage(self.pulls / each, self.mahalanobis_squared / factors[0] ** 2, self.success)
-
-
-class Shares(NamedTuple):
-    """The scatter of pulls.
-
-    Attributes:
-        within_1, within_2: the percentages within one and two standard errors; 68.3 and 95.4 are expected.
-        rms: the root mean square; 1 is expected.
-    """
-
-    within_1: np.ndarray
-    within_2: np.ndarray
-    rms: np.ndarray
 
 
 def split_noise(params: Params) -> tuple[Params, Array]:
@@ -349,7 +342,7 @@ def _with_jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array,
 def synthetic(problem: Problem, truth: Estimate, sets: int, seed: int) -> PyTree:
     """Synthetic data sets of the model with the parameters `truth`, with noise; each leaf has a leading axis."""
     rng, params = np.random.default_rng(seed), problem.unravel(jnp.asarray(truth.x))
-    errors = problem.flagged_errors(params, problem.data)[0]
+    errors = problem.calculate(params, problem.data)[0]
     if isinstance(problem.noise, StudentT):
         shape = len(errors), sets, *errors.shape[1:]
         levels = np.asarray(truth.noise).reshape(-1, *[1] * errors.ndim)
@@ -411,45 +404,6 @@ def predict(problem: Problem, function: Callable[[Params], Array], x: ArrayLike)
     return np.asarray(jax.lax.map(jax.jit(lambda x: function(problem.unravel(x))), jnp.asarray(x)))
 
 
-def squared_distances(errors: np.ndarray, covariances: ArrayLike) -> np.ndarray:
-    """The squared Mahalanobis distances eᵀC⁻¹e, (n,), of errors (n, parameters) with covariances (n, …, …)."""
-    errors = np.asarray(errors)
-    return np.einsum("ti,ti->t", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
-
-
-def chi_square_point(parameters: int) -> float:
-    """The 95 % point of χ²: the squared distance at the joint ellipsoid of 95 % probability."""
-    from scipy.special import chdtri
-
-    return float(chdtri(parameters, 0.05))
-
-
-def shares(pulls: np.ndarray, axis: int | None = 0) -> Shares:
-    """The shares of pulls (sets, parameters), for each parameter, or with `axis=None` for all together."""
-    one, two = (100 * (np.abs(pulls) <= limit).mean(axis=axis) for limit in (1, 2))
-    return Shares(one, two, np.sqrt((pulls**2).mean(axis=axis)))
-
-
-def chance_errors(sets: int) -> Shares:
-    """The standard errors of the shares of one parameter, for a number of synthetic sets."""
-    one, two = (100 * np.sqrt(p * (1 - p) / sets) for p in (0.683, 0.954))
-    return Shares(one, two, 1 / np.sqrt(2 * sets))
-
-
-def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> list[str]:
-    """The lines of a table: the first column to the left, the others to the right, each as wide as its widest cell."""
-    rows = [tuple(map(str, row)) for row in rows]
-    width = [max(len(row[k]) for row in rows if k < len(row)) for k in range(max(map(len, rows)))]
-    cells = (zip(row[1:], width[1:], strict=False) for row in rows)
-    right = ("".join(f"  {cell:>{w}}" for cell, w in cells_of_row) for cells_of_row in cells)
-    return [f"{indent}{row[0]:<{width[0]}}{rest}".rstrip() for row, rest in zip(rows, right, strict=True)]
-
-
-def coverage_cells(pulls: np.ndarray) -> list[tuple[str, str, str]]:
-    """The cells of a table with the shares within 1σ and 2σ and the rms/σ, for each column of pulls."""
-    return [(f"{one:.0f}%", f"{two:.0f}%", f"{rms:.2f}") for one, two, rms in zip(*shares(pulls), strict=True)]
-
-
 def published_lines(names: Sequence[str], estimate: Estimate, published: Iterable[Published]) -> list[str]:
     """The lines with published values, their differences from ours in units of the combined error, and their sources.
 
@@ -465,24 +419,183 @@ def published_lines(names: Sequence[str], estimate: Estimate, published: Iterabl
     return [f"{line}   {source}" for line, source in zip(table(rows, "    "), sources, strict=True)] if rows else []
 
 
-def draw_pulls(ax: Axes, pulls: np.ndarray, own: np.ndarray | None = None) -> None:
-    """Plot the distribution of pulls (sets, parameters) and the normal one, and mark the pulls `own` of a solution."""
-    sets, parameters = pulls.shape
-    clipped = np.clip(pulls.ravel(), -3.99, 3.99)
-    edges = np.linspace(-4, 4, 33).tolist()
-    ax.hist(clipped, edges, density=True, color=plots.BLUE, alpha=0.6, label=f"{parameters} parameters")
-    x = np.linspace(-4, 4, 201)
-    ax.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=plots.INK, lw=1.2, label="normal")
-    if own is not None:
-        ax.plot(own, np.full(len(own), 0.02), "|", color=plots.RED, ms=14, mew=1.5, label="the best solution")
-    one, two, _ = shares(pulls, None)
-    note = f"within 1σ {one:.0f} % (68)\nwithin 2σ {two:.0f} % (95)"
-    ax.text(0.03, 0.97, note, transform=ax.transAxes, va="top", fontsize="x-small")
-    ax.set(xlabel=f"(estimate − truth)/σ, {sets} synthetic sets", ylabel="density", ylim=(0, 0.6))
-    ax.legend(frameon=False, fontsize="x-small", loc="upper right")
+class Inference(NamedTuple):
+    """What `infer` returns. `text` and `draw` need nothing else, so that a file of it can be drawn without the problem.
+
+    Attributes:
+        title, names, labels: the first line, the names of parameters and derived quantities, and of the axes.
+        fit: the fits from all starts.
+        share_at_minimum: the share of the starts that end in the minimum of the best one.
+        estimate: the estimate, with enlarged errors.
+        factors: by how much the scatter in half of the synthetic sets enlarges the errors of the parameters and of the
+            noise levels, and χ² those of the parameters, (3,); none is below 1.
+        coverage: how often the errors enlarged by the scatter include the truth in the other half of the sets; None
+            without a successful fit.
+        published: published values.
+        t: the times of the data, (n,).
+        data, calculated: the data, and the values of the estimate, (n, components); None if the data are a tree.
+        errors: calculated less observed values, in units of the noise, (n, components).
+        forecast: times, the prediction of the estimate, and the members' quantiles of 5 and 95 %, (4, times), or None.
+    """
+
+    title: str
+    names: list[str]
+    labels: tuple[str, str]
+    fit: Fit
+    share_at_minimum: float
+    estimate: Estimate
+    factors: np.ndarray
+    coverage: Coverage | None
+    published: list[Published]
+    t: np.ndarray
+    data: np.ndarray | None
+    calculated: np.ndarray | None
+    errors: np.ndarray
+    forecast: np.ndarray | None
 
 
-def ellipse(center: np.ndarray, covariance: np.ndarray, radius: float) -> np.ndarray:
-    """The points of two numbers at `radius` standard errors from their center, (145, 2)."""
-    angle = np.linspace(0, 2 * np.pi, 145)
-    return center + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(covariance).T
+def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Inference:
+    """Fit from many starts, test and enlarge the errors, and predict; `quick` uses a fifth of all numbers."""
+    sets, members = (20, 200) if quick else (100, 1000)
+    random = random_starts(problem, 2 * sets - 1, 1)
+    starts = jax.tree.map(lambda first, more: jnp.concatenate([first[None], more]), problem.guess, random)
+    data, known = repeat(problem.data, 2 * sets), not isinstance(problem.noise, StudentT)
+    found = fit_starts(problem, starts, data, progress=progress, standardized=known)
+    assert found.starts is not None
+    best = int(np.nanargmin(found.starts.loss))
+    estimate = jax.tree.map(lambda leaf: leaf[0], estimates(problem, found, data, which=[best]))
+    factors, test, forecast, p, levels = np.ones(3), None, None, len(estimate.x), len(estimate.noise)
+    if found.success and np.isfinite(estimate.covariance).all():
+        both = coverage(problem, estimate, 2 * sets, 2, progress)
+        factors[:2] = np.maximum(both.select(slice(sets)).scatter(p, levels), 1)
+        test = both.select(slice(sets, None)).rescale(factors, p, levels)
+        factors[2] = max(1.0, np.sqrt(found.chi_square / max(found.degrees_of_freedom or 0, 1))) if known else 1.0
+        estimate = enlarge_errors(estimate, factors[0] * factors[2])
+        if problem.forecast is not None:
+            t, function = problem.forecast
+            values = predict(problem, function, np.stack([estimate.x, *draw_members(estimate, members, 3)]))
+            forecast = np.stack([np.asarray(t), values[0], *np.percentile(values[1:], (5, 95), axis=0)])
+    e = np.asarray(problem.calculate(problem.unravel(jnp.asarray(estimate.x)), problem.data)[0])
+    noise = problem.noise if known else estimate.noise[:, None, None]
+    rows = (lambda x: x.reshape(len(x), -1)) if known else (lambda x: np.moveaxis(x, 0, 1).reshape(x.shape[1], -1))
+    plain = problem.simulate is None
+    return Inference(
+        problem.title,
+        [*problem.names, *problem.quantities],
+        problem.labels,
+        found,
+        float((found.starts.loss < found.loss + _SAME).mean()),
+        estimate,
+        factors,
+        test,
+        list(problem.published),
+        np.arange(len(rows(e))) if problem.t is None else np.asarray(problem.t),
+        rows(np.asarray(problem.data)) if plain else None,
+        rows(np.asarray(problem.data) + e) if plain else None,
+        rows(e / noise),
+        forecast,
+    )
+
+
+def text(found: Inference) -> str:
+    """The report on a problem, as text."""
+    e, c, f, (scatter, of_noise, chi) = found.estimate, found.coverage, found.fit, found.factors
+    assert f.starts is not None
+    p, levels = len(e.x), len(e.noise)
+    lines = [
+        found.title,
+        f"  {f.outcome}; {100 * found.share_at_minimum:.0f} % of {len(f.starts.loss)} starts end there",
+        f"  noise, fitted (scales of Student's t): {', '.join(f'{x:.4g}' for x in e.noise)}"
+        if levels
+        else f"  χ² {f.chi_square:.1f} for {f.degrees_of_freedom} degrees of freedom",
+        *textwrap.wrap(f.message, 116, initial_indent="  ! ", subsequent_indent="    "),
+        "",
+    ]
+    values = [(name, *_digits(x, s)) for name, x, s in zip(found.names, e.values, e.sigmas, strict=True)]
+    if c is None:
+        return "\n".join([*lines, *table([("", "fitted", "± 1σ"), *values])])
+    tested = coverage_cells(np.delete(c.pulls, slice(p, p + levels), axis=1))
+    rows = [("", "fitted", "± 1σ", "within 1σ", "2σ", "rms/σ")]
+    rows += [(*value, *cells) for value, cells in zip(values, tested, strict=True)]
+    inside = 100 * (c.mahalanobis_squared <= chi_square_point(p)).mean()
+    published = published_lines(found.names, e, found.published)
+    return "\n".join(
+        [
+            *lines,
+            *table([*rows, ("expected of each", "", "", "68%", "95%", "1.00")]),
+            f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {len(c.pulls)} synthetic sets"
+            + (
+                f" (noise levels: {of_noise:.3f})"
+                if levels
+                else f", and by {chi:.3f}, as χ² is above its degrees of freedom"
+                if chi > 1
+                else ""
+            ),
+            f"  right: a test by {len(c.pulls)} other sets; the truth is inside the joint 95 % ellipsoid in {inside:.0f} %",
+            *(["\n  published values:", *published] if published else []),
+        ]
+    )
+
+
+def _digits(value: float, sigma: float) -> tuple[str, str]:
+    """A value and its standard error, with two digits of the error."""
+    if not (np.isfinite(sigma) and sigma > 0):
+        return f"{value:.6g}", "—"
+    places = max(0, 1 - int(np.floor(np.log10(sigma))))
+    return f"{value:.{places}f}", f"{sigma:.{places}f}"
+
+
+@plots.style()
+def draw(found: Inference) -> Figure:
+    """Plot the data and the fit, the errors, the estimate with its tested errors, and the forecast."""
+    panels = [_draw_data] * (found.data is not None) + [_draw_errors, _draw_estimate]
+    panels += [_draw_forecast] * (found.forecast is not None)
+    fig, axes = plots.figure(len(panels))
+    for ax, panel in zip(axes[0], panels, strict=True):
+        panel(ax, found)
+    fig.suptitle(found.title)
+    return fig
+
+
+def _draw_data(ax: Axes, found: Inference) -> None:
+    for k, color in zip(range(found.data.shape[1]), plots.COLORS * 8, strict=False):
+        ax.plot(found.t, found.data[:, k], ".", ms=3, alpha=0.35, color=color)
+        ax.plot(found.t, found.calculated[:, k], color=color, lw=1.2)
+    ax.set(xlabel=found.labels[0], ylabel=found.labels[1], title="data, and the fitted model")
+
+
+def _draw_errors(ax: Axes, found: Inference) -> None:
+    for e, color in zip(found.errors.T, plots.COLORS * 8, strict=False):
+        ax.plot(found.t, e, ".", ms=3, color=color)
+    ax.set(xlabel=found.labels[0], ylabel="(calculated − observed)/noise", title="errors")
+
+
+def _draw_estimate(ax: Axes, found: Inference) -> None:
+    """A row for each number, in units of its standard error: estimates from synthetic data, and published values."""
+    e = found.estimate
+    p, levels = len(e.x), len(e.noise)
+    y = np.arange(len(found.names))[::-1]
+    if found.coverage is not None:
+        pulls = np.delete(found.coverage.pulls, slice(p, p + levels), axis=1)
+        ax.plot(pulls.T, y, ".", ms=3, color=plots.BLUE, alpha=0.4)
+    for low, color in ((2, 0.25), (1, 0.4)):
+        ax.axvspan(-low, low, color=plots.GRAY, alpha=color, lw=0, zorder=0)
+    for quantity, value, error, _ in found.published:
+        k = found.names.index(quantity)
+        x, size = pull(quantity, e.values[k], e.sigmas[k], value), error / e.sigmas[k]
+        mark = "D" if abs(x) < 6 else ">" if x > 0 else "<"  # the last two at the edge of the panel
+        ax.errorbar(np.clip(x, -5.8, 5.8), y[k], xerr=size, fmt=mark, ms=4, color=plots.RED)
+    pairs = (_digits(x, s) for x, s in zip(e.values, e.sigmas, strict=True))
+    labels = [f"{name}\n{x} ± {s}" for name, (x, s) in zip(found.names, pairs, strict=True)]
+    ax.set_yticks(y, labels, fontsize="x-small")
+    ax.set(
+        xlabel="(from synthetic data, or published − fitted)/σ", xlim=(-6, 6), title="the estimate, tests of its errors"
+    )
+
+
+def _draw_forecast(ax: Axes, found: Inference) -> None:
+    t, value, low, high = found.forecast
+    ax.fill_between(t, low, high, color=plots.GRAY, alpha=0.5, lw=0, label="members, 5–95 %")
+    ax.plot(t, value, color=plots.INK, lw=1.2, label="the estimate")
+    ax.set(xlabel=found.labels[0], title="prediction")
+    ax.legend()

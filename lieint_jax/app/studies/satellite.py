@@ -19,7 +19,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from lieint_jax.app.studies import inference
+from lieint_jax.app.studies import _report
 from lieint_jax.app.studies._facets import Facets, brightness, facets, magnitude
 from lieint_jax.app.studies._period_search import (
     HARMONICS,
@@ -173,7 +173,7 @@ def _periods(found: SatelliteFit) -> list[str]:
         f"{HARMONICS}",
         f"  within {width:.4f} per min (by chance {by_chance[0]:.0f} % of all frequencies are as near to one, "
         f"{by_chance[1]:.0f} % to one with even k)",
-        *inference.table(rows, "    "),
+        *_report.table(rows, "    "),
         "  pairs of frequencies of a double Fourier series of order 2, the best first, with their true combinations",
     ]
     for pair, left in list(zip(s.pairs.pairs, s.pairs.left, strict=True))[:6]:
@@ -230,7 +230,7 @@ def _solutions(found: SatelliteFit) -> list[str]:
         f"and to {len(found.estimate.errors)} synthetic sets: {c:.0f} s",
         "  ends of the starts, by the half turn of the body, which does not change its light; χ² of "
         f"{n} exposures, then of {night}:",
-        *inference.table(rows, "    "),
+        *_report.table(rows, "    "),
         f"  {same:.1f} % of the starts end at the true motion or one of equal light, {some:.1f} % at a named one; "
         f"{100 * first.success.mean():.0f} % of the fits succeeded",
         f"  {sum(not np.isfinite(x.after) for x in named.values())} of the {len(named)} named solutions are not minima "
@@ -244,27 +244,27 @@ def _symmetries(found: SatelliteFit) -> list[str]:
     rows += [(label, *(f"{x:.2g}" for x in row)) for label, row in zip(labels, found.light_changes, strict=True)]
     return [
         "\n  effect of changes in space on the true motion's light, the largest over half turns of the body (mag, rms)",
-        *inference.table(rows, "    "),
+        *_report.table(rows, "    "),
     ]
 
 
 def _estimate(found: SatelliteFit) -> list[str]:
-    e, chance = found.estimate, inference.chance_errors(len(found.estimate.errors))
+    e, chance = found.estimate, _report.chance_errors(len(found.estimate.errors))
     values = np.append(e.value, e.periods), np.append(e.sigma, e.periods_sigma), np.append(e.truth, found.periods)
     names = [*(name for unknown in UNKNOWNS.values() for name in unknown.names), *QUANTITIES]
     compared = [
         (name, f"{x:.4f}", f"{s:.4f}", f"{t:.4f}", f"{(x - t) / s:+.2f} σ")
         for name, x, s, t in zip(names, *values, strict=True)
     ]
-    tested = inference.coverage_cells(e.errors)
+    tested = _report.coverage_cells(e.errors)
     rows = [
         ("", "fitted", "± 1σ", "truth", "off", "within 1σ", "2σ", "rms/σ"),
         *((*row, *cells) for row, cells in zip(compared, tested, strict=False)),
-        ("all parameters", *[""] * 4, *inference.coverage_cells(e.errors.reshape(-1, 1))[0]),
+        ("all parameters", *[""] * 4, *_report.coverage_cells(e.errors.reshape(-1, 1))[0]),
         ("expected of each", *[""] * 4, "68%", "95%", "1.00"),
         *compared[8:],
     ]
-    lines = inference.table(rows, "    ")
+    lines = _report.table(rows, "    ")
     by_chance = f"   ± {chance.within_1:.0f} %, {chance.within_2:.0f} %, {chance.rms:.2f} by chance"
     truth = "itself" if np.allclose(e.facet_symmetry, np.eye(3)) else "after a half turn of the body"
     return [

@@ -17,7 +17,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax.app import scenarios
-from lieint_jax.app.studies import _flyby, _toutatis, inference
+from lieint_jax.app.studies import _flyby, _report, _toutatis, inference
 from lieint_jax.app.studies._toutatis import (
     FITTED,
     MIDDLE,
@@ -76,7 +76,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     }
     e, noise = residuals["fitted"], estimate.noise[:, None]
     difference = np.stack([np.asarray(ravel_pytree(p)[0]) - estimate.x for p in given.values()])
-    distances = inference.squared_distances(difference, estimate.covariance[None])
+    distances = _report.squared_distances(difference, estimate.covariance[None])
     body, state = model(problem.unravel(estimate.x), data["begin"])
     assert found.starts is not None
     return SpinFit(
@@ -169,7 +169,7 @@ def _residual_table(found: SpinFit) -> list[str]:
     )
     return [
         f"\n  {'|calculated − observed|':<31}{'attitude (°)':<38}body rate (°/d)",
-        *inference.table(rows),
+        *_report.table(rows),
         "  * an outlier: with normal errors of the fitted noise, 1 of 100 such tables has a residual as large",
     ]
 
@@ -187,7 +187,7 @@ def _comparison(found: SpinFit) -> list[str]:
     )
     return [
         "",
-        *inference.table(rows),
+        *_report.table(rows),
         "  (angles and rates at 1992-11-09 17:49:47 UTC; right, values of the published states, with the inertia of",
         f"  {found.scenario.source('takahashi')}, and their difference from ours)",
         "  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
@@ -209,7 +209,7 @@ def _prediction(found: SpinFit) -> list[str]:
     first, second = (np.interp(angle, p.rms, p.t) for angle in (30, 90))
     return [
         "\n  torque-free prediction of later fixes, by radar and, in 2012, by Chang'e-2: angle from the fix (°)",
-        *inference.table(rows, "    "),
+        *_report.table(rows, "    "),
         f"  {verdict} of the fit's own uncertainty: the members spread by 30° rms after {first:.0f} days,",
         f"  by 90° after {second:.0f}, by {p.rms[-1]:.0f}° at the end (random attitudes: 132°).",
         f"  The direction of the momentum differs from the fitted one by {single:.1f}° rms in single fixes of 1992, by",
@@ -239,17 +239,17 @@ def _torque(found: SpinFit) -> list[str]:
 
 def _coverage(found: SpinFit) -> list[str]:
     c, names = found.coverage, _toutatis.problem().names
-    one, two, _ = inference.shares(c.pulls[:, :8])
+    one, two, _ = _report.shares(c.pulls[:, :8])
     labels = (*names, "log noise, attitudes", "log noise, rates", *QUANTITIES[:4])
-    sets, chance = len(c.pulls), inference.chance_errors(len(c.pulls))
+    sets, chance = len(c.pulls), _report.chance_errors(len(c.pulls))
     rows = [
         ("", "within 1σ", "within 2σ", "rms/σ"),
-        *((label, *cells) for label, cells in zip(labels, inference.coverage_cells(c.pulls), strict=False)),
+        *((label, *cells) for label, cells in zip(labels, _report.coverage_cells(c.pulls), strict=False)),
         ("mean of the parameters", f"{one.mean():.1f}%", f"{two.mean():.1f}%", f"{c.scatter(8)[0]:.2f}"),
         ("expected of each", "68.3%", "95.4%", "1"),
     ]
-    lines = inference.table(rows)
-    inside = 100 * (c.mahalanobis_squared <= inference.chi_square_point(8)).mean()
+    lines = _report.table(rows)
+    inside = 100 * (c.mahalanobis_squared <= _report.chi_square_point(8)).mean()
     return [
         f"\n  errors: those of the observed information, enlarged by {found.factors[0]:.3f} (noise levels: "
         f"{found.factors[1]:.3f}), which is",
