@@ -67,17 +67,13 @@ def _find_study(name: str) -> Study:
     return Study(module.run, module.text, module.draw)
 
 
-def _of_problem(problem: inference.Problem | None = None) -> Study:
-    return Study(partial(inference.infer, problem), inference.text, inference.draw)
-
-
 def _own_study(path: Path) -> Study:
     """The study that a file declares: `PROBLEM`, an `inference.Problem`, or the functions run, text and draw."""
     if not path.is_file():
         raise ValueError(f"there is no file {path}")
     module = _imported(path)
     if isinstance(problem := getattr(module, "PROBLEM", None), inference.Problem):
-        return _of_problem(problem)
+        return Study(partial(inference.infer, problem), inference.text, inference.draw)
     if missing := [name for name in ("run", "text", "draw") if not callable(getattr(module, name, None))]:
         raise ValueError(
             f"{path} declares no study: it needs PROBLEM = lieint_jax.app.studies.inference.Problem(…), or the "
@@ -129,8 +125,10 @@ def plot(path: Path, out: Path | None = None, force: bool = False, own: Path | N
     name = readable(metadata["study"], 200)
     if own is not None:
         study = _own_study(own)
+    elif _is_own(metadata):
+        study = Study(inference.infer, inference.text, inference.draw)
     else:
-        study = _of_problem() if _is_own(metadata) else _find_study(metadata["study"])
+        study = _find_study(metadata["study"])
     files.check_replaceable(_pictures(plain), force)
     result = result_file.load(path, study.module)
     if own is None and _is_own(metadata) and not isinstance(result, inference.Inference):

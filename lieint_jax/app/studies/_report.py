@@ -16,16 +16,11 @@ from lieint_jax.app import plots
 
 
 class Shares(NamedTuple):
-    """The scatter of pulls.
+    """The scatter of pulls."""
 
-    Attributes:
-        within_1, within_2: the percentages within one and two standard errors; 68.3 and 95.4 are expected.
-        rms: the root mean square; 1 is expected.
-    """
-
-    within_1: np.ndarray
-    within_2: np.ndarray
-    rms: np.ndarray
+    within_1: np.ndarray  # percentages within one standard error; 68.3 are expected
+    within_2: np.ndarray  # percentages within two; 95.4 are expected
+    rms: np.ndarray  # the root mean square; 1 is expected
 
 
 def squared_distances(errors: np.ndarray, covariances: ArrayLike) -> np.ndarray:

@@ -172,97 +172,59 @@ def losses(
 
 
 class Estimate(NamedTuple):
-    """The best solution and the truth: attitude (rotation vector in space, °), inertia ratios, rate (°/min).
+    """The best solution and the truth: attitude (rotation vector in space, °), inertia ratios, rate (°/min)."""
 
-    Attributes:
-        value: the estimate, (8,).
-        truth: the truth, or its image under a symmetry of the facets, whichever is nearest, (8,).
-        sigma: standard errors of the estimate, (8,).
-        facet_symmetry: that symmetry, a rotation of the body axes, (3, 3).
-        periods, periods_sigma: mean precession and rotation period of the estimate (min) and their errors, (2,).
-        errors: (estimate − truth)/σ of the synthetic sets, (sets, 8).
-        light: the magnitudes of the fit, with the zero point of the light curve, (n,).
-        fine_t, fine_light: many times, and the same magnitudes at these by the closed form, (m,).
-        integration: the largest difference between the fit's magnitudes and those of the closed form, over the noise.
-    """
-
-    value: np.ndarray
-    truth: np.ndarray
-    sigma: np.ndarray
-    facet_symmetry: np.ndarray
-    periods: np.ndarray
-    periods_sigma: np.ndarray
-    errors: np.ndarray
-    light: np.ndarray
-    fine_t: np.ndarray
-    fine_light: np.ndarray
+    value: np.ndarray  # the estimate, (8,)
+    truth: np.ndarray  # the truth, or its image under a symmetry of the facets, whichever is nearest, (8,)
+    sigma: np.ndarray  # standard errors of the estimate, (8,)
+    facet_symmetry: np.ndarray  # that symmetry, a rotation of the body axes, (3, 3)
+    periods: np.ndarray  # mean precession and rotation period of the estimate (min), (2,)
+    periods_sigma: np.ndarray  # their standard errors, (2,)
+    errors: np.ndarray  # (estimate − truth)/σ of the synthetic sets, (sets, 8)
+    light: np.ndarray  # the magnitudes of the fit, with the zero point of the light curve, (n,)
+    fine_t: np.ndarray  # many times, (m,)
+    fine_light: np.ndarray  # the same magnitudes at these times, by the closed form, (m,)
+    # the largest difference between the fit's magnitudes and those of the closed form, over the noise
     integration: float
 
 
 class Ends(NamedTuple):
-    """The solutions at which fits have ended.
+    """The solutions at which fits have ended."""
 
-    Attributes:
-        loss: half the sum of squares of the errors in units of the noise, (n,).
-        change: the change that maps the night's best solution to each, an index of `SatelliteFit.changes`; −1 for
-            none, (n,).
-        success: whether each fit succeeded, (n,).
-    """
-
-    loss: np.ndarray
+    loss: np.ndarray  # half the sum of squares of the errors in units of the noise, (n,)
+    # the change that maps the night's best solution to each, an index of `SatelliteFit.changes`; −1 for none, (n,)
     change: np.ndarray
-    success: np.ndarray
+    success: np.ndarray  # whether each fit succeeded, (n,)
 
 
 class SatelliteFit(NamedTuple):
-    """The results of the study.
+    """The results of the study."""
 
-    Attributes:
-        title: the title of the scene.
-        facets: the number of facets of the satellite.
-        rate: the true angular velocity at the start (°/s).
-        curve: the light curve.
-        session: the end of the first session (min).
-        periods: true mean precession and rotation period (min), (2,).
-        minima: the minima of the true light in the first session.
-        search: the search for periods.
-        guesses: the number of random bodies that were compared with the first session.
-        changes: every change of a solution that may leave the light unchanged.
-        first: the ends of all starts on the first session.
-        candidate: the index of the candidate pair of periods of each start, (starts,).
-        night: the ends on the whole night of the fits that begin at the best ends of the first session.
-        images: the ends on the whole night of the fits that begin at the images of the best end of the first session,
-            one for each kind of change.
-        named: the change that maps the night's best end to the start of each of these fits, an index of `changes`; −1
-            for none.
-        fit: the fits to the whole night.
-        estimate: the best solution, compared with the truth.
-        light_changes: the effect of the changes in space on the light of the truth (mag, rms), (3, 4): under the
-            directions of the middle of the first session, those of the session, and those of the night.
-        seconds: the time of the guesses, of the fits to the first session, and of those to the night, (3,).
-        devices: the number of devices over which the fits were split.
-    """
-
-    title: str
-    facets: int
-    rate: float
-    curve: Lightcurve
-    session: float
-    periods: np.ndarray
-    minima: Minima
-    search: Search
-    guesses: int
-    changes: list[Change]
-    first: Ends
-    candidate: np.ndarray
-    night: Ends
+    title: str  # the title of the scene
+    facets: int  # the number of facets of the satellite
+    rate: float  # the true angular velocity at the start (°/s)
+    curve: Lightcurve  # the light curve
+    session: float  # the end of the first session (min)
+    periods: np.ndarray  # true mean precession and rotation period (min), (2,)
+    minima: Minima  # the minima of the true light in the first session
+    search: Search  # the search for periods
+    guesses: int  # the number of random bodies that were compared with the first session
+    changes: list[Change]  # every change of a solution that may leave the light unchanged
+    first: Ends  # the ends of all starts on the first session
+    candidate: np.ndarray  # the index of the candidate pair of periods of each start, (starts,)
+    night: Ends  # the ends on the whole night of the fits that begin at the best ends of the first session
+    # the ends on the whole night of the fits that begin at the images of the best end of the first session, one for
+    # each kind of change
     images: Ends
+    # the change that maps the night's best end to the start of each of these fits, an index of `changes`; −1 for none
     named: np.ndarray
-    fit: Fit
-    estimate: Estimate
+    fit: Fit  # the fits to the whole night
+    estimate: Estimate  # the best solution, compared with the truth
+    # the effect of the changes in space on the light of the truth (mag, rms), (3, 4): under the directions of the
+    # middle of the first session, those of the session, and those of the night
     light_changes: np.ndarray
-    seconds: np.ndarray
-    devices: int
+    seconds: np.ndarray  # the time of the guesses, of the fits to the first session, and of those to the night, (3,)
+    devices: int  # the number of devices over which the fits were split
 
 
 def true_solution(made: Scene) -> Solutions:

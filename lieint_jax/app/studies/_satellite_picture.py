@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.studies._period_search import HARMONICS, find_combination
-from lieint_jax.app.studies._satellite_fit import SatelliteFit
 from lieint_jax.app.studies._report import draw_pulls
+from lieint_jax.app.studies._satellite_fit import SatelliteFit
 
 _COLORS = {"as it is": plots.INK, "mirror": plots.RED, "exchange": plots.GREEN, "mirror and exchange": plots.ORANGE}
 _TITLES = (

@@ -27,60 +27,38 @@ _OFFSET = 0.02  # min, before and after a minimum, where the light must be brigh
 
 
 class Scene(NamedTuple):
-    """The contents of `satellite.toml`.
+    """The contents of `satellite.toml`."""
 
-    Attributes:
-        title: the title of the scene.
-        facets: the facets of the satellite.
-        body: the satellite as a rigid body, with moments over the third one.
-        state: the true state at t = 0; rates in rad/min.
-        sky: the directions to Sun and observer, as in the file.
-        exposures: the times and the noise of the exposures, as in the file.
-    """
-
-    title: str
-    facets: Facets
-    body: RigidBody
-    state: State
-    sky: dict[str, float]
-    exposures: dict[str, Any]
+    title: str  # the title of the scene
+    facets: Facets  # the facets of the satellite
+    body: RigidBody  # the satellite as a rigid body, with moments over the third one
+    state: State  # the true state at t = 0; rates in rad/min
+    sky: dict[str, float]  # the directions to Sun and observer, as in the file
+    exposures: dict[str, Any]  # the times and the noise of the exposures, as in the file
 
 
 class Lightcurve(NamedTuple):
-    """Exposures of the satellite.
+    """Exposures of the satellite."""
 
-    Attributes:
-        t: minutes since the first planned exposure, increasing, (n,).
-        magnitude: magnitudes with noise and an unknown zero point, (n,).
-        sun, observer: unit vectors to them, (n, 3).
-        noise: the standard deviation of each magnitude.
-    """
-
-    t: np.ndarray
-    magnitude: np.ndarray
-    sun: np.ndarray
-    observer: np.ndarray
-    noise: float
+    t: np.ndarray  # minutes since the first planned exposure, increasing, (n,)
+    magnitude: np.ndarray  # magnitudes with noise and an unknown zero point, (n,)
+    sun: np.ndarray  # unit vectors to the Sun, (n, 3)
+    observer: np.ndarray  # unit vectors to the observer, (n, 3)
+    noise: float  # the standard deviation of each magnitude
 
     def truncate(self, end: float) -> Lightcurve:
         """Select the exposures before the time `end`."""
-        return Lightcurve(*(leaf[self.t < end] for leaf in self[:4]), self.noise)
+        t, magnitude, sun, observer = (leaf[self.t < end] for leaf in self[:4])
+        return Lightcurve(t, magnitude, sun, observer, self.noise)
 
 
 class Minima(NamedTuple):
-    """The minima of the light in an observing session.
+    """The minima of the light in an observing session."""
 
-    Attributes:
-        t: their times (min), (minima,).
-        magnitude: the magnitudes at these times, (minima,).
-        slope: the time derivatives of the magnitude at these times: 0 but for rounding (1/min), (minima,).
-        rise: the smaller of the differences in magnitude to 0.02 min before and after, (minima,).
-    """
-
-    t: np.ndarray
-    magnitude: np.ndarray
-    slope: np.ndarray
-    rise: np.ndarray
+    t: np.ndarray  # their times (min), (minima,)
+    magnitude: np.ndarray  # the magnitudes at these times, (minima,)
+    slope: np.ndarray  # the time derivatives of the magnitude at these times: 0 but for rounding (1/min), (minima,)
+    rise: np.ndarray  # the smaller of the differences in magnitude to 0.02 min before and after, (minima,)
 
 
 def scene() -> Scene:

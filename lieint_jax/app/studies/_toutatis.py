@@ -32,21 +32,13 @@ _EPOCH = np.datetime64("1992-11-09T17:49:47")
 
 
 class RadarEpochs(NamedTuple):
-    """All published radar fixes of Toutatis: 17 of 1992, one of 2004 and one of 2008.
+    """All published radar fixes of Toutatis: 17 of 1992, one of 2004 and one of 2008."""
 
-    Attributes:
-        t: days since 1992-11-09 17:49:47 UTC, the epoch of the published states, (19,).
-        q: attitudes as unit quaternions, (19, 4).
-        euler_313_deg: the same as Euler 3-1-3 angles, as published (°), (19, 3).
-        angular_velocity_deg: body rates (°/d), (19, 3).
-        date: dates, UTC, to the minute.
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    euler_313_deg: np.ndarray
-    angular_velocity_deg: np.ndarray
-    date: list[str]
+    t: np.ndarray  # days since 1992-11-09 17:49:47 UTC, the epoch of the published states, (19,)
+    q: np.ndarray  # attitudes as unit quaternions, (19, 4)
+    euler_313_deg: np.ndarray  # the same as Euler 3-1-3 angles, as published (°), (19, 3)
+    angular_velocity_deg: np.ndarray  # body rates (°/d), (19, 3)
+    date: list[str]  # dates, UTC, to the minute
 
 
 def radar_epochs() -> RadarEpochs:
@@ -158,66 +150,43 @@ def problem() -> Problem:
 
 
 class Prediction(NamedTuple):
-    """Torque-free motion after the fixes of 1992.
+    """Torque-free motion after the fixes of 1992."""
 
-    Attributes:
-        t: days from the middle fix, (times,).
-        spread: the 5, 50 and 95 % quantiles of the members' angles from the estimate (°), (3, times).
-        rms: the root mean square of these angles (°), (times,).
-        fix_angles: the angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
-        member_fix_angles: the angles (°) of the members from the later fixes, (members, 3).
-        farther_share: the share of the members that are farther from the estimate than the later fix is, (3,): small
-            where the fix is outside the spread.
-        pole: the angle (°) between the momentum of each single radar fix and the fitted one, (19,).
-        energy: 2H Jz/|π|² of the estimate, and of each attitude with the fitted direction of π, (1 + 20,).
-    """
-
-    t: np.ndarray
-    spread: np.ndarray
-    rms: np.ndarray
+    t: np.ndarray  # days from the middle fix, (times,)
+    spread: np.ndarray  # the 5, 50 and 95 % quantiles of the members' angles from the estimate (°), (3, times)
+    rms: np.ndarray  # the root mean square of these angles (°), (times,)
+    # the angles (°) of the estimate and the published states from the later fixes, by name, (3,) each
     fix_angles: dict[str, np.ndarray]
-    member_fix_angles: np.ndarray
+    member_fix_angles: np.ndarray  # the angles (°) of the members from the later fixes, (members, 3)
+    # the share of the members that are farther from the estimate than the later fix is, (3,): small where the fix is
+    # outside the spread
     farther_share: np.ndarray
-    pole: np.ndarray
-    energy: np.ndarray
+    pole: np.ndarray  # the angle (°) between the momentum of each single radar fix and the fitted one, (19,)
+    energy: np.ndarray  # 2H Jz/|π|² of the estimate, and of each attitude with the fitted direction of π, (1 + 20,)
 
 
 class SpinFit(NamedTuple):
-    """The results of the study.
+    """The results of the study."""
 
-    Attributes:
-        fit: the fits from the two published states, from one of them with normal errors, and from random starts.
-        share_at_minimum: the share of the random starts that end in the minimum of the first fit.
-        estimate: the spin state with its uncertainty.
-        normal: the estimate for normal errors, by least squares that are not robust.
-        residuals: calculated less observed attitudes (°) and rates (°/d), by name of the state, (2, 17, 3) each.
-        weights: the weights of attitudes and rates in the fit, (2, 17).
-        outlier: whether each is an outlier, (2, 17).
-        published: the derived quantities of the published states, by name, (12,) each.
-        mahalanobis_squared: the squared distance of each published state from the estimate, by its covariance, by
-            name; for the truth it would be χ² of 8 degrees of freedom.
-        prediction: the prediction for 2004, 2008 and 2012.
-        flyby: the effect of the Earth's torque on 2004-09-29.
-        factors: the factors by which the errors of the parameters, and of the noise levels, are enlarged: the ratio of
-            scatter to reported error in the first half of the synthetic sets.
-        coverage: how often the enlarged errors include the truth in the second half.
-        scenario: the scenario that holds the published values.
-    """
-
-    fit: Fit
-    share_at_minimum: float
-    estimate: Estimate
-    normal: Estimate
+    fit: Fit  # the fits from the two published states, from one of them with normal errors, and from random starts
+    share_at_minimum: float  # the share of the random starts that end in the minimum of the first fit
+    estimate: Estimate  # the spin state with its uncertainty
+    normal: Estimate  # the estimate for normal errors, by least squares that are not robust
+    # calculated less observed attitudes (°) and rates (°/d), by name of the state, (2, 17, 3) each
     residuals: dict[str, np.ndarray]
-    weights: np.ndarray
-    outlier: np.ndarray
-    published: dict[str, np.ndarray]
+    weights: np.ndarray  # the weights of attitudes and rates in the fit, (2, 17)
+    outlier: np.ndarray  # whether each is an outlier, (2, 17)
+    published: dict[str, np.ndarray]  # the derived quantities of the published states, by name, (12,) each
+    # the squared distance of each published state from the estimate, by its covariance, by name; for the truth it would
+    # be χ² of 8 degrees of freedom
     mahalanobis_squared: dict[str, float]
-    prediction: Prediction
-    flyby: Flyby
+    prediction: Prediction  # the prediction for 2004, 2008 and 2012
+    flyby: Flyby  # the effect of the Earth's torque on 2004-09-29
+    # the factors by which the errors of the parameters, and of the noise levels, are enlarged: the ratio of scatter to
+    # reported error in the first half of the synthetic sets
     factors: np.ndarray
-    coverage: Coverage
-    scenario: Scenario
+    coverage: Coverage  # how often the enlarged errors include the truth in the second half
+    scenario: Scenario  # the scenario that holds the published values
 
     @property
     def periods(self) -> np.ndarray:

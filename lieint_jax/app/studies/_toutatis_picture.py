@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.studies._toutatis import FITTED, HUDSON_OSTRO, MIDDLE, SpinFit, later_fixes, radar_epochs
 from lieint_jax.app.studies._report import draw_pulls, ellipse
+from lieint_jax.app.studies._toutatis import FITTED, HUDSON_OSTRO, MIDDLE, SpinFit, later_fixes, radar_epochs
 
 _MARKS = {"fitted": ("o", plots.INK), "Zhao et al. 2015": ("^", plots.RED), "Takahashi et al. 2013": ("s", plots.BLUE)}
 _DECEMBER = 20.2571  # days from the published epoch, 1992-11-09 17:49:47, to 1992-11-30 00:00
@@ -40,7 +42,7 @@ def draw(found: SpinFit) -> Figure:
     return fig
 
 
-def _look(name: str) -> tuple[str, dict[str, object]]:
+def _look(name: str) -> tuple[str, Any]:
     """The marker of a state, and its look."""
     mark, color = _MARKS[name]
     return mark, {"color": color, "mfc": color if name == "fitted" else "none", "ms": 5}

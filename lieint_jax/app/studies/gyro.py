@@ -35,26 +35,16 @@ _EVERY, _READINGS = 0.5, 80  # seconds between readings, and their number
 
 
 class GyroTrials(NamedTuple):
-    """The results of the study.
+    """The results of the study."""
 
-    Attributes:
-        fit: the fit of all trials; `fit.starts` holds the single fits.
-        estimates: estimated parameters, (trials, 8), in the order of `PROBLEM.names`.
-        truth: true parameters, (8,).
-        sigmas: reported standard errors, (trials, 8).
-        covariance: the mean of the reported covariances, (8, 8).
-        within_2_sigma: the share of trials with each parameter within 2σ of the truth, (8,).
-        inside_ellipsoid: the share of trials with the truth in the joint 95 % ellipsoid.
-        readings: the times, the readings, and the fitted rates with bias of the first trial.
-    """
-
-    fit: Fit
-    estimates: np.ndarray
-    truth: np.ndarray
-    sigmas: np.ndarray
-    covariance: np.ndarray
-    within_2_sigma: np.ndarray
-    inside_ellipsoid: float
+    fit: Fit  # the fit of all trials; `fit.starts` holds the single fits
+    estimates: np.ndarray  # estimated parameters, (trials, 8), in the order of `PROBLEM.names`
+    truth: np.ndarray  # true parameters, (8,)
+    sigmas: np.ndarray  # reported standard errors, (trials, 8)
+    covariance: np.ndarray  # the mean of the reported covariances, (8, 8)
+    within_2_sigma: np.ndarray  # the share of trials with each parameter within 2σ of the truth, (8,)
+    inside_ellipsoid: float  # the share of trials with the truth in the joint 95 % ellipsoid
+    # the times, the readings, and the fitted rates with bias of the first trial
     readings: tuple[np.ndarray, np.ndarray, np.ndarray]
 
 

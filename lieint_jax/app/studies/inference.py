@@ -29,7 +29,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.studies._report import chi_square_point, coverage_cells, shares, squared_distances, table
+from lieint_jax.app.studies._report import chi_square_point, coverage_cells, squared_distances, table
 from lieint_jax.fitting import (
     DEGREES_OF_FREEDOM,
     Bound,
@@ -45,6 +45,7 @@ from lieint_jax.types.shapes import PyTree
 
 Params = dict[str, Array]
 _SAME = 1e-4  # difference of the losses of starts that end in one minimum
+_EDGE = 6.0  # standard errors at the edge of the panel of estimates
 
 
 class Unknown(NamedTuple):
@@ -58,18 +59,13 @@ class Unknown(NamedTuple):
     """
 
     names: tuple[str, ...]
-    start: ArrayLike
+    start: ArrayLike | Sequence[float]
     bound: Bound = free
     scatter: float = 0.0
 
 
 class StudentT(NamedTuple):
-    """Noise with outliers: Student's t, of which each kind of error has a scale that is fitted.
-
-    Attributes:
-        start: the first guess of the scales, (kinds,).
-        low, high: their bounds.
-    """
+    """Noise with outliers: Student's t. Of each kind of error the scale is fitted, from `start` and within bounds."""
 
     start: tuple[float, ...]
     low: float
@@ -77,13 +73,7 @@ class StudentT(NamedTuple):
 
 
 class Published(NamedTuple):
-    """A published value of an unknown or a derived quantity.
-
-    Attributes:
-        quantity: the name of the quantity.
-        value, error: its value and standard error; 0 where none is published.
-        source: where it is published.
-    """
+    """A published value of an unknown or a derived quantity, its standard error, 0 if there is none, and its source."""
 
     quantity: str
     value: float
@@ -124,36 +114,52 @@ class Problem:
     labels: tuple[str, str] = ("t", "data")
     forecast: tuple[ArrayLike, Callable[[Params], Array]] | None = None
 
+    def __post_init__(self) -> None:
+        for key, unknown in self.unknowns.items():
+            if key == "noise" or len(unknown.names) != np.size(unknown.start):
+                raise ValueError(
+                    f"the unknown {key!r} needs a name for each of its {np.size(unknown.start)} numbers, got "
+                    f"{unknown.names}; no unknown may be called noise"
+                )
+        known = (*self.names, *self.quantities)
+        if unknown := [p.quantity for p in self.published if p.quantity not in known]:
+            raise ValueError(f"a published value is of {unknown[0]!r}, but the names are {', '.join(known)}")
+
     @property
     def names(self) -> list[str]:
         """The names of all numbers, in the order of the vector x."""
         return [name for key in sorted(self.unknowns) for name in self.unknowns[key].names]
 
     @cached_property
-    def guess(self) -> Params:
-        """The first guess, with that of the noise."""
-        found = {name: jnp.asarray(u.start, float) for name, u in self.unknowns.items()}
-        return found | ({"noise": jnp.asarray(self.noise.start)} if isinstance(self.noise, StudentT) else {})
+    def levels(self) -> Params:
+        """The first guess of the noise levels, if they are fitted."""
+        return {"noise": jnp.asarray(self.noise.start)} if isinstance(self.noise, StudentT) else {}
 
     @cached_property
-    def unravel(self) -> Callable[[Array], Params]:
+    def guess(self) -> Params:
+        """The first guess, with that of the noise levels."""
+        return {name: jnp.asarray(u.start, float) for name, u in self.unknowns.items()} | self.levels
+
+    @cached_property
+    def unravel(self) -> Callable[[ArrayLike], Params]:
         """The parameters of a vector x, (p,)."""
-        return ravel_pytree(split_noise(self.guess)[0])[1]
+        unravel = ravel_pytree(_split_noise(self.guess)[0])[1]
+        return lambda x: unravel(jnp.asarray(x))
 
     @cached_property
     def bounds(self) -> dict[str, Bound]:
-        """The bound of each parameter, and of the noise."""
+        """The bound of each parameter, and of the noise levels."""
         found = {name: u.bound for name, u in self.unknowns.items()}
         return found | ({"noise": interval(*self.noise[1:])} if isinstance(self.noise, StudentT) else {})
 
     def residuals(self, params: Params, given: PyTree) -> PyTree:
         """The residuals that `fit` minimizes, and whether all steps converged; `given`: data, degrees of freedom."""
-        (data, freedom), (motion, levels) = given, split_noise(params)
+        (data, freedom), (motion, levels) = given, _split_noise(params)
         errors, converged = self.flagged_errors(motion, data)
         if not isinstance(self.noise, StudentT):
             return errors / self.noise, converged
         low = self.noise.low
-        return [student_t(errors[k], levels[k], low, freedom) for k in range(len(self.noise.start))], converged
+        return [student_t(e, levels[k], low, freedom) for k, e in enumerate(errors)], converged
 
     def flagged_errors(self, params: Params, data: PyTree) -> tuple[Array, ArrayLike]:
         """The errors, and whether they converged."""
@@ -189,7 +195,7 @@ class Estimate(NamedTuple):
     derived_covariance: np.ndarray
 
     @classmethod
-    def exact(cls, x: ArrayLike, derived: ArrayLike = ()) -> Estimate:
+    def exact(cls, x: ArrayLike, derived: ArrayLike | Sequence[float] = ()) -> Estimate:
         """Known parameters and derived quantities, for comparisons."""
         none = np.zeros(0)
         return cls(np.asarray(x), none, none, np.asarray(derived), none)
@@ -237,8 +243,8 @@ class Coverage(NamedTuple):
         return Coverage(self.pulls / each, self.mahalanobis_squared / factors[0] ** 2, self.success)
 
 
-def split_noise(params: Params) -> tuple[Params, Array]:
-    """Separate the parameters of the motion from the noise levels."""
+def _split_noise(params: Params) -> tuple[Params, Array]:
+    """Separate the parameters of the model from the noise levels."""
     return {name: leaf for name, leaf in params.items() if name != "noise"}, params.get("noise", jnp.zeros(0))
 
 
@@ -257,12 +263,12 @@ def random_starts(problem: Problem, count: int, seed: int) -> Params:
         while u.scatter and not (ok := np.asarray(inside(jnp.asarray(guess + away)))).all():
             away[~ok] /= 2
         starts[name] = jnp.asarray(guess + away)
-    return starts | repeat({name: leaf for name, leaf in problem.guess.items() if name == "noise"}, count)
+    return starts | repeat(problem.levels, count)
 
 
 def fit_starts(
     problem: Problem,
-    starts: Params,
+    starts: PyTree,
     data: PyTree,
     freedom: ArrayLike = DEGREES_OF_FREEDOM,
     progress: bool = True,
@@ -270,12 +276,12 @@ def fit_starts(
     tolerance: float = 1e-9,
     iterations: int = 100,
 ) -> Fit:
-    """Run many fits at once, by `lieint_jax.fitting.fit`; each leaf of `starts` and `data` has a leading axis.
+    """Run many fits at once, by `lieint_jax.fitting.fit`.
 
     Args:
         problem: the problem.
-        starts: the first guesses.
-        data: the data of each fit.
+        starts: the first guesses; each leaf has a leading axis.
+        data: the data of each fit; each leaf has a leading axis.
         freedom: degrees of freedom of Student's t, of all fits or of each.
         progress, standardized, tolerance, iterations: as in `fit`.
     """
@@ -294,14 +300,14 @@ def estimates(
     """The estimates of many fits, or of `which` of them, with their covariances; each leaf has a leading axis."""
     starts = found.starts
     assert starts is not None
-    given = starts.params, starts.covariance, data, jnp.broadcast_to(jnp.asarray(freedom, float), len(starts.loss))
+    given = starts.params, starts.covariance, data, np.broadcast_to(freedom, len(starts.loss))
     several = jax.tree.map(np.asarray, given)  # slices of NumPy arrays need no dispatch by JAX
     chosen = range(len(starts.loss)) if which is None else which
     each = [problem.estimate(*jax.tree.map(lambda leaf, k=k: leaf[k], several)) for k in chosen]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *each)
 
 
-def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree, freedom: Array) -> Estimate:
+def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree, freedom: Array) -> PyTree:
     """The estimate of one fit; for `StudentT` its covariance is the inverse of the observed information.
 
     The information is that of the linearized model: the second derivatives of the errors are left out. The
@@ -309,7 +315,7 @@ def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree,
     by n/(n − m): n is the number of components of kind k, and m, the number of parameters that they determine, is the
     trace of the projection onto kind k.
     """
-    motion, noise = split_noise(params)
+    motion, noise = _split_noise(params)
     x, unravel = ravel_pytree(motion)
     if isinstance(problem.noise, StudentT):
         J, e = _with_jacobian(lambda x: problem.flagged_errors(unravel(x), data)[0], x)
@@ -323,10 +329,10 @@ def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree,
         noise = noise * jnp.sqrt(count / (count - used))
         covariance = jnp.linalg.inv(jnp.sum(information(noise), axis=0))
     if problem.derived is None:
-        return Estimate(x, covariance, noise, jnp.zeros(0), jnp.zeros((0, 0)))
+        return Estimate(x, covariance, noise, jnp.zeros(0), jnp.zeros((0, 0)))  # pyright: ignore[reportArgumentType]
     derived = problem.derived
     D, of_x = _with_jacobian(lambda x: derived(unravel(x), data), x)
-    return Estimate(x, covariance, noise, of_x, D @ covariance @ D.T)
+    return Estimate(x, covariance, noise, of_x, D @ covariance @ D.T)  # pyright: ignore[reportArgumentType]
 
 
 def _with_jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
@@ -341,11 +347,11 @@ def _with_jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array,
 
 def synthetic(problem: Problem, truth: Estimate, sets: int, seed: int) -> PyTree:
     """Synthetic data sets of the model with the parameters `truth`, with noise; each leaf has a leading axis."""
-    rng, params = np.random.default_rng(seed), problem.unravel(jnp.asarray(truth.x))
+    rng, params = np.random.default_rng(seed), problem.unravel(truth.x)
     errors = problem.calculate(params, problem.data)[0]
     if isinstance(problem.noise, StudentT):
         shape = len(errors), sets, *errors.shape[1:]
-        levels = np.asarray(truth.noise).reshape(-1, *[1] * errors.ndim)
+        levels = truth.noise.reshape(-1, *[1] * errors.ndim)
         noise = levels * rng.normal(size=shape)
         gamma = rng.chisquare(DEGREES_OF_FREEDOM, (*shape[:-1], 1)) / DEGREES_OF_FREEDOM
         noise = np.moveaxis(noise / np.sqrt(gamma), 0, 1)
@@ -359,33 +365,33 @@ def synthetic(problem: Problem, truth: Estimate, sets: int, seed: int) -> PyTree
 def coverage(problem: Problem, truth: Estimate, sets: int, seed: int, progress: bool = True) -> Coverage:
     """Fit synthetic data sets of the fitted model, and compare their estimates with the model's parameters."""
     data = synthetic(problem, truth, sets, seed)
-    levels = {"noise": truth.noise} if isinstance(problem.noise, StudentT) else {}
-    found = fit_starts(problem, repeat(problem.unravel(jnp.asarray(truth.x)) | levels, sets), data, progress=progress)
+    starts = problem.unravel(truth.x) | {name: jnp.asarray(truth.noise) for name in problem.levels}
+    found = fit_starts(problem, repeat(starts, sets), data, progress=progress)
     assert found.starts is not None
     return compare(problem, truth, estimates(problem, found, data), found.starts.success)
 
 
 def compare(problem: Problem, truth: Estimate, each: Estimate, success: np.ndarray) -> Coverage:
     """The coverage of the truth by the estimates of many fits."""
-    p, error = len(truth.x), np.asarray(each.x - truth.x)
+    p, error = len(truth.x), each.x - truth.x
     level = np.zeros((len(error), 0))
-    if isinstance(problem.noise, StudentT):
-        _, n, d = jax.eval_shape(problem.flagged_errors, problem.unravel(jnp.asarray(truth.x)), problem.data)[0].shape
+    if problem.levels:
+        _, n, d = jax.eval_shape(problem.flagged_errors, problem.unravel(truth.x), problem.data)[0].shape
         level = np.log(each.noise / truth.noise) / student_t_noise_error(n, d)
-    wrapped = _difference(np.asarray(each.derived), np.asarray(truth.derived), problem.quantities)
+    wrapped = _difference(each.derived, truth.derived, problem.quantities)
     pulls = np.concatenate([error / each.sigmas[:, :p], level, wrapped / each.sigmas[:, p:]], axis=1)
     return Coverage(pulls, squared_distances(error, each.covariance), success)
 
 
-def _difference(a: np.ndarray, b: np.ndarray, names: Sequence[str]) -> np.ndarray:
+def _difference(a: ArrayLike, b: ArrayLike, names: Sequence[str]) -> np.ndarray:
     """a − b; for angles in degrees, wrapped to ±180°."""
-    angle = np.array([name.endswith("(°)") for name in names], bool)
-    return np.where(angle, (a - b + 180) % 360 - 180, a - b)
+    difference = np.asarray(a) - np.asarray(b)
+    return np.where([name.endswith("(°)") for name in names], (difference + 180) % 360 - 180, difference)
 
 
 def pull(name: str, value: float, sigma: float, other: float, error: float = 0.0) -> float:
     """The difference of another value from ours, in units of the combined standard error."""
-    return float(_difference(np.array([other]), np.array([value]), [name])[0] / np.hypot(sigma, error))
+    return float(_difference(other, value, [name])[0] / np.hypot(sigma, error))
 
 
 def enlarge_errors(estimate: Estimate, factor: float) -> Estimate:
@@ -409,14 +415,14 @@ def published_lines(names: Sequence[str], estimate: Estimate, published: Iterabl
 
     The names are those of parameters and derived quantities, or of the derived quantities only.
     """
-    rows, sources = [], []
+    rows = [("", "", "", "")]
     values, sigmas = (x[-len(names) :] for x in (estimate.values, estimate.sigmas))
     for quantity, value, error, source in published:
         k = list(names).index(quantity)
         given = f"{value:g}" + (f" ± {error:g}" if error else "")
-        rows.append((quantity, f"{given:<16}", f"{pull(quantity, values[k], sigmas[k], value, error):+.1f} σ"))
-        sources.append(source)
-    return [f"{line}   {source}" for line, source in zip(table(rows, "    "), sources, strict=True)] if rows else []
+        difference = f"{pull(quantity, values[k], sigmas[k], value, error):+.1f} σ"
+        rows.append((f"{quantity:<{max(map(len, names))}}  {given}", difference, f" {source}", ""))
+    return table(rows, "    ")[1:]
 
 
 class Inference(NamedTuple):
@@ -453,13 +459,19 @@ class Inference(NamedTuple):
     errors: np.ndarray
     forecast: np.ndarray | None
 
+    @property
+    def tested(self) -> np.ndarray | None:
+        """The pulls of parameters and derived quantities in synthetic data, (sets, p + q), if there are any."""
+        p, levels = len(self.estimate.x), len(self.estimate.noise)
+        return None if self.coverage is None else np.delete(self.coverage.pulls, slice(p, p + levels), axis=1)
+
 
 def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Inference:
     """Fit from many starts, test and enlarge the errors, and predict; `quick` uses a fifth of all numbers."""
     sets, members = (20, 200) if quick else (100, 1000)
-    random = random_starts(problem, 2 * sets - 1, 1)
+    random, known = random_starts(problem, 2 * sets - 1, 1), not problem.levels
     starts = jax.tree.map(lambda first, more: jnp.concatenate([first[None], more]), problem.guess, random)
-    data, known = repeat(problem.data, 2 * sets), not isinstance(problem.noise, StudentT)
+    data = repeat(problem.data, 2 * sets)
     found = fit_starts(problem, starts, data, progress=progress, standardized=known)
     assert found.starts is not None
     best = int(np.nanargmin(found.starts.loss))
@@ -475,10 +487,14 @@ def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Infer
             t, function = problem.forecast
             values = predict(problem, function, np.stack([estimate.x, *draw_members(estimate, members, 3)]))
             forecast = np.stack([np.asarray(t), values[0], *np.percentile(values[1:], (5, 95), axis=0)])
-    e = np.asarray(problem.calculate(problem.unravel(jnp.asarray(estimate.x)), problem.data)[0])
+    e = np.asarray(problem.calculate(problem.unravel(estimate.x), problem.data)[0])
     noise = problem.noise if known else estimate.noise[:, None, None]
-    rows = (lambda x: x.reshape(len(x), -1)) if known else (lambda x: np.moveaxis(x, 0, 1).reshape(x.shape[1], -1))
-    plain = problem.simulate is None
+
+    def rows(x: np.ndarray) -> np.ndarray:
+        x = x if known else np.moveaxis(x, 0, 1)
+        return x.reshape(len(x), -1)
+
+    observed = np.asarray(problem.data) if problem.simulate is None else None
     return Inference(
         problem.title,
         [*problem.names, *problem.quantities],
@@ -490,8 +506,8 @@ def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Infer
         test,
         list(problem.published),
         np.arange(len(rows(e))) if problem.t is None else np.asarray(problem.t),
-        rows(np.asarray(problem.data)) if plain else None,
-        rows(np.asarray(problem.data) + e) if plain else None,
+        None if observed is None else rows(observed),
+        None if observed is None else rows(observed + e),
         rows(e / noise),
         forecast,
     )
@@ -501,36 +517,29 @@ def text(found: Inference) -> str:
     """The report on a problem, as text."""
     e, c, f, (scatter, of_noise, chi) = found.estimate, found.coverage, found.fit, found.factors
     assert f.starts is not None
-    p, levels = len(e.x), len(e.noise)
     lines = [
         found.title,
         f"  {f.outcome}; {100 * found.share_at_minimum:.0f} % of {len(f.starts.loss)} starts end there",
         f"  noise, fitted (scales of Student's t): {', '.join(f'{x:.4g}' for x in e.noise)}"
-        if levels
+        if e.noise.size
         else f"  χ² {f.chi_square:.1f} for {f.degrees_of_freedom} degrees of freedom",
         *textwrap.wrap(f.message, 116, initial_indent="  ! ", subsequent_indent="    "),
         "",
     ]
     values = [(name, *_digits(x, s)) for name, x, s in zip(found.names, e.values, e.sigmas, strict=True)]
-    if c is None:
+    if c is None or found.tested is None:
         return "\n".join([*lines, *table([("", "fitted", "± 1σ"), *values])])
-    tested = coverage_cells(np.delete(c.pulls, slice(p, p + levels), axis=1))
     rows = [("", "fitted", "± 1σ", "within 1σ", "2σ", "rms/σ")]
-    rows += [(*value, *cells) for value, cells in zip(values, tested, strict=True)]
-    inside = 100 * (c.mahalanobis_squared <= chi_square_point(p)).mean()
+    rows += [(*value, *cells) for value, cells in zip(values, coverage_cells(found.tested), strict=True)]
+    also = f" (noise levels: {of_noise:.3f})" if e.noise.size else ""
+    also += f", and by {chi:.3f}, since χ² is above its degrees of freedom" if chi > 1 else ""
+    inside = 100 * (c.mahalanobis_squared <= chi_square_point(len(e.x))).mean()
     published = published_lines(found.names, e, found.published)
     return "\n".join(
         [
             *lines,
             *table([*rows, ("expected of each", "", "", "68%", "95%", "1.00")]),
-            f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {len(c.pulls)} synthetic sets"
-            + (
-                f" (noise levels: {of_noise:.3f})"
-                if levels
-                else f", and by {chi:.3f}, as χ² is above its degrees of freedom"
-                if chi > 1
-                else ""
-            ),
+            f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {len(c.pulls)} synthetic sets{also}",
             f"  right: a test by {len(c.pulls)} other sets; the truth is inside the joint 95 % ellipsoid in {inside:.0f} %",
             *(["\n  published values:", *published] if published else []),
         ]
@@ -548,54 +557,43 @@ def _digits(value: float, sigma: float) -> tuple[str, str]:
 @plots.style()
 def draw(found: Inference) -> Figure:
     """Plot the data and the fit, the errors, the estimate with its tested errors, and the forecast."""
-    panels = [_draw_data] * (found.data is not None) + [_draw_errors, _draw_estimate]
-    panels += [_draw_forecast] * (found.forecast is not None)
-    fig, axes = plots.figure(len(panels))
-    for ax, panel in zip(axes[0], panels, strict=True):
-        panel(ax, found)
+    t, v = found.labels
+    panels = [(found.data, found.calculated, v, "data, and the fitted model")] if found.data is not None else []
+    panels += [(found.errors, None, "(calculated − observed)/noise", "errors")]
+    fig, axes = plots.figure(len(panels) + 1 + (found.forecast is not None))
+    for ax, (dots, lines, label, title) in zip(axes[0], panels, strict=False):
+        for k in range(dots.shape[1]):
+            color = plots.COLORS[k % len(plots.COLORS)]
+            ax.plot(found.t, dots[:, k], ".", ms=3, alpha=0.35 if lines is not None else 1.0, color=color)
+            if lines is not None:
+                ax.plot(found.t, lines[:, k], color=color, lw=1.2)
+        ax.set(xlabel=t, ylabel=label, title=title)
+    _draw_estimate(axes[0, len(panels)], found)
+    if found.forecast is not None:
+        ax, (times, value, low, high) = axes[0, -1], found.forecast
+        ax.fill_between(times, low, high, color=plots.GRAY, alpha=0.5, lw=0, label="members, 5–95 %")
+        ax.plot(times, value, color=plots.INK, lw=1.2, label="the estimate")
+        ax.set(xlabel=t, title="prediction")
+        ax.legend()
     fig.suptitle(found.title)
     return fig
 
 
-def _draw_data(ax: Axes, found: Inference) -> None:
-    for k, color in zip(range(found.data.shape[1]), plots.COLORS * 8, strict=False):
-        ax.plot(found.t, found.data[:, k], ".", ms=3, alpha=0.35, color=color)
-        ax.plot(found.t, found.calculated[:, k], color=color, lw=1.2)
-    ax.set(xlabel=found.labels[0], ylabel=found.labels[1], title="data, and the fitted model")
-
-
-def _draw_errors(ax: Axes, found: Inference) -> None:
-    for e, color in zip(found.errors.T, plots.COLORS * 8, strict=False):
-        ax.plot(found.t, e, ".", ms=3, color=color)
-    ax.set(xlabel=found.labels[0], ylabel="(calculated − observed)/noise", title="errors")
-
-
 def _draw_estimate(ax: Axes, found: Inference) -> None:
     """A row for each number, in units of its standard error: estimates from synthetic data, and published values."""
-    e = found.estimate
-    p, levels = len(e.x), len(e.noise)
-    y = np.arange(len(found.names))[::-1]
-    if found.coverage is not None:
-        pulls = np.delete(found.coverage.pulls, slice(p, p + levels), axis=1)
-        ax.plot(pulls.T, y, ".", ms=3, color=plots.BLUE, alpha=0.4)
-    for low, color in ((2, 0.25), (1, 0.4)):
-        ax.axvspan(-low, low, color=plots.GRAY, alpha=color, lw=0, zorder=0)
+    e, y = found.estimate, np.arange(len(found.names))[::-1]
+    if found.tested is not None:
+        ax.plot(found.tested.T, y, ".", ms=3, color=plots.BLUE, alpha=0.4)
+    for width, alpha in ((2, 0.25), (1, 0.4)):
+        ax.axvspan(-width, width, color=plots.GRAY, alpha=alpha, lw=0, zorder=0)
     for quantity, value, error, _ in found.published:
         k = found.names.index(quantity)
         x, size = pull(quantity, e.values[k], e.sigmas[k], value), error / e.sigmas[k]
-        mark = "D" if abs(x) < 6 else ">" if x > 0 else "<"  # the last two at the edge of the panel
-        ax.errorbar(np.clip(x, -5.8, 5.8), y[k], xerr=size, fmt=mark, ms=4, color=plots.RED)
+        mark = "D" if abs(x) < _EDGE else ">" if x > 0 else "<"
+        ax.errorbar(np.clip(x, -_EDGE, _EDGE), y[k], xerr=size, fmt=mark, ms=4, color=plots.RED)
     pairs = (_digits(x, s) for x, s in zip(e.values, e.sigmas, strict=True))
-    labels = [f"{name}\n{x} ± {s}" for name, (x, s) in zip(found.names, pairs, strict=True)]
-    ax.set_yticks(y, labels, fontsize="x-small")
-    ax.set(
-        xlabel="(from synthetic data, or published − fitted)/σ", xlim=(-6, 6), title="the estimate, tests of its errors"
+    ax.set_yticks(
+        y, [f"{name}\n{x} ± {s}" for name, (x, s) in zip(found.names, pairs, strict=True)], fontsize="x-small"
     )
-
-
-def _draw_forecast(ax: Axes, found: Inference) -> None:
-    t, value, low, high = found.forecast
-    ax.fill_between(t, low, high, color=plots.GRAY, alpha=0.5, lw=0, label="members, 5–95 %")
-    ax.plot(t, value, color=plots.INK, lw=1.2, label="the estimate")
-    ax.set(xlabel=found.labels[0], title="prediction")
-    ax.legend()
+    label = "(from synthetic data, or published − fitted)/σ"
+    ax.set(xlabel=label, xlim=(-_EDGE, _EDGE), title="the estimate, and tests of its errors")

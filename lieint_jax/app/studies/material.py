@@ -32,21 +32,14 @@ DT, _EVERY, _SEEN = 0.01, 10, 40
 
 
 class MaterialFit(NamedTuple):
-    """The results of the study.
+    """The results of the study."""
 
-    Attributes:
-        fit: the least-squares fit, with a covariance.
-        gradient_ratio: |gradient of the loss| at the estimate over that at the guess, in reverse mode by `reversible`.
-        times: the times of the observations, (n,).
-        data: observed C, (n, 6): xx, yy, zz, yz, xz, xy.
-        fitted: fitted C, (n, 6).
-    """
-
-    fit: Fit
+    fit: Fit  # the least-squares fit, with a covariance
+    # |gradient of the loss| at the estimate over that at the guess, in reverse mode by `reversible`
     gradient_ratio: float
-    times: np.ndarray
-    data: np.ndarray
-    fitted: np.ndarray
+    times: np.ndarray  # the times of the observations, (n,)
+    data: np.ndarray  # observed C, (n, 6): xx, yy, zz, yz, xz, xy
+    fitted: np.ndarray  # fitted C, (n, 6)
 
 
 def start(params: dict[str, Array]) -> tuple[PseudoRigidBody, State]:

@@ -194,7 +194,7 @@ def _periods(found: SatelliteFit) -> list[str]:
 
 
 class _Named(NamedTuple):
-    """A named solution: how many starts end there, by half turn, their least loss and that on the night, or infinity."""
+    """A named solution: how many starts end there, by half turn; their least loss, and that on the night; or inf."""
 
     counts: np.ndarray
     before: float

@@ -59,7 +59,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     given = {name: published_params(scenario, data["begin"], -data["epoch"]) for name, scenario in STATES.items()}
     # From both published states, from the first with normal errors, and from random states about the second. Their
     # number is that of synthetic sets, so that one compiled program fits both.
-    zhao, takahashi = (p | {"noise": problem.guess["noise"]} for p in given.values())
+    zhao, takahashi = (p | {"noise": problem.levels["noise"]} for p in given.values())
     random = inference.random_starts(problem, 2 * sets - 3, 17)
     three = jax.tree.map(lambda a, b: jnp.stack([a, b, a]), zhao, takahashi)
     guesses = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), three, random)
@@ -107,9 +107,10 @@ def _predict(problem: Problem, estimate: Estimate, given: dict[str, Params], mem
         return jax.vmap(lambda t: body.solution(state, t).q)(jnp.asarray(t))
 
     x = np.stack([estimate.x, *(ravel_pytree(p)[0] for p in given.values())])
-    q = inference.predict(problem, attitudes, np.concatenate([x, inference.draw_members(estimate, members, 2004)]))
+    drawn = inference.draw_members(estimate, members, 2004)
+    q = jnp.asarray(inference.predict(problem, attitudes, np.concatenate([x, drawn])))
     angles = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (None, 0))(q[0], q[len(x) :]))
-    off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], later_q))
+    off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], jnp.asarray(later_q)))
     body, state = model(problem.unravel(estimate.x), begin)
     rate = jnp.asarray(np.deg2rad(fixes.angular_velocity_deg))
     p = jax.vmap(so3.Ad)(jnp.asarray(fixes.q), body.inertia * rate)
@@ -143,8 +144,8 @@ def _head(found: SpinFit) -> list[str]:
     return [
         f"{found.scenario.title}: spin state, inertia ratios and noise from the {FITTED} radar fixes of 1992",
         f"  fixes: {found.scenario.source('takahashi')}, without errors: attitudes have one weight, and so have rates",
-        f"  {found.fit.outcome}; {100 * found.share_at_minimum:.0f} % of {len(found.fit.starts.loss) - 3} random starts "
-        "end there",
+        f"  {found.fit.outcome}; {100 * found.share_at_minimum:.0f} % of {len(found.fit.starts.loss) - 3} random "
+        "starts end there",
         f"  noise, fitted: attitudes {noise[0]:.2f} ± {noise[0] * error:.2f}°, rates {noise[1]:.2f} ± "
         f"{noise[1] * error:.2f} °/d (scales of Student's t, {DEGREES_OF_FREEDOM:g} degrees of freedom)",
         f"  with normal errors instead: {normal[0]:.2f}°, {normal[1]:.2f} °/d, and the values below change by up to "
@@ -155,18 +156,19 @@ def _head(found: SpinFit) -> list[str]:
 def _residual_table(found: SpinFit) -> list[str]:
     size = np.stack([np.linalg.norm(found.residuals[name], axis=-1) for name in ("fitted", *STATES)])
     heads = ("fitted", "weight", "Zhao", "Takahashi")
-    rows = [("", *heads, *heads)]
-    for k, date in enumerate(radar_epochs().date[:FITTED]):
-        row = [date]
-        for kind in range(2):
-            ours, zhao, takahashi = size[:, kind, k]
-            mark = "*" if found.outlier[kind, k] else " "
-            row += [f"{ours:.2f}{mark}", f"{found.weights[kind, k]:.2f}", f"{zhao:.1f}", f"{takahashi:.1f}"]
-        rows.append(tuple(row))
-    rms = np.sqrt((size**2).mean(axis=-1))
-    rows.append(
-        ("rms", *(x for kind in range(2) for x in (f"{rms[0, kind]:.2f} ", "", *(f"{r:.2f}" for r in rms[1:, kind]))))
+    rows: list[tuple[str, ...]] = [("", *heads, *heads)]
+    columns = size.T, found.weights.T, found.outlier.T
+    for date, sizes, weights, outlier in zip(radar_epochs().date, *columns, strict=False):
+        cells = (
+            (f"{ours:.2f}{' *'[int(far)]}", f"{weight:.2f}", f"{zhao:.1f}", f"{takahashi:.1f}")
+            for (ours, zhao, takahashi), weight, far in zip(sizes, weights, outlier, strict=True)
+        )
+        rows.append((date, *(cell for kind in cells for cell in kind)))
+    rms = (
+        (f"{ours:.2f} ", "", f"{zhao:.2f}", f"{takahashi:.2f}")
+        for ours, zhao, takahashi in np.sqrt((size**2).mean(-1)).T
     )
+    rows.append(("rms", *(cell for kind in rms for cell in kind)))
     return [
         f"\n  {'|calculated − observed|':<31}{'attitude (°)':<38}body rate (°/d)",
         *_report.table(rows),
@@ -176,7 +178,7 @@ def _residual_table(found: SpinFit) -> list[str]:
 
 def _comparison(found: SpinFit) -> list[str]:
     value, sigma = found.estimate.values[8:], found.estimate.sigmas[8:]
-    rows = [("", "fitted", "± 1σ", "Zhao", "", "Takahashi")]
+    rows: list[tuple[str, ...]] = [("", "fitted", "± 1σ", "Zhao", "", "Takahashi")]
     for k, name in enumerate(QUANTITIES):
         others = (float(found.published[state][k]) for state in STATES)
         each = ((f"{x:.3f}", f"{inference.pull(name, value[k], sigma[k], x):+.1f} σ") for x in others)
@@ -223,15 +225,15 @@ def _torque(found: SpinFit) -> list[str]:
     f, (value, error) = found.flyby, found.periods.T
     own = 360 * error / value**2  # of the mean rates of precession and rotation, 360°/period
     rms, most = np.sqrt((f.rates**2).mean(axis=0)), np.abs(f.rates[:, 0]).max()
+    change, usual, worst = 100 * np.sqrt((f.momentum**2).mean()), _TO_2008 * rms[0], _TO_2008 * most
     return [
         "\n  the Earth's torque in the flyby of 2004-09-29, in order of magnitude, over all phases and directions:",
         f"    a hyperbola of least distance {f.distance / _flyby.AU:.5f} au, {f.speed:.2f} km/s at infinity",
         "    (elements quoted from JPL's Small-Body Database, not checked there; the Earth on a circle)",
-        f"    momentum: changes by {100 * np.sqrt((f.momentum**2).mean()):.2f} % rms, rotates by {f.pole.max():.2f}° at most",
+        f"    momentum: changes by {change:.2f} % rms, rotates by {f.pole.max():.2f}° at most",
         f"    precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms",
         f"    published: {_CHANGE} °/d at most   (Busch et al. 2012, AGU Fall Meeting, P31A-1873)",
-        f"  By the fix of 2008 this change of rate adds up to {_TO_2008 * rms[0]:.0f}° rms, {_TO_2008 * most:.0f}° at most, "
-        "even from",
+        f"  By the fix of 2008 this change of rate adds up to {usual:.0f}° rms, {worst:.0f}° at most, even from",
         "  a state known exactly.",
         f"  The fit of 1992 determines the two rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d.",
     ]
