@@ -533,14 +533,14 @@ def text(found: Inference) -> str:
     rows += [(*value, *cells) for value, cells in zip(values, coverage_cells(found.tested), strict=True)]
     also = f" (noise levels: {of_noise:.3f})" if e.noise.size else ""
     also += f", and by {chi:.3f}, since χ² is above its degrees of freedom" if chi > 1 else ""
-    inside = 100 * (c.mahalanobis_squared <= chi_square_point(len(e.x))).mean()
+    inside, sets = 100 * (c.mahalanobis_squared <= chi_square_point(len(e.x))).mean(), len(c.pulls)
     published = published_lines(found.names, e, found.published)
     return "\n".join(
         [
             *lines,
             *table([*rows, ("expected of each", "", "", "68%", "95%", "1.00")]),
-            f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {len(c.pulls)} synthetic sets{also}",
-            f"  right: a test by {len(c.pulls)} other sets; the truth is inside the joint 95 % ellipsoid in {inside:.0f} %",
+            f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {sets} synthetic sets{also}",
+            f"  right: a test by {sets} other sets; the truth is inside the joint 95 % ellipsoid in {inside:.0f} %",
             *(["\n  published values:", *published] if published else []),
         ]
     )
