@@ -14,6 +14,7 @@ import numpy as np
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.runs import store as archives
+from lieint_jax.types.shapes import PyTree
 
 _PACKAGE = __name__.partition(".")[0]
 _RENAMED = {  # since version 0.2
@@ -54,7 +55,7 @@ _RENAMED_FIELDS = {  # of named tuples of the studies, since version 0.2
 }
 
 
-def save(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
+def save(path: Path, tree: PyTree, metadata: dict[str, Any]) -> None:
     """Write a tree of named tuples of this package, tuples, lists, dicts, scenarios, arrays, numbers and text.
 
     An array is named by its path in the tree, such as `estimate.covariance`. An existing file is not replaced.
@@ -79,7 +80,7 @@ def metadata(path: Path) -> dict[str, Any] | None:
     return found if "tree" in found else None
 
 
-def load(path: Path, own: ModuleType | None = None) -> Any:
+def load(path: Path, own: ModuleType | None = None) -> PyTree:
     """Read the tree that `save` wrote, with named tuples of this package and of the module `own`, which is imported.
 
     Raises:

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
+from matplotlib.figure import Figure
 
 from lieint_jax import _discover
 from lieint_jax._version import __version__
@@ -20,6 +21,7 @@ from lieint_jax.app.command import files, result_file
 from lieint_jax.app.printer import readable, show
 from lieint_jax.app.studies import inference
 from lieint_jax.runs import store as archives
+from lieint_jax.types.shapes import PyTree
 
 _OWN = "lieint_own_study"  # the module of a file of the user's
 
@@ -27,9 +29,9 @@ _OWN = "lieint_own_study"  # the module of a file of the user's
 class Study(NamedTuple):
     """The three functions of a study, and the module of a study of the user's with functions of its own."""
 
-    run: Callable[..., Any]
-    text: Callable[[Any], str]
-    draw: Callable[[Any], Any]
+    run: Callable[..., PyTree]
+    text: Callable[[PyTree], str]
+    draw: Callable[[PyTree], Figure]
     module: ModuleType | None = None
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from lieint_jax.app.studies import _report
+from lieint_jax.app.studies import _report, _satellite_fit, _symmetric_solutions
 from lieint_jax.app.studies._facets import Facets, brightness, facets, magnitude
 from lieint_jax.app.studies._period_search import (
     HARMONICS,
@@ -29,30 +29,10 @@ from lieint_jax.app.studies._period_search import (
     find_combination,
     search,
 )
-from lieint_jax.app.studies._satellite_fit import (
-    QUANTITIES,
-    STEP,
-    UNKNOWNS,
-    Ends,
-    SatelliteFit,
-    estimate,
-    fit_magnitudes,
-    losses,
-    random_guesses,
-    true_solution,
-)
+from lieint_jax.app.studies._satellite_fit import QUANTITIES, STEP, UNKNOWNS, Ends, SatelliteFit
 from lieint_jax.app.studies._satellite_picture import draw
 from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, closed_form, observe, scene, scene_minima
-from lieint_jax.app.studies._symmetric_solutions import (
-    SPACE,
-    Change,
-    Solutions,
-    changes,
-    classify,
-    light_differences,
-    parameters,
-    solutions,
-)
+from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, changes, classify, solutions
 from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.fitting import Fit
 
@@ -70,20 +50,25 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     found = search(curve.t, curve.magnitude)
     first = curve.truncate(session)
     clock = [time.perf_counter()]
-    guess, begin, candidate = random_guesses(found.candidates, guesses, jax.random.key(made.exposures["seed"]))
-    order = np.argsort(losses(guess, begin, made.facets, first, progress))[:starts]
+    guess, begin, candidate = _satellite_fit.random_guesses(
+        found.candidates, guesses, jax.random.key(made.exposures["seed"])
+    )
+    order = np.argsort(_satellite_fit.losses(guess, begin, made.facets, first, progress))[:starts]
     guess, begin, candidate = jax.tree.map(lambda leaf: leaf[order], (guess, begin, candidate))
     clock.append(time.perf_counter())
-    fits = fit_magnitudes(guess, begin, np.tile(first.magnitude, (starts, 1)), made.facets, first, progress)
+    fits = _satellite_fit.fit_magnitudes(
+        guess, begin, np.tile(first.magnitude, (starts, 1)), made.facets, first, progress
+    )
     clock.append(time.perf_counter())
     assert fits.starts is not None
     every = changes(made.facets, first.sun, first.observer)
     ends, order = solutions(fits.starts.params, begin), np.argsort(fits.starts.loss)
     images = _images(ends.select(order[0]), every)
-    several, truth = _join(ends.select(order[:continued]), images), true_solution(made)
-    guess, begin = parameters(_join(several, *[truth] * sets))  # the light curve, and synthetic sets from the truth
+    several, truth = _join(ends.select(order[:continued]), images), _satellite_fit.true_solution(made)
+    # the light curve, and synthetic sets from the truth
+    guess, begin = _symmetric_solutions.parameters(_join(several, *[truth] * sets))
     data = np.concatenate([np.tile(curve.magnitude, (len(several.q), 1)), synthetic])
-    night = fit_magnitudes(guess, begin, data, made.facets, curve, progress)
+    night = _satellite_fit.fit_magnitudes(guess, begin, data, made.facets, curve, progress)
     clock.append(time.perf_counter())
     assert night.starts is not None
     after, count = solutions(night.starts.params, begin), len(several.q)
@@ -107,7 +92,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
         images=Ends(*(leaf[continued:count] for leaf in of_night)),
         named=classify(images, best, every),
         fit=night,
-        estimate=estimate(made, curve, night, begin, chosen, count, every),
+        estimate=_satellite_fit.estimate(made, curve, night, begin, chosen, count, every),
         light_changes=_light_changes(made, first, curve),
         seconds=np.diff(clock),
         devices=len(jax.devices()),
@@ -127,7 +112,8 @@ def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndar
     middle = len(first.t) // 2
     held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
     q = np.asarray(closed_form(made, night.t)[0])
-    return np.stack([light_differences(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
+    change = _symmetric_solutions.light_differences
+    return np.stack([change(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
 
 
 def _ends(fit: Fit, ends: Solutions, best: Solutions, every: list[Change]) -> Ends:
@@ -251,7 +237,10 @@ def _symmetries(found: SatelliteFit) -> list[str]:
 def _estimate(found: SatelliteFit) -> list[str]:
     e, chance = found.estimate, _report.chance_errors(len(found.estimate.errors))
     values = np.append(e.value, e.periods), np.append(e.sigma, e.periods_sigma), np.append(e.truth, found.periods)
-    names = [*(name for unknown in UNKNOWNS.values() for name in unknown.names), *QUANTITIES]
+    names = [
+        *(name for unknown in UNKNOWNS.values() for name in unknown.names),
+        *QUANTITIES,
+    ]
     compared = [
         (name, f"{x:.4f}", f"{s:.4f}", f"{t:.4f}", f"{(x - t) / s:+.2f} σ")
         for name, x, s, t in zip(names, *values, strict=True)
