@@ -43,6 +43,12 @@ from lieint_jax.fitting import (
 )
 from lieint_jax.types.shapes import PyTree
 
+__all__ = [
+    *("Coverage", "Estimate", "Inference", "Problem", "Published", "StudentT", "Unknown"),
+    *("compare", "coverage", "draw", "draw_members", "enlarge_errors", "estimates", "fit_starts", "infer", "predict"),
+    *("published_lines", "pull", "random_starts", "repeat", "synthetic", "text"),
+]
+
 Params = dict[str, Array]
 _SAME = 1e-4  # difference of the losses of starts that end in one minimum
 _EDGE = 6.0  # standard errors at the edge of the panel of estimates
