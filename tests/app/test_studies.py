@@ -72,6 +72,7 @@ TRUTH = (0.02, -0.01, 0.015, 0.6, 0.8, 0.5, 0.3, 0.4)  # of the page's data: bia
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("ignore:the error of the steps moves")
 def test_the_study_of_the_page_finds_the_truth_within_its_errors(tmp_path, monkeypatch, capsys):
     """By the command, from the page's CSV. With large steps it warns of them; `lieint plot` needs no mine.py."""
     monkeypatch.chdir(tmp_path)
@@ -225,6 +226,10 @@ def test_a_file_with_functions_is_a_study_and_its_results_choose_no_file(tmp_pat
     result_file.save(tmp_path / "plain.npz", {"a": 1.0}, {"study": "a.py", "quick": True, "lieint_jax": "", "jax": ""})
     assert cli.main(["plot", "plain.npz"]) == 2
     assert "add --study a.py" in capsys.readouterr().err
+    result_file.save(tmp_path / "gyro.npz", (), {"study": "gyro", "quick": True, "lieint_jax": "", "jax": ""})
+    for path in ("gyro.npz", "none.npz"):
+        assert cli.main(["plot", path, "--study", "mine.py"]) == 2
+        assert "leave out --study" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

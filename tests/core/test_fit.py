@@ -429,11 +429,12 @@ def test_a_fit_within_any_bound_is_compiled_once():
         traced.append(p)
         return p - jnp.array([0.7, 0.8])
 
+    counts = []
     for guess in ([0.6, 0.9], [0.9, 0.9]):
         found = li.fit(misfits, jnp.array(guess), bounds=li.fitting.inertia_ratios, progress=False)
         np.testing.assert_allclose(found.params, [0.7, 0.8], rtol=1e-8)
-        once = len(traced) if guess[0] == 0.6 else once
-    assert len(traced) == once
+        counts.append(len(traced))
+    assert counts[0] == counts[1] > 0
 
 
 @pytest.mark.long

@@ -330,6 +330,8 @@ def _plot(options: argparse.Namespace) -> None:
 
     if study.is_study_file(options.path):
         study.plot(options.path, options.out, options.force, options.study)
+    elif options.study is not None:
+        raise ValueError(f"{options.path} holds no results of a study: leave out --study")
     else:
         info.plot(options.path, options.out, options.force)
 

@@ -125,6 +125,8 @@ def plot(path: Path, out: Path | None = None, force: bool = False, own: Path | N
     """
     metadata, plain = _metadata(path), files.path_in_folder(path, out)
     name = readable(metadata["study"], 200)
+    if own is not None and not _is_own(metadata):
+        raise ValueError(f"{path} holds results of the study {name} of this package: leave out --study")
     if own is not None:
         study = _own_study(own)
     elif _is_own(metadata):
