@@ -329,6 +329,16 @@ def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
         scene.scene_of(uniform(t), 0, 5, shapes=[found, found])
 
 
+@pytest.mark.long
+def test_a_shape_of_triangles_is_drawn_about_its_center_of_mass(tmp_path):
+    path = tmp_path / "corner.obj"
+    path.write_text("v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    found = body_shapes.read(path)
+    assert len(found.solid.faces) == 4
+    assert area(found.solid) == pytest.approx(24 + 8 * np.sqrt(3), rel=1e-12)
+    np.testing.assert_allclose(found.centered().corners.min(axis=0), [-1, -1, -1], rtol=0, atol=1e-12)
+
+
 def test_the_axes_of_a_shape_are_compared_where_moments_differ():
     c, s = np.cos(np.deg2rad(25)), np.sin(np.deg2rad(25))
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
