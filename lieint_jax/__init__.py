@@ -22,6 +22,7 @@ A system and a scheme make a step; a step and states make a run.
 | `ensemble` | older names of `run` and `open`; `over_members`, processes, parts of a run |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
+| `measure` | what a run shows: periods, librations, orbits, spectra, light curves |
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
 | `transition` | state transition matrices, sensitivities to parameters, linear covariance |
 | `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
@@ -46,6 +47,7 @@ from lieint_jax import (
     fitting,
     groups,
     maps,
+    measure,
     orbits,
     phase_spaces,
     potentials,
@@ -94,6 +96,7 @@ __all__ = [
     "interpolate",
     "jit",
     "maps",
+    "measure",
     "normal_modes",
     "observe",
     "open",

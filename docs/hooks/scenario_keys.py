@@ -1,6 +1,7 @@
 """The page of all scenario keys, by `lieint schema`; the table of `lieint list`; the options of all commands."""
 
 import argparse
+import inspect
 import json
 from importlib import resources
 
@@ -9,7 +10,7 @@ from mkdocs.structure.files import File
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, study
 from lieint_jax.app.command import list as listing
-from lieint_jax.app.scenarios._common import Common
+from lieint_jax.app.scenarios._kind import Kind
 
 INTRODUCTION = """# Every scenario key
 
@@ -74,7 +75,7 @@ def _listed():
 
 def _page():
     schema = scenarios.schema()
-    common = Common.model_json_schema()
+    common = Kind.model_json_schema()
     parts = [INTRODUCTION, "## Keys of every scenario", _keys(common, common["properties"], {})]
     published = schema["$defs"]["Published"]
     parts += ["### `[published.NAME]`", "A number to compare with, in the table `published` of some kinds of system."]
@@ -84,7 +85,7 @@ def _page():
         own = {key: value for key, value in model["properties"].items() if value != common["properties"].get(key)}
         del own["system"]
         shipped = [x for x in scenarios.scenario_names() if scenarios.load(x).system == name]
-        parts += [f'## `system = "{name}"`', _summary(scenarios.kinds()[name])]
+        parts += [f'## `system = "{name}"`', _summary(inspect.getmodule(scenarios.kinds()[name]))]
         parts += [_keys(model, own, schema["$defs"])]
         parts += [_example(x) for x in shipped]
         parts += _tables(schema, own, [])

@@ -125,7 +125,7 @@ def _from_tensor(J: Array) -> Array:
     return _from_cholesky(jnp.trace(J) / 2 * jnp.eye(3, dtype=J.dtype) - J)
 
 
-_DIAGONAL = Box(np.repeat([0, -_INFINITE], 3), _INFINITE)
+_DIAGONAL = Box((0.0,) * 3 + (-_INFINITE,) * 3, _INFINITE)  # tuples, so that a fit within it is compiled once
 _EDGE = "; on the edge, as for a plate or a phone, one moment is the sum of the two others: start with it 0.1 % smaller"
 free = Bound("free", _itself, _itself)
 positive = _bound("positive", Chart(_itself, _itself, Box(0, _INFINITE)))
@@ -137,7 +137,7 @@ principal_inertia = _bound(  # (3,), triangle inequality
 )
 inertia_ratios = _bound(  # (2,), to the third moment; triangle inequality
     "inertia_ratios",
-    Chart(_ratios, _from_ratios, Box(np.array([0.0, -1.0]), np.array([_INFINITE, 1.0]))),
+    Chart(_ratios, _from_ratios, Box((0.0, -1.0), (_INFINITE, 1.0))),
     ": with (J₁, J₂) over the third moment, J₁ + J₂ > 1 > |J₁ − J₂|, strictly" + _EDGE,
 )
 inertia = _bound(  # (3, 3), positive definite, triangle inequality

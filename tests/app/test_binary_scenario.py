@@ -17,7 +17,7 @@ from two_bodies import reference
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
 from lieint_jax.app.scenarios import _binary_motion, _report, _runs, binary
-from lieint_jax.app.scenarios._spectrum import line, spectrum
+from lieint_jax.app.scenarios._keys import Published
 
 
 @pytest.fixture(autouse=True)
@@ -31,25 +31,10 @@ def changed(name, **tables):
     return scenarios.parse(given | {key: given.get(key, {}) | keys for key, keys in tables.items()}, name)
 
 
-def test_lines_of_a_series_have_their_frequencies_and_amplitudes():
-    """Two lines 6 widths of the transform apart: observed 1.4e-2 of a width, and 4e-4 of the amplitude."""
-    t = np.arange(500.0)
-    x = 2.0 * np.cos(2 * np.pi * 0.1013 * t + 0.3) + 0.5 * np.cos(2 * np.pi * 0.1133 * t)
-    columns = np.stack([x, np.roll(x, 7) * 3], axis=1)
-    for low, high, f, a in ((0.05, 0.107, 0.1013, 2.0), (0.109, 0.2, 0.1133, 0.5)):
-        found, size = line(t, columns[:, :1], np.array([low]), np.array([high]))
-        assert abs(found[0] - f) < 0.04 / 500
-        assert size[0] == pytest.approx(a, rel=2e-3)
-    f, a = spectrum(t, x)
-    assert a.max() == pytest.approx(2.0, rel=0.16)
-    assert abs(f[a.argmax()] - 0.1013) < 1 / 500
-    assert np.isnan(line(t, columns, np.array([0.1, 0.1]), np.array([0.1001, 0.1001]))[0]).all()
-
-
 @pytest.mark.long
 def test_members_have_bodies_of_their_own_and_the_first_is_the_nominal_one():
     scenario = scenarios.load("didymos", members=3)
-    step, states = scenarios.build(scenario)
+    step, states = scenario.build()
     masses, moments = np.asarray(step.system.masses), np.asarray(step.system.inertias)
     np.testing.assert_array_equal(masses[0], [scenario.primary.mass_kg, scenario.secondary.mass_kg])
     np.testing.assert_allclose(
@@ -106,22 +91,22 @@ def test_every_scheme_can_be_chosen(scheme, error):
     """By key, each at its lowest order: errors of position after an orbit, over the distance; the last was 0.034."""
     scenario = scenarios.load("kw4", scheme=scheme, order=4 if scheme == "nystrom" else 2)
     scenario = scenario.model_copy(update=dict(steps=100, save_every=100, dt=670.0, members=2))
-    step, path = run(scenario)
-    assert scheme in step.name
+    path = run(scenario)
+    assert scheme in path.step.name
     assert path.info.converged.all()
-    fine = run(scenarios.load("kw4").model_copy(update=dict(steps=100, save_every=100, dt=670.0, members=2)))[1]
+    fine = run(scenarios.load("kw4").model_copy(update=dict(steps=100, save_every=100, dt=670.0, members=2)))
     assert abs(path.state.q[-1, :, :, :3] - fine.state.q[-1, :, :, :3]).max() < error * 2548
 
 
 @cache
 def nominal_didymos():
     scenario = scenarios.load("didymos", members=2)
-    return scenario, *run(scenario)
+    return scenario, run(scenario)
 
 
-def apsides(scenario, step, path):
+def apsides(scenario, path):
     """The mean rate of the vector of Laplace, Runge and Lenz of every member, in °/d."""
-    m, q, p = (np.asarray(x) for x in (step.system.masses, path.state.q[..., :3], path.state.p[..., :3]))
+    m, q, p = (np.asarray(x) for x in (path.system.masses, path.state.q[..., :3], path.state.p[..., :3]))
     d, v = q[:, :, 1] - q[:, :, 0], p[:, :, 1] / m[:, 1, None] - p[:, :, 0] / m[:, 0, None]
     e = np.cross(v, np.cross(d, v)) / (scenario.G * m.sum(axis=1)[:, None]) - d / np.linalg.norm(d, axis=-1)[..., None]
     angle = np.unwrap(np.arctan2(e[..., 1], e[..., 0]), axis=0)
@@ -131,21 +116,21 @@ def apsides(scenario, step, path):
 @pytest.mark.long
 def test_the_report_of_didymos_has_the_published_periods_and_the_rate_of_its_apsides():
     """The nominal one; the apsides' rate beside that of the vector of Laplace, Runge and Lenz."""
-    scenario, step, path = nominal_didymos()
-    rows = {row.name: row.nominal for row in binary.quantities(scenario, step.system, path)}
+    scenario, path = nominal_didymos()
+    rows = {row.name: row.nominal for row in scenario.quantities(path)}
     assert rows["orbital period (h)"] == pytest.approx(11.372, abs=2e-4)
     assert rows["primary's spin period (h)"] == pytest.approx(2.26, abs=1e-3)
     assert rows["libration of the secondary, largest (°)"] == pytest.approx(22.27, abs=0.1)
-    rate = apsides(scenario, step, path)[0]
+    rate = apsides(scenario, path)[0]
     assert rows["precession of the line of apsides (°/d)"] == pytest.approx(rate, abs=0.05)  # −5.838 and −5.845
-    kept = {x.name: x.change().max() for x in binary.conserved(scenario, step.system, path)}
+    kept = {x.name: x.change().max() for x in scenario.conserved(path)}
     assert kept["energy, over |energy|"] < 3e-11  # 8e-12
     assert kept["linear momentum, over that of the secondary"] < 1e-15
     assert kept["angular momentum, relative"] < 5e-14
 
 
 def test_the_report_notes_a_spread_beyond_the_published_error_and_a_wrong_sign():
-    published = scenarios._common.Published(value=6.7, error=0.2, source="a book", remark="The primary is rounder.")
+    published = Published(value=6.7, error=0.2, source="a book", remark="The primary is rounder.")
     scenario = scenarios.load("didymos", members=1)
 
     def notes(values):
@@ -167,10 +152,10 @@ def test_the_report_notes_a_spread_beyond_the_published_error_and_a_wrong_sign()
 def test_the_spread_of_the_apsides_of_didymos_is_that_of_the_librations():
     """Of its members, by the vector of Laplace, Runge and Lenz too: no noise of the measurement."""
     scenario = scenarios.load("didymos", members=12)
-    step, path = run(scenario)
-    found = binary.motion(scenario, step.system, path)
-    [row] = [row for row in binary.quantities(scenario, step.system, path) if "apsides" in row.name]
-    rates = apsides(scenario, step, path)
+    path = run(scenario)
+    found = scenario.motion(path)
+    [row] = [row for row in scenario.quantities(path) if "apsides" in row.name]
+    rates = apsides(scenario, path)
     assert row.spread > 3
     assert np.std(rates, ddof=1) == pytest.approx(row.spread, abs=0.2)
     swing = abs(found.libration).max(axis=0)
@@ -180,18 +165,18 @@ def test_the_spread_of_the_apsides_of_didymos_is_that_of_the_librations():
 @pytest.mark.long
 def test_didymos_in_steps_of_half_an_hour_agrees_with_dop853():
     """Five days; observed 2e-5 m."""
-    _, step, path = nominal_didymos()
+    _, path = nominal_didymos()
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 0]), path.state)
     k = int(np.searchsorted(path.t, 5 * 86400.0))
-    x, _ = reference(_runs.nominal_member(step.system), start, float(path.t[k]), 1e-12, 1e-12)
+    x, _ = reference(path.member(0).system, start, float(path.t[k]), 1e-12, 1e-12)
     q = path.state.q[k, 0, :, :3]
     assert np.linalg.norm((q[1] - q[0]) - (x[1] - x[0])) < 1e-4
 
 
 @pytest.mark.long
 def test_a_change_of_the_period_determines_the_change_of_speed():
-    scenario, step, path = nominal_didymos()
-    found = binary.impact(scenario, step, path)
+    scenario, path = nominal_didymos()
+    found = scenario.impact(path)
     assert found.period_unchanged == pytest.approx(11.9216, abs=2e-4)
     assert found.change == pytest.approx(-2.7268, abs=2e-3)
     assert found.kepler == pytest.approx(-2.783, abs=2e-3)
@@ -205,7 +190,7 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
     scenario = changed("didymos", primary=sphere | dict(mass_kg=5e11), secondary=sphere).model_copy(
         update={"members": 1}
     )
-    step, states = scenarios.build(scenario)
+    step, states = scenario.build()
     first, start = _runs.nominal_member(step), jax.tree.map(lambda x: x[0], states)
     measure = partial(_binary_motion.orbital_period, first, start, scenario.dt, scenario.steps, scenario.save_every)
     period, slope = (float(x) for x in measure(jnp.asarray(0.0)))
@@ -226,7 +211,7 @@ def test_shipped_binaries_run_and_plot_from_the_command_line(name, capsys):
     assert "3 of 3 members converged" in out
     assert re.search(r"orbital period \(h\) +1[18]\.\d+ ", out)
     assert ("change of speed between" in out) == (name == "didymos")
-    for picture in binary.PICTURES:
+    for picture in binary.Binary.pictures():
         assert Path(f"x-{picture}.png").read_bytes().startswith(b"\x89PNG")
     assert cli.main(["info", "x.npz"]) == 0
     kept = re.search(r"largest change of energy.*\((\S+) of the largest", capsys.readouterr().out)

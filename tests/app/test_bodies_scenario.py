@@ -14,7 +14,7 @@ import lieint_jax as li
 from lieint_jax import orbits, potentials, schemes, systems
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
-from lieint_jax.app.scenarios import binary, bodies
+from lieint_jax.app.scenarios import bodies
 from lieint_jax.groups import so3
 
 
@@ -120,7 +120,7 @@ def test_a_sum_of_potentials_agrees_with_the_same_bodies_by_the_library():
     ]
     terms = [dict(kind="point_masses", G=2.0, softening_m=0.5), SPRING | dict(length_m=1.0), FIELD]
     scenario = scenarios.parse(book(bodies=three, potential=terms, scheme="splitting", order=2), "mine.toml")
-    made, states = scenarios.build(scenario)
+    made, states = scenario.build()
     step, state = (jax.tree.map(lambda x: x[0], tree) for tree in (made, states))
 
     m, J = [2.0, 2.0, 1.0], [[1.0, 2.0, 2.5], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
@@ -149,16 +149,16 @@ def test_one_body_falls_in_a_field():
     """x = x₀ + vt + gt²/2 after ten steps; the splitting is exact there. Observed 2e-15."""
     only = [body("A", 1.0, velocity_m_s=[0.0, 3.0, 4.0])]
     scenario = scenarios.parse(book(bodies=only, potential=[FIELD], scheme="splitting"), "mine.toml")
-    step, path = run(scenario)
+    path = run(scenario)
     np.testing.assert_allclose(path.state.q[-1, 0, 0, :3], [1.0, 3.0, 4.0 - 9.81 / 2], rtol=1e-14)
-    report = scenarios.report(scenario, step, path)
+    report = scenario.report(path)
     assert re.search(r"A: rotation period, mean rate \(h\) +0.00174533 ", report)
     assert "P across the field" in report
 
 
 def as_bodies(pair):
     """The nominal state of a scenario of the kind `binary` as one of the kind `bodies`."""
-    step, states = scenarios.build(pair)
+    step, states = pair.build()
     system, state = (jax.tree.map(lambda x: x[0], tree) for tree in (step.system, states))
     v, Omega = state.p[:, :3] / system.masses[:, None], system.angular_velocities(state)
     tables = [
@@ -182,13 +182,13 @@ def as_bodies(pair):
 def test_two_bodies_move_as_those_of_the_kind_binary():
     """1999 KW4 over 26 d by both kinds, from one state: positions and periods."""
     pair = scenarios.load("kw4", members=1, steps=1248)
-    other, path = run(pair)
+    path = run(pair)
     scenario = as_bodies(pair)
-    step, mine = run(scenario)
+    mine = run(scenario)
     apart = np.linalg.norm(mine.state.q[..., :3] - path.state.q[..., :3], axis=-1).max()
     assert apart < 1e-8 * 2548  # round-off of masses and moments, grown along the orbit
-    theirs = {x.name: x.nominal for x in binary.quantities(pair, other.system, path)}
-    ours = {x.name: x.nominal for x in bodies.quantities(scenario, step.system, mine)}
+    theirs = {x.name: x.nominal for x in pair.quantities(path)}
+    ours = {x.name: x.nominal for x in scenario.quantities(mine)}
     for a, b in (
         ("orbital period (h)", "secondary about primary: period (h)"),
         (
@@ -201,15 +201,15 @@ def test_two_bodies_move_as_those_of_the_kind_binary():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("scheme", get_args(bodies.Scenario.model_fields["scheme"].annotation))
+@pytest.mark.parametrize("scheme", get_args(bodies.Bodies.model_fields["scheme"].annotation))
 def test_every_scheme_can_be_chosen(scheme):
     """A third of an eccentric orbit of two points, by the orders that are the default, against nystrom of order 6."""
     pair = [body("A", -1.0, velocity_m_s=[0.0, -0.6, 0.0]), body("B", 1.0, velocity_m_s=[0.0, 0.6, 0.0])]
     terms = [dict(kind="point_masses", G=1.0)]
     keys = dict(bodies=pair, potential=terms, steps=40, dt=0.05)
-    fine = run(scenarios.parse(book(**keys), "mine.toml"))[1]
-    step, path = run(scenarios.parse(book(**keys, scheme=scheme), "mine.toml"))
-    assert scheme.split("_")[0] in step.name
+    fine = run(scenarios.parse(book(**keys), "mine.toml"))
+    path = run(scenarios.parse(book(**keys, scheme=scheme), "mine.toml"))
+    assert scheme.split("_")[0] in path.step.name
     assert path.info.converged.all()
     error = 1e-3 if scheme in ("splitting", "bodies_energy_momentum") else 1e-13  # observed 4e-4 and 2e-4, 1e-14
     assert abs(path.state.q[-1] - fine.state.q[-1]).max() < error
@@ -221,7 +221,7 @@ def test_members_spread_as_the_file_says_and_the_first_is_the_nominal_one():
     scenario = scenarios.parse(
         book(bodies=[body("A", -1.0, spread=spread), body("B", 2.0)], members=400, barycentric=True), "mine.toml"
     )
-    step, states = scenarios.build(scenario)
+    step, states = scenario.build()
     m, x = np.asarray(step.system.masses), np.asarray(states.q)[..., :3]
     v = np.asarray(states.p)[..., :3] / m[..., None]
     assert abs((m[..., None] * x).sum(axis=1)).max() < 1e-14
@@ -284,5 +284,5 @@ def test_sn263_agrees_with_the_same_bodies_by_the_library():
     Omega = np.array([b.rate() for b in scenario.bodies])
     state = triple.state(x, velocities=v, angular_velocities=Omega)
     end = jax.jit(lambda z: li.integrate(schemes.nystrom(triple, 6), z, scenario.dt, 10, save_every=10))(state).state
-    q = run(scenario)[1].state.q[-1, 0]
+    q = run(scenario).state.q[-1, 0]
     np.testing.assert_allclose(q, end.q[-1], rtol=1e-13, atol=1e-9)  # m; observed 4e-12

@@ -105,7 +105,7 @@ def test_scenarios_in_pages_are_valid(name):
         table = tomllib.loads(code)
         if "parts" in table:
             assert len(scenarios.validate(body_shapes.Parts, table, name).parts) > 1
-        else:
+        elif ".py:" not in table["system"]:  # whose kind another test runs
             assert scenarios.parse(table, name).members >= 1
 
 

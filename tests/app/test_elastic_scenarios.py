@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 from scenario_runs import run
 
+import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import pendulum, pseudo_rigid
 from lieint_jax.types import State, StepInfo, Trajectory
 
 
-def still(states):
+def still(step, states):
     """A run that has only its initial states."""
     members = len(states.q)
     start = jax.tree.map(lambda x: np.asarray(x)[None], states)
-    return Trajectory(np.zeros(1), start, StepInfo(np.zeros((1, members)), np.ones((1, members), bool)))
+    info = StepInfo(np.zeros((1, members)), np.ones((1, members), bool))
+    return li.Run.of(step, Trajectory(np.zeros(1), start, info))
 
 
 # Pseudo-rigid bodies --------------------------------------------------------------------------------------------------
@@ -48,13 +50,13 @@ def test_pseudo_rigid_has_the_energy_variation_of_figure_3c_in_its_first_quarter
 @pytest.mark.slow
 def test_shipped_pseudo_rigid_has_the_energy_variation_of_figure_3c():
     scenario = scenarios.load("pseudo_rigid", members=8)
-    step, made = run(scenario)
-    energy, momentum = pseudo_rigid.conserved(scenario, step.system, made)
+    made = run(scenario)
+    energy, momentum = scenario.conserved(made)
     assert made.info.converged.all()
     assert [x.promise for x in (energy, momentum)] == ["conserved to round-off"] * 2
     assert energy.change().max() < 1e-12  # floor 3e-14
     assert momentum.change().max() < 1e-12  # floor 1e-14
-    series = pseudo_rigid.energies(scenario, step, made)
+    series = scenario.energies(made)
     assert series.converged
     assert np.ptp(series.energy[pseudo_rigid.MIDPOINT]) == pytest.approx(2.31e-3, rel=3e-3)
     assert np.ptp(series.energy["the rule 'average'"]) < 5e-12
@@ -64,7 +66,7 @@ def test_shipped_pseudo_rigid_has_the_energy_variation_of_figure_3c():
 def test_pseudo_rigid_members_are_spread_about_the_nominal_state():
     """The first is Figure 3c's; the others turn with its velocity and their own spin; the seed decides."""
     scenario = scenarios.load("pseudo_rigid", members=2000)
-    step, states = jax.device_get(scenarios.build(scenario))
+    step, states = jax.device_get(scenario.build())
     body = step.system
     np.testing.assert_array_equal(states.q[0], np.eye(3))
     momentum = jax.jit(lambda q, p: body.momentum(State(q, p)))(states.q[0], states.p[0])
@@ -73,9 +75,9 @@ def test_pseudo_rigid_members_are_spread_about_the_nominal_state():
     omega = np.asarray(states.p[1:] / 2 @ np.linalg.inv(states.q[1:]))
     np.testing.assert_allclose(omega, -np.swapaxes(omega, 1, 2), rtol=0, atol=1e-14)  # rotations only
     assert np.std(omega[:, 2, 1]) == pytest.approx(0.05, rel=0.1)
-    again = scenarios.build(scenarios.load("pseudo_rigid", members=1))[1]
+    again = scenarios.load("pseudo_rigid", members=1).build()[1]
     np.testing.assert_array_equal(np.asarray(again.p)[0], states.p[0])
-    other = scenarios.build(scenarios.load("pseudo_rigid", members=2, seed=1))[1]
+    other = scenarios.load("pseudo_rigid", members=2, seed=1).build()[1]
     assert np.abs(np.asarray(other.q)[1] - states.q[1]).max() > 1e-3
 
 
@@ -84,7 +86,7 @@ def test_a_nominal_velocity_is_that_of_all_members():
     """A body that stretches: V F₀⁻¹ is theirs too, so without spread they are the nominal one."""
     state = {"deformation": np.diag([1.1, 1.0, 0.9]).tolist(), "velocity": np.diag([0.1, 0.0, -0.2]).tolist()}
     scenario = scenarios.load("pseudo_rigid", members=3, state=state, spread={})
-    _, states = scenarios.build(scenario)
+    _, states = scenario.build()
     states = jax.device_get(states)
     for x in states[:2]:
         np.testing.assert_allclose(x, np.broadcast_to(x[0], x.shape), rtol=0, atol=1e-15)
@@ -141,27 +143,26 @@ def test_the_closed_form_of_the_pendulum_has_three_known_limits():
     rate = np.sqrt(G / 0.6)
     state = {"direction": [0.8, 0.0, -0.6], "velocity": [0.0, float(0.8 * rate * 1.0001), 0.0]}
     scenario = scenarios.load("pendulum", members=1, state=state)
-    step, states = scenarios.build(scenario)
-    rows = pendulum.quantities(scenario, step.system, still(states))
+    step, states = scenario.build()
+    rows = scenario.quantities(still(step, states))
     assert rows[1].closed_form == pytest.approx(-rate, rel=1e-3)  # about γ, which points down
     assert rows[0].closed_form == pytest.approx(2 * np.pi / np.sqrt(G * (1 + 3 * 0.36) / 0.6), rel=1e-3)
     assert rows[2].closed_form == pytest.approx(np.rad2deg(theta), abs=0.05)
     state["velocity"] = [0.0, 1e-4, 0.0]
-    narrow = scenarios.build(scenarios.load("pendulum", members=1, state=state))[1]
+    narrow = scenarios.load("pendulum", members=1, state=state).build()[1]
     x, y = 1.0, np.cos(theta / 2)
     for _ in range(6):
         x, y = (x + y) / 2, np.sqrt(x * y)
-    period = pendulum.quantities(scenario, step.system, still(narrow))[0].closed_form
+    period = scenario.quantities(still(step, narrow))[0].closed_form
     assert period == pytest.approx(np.pi / x / np.sqrt(G), rel=1e-6)
 
 
 @pytest.mark.long
 def test_the_pendulum_as_a_top_has_its_energy_and_momentum():
     scenario = scenarios.load("pendulum", members=5, axis=[0.6, 0.0, 0.8], mass=2.0)
-    step, states = scenarios.build(scenario)
+    step, states = scenario.build()
     bob = step.system
-    top, turned = pendulum.as_top(bob, still(states))
-    as_top = jax.tree.map(lambda x: np.asarray(x[0]), turned.state)
+    top, as_top = jax.vmap(pendulum.as_top, (None, 0), (None, 0))(bob, states)
 
     def measured(system, states):
         return jax.vmap(system.energy)(states), jax.vmap(system.momentum)(states)

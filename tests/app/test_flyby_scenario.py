@@ -221,7 +221,7 @@ def _rate(t, y, J, mu):
 def test_a_passage_agrees_with_another_integrator():
     """DOP853 moves the center along, without Kepler. Observed: 2.9e-11 rad of attitude, 1e-12 of Π."""
     scenario = changed(members=2)
-    steps, states = flyby.build(scenario)
+    steps, states = scenario.build()
     pick = lambda x: x[1] if x.ndim else x  # noqa: E731
     step, state = (jax.tree.map(pick, x) for x in (steps, states))
     times = scenario.times()
@@ -273,14 +273,14 @@ SMALL = dict(members=256, map=dict(precession_phases=8, rotation_phases=4))
 @cache
 def small_study():
     scenario = changed(**SMALL)
-    step, path = run(scenario)
-    return scenario, step, path, _flyby_study.study(scenario, step, path)
+    path = run(scenario)
+    return scenario, path, _flyby_study.study(scenario, path)
 
 
 @pytest.mark.long
 def test_phases_that_differ_by_a_symmetry_of_the_body_have_the_same_passage():
     """The body turned by 180° about its short axis has the same moments. Observed 2e-14, and 4e-14 on other phases."""
-    scenario, _, _, found = small_study()
+    scenario, _, found = small_study()
     other = found.grid._replace(phi=found.grid.phi + np.pi, psi=found.grid.psi + np.pi)
     again = motion.passages(scenario.orbit.elements(), 8, False, other, scenario.times())
     np.testing.assert_allclose(again.after.precession, found.mapped.after.precession, rtol=2e-13)
@@ -290,7 +290,7 @@ def test_phases_that_differ_by_a_symmetry_of_the_body_have_the_same_passage():
 @pytest.mark.long
 def test_derivatives_of_a_passage_agree_with_differences():
     """Central differences of passages by order 8 against tangents by order 4. Observed 3e-5 of the largest."""
-    scenario, _, _, found = small_study()
+    scenario, _, found = small_study()
     elements, times = scenario.orbit.elements(), scenario.times()
     assert [x.shape for x in found.slopes.values()] == [(8, 4)] * 9
 
@@ -313,7 +313,7 @@ def test_derivatives_of_a_passage_agree_with_differences():
 @pytest.mark.long
 def test_the_shipped_run_has_the_declared_accuracy():
     """640 steps: attitudes of 256 members to 1e-8 rad (observed 2.2e-10); ± 96 h: P_φ to 0.01 h (observed 0.0026)."""
-    _, _, path, found = small_study()
+    _, path, found = small_study()
     assert found.failed == 0
     assert path.info.converged.all()
     assert found.step_error < 1e-8
@@ -341,7 +341,7 @@ def test_apophis_runs_plots_and_stores_from_the_command_line(capsys):
     kept = float(re.search(r"here: the same in (\S+) %", out)[1])
     assert 60 < kept < 95
     assert float(re.search(r"twice as many: (\S+) rad", out)[1]) < 1e-8
-    for picture in flyby.PICTURES:
+    for picture in flyby.Flyby.pictures():
         assert Path(f"x-{picture}.png").read_bytes().startswith(b"\x89PNG")
     assert cli.main(["info", "x.npz"]) == 0
     changes = re.search(r"largest change of energy less work.*\((\S+) of the largest", capsys.readouterr().out)

@@ -82,14 +82,14 @@ def test_the_corrected_axes_do_not_rest_in_the_body_and_those_of_the_third_readi
 
 def test_members_start_on_a_grid_at_pericenter_and_are_planar():
     scenario = scenarios.load("hyperion", members=72)
-    step, states = scenarios.build(scenario)
-    theta, rate = moon.section(scenario, states)
+    step, states = scenario.build()
+    theta, rate = scenario.section(states)
     np.testing.assert_allclose(theta.reshape(3, 24), np.tile(np.pi / 24 * np.arange(24), (3, 1)), rtol=0, atol=1e-15)
     np.testing.assert_allclose(rate.reshape(3, 24), np.repeat([[0.0], [2.0], [4.0]], 24, axis=1), rtol=0, atol=1e-15)
     assert states.t.shape == ()
     np.testing.assert_allclose(step.system.orbit(states.t)[0], [0.9, 0, 0], rtol=0, atol=1e-15)
     assert scenario.save_every == 60
-    assert moon.Scenario.model_validate(scenario.model_dump()) == scenario  # as results hold it
+    assert moon.Moon.model_validate(scenario.model_dump()) == scenario  # as results hold it
 
 
 def test_a_verdict_needs_nearly_all_members():
@@ -232,8 +232,8 @@ def test_hyperion_has_a_chaotic_zone_three_exponents_and_undecided_states():
         spatial={"starts": 24, "orbits": 1000},
         around=scenarios.load("hyperion").around.model_dump() | {"members": 8},
     )
-    step, path = run(scenario)
-    found = moon.chaos(scenario, step, path)
+    path = run(scenario)
+    found = scenario.chaos(path)
     assert found.failed == 0
     assert np.mean(found.section[:, 0] > moon.chaos_limit(300)) == pytest.approx(0.43, abs=0.03)
     inside, outside = found.planar.mean(axis=0)
@@ -244,7 +244,7 @@ def test_hyperion_has_a_chaotic_zone_three_exponents_and_undecided_states():
     error = np.hypot(own, [0.010, 0.005, 0.003])
     assert (own < [0.015, 0.008, 0.004]).all()
     np.testing.assert_array_less(abs(three.mean(axis=0) - [0.124, 0.054, 0.017]), 3 * error)
-    theta, rate = moon.section(scenario, path.state)
+    theta, rate = scenario.section(path.state)
     synchronous = (abs(theta[0]) < 0.01) & (abs(rate[0] - 0.6) < 0.05)
     assert synchronous.sum() == 1
     assert (found.section[synchronous, 0] < moon.chaos_limit(300)).all()

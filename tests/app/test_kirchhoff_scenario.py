@@ -49,16 +49,13 @@ def test_the_spin_needed_is_where_the_linearized_equations_turn_unstable():
 
 
 @pytest.mark.long
-def test_kirchhoff_s_members_have_the_given_spread_and_their_axes_tilt():
+def test_kirchhoff_s_members_have_the_given_spread():
     scenario = scenarios.load("kirchhoff", members=500)
-    step, states = scenarios.build(scenario)
-    exp = jax.jit(step.system.group.exp)
+    step, states = scenario.build()
     velocities = np.linalg.solve(np.asarray(step.system.metric), np.asarray(states.p).T).T  # q is the identity
     np.testing.assert_allclose(velocities[0], [0, 0, 8, 0, 0, 1], rtol=0, atol=1e-15)
     assert np.std(velocities[1:, :3]) == pytest.approx(np.hypot(0.05, 8 * np.sqrt(2) / 3), rel=0.01)
     assert np.std(velocities[1:, 3]) == pytest.approx(0.02, rel=0.1)
-    turned = np.asarray(exp(np.array([0.0, 1e-9, 0.0, 1.0, 2.0, 3.0])))
-    assert kirchhoff.tilts(np.stack([np.eye(4), turned]))[1] == pytest.approx(np.rad2deg(1e-9), rel=1e-6)
 
 
 BAD = [

@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
+import scenario_runs
 from scipy.integrate import quad
 
-import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import maclaurin
 
 
 def run(**changes):
     scenario = scenarios.load("maclaurin", **changes)
-    step, states = scenarios.build(scenario)
-    made = li.ensemble.run(step, states, scenario.dt, scenario.steps, save_every=scenario.save_every, progress=False)
-    return scenario, step, made
+    return scenario, scenario_runs.run(scenario)
 
 
 @pytest.mark.parametrize("e", [0.2, 0.7, 0.97])
@@ -35,22 +33,22 @@ def test_the_published_limits_are_those_of_the_closed_form():
 @pytest.mark.long
 def test_bars_rotate_and_grow_as_in_the_closed_form():
     """Errors are 1e-4 at order 2 and Δt = 0.1; volume, energy and momentum are at round-off."""
-    scenario, step, made = run(members=4, steps=300, order=2, eccentricity=0.3, last_eccentricity=0.975)
+    scenario, made = run(members=4, steps=300, order=2, eccentricity=0.3, last_eccentricity=0.975)
     off = maclaurin.measured_modes(made) - maclaurin._ordered(maclaurin.bar_modes(scenario.eccentricities()))
     assert abs(off).max() < 2e-3  # 7e-4
     assert abs(maclaurin.measured_modes(made)[3].imag).min() > 0.2
-    *exact, circulation = maclaurin.conserved(scenario, step.system, made)
+    *exact, circulation = scenario.conserved(made)
     for quantity in exact:
         assert quantity.change().max() < 5e-13, quantity.name
     assert 1e-12 < circulation.change().max() < 1e-3
-    text = scenarios.report(scenario, step, made)
+    text = scenario.report(made)
     assert "growth" in text
     assert "Chandrasekhar" in text
 
 
 @pytest.mark.long
 def test_the_shipped_scenario_agrees_to_its_fourth_order():
-    scenario, _, made = run()
+    scenario, made = run()
     e = scenario.eccentricities()
     off = abs(maclaurin.measured_modes(made) - maclaurin._ordered(maclaurin.bar_modes(e)))
     away = abs(e - maclaurin.DYNAMICAL) > 0.01  # where the two rates of a bar can be told apart

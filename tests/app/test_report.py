@@ -7,8 +7,10 @@ import pytest
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import _report
-from lieint_jax.app.scenarios._common import Published
+from lieint_jax.app.scenarios._keys import Published
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._report import Conserved, Quantity
+from lieint_jax.app.scenarios._runs import length
 
 BOOK = Published(value=2.0, error=0.5, source="a book")
 
@@ -16,10 +18,9 @@ BOOK = Published(value=2.0, error=0.5, source="a book")
 @pytest.mark.parametrize("name", scenarios.kinds())
 def test_every_kind_declares_its_keys_states_report_and_pictures(name):
     kind = scenarios.kinds()[name]
-    assert issubclass(kind.Scenario, scenarios.Common)
-    assert callable(kind.build)
-    assert kind.PICTURES
-    assert all(picture.__doc__ for picture in kind.PICTURES.values())
+    assert issubclass(kind, Kind)
+    assert kind.pictures()
+    assert all(picture.__doc__ for picture in kind.pictures().values())
     assert {"report", "conserved", "quantities", "remarks"} & set(vars(kind))
 
 
@@ -33,7 +34,7 @@ def test_the_change_of_a_vector_is_its_largest_component_or_its_length():
     values = np.zeros((2, 1, 3))
     values[1, 0] = [3.0, -4.0, 0.0]
     assert Conserved("x", values).change()[1] == 4
-    assert Conserved("x", values, norm=_report.length).change()[1] == 5
+    assert Conserved("x", values, norm=length).change()[1] == 5
     matrices = np.stack([np.zeros((1, 2, 2)), np.full((1, 2, 2), -7.0)])
     assert Conserved("F", matrices).change()[1] == 7
 

@@ -61,7 +61,20 @@ def test_every_renamed_field_of_a_file_of_version_0_2_is_read(tmp_path):
         np.savez(path, metadata=np.array(json.dumps({"study": "any", "tree": tree})))
         assert result_file.load(path) == kind(*kind._fields)
         path.unlink()
-    assert result_file._find_class("lieint_jax.studies.kappa:LearntKappas").__name__ == "LearnedKappas"
+    for name, now in MOVED.items():
+        assert result_file._find_class(f"lieint_jax.{name}").__name__ == now
+
+
+MOVED = {
+    "studies.kappa:LearntKappas": "LearnedKappas",
+    "app.studies._minima:Minima": "Minima",
+    "app.studies._satellite_result:SatelliteFit": "SatelliteFit",
+    "app.studies._satellite_result:Ends": "Ends",
+    "app.studies._spin_fit:Estimate": "Estimate",
+    "studies._spin_fit:Coverage": "Coverage",
+    "app.studies._toutatis_result:Prediction": "Prediction",
+    "studies._toutatis_result:SpinFit": "SpinFit",
+}
 
 
 def test_only_named_tuples_of_this_package_are_made(tmp_path):

@@ -11,7 +11,6 @@ import pytest
 import lieint_jax as li
 from lieint_jax.app.studies import (
     _facets,
-    _minima,
     _period_search,
     _satellite_fit,
     _satellite_sky,
@@ -261,11 +260,11 @@ def test_minima_of_the_light_are_minima_and_their_times_have_derivatives():
 
     def minima_of(params):
         body, state = model(params, SCENE.state.q)
-        return _minima.minima(body, state, SCENE.facets, SCENE.sky, 40.0, 20)
+        return _satellite_sky.minima(body, state, SCENE.facets, SCENE.sky, 40.0, 20)
 
-    m = _minima.scene_minima(SCENE, 40.0, 20)
+    m = _satellite_sky.scene_minima(SCENE, 40.0, 20)
     t = np.linspace(0, 40, 40001)
-    light = np.asarray(_satellite_sky.true_magnitudes(SCENE, jnp.asarray(t)))
+    light = np.asarray(_satellite_sky.closed_form(SCENE, t)[1])
     inside = light[1:-1]
     there = t[1:-1][(inside > light[:-2]) & (inside > light[2:])]
     np.testing.assert_allclose(m.t, there, rtol=0, atol=2e-3)  # all of them, and no other: the grid's step is 1e-3
@@ -297,7 +296,7 @@ def test_a_fit_from_near_the_truth_recovers_it():
     """Without noise to what the scheme of order 6 leaves; with noise within four standard errors."""
     curve, seen = _satellite_sky.observe(SCENE, 1)
     first = curve.truncate(145.0)
-    clean = np.asarray(_satellite_sky.true_magnitudes(SCENE, jnp.asarray(first.t)))
+    clean = np.asarray(_satellite_sky.closed_form(SCENE, first.t)[1])
     truth = _satellite_fit.true_solution(SCENE)
     guess, begin = _symmetric_solutions.parameters(truth)
     guess = guess | {"attitude": guess["attitude"] + 5.0, "rate": guess["rate"] * 1.005}

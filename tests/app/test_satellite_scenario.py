@@ -6,6 +6,7 @@ import pytest
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import satellite
 from lieint_jax.groups import so3
+from lieint_jax.measure import captured_since
 from tests.lib.scenario_runs import run
 
 SHORT = {  # rods and drag are in the long test: each adds seconds of compilation
@@ -20,19 +21,19 @@ SHORT = {  # rods and drag are in the long test: each adds seconds of compilatio
 
 @pytest.fixture(scope="module")
 def short():
-    table = {key: value for key, value in scenarios._table("cubesat").items() if key not in ("rods", "drag")}
+    table = {key: value for key, value in scenarios.table("cubesat").items() if key not in ("rods", "drag")}
     scenario = scenarios.parse(table | SHORT, "short")
-    return scenario, *run(scenario)
+    return scenario, run(scenario)
 
 
 @pytest.mark.long
 def test_the_energy_less_the_work_of_all_laws_is_constant(short):
     """Observed: 1e-15 of the largest energy. The total work is the sum of the laws', and each law does some."""
-    scenario, step, made = short
+    scenario, made = short
     assert bool(np.all(made.info.converged))
-    (balance,) = satellite.conserved(scenario, step.system, made)
+    (balance,) = scenario.conserved(made)
     assert balance.change().max() < 1e-14
-    c = satellite.course(scenario, step.system, made)
+    c = scenario.course(made)
     np.testing.assert_allclose(made.state.work, c.works.sum(axis=-1), rtol=0, atol=1e-14 * abs(c.energy).max())
     assert c.names == ["gravity_gradient", "dipole", "bdot", "unloading", "wheels"]
     assert (np.abs(np.diff(c.works, axis=0)).max(axis=(0, 1)) > 0).all()
@@ -40,8 +41,8 @@ def test_the_energy_less_the_work_of_all_laws_is_constant(short):
 
 @pytest.mark.long
 def test_laws_of_control_act_in_their_windows(short):
-    scenario, step, made = short
-    c, t = satellite.course(scenario, step.system, made), np.asarray(made.t)
+    scenario, made = short
+    c, t = scenario.course(made), np.asarray(made.t)
     bdot, unloading, wheels = (np.diff(c.works[..., c.names.index(x)], axis=0) for x in ("bdot", "unloading", "wheels"))
     after = t[:-1] >= 100.0
     assert (bdot[~after] < 0).all()
@@ -49,7 +50,7 @@ def test_laws_of_control_act_in_their_windows(short):
     assert not wheels[~after].any()
     assert not unloading[t[:-1] < 200.0].any()
     assert np.median(c.nadir_angle[-1]) < 15 < np.median(c.nadir_angle[20])  # the wheels point the camera
-    assert [name for name, *_ in satellite.phases(scenario, t)] == [
+    assert [name for name, *_ in scenario.phases(t)] == [
         "detumbling",
         "pointing",
         "pointing and unloading",
@@ -58,29 +59,29 @@ def test_laws_of_control_act_in_their_windows(short):
 
 @pytest.mark.long
 def test_the_report_lists_phases_and_works(short):
-    scenario, step, made = short
-    text = scenarios.report(scenario, step, made)
+    scenario, made = short
+    text = scenario.report(made)
     assert "never raised the energy between two saved times: 6 of 6" in text
     assert "energy less the work of all laws" in text
     lines = [line.split() for line in text.splitlines()]
-    c = satellite.course(scenario, step.system, made)
+    c = scenario.course(made)
     row = next(line for line in lines if line[:1] == ["bdot"])
     assert float(row[1]) == pytest.approx(1e6 * c.works[20, :, c.names.index("bdot")].mean(), abs=1e-4)
 
 
 @pytest.mark.long
 def test_pictures_name_the_laws_and_count_the_captured(short):
-    scenario, step, made = short
-    c = satellite.course(scenario, step.system, made)
-    left, right = satellite.draw_works(scenario, step, made).axes
+    scenario, made = short
+    c = scenario.course(made)
+    left, right = scenario.draw_works(made).axes
     drawn = {line.get_label(): line.get_ydata() for line in left.get_lines()}
     for name, work in zip(c.names, c.works[:, 0].T, strict=True):
         np.testing.assert_allclose(drawn[name.replace("_", " ")], 1e6 * work, rtol=1e-12)
     assert left.get_ylabel() == "work of each law (µJ)"
     worst = next(line for line in right.get_lines() if line.get_label() == "worst member")
     assert np.max(worst.get_ydata()) < 1e-14
-    fates, course = satellite.draw_capture(scenario, step, made).axes
-    captured = int(np.isfinite(satellite.captured_since(np.asarray(made.t), c.nadir_angle)).sum())
+    fates, course = scenario.draw_capture(made).axes
+    captured = int(np.isfinite(captured_since(made.t, c.nadir_angle, 10.0)).sum())
     names = [text.get_text() for text in fates.get_legend().get_texts()]
     assert names == [f"captured: {captured} of 6", f"not captured: {6 - captured} of 6"]
     curves = {line.get_label(): line.get_ydata() for line in course.get_lines()}
@@ -102,7 +103,7 @@ def test_the_error_of_a_fraction_is_that_of_drawing_starts():
 @pytest.mark.long
 def test_the_members_have_inertias_and_dipoles_of_their_own():
     scenario = scenarios.load("cubesat", members=400, steps=20)
-    step, states = scenarios.build(scenario)
+    step, states = scenario.build()
     gravity, dipole = step.system.laws[:2]
     J = np.asarray(gravity.inertia)
     P = np.trace(J, axis1=1, axis2=2)[:, None] / 2 - np.diagonal(J, axis1=1, axis2=2)
@@ -122,21 +123,11 @@ def test_a_state_relative_to_the_orbit_rotates_with_its_axes():
     state = {"quaternion": [1.0, 0, 0, 0], "angular_velocity_rad": [0.0, 0.0, 0.0], "relative_to": "orbit"}
     scenario = scenarios.load("cubesat", state=state)
     around = scenario.environment()
-    q, Omega = satellite._initial(scenario, around)
+    q, Omega = scenario._pose(around)
     r, v = (np.asarray(x) for x in around.orbit(0.0))
     np.testing.assert_allclose(so3.to_matrix(q)[:, 2], -r / np.linalg.norm(r), rtol=0, atol=1e-15)
     normal = np.cross(r, v)
     np.testing.assert_allclose(so3.Ad(q, Omega), normal / (r @ r), rtol=0, atol=1e-17)
-
-
-def test_times_of_capture_are_those_of_the_saved_states():
-    t, off = np.arange(4.0), np.array([[5.0, 20, 20, 5], [20.0, 5, 20, 5], [5.0, 5, 20, 20], [5.0, 5, 5, 20]])
-    np.testing.assert_array_equal(satellite.captured_since(t, off), [2.0, 1.0, 3.0, np.nan])
-    np.testing.assert_array_equal(satellite.captured_since(t, np.zeros((4, 1))), [0.0])
-    np.testing.assert_array_equal(satellite.first_slow(t, np.array([[1.0, 0.1]] * 4)), [np.nan, 0.0])
-    rates = np.array([[1.0, 0.1, 0.9], [0.9, 1.0, 0.4], [0.6, 0.2, 0.8], [0.1, 0.1, 0.1]])
-    np.testing.assert_allclose(satellite.crossing(t, rates), [2.2, 0.0, 0.8])
-    np.testing.assert_array_equal(satellite.crossing(t, np.ones((4, 1))), [np.nan])
 
 
 BAD = [
@@ -160,7 +151,7 @@ def test_bad_keys_of_a_satellite_are_named(changes, message):
 
 
 def test_control_needs_its_equipment():
-    table = scenarios._table("cubesat")
+    table = scenarios.table("cubesat")
     for key, message in (("max_dipole", "detumbling needs torquers"), ("wheels", "pointing needs wheels")):
         with pytest.raises(ValueError, match=message):
             scenarios.parse({name: value for name, value in table.items() if name != key}, "file")
@@ -170,19 +161,19 @@ def test_control_needs_its_equipment():
 def test_every_start_of_the_shipped_scenario_is_captured_and_unloaded(tmp_path, monkeypatch, capsys):
     """Order of events: detumbling to below 0.5 °/s, the camera within 1° of the nadir, less momentum in the wheels."""
     scenario = scenarios.load("cubesat", members=20)
-    step, made = run(scenario)
-    (balance,) = satellite.conserved(scenario, step.system, made)
+    made = run(scenario)
+    (balance,) = scenario.conserved(made)
     assert balance.change().max() < 2e-14  # observed: 3e-15
-    c, t = satellite.course(scenario, step.system, made), np.asarray(made.t)
-    (_, _, slow), (_, _, pointed), _ = satellite.phases(scenario, t)
+    c, t = scenario.course(made), np.asarray(made.t)
+    (_, _, slow), (_, _, pointed), _ = scenario.phases(t)
     assert (c.rate[slow] < satellite._SLOW).all()
     assert (c.nadir_angle[pointed:] < 1).all()
     assert np.median(c.wheels[-1]) < 0.7 * np.median(c.wheels[pointed])
     bdot = c.works[..., c.names.index("bdot")]
     assert (np.diff(bdot, axis=0) <= 0).all()
-    assert any(type(law).__name__ == "WindowedLaw" for law in step.system.laws)
-    for draw in satellite.PICTURES.values():
-        assert draw(scenario, step, made).axes
+    assert any(type(law).__name__ == "WindowedLaw" for law in made.system.laws)
+    for draw in scenario.pictures().values():
+        assert draw(scenario, made).axes
 
 
 def test_a_percentage_has_two_digits_of_its_error():

@@ -9,9 +9,10 @@ import pytest
 from scenario_runs import run
 
 import lieint_jax as li
+from lieint_jax import measure
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
-from lieint_jax.app.scenarios import _spread, driven, heavy_top, water
+from lieint_jax.app.scenarios import _spread, water
 from lieint_jax.ensemble import archives
 
 KINDS = {  # a scenario of each kind with a spread of numbers, and the paths of all those that it has
@@ -68,7 +69,7 @@ def bare(name):
             return {key: cleared(x) for key, x in tree.items() if key not in LEFT_OUT}
         return [cleared(x) for x in tree] if isinstance(tree, list) else tree
 
-    return cleared(scenarios._table(name))
+    return cleared(scenarios.table(name))
 
 
 def possible(scenario):
@@ -168,8 +169,8 @@ def test_a_spread_that_leaves_members_without_a_value_is_refused():
 
 def test_a_spread_of_zero_changes_nothing():
     scenario = load("toutatis", {"inertia": 0.0})
-    assert scenarios.step_axis(scenario) is None
-    assert scenarios.step_axis(load("toutatis", {"inertia": 0.1})) == 0
+    assert not scenario.has_own_steps()
+    assert load("toutatis", {"inertia": 0.1}).has_own_steps()
 
 
 @pytest.mark.long
@@ -177,7 +178,7 @@ def test_a_member_with_an_inertia_of_its_own_is_that_body_alone():
     """Observed: 5e-16 after 200 steps, where it differs from the nominal body by 1e-2."""
     scenario = load("toutatis", {"inertia_percent": 1.0}, members=3, steps=200, save_every=200)
     J = _spread.draw_members(scenario)[("inertia",)]
-    _, made = run(scenario)
+    made = run(scenario)
     for m in (1, 2):
         body = li.systems.rigid_body(J[m])
         start = body.state(scenario.state.attitude(), angular_velocity=scenario.state.rate())
@@ -218,8 +219,8 @@ def with_all_numbers(name):
 
 def first(scenario):
     """The step and the state of the first member."""
-    step, states = scenarios.build(scenario)
-    step = step if scenarios.step_axis(scenario) is None else _spread.nominal_member(step)
+    step, states = scenario.build()
+    step = _spread.nominal_member(step) if scenario.has_own_steps() else step
     return step, jax.tree.map(lambda x: x[0] if jnp.ndim(x) else x, states)
 
 
@@ -234,7 +235,7 @@ def assert_close(tree, other):
 def test_a_member_is_the_system_of_a_file_with_its_numbers(name):
     """All numbers of a kind at once; the first member is that of the file without a spread."""
     scenario, alone = with_all_numbers(name)
-    step, states = scenarios.build(scenario)
+    step, states = scenario.build()
     made = {m: jax.tree.map(lambda x, m=m: x[m] if jnp.ndim(x) else x, (step, states)) for m in (0, 2)}
     assert_close(made[2], first(alone))
     assert_close(made[0], first(load(name, {}, **SHORT)))
@@ -244,7 +245,7 @@ def test_a_member_is_the_system_of_a_file_with_its_numbers(name):
 @pytest.mark.parametrize("name", [x for x in UNCERTAIN if x != "cubesat"])  # whose steps need minutes to compile
 def test_a_member_moves_as_the_system_of_that_file(name):
     scenario, alone = with_all_numbers(name)
-    _, made = run(scenario)
+    made = run(scenario)
     step, start = first(alone)
     end = jax.tree.map(lambda x: x[-1], li.integrate(step, start, scenario.dt, STEPS, save_every=STEPS).state)
     assert_close((made.state.q[-1, 2], made.state.p[-1, 2]), (end.q, end.p))
@@ -255,8 +256,8 @@ def test_a_member_moves_as_the_system_of_that_file(name):
 def test_droplets_have_temperatures_of_their_own():
     settling = {"temperature_kelvin": 250.0, "steps": 20}
     scenario = load("water", {"settling.temperature_kelvin": 20.0}, members=4, molecules=3, settling=settling)
-    step, states = scenarios.build(scenario)
-    assert scenarios.step_axis(scenario) is None
+    step, states = scenario.build()
+    assert not scenario.has_own_steps()
     found = jax.vmap(lambda z: water.temperature(step.system, z))(states)
     np.testing.assert_allclose(found, _spread.draw_members(scenario)[("settling", "temperature_kelvin")], rtol=1e-12)
 
@@ -265,9 +266,8 @@ def test_droplets_have_temperatures_of_their_own():
 def test_a_report_measures_every_member_in_its_own_system():
     """What is measured of members together is what is measured of each alone, and its spread is that of the weights."""
     scenario = load("heavy_top", {"weight": [0.0, 0.0, 1.0]}, members=4, steps=3000)
-    step, made = run(scenario)
-    conserved = scenarios._measured(heavy_top, "conserved", scenario, step.system, made)
-    rows = scenarios._measured(heavy_top, "quantities", scenario, step.system, made)
+    made = run(scenario)
+    conserved, rows = scenario.measured(made)
     assert {x.name for x in conserved} == {
         "energy, relative",
         "γ·π, relative to |π|",
@@ -283,7 +283,7 @@ def test_a_report_measures_every_member_in_its_own_system():
         exact.append(float(li.systems.lagrange_motion(top, z).precession_rate))
     np.testing.assert_allclose(precession.values, exact, rtol=1e-5)
     assert np.ptp(exact) > 1e-3 * abs(exact[0])
-    assert "closed form" in scenarios.report(scenario, step, made)
+    assert "closed form" in scenario.report(made)
 
 
 @pytest.mark.long
@@ -291,7 +291,7 @@ def test_members_of_uncertain_inertia_scatter_as_the_derivatives_predict():
     """Each of 200 clones, to the square of its deviation: observed 1.2e-5 of the largest displacement at 1e-5."""
     scenario = load("toutatis", {"inertia": 1e-5}, members=200, steps=400, save_every=400)
     own = _spread.draw_members(scenario)[("inertia",)]
-    _, made = run(scenario)
+    made = run(scenario)
 
     def body(x):
         P = second_moments(jnp.asarray(scenario.inertia)) * jnp.exp(x)
@@ -334,12 +334,9 @@ def test_the_command_line_draws_and_stores_the_members_own_numbers(tmp_path, mon
 @pytest.mark.long
 def test_every_member_librates_about_the_axis_of_its_own_body():
     scenario = load("driven", {"inertia": 0.05}, members=3, steps=100, save_every=10)
-    step, made = run(scenario)
-    each = [
-        driven.librating(_spread.for_member(scenario, step.system, m), scenarios.select_member(made, m))
-        for m in range(3)
-    ]
-    assert driven._is_librating(scenario, step, made).tolist() == [bool(x[0]) for x in each]
+    made = run(scenario)
+    each = [measure.is_librating(measure.orbit_angles(made.member(m)).vertical) for m in range(3)]
+    assert f"  {sum(map(int, each))} of 3 members librate" in "\n".join(scenario.remarks(made))
 
 
 def test_a_stretched_inertia_is_that_of_a_body():

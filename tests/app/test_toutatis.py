@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.scenarios import rigid_body
-from lieint_jax.app.studies import _flyby, _radar, _spin_fit, _tumbling, toutatis
+from lieint_jax.app.studies import _flyby, _toutatis, _tumbling, toutatis
 
 PUBLISHED = (("toutatis", 9.96, 3.9, 18.8), ("toutatis_takahashi", 7.70, 1.3, 15.9))
 
@@ -86,8 +85,7 @@ def test_mean_periods_in_closed_form_are_those_of_a_trajectory(mode):
     state = body.state(angular_velocity=rate)
     precession, rotation = np.asarray(jax.jit(_tumbling.mean_periods)(body, state))
     run = li.integrate(li.schemes.exact(body), state, 5 * rotation / 400, 400)  # of whole turns the mean is exact
-    several = run._replace(state=jax.tree.map(lambda leaf: leaf[:, None], run.state))
-    measured = np.concatenate(rigid_body.measured_periods(body, several))
+    measured = li.measure.periods(li.Run.of(li.schemes.exact(body), run))[:2]
     np.testing.assert_allclose([precession, rotation], measured, rtol=1e-12)
 
 
@@ -123,7 +121,7 @@ def test_errors_are_those_of_scipy_and_their_derivatives_those_of_differences():
     x, unravel = ravel_pytree(params)
 
     def ours(x):
-        return _radar.errors(_radar.path_of_fits(unravel(x), data), data)
+        return _toutatis.errors(unravel(x), data)
 
     def theirs(x):
         p = jax.tree.map(np.asarray, unravel(jnp.asarray(x)))
@@ -203,13 +201,14 @@ def test_the_estimate_agrees_with_scipy(study):
 @pytest.mark.long
 def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
     """(ΣJᵀJ/σ²)⁻¹, with degrees of freedom taken off by kind, in numpy."""
-    data = toutatis.radar_data() | {"freedom": jnp.asarray(1e8)}
+    data = toutatis.radar_data()
     params = toutatis.published_params("toutatis", data["begin"], -data["epoch"])
     x, unravel = ravel_pytree(params)
-    both = jax.jit(jax.jacfwd(lambda x: (e := _radar.errors(_radar.path(unravel(x), data), data), e), has_aux=True))
+    both = jax.jit(jax.jacfwd(lambda x: (e := _toutatis.errors(unravel(x), data), e), has_aux=True))
     J, e = (np.asarray(x) for x in both(x))
     noise = np.sqrt((e**2).mean(axis=(1, 2)))  # of maximum likelihood
-    normal = _spin_fit.estimate(params | {"noise": jnp.asarray(noise)}, data)
+    freedom = jnp.asarray(1e8)
+    normal = _toutatis.problem().estimate(params | {"noise": jnp.asarray(noise)}, jnp.zeros(()), data, freedom)
     share = np.einsum("knci,kncj->kij", J, J) / noise[:, None, None] ** 2
     used = np.trace(np.linalg.solve(share.sum(axis=0), share), axis1=1, axis2=2)
     noise = noise * np.sqrt(51 / (51 - used))

@@ -7,10 +7,11 @@ import jax
 import numpy as np
 import pytest
 
+import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import water
-from lieint_jax.types import State, Trajectory
+from lieint_jax.types import State, StepInfo, Trajectory
 
 
 @pytest.mark.long
@@ -54,7 +55,7 @@ def test_the_first_peak_of_a_histogram_is_the_maximum_of_its_density():
 @pytest.mark.long
 def test_a_droplet_settles_at_its_temperature_and_stays_at_rest():
     scenario = scenarios.load("water", molecules=8, members=3)
-    step, states = scenarios.build(scenario)
+    step, states = scenario.build()
     bodies = step.system
     T = jax.vmap(lambda z: water.temperature(bodies, z))(states)
     np.testing.assert_allclose(T, 260, rtol=1e-12)
@@ -67,10 +68,16 @@ def test_distances_are_between_oxygens():
     scenario = scenarios.load("water", molecules=2)
     q = np.zeros((1, 1, 2, 7))
     q[..., 3], q[..., 1, 2] = 1, 0.3
-    run = Trajectory(np.zeros(1), State(q, np.zeros((1, 1, 2, 6))), None)
-    assert water.distances(scenario, run).item() == pytest.approx(0.3, rel=1e-15)
+
+    def distance():
+        info = StepInfo(np.zeros((1, 1)), np.ones((1, 1), bool))
+        return scenario.distances(
+            li.Run.of(scenario.make_step(), Trajectory(np.zeros(1), State(q, 0 * q[..., 1:]), info))
+        )
+
+    assert distance().item() == pytest.approx(0.3, rel=1e-15)
     q[0, 0, 1, 3:] = [0, 1, 0, 0]  # its oxygen now lies 2 · 0.00656 nm farther off
-    assert water.distances(scenario, run).item() == pytest.approx(0.3 + 2 * 0.00655627, abs=1e-7)
+    assert distance().item() == pytest.approx(0.3 + 2 * 0.00655627, abs=1e-7)
 
 
 def test_nystrom_has_no_order_two():

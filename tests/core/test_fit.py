@@ -420,6 +420,23 @@ def test_a_loss_is_traced_again_for_other_shapes_only():
     assert len(traced) == 3 * once
 
 
+def test_a_fit_within_any_bound_is_compiled_once():
+    """`inertia_ratios`, `inertia` and `spd` held arrays, which cannot be compared with those of an earlier fit."""
+    assert all(isinstance(hash(getattr(li.fitting, name)), int) for name in ("inertia", "spd", "principal_inertia"))
+    traced = []
+
+    def misfits(p):
+        traced.append(p)
+        return p - jnp.array([0.7, 0.8])
+
+    counts = []
+    for guess in ([0.6, 0.9], [0.9, 0.9]):
+        found = li.fit(misfits, jnp.array(guess), bounds=li.fitting.inertia_ratios, progress=False)
+        np.testing.assert_allclose(found.params, [0.7, 0.8], rtol=1e-8)
+        counts.append(len(traced))
+    assert counts[0] == counts[1] > 0
+
+
 @pytest.mark.long
 def test_covariance_does_not_depend_on_the_bound():
     plain = li.fit(residuals, TRUTH)

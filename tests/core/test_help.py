@@ -8,7 +8,7 @@ import pytest
 
 import lieint_jax as li
 
-ROOMS = (li, li.schemes, li.systems, li.groups, li.diagnostics, li.ensemble, li.fitting, li.potentials)
+ROOMS = (li, li.schemes, li.systems, li.groups, li.diagnostics, li.ensemble, li.fitting, li.measure, li.potentials)
 _ELSEWHERE = {  # helpers for writing a potential or a system by users, described by themselves
     "along_R", "catalogue", "compiler_options", "count", "covariance", "energy", "first_devices", "invariant_form",
     "processes", "pytree", "static", "student_t_curvature", "student_t_noise_error", "student_t_weights", "torques",

@@ -181,7 +181,7 @@ def test_draws_of_some_members_are_those_of_jax_for_all():
 def test_scenarios_make_the_states_of_the_members_they_are_asked_for():
     for name in ("toutatis", "hyperion", "pendulum"):
         scenario = scenarios.load(name)
-        whole, some = scenarios.build(scenario)[1], np.array([0, 5, 8])
+        whole, some = scenario.build()[1], np.array([0, 5, 8])
         for x, y in zip(jax.tree.leaves(whole), jax.tree.leaves(scenarios.states_of(scenario, some)), strict=True):
             np.testing.assert_allclose(y, x[some] if np.ndim(x) else x, rtol=1e-14, atol=1e-14)  # floor 0
         shapes = scenarios.shapes_of_states(scenario)

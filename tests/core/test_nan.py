@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lieint_jax import maps, orbits, potentials, shapes, tides, torques
+from lieint_jax import maps, measure, orbits, potentials, shapes, tides, torques
 from lieint_jax.groups import so3
 from lieint_jax.types import Rotation
 
-MODULES = (orbits, torques, potentials, maps, shapes, tides)
+MODULES = (orbits, torques, potentials, maps, measure, shapes, tides)
 T, Q, OMEGA = 0.7, so3.normalize(jnp.array([0.8, -0.3, 0.4, 0.2])), jnp.array([0.5, -0.3, 0.6])
 J = jnp.array([1.3, 1.7, 2.2])
 ELEMENTS = dict(mu=1.3, semi_major_axis=1.1, eccentricity=0.1, inclination=0.7)
@@ -263,6 +263,16 @@ CASES = {
             "cylinder": dict(radius=0.4, height=0.7),
         }.items()
     },
+    "shapes.facets": (lambda at: vars(shapes.facets(at, TETRAHEDRON)), dict(at=CORNERS)),
+    "shapes.ellipsoid_facets": (lambda a: vars(shapes.ellipsoid_facets(a, 2)), dict(a=J)),
+    "shapes.box_facets": (lambda a: vars(shapes.box_facets(a)), dict(a=J)),
+    "measure.brightness": (
+        lambda q, sun, observer, a: measure.brightness(shapes.ellipsoid_facets(a, 2), so3.normalize(q), sun, observer),
+        dict(q=Q, sun=SUN, observer=THETA, a=J),
+    ),
+    "measure.lambert": (measure.lambert, dict(mu0=0.3, mu=0.4)),
+    "measure.mean_rate": (measure.mean_rate, dict(t=TIMES, angle=ROWS)),
+    "measure.orbit_axes": (lambda t, r: measure.orbit_axes(circle(r), t), dict(t=T, r=1.2)),
     "shapes.mesh": (lambda at, mass: shapes.mesh(at, TETRAHEDRON, mass=mass), dict(at=CORNERS, mass=2.0)),
     "shapes.sites": (shapes.sites, dict(masses=MASSES, points=POSITIONS)),
     **{
@@ -273,6 +283,12 @@ CASES = {
         for name, law in {"constant_lag": dict(lags=0.1), "constant_q": dict(Q=30.0, threshold=0.1)}.items()
     },
 }
+OUTSIDE = """
+measure.apsides measure.captured_since measure.distances measure.first_below measure.is_librating measure.librations
+measure.light_curve measure.line measure.nutation measure.orbit_angles measure.pair_density measure.pair_energies
+measure.periodogram measure.periods measure.pole measure.relative_motion measure.rotation_rates measure.spectrum
+measure.tilt measure.unwrapped
+"""
 NO_NUMBERS = {
     "orbits.graded_times": "numbers outside of jit only; the orbit's are those of its function",
     "orbits.julian_date": "numbers outside of jit only",
@@ -289,6 +305,7 @@ NO_NUMBERS = {
     "maps.cayley_lands": "a property of a group",
     "maps.examples": "functions",
     "shapes.obj": "a file",
+    **dict.fromkeys(OUTSIDE.split(), "a run, or a series outside of jit, as in tests/measure/test_measured_series.py"),
     "shapes.surface": "a file",
 }
 

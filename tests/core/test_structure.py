@@ -25,7 +25,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("ensemble",),  # older names
     ("fitting",),
     ("adjoints",),
-    ("diagnostics",),
+    ("diagnostics", "measure"),
     ("runs",),
     ("schemes",),
     ("systems",),
@@ -138,7 +138,7 @@ def test_no_import_goes_in_a_circle():
 
 def test_the_house_has_few_rooms_and_every_one_a_floor():
     assert ROOMS - {"__init__"} == set(LEVEL)
-    assert len(ROOMS - {"__init__", "studies", "_deprecated"}) <= 27  # and old names, for one release
+    assert len(ROOMS - {"__init__", "studies", "_deprecated"}) <= 28  # and old names, for one release
 
 
 def code_tokens(path):

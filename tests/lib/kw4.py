@@ -8,7 +8,6 @@ from two_bodies import reference
 
 from lieint_jax import schemes
 from lieint_jax.app import scenarios
-from lieint_jax.app.scenarios import binary
 from lieint_jax.groups import so3
 
 TIME = 2 * 18.6 * 3600.0  # two orbits of this state, 13.5 turns of the primary
@@ -30,8 +29,8 @@ SCHEMES = {  # the scheme, and its force evaluations a step
 @functools.cache
 def start():
     """The bodies and the nominal state of `lieint run kw4`."""
-    step, states = scenarios.build(scenarios.load("kw4", members=1))
-    return binary.nominal_member(step.system), jax.tree.map(lambda x: x[0], states)
+    step, states = scenarios.load("kw4", members=1).build()
+    return jax.tree.map(lambda x: x[0], step.system), jax.tree.map(lambda x: x[0], states)
 
 
 @functools.cache

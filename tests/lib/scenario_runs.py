@@ -1,11 +1,10 @@
 """What `lieint run` integrates, without its report."""
 
-from lieint_jax import ensemble
-from lieint_jax.app import scenarios
+from lieint_jax import runs
 
 
 def run(scenario):
-    """The step and the trajectories of a scenario."""
-    step, states = scenarios.build(scenario)
-    kept = {"save_every": scenario.save_every, "step_axis": scenarios.step_axis(scenario)}
-    return step, ensemble.run(step, states, **scenario.clock(), **kept, progress=False)
+    """The run of a scenario."""
+    step, states = scenario.build()
+    kept = {"save_every": scenario.save_every, "own_step": scenario.has_own_steps()}
+    return runs.run(step, states, **scenario.clock(), **kept, progress=False)

@@ -88,7 +88,7 @@ def _run(name):
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()) as printed:
         out = Path(folder) / f"{name}.npz"
         run.run(name, out, members=MEMBERS.get(name, 3), certificate=False, pictures=False)
-        drawings = scenarios.kind(scenarios.load(name)).PICTURES
+        drawings = scenarios.load(name).pictures()
         drawn = [picture.name for picture in files.pictures(out, drawings)]
     without_size = re.sub(r"; [\d.]+ MB\)", ")", printed.getvalue())
     return without_size.replace(f"{folder}/", "") + f"pictures: {', '.join(drawn)}\n"

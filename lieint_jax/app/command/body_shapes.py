@@ -15,7 +15,7 @@ from lieint_jax import shapes
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import meshes
 from lieint_jax.app.command.meshes import Solid
-from lieint_jax.app.scenarios._common import PositiveFloat, PositiveTriple, Table, Triple
+from lieint_jax.app.scenarios._keys import PositiveFloat, PositiveTriple, Table, Triple
 from lieint_jax.groups import so3
 from lieint_jax.runs import store as archives
 

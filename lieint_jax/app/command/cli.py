@@ -32,6 +32,7 @@ _EPILOG = """examples:
   lieint plot runs.zarr                    report on that store and draw it
   lieint animate runs.zarr --out turn.html a rotating body, its axis and its momentum; also .gif and .mp4
   lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
+  lieint study mine.py                     your own fit: see Fit my data in the documentation
   lieint check rigid_body                  what every scheme conserves of a free body, measured
   lieint check rigid_body --scheme cayley  the same, only for schemes with cayley in their name
   lieint check                             one example of each system: a few minutes the first time
@@ -203,6 +204,8 @@ def _add_results(commands: _Commands) -> None:
         reader.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
     plot.add_argument("--force", action="store_true", help="replace existing pictures")
+    plot.add_argument("--kind", default="", metavar="FILE.py:CLASS", help="the kind of its scenario, if it is your own")
+    plot.add_argument("--study", type=Path, metavar="FILE", help="the FILE.py of your own study of which PATH is")
     animate = commands.add_parser("animate", help="rotating bodies as GIF, MP4 or HTML", description="Animate a run.")
     animate.set_defaults(command=_animate, writes=True)
     add = animate.add_argument
@@ -242,7 +245,7 @@ def _add_others(commands: _Commands) -> None:
     figure.add_argument("figures", nargs="+", metavar="N", help=about)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
     study.set_defaults(command=_study, writes=True)
-    study.add_argument("name", metavar="NAME", help="a study that lieint list shows")
+    study.add_argument("name", metavar="NAME", help="a study that lieint list shows, or your own file NAME.py")
     for writer in (figure, study):
         writer.add_argument(
             "--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)"
@@ -342,7 +345,12 @@ def _info(options: argparse.Namespace) -> None:
 def _plot(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import info, study
 
-    (study.plot if study.is_study_file(options.path) else info.plot)(options.path, options.out, options.force)
+    if study.is_study_file(options.path):
+        study.plot(options.path, options.out, options.force, options.study)
+    elif options.study is not None:
+        raise ValueError(f"{options.path} holds no results of a study: leave out --study")
+    else:
+        info.plot(options.path, options.out, options.force, options.kind)
 
 
 def _animate(options: argparse.Namespace) -> None:

@@ -15,8 +15,9 @@ from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.printer import readable, show, show_written
-from lieint_jax.app.scenarios._common import Common
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import POINTS
+from lieint_jax.runs import Run
 from lieint_jax.runs.store import Address, UnreadableError, check_system, system_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
@@ -24,7 +25,7 @@ _SHOWN = 2**28  # largest number of bytes that are read from a store to draw it
 _TIMES, _BLOCK = 17, 8192  # number of saved times at which energies are computed, and of members at once
 
 
-def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
+def plot(path: Address, out: Path | None = None, force: bool = False, own_kind: str = "") -> None:
     """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
 
     The pictures of a scenario require states at evenly spaced steps; a run with `save_at` is drawn as any other run.
@@ -33,12 +34,13 @@ def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
         path: the file of results.
         out: the folder of the pictures; by default that of the file.
         force: replace existing pictures.
+        own_kind: the kind of its scenario, FILE.py:CLASS, if it is a user's.
     """
     run, metadata = files.load(path)
     if len(_times(run)) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
     plain = files.path_in_folder(path, out)
-    scenario = _scenario(path, metadata)
+    scenario = _scenario(path, metadata, own_kind)
     if scenario and scenario.save_at is None and isinstance(run, Trajectory):
         drawn = _plot_scenario(scenario, run, path, plain, force)
     else:
@@ -46,20 +48,21 @@ def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
     show_written(*drawn)
 
 
-def _plot_scenario(scenario: Common, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:
-    kind, members = scenarios.kind(scenario), scenario.members
-    files.check_replaceable(files.pictures(plain, kind.PICTURES), force)
+def _plot_scenario(scenario: Kind, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:
+    drawings, members = scenario.pictures(), scenario.members
+    files.check_replaceable(files.pictures(plain, drawings), force)
     shown = slice(_count_drawn(run))
-    run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
-    changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
+    saved = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
+    changes = {"steps": (len(saved.t) - 1) * scenario.save_every, "members": saved.state.p.shape[1]}
     step = scenarios.build_first(scenario, changes["members"])
-    check_system(path, step.system, run, scenarios.step_axis(scenario) == 0)
+    check_system(path, step.system, saved, scenario.has_own_steps())
+    made = Run.of(step, saved, scenario.has_own_steps())
     scenario = scenario.model_copy(update=changes)
     show(headline(scenario, step))
     if scenario.members < members:
         show(f"  the first {scenario.members} of {members} members")
-    drawn = draw(plain, kind.PICTURES, scenario, step, run)
-    show(scenarios.report(scenario, step, run))
+    drawn = draw(plain, drawings, scenario, made)
+    show(readable(scenario).report(made))
     return drawn
 
 
@@ -90,10 +93,10 @@ def _times(run: Any) -> Any:
     return run.t if isinstance(run, Trajectory) else run["time"]
 
 
-def _scenario(path: Address, metadata: dict[str, Any]) -> Any:
+def _scenario(path: Address, metadata: dict[str, Any], own_kind: str = "") -> Any:
     """The scenario of results; None if `lieint run` did not write them."""
     table = _table(metadata)
-    return scenarios.from_results(table, str(path)) if "system" in table else None
+    return scenarios.from_results(table, str(path), own_kind) if "system" in table else None
 
 
 def _table(metadata: dict[str, Any]) -> dict[str, Any]:
@@ -118,7 +121,7 @@ def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
         system = scenarios.build_first(scenario, run.state.p.shape[1]).system
-        title, own_system = _checks.printable(scenario.title), scenarios.step_axis(scenario) == 0
+        title, own_system = _checks.printable(scenario.title), scenario.has_own_steps()
     elif "run" in metadata:
         system, title, own_system = (
             system_from_store(path, metadata),
@@ -239,7 +242,7 @@ def _conservation(stored: StoredRun) -> list[str]:
     ]
 
 
-def headline(scenario: Common, step: Step) -> str:
+def headline(scenario: Kind, step: Step) -> str:
     """The first lines of a scenario's report: its title, its size and its scheme."""
     scenario = readable(scenario)
     lines = [scenario.title, f"  {scenario.members} member(s), {scenario.describe_steps()}, {step.name}"]

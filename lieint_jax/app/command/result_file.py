@@ -5,25 +5,31 @@ from __future__ import annotations
 import importlib
 import json
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import jax
 import numpy as np
 
 from lieint_jax.app import scenarios
-from lieint_jax.app.scenarios._common import Common
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.runs import store as archives
+from lieint_jax.types.shapes import PyTree
 
 _PACKAGE = __name__.partition(".")[0]
 _RENAMED = {  # since version 0.2
     "lieint_jax.studies.": "lieint_jax.app.studies.",
     "studies._equivalents:": "studies._symmetric_solutions:",
+    "studies._minima:": "studies._satellite_sky:",
+    "studies._satellite_result:": "studies._satellite_fit:",
+    "studies._spin_fit:": "studies.inference:",
+    "studies._toutatis_result:": "studies._toutatis:",
     "fitting._outcome:Starts": "fitting._outcome:MultiStartResult",
     "kappa:LearntKappas": "kappa:LearnedKappas",
 }
 _RENAMED_FIELDS = {  # of named tuples of the studies, since version 0.2
     "_satellite_fit:Estimate": {"turned": "facet_symmetry"},
-    "_spin_fit:Coverage": {"distance": "mahalanobis_squared"},
+    "inference:Coverage": {"distance": "mahalanobis_squared"},
     "_symmetric_solutions:Change": {"turn": "symmetry"},
     "gyro:GyroTrials": {"within": "within_2_sigma", "inside": "inside_ellipsoid"},
     "kappa:KappaErrors": {
@@ -40,16 +46,16 @@ _RENAMED_FIELDS = {  # of named tuples of the studies, since version 0.2
         "short": "short_run",
         "independent": "variational",
     },
-    "_toutatis_result:Prediction": {
+    "_toutatis:Prediction": {
         "off": "fix_angles",
         "members_off": "member_fix_angles",
         "farther": "farther_share",
     },
-    "_toutatis_result:SpinFit": {"apart": "mahalanobis_squared", "same": "share_at_minimum"},
+    "_toutatis:SpinFit": {"apart": "mahalanobis_squared", "same": "share_at_minimum"},
 }
 
 
-def save(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
+def save(path: Path, tree: PyTree, metadata: dict[str, Any]) -> None:
     """Write a tree of named tuples of this package, tuples, lists, dicts, scenarios, arrays, numbers and text.
 
     An array is named by its path in the tree, such as `estimate.covariance`. An existing file is not replaced.
@@ -74,8 +80,8 @@ def metadata(path: Path) -> dict[str, Any] | None:
     return found if "tree" in found else None
 
 
-def load(path: Path) -> Any:
-    """Read the tree that `save` wrote.
+def load(path: Path, own: ModuleType | None = None) -> PyTree:
+    """Read the tree that `save` wrote, with named tuples of this package and of the module `own`, which is imported.
 
     Raises:
         ValueError: there is no such file, it is damaged, or another version of the package wrote it.
@@ -83,7 +89,7 @@ def load(path: Path) -> Any:
     found = archives.open_archive(path)
     arrays = found.read(*found.headers)
     with archives.wrap_errors(path, "holds no tree that this version of lieint_jax can read"):
-        return _decode(found.metadata["tree"], arrays)
+        return _decode(found.metadata["tree"], arrays, own)
 
 
 def _encode(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
@@ -99,7 +105,7 @@ def _encode(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
             raise ValueError(f"two parts of the tree are called {at}")
         arrays[at] = np.asarray(value)
         return {"array": at}
-    if isinstance(value, Common):
+    if isinstance(value, Kind):
         return {"scenario": value.model_dump()}
     if isinstance(value, dict):
         return {"dict": [[key, encode_child(key, inner)] for key, inner in value.items()]}
@@ -111,29 +117,33 @@ def _encode(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
     raise TypeError(f"{at} is of type {type(value).__name__}, which cannot be written")
 
 
-def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _decode(value: Any, arrays: dict[str, np.ndarray], own: ModuleType | None) -> Any:
     if not isinstance(value, dict):
         return value
     if "type" in value:
-        found: Any = _find_class(value["type"])
+        found: Any = _find_class(value["type"], own)
         renamed: dict[str, str] = _RENAMED_FIELDS.get(f"{found.__module__.rpartition('.')[2]}:{found.__qualname__}", {})
-        return found(**{renamed.get(str(name), str(name)): _decode(x, arrays) for name, x in value["fields"].items()})
+        return found(
+            **{renamed.get(str(name), str(name)): _decode(x, arrays, own) for name, x in value["fields"].items()}
+        )
     [(kind, inner)] = value.items()
     if kind == "array":
         return arrays[inner]
     if kind == "scenario":
         return scenarios.from_results(inner, "the scenario")
     if kind == "dict":
-        return {key: _decode(part, arrays) for key, part in inner}
-    return {"tuple": tuple, "list": list}[kind](_decode(part, arrays) for part in inner)
+        return {key: _decode(part, arrays, own) for key, part in inner}
+    return {"tuple": tuple, "list": list}[kind](_decode(part, arrays, own) for part in inner)
 
 
-def _find_class(name: str) -> Any:
-    """The class MODULE:NAME of named tuples, of this package only: a file must not choose what else is imported."""
+def _find_class(name: str, own: ModuleType | None = None) -> Any:
+    """The class MODULE:NAME of named tuples, of this package or of `own`: a file must not choose what is imported."""
     for old, new in _RENAMED.items():
         name = name.replace(old, new)
     module, _, kind = name.partition(":")
     found = getattr(importlib.import_module(module), kind) if module.split(".")[0] == _PACKAGE else None
+    if own is not None and module == own.__name__:
+        found = getattr(own, kind)
     if not (isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields")):
-        raise ValueError(f"{name} is no named tuple of {_PACKAGE}")
+        raise ValueError(f"{name} is no named tuple of {_PACKAGE}; results of your own study need --study FILE.py")
     return found

@@ -9,13 +9,13 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from lieint_jax import _checks, ensemble
+from lieint_jax import _checks, ensemble, runs
 from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import files, info, settings
-from lieint_jax.app.printer import show, show_time, show_written
-from lieint_jax.app.scenarios._common import Common
-from lieint_jax.app.scenarios._runs import nominal_member, nominal_state
+from lieint_jax.app.printer import readable, show, show_time, show_written
+from lieint_jax.app.scenarios._kind import Kind
+from lieint_jax.app.scenarios._runs import nominal_state
 from lieint_jax.diagnostics import certify
 from lieint_jax.runs.store import Address, Url
 
@@ -55,21 +55,20 @@ def run(
         resume = True  # a part always continues what it finds
     times = save_at and files.read_numbers(save_at)
     scenario = settings.load(name, given, members=members, steps=steps, save_at=times)
-    kind = scenarios.kind(scenario)
-    drawings = kind.PICTURES if pictures else {}
-    certificate = certificate and getattr(kind, "CERTIFIED", True)
+    drawings = scenario.pictures() if pictures else {}
+    certificate = certificate and scenario.certified
     if out is None:
         file = Path(Path(name).stem).with_suffix(".zarr" if resume else ".npz")
         out = file if resume else files.unused_path(file, lambda path: files.pictures(path, drawings))
     out = files.check_writable(out, drawings, resume)
-    makes_own = scenarios.step_axis(scenario) is None  # a part makes the states of its own members only
+    makes_own = not scenario.has_own_steps()  # a part makes the states of its own members only
     _check_size(scenario, out, part[1] if part is not None and makes_own else 1)
     leader = jax.process_index() == 0
     mesh = ensemble.first_devices(devices)
     if makes_own:
         step, states = scenarios.build_first(scenario, 1), partial(scenarios.states_of, scenario)
     else:
-        step, states = kind.build(scenario)
+        step, states = scenario.build()
     show_time("making the scenario")
     if leader:
         show(info.headline(scenario, step))
@@ -83,9 +82,9 @@ def run(
         if needed > _NOTED:
             show(f"  about {_checks.spoken_size(needed)} of memory")
     options = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
-    options["step_axis"] = scenarios.step_axis(scenario)
+    options["own_step"] = not makes_own
     options["members"] = scenario.members if makes_own else None
-    integrate = partial(ensemble.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **options)
+    integrate = partial(runs.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **options)
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
         try:
@@ -107,21 +106,20 @@ def run(
     assert not isinstance(out, Url)  # whose suffix is .zarr
     description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
     own = scenarios.members_numbers(scenario)
-    files.save(out, run, description, own)
+    files.save(out, run.trajectory, description, own)
     if scenario.save_at is not None:
         _report_outputs(out, pictures)
         return
     doing = " and ".join(["drawing"] * pictures + ["certifying"] * certificate)
     show(f"  results in {out}{f'; {doing} …' if doing else ''}")
-    drawn = info.draw(out, drawings, scenario, step, run)
+    drawn = info.draw(out, drawings, scenario, run)
     show_time("results and pictures")
-    show(scenarios.report(scenario, step, run))
+    show(readable(scenario).report(run))
     show_time("the report")
     if certificate:
-        first = step if options["step_axis"] is None else nominal_member(step)
         watched = min(scenario.steps, _WATCHED)
         show(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
-        show(certify(first, nominal_state(run), scenario.dt, watched))
+        show(certify(run.member(0).step, nominal_state(run), scenario.dt, watched))
         show_time("the certificate")
     converged = int(np.asarray(run.info.converged).all(axis=0).sum())
     all_converged = converged == scenario.members
@@ -139,12 +137,12 @@ def _report_outputs(out: Path, pictures: bool) -> None:
         show_written(out, about=files.megabytes(out))
 
 
-def _entries(scenario: Common) -> int:
+def _entries(scenario: Kind) -> int:
     """The number of saved entries, including the initial one."""
     return (scenario.steps // scenario.save_every if scenario.save_at is None else len(scenario.save_at)) + 1
 
 
-def _check_size(scenario: Common, out: Address, parts: int) -> None:
+def _check_size(scenario: Kind, out: Address, parts: int) -> None:
     """Raise ValueError, before the members are built, if a large run exceeds the memory of this machine.
 
     Args:
@@ -155,7 +153,7 @@ def _check_size(scenario: Common, out: Address, parts: int) -> None:
     entries, members = _entries(scenario), -(-scenario.members // parts)
     if members * entries < _LARGE:
         return
-    state = scenarios.build(scenario.model_copy(update={"members": 1}))[1]
+    state = scenario.model_copy(update={"members": 1}).build()[1]
     size, stored = members * _checks.entry_size(state), out.suffix == ".zarr"
     less = "" if stored else ", a larger save_every or --out NAME.zarr"
     _checks.fits_memory(1 if stored else entries, size, f"give fewer members{less}")

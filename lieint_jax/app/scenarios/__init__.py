@@ -1,46 +1,31 @@
 """Scenario files (*.toml), shipped or the user's own: from a file to a step, a batch of states and a report.
 
 A scenario is a system, a scheme, a time step and an ensemble of initial states; it may hold published values and
-observations to compare with the results. `scenario_names` lists the shipped ones. The keys of all scenarios are in
-`_common.py`; each kind of system is one module, named like the file's `system` key, which declares
-
-| name | |
-|---|---|
-| `Scenario` | a pydantic model of its keys, a subclass of `_common.Common` |
-| `build(scenario, indices=None)` | the step, and the initial states of all members or of some; member 0 is nominal |
-| `conserved(scenario, system, run)` | what the motion conserves, as a list of `_report.Conserved` |
-| `quantities(scenario, system, run)` | what is measured, as a list of `_report.Quantity` |
-| `remarks(scenario, step, run)` | further lines of the report |
-| `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names; see `_pictures.picture` |
-| `STEP_AXIS` | 0 where every member has its own system: the leaves of the step have the member axis, and `build` |
-| | has no `indices`; None where all share one, also where `[spread]` names numbers |
-| `CERTIFIED` | False where `lieint run` prints no certificate: control and friction conserve the energy balance only |
-
-Only the first two and `PICTURES` are required. A kind with another form of report has `report(scenario, step, run)`.
-Where `[spread]` names numbers of the scenario (`_spread`), the step has the member axis too: `conserved` and
-`quantities` are then called for each member alone; `remarks` and pictures use `for_member` for the nominal one.
+observations to compare with the results. `scenario_names` lists the shipped ones. The file's key `system` names its
+kind: a module of this package with a class, a subclass of `_kind.Kind`, or a user's own, "FILE.py:CLASS".
 """
 
 from __future__ import annotations
 
 import difflib
+import importlib
+import importlib.util
+import inspect
+import pkgutil
 import sys
 from importlib import resources
 from pathlib import Path
-from types import ModuleType
 from typing import Any, get_args
 
 import jax
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from lieint_jax import _checks, _discover
-from lieint_jax.app.printer import readable
-from lieint_jax.app.scenarios import _report, _spread
-from lieint_jax.app.scenarios._common import Common
-from lieint_jax.app.scenarios._runs import select_member
+from lieint_jax import _checks
+from lieint_jax.app.scenarios import _spread
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.runs import store as archives
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step
 
 _OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1
 _MESSAGE = 1000  # characters of a message about a key
@@ -54,85 +39,53 @@ def scenario_names() -> list[str]:
     return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
 
 
-def kinds() -> dict[str, ModuleType]:
-    """The modules of this package, by the `system` key of their scenarios."""
-    return _discover.public_modules(sys.modules[__name__])
+def kind_names() -> list[str]:
+    """The kinds of this package: the values of the key `system`."""
+    return sorted(module.name for module in pkgutil.iter_modules(__path__) if not module.name.startswith("_"))
 
 
-def kind(scenario: Common) -> ModuleType:
-    """The module for a scenario's kind of system."""
-    return kinds()[scenario.system]
+def kind(name: str) -> type[Kind]:
+    """The kind of a name. Only its module is imported."""
+    return _classes(importlib.import_module(f"{__name__}.{name}"))[-1]
 
 
-def build(scenario: Common) -> tuple[Step, State]:
-    """The step and the batch of initial states; member 0 is the nominal state."""
-    return kind(scenario).build(scenario)
+def kinds() -> dict[str, type[Kind]]:
+    """All kinds of this package by their names."""
+    return {name: kind(name) for name in kind_names()}
 
 
-def states_of(scenario: Common, indices: np.ndarray) -> State:
+def _classes(module: Any) -> list[type[Kind]]:
+    """The kinds that a module defines, in its order."""
+    found = [x for x in vars(module).values() if inspect.isclass(x) and issubclass(x, Kind)]
+    return [x for x in found if x.__module__ == module.__name__]
+
+
+def states_of(scenario: Kind, indices: np.ndarray) -> State:
     """The initial states of the members with these indices, for a kind whose members share one step."""
-    return kind(scenario).build(scenario, indices)[1]
+    return scenario.build(indices)[1]
 
 
-def shapes_of_states(scenario: Common) -> State:
+def shapes_of_states(scenario: Kind) -> State:
     """The shapes of the initial states of all members, without computing them."""
     first = jax.eval_shape(lambda: states_of(scenario, np.arange(1)))
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((scenario.members, *x.shape[1:])[: x.ndim], x.dtype), first)
 
 
-def step_axis(scenario: Common) -> int | None:
-    """The argument `step_axis` of `ensemble.run`: 0 if the leaves of the step have the member axis, else None."""
-    return 0 if _systems_differ_by_spread(scenario) else getattr(kind(scenario), "STEP_AXIS", None)
-
-
-def _systems_differ_by_spread(scenario: Common) -> bool:
-    """Whether members have their own systems only because numbers of the scenario have a spread."""
-    return bool(scenario.own_numbers()) and not hasattr(kind(scenario), "STEP_AXIS")
-
-
-def members_numbers(scenario: Common) -> dict[str, np.ndarray]:
+def members_numbers(scenario: Kind) -> dict[str, np.ndarray]:
     """The numbers that differ between members, (members, …), by their paths."""
     return {".".join(path): values for path, values in _spread.draw_members(scenario).items()}
 
 
-def build_first(scenario: Common, members: int) -> Step:
+def build_first(scenario: Kind, members: int) -> Step:
     """The step of the first `members` members of a run, or the one that all members share."""
-    return build(scenario.model_copy(update={"members": 1 if step_axis(scenario) is None else members}))[0]
-
-
-def report(scenario: Common, step: Step, run: Trajectory) -> str:
-    """The text that reports a run: what is conserved, what was measured, and the remarks of the kind."""
-    module, scenario = kind(scenario), readable(scenario)
-    if hasattr(module, "report"):
-        return module.report(scenario, step, run)
-    conserved = _measured(module, "conserved", scenario, step.system, run)
-    quantities = _measured(module, "quantities", scenario, step.system, run)
-    return _report.text(scenario, conserved, quantities, _declared(module, "remarks", scenario, step, run))
-
-
-def _measured(module: ModuleType, name: str, scenario: Common, system: Any, run: Trajectory) -> list[Any]:
-    """The declaration of a kind under a name for a run: of one system, or of the members' systems one by one."""
-    if not _systems_differ_by_spread(scenario):
-        return _declared(module, name, scenario, system, run)
-    each = enumerate(_spread.member_scenarios(scenario))
-    return _report.join_members(
-        [
-            _declared(module, name, its, _spread.for_member(scenario, system, m), select_member(run, m))
-            for m, its in each
-        ]
-    )
-
-
-def _declared(module: ModuleType, name: str, *arguments: Any) -> list[Any]:
-    """The value of a kind's declaration under a name; empty if there is none."""
-    return getattr(module, name)(*arguments) if hasattr(module, name) else []
+    return scenario.model_copy(update={"members": members if scenario.has_own_steps() else 1}).build()[0]
 
 
 def load(name: str, **changes: Any) -> Any:
     """The scenario shipped under `name`, or the one in the file `name`, with `changes` to its keys.
 
     Returns:
-        A `Scenario` of the module that its `system` key names.
+        A `Kind`, that which its `system` key names.
 
     Raises:
         ValueError: no such scenario, not TOML, or a key is missing, unknown or out of range: the message names it.
@@ -144,10 +97,7 @@ def parse(table: dict[str, Any], name: str) -> Any:
     """The scenario of a table of keys; error messages begin with `name`."""
     if "system" not in table:
         raise ValueError(f"{name}: system: key missing")
-    if not isinstance(table["system"], str) or table["system"] not in kinds():
-        allowed = " or ".join(map(repr, kinds()))
-        raise ValueError(f"{name}: system: must be {allowed} (got {_quoted(table['system'])})")
-    return validate(kinds()[table["system"]].Scenario, table, name)
+    return validate(_kind_of(table["system"], name), table, name)
 
 
 def validate(model: Any, table: dict[str, Any], name: str) -> Any:
@@ -158,8 +108,45 @@ def validate(model: Any, table: dict[str, Any], name: str) -> Any:
         raise ValueError(f"{name}: {_explain(error, model, table)}") from error
 
 
-def from_results(table: dict[str, Any], name: str) -> Any:
-    """The scenario in a file of results; keys of version 0.1, which have no units, are renamed."""
+def _kind_of(system: Any, name: str) -> type[Kind]:
+    """The kind that the key `system` names."""
+    if isinstance(system, str) and system in kind_names():
+        return kind(system)
+    file, _, chosen = system.partition(":") if isinstance(system, str) else ("", "", "")
+    if not file.endswith(".py"):
+        allowed = " or ".join(map(repr, kind_names()))
+        raise ValueError(f"{name}: system: must be {allowed}, or 'FILE.py:CLASS' (got {_quoted(system)})")
+    places = Path(file), Path(name).parent / file
+    if (path := next((place for place in places if place.is_file()), None)) is None:
+        raise ValueError(f"{name}: system: there is no file {_quoted(file)}, neither here nor next to {name}")
+    return _own_kind(path, chosen, name)
+
+
+def _own_kind(path: Path, chosen: str, name: str) -> type[Kind]:
+    """The kind of a class in a user's file, which is imported."""
+    spec = importlib.util.spec_from_file_location(f"lieint_kind_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where annotations are looked up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"{name}: system: {path} fails when it is imported: {error!r}") from error
+    found = {kind.__name__: kind for kind in _classes(module)}
+    if chosen not in found:
+        there = ", ".join(found) or "none: a kind is a subclass of lieint_jax.app.kind.Kind"
+        raise ValueError(f"{name}: system: {path} has no kind {_quoted(chosen)}; it has {there}")
+    return found[chosen]
+
+
+def from_results(table: dict[str, Any], name: str, own_kind: str = "") -> Any:
+    """The scenario in a file of results; keys of version 0.1, which have no units, are renamed.
+
+    Args:
+        table: its keys.
+        name: the file.
+        own_kind: the kind, FILE.py:CLASS, if it is a user's: a file of results must not choose what is imported.
+    """
 
     def renamed(tree: Any) -> Any:
         if isinstance(tree, list):
@@ -168,14 +155,22 @@ def from_results(table: dict[str, Any], name: str) -> Any:
             return {_OLD_KEYS.get(key, key): renamed(value) for key, value in tree.items()}
         return tree
 
-    return parse(renamed(table), name)
+    if own_kind or table.get("system") in kind_names():
+        return parse(renamed(table) | ({"system": own_kind} if own_kind else {}), name)
+    raise ValueError(
+        f"{name}: the run is of the kind {_quoted(table.get('system'))}, and a file of results does not choose what is "
+        "imported: give --kind FILE.py:CLASS if it is yours"
+    )
 
 
 def schema() -> dict[str, Any]:
     """The JSON schema of a scenario file: one of the kinds of system, distinguished by the key `system`."""
     from pydantic.json_schema import models_json_schema
 
-    found, definitions = models_json_schema([(module.Scenario, "validation") for module in kinds().values()])
+    found, definitions = models_json_schema([(kind, "validation") for kind in kinds().values()])
+    for name, reference in zip(kinds(), found.values(), strict=True):
+        keys = definitions["$defs"][reference["$ref"].rpartition("/")[2]]["properties"]
+        keys["system"] |= {"const": name}
     return {"oneOf": list(found.values()), **definitions}
 
 

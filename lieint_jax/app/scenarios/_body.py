@@ -1,4 +1,4 @@
-"""The common keys of rigid-body scenarios: inertia, initial attitude and angular velocity, and their spread."""
+"""The common keys of scenarios of a rigid body: inertia, initial attitude and angular velocity, and their spread."""
 
 from __future__ import annotations
 
@@ -10,17 +10,9 @@ import numpy as np
 from jax import Array
 from pydantic import model_validator
 
-from lieint_jax import _checks, maps, schemes
-from lieint_jax.app.scenarios._common import (
-    AttitudeSpread,
-    Common,
-    GivenRate,
-    NumberSpread,
-    Quadruple,
-    Triple,
-    checked,
-    compose_to_order,
-)
+from lieint_jax import _checks, maps
+from lieint_jax.app.scenarios._keys import GivenRate, Quadruple, RotationSpread, Triple, checked
+from lieint_jax.app.scenarios._kind import Kind, step_of
 from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step
@@ -48,28 +40,29 @@ class InitialState(GivenRate):
         return jnp.asarray(self.quaternion)
 
 
-class Spread(AttitudeSpread, NumberSpread):
-    """Standard deviations of the members about the nominal state, and of numbers of the scenario by their paths."""
-
-
-class BodyScenario(Common):
+class BodyKind(Kind):
     """The keys of every scenario of a rigid body."""
 
     inertia: Annotated[list[Any], INERTIA, checked(_checks.inertia)]
     """Principal moments (3) or a tensor in body axes (3 × 3)."""
     state: InitialState
-    spread: Spread = Spread()
+    spread: RotationSpread = RotationSpread()
 
-    fixed: ClassVar[dict[str, str]] = Common.fixed | {
+    fixed: ClassVar[dict[str, str]] = Kind.fixed | {
         "state.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg",
         "observation.*": "it is an observed value",
     }
 
-    def spreads(self) -> dict[str, tuple[float, str]]:
-        return {"attitude": (self.spread.attitude_deg, "°"), "angular velocity": self.spread.with_unit(self.time_unit)}
+    def start(self, system: Any, noise: Array) -> State:
+        return self.state_about(system, noise, self.state.attitude(), jnp.asarray(self.state.rate()))
+
+    def state_about(self, body: Any, noise: Array, q: Array, Omega: Array, **options: Any) -> State:
+        """A member's state about an attitude and a body angular velocity; `options` go to `body.state`."""
+        rotation, change = jnp.deg2rad(self.spread.attitude_deg) * noise[0], self.spread.rate() * noise[1]
+        return body.state(so3.multiply(so3.exp(rotation), q), angular_velocity=Omega + change, **options)
 
 
-class TopScenario(BodyScenario):
+class TopKind(BodyKind):
     """The keys of every scenario of a rigid body in an axial potential."""
 
     scheme: Literal["top_energy_momentum", "splitting"] = "top_energy_momentum"
@@ -84,26 +77,13 @@ class TopScenario(BodyScenario):
             raise ValueError("kappa is a key of top_energy_momentum; splitting uses the symplectic one")
         return self
 
+    def make_step(self) -> Step:
+        return self.step_by(self.scheme, self.make_system())
 
-def top_schemes(scenario: TopScenario, top: Any) -> dict[str, Step]:
-    """The two schemes for tops, at the order of the scenario."""
-    at_order_2: dict[str, Step] = {
-        "top_energy_momentum": schemes.top_energy_momentum(top, getattr(maps, f"kappa_{scenario.kappa or 'cayley'}")),
-        "splitting": schemes.splitting(top),
-    }
-    return {name: compose_to_order(step, scenario.order) for name, step in at_order_2.items()}
-
-
-def initial_state(scenario: BodyScenario, body: Any, noise: Array) -> State:
-    """A member's initial state, for its standard normal deviates (2, 3)."""
-    q, Omega = scenario.state.attitude(), jnp.asarray(scenario.state.rate())
-    return state_about(scenario, body, noise, q, Omega)
-
-
-def state_about(scenario: BodyScenario, body: Any, noise: Array, q: Array, Omega: Array, **options: Any) -> State:
-    """A member's state about an attitude and a body angular velocity; `options` go to `body.state`."""
-    rotation, change = jnp.deg2rad(scenario.spread.attitude_deg) * noise[0], scenario.spread.rate() * noise[1]
-    return body.state(so3.multiply(so3.exp(rotation), q), angular_velocity=Omega + change, **options)
+    def step_by(self, scheme: str, top: Any) -> Step:
+        """The step of a scheme for tops, at the order of the scenario."""
+        kappa = getattr(maps, f"kappa_{self.kappa or 'cayley'}")
+        return step_of(top, scheme, self.order, *[kappa] * (scheme == "top_energy_momentum"))
 
 
 def axis_in_space(q: Any, axis: Any) -> np.ndarray:

@@ -11,8 +11,9 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from lieint_jax import orbits
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import HOUR, Common, PositiveFloat, PositiveInt, Published, Table, Text
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit
+from lieint_jax.app.scenarios._keys import HOUR, PositiveFloat, PositiveInt, Published, Table, Text
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.groups import so3
 
 _OBLIQUITY = np.deg2rad(23.4392911)  # of the ecliptic at J2000, IAU 1976
@@ -217,10 +218,9 @@ class Expected(Table):
     """A key of the table sources."""
 
 
-class Scenario(Common):
+class FlybyKeys(Kind):
     """The keys of a scenario of this kind."""
 
-    system: Literal["flyby"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["h"] = "h"  # pyright: ignore[reportIncompatibleVariableOverride]
     """Hours since the perigee."""
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -15,10 +15,10 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _free_body, orbits, schemes, systems
+from lieint_jax import _free_body, orbits, systems
 from lieint_jax._numerics import elliptic
 from lieint_jax.app.scenarios._body import direction
-from lieint_jax.app.scenarios._common import compose_to_order
+from lieint_jax.app.scenarios._kind import step_of as step_by
 from lieint_jax.app.scenarios._runs import Numbers, map_on_local_devices
 from lieint_jax.groups import so3
 from lieint_jax.runs import integrate
@@ -159,7 +159,7 @@ def outcome(J: Array, state: State) -> Outcome:
 
 def step_of(J: Array, orbit: orbits.Kepler | GivenOrbit, order: int) -> Step:
     """The symplectic step of a body on an orbit."""
-    return compose_to_order(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
+    return step_by(systems.gravity_gradient(J, orbit), "splitting", order)
 
 
 def step_and_state(
@@ -230,7 +230,7 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]
         J = moments(spin)
         near = state_at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
         # by steps, since XLA compiles tangents of `solution` for minutes
-        free = compose_to_order(schemes.so3_midpoint(RigidBody(J)), order)
+        free = step_by(RigidBody(J), "so3_midpoint", order)
         run = integrate(free, near, times[0] / _FREE_STEPS, _FREE_STEPS, save_every=_FREE_STEPS)
         state = jax.tree.map(lambda x: x[-1], run.state)
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))

@@ -8,20 +8,20 @@ import numpy as np
 
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import longitude_latitude
-from lieint_jax.app.scenarios._flyby_keys import Scenario
+from lieint_jax.app.scenarios._flyby_keys import FlybyKeys
 from lieint_jax.app.scenarios._flyby_motion import Outcome
 from lieint_jax.app.scenarios._flyby_study import change_of_spin, study, unknowns
-from lieint_jax.app.scenarios._pictures import picture
-from lieint_jax.types import Step, Trajectory
+from lieint_jax.app.scenarios._kind import picture
+from lieint_jax.runs import Run
 
 _LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last color shows all larger values
 _MARGIN = 10.0  # ° from the edge of a map, where the axis would cross a label of a contour
 
 
 @picture(2, 2)
-def draw_map(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_map(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
     """Plot periods, effective spin rate and rotation of the pole after the passage, over both phases at the perigee."""
-    found = study(scenario, step, run)
+    found = study(scenario, run)
     x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
     shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
     before = found.mapped.before
@@ -93,9 +93,9 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
 
 
 @picture(3, 2)
-def draw_after(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_after(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
     """Plot the members after the passage: distributions of periods, spin rate and rotation of the pole, and poles."""
-    found = study(scenario, step, run)
+    found = study(scenario, run)
     x, after, before = change_of_spin(found.before, found.after), found.after, found.before
     panels = (
         ("precession period $P_\\phi$ (h)", after.precession, before.precession[0]),
@@ -138,9 +138,9 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
 
 
 @picture(2)
-def draw_sensitivity(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
+def draw_sensitivity(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
     """Plot the change of the periods by one standard deviation of each unknown, to first order, over the phases."""
-    found = study(scenario, step, run)
+    found = study(scenario, run)
     names = {
         "phi": "$\\phi$, uniform",
         "psi": "$\\psi$, uniform",

@@ -12,18 +12,19 @@ from jax import Array
 
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import direction, longitude_latitude
-from lieint_jax.app.scenarios._flyby_keys import Scenario, SpinValues, Variant
+from lieint_jax.app.scenarios._flyby_keys import FlybyKeys, SpinValues, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
-from lieint_jax.app.scenarios._runs import cached_for_last_run
+from lieint_jax.app.scenarios._kind import for_last_run
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Step, Trajectory, vectors
+from lieint_jax.runs import Run
+from lieint_jax.types import State, vectors
 
 _TRIES = 16  # draws of a member's moments; the first for which the mode exists is used
 _SLOPE_ORDER = 4  # of the differentiated steps: the errors of derivatives are below 5e-4 of the largest
 CHECKED = 256  # members that are integrated again in shorter steps and over other arcs
 
 
-def members(scenario: Scenario) -> tuple[Spin, np.ndarray]:
+def members(scenario: FlybyKeys) -> tuple[Spin, np.ndarray]:
     """The members' spins, the nominal one first, and whether the mode exists for the first draw of each.
 
     A member is the same in ensembles of every size.
@@ -96,12 +97,13 @@ class Study(NamedTuple):
     failed: int
 
 
-@cached_for_last_run
-def study(scenario: Scenario, step: Step, run: Trajectory) -> Study:
+@for_last_run
+def study(scenario: FlybyKeys, run: Run) -> Study:
     """The study of a run: its members before and after the passage, and the further passages of the report."""
     from tqdm import tqdm
 
-    outcomes, J = jax.jit(jax.vmap(motion.outcome)), step.system.inertia
+    system: Any = run.system
+    outcomes, J = jax.jit(jax.vmap(motion.outcome)), system.inertia
     ends = [jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), run.state) for k in (0, -1)]
     before, after = (jax.tree.map(np.asarray, outcomes(J, State(z.q, z.p))) for z in ends)
     grid, first = phases(scenario), _first_members(scenario, CHECKED)
@@ -133,7 +135,7 @@ def study(scenario: Scenario, step: Step, run: Trajectory) -> Study:
 _angles = jax.jit(jax.vmap(so3.angle))
 
 
-def phases(scenario: Scenario) -> Spin:
+def phases(scenario: FlybyKeys) -> Spin:
     """The nominal spin at the phases of the map, φ slowest."""
     given = [getattr(scenario.spin, name).value for name in SpinValues.model_fields]
     n, m = scenario.map.precession_phases, scenario.map.rotation_phases
@@ -142,19 +144,19 @@ def phases(scenario: Scenario) -> Spin:
     return Spin(*map(jnp.asarray, (*same, phi.ravel(), psi.ravel())))
 
 
-def every_second_phase(scenario: Scenario, grid: Any) -> Any:
+def every_second_phase(scenario: FlybyKeys, grid: Any) -> Any:
     """Every second value of both phases."""
     n, m = scenario.map.precession_phases, scenario.map.rotation_phases
     return jax.tree.map(lambda x: x.reshape(n, m)[::2, ::2].ravel(), grid)
 
 
-def _first_members(scenario: Scenario, count: int) -> Spin:
+def _first_members(scenario: FlybyKeys, count: int) -> Spin:
     """The first `count` members, drawn by the compiled program that draws all members of the run."""
     at_least = scenario.model_copy(update={"members": max(count, scenario.members)})
     return jax.tree.map(lambda x: x[:count], members(at_least)[0])
 
 
-def _passages_of_variant(scenario: Scenario, variant: Variant, count: int) -> Passage:
+def _passages_of_variant(scenario: FlybyKeys, variant: Variant, count: int) -> Passage:
     """The passages of `count` members under the assumptions of a variant."""
     spin = scenario.spin.with_changes(variant)
     orbit = scenario.orbit.model_copy(update={"frame": variant.frame or scenario.orbit.frame})
@@ -197,7 +199,7 @@ def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
 pole_angles = jax.jit(jax.vmap(vectors.angle))
 
 
-def unknowns(scenario: Scenario) -> dict[str, tuple[str, float, float]]:
+def unknowns(scenario: FlybyKeys) -> dict[str, tuple[str, float, float]]:
     """By name of `Study.slopes`: the label of the change in the report, its size, and one standard deviation."""
     given, degree = scenario.spin, np.deg2rad(1.0)
     sigma = {name: sum(getattr(given, name).sides()) / 2 / scenario.sigmas for name in SpinValues.model_fields}

@@ -1,4 +1,4 @@
-"""Common parts of scenarios of several rigid bodies: the keys of a body, the members, the schemes."""
+"""Common parts of scenarios of several rigid bodies: the keys of a body, the members."""
 
 from __future__ import annotations
 
@@ -11,39 +11,29 @@ import numpy as np
 from jax import Array
 from pydantic import model_validator
 
-from lieint_jax import schemes
-from lieint_jax.app.scenarios._common import (
+from lieint_jax.app.scenarios._keys import (
     AttitudeSpread,
     GivenRate,
     Moments,
     NonNegative,
     PositiveFloat,
     PositiveTriple,
+    RateSpread,
+    Stated,
     Triple,
     array,
-    compose_to_order,
 )
 from lieint_jax.app.scenarios._spread import INERTIA, draw_members, with_numbers
 from lieint_jax.groups import so3
-from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step
 
-ORDERS: dict[str, list[Any]] = {
-    "kepler_splitting": [[8, 6, 4], [8, 4], 2],
-    "nystrom": [6, 4],
-    "splitting": [2, 4, 6, 8],
-    "bodies_energy_momentum": [2, 4, 6, 8],
-    "gauss": [16, *range(2, 16, 2)],
-}
-"""The orders of the schemes for several bodies, the default first."""
 
-
-class BodySpread(AttitudeSpread):
+class BodySpread(RateSpread, AttitudeSpread):
     """Standard deviations of the members' bodies about the nominal one."""
 
     mass_percent: NonNegative = 0.0
     """Relative standard deviation of the mass, at fixed size and shape."""
-    axes_percent: NonNegative = 0.0
+    axes_percent: Annotated[NonNegative, Stated("semi-axes", "%")] = 0.0
     """Relative standard deviation of each semi-axis of the equivalent ellipsoid, at fixed mass."""
 
 
@@ -87,15 +77,6 @@ class ExtendedBody(GivenRate):
             return array(self.semi_axes_m) ** 2 / 5
         J = array(self.moments_kg_m2) / self.mass()
         return J.sum() / 2 - J
-
-    def spreads(self, name: str) -> dict[str, tuple[float, str]]:
-        """The standard deviations of the body `name` with their units, by quantity."""
-        return {
-            f"{name}'s attitude": (self.spread.attitude_deg, "°"),
-            f"{name}'s angular velocity": (np.rad2deg(self.spread.rate()), "°/s"),
-            f"{name}'s mass": (self.spread.mass_percent, "%"),
-            f"{name}'s semi-axes": (self.spread.axes_percent, "%"),
-        }
 
 
 def member_bodies(bodies: Sequence[ExtendedBody], noise: Array) -> tuple[Array, Array, Array, Array]:
@@ -146,14 +127,3 @@ def build_members(
         return member(with_numbers(scenario, own), jnp.where(k == 0, 0.0, noise))
 
     return jax.jit(jax.vmap(build_member))(jnp.arange(scenario.members), draw_members(scenario))
-
-
-def step_of(bodies: RigidBodies, scheme: str, order: Any, G: float | None = None) -> Step:
-    """The step of a scheme at an order of `ORDERS`; kepler_splitting needs G if the potential has none."""
-    if scheme == "kepler_splitting":
-        return schemes.kepler_splitting(bodies, order, G)
-    if scheme == "nystrom":
-        return schemes.nystrom(bodies, order)
-    if scheme == "gauss":
-        return schemes.gauss(bodies, order // 2)
-    return compose_to_order(getattr(schemes, scheme)(bodies), order)

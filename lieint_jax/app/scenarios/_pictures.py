@@ -1,67 +1,58 @@
-"""Pictures of runs: a decorator that makes the figure, and what several kinds of scenario draw."""
+"""What the pictures of several kinds of scenario have in common: panels."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import wraps
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._report import Conserved
-from lieint_jax.app.scenarios._runs import LONGEST, as_ensemble, drawn_trajectory
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.runs import Run
+from lieint_jax.types import Step
+
+_THIN: dict[str, Any] = {"color": plots.BLUE, "lw": 0.4, "alpha": 0.4, "rasterized": True}
 
 
-def picture(
-    columns: int = 1, rows: int = 1, *, size: Any = None, spatial: Sequence[int] = (), **options: Any
-) -> Callable[[Callable[..., None]], Callable[[Any, Any, Trajectory], Figure]]:
-    """Make the figure for a function that draws a run on axes, with the title of the scenario.
-
-    The function is called with an array of axes (panels,), scenario, step and run.
+def draw_errors(
+    ax: Any,
+    scenario: Kind,
+    one: Run,
+    steps: Iterable[Step],
+    names: Mapping[str, str],
+    label: str,
+    size: float = 1.0,
+    unit: str | None = None,
+) -> None:
+    """Plot the changes of conserved quantities of one body by several steps.
 
     Args:
-        columns, rows: the numbers of columns and rows of panels.
-        size: the size of a panel in inches, or a function of the scenario that returns it.
-        spatial: the indices of panels with three axes.
-        options: further arguments of `plots.figure`.
+        ax: the axes.
+        scenario: declares what is conserved.
+        one: the run of one body.
+        steps: the steps to compare.
+        names: the symbols of quantities to show by their names; "" shows that of the step alone.
+        label: of the axis of errors.
+        size, unit: the unit of the axis of times, in time_unit, and its name; by default time_unit itself.
     """
-
-    def decorate(draw: Callable[..., None]) -> Callable[[Any, Any, Trajectory], Figure]:
-        @plots.style()
-        @wraps(draw)
-        def figure_of_run(scenario: Any, step: Step, run: Trajectory) -> Figure:
-            inches: Any = size(scenario) if callable(size) else size
-            fig, axes = plots.figure(columns, rows, inches, **options)
-            axes = axes.ravel()
-            for k in spatial:
-                axes[k].remove()
-                axes[k] = fig.add_subplot(rows, columns, k + 1, projection="3d")
-            fig.suptitle(scenario.title)
-            draw(axes, scenario, step, run)
-            return fig
-
-        return figure_of_run
-
-    return decorate
+    t, found = scenario.changes(one, steps)
+    curves = {
+        ", ".join(filter(None, (symbol, scheme))): errors[name]
+        for scheme, errors in found.items()
+        for name, symbol in names.items()
+    }
+    plots.log_error(ax, t / size, curves, label, scenario.time_unit if unit is None else unit)
 
 
-def changes_by_scheme(
-    conserved: Callable[[Any, Any, Trajectory], list[Conserved]],
-    scenario: Any,
-    steps: Iterable[Step],
-    start: State,
-    longest: int = LONGEST,
-) -> tuple[np.ndarray, dict[str, dict[str, np.ndarray]]]:
-    """Times, and the relative changes of conserved quantities by the names of steps and quantities, from one state."""
-    found, t = {}, np.zeros(0)
-    for step in steps:
-        run = as_ensemble(drawn_trajectory(step, start, scenario.dt, scenario.steps, longest))
-        t = np.asarray(run.t)
-        found[step.name] = {x.name: x.change()[:, 0] for x in conserved(scenario, step.system, run)}
-    return t, found
+def draw_members(ax: Any, t: np.ndarray, x: np.ndarray, label: str, unit: str) -> None:
+    """Plot a series (times, members): the nominal member in black, the first hundred others as thin lines."""
+    others = ax.plot(t, x[:, 1:100], **_THIN)
+    [nominal] = ax.plot(t, x[:, 0], color=plots.INK, lw=1.0)
+    ax.set(xlabel=f"t ({unit})", ylabel=label)
+    if others:
+        ax.legend([nominal, others[0]], ["nominal member", "other members"])
 
 
 def draw_changes(ax: Any, t: np.ndarray, conserved: Sequence[Conserved], unit: str) -> None:

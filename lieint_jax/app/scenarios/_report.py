@@ -5,15 +5,20 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lieint_jax.app.scenarios._common import Common, Published
+from lieint_jax.app.scenarios._keys import Published
 from lieint_jax.app.scenarios._runs import standard_deviation
 
+if TYPE_CHECKING:
+    from lieint_jax.app.scenarios._kind import Kind
+
 ROUND_OFF = "conserved to round-off"
+CLOSED_FORM = (
+    "  closed form: elliptic integrals; the difference is the scheme's error, of its order in dt, or round-off"
+)
 _MAX_MISFIT = 3  # published errors; a larger difference is noted
 _WIDTH = 34  # smallest width of the column of names
 
@@ -21,9 +26,6 @@ _WIDTH = 34  # smallest width of the column of names
 def largest_component(x: np.ndarray) -> np.ndarray:
     """The largest absolute component of values (times, members, …)."""
     return abs(x).reshape(*x.shape[:2], -1).max(axis=2)
-
-
-length: Callable[[np.ndarray], np.ndarray] = partial(np.linalg.norm, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def join_members(members: Sequence[Sequence[Any]]) -> list[Any]:
 
 
 def text(
-    scenario: Common, conserved: Sequence[Conserved], quantities: Sequence[Quantity], remarks: Sequence[str] = ()
+    scenario: Kind, conserved: Sequence[Conserved], quantities: Sequence[Quantity], remarks: Sequence[str] = ()
 ) -> str:
     """The report of a run: what is conserved, what was measured, and the remarks of the kind."""
     width = max([_WIDTH, *(len(x.name) + 2 for x in (*conserved, *quantities))])
@@ -126,7 +128,7 @@ def change_lines(conserved: Sequence[Conserved], width: int = _WIDTH) -> list[st
     return lines + [f"  {x.name:<{width}}{float(x.change().max()):>10.1e}   {x.promise}" for x in conserved]
 
 
-def table_lines(scenario: Common, quantities: Sequence[Quantity], width: int = _WIDTH, head: str = "") -> list[str]:
+def table_lines(scenario: Kind, quantities: Sequence[Quantity], width: int = _WIDTH, head: str = "") -> list[str]:
     """The lines of a report with the measured quantities next to their closed forms and published values."""
     if not quantities:
         return []
@@ -158,7 +160,7 @@ def _number(x: float, digits: str) -> str:
     return format(x, digits) if np.isfinite(x) else "—"
 
 
-def citation(scenario: Common, published: Published) -> str:
+def citation(scenario: Kind, published: Published) -> str:
     """A published value with its error and source."""
     error = f" ± {published.error:g}" if published.error is not None else ""
     return f"{published.value:g}{error}  ({scenario.source(published.source)})"

@@ -12,7 +12,7 @@ from jax import Array
 from pydantic import Field, model_validator
 
 from lieint_jax import orbits, torques
-from lieint_jax.app.scenarios._common import NonNegative, PositiveFloat, PositiveTriple, Table, Triple, UnitVector
+from lieint_jax.app.scenarios._keys import NonNegative, PositiveFloat, PositiveTriple, Table, Triple, UnitVector
 from lieint_jax.app.scenarios._spread import DIRECTION
 from lieint_jax.types import Law, Rotation, pytree, static
 

@@ -357,38 +357,28 @@ def _with_parts(value: Any, parts: Mapping[Path, Numbers]) -> Any:
     return rows
 
 
-def build(
-    scenario: Any,
-    noise: PyTree,
-    step_of: Callable[[Any], Step],
-    state_of: Callable[[Any, Any, Any], State],
-    *,
-    traced: bool = True,
-) -> tuple[Step, State]:
+def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
     """The step and the members' states; where numbers have a spread, the leaves of the step have the member axis.
 
     Args:
-        scenario: the scenario.
+        scenario: the scenario, a `Kind`.
         noise: the deviates of the members' initial states, with the member axis.
-        step_of: the step of a scenario, whose numbers may be traced.
-        state_of: the initial state for a scenario, a system and deviates.
-        traced: whether `step_of` accepts traced numbers; if not, the members' steps are constructed one by one.
     """
-    nominal, own = step_of(scenario), draw_members(scenario)
+    nominal, own = scenario.make_step(), draw_members(scenario)
     if not own:
-        return nominal, _with_shared_time(jax.vmap(partial(state_of, scenario, nominal.system))(noise))
+        return nominal, _with_shared_time(jax.vmap(partial(scenario.start, nominal.system))(noise))
 
     def member(numbers: Mapping[Path, Numbers], noise: PyTree) -> tuple[Step, State]:
         of_member = with_numbers(scenario, numbers)
-        step = step_of(of_member)
-        return step, state_of(of_member, step.system, noise)
+        step = of_member.make_step()
+        return step, of_member.start(step.system, noise)
 
-    if traced:
+    if scenario.traced:
         members = jax.jit(jax.vmap(member))(own, noise)
     else:
         each = [member(*_select_member((own, noise), m)) for m in range(scenario.members)]
         members = jax.tree.map(lambda *x: jnp.stack(x), *each)
-    step, states = with_exact_first(members, (nominal, state_of(scenario, nominal.system, nominal_member(noise))))
+    step, states = with_exact_first(members, (nominal, scenario.start(nominal.system, nominal_member(noise))))
     return step, _with_shared_time(states)
 
 
@@ -423,8 +413,3 @@ def member_scenarios(scenario: Any) -> Iterator[Any]:
     plain = scenario.model_copy(update={"members": 1, _SPREAD: type(scenario.spread).model_construct(**declared)})
     for m in range(scenario.members):
         yield with_numbers(plain, {path: x[m].tolist() for path, x in own.items()})
-
-
-def for_member(scenario: Any, tree: Any, m: int = 0) -> Any:
-    """The step or the system of a member: the shared one, unless numbers have a spread."""
-    return jax.tree.map(lambda leaf: leaf[m], tree) if scenario.own_numbers() else tree

@@ -7,7 +7,7 @@ member has its own masses and moments: the leaves of the step have the member ax
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, Self, get_args
+from typing import Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -15,50 +15,35 @@ import numpy as np
 from jax import Array
 from pydantic import model_validator
 
-from lieint_jax import potentials, systems
+from lieint_jax import measure, potentials, runs, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _binary_motion
-from lieint_jax.app.scenarios._binary_motion import Motion, energies, mean_rate, motion
-from lieint_jax.app.scenarios._common import (
-    DAY,
-    HOUR,
-    Common,
-    NonNegative,
-    NumberSpread,
-    PositiveFloat,
-    Published,
-    Table,
-    check_order,
-)
-from lieint_jax.app.scenarios._multibody import (
-    ORDERS,
-    ExtendedBody,
-    build_members,
-    member_bodies,
-    step_of,
-)
-from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
-from lieint_jax.app.scenarios._report import Conserved, Quantity, citation, length
+from lieint_jax.app.scenarios._keys import DAY, HOUR, NonNegative, NumberSpread, PositiveFloat, Published, Table
+from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, step_of
+from lieint_jax.app.scenarios._multibody import ExtendedBody, build_members, member_bodies
+from lieint_jax.app.scenarios._pictures import draw_errors
+from lieint_jax.app.scenarios._report import Conserved, Quantity, citation
 from lieint_jax.app.scenarios._runs import (
-    as_ensemble,
-    drawn_trajectory,
-    nominal_member,
+    as_batch,
+    drawn_steps,
+    length,
     nominal_state,
-    over_members,
+    nominal_system,
+    series,
     standard_deviation,
 )
-from lieint_jax.app.scenarios._spectrum import line, spectrum
 from lieint_jax.groups import so3
+from lieint_jax.measure import RelativeMotion, mean_rate
+from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step, Trajectory
-
-STEP_AXIS = 0  # every member has its own system
+from lieint_jax.types import State, Step
 
 _ENERGY, _MOMENTUM = "energy, over |energy|", "angular momentum, relative"
-_SHOWN = {"H": _ENERGY, "L": _MOMENTUM}  # in the picture of errors
+_SHOWN = {_ENERGY: "H", _MOMENTUM: "L"}  # in the picture of errors
 _BRIEF, _FINE = 4, 4  # orbits in the picture of energies; steps of pictures per step of the scenario
 _MAX_DRAWN = 100  # members whose range is drawn
 _UPRIGHT = 30  # degrees; a secondary of larger obliquity counts as tumbling
+_DEG_D = np.rad2deg(DAY)  # of rad/s
 _LONG = 8  # length of the spectrum's run, over that of the scenario
 
 
@@ -97,10 +82,9 @@ Name = Literal[
 ]
 
 
-class Scenario(Common):
+class Binary(Kind):
     """The keys of a scenario of this kind."""
 
-    system: Literal["binary"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
     """Seconds; other units are in the names of the keys."""
     G: PositiveFloat = 6.67430e-11
@@ -115,44 +99,211 @@ class Scenario(Common):
     published: dict[Name, Published] = {}
     """Periods in hours, rates in degrees a day, changes of speed in mm/s, as the names say."""
 
+    own_step = True  # every member has its own system
+
     @model_validator(mode="after")
     def _check_order(self) -> Self:
-        check_order(self.scheme, self.order, ORDERS[self.scheme])
+        check_order(self.scheme, self.order)
         return self
 
     def spreads(self) -> dict[str, tuple[float, str]]:
+        pair = {"primary": self.primary, "secondary": self.secondary}
         orbit = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
-        return orbit | self.primary.spreads("primary") | self.secondary.spreads("secondary")
+        return orbit | {k: x for name, b in pair.items() for k, x in b.spread.stated("s", f"{name}'s ").items()}
 
+    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
+        """The step, whose leaves have the member axis, and the batch of initial states."""
+        return build_members(self, Binary.member, (1 + 2 * 4, 3))
 
-def build(scenario: Scenario) -> tuple[Step, State]:
-    """The step, whose leaves have the member axis, and the batch of initial states."""
-    return build_members(scenario, _member, (1 + 2 * 4, 3))
+    def member(self, noise: Array) -> tuple[Step, State]:
+        """The step and the state of a member, for its deviates."""
+        pair = self.primary, self.secondary
+        m, J, attitudes, rates = member_bodies(pair, noise[1:].reshape(2, 4, 3))
+        bodies = systems.rigid_bodies(m, J, potentials.maccullagh(self.G, m, J))
+        d = jnp.array([self.orbit.separation_m, 0.0, 0.0])
+        speed = _speed(self.orbit, bodies, d, attitudes)
+        across = speed + self.orbit.speed_change_mm_s / 1000
+        v = jnp.stack([0 * across, across, 0 * across]) + self.spread.velocity_mm_s / 1000 * noise[0]
+        orbital = jnp.stack([0 * speed, 0 * speed, speed / d[0]])
+        is_relative = jnp.array([[body.relative_to == "orbit"] for body in pair])
+        rates = rates + jnp.where(is_relative, jax.vmap(so3.Ad_star, (0, None))(attitudes, orbital), 0.0)
+        shares = jnp.stack([-m[1], m[0]]) / (m[0] + m[1])
+        x, v = shares[:, None] * d, shares[:, None] * v
+        state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
+        return self.step_by(self.scheme, bodies), state
 
+    def step_by(self, scheme: str, bodies: RigidBodies) -> Step:
+        """The step of a scheme: that of the scenario at its order, the others at their default order."""
+        return step_of(bodies, scheme, self.order if scheme == self.scheme else None)
 
-def _member(scenario: Scenario, noise: Array) -> tuple[Step, State]:
-    """The step and the state of a member, for its deviates."""
-    pair = scenario.primary, scenario.secondary
-    m, J, attitudes, rates = member_bodies(pair, noise[1:].reshape(2, 4, 3))
-    bodies = systems.rigid_bodies(m, J, potentials.maccullagh(scenario.G, m, J))
-    d = jnp.array([scenario.orbit.separation_m, 0.0, 0.0])
-    speed = _speed(scenario.orbit, bodies, d, attitudes)
-    across = speed + scenario.orbit.speed_change_mm_s / 1000
-    v = jnp.stack([0 * across, across, 0 * across]) + scenario.spread.velocity_mm_s / 1000 * noise[0]
-    orbital = jnp.stack([0 * speed, 0 * speed, speed / d[0]])
-    is_relative = jnp.array([[body.relative_to == "orbit"] for body in pair])
-    rates = rates + jnp.where(is_relative, jax.vmap(so3.Ad_star, (0, None))(attitudes, orbital), 0.0)
-    shares = jnp.stack([-m[1], m[0]]) / (m[0] + m[1])
-    x, v = shares[:, None] * d, shares[:, None] * v
-    state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
-    return _steps(scenario, bodies)[scenario.scheme], state
+    @for_last_run
+    def motion(self, run: Run) -> RelativeMotion:
+        """The angles and distances of a run."""
+        return measure.relative_motion(run)
 
+    def conserved(self, run: Run) -> list[Conserved]:
+        """Energy and momenta."""
+        parts, Phi = measure.pair_energies(run), series(RigidBodies.momentum, run)
+        P, L = Phi[..., :3], Phi[..., 3:]
+        of_secondary = length(np.asarray(run.state.p)[0, :, 1, :3])
+        return [
+            Conserved("energy, over |energy of the orbit|", parts.total, abs(parts.orbit[0])),
+            Conserved(_ENERGY, parts.total, abs(parts.total[0])),
+            Conserved("linear momentum, over that of the secondary", P, of_secondary, norm=length),
+            Conserved(_MOMENTUM, L, length(L[0]), norm=length),
+        ]
 
-def _steps(scenario: Scenario, bodies: RigidBodies) -> dict[str, Step]:
-    """Every scheme: that of the scenario at its order, the others at their default order."""
-    orders = {name: ORDERS[name][0] for name in get_args(Scheme)}
-    orders[scenario.scheme] = scenario.order or orders[scenario.scheme]
-    return {name: step_of(bodies, name, order) for name, order in orders.items()}
+    def quantities(self, run: Run) -> list[Quantity]:
+        """Periods, precessions and librations, with published values."""
+        t, found = np.asarray(run.t), self.motion(run)
+        orbit, lines = measure.apsides(found), measure.librations(found)
+        inclined = found.inclination.max(axis=0) > 1e-9  # less is round-off
+        precession = np.where(inclined, measure.mean_rate(t, found.node), np.nan)
+        published: dict[str, Published] = {**self.published}
+        table: list[tuple[str, np.ndarray, str]] = [
+            ("orbital period (h)", orbit.period / HOUR, "orbital_period_h"),
+            ("primary's spin period (h)", _hours(t, found.spin_1), "primary_spin_period_h"),
+            ("secondary's spin period (h)", _hours(t, found.spin_2), ""),
+            ("eccentricity: amplitude of the distance over its mean", orbit.eccentricity, ""),
+            ("precession of the line of apsides (°/d)", _DEG_D * orbit.precession_rate, "apsidal_precession_deg_d"),
+            ("precession of the orbit's normal about L (°/d)", _DEG_D * precession, ""),
+            ("libration of the secondary, largest (°)", np.rad2deg(_swing(found)), ""),
+            ("  its line at the orbit's anomalistic frequency (°)", np.rad2deg(lines.forced), ""),
+            ("  its strongest line below that (°)", np.rad2deg(lines.free), ""),
+            ("  the frequency of that line, over the orbit's", orbit.period / lines.free_period, ""),
+            ("line of centers from its equator, largest (°)", np.rad2deg(abs(found.out_of_plane).max(axis=0)), ""),
+            ("its obliquity, largest (°)", np.rad2deg(found.obliquity.max(axis=0)), ""),
+        ]
+        return [Quantity(name, x, published=published.get(key)) for name, x, key in table]
+
+    def remarks(self, run: Run) -> list[str]:
+        """How periods are measured, which members stay upright, exchanges of energy, and the published impact."""
+        found, days = self.motion(run), abs(run.t[-1] - run.t[0]) / DAY
+        faces, upright = measure.is_librating(found.libration), np.rad2deg(found.obliquity).max(axis=0) < _UPRIGHT
+        lines = [
+            f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares",
+            f"  {faces.sum()} of {len(faces)} members: one end of the secondary's x axis stays toward the primary",
+            f"  {upright.sum()} of {len(faces)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal",
+            *_exchange(run),
+        ]
+        if {"orbital_period_h", "orbital_period_before_h"} <= set(self.published):
+            lines += self._impact_lines(run)
+        return lines
+
+    def impact(self, run: Run) -> Impact:
+        """The change of the initial speed that changes the published period before into that after."""
+        first, start = run.member(0).step, nominal_state(run)
+        duration = self.dt, self.steps, self.save_every
+
+        def measure(change: Array) -> tuple[Array, Array]:
+            return _binary_motion.orbital_period(first, start, *duration, change)
+
+        before, after = (self.published[key].value * HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
+        ends = [_binary_motion.speed_change_for(period, measure) for period in (before, after)]
+        d = float(jnp.linalg.norm(_binary_motion.relative_state(first.system, start)[0]))
+        mu = self.G * float(jnp.sum(first.system.masses))
+        unchanged = float(measure(jnp.asarray(-self.orbit.speed_change_mm_s / 1000))[0])
+        middle = (before + after) / 2
+        a, speed = (mu * (middle / (2 * np.pi)) ** 2) ** (1 / 3), _binary_motion.kepler_speed(mu, d, middle)
+        return Impact(
+            unchanged / HOUR,
+            1000 * (ends[1] - ends[0]),
+            float(measure(jnp.asarray(sum(ends) / 2))[1]) / HOUR / 1000,
+            1000 * (_binary_motion.kepler_speed(mu, d, after) - _binary_motion.kepler_speed(mu, d, before)),
+            3 * a * speed / mu * middle / HOUR / 1000,
+        )
+
+    def _impact_lines(self, run: Run) -> list[str]:
+        """The lines of the report on the change of the secondary's speed by the impact."""
+        found, published = self.impact(run), self.published
+        before, after = published["orbital_period_before_h"], published["orbital_period_h"]
+        lines = [
+            f"\n  published: orbital period {before.value:g} h before the impact ({self.source(before.source)}), "
+            f"{after.value:g} h after",
+            f"  {'period without the change of speed of this scenario':<54}{found.period_unchanged:>11.4f} h",
+            f"  {'change of speed between the two published periods':<54}{found.change:>11.3f} mm/s",
+            f"  {'  for two points':<54}{found.kepler:>11.3f} mm/s",
+            f"  {'derivative of the period by the speed, half-way':<54}{found.slope:>11.4f} h/(mm/s)",
+            f"  {'  for two points, ΔT/T = 3 a v Δv/GM':<54}{found.kepler_slope:>11.4f} h/(mm/s)",
+        ]
+        measured = published.get("speed_change_mm_s")
+        if measured is not None:
+            lines.append(f"  {'published change of speed (mm/s)':<54}     {citation(self, measured)}")
+        return lines
+
+    @picture(2, size=(5.5, 3.8))
+    def draw_orbit(self, axes: np.ndarray, run: Run) -> None:
+        """Plot distance and libration of the secondary: the nominal member, and 90 % of up to `_MAX_DRAWN` members."""
+        days, found = self._fine_motion(run)
+        swing = np.rad2deg(found.libration - np.pi * np.round(found.libration[0] / np.pi))
+        panels = (found.distance, "distance (m)"), (swing, "libration of the secondary (°)")
+        for ax, (x, label) in zip(axes, panels, strict=True):
+            if x.shape[1] > 1:
+                low, high = np.percentile(x, [5, 95], axis=1)
+                ax.fill_between(days, low, high, color=plots.GRAY, lw=0, label=f"90 % of {x.shape[1]} members")
+            ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal member")
+            ax.set(xlabel="t (d)", ylabel=label)
+            ax.margins(x=0.01, y=0.1)
+        low, high = axes[0].get_ylim()
+        axes[0].set_ylim(low, high + 0.1 * (high - low))  # room for the legend
+        axes[0].legend(loc="upper right", ncols=2)
+
+    def _fine_motion(self, run: Run) -> tuple[np.ndarray, RelativeMotion]:
+        """The times in days and the motion of the first members, in smaller steps than those of the run."""
+        given = run.step, State(run.state.q[0], run.state.p[0])
+        first, start = jax.tree.map(lambda x: jnp.asarray(x)[:_MAX_DRAWN], given)
+        count, every = drawn_steps(_FINE * self.steps)
+        made = runs.run(first, start, self.dt / _FINE, count, save_every=every, own_step=True, progress=False)
+        return np.asarray(made.t) / DAY, measure.relative_motion(made)
+
+    @picture(size=(7.2, 4.2))
+    def draw_spectrum(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the spectrum of the nominal secondary's libration over a longer run, and its expected frequencies."""
+        one, ax = run.member(0), axes[0]
+        long = as_batch(self.drawn(one.step, nominal_state(one), steps=_LONG * self.steps))
+        t, found = np.asarray(long.t), measure.relative_motion(long)
+        f, amplitude = measure.spectrum(t, np.rad2deg(found.libration[:, 0]))
+        orbital = float(mean_rate(t, found.longitude)[0]) / (2 * np.pi)
+        A, B, C = (float(x) for x in nominal_system(one).inertias[1])
+        anomalistic = 1 / float(measure.apsides(found).anomalistic_period[0])
+        shown = (f > 0) & (f < 3 * orbital)
+        ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
+        marks = {"once an orbit, from apsis to apsis": anomalistic / orbital}
+        if B > A:
+            marks["free libration of a small swing, √(3(B−A)/C)"] = np.sqrt(3 * (B - A) / C)
+        for (label, x), style in zip(marks.items(), plots.STYLES[1:], strict=False):
+            ax.axvline(x, color=style["color"], ls="--", lw=0.9, label=label)
+        ax.set(xlim=(0, 3), xlabel="frequency over that of the orbit", ylabel="amplitude of the libration (°)")
+        ax.legend(loc="upper right")
+        ax.set_title(f"nominal member, {abs(t[-1] - t[0]) / DAY:.4g} d")
+
+    @picture(2, size=(5.5, 3.8))
+    def draw_energy(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
+        left, right = axes
+        one = run.member(0)
+        orbital_period = float(measure.apsides(self.motion(run)).period[0])
+        steps = min(self.steps, round(_BRIEF * orbital_period / abs(self.dt)))
+        brief = self.drawn(one.step, nominal_state(one), _FINE, steps)  # the primary rotates once in few steps
+        parts = measure.pair_energies(brief)
+        size = abs(parts.orbit[0])
+        names = {
+            "orbit": "orbit",
+            "spin_1": "primary's spin",
+            "spin_2": "secondary's spin",
+            "shape": "shapes, V + Gm₁m₂/r",
+        }
+        curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
+        plots.series(left, np.asarray(brief.t) / DAY, curves, "change over |energy of the orbit|", "d")
+        left.margins(y=0.25)
+        left.legend(loc="upper center", ncols=2)
+        left.set_title(f"exchange of energy, nominal member, {_BRIEF} orbits")
+        compared = dict.fromkeys((self.scheme, "kepler_splitting", "bodies_energy_momentum"))
+        both = [self.step_by(name, nominal_system(one)) for name in compared]
+        draw_errors(right, self, one, both, _SHOWN, "relative change", DAY, "d")
+        right.set_ylim(top=1e3 * right.get_ylim()[1])  # room for the legend
+        right.legend(loc="upper center", ncols=2)
+        right.set_title("energy H and angular momentum L")
 
 
 def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Array:
@@ -166,122 +317,29 @@ def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Arr
     return jnp.sqrt(-force * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
 
 
-def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
-    """How periods are measured, which members stay upright, exchanges of energy, and the published impact."""
-    found = motion(scenario, step.system, run)
-    days, faces = abs(run.t[-1] - run.t[0]) / DAY, faces_primary(found)
-    upright = np.rad2deg(found.obliquity_2).max(axis=0) < _UPRIGHT
-    lines = [
-        f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares",
-        f"  {int(faces.sum())} of {len(faces)} members: one end of the secondary's x axis stays toward the primary",
-        f"  {int(upright.sum())} of {len(faces)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal",
-        *_exchange(step.system, run),
-    ]
-    if {"orbital_period_h", "orbital_period_before_h"} <= set(scenario.published):
-        lines += _impact_lines(scenario, step, run)
-    return lines
+def _hours(t: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """The mean period of an angle."""
+    return 2 * np.pi / np.asarray(mean_rate(t, angle)) / HOUR
 
 
-def quantities(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Quantity]:
-    """Periods, precessions and librations, with published values."""
-    t, found = np.asarray(run.t), motion(scenario, system, run)
-    orbital = mean_rate(t, found.longitude)
-    lines = frequencies(t, found)
-    swing = np.rad2deg(abs(found.libration - _libration_center(found)).max(axis=0))
-    table: list[tuple[str, np.ndarray, Name | None]] = [
-        ("orbital period (h)", _hours(orbital), "orbital_period_h"),
-        ("primary's spin period (h)", _hours(mean_rate(t, found.spin_1)), "primary_spin_period_h"),
-        ("secondary's spin period (h)", _hours(mean_rate(t, found.spin_2)), None),
-        ("eccentricity: amplitude of the distance over its mean", lines.eccentricity, None),
-        (
-            "precession of the line of apsides (°/d)",
-            np.rad2deg(orbital - 2 * np.pi * lines.anomalistic) * DAY,
-            "apsidal_precession_deg_d",
-        ),
-        ("precession of the orbit's normal about L (°/d)", _precession(t, found), None),
-        ("libration of the secondary, largest (°)", swing, None),
-        ("  its line at the orbit's anomalistic frequency (°)", np.rad2deg(lines.forced), None),
-        ("  its strongest line below that (°)", np.rad2deg(lines.free), None),
-        ("  the frequency of that line, over the orbit's", 2 * np.pi * lines.free_frequency / orbital, None),
-        ("line of centers from its equator, largest (°)", np.rad2deg(abs(found.out_of_plane).max(axis=0)), None),
-        ("its obliquity, largest (°)", np.rad2deg(found.obliquity_2.max(axis=0)), None),
-    ]
-    return [Quantity(name, x, published=scenario.published.get(key) if key else None) for name, x, key in table]
+def _swing(motion: RelativeMotion) -> np.ndarray:
+    """The largest libration of each member about the multiple of π nearest to its start."""
+    center = np.pi * np.round(motion.libration[0] / np.pi)
+    return abs(motion.libration - center).max(axis=0)
 
 
-def _hours(rate: np.ndarray) -> np.ndarray:
-    return 2 * np.pi / rate / HOUR
-
-
-def _precession(t: np.ndarray, found: Motion) -> np.ndarray:
-    """The precession of the orbit's normal, °/d; nan where the inclination is round-off."""
-    inclined = found.inclination.max(axis=0) > 1e-9
-    return np.where(inclined, np.rad2deg(mean_rate(t, found.node)) * DAY, np.nan)
-
-
-def _libration_center(found: Motion) -> np.ndarray:
-    """The multiple of π nearest to the start of each member's libration."""
-    return np.pi * np.round(found.libration[0] / np.pi)
-
-
-def faces_primary(found: Motion) -> np.ndarray:
-    """Whether one end of the x axis of each member's secondary stays toward the primary."""
-    return abs(found.libration - _libration_center(found)).max(axis=0) < np.pi / 2
-
-
-class Lines(NamedTuple):
-    """Lines of the distance and of the libration of every member; frequencies in Hz, amplitudes in rad.
-
-    Attributes:
-        anomalistic: the frequency of the distance.
-        eccentricity: the amplitude of the distance at that frequency, over the mean distance.
-        forced: the amplitude of the libration at that frequency.
-        free_frequency: the frequency of the strongest line of the libration below it.
-        free: the amplitude of the libration at `free_frequency`.
-    """
-
-    anomalistic: np.ndarray
-    eccentricity: np.ndarray
-    forced: np.ndarray
-    free_frequency: np.ndarray
-    free: np.ndarray
-
-
-def frequencies(t: np.ndarray, found: Motion) -> Lines:
-    """The lines of a run; nan where the run is too short to resolve them."""
-    f = abs(mean_rate(t, found.longitude)) / (2 * np.pi)
-    resolved = 2 / abs(t[-1] - t[0])  # half the width of a line under the window
-    anomalistic, size = line(t, found.distance, 0.9 * f, 1.1 * f)
-    forced = line(t, found.libration, anomalistic - resolved / 2, anomalistic + resolved / 2)[1]
-    free_frequency, free = line(t, found.libration, 0.4 * f, anomalistic - resolved)
-    return Lines(anomalistic, size / found.distance.mean(axis=0), forced, free_frequency, free)
-
-
-def _exchange(system: RigidBodies, run: Trajectory) -> list[str]:
+def _exchange(run: Run) -> list[str]:
     """The range of each part of the energy, greatest less least."""
-    parts = over_members(energies, system, run)
+    parts = measure.pair_energies(run)
     size = abs(parts.orbit[0, 0])
-    lines = [
-        f"\n  {'energy exchanged, greatest − least (J)':<54}{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|"
-    ]
+    heads = f"{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|"
+    lines = [f"\n  {'energy exchanged, greatest − least (J)':<54}{heads}"]
     names = {"orbit": "orbit of two points", "spin_1": "primary's spin", "spin_2": "secondary's spin"}
     for key, name in (names | {"shape": "potential of their shapes, V + G m₁m₂/r"}).items():
         swing = np.ptp(getattr(parts, key), axis=0)
-        lines.append(f"  {name:<54}{swing[0]:>11.3g}{float(standard_deviation(swing)):>12.2g}   {swing[0] / size:.3g}")
+        spread = float(standard_deviation(swing))
+        lines.append(f"  {name:<54}{swing[0]:>11.3g}{spread:>12.2g}   {swing[0] / size:.3g}")
     return lines
-
-
-def conserved(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
-    """Energy and momenta."""
-    parts, Phi = over_members(lambda s, z: (energies(s, z), s.momentum(z)), system, run)
-    P, L = Phi[..., :3], Phi[..., 3:]
-    of_secondary = length(np.asarray(run.state.p)[0, :, 1, :3])
-    return [
-        Conserved("energy, over |energy of the orbit|", parts.total, abs(parts.orbit[0])),
-        Conserved(_ENERGY, parts.total, abs(parts.total[0])),
-        Conserved("linear momentum, over that of the secondary", P, of_secondary, norm=length),
-        Conserved(_MOMENTUM, L, length(L[0]), norm=length),
-    ]
 
 
 class Impact(NamedTuple):
@@ -300,134 +358,3 @@ class Impact(NamedTuple):
     slope: float
     kepler: float
     kepler_slope: float
-
-
-def impact(scenario: Scenario, step: Step, run: Trajectory) -> Impact:
-    """The change of the initial speed that changes the published period before into that after."""
-    first, start = nominal_member(step), nominal_state(run)
-    duration = scenario.dt, scenario.steps, scenario.save_every
-
-    def measure(change: Array) -> tuple[Array, Array]:
-        return _binary_motion.orbital_period(first, start, *duration, change)
-
-    before, after = (scenario.published[key].value * HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
-    ends = [_binary_motion.speed_change_for(period, measure) for period in (before, after)]
-    d = float(jnp.linalg.norm(_binary_motion.relative_motion(first.system, start)[0]))
-    mu = scenario.G * float(jnp.sum(first.system.masses))
-    unchanged = float(measure(jnp.asarray(-scenario.orbit.speed_change_mm_s / 1000))[0])
-    middle = (before + after) / 2
-    a, speed = (mu * (middle / (2 * np.pi)) ** 2) ** (1 / 3), _binary_motion.kepler_speed(mu, d, middle)
-    return Impact(
-        unchanged / HOUR,
-        1000 * (ends[1] - ends[0]),
-        float(measure(jnp.asarray(sum(ends) / 2))[1]) / HOUR / 1000,
-        1000 * (_binary_motion.kepler_speed(mu, d, after) - _binary_motion.kepler_speed(mu, d, before)),
-        3 * a * speed / mu * middle / HOUR / 1000,
-    )
-
-
-def _impact_lines(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
-    """The lines of the report on the change of the secondary's speed by the impact."""
-    found, published = impact(scenario, step, run), scenario.published
-    before, after = published["orbital_period_before_h"], published["orbital_period_h"]
-    lines = [
-        f"\n  published: orbital period {before.value:g} h before the impact ({scenario.source(before.source)}), "
-        f"{after.value:g} h after",
-        f"  {'period without the change of speed of this scenario':<54}{found.period_unchanged:>11.4f} h",
-        f"  {'change of speed between the two published periods':<54}{found.change:>11.3f} mm/s",
-        f"  {'  for two points':<54}{found.kepler:>11.3f} mm/s",
-        f"  {'derivative of the period by the speed, half-way':<54}{found.slope:>11.4f} h/(mm/s)",
-        f"  {'  for two points, ΔT/T = 3 a v Δv/GM':<54}{found.kepler_slope:>11.4f} h/(mm/s)",
-    ]
-    measured = published.get("speed_change_mm_s")
-    if measured is not None:
-        lines.append(f"  {'published change of speed (mm/s)':<54}     {citation(scenario, measured)}")
-    return lines
-
-
-@picture(2, size=(5.5, 3.8))
-def draw_orbit(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the distance and the secondary's libration: the nominal member, and 90 % of up to `_MAX_DRAWN` members."""
-    days, found = _fine_motion(scenario, step, run)
-    swing = np.rad2deg(found.libration - _libration_center(found))
-    for ax, x, label in zip(
-        axes, (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
-    ):
-        if x.shape[1] > 1:
-            low, high = np.percentile(x, [5, 95], axis=1)
-            ax.fill_between(days, low, high, color=plots.GRAY, lw=0, label=f"90 % of {x.shape[1]} members")
-        ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal member")
-        ax.set(xlabel="t (d)", ylabel=label)
-        ax.margins(x=0.01, y=0.1)
-    low, high = axes[0].get_ylim()
-    axes[0].set_ylim(low, high + 0.1 * (high - low))  # room for the legend
-    axes[0].legend(loc="upper right", ncols=2)
-
-
-def _fine_motion(scenario: Scenario, step: Step, run: Trajectory) -> tuple[np.ndarray, Motion]:
-    """The times in days and the motion of the first members, in smaller steps than those of the run."""
-    steps_of_first, start = jax.tree.map(
-        lambda x: jnp.asarray(x)[:_MAX_DRAWN], (step, State(run.state.q[0], run.state.p[0]))
-    )
-    dt, steps = scenario.dt / _FINE, _FINE * scenario.steps
-    long = jax.vmap(lambda step, z: drawn_trajectory(step, z, dt, steps), out_axes=1)(steps_of_first, start)
-    members = Trajectory(long.t[:, 0], long.state, long.info)
-    return np.asarray(members.t) / DAY, _binary_motion.measure_motion(steps_of_first.system, members)
-
-
-@picture(size=(7.2, 4.2))
-def draw_spectrum(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the spectrum of the nominal secondary's libration over a longer run, and its expected frequencies."""
-    first, ax = nominal_member(step), axes[0]
-    long = as_ensemble(drawn_trajectory(first, nominal_state(run), scenario.dt, _LONG * scenario.steps))
-    t, found = np.asarray(long.t), _binary_motion.measure_motion(jax.tree.map(lambda x: x[None], first.system), long)
-    f, amplitude = spectrum(t, np.rad2deg(found.libration[:, 0]))
-    orbital = float(mean_rate(t, found.longitude)[0]) / (2 * np.pi)
-    A, B, C = (float(x) for x in first.system.inertias[1])
-    anomalistic = float(frequencies(t, found).anomalistic[0])
-    shown = (f > 0) & (f < 3 * orbital)
-    ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
-    marks = {"once an orbit, from apsis to apsis": anomalistic / orbital}
-    if B > A:
-        marks["free libration of a small swing, √(3(B−A)/C)"] = np.sqrt(3 * (B - A) / C)
-    for (label, x), style in zip(marks.items(), plots.STYLES[1:], strict=False):
-        ax.axvline(x, color=style["color"], ls="--", lw=0.9, label=label)
-    ax.set(xlim=(0, 3), xlabel="frequency over that of the orbit", ylabel="amplitude of the libration (°)")
-    ax.legend(loc="upper right")
-    ax.set_title(f"nominal member, {abs(t[-1] - t[0]) / DAY:.4g} d")
-
-
-@picture(2, size=(5.5, 3.8))
-def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
-    left, right = axes
-    first, start = nominal_member(step), nominal_state(run)
-    orbital_period = 2 * np.pi / abs(mean_rate(run.t, motion(scenario, step.system, run).longitude)[0])
-    dt = scenario.dt / _FINE  # the primary rotates once in few steps of the scenario
-    brief = drawn_trajectory(first, start, dt, min(_FINE * scenario.steps, round(_BRIEF * orbital_period / abs(dt))))
-    parts = jax.tree.map(np.asarray, jax.jit(jax.vmap(lambda z: energies(first.system, z)))(brief.state))
-    size = abs(parts.orbit[0])
-    names = {"orbit": "orbit", "spin_1": "primary's spin", "spin_2": "secondary's spin", "shape": "shapes, V + Gm₁m₂/r"}
-    curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
-    plots.series(left, np.asarray(brief.t) / DAY, curves, "change over |energy of the orbit|", "d")
-    left.margins(y=0.25)
-    left.legend(loc="upper center", ncols=2)
-    left.set_title(f"exchange of energy, nominal member, {_BRIEF} orbits")
-    schemes = _steps(scenario, first.system)
-    compared = [
-        schemes[name] for name in dict.fromkeys((scenario.scheme, "kepler_splitting", "bodies_energy_momentum"))
-    ]
-    t, found = changes_by_scheme(_conserved_of_one, scenario, compared, start)
-    errors = {f"{symbol}, {scheme}": x[name] for scheme, x in found.items() for symbol, name in _SHOWN.items()}
-    plots.log_error(right, t / DAY, errors, "relative change", "d")
-    right.set_ylim(top=1e3 * right.get_ylim()[1])  # room for the legend
-    right.legend(loc="upper center", ncols=2)
-    right.set_title("energy H and angular momentum L")
-
-
-def _conserved_of_one(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
-    """`conserved` for a system without the member axis."""
-    return conserved(scenario, jax.tree.map(lambda x: x[None], system), run)
-
-
-PICTURES = {"orbit": draw_orbit, "spectrum": draw_spectrum, "energy": draw_energy}

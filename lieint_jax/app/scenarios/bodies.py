@@ -9,22 +9,19 @@ from __future__ import annotations
 
 import operator
 from functools import reduce
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from pydantic import Field, field_validator, model_validator
 
-from lieint_jax import _checks, potentials, systems
+from lieint_jax import _checks, measure, potentials, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._binary_motion import continue_angle, longitude, mean_rate
-from lieint_jax.app.scenarios._common import (
+from lieint_jax.app.scenarios._keys import (
     DAY,
     HOUR,
     TINY,
-    Common,
     NonNegative,
     NumberSpread,
     PositiveFloat,
@@ -34,26 +31,17 @@ from lieint_jax.app.scenarios._common import (
     Text,
     Triple,
     array,
-    check_order,
     checked,
 )
-from lieint_jax.app.scenarios._multibody import (
-    ORDERS,
-    BodySpread,
-    ExtendedBody,
-    build_members,
-    member_bodies,
-    step_of,
-)
-from lieint_jax.app.scenarios._pictures import draw_changes, picture
-from lieint_jax.app.scenarios._report import Conserved, Quantity, length
-from lieint_jax.app.scenarios._runs import cached_for_last_run, nominal_member, over_members
-from lieint_jax.app.scenarios._spectrum import line
+from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, positive, step_of
+from lieint_jax.app.scenarios._multibody import BodySpread, ExtendedBody, build_members, member_bodies
+from lieint_jax.app.scenarios._pictures import draw_changes
+from lieint_jax.app.scenarios._report import Conserved, Quantity
+from lieint_jax.app.scenarios._runs import length, nominal_system, series
 from lieint_jax.potentials import Potential, Springs
+from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step, Trajectory, vectors
-
-STEP_AXIS = 0  # every member has its own system
+from lieint_jax.types import State, Step
 
 _MAX_PAIRS = 6  # pairs whose distances are reported one by one
 _MAX_SHOWN = 8  # bodies and pairs in a picture and in the report's periods
@@ -101,12 +89,6 @@ class Body(ExtendedBody):
 
     def attitude(self) -> Array:
         return super().attitude() if self.quaternion is None else jnp.asarray(self.quaternion)
-
-    def spreads(self, name: str) -> dict[str, tuple[float, str]]:
-        return super().spreads(name) | {
-            f"{name}'s position": (self.spread.position_m, "m"),
-            f"{name}'s velocity": (self.spread.velocity_m_s, "m/s"),
-        }
 
 
 _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -163,10 +145,9 @@ class Term(Table):
         return 6.67430e-11 if self.G is None else self.G
 
 
-class Scenario(Common):
+class Bodies(Kind):
     """The keys of a scenario of this kind."""
 
-    system: Literal["bodies"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
     """Seconds; other units are in the names of the keys."""
     scheme: Literal["nystrom", "splitting", "gauss", "kepler_splitting", "bodies_energy_momentum"] = "nystrom"
@@ -183,7 +164,7 @@ class Scenario(Common):
     spread: NumberSpread = NumberSpread()
     """Standard deviations of numbers by their paths, such as `potential.1.G` or `bodies.NAME.position_m`."""
 
-    fixed: ClassVar[dict[str, str]] = Common.fixed | {
+    fixed: ClassVar[dict[str, str]] = Kind.fixed | {
         "bodies.*.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg in [bodies.spread]"
     }
 
@@ -221,7 +202,7 @@ class Scenario(Common):
 
     @model_validator(mode="after")
     def _check_scheme(self) -> Self:
-        check_order(self.scheme, self.order, ORDERS[self.scheme])
+        check_order(self.scheme, self.order)
         if self.scheme == "kepler_splitting":
             if len(self.bodies) != 2:
                 raise ValueError(f"kepler_splitting is for two bodies, got {len(self.bodies)}; use nystrom")
@@ -237,48 +218,124 @@ class Scenario(Common):
         """The potential of gravity between the bodies, if there is one."""
         return next((term for term in self.potential if term.kind in _GRAVITY), None)
 
+    own_step = True  # every member has its own system
+
     def spreads(self) -> dict[str, tuple[float, str]]:
-        return reduce(operator.or_, (body.spreads(body.name) for body in self.bodies))
+        return reduce(operator.or_, (body.spread.stated(self.time_unit, f"{body.name}'s ") for body in self.bodies))
 
+    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
+        """The step, whose leaves have the member axis, and the batch of initial states."""
+        return build_members(self, Bodies.member, (len(self.bodies), 6, 3))
 
-def build(scenario: Scenario) -> tuple[Step, State]:
-    """The step, whose leaves have the member axis, and the batch of initial states."""
-    return build_members(scenario, _member, (len(scenario.bodies), 6, 3))
+    def member(self, noise: Array) -> tuple[Step, State]:
+        """The step and the state of a member, for its deviates."""
+        given = self.bodies
+        m, J, attitudes, rates = member_bodies(given, noise)
+        bodies = systems.rigid_bodies(m, J, self._potential(m, J))
+        sigma_x = jnp.asarray([[b.spread.position_m] for b in given])
+        sigma_v = jnp.asarray([[b.spread.velocity_m_s] for b in given])
+        x = jnp.asarray([b.position_m for b in given]) + sigma_x * noise[:, 4]
+        v = jnp.asarray([b.velocity_m_s for b in given]) + sigma_v * noise[:, 5]
+        if self.barycentric:
+            x, v = (y - jnp.sum(m[:, None] * y, axis=0) / jnp.sum(m) for y in (x, v))
+        state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
+        term = self.attraction()
+        G = [term.gravity()] if term and self.scheme == "kepler_splitting" else []
+        return step_of(bodies, self.scheme, self.order, *G), state
 
-
-def _member(scenario: Scenario, noise: Array) -> tuple[Step, State]:
-    """The step and the state of a member, for its deviates."""
-    given = scenario.bodies
-    m, J, attitudes, rates = member_bodies(given, noise)
-    bodies = systems.rigid_bodies(m, J, _potential(scenario, m, J))
-    sigma_x = jnp.asarray([[b.spread.position_m] for b in given])
-    sigma_v = jnp.asarray([[b.spread.velocity_m_s] for b in given])
-    x = jnp.asarray([b.position_m for b in given]) + sigma_x * noise[:, 4]
-    v = jnp.asarray([b.velocity_m_s for b in given]) + sigma_v * noise[:, 5]
-    if scenario.barycentric:
-        x, v = (y - jnp.sum(m[:, None] * y, axis=0) / jnp.sum(m) for y in (x, v))
-    state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
-    term = scenario.attraction()
-    order = scenario.order or ORDERS[scenario.scheme][0]
-    return step_of(bodies, scenario.scheme, order, term and term.gravity()), state
-
-
-def _potential(scenario: Scenario, m: Array, J: Array) -> Potential:
-    """The sum of the potentials, all springs in one."""
-    terms: list[Potential] = []
-    for term in scenario.potential:
-        if term.kind == "point_masses":
-            terms.append(
-                potentials.point_masses(
-                    term.gravity(), m, softening=0.0 if term.softening_m is None else term.softening_m
+    def _potential(self, m: Array, J: Array) -> Potential:
+        """The sum of the potentials, all springs in one."""
+        terms: list[Potential] = []
+        for term in self.potential:
+            if term.kind == "point_masses":
+                terms.append(
+                    potentials.point_masses(
+                        term.gravity(), m, softening=0.0 if term.softening_m is None else term.softening_m
+                    )
                 )
-            )
-        elif term.kind == "maccullagh":
-            terms.append(potentials.maccullagh(term.gravity(), m, J))
-        elif term.kind == "uniform_field":
-            terms.append(potentials.uniform_field(array(term.field_m_s2), m))
-    springs = [term for term in scenario.potential if term.kind == "spring"]
-    return reduce(operator.add, terms + ([_springs(scenario.names(), springs)] if springs else []))
+            elif term.kind == "maccullagh":
+                terms.append(potentials.maccullagh(term.gravity(), m, J))
+            elif term.kind == "uniform_field":
+                terms.append(potentials.uniform_field(array(term.field_m_s2), m))
+        springs = [term for term in self.potential if term.kind == "spring"]
+        return reduce(operator.add, terms + ([_springs(self.names(), springs)] if springs else []))
+
+    def _in_orbit(self) -> bool:
+        """Whether the bodies move under gravity between them, without a field that pulls them along."""
+        return self.attraction() is not None and all(term.kind != "uniform_field" for term in self.potential)
+
+    @for_last_run
+    def distances(self, run: Run) -> np.ndarray:
+        """The distances of all pairs i < j, (times, members, pairs)."""
+        return measure.distances(run) if len(self.bodies) > 1 else np.zeros((*run.state.q.shape[:2], 0))
+
+    def conserved(self, run: Run) -> list[Conserved]:
+        """Energy and momenta, relative to the greatest term of each."""
+        K, H, Phi, each = series(_invariants, run)
+        linear, angular = (positive(length(x).max(axis=(0, 2))) for x in (each[..., :3], each[..., 3:]))
+        return [
+            Conserved("energy H, over the greatest kinetic energy", H, positive(K.max(axis=0))),
+            Conserved("linear momentum P, over the greatest |p|", Phi[..., :3], linear, norm=length),
+            Conserved("angular momentum L, over the greatest |x × p + π|", Phi[..., 3:], angular, norm=length),
+        ]
+
+    def quantities(self, run: Run) -> list[Quantity]:
+        """Distances and periods of orbits and rotations, with published values."""
+        rows = _distances(self.names(), self.distances(run))
+        if self._in_orbit():
+            for k in range(1, min(len(self.bodies), _MAX_SHOWN)):
+                rows += self._orbit(k, run)
+        rates = measure.rotation_rates(run).mean(axis=0)
+        for k, body in enumerate(self.bodies[:_MAX_SHOWN]):
+            hours = 2 * np.pi / np.maximum(rates[..., k], TINY) / HOUR
+            name = f"{body.name}: rotation period, mean rate (h)"
+            rows.append(_row(name, hours, body.published.get("rotation_period_h")))
+        return rows
+
+    def _orbit(self, k: int, run: Run) -> list[Quantity]:
+        """The orbit of body k about the first: nan for less than one revolution, or without lines to measure."""
+        first, body, found = self.bodies[0], self.bodies[k], measure.apsides(measure.relative_motion(run, 0, k))
+        name, known = f"{body.name} about {first.name}: period (h)", body.published
+        apsides = np.rad2deg(found.precession_rate) * DAY
+        return [
+            _row(name, found.period / HOUR, known.get("orbital_period_h")),
+            _row("  eccentricity: amplitude of the distance over its mean", found.eccentricity),
+            _row("  precession of the line of apsides (°/d)", apsides, known.get("apsidal_precession_deg_d")),
+        ]
+
+    def remarks(self, run: Run) -> list[str]:
+        """How periods are measured, and which momenta a field does not conserve."""
+        lines = []
+        if self._in_orbit():
+            days = abs(run.t[-1] - run.t[0]) / DAY
+            lines.append(f"  periods: mean rates of longitudes about L over {days:.4g} d, by least squares")
+        if any(term.kind == "uniform_field" for term in self.potential):
+            lines.append("  conserved in a field: P across the field and L about it only")
+        return lines
+
+    @picture(3)
+    def draw_motion(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the nominal bodies' paths about their barycenter, their distances from the first, and the errors."""
+        left, middle, right = axes
+        one, names, distances = run.member(0), self.names(), self.distances(run)[:, 0]
+        x, m = np.asarray(one.state.q[..., :3]), np.asarray(nominal_system(one).masses)
+        x = x - (m @ x / m.sum())[:, None]
+        unit, seconds = _clock(float(abs(run.t[-1] - run.t[0])))
+        t = np.asarray(run.t) / seconds
+        shown = dict(zip(names, np.moveaxis(x, 1, 0)[:_MAX_SHOWN], strict=False))
+        plots.paths(left, shown).set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycenter")
+        left.legend(loc="upper left", bbox_to_anchor=(1, 1))
+        if len(names) > 1:
+            curves = dict(zip(names[1:_MAX_SHOWN], distances[:, : len(names) - 1].T, strict=False))
+            plots.series(middle, t, curves, f"distance from {names[0]} (m)", unit)
+            for curve, look in zip(middle.lines, plots.STYLES[1:], strict=False):  # the style of each body's path
+                curve.set(**look)
+            middle.legend()
+        else:
+            plots.series(middle, t, dict(zip("xyz", one.state.q[:, 0, :3].T, strict=True)), "position (m)", unit)
+        middle.set_title("nominal member")
+        draw_changes(right, t, self.conserved(run), unit)
+        right.set_title(run.step.name)
 
 
 def _springs(names: list[str], springs: list[Term]) -> Springs:
@@ -290,72 +347,11 @@ def _springs(names: list[str], springs: list[Term]) -> Springs:
     )
 
 
-class Motion(NamedTuple):
-    """The motion of all members at the saved times; angles in rad.
-
-    Attributes:
-        distances: the distances of all pairs i < j, (times, members, pairs).
-        longitudes: the longitudes about L of the lines from the first body to the others, continuous in time,
-            (times, members, N − 1).
-        rotation_rate: the size of the angular velocity of each body, in rad/s, (times, members, N).
-    """
-
-    distances: np.ndarray
-    longitudes: np.ndarray
-    rotation_rate: np.ndarray
-
-
-@cached_for_last_run
-def motion(_: Scenario, system: RigidBodies, run: Trajectory) -> Motion:
-    """The distances and angles of a run."""
-    found, rates = over_members(_motion_at, system, run)
-    return found._replace(longitudes=continue_angle(run.t, found.longitudes, rates))
-
-
-def _motion_at(system: RigidBodies, state: State) -> tuple[Motion, Array]:
-    """The motion at one time, longitudes in (−π, π], and the rates of the longitudes."""
-    x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
-    i, j = np.triu_indices(x.shape[0], 1)
-    L = system.free.momentum(state)[3:]
-    up = L / vectors.norm(L)
-
-    def angle(d: Array, v: Array) -> tuple[Array, Any]:
-        return longitude(up, d), vectors.dot(jnp.stack(vectors.cross(d, v)), up) / vectors.dot(d, d)
-
-    longitudes, rates = jax.vmap(angle)(x[1:] - x[0], v[1:] - v[0])
-    rotation_rate = jnp.sqrt(jnp.sum(system.angular_velocities(state) ** 2, axis=1))
-    return Motion(jnp.sqrt(jnp.sum((x[j] - x[i]) ** 2, axis=1)), longitudes, rotation_rate), rates  # pyright: ignore[reportArgumentType]
-
-
-def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
-    """How periods are measured, and which momenta a field does not conserve."""
-    lines = []
-    if _orbits(scenario):
-        days = abs(run.t[-1] - run.t[0]) / DAY
-        lines.append(f"  periods: mean rates of longitudes about L over {days:.4g} d, by least squares")
-    if any(term.kind == "uniform_field" for term in scenario.potential):
-        lines.append("  conserved in a field: P across the field and L about it only")
-    return lines
-
-
-def _orbits(scenario: Scenario) -> bool:
-    """Whether the bodies move under gravity between them, without a field that pulls them along."""
-    return scenario.attraction() is not None and all(term.kind != "uniform_field" for term in scenario.potential)
-
-
-def quantities(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Quantity]:
-    """Distances and periods of orbits and rotations, with published values."""
-    found = motion(scenario, system, run)
-    rows = _distances(scenario.names(), found.distances)
-    if _orbits(scenario):
-        for k in range(1, min(len(scenario.bodies), _MAX_SHOWN)):
-            rows += _orbit(scenario, k, np.asarray(run.t), found)
-    for k, body in enumerate(scenario.bodies[:_MAX_SHOWN]):
-        hours = 2 * np.pi / np.maximum(found.rotation_rate[..., k].mean(axis=0), TINY) / HOUR
-        rows.append(
-            _row(f"{body.name}: rotation period, mean rate (h)", hours, body.published.get("rotation_period_h"))
-        )
-    return rows
+def _invariants(system: RigidBodies, state: State) -> tuple[Array, ...]:
+    """Kinetic energy, energy, momenta P and L, and the momenta p and x × p + π of each body."""
+    x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
+    each = jnp.concatenate([p, jnp.cross(x, p) + spin], axis=1)
+    return system.kinetic_energy(state), system.energy(state), system.momentum(state), each
 
 
 def _row(name: str, values: np.ndarray, published: Published | None = None) -> Quantity:
@@ -377,71 +373,6 @@ def _distances(names: list[str], distances: np.ndarray) -> list[Quantity]:
     return rows
 
 
-def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Quantity]:
-    """The orbit of body k about the first: nan for less than one revolution, or without lines to measure."""
-    first, body = scenario.bodies[0], scenario.bodies[k]
-    longitudes = found.longitudes[..., k - 1]
-    revolutions = abs(longitudes[-1] - longitudes[0]) / (2 * np.pi)
-    orbital = np.where(revolutions > 1, mean_rate(t, longitudes), np.nan)
-    f = abs(orbital) / (2 * np.pi)
-    distance = found.distances[..., k - 1]
-    anomalistic, size = line(t, distance, 0.9 * f, 1.1 * f)
-    apsides = np.rad2deg(orbital - np.sign(orbital) * 2 * np.pi * anomalistic) * DAY
-    published = body.published
-    return [
-        _row(f"{body.name} about {first.name}: period (h)", 1 / f / HOUR, published.get("orbital_period_h")),
-        _row("  eccentricity: amplitude of the distance over its mean", size / distance.mean(axis=0)),
-        _row("  precession of the line of apsides (°/d)", apsides, published.get("apsidal_precession_deg_d")),
-    ]
-
-
-@cached_for_last_run
-def conserved(_: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
-    """Energy and momenta, relative to the greatest term of each."""
-
-    def invariants(system: RigidBodies, state: State) -> tuple[Array, ...]:
-        x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
-        each = jnp.concatenate([p, jnp.cross(x, p) + spin], axis=1)
-        return system.kinetic_energy(state), system.energy(state), system.momentum(state), each
-
-    K, H, Phi, each = over_members(invariants, system, run)
-    linear, angular = (np.maximum(length(x).max(axis=(0, 2)), TINY) for x in (each[..., :3], each[..., 3:]))
-    return [
-        Conserved("energy H, over the greatest kinetic energy", H, np.maximum(K.max(axis=0), TINY)),
-        Conserved("linear momentum P, over the greatest |p|", Phi[..., :3], linear, norm=length),
-        Conserved("angular momentum L, over the greatest |x × p + π|", Phi[..., 3:], angular, norm=length),
-    ]
-
-
-@picture(3)
-def draw_motion(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the nominal bodies' paths about their barycenter, their distances from the first, and the errors."""
-    left, middle, right = axes
-    first = nominal_member(step.system)
-    x = np.asarray(run.state.q[:, 0, :, :3])
-    x = x - (np.asarray(first.masses) @ x / np.asarray(first.masses).sum())[:, None]
-    names, distances = scenario.names(), motion(scenario, step.system, run).distances[:, 0]
-    unit, seconds = _clock(float(abs(run.t[-1] - run.t[0])))
-    t = np.asarray(run.t) / seconds
-    shown = dict(zip(names, np.moveaxis(x, 1, 0)[:_MAX_SHOWN], strict=False))
-    plots.paths(left, shown).set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycenter")
-    left.legend(loc="upper left", bbox_to_anchor=(1, 1))
-    if len(names) > 1:
-        curves = dict(zip(names[1:_MAX_SHOWN], distances[:, : len(names) - 1].T, strict=False))
-        plots.series(middle, t, curves, f"distance from {names[0]} (m)", unit)
-        for curve, look in zip(middle.lines, plots.STYLES[1:], strict=False):  # the style of each body's path
-            curve.set(**look)
-        middle.legend()
-    else:
-        plots.series(middle, t, dict(zip("xyz", run.state.q[:, 0, 0, :3].T, strict=True)), "position (m)", unit)
-    middle.set_title("nominal member")
-    draw_changes(right, t, conserved(scenario, step.system, run), unit)
-    right.set_title(step.name)
-
-
 def _clock(span: float) -> tuple[str, float]:
     """The unit of the time axis for a run of a length in seconds, and its size in seconds."""
     return next(((unit, size) for unit, size in (("d", DAY), ("h", HOUR)) if span > 2 * size), ("s", 1.0))
-
-
-PICTURES = {"motion": draw_motion}

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from pydantic import Field, model_validator
 
-from lieint_jax import orbits, systems
+from lieint_jax import measure, orbits, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios import _body, _spread
-from lieint_jax.app.scenarios._body import TopScenario, axis_in_space, inertia_matrix, state_about, top_schemes
-from lieint_jax.app.scenarios._common import PositiveFloat, Table, deviates, radians
-from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
+from lieint_jax.app.scenarios import _body
+from lieint_jax.app.scenarios._body import TopKind, inertia_matrix
+from lieint_jax.app.scenarios._keys import PositiveFloat, Table, radians
+from lieint_jax.app.scenarios._kind import picture
+from lieint_jax.app.scenarios._pictures import draw_on_sphere
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import angles_deg, drawn_trajectory, nominal_state, select_member, series
-from lieint_jax.app.scenarios._spread import for_member, same_side_of
+from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._spread import same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
+from lieint_jax.runs import Run
 from lieint_jax.systems import GravityGradient
-from lieint_jax.types import State, Step, Trajectory, energy_less_work, vectors
+from lieint_jax.types import State, energy_less_work
 
 _ENERGY, _LESS_WORK = "energy, on which the orbit works", "energy less work"
 _DISTINCT = 1e-9  # the least relative difference of two moments of inertia that distinguishes their axes
@@ -73,10 +74,9 @@ class InitialState(_body.InitialState):
     """What attitude and angular velocity (in body axes) are relative to; the orbit's axes rotate along the orbit."""
 
 
-class Scenario(TopScenario):
+class Driven(TopKind):
     """The keys of a scenario of this kind. Give dt or steps_per_orbit."""
 
-    system: Literal["driven"]  # pyright: ignore[reportIncompatibleVariableOverride]
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """Step size, in time_unit, of either sign."""
     steps_per_orbit: PositiveFloat | None = None
@@ -84,7 +84,7 @@ class Scenario(TopScenario):
     orbit: Orbit
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    fixed: ClassVar[dict[str, str]] = TopScenario.fixed | {
+    fixed: ClassVar[dict[str, str]] = TopKind.fixed | {
         "steps_per_orbit": "all members have the same steps",
         "state.t": "all members share their time",
     }
@@ -101,103 +101,88 @@ class Scenario(TopScenario):
             self.steps_per_orbit = None  # files of results have dt
         return self
 
+    def make_system(self) -> GravityGradient:
+        return systems.gravity_gradient(self.inertia, self.orbit.motion())
 
-def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
-    """The step and the batch of initial states, which share their time."""
-    return _spread.build(scenario, deviates(scenario, indices), _step, _start)
+    def start(self, system: GravityGradient, noise: Array) -> State:
+        given = self.state
+        q, Omega = given.attitude(), jnp.asarray(given.rate())
+        if given.relative_to == "orbit":
+            R, rate = measure.orbit_axes(system.orbit, jnp.asarray(given.t))
+            q = so3.multiply(so3.from_matrix(R), q)
+            Omega = Omega + so3.Ad_star(q, rate)
+        return self.state_about(system, noise, q, Omega, t=given.t, work=0.0)
 
+    def conserved(self, run: Run) -> list[Conserved]:
+        """H, H − W, and on a circle Jacobi's integral, relative to the largest |H| of each member."""
+        H, less_work = (series(f, run) for f in (GravityGradient.energy, energy_less_work))
+        size = abs(H).max(axis=0)
+        found = [Conserved(_ENERGY, H, size), Conserved(_LESS_WORK, less_work, size)]
+        if self.orbit.eccentricity == 0:
+            spin = np.asarray(measure.orbit_axes(nominal_system(run).orbit, jnp.zeros(()))[1])
+            found.append(Conserved("Jacobi's integral H − n·π", H - np.asarray(run.state.p) @ spin, size))
+        return found
 
-def _step(scenario: Scenario) -> Step:
-    body = systems.gravity_gradient(scenario.inertia, scenario.orbit.motion())
-    return top_schemes(scenario, body)[scenario.scheme]
+    def quantities(self, run: Run) -> list[Quantity]:
+        """The angles (°, ≤ 90) of the axes of least and greatest inertia from the orbit's vertical and normal."""
+        angles = measure.orbit_angles(run)
+        rows = {"least inertia's axis from the vertical": angles.vertical}
+        rows |= {"greatest inertia's axis from the orbit's normal": angles.normal}
+        found = []
+        for name, x in rows.items():
+            if np.isfinite(x).all():  # there is such an axis
+                degrees = np.rad2deg(np.minimum(x, np.pi - x))
+                found.append(Quantity(f"{name}, mean (°)", degrees.mean(axis=0), ".3f"))
+                found.append(Quantity(f"{name}, largest (°)", degrees.max(axis=0), ".3f"))
+        return found
 
+    def remarks(self, run: Run) -> list[str]:
+        """The unit of the changes, and the number of librating members."""
+        lines = ["  changes are relative to the largest |energy| of each member"]
+        vertical = measure.orbit_angles(run).vertical
+        if np.isfinite(vertical).all():
+            count, horizon = measure.is_librating(vertical).sum(), "never crosses the horizon"
+            lines.append(f"  {count} of {self.members} members librate: their axis of least inertia {horizon}")
+        return lines
 
-def _start(scenario: Scenario, body: GravityGradient, noise: Array) -> State:
-    given = scenario.state
-    q, Omega = given.attitude(), jnp.asarray(given.rate())
-    if given.relative_to == "orbit":
-        R, rate = orbit_axes(body.orbit, jnp.asarray(given.t))
-        q = so3.multiply(so3.from_matrix(R), q)
-        Omega = Omega + so3.Ad_star(q, rate)
-    return state_about(scenario, body, noise, q, Omega, t=given.t, work=0.0)
+    @picture(2, spatial=(0,))
+    def draw_pointing(self, axes: np.ndarray, run: Run) -> None:
+        """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from stability."""
+        one = run.member(0)
+        body = nominal_system(one)
+        found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
+        which, (axis, stable, k) = next(iter(found.items()))
+        long = self.drawn(one.step, nominal_state(one))
+        path, ends = series(_in_axes_of_orbit, long) @ axis, series(_in_axes_of_orbit, run)[-1] @ axis
+        pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
+        t, unit = self._clock(long.t)
+        look: dict[str, Any] = {"pole_label": stable, "angle_label": f"angle from the {stable} (°)", "unit": unit}
+        look |= {"eye": pole + 0.6 * aside + 0.4 * above}
+        draw_on_sphere(axes, t, path, self._clock(run.t)[0][-1], ends, pole, **look)
+        axes[0].set_title(f"the axis of {which} inertia in the orbit's axes, nominal member")
 
+    @picture(size=(6.4, 4.2))
+    def draw_energy(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the error of energy less work of the nominal member by both schemes, and the change of the energy."""
+        one = run.member(0)
+        both = {name: self.step_by(name, one.system) for name in ("top_energy_momentum", "splitting")}
+        t, found = self.changes(one, both.values())
+        curves = {f"H − W, {name}": errors[_LESS_WORK] for name, errors in zip(both, found.values(), strict=True)}
+        curves["H"] = [*found.values()][-1][_ENERGY]
+        plots.log_error(axes[0], self._clock(t)[0], curves, "change over the largest |energy|", self._clock(t)[1])
+        axes[0].legend(loc="center right", bbox_to_anchor=(1.0, 0.4))  # between the two schemes
+        axes[0].set_title("energy H, on which the orbit works, and energy less work")
 
-def orbit_axes(orbit: Any, t: Array) -> tuple[Array, Array]:
-    """The matrix with columns radially outward, along the motion and the normal, and its angular velocity in space."""
-    position, velocity = orbit(t)
-    normal = jnp.stack(vectors.cross(position, velocity))
-    r, z = (x / vectors.norm(x) for x in (position, normal))
-    return jnp.stack([r, jnp.stack(vectors.cross(z, r)), z], axis=1), normal / vectors.dot(position, position)
-
-
-def conserved(scenario: Scenario, body: GravityGradient, run: Trajectory) -> list[Conserved]:
-    """H, H − W, and on a circle Jacobi's integral, relative to the largest |H| of each member."""
-    H, less_work = (series(f, run, body) for f in (GravityGradient.energy, energy_less_work))
-    size = abs(H).max(axis=0)
-    found = [Conserved(_ENERGY, H, size), Conserved(_LESS_WORK, less_work, size)]
-    if scenario.orbit.eccentricity == 0:
-        spin = orbit_axes(body.orbit, jnp.zeros(()))[1]
-        found.append(Conserved("Jacobi's integral H − n·π", H - np.asarray(run.state.p) @ np.asarray(spin), size))
-    return found
-
-
-def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> list[Quantity]:
-    """The angles (°, ≤ 90) of the axes of least and greatest inertia from the vertical and the normal of the orbit."""
-    found = []
-    for which, (name, axis, fixed) in _directions(body, run).items():
-        angles = angles_deg(axis, fixed)
-        angles = np.minimum(angles, 180 - angles)
-        for kind, x in (("mean", angles.mean(axis=0)), ("largest", angles.max(axis=0))):
-            found.append(Quantity(f"{which} inertia's axis from the {name}, {kind} (°)", x, ".3f"))
-    return found
-
-
-def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
-    """The unit of the changes, and the number of librating members."""
-    lines = ["  changes are relative to the largest |energy| of each member"]
-    captured = _is_librating(scenario, step, run)
-    if captured is not None:
-        lines.append(
-            f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia never crosses "
-            "the horizon"
-        )
-    return lines
-
-
-def _is_librating(scenario: Scenario, step: Step, run: Trajectory) -> np.ndarray | None:
-    """Whether each member librates, for the axis of its own body."""
-    if not scenario.own_numbers():
-        return librating(step.system, run)
-    each = [librating(for_member(scenario, step.system, m), select_member(run, m)) for m in range(scenario.members)]
-    return np.concatenate([x for x in each if x is not None]) if all(x is not None for x in each) else None
-
-
-def librating(body: GravityGradient, run: Trajectory) -> np.ndarray | None:
-    """Whether each member's axis of least inertia never crosses the horizon; None if there is no such axis."""
-    directions = _directions(body, run)
-    if "least" not in directions:
-        return None
-    _, axis, fixed = directions["least"]
-    cosine = (axis * fixed).sum(axis=-1)
-    return (cosine * np.sign(cosine[0]) > 0).all(axis=0)
+    def _clock(self, t: Any) -> tuple[np.ndarray, str]:
+        """Times and their unit, in periods of an ellipse."""
+        if self.orbit.semi_major_axis < 0:
+            return np.asarray(t), self.time_unit
+        return np.asarray(t) * float(self.orbit.motion().mean_motion) / (2 * np.pi), "orbits"
 
 
-def _directions(body: GravityGradient, run: Trajectory) -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
-    """By body axis: the name of the orbit's axis; the body's axis (times, members, 3), the orbit's (times, 1, 3)."""
-    R = np.asarray(_matrices(body.orbit, jnp.asarray(run.t)))
-    return {
-        which: (name, series(_space_axis, run, e), R[:, None, :, k]) for which, (e, name, k) in _principal(body).items()
-    }
-
-
-@jax.jit
-def _matrices(orbit: Any, t: Array) -> Array:
-    """The matrices of `orbit_axes` at many times."""
-    return jax.vmap(lambda t: orbit_axes(orbit, t)[0])(t)
-
-
-def _space_axis(axis: Any, state: State) -> Array:
-    return so3.Ad(state.q, axis)
+def _in_axes_of_orbit(body: GravityGradient, state: State) -> Array:
+    """The axes of the body, as columns, in those of the orbit."""
+    return measure.orbit_axes(body.orbit, jnp.asarray(state.t))[0].T @ so3.to_matrix(state.q)
 
 
 def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
@@ -206,48 +191,3 @@ def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
     least, greatest = np.diff(moments) > _DISTINCT * moments[2]
     found = {"least": (axes[:, 0], "vertical", 0)} if least else {}
     return found | ({"greatest": (axes[:, 2], "orbit's normal", 2)} if greatest else {})
-
-
-@picture(2, spatial=(0,))
-def draw_pointing(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from its stable direction."""
-    step = for_member(scenario, step)
-    body = step.system
-    found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
-    which, (axis, stable, k) = next(iter(found.items()))
-    assert scenario.dt is not None  # which every validated scenario has
-    long = drawn_trajectory(step, nominal_state(run), scenario.dt, scenario.steps)
-    R = np.asarray(_matrices(body.orbit, jnp.asarray(long.t)))
-    path = np.einsum("tij,ti->tj", R, axis_in_space(long.state.q, axis))
-    ends = axis_in_space(run.state.q[-1], axis) @ np.asarray(orbit_axes(body.orbit, jnp.asarray(run.t[-1]))[0])
-    pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
-    t, unit = _clock(scenario, long)
-    look: dict[str, Any] = {"pole_label": stable, "angle_label": f"angle from the {stable} (°)", "unit": unit}
-    draw_on_sphere(
-        axes, t, path, _clock(scenario, run)[0][-1], ends, pole, eye=pole + 0.6 * aside + 0.4 * above, **look
-    )
-    axes[0].set_title(f"the axis of {which} inertia in the orbit's axes, nominal member")
-
-
-@picture(size=(6.4, 4.2))
-def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the error of energy less work of the nominal member by both schemes, and how much the energy changes."""
-    both = top_schemes(scenario, for_member(scenario, step.system))
-    t, found = changes_by_scheme(conserved, scenario, both.values(), nominal_state(run))
-    curves = {f"H − W, {name}": errors[_LESS_WORK] for name, errors in zip(both, found.values(), strict=True)}
-    curves["H"] = [*found.values()][-1][_ENERGY]
-    t, unit = _clock(scenario, run._replace(t=t))
-    plots.log_error(axes[0], t, curves, "change over the largest |energy|", unit)
-    axes[0].legend(loc="center right", bbox_to_anchor=(1.0, 0.4))  # between the two schemes
-    axes[0].set_title("energy H, on which the orbit works, and energy less work")
-
-
-def _clock(scenario: Scenario, run: Trajectory) -> tuple[np.ndarray, str]:
-    """The times of a run and their unit, in periods of an ellipse."""
-    t, orbit = np.asarray(run.t), scenario.orbit
-    if orbit.semi_major_axis < 0:
-        return t, scenario.time_unit
-    return t * float(orbit.motion().mean_motion) / (2 * np.pi), "orbits"
-
-
-PICTURES = {"pointing": draw_pointing, "energy": draw_energy}

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import HOUR
-from lieint_jax.app.scenarios._flyby_keys import Scenario
+from lieint_jax.app.scenarios._flyby_keys import FlybyKeys
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
 from lieint_jax.app.scenarios._flyby_study import (
@@ -29,42 +28,45 @@ from lieint_jax.app.scenarios._flyby_study import (
     study,
     unknowns,
 )
+from lieint_jax.app.scenarios._keys import HOUR
 from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
-from lieint_jax.types import State, Step, Trajectory
-
-__all__ = ["PICTURES", "STEP_AXIS", "Scenario", "build", "report"]
-
-STEP_AXIS = 0  # every member has its own body
+from lieint_jax.runs import Run
+from lieint_jax.types import State, Step
 
 _QUANTILES = (0.05, 0.5, 0.95)
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
-    """The step, whose leaves have the member axis, and the batch of states at the start, which share their time."""
-    orbit, t = GivenOrbit(scenario.orbit.elements()), jnp.asarray(-scenario.hours)
-    made = partial(motion.step_and_state, orbit=orbit, t=t, order=scenario.order, long_axis=scenario.spin.long_axis)
-    step, states = jax.jit(jax.vmap(made))(members(scenario)[0])
-    return step, states._replace(t=t)
+class Flyby(FlybyKeys):
+    """The keys of a scenario of this kind."""
+
+    own_step = True  # every member has its own body
+    draw_map, draw_after, draw_sensitivity = draw_map, draw_after, draw_sensitivity
+
+    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
+        """The step, whose leaves have the member axis, and the states at the start, which share their time."""
+        orbit, t = GivenOrbit(self.orbit.elements()), jnp.asarray(-self.hours)
+        made = partial(motion.step_and_state, orbit=orbit, t=t, order=self.order, long_axis=self.spin.long_axis)
+        step, states = jax.jit(jax.vmap(made))(members(self)[0])
+        return step, states._replace(t=t)
+
+    def report(self, run: Run) -> str:
+        """The passage, periods, spin rates and poles before and after with published ones, sensitivities and errors."""
+        found = study(self, run)
+        lines = [
+            *_published_lines(self, found),
+            *_change_lines(self, found),
+            *_expectations(self, found),
+            *_by_phase(self, found),
+            *_sensitivity(self, found),
+            *_errors(self, found),
+            *_variants(self, found),
+            *paragraphs(self.notes),
+            f"\n  {found.failed} of these passages had a step that did not converge",
+        ]
+        return "\n".join(line.rstrip() for line in lines)
 
 
-def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
-    """The passage, periods, spin rates and poles before and after with published ones, sensitivities and errors."""
-    found = study(scenario, step, run)
-    lines = [
-        *_published_lines(scenario, found),
-        *_change_lines(scenario, found),
-        *_expectations(scenario, found),
-        *_by_phase(scenario, found),
-        *_sensitivity(scenario, found),
-        *_errors(scenario, found),
-        *_variants(scenario, found),
-        *paragraphs(scenario.notes),
-        f"\n  {found.failed} of these passages had a step that did not converge",
-    ]
-    return "\n".join(line.rstrip() for line in lines)
-
-
-def facts(scenario: Scenario, before: Outcome) -> list[Quantity]:
+def facts(scenario: FlybyKeys, before: Outcome) -> list[Quantity]:
     """Quantities of the orbit and of the members before the passage, with published values."""
     position, velocity = (np.asarray(x) for x in GivenOrbit(scenario.orbit.elements())(jnp.zeros(())))
     date, a = scenario.orbit.date(0), scenario.orbit.elements()[1]
@@ -91,7 +93,7 @@ def facts(scenario: Scenario, before: Outcome) -> list[Quantity]:
     ]
 
 
-def _published_lines(scenario: Scenario, found: Study) -> list[str]:
+def _published_lines(scenario: FlybyKeys, found: Study) -> list[str]:
     date, hours = scenario.orbit.date, scenario.hours
     redrawn = 1 - members(scenario)[1].mean()
     return [
@@ -107,7 +109,7 @@ def _row(name: str, x: np.ndarray, form: str = "9.3f") -> str:
     return f"  {name:<52}" + "".join(f"{value:>{form}}" for value in found)
 
 
-def _change_lines(scenario: Scenario, found: Study) -> list[str]:
+def _change_lines(scenario: FlybyKeys, found: Study) -> list[str]:
     changed, after = change_of_spin(found.before, found.after), found.after
     short = ~after.long_axis
     return [
@@ -126,7 +128,7 @@ def _change_lines(scenario: Scenario, found: Study) -> list[str]:
     ]
 
 
-def _expectations(scenario: Scenario, found: Study) -> list[str]:
+def _expectations(scenario: FlybyKeys, found: Study) -> list[str]:
     x = change_of_spin(found.before, found.after)
     share = lambda condition: f"{100 * np.mean(condition):.3g} %"  # noqa: E731
     low, high = np.quantile(x.rate, (0.05, 0.95))
@@ -145,7 +147,7 @@ def _expectations(scenario: Scenario, found: Study) -> list[str]:
     return lines
 
 
-def _by_phase(scenario: Scenario, found: Study) -> list[str]:
+def _by_phase(scenario: FlybyKeys, found: Study) -> list[str]:
     x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
     phi, psi = (np.rad2deg(np.asarray(x)) for x in (found.grid.phi, found.grid.psi))
     shift = scenario.spin.same_passage_deg
@@ -180,7 +182,7 @@ def _interval(phi: np.ndarray, modulo: int) -> str:
     return f"{first if last >= first else first - modulo:.0f}° to {last:.0f}°"
 
 
-def _sensitivity(scenario: Scenario, found: Study) -> list[str]:
+def _sensitivity(scenario: FlybyKeys, found: Study) -> list[str]:
     lines = [
         "\n  sensitivities over the map, by forward differentiation of the whole passage: median and largest",
         f"  {'by':<28}{'dP_φ (h)':>18}{'dP_ψ (h)':>22}{'d ln(spin rate)':>22}{'d pole (°)':>20}",
@@ -193,7 +195,7 @@ def _sensitivity(scenario: Scenario, found: Study) -> list[str]:
     return lines
 
 
-def _errors(scenario: Scenario, found: Study) -> list[str]:
+def _errors(scenario: FlybyKeys, found: Study) -> list[str]:
     longest = max(found.arcs)
     best = found.arcs[longest].after
     heads = ("P_φ (h)", "P_ψ (%)", "2H/|L| (%)", "pole (°)")
@@ -217,7 +219,7 @@ def _errors(scenario: Scenario, found: Study) -> list[str]:
     return lines
 
 
-def _variants(scenario: Scenario, found: Study) -> list[str]:
+def _variants(scenario: FlybyKeys, found: Study) -> list[str]:
     heads = {"P_φ (h)": 22, "spin rate": 20, "pole rotated (°)": 22, "same mode": 11}
     title = "other assumptions: 5 %, median, 95 %"
     lines = [f"\n  {title:<42}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
@@ -232,6 +234,3 @@ def _variants(scenario: Scenario, found: Study) -> list[str]:
         )
         lines.append(f"  {name:<42}{text}{100 * np.mean(x.same_mode):>9.1f} %")
     return lines
-
-
-PICTURES = {"map": draw_map, "after": draw_after, "sensitivity": draw_sensitivity}

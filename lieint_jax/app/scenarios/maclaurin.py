@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
+from jax import Array
 from pydantic import Field, model_validator
 
-from lieint_jax import schemes, systems
+from lieint_jax import systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Common, compose_to_order, member_indices
-from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, change_lines
-from lieint_jax.app.scenarios._runs import series
+from lieint_jax.app.scenarios._runs import length, series
+from lieint_jax.runs import Run
 from lieint_jax.systems import IncompressibleBody
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step
 
 SECULAR, DYNAMICAL = 0.812670, 0.952887  # eccentricities at which a bar may and must grow [Chandrasekhar 1969, § 33]
 _MAX_BAR = 1e-3  # largest bar whose modes are measured
@@ -26,10 +26,9 @@ _ROWS = 16  # largest number of members in the report
 Eccentricity = Annotated[float, Field(gt=0, lt=0.99)]
 
 
-class Scenario(Common):
+class Maclaurin(Kind):
     """The keys of a scenario of this kind. Units: G = M = R = 1, R the radius of a ball of the same volume."""
 
-    system: Literal["maclaurin"]  # pyright: ignore[reportIncompatibleVariableOverride]
     eccentricity: Eccentricity
     """The eccentricity of the nominal spheroid, √(1 − c²/a²)."""
     last_eccentricity: Eccentricity | None = None
@@ -43,7 +42,7 @@ class Scenario(Common):
     no_spread: ClassVar[str] = "the members are spheroids of eccentricities at equal distances"
 
     @model_validator(mode="after")
-    def _check_members(self) -> Scenario:
+    def _check_members(self) -> Self:
         if (self.last_eccentricity is None) != (self.members == 1):
             raise ValueError("last_eccentricity and members > 1 go together")
         return self
@@ -52,6 +51,76 @@ class Scenario(Common):
         """The eccentricities of all members."""
         last = self.eccentricity if self.last_eccentricity is None else self.last_eccentricity
         return np.linspace(self.eccentricity, last, self.members)
+
+    def make_system(self) -> IncompressibleBody:
+        return systems.incompressible_body(np.full(3, 0.2), systems.self_gravity(1.0, 1.0, 1.0))
+
+    def options(self) -> tuple[Any, ...]:
+        return ("incompressible",)
+
+    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
+        """The step and the spheroids with a small bar, each in its rotation."""
+        step, e = self.make_step(), self.eccentricities()[self.indices(indices)]
+        a, Omega = spheroid(e)
+        axes = np.stack([a * (1 + self.bar), a / (1 + self.bar), a * np.sqrt(1 - e * e)], axis=1)
+
+        def member(axes: Array, Omega: Array) -> State:
+            return step.system.state(jnp.diag(axes), angular_velocity=Omega * jnp.array([0.0, 0.0, 1.0]))
+
+        return step, jax.vmap(member)(jnp.asarray(axes), jnp.asarray(Omega))
+
+    def conserved(self, run: Run) -> list[Conserved]:
+        """Energy, angular momentum, circulation and volume."""
+        H, L = (series(f, run) for f in (IncompressibleBody.energy, IncompressibleBody.momentum))
+        K, volume = series(circulation, run), np.linalg.det(run.state.q)
+        return [
+            Conserved("energy, relative", H, abs(H[0]), ROUND_OFF),
+            Conserved("angular momentum, relative", L, length(L[0]), ROUND_OFF),
+            Conserved("volume, relative", volume, promise=ROUND_OFF, initial=1.0),
+            Conserved("circulation, relative", K, length(K[0]), "O(Δt²)"),
+        ]
+
+    def report(self, run: Run) -> str:
+        """The conserved quantities, and the modes of some members next to the closed form."""
+        e, modes = self.eccentricities(), measured_modes(run)
+        known = _ordered(bar_modes(e))
+        lines = change_lines(self.conserved(run))
+        lines.append(f"\n  {'e':>8}{'Ω':>10}{'σ measured':>26}{'closed form':>26}{'difference':>12}")
+        for m in np.unique(np.linspace(0, len(e) - 1, min(len(e), _ROWS)).round().astype(int)):
+            for k in range(2):
+                first = f"{e[m]:>8.4f}{float(spheroid(e[m])[1]):>10.6f}" if k == 0 else " " * 18
+                off = abs(modes[m, k] - known[m, k])
+                lines.append(f"  {first}{_complex(modes[m, k])}{_complex(known[m, k])}{off:>12.1e}")
+        limits = f"a bar may grow by friction for e > {SECULAR}, must grow for e > {DYNAMICAL}"
+        return "\n".join([*lines, f"\n  {limits} [Chandrasekhar 1969, § 33]"])
+
+    @picture(2)
+    def draw_modes(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the rates of the bar against the eccentricity, and the growth of the bars of three members."""
+        left, right = axes
+        e, fine = self.eccentricities(), np.linspace(0.02, 0.985, 1000)
+        known, modes = bar_modes(fine), measured_modes(run)
+        growth, measured = np.abs(np.imag(known[:, 0])), np.abs(np.imag(modes)).max(axis=1)
+        left.plot(fine, np.real(known), color=plots.INK, lw=0.9)
+        left.plot([], [], color=plots.INK, lw=0.9, label="rotation rate σ, closed form")
+        left.plot(fine[growth > 0], growth[growth > 0], color=plots.ORANGE, lw=0.9, label="growth rate, closed form")
+        left.plot(e, np.real(modes), ".", color=plots.BLUE, ms=4)
+        grows = measured > 1e-3
+        left.plot(e[grows], measured[grows], ".", color=plots.BLUE, ms=4, label="measured")
+        for limit, name in ((SECULAR, "Jacobi's branch"), (DYNAMICAL, "the bar must grow")):
+            left.axvline(limit, color=plots.INK, lw=0.6, ls=":")
+            left.annotate(name, (limit, -1.3), rotation=90, ha="right", va="bottom", fontsize="small")
+        left.set(xlabel="eccentricity e", ylabel=r"rate ($\sqrt{GM/R^3}$)", title="how fast the bar rotates and grows")
+        left.set_ylim(-1.35, 1.25)
+        left.legend(loc="center left", bbox_to_anchor=(0.0, 0.62))
+        z, t = bars(run), np.asarray(run.t)
+        styles = zip((plots.INK, plots.BLUE, plots.ORANGE), ("-", "--", "-"), strict=True)
+        for m, (color, dashes) in zip((0, len(e) // 2, len(e) - 1), styles, strict=True):
+            size = np.maximum(abs(z[:, m]), 1e-300)
+            right.semilogy(t, size, color=color, ls=dashes, lw=0.8, label=f"e = {e[m]:.3f}")
+        right.set(xlabel=r"t ($\sqrt{R^3/GM}$)", ylabel=r"$|B_{xx}-B_{yy}+2iB_{xy}|$ ($R^2$), $B=FF^T$")
+        right.set_title("size of the bar")
+        right.legend()
 
 
 def spheroid(e: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -77,47 +146,20 @@ def bar_modes(e: Any) -> np.ndarray:
     return np.stack([Omega + root, Omega - root], axis=-1)
 
 
-def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
-    """The step and the spheroids with a small bar, each in its rotation."""
-    body = systems.incompressible_body(np.full(3, 0.2), systems.self_gravity(1.0, 1.0, 1.0))
-    e = scenario.eccentricities()[member_indices(scenario, indices)]
-    a, Omega = spheroid(e)
-    axes = np.stack([a * (1 + scenario.bar), a / (1 + scenario.bar), a * np.sqrt(1 - e * e)], axis=1)
-
-    def member(axes: ArrayLike, Omega: ArrayLike) -> State:
-        return body.state(jnp.diag(axes), angular_velocity=Omega * jnp.array([0.0, 0.0, 1.0]))
-
-    step = schemes.additive(body, "incompressible")
-    return compose_to_order(step, scenario.order), jax.vmap(member)(jnp.asarray(axes), jnp.asarray(Omega))
-
-
-def conserved(scenario: Scenario, body: IncompressibleBody, run: Trajectory) -> list[Conserved]:
-    """Energy, angular momentum, circulation and volume."""
-    H, L = series(body.energy, run), series(body.momentum, run)
-    K = series(circulation, run)
-    size = np.linalg.norm(L[0], axis=-1)
-    return [
-        Conserved("energy, relative", H, abs(H[0]), ROUND_OFF),
-        Conserved("angular momentum, relative", L, size, ROUND_OFF),
-        Conserved("volume, relative", series(lambda z: jnp.linalg.det(z.q), run), promise=ROUND_OFF, initial=1.0),
-        Conserved("circulation, relative", K, np.linalg.norm(K[0], axis=-1), "O(Δt²)"),
-    ]
-
-
-def circulation(state: State) -> Any:
+def circulation(body: IncompressibleBody, state: State) -> Any:
     """rot[FᵀP], which a liquid's equal particles conserve: the vorticity in the reference state."""
     K = state.q.T @ state.p
     return jnp.stack([K[2, 1] - K[1, 2], K[0, 2] - K[2, 0], K[1, 0] - K[0, 1]])
 
 
-def bars(run: Trajectory) -> np.ndarray:
+def bars(run: Run) -> np.ndarray:
     """B_xx − B_yy + 2iB_xy with B = FFᵀ, the shape in space: (times, members), complex."""
     F = np.asarray(run.state.q)
     B = F @ np.swapaxes(F, -1, -2)
     return B[..., 0, 0] - B[..., 1, 1] + 2j * B[..., 0, 1]
 
 
-def measured_modes(run: Trajectory) -> np.ndarray:
+def measured_modes(run: Run) -> np.ndarray:
     """The two rates of each member's bar, (members, 2), by Prony's method while it is small; nan for a short series."""
     z, t = bars(run), np.asarray(run.t)
     found = np.full((z.shape[1], 2), np.nan + 0j)
@@ -134,24 +176,6 @@ def measured_modes(run: Trajectory) -> np.ndarray:
     return found
 
 
-def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
-    """The conserved quantities, and the modes of some members next to the closed form."""
-    e, modes = scenario.eccentricities(), measured_modes(run)
-    known = _ordered(bar_modes(e))
-    rows = np.unique(np.linspace(0, len(e) - 1, min(len(e), _ROWS)).round().astype(int))
-    lines = change_lines(conserved(scenario, step.system, run))
-    lines.append(f"\n  {'e':>8}{'Ω':>10}{'σ measured':>26}{'closed form':>26}{'difference':>12}")
-    for m in rows:
-        for k in range(2):
-            first = f"{e[m]:>8.4f}{float(spheroid(e[m])[1]):>10.6f}" if k == 0 else " " * 18
-            off = abs(modes[m, k] - known[m, k])
-            lines.append(f"  {first}{_complex(modes[m, k])}{_complex(known[m, k])}{off:>12.1e}")
-    lines.append(
-        f"\n  a bar may grow by friction for e > {SECULAR}, must grow for e > {DYNAMICAL} [Chandrasekhar 1969, § 33]"
-    )
-    return "\n".join(lines)
-
-
 def _ordered(modes: np.ndarray) -> np.ndarray:
     """Sort modes as in `measured_modes`: the faster first, and of two with the same speed the growing one."""
     return np.array([sorted(pair, key=lambda rate: (-round(rate.real, 6), rate.imag)) for pair in modes])
@@ -160,35 +184,3 @@ def _ordered(modes: np.ndarray) -> np.ndarray:
 def _complex(rate: complex) -> str:
     imaginary = f"{-rate.imag:+.6f} growth" if abs(rate.imag) > 1e-7 else ""
     return f"{rate.real:>12.7f}{imaginary:>14}"
-
-
-@picture(2)
-def draw_modes(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the rates of the bar against the eccentricity, and the growth of the bars of three members."""
-    left, right = axes
-    e, fine = scenario.eccentricities(), np.linspace(0.02, 0.985, 1000)
-    known, modes = bar_modes(fine), measured_modes(run)
-    growth, measured = np.abs(np.imag(known[:, 0])), np.abs(np.imag(modes)).max(axis=1)
-    left.plot(fine, np.real(known), color=plots.INK, lw=0.9)
-    left.plot([], [], color=plots.INK, lw=0.9, label="rotation rate σ, closed form")
-    left.plot(fine[growth > 0], growth[growth > 0], color=plots.ORANGE, lw=0.9, label="growth rate, closed form")
-    left.plot(e, np.real(modes), ".", color=plots.BLUE, ms=4)
-    grows = measured > 1e-3
-    left.plot(e[grows], measured[grows], ".", color=plots.BLUE, ms=4, label="measured")
-    for limit, name in ((SECULAR, "Jacobi's branch"), (DYNAMICAL, "the bar must grow")):
-        left.axvline(limit, color=plots.INK, lw=0.6, ls=":")
-        left.annotate(name, (limit, -1.3), rotation=90, ha="right", va="bottom", fontsize="small")
-    left.set(xlabel="eccentricity e", ylabel=r"rate ($\sqrt{GM/R^3}$)", title="how fast the bar rotates and grows")
-    left.set_ylim(-1.35, 1.25)
-    left.legend(loc="center left", bbox_to_anchor=(0.0, 0.62))
-    z, t = bars(run), np.asarray(run.t)
-    styles = zip((plots.INK, plots.BLUE, plots.ORANGE), ("-", "--", "-"), strict=True)
-    for m, (color, dashes) in zip((0, len(e) // 2, len(e) - 1), styles, strict=True):
-        size = np.maximum(abs(z[:, m]), 1e-300)
-        right.semilogy(t, size, color=color, ls=dashes, lw=0.8, label=f"e = {e[m]:.3f}")
-    right.set(xlabel=r"t ($\sqrt{R^3/GM}$)", ylabel=r"$|B_{xx}-B_{yy}+2iB_{xy}|$ ($R^2$), $B=FF^T$")
-    right.set_title("size of the bar")
-    right.legend()
-
-
-PICTURES = {"modes": draw_modes}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +19,7 @@ from pydantic import Field, model_validator
 
 from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import (
-    Common,
+from lieint_jax.app.scenarios._keys import (
     Direction,
     Moments,
     NonNegative,
@@ -30,15 +29,15 @@ from lieint_jax.app.scenarios._common import (
     Text,
     Triple,
     checked,
-    member_indices,
 )
-from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture
 from lieint_jax.app.scenarios._report import paragraphs
-from lieint_jax.app.scenarios._runs import cached_for_last_run, map_on_local_devices, standard_deviation
+from lieint_jax.app.scenarios._runs import map_on_local_devices, standard_deviation
 from lieint_jax.diagnostics import Lyapunov, lyapunov
 from lieint_jax.groups import so3
+from lieint_jax.runs import Run
 from lieint_jax.systems import GravityGradient
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step
 
 _PERIOD = 2 * np.pi  # of the orbit
 _CHAOTIC = 3.0  # a motion counts as chaotic above this many times ln(t)/t, the exponent of regular motions
@@ -104,10 +103,9 @@ def _check_in_order(moments: list[float]) -> None:
         raise ValueError("must be three moments in order, the first the least")
 
 
-class Scenario(Common):
+class Moon(Kind):
     """The keys of a scenario of this kind."""
 
-    system: Literal["moon"]  # pyright: ignore[reportIncompatibleVariableOverride]
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """Follows from steps_per_orbit; files of results have it."""
     period: PositiveFloat
@@ -167,21 +165,183 @@ class Scenario(Common):
             f"the spin axis, {a.spin_rate:g} n of its rate (1 sigma, each component)"
         )
 
+    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
+        """The step and the planar starts, which share their time."""
+        step = make_step(self.inertia, self.eccentricity)
+        number = self.indices(indices)
+        rates = max(self.members // self.angles, 2)
+        theta = np.pi / self.angles * (number % self.angles)
+        rate = self.greatest_rate / (rates - 1) * (number // self.angles)
+        zero = np.zeros_like(theta)
+        q = jnp.asarray(np.stack([np.cos(theta / 2), zero, zero, np.sin(theta / 2)], axis=1))
+        states = _states(step.system, q, jnp.asarray(np.stack([zero, zero, rate], axis=1)), 0.0)
+        return step, states._replace(work=jnp.zeros(len(number)))
 
-def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
-    """The step and the planar starts, which share their time."""
-    step = _step(scenario.inertia, scenario.eccentricity)
-    number = member_indices(scenario, indices)
-    rates = max(scenario.members // scenario.angles, 2)
-    theta = np.pi / scenario.angles * (number % scenario.angles)
-    rate = scenario.greatest_rate / (rates - 1) * (number // scenario.angles)
-    zero = np.zeros_like(theta)
-    q = jnp.asarray(np.stack([np.cos(theta / 2), zero, zero, np.sin(theta / 2)], axis=1))
-    states = _states(step.system, q, jnp.asarray(np.stack([zero, zero, rate], axis=1)), 0.0)
-    return step, states._replace(work=jnp.zeros(len(number)))
+    @for_last_run
+    def chaos(self, run: Run) -> Chaos:
+        """The exponents of a self."""
+        starts = State(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]), jnp.asarray(run.t[0]))
+        planes = np.zeros((6, 2))
+        planes[_IN_PLANE, 0] = planes[_OUT_OF_PLANE, 1] = 1
+        per_orbit = self.steps_per_orbit
+        found = [section := _exponents(run.step, starts, self.orbits, per_orbit, planes)]
+        zone = self.large_zone(np.asarray(section.exponents[:, 0]))
+        planar = spatial = np.zeros((0, 6))
+        if zone.size:
+            drawn = _select_evenly(starts, zone, self.planar.starts)
+            found.append(in_plane := _exponents(run.step, drawn, self.planar.orbits, per_orbit, planes))
+            tilt = so3.exp(jnp.deg2rad(self.tilt_deg) * jnp.array([1.0, 0.0, 0.0]))
+            drawn = _select_evenly(starts, zone, self.spatial.starts)
+            drawn = drawn._replace(q=jax.vmap(lambda q: so3.multiply(tilt, q))(drawn.q))
+            found.append(in_space := _exponents(run.step, drawn, self.spatial.orbits, per_orbit, np.eye(6)))
+            planar, spatial = np.asarray(in_plane.exponents), np.sort(np.asarray(in_space.exponents), axis=1)[:, ::-1]
+        observed = [self._exponents_about(k) for k in range(len(self.observed))]
+        failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*found, *observed))
+        exponents, errors = (np.array([np.asarray(x[k])[:, 0] for x in observed]) for k in (0, 1))
+        return Chaos(np.asarray(section.exponents), planar, spatial, exponents, errors, failed)
+
+    def large_zone(self, exponents: np.ndarray) -> np.ndarray:
+        """The members in the large chaotic zone, without thin layers: exponents above half the chaotic ones' median."""
+        chaotic = exponents[exponents > chaos_limit(self.orbits)]
+        return np.flatnonzero(exponents > np.median(chaotic) / 2) if chaotic.size else np.zeros(0, int)
+
+    def _exponents_about(self, k: int) -> Lyapunov:
+        """The largest exponents of the members about the k-th observed state."""
+        given, spread = self.observed[k], self.around
+        step = make_step(given.inertia, given.eccentricity)
+        normal = np.random.default_rng([self.seed, k]).normal(size=(spread.members, 7))
+        rotation, tilt, rate = np.split(normal, [3, 6], axis=1)
+        rotation[0] = tilt[0] = rate[0] = 0
+        q = so3.from_euler_313(jnp.deg2rad(jnp.asarray(given.euler_313_deg)))
+        q = jax.vmap(lambda v: so3.multiply(so3.exp(v), q))(jnp.asarray(np.deg2rad(spread.attitude_deg) * rotation))
+        axis = np.asarray(given.spin_axis) / np.linalg.norm(given.spin_axis)
+        axes = axis + np.deg2rad(spread.spin_axis_deg) * (tilt - (tilt @ axis)[:, None] * axis)
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        Omega = (given.spin_rate + spread.spin_rate * rate) * axes
+        states = _states(step.system, q, jnp.asarray(Omega), np.deg2rad(given.mean_anomaly_deg))
+        return _exponents(step, states, spread.orbits, spread.steps_per_orbit, np.ones((6, 1)))
+
+    def report(self, run: Run) -> str:
+        """The exponents of planar motions, of motions in space, and of the observed states, with their errors."""
+        found, unit = self.chaos(run), self.period_unit
+        return "\n".join(
+            [
+                f"\n  exponents in mean motions n = 2π / {self.period:g} {unit}; chaotic: above {_CHAOTIC:g} ln(t)/t",
+                *self._planar_lines(found),
+                *self._observed_lines(found),
+                *paragraphs(self.notes),
+                f"\n  {found.failed} of these runs had a step that did not converge",
+            ]
+        )
+
+    def _planar_lines(self, found: Chaos) -> list[str]:
+        chaotic = found.section[:, 0] > chaos_limit(self.orbits)
+        unstable = found.section[:, 1] > chaos_limit(self.orbits)
+        lines = [
+            f"\n  planar motions, {self.members} starts × {self.orbits} orbits",
+            f"  {'chaotic':<58}{_percent(chaotic):>8}",
+            f"  {'of the regular ones, attitude unstable':<58}{_percent(unstable[~chaotic]):>8}",
+        ]
+        for name, values, sample in (
+            (("in the plane", "out of the plane: attitude unstable if > 0"), found.planar, self.planar),
+            (("1st", "2nd", "3rd", "4th", "5th", "6th"), found.spatial, self.spatial),
+        ):
+            if len(values):
+                space = (
+                    "planar motions in the chaotic zone" if values is found.planar else "motions in space from there"
+                )
+                title = f"{space}, {len(values)} starts × {sample.orbits} orbits"
+                lines.append(f"\n  {title:<68}{'mean ± error':>10}{'spread':>9}{'e-folding':>12}")
+                lines += [
+                    f"  {what:<46}{x.mean():>+10.4f} ± {_standard_error(x):.4f}{standard_deviation(x):>10.4f}"
+                    + f"{self._e_folding_time(x.mean()):>12}"
+                    for what, x in zip(name, values.T, strict=True)
+                ]
+        if len(found.spatial):
+            lines.append(f"  {'largest sum of six':<48}{abs(found.spatial.sum(axis=1)).max():>10.1e} n")
+        return lines
+
+    def _observed_lines(self, found: Chaos) -> list[str]:
+        bound = chaos_limit(self.around.orbits)
+        lines = [
+            f"\n  observed states, {self.around.members} members × {self.around.orbits} orbits; "
+            f"chaotic: largest exponent above {bound:.4f} n",
+            f"  {'date':<12}{'principal axes':<32}{'nominal':>17}{'mean of members':>20}{'e-folding':>12}"
+            f"{'chaotic':>9}",
+        ]
+        for given, x, error in zip(self.observed, found.observed, found.errors, strict=True):
+            mean = f"{x.mean():>11.4f} ± {_standard_error(x):.4f}"
+            lines.append(
+                f"  {given.date:<12}{given.reading:<32}{x[0]:>8.4f} ± {error[0]:.4f}{mean}"
+                f"{self._e_folding_time(x.mean()):>12}{_percent(x > bound):>9}  {verdict(x, bound)}"
+            )
+        return lines if self.observed else []
+
+    def _e_folding_time(self, exponent: float) -> str:
+        """The time in which small differences grow by the factor e."""
+        return f"{self.period / (_PERIOD * exponent):.0f} {self.period_unit}" if exponent > 0 else "—"
+
+    @picture(3, size=(4.6, 5.2))
+    def draw_section(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the surface of section at pericenter, and maps of the exponents in the plane and out of it."""
+        found = self.chaos(run)
+        chaotic = found.section[:, 0] > chaos_limit(self.orbits)
+        theta, rate = self.section(run.state)
+        left, *maps = axes
+        left.scatter(theta[:, chaotic], rate[:, chaotic], s=0.15, color=plots.GRAY, lw=0, rasterized=True)
+        for m in np.flatnonzero(~chaotic):
+            left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=_COLORS[m % len(_COLORS)])
+        left.set_ylabel("spin rate θ̇ / n")
+        left.set_title("surface of section at pericenter; gray: chaotic\nmotions, colors: regular motions, one each")
+        names = ("in the plane", "out of the plane: the spin axis leaves its normal")
+        scale = {"vmin": 0, "vmax": found.section.max(), "cmap": "magma"}
+        images = []
+        for ax, name, values in zip(maps, names, found.section.T, strict=True):
+            x, y, value = (self._rows(grid) for grid in (theta[0], rate[0], values))
+            x[:, -1] += np.pi
+            images.append(ax.pcolormesh(x, y, value, shading="nearest", **scale))
+            ax.set_title(f"Lyapunov exponent / n,\n{name}")
+        left.figure.colorbar(images[0], ax=maps[1], label="Lyapunov exponent / n")
+        for ax in axes:
+            ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, self.greatest_rate))
+            ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
+        title = f"{self.title}: {self.members} planar motions, {self.orbits} orbits each"
+        left.figure.suptitle(title)
+
+    def _rows(self, x: np.ndarray) -> np.ndarray:
+        """Values of the members as a grid, a row for each rate; its last column repeats the first: θ has period π."""
+        grid = x.reshape(-1, self.angles)
+        return np.concatenate([grid, grid[:, :1]], axis=1)
+
+    def section(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """θ in [0, π) and θ̇ of planar states."""
+        q, p = np.asarray(state.q), np.asarray(state.p)
+        theta = 2 * np.arctan2(q[..., 3], q[..., 0]) % np.pi
+        return np.where(theta > np.pi - _ROUND_OFF, 0.0, theta), p[..., 2] / self.inertia[2]
+
+    @picture(size=lambda scenario: (8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
+    def draw_observed(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the largest exponents of the members about each observed state."""
+        found, bound = self.chaos(run), chaos_limit(self.around.orbits)
+        ax, scatter = axes[0], np.random.default_rng(0)
+        ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not distinguishable from a regular motion")
+        for k, (x, error) in enumerate(zip(found.observed, found.errors, strict=True)):
+            color = plots.RED if verdict(x, bound) == "chaotic" else plots.BLUE
+            ax.plot(x[1:], k + scatter.uniform(-0.2, 0.2, len(x) - 1), "o", ms=3, color=color, alpha=0.6, lw=0)
+            ax.errorbar(x[0], k, xerr=error[0], fmt="D", ms=5, color=plots.INK, capsize=2)
+        ax.plot([], [], "D", ms=5, color=plots.INK, label="state as observed, ± its error")
+        ax.plot([], [], "o", ms=3, color=plots.RED, label="members about it: chaotic as a whole")
+        ax.plot([], [], "o", ms=3, color=plots.BLUE, label="members about it: undecided, or regular")
+        names = [f"{given.date}\n{given.reading}" for given in self.observed]
+        ax.set_yticks(range(len(names)), names, fontsize="x-small")
+        ax.invert_yaxis()
+        n = f"the mean motion n = 2π / {self.period:g} {self.period_unit}"
+        ax.set(xlabel=f"largest Lyapunov exponent / n, with {n}", ylabel="date of the state; its principal axes")
+        ax.set(xlim=(0, None), title="the observed states, and members about each")
+        ax.legend(loc="lower right")
 
 
-def _step(inertia: Any, eccentricity: float) -> Step:
+def make_step(inertia: Any, eccentricity: float) -> Step:
     return schemes.splitting(systems.gravity_gradient(inertia, orbits.kepler(1.0, 1.0, eccentricity)))
 
 
@@ -211,57 +371,10 @@ class Chaos(NamedTuple):
     failed: int
 
 
-@cached_for_last_run
-def chaos(scenario: Scenario, step: Step, run: Trajectory) -> Chaos:
-    """The exponents of a scenario."""
-    starts = State(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]), jnp.asarray(run.t[0]))
-    planes = np.zeros((6, 2))
-    planes[_IN_PLANE, 0] = planes[_OUT_OF_PLANE, 1] = 1
-    per_orbit = scenario.steps_per_orbit
-    found = [section := _exponents(step, starts, scenario.orbits, per_orbit, planes)]
-    zone = large_zone(scenario, np.asarray(section.exponents[:, 0]))
-    planar = spatial = np.zeros((0, 6))
-    if zone.size:
-        drawn = _select_evenly(starts, zone, scenario.planar.starts)
-        found.append(in_plane := _exponents(step, drawn, scenario.planar.orbits, per_orbit, planes))
-        tilt = so3.exp(jnp.deg2rad(scenario.tilt_deg) * jnp.array([1.0, 0.0, 0.0]))
-        drawn = _select_evenly(starts, zone, scenario.spatial.starts)
-        drawn = drawn._replace(q=jax.vmap(lambda q: so3.multiply(tilt, q))(drawn.q))
-        found.append(in_space := _exponents(step, drawn, scenario.spatial.orbits, per_orbit, np.eye(6)))
-        planar, spatial = np.asarray(in_plane.exponents), np.sort(np.asarray(in_space.exponents), axis=1)[:, ::-1]
-    observed = [_exponents_about(scenario, k) for k in range(len(scenario.observed))]
-    failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*found, *observed))
-    exponents, errors = (np.array([np.asarray(x[k])[:, 0] for x in observed]) for k in (0, 1))
-    return Chaos(np.asarray(section.exponents), planar, spatial, exponents, errors, failed)
-
-
-def large_zone(scenario: Scenario, exponents: np.ndarray) -> np.ndarray:
-    """The members in the large chaotic zone, without thin layers: exponents above half the chaotic ones' median."""
-    chaotic = exponents[exponents > chaos_limit(scenario.orbits)]
-    return np.flatnonzero(exponents > np.median(chaotic) / 2) if chaotic.size else np.zeros(0, int)
-
-
 def _select_evenly(states: State, among: np.ndarray, count: int) -> State:
     """Select `count` of the members with the indices `among`, evenly spread, each at most once."""
     chosen = among[np.unique(np.linspace(0, among.size - 1, count).round().astype(int))]
     return states._replace(q=states.q[chosen], p=states.p[chosen])
-
-
-def _exponents_about(scenario: Scenario, k: int) -> Lyapunov:
-    """The largest exponents of the members about the k-th observed state."""
-    given, spread = scenario.observed[k], scenario.around
-    step = _step(given.inertia, given.eccentricity)
-    normal = np.random.default_rng([scenario.seed, k]).normal(size=(spread.members, 7))
-    rotation, tilt, rate = np.split(normal, [3, 6], axis=1)
-    rotation[0] = tilt[0] = rate[0] = 0
-    q = so3.from_euler_313(jnp.deg2rad(jnp.asarray(given.euler_313_deg)))
-    q = jax.vmap(lambda v: so3.multiply(so3.exp(v), q))(jnp.asarray(np.deg2rad(spread.attitude_deg) * rotation))
-    axis = np.asarray(given.spin_axis) / np.linalg.norm(given.spin_axis)
-    axes = axis + np.deg2rad(spread.spin_axis_deg) * (tilt - (tilt @ axis)[:, None] * axis)
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    Omega = (given.spin_rate + spread.spin_rate * rate) * axes
-    states = _states(step.system, q, jnp.asarray(Omega), np.deg2rad(given.mean_anomaly_deg))
-    return _exponents(step, states, spread.orbits, spread.steps_per_orbit, np.ones((6, 1)))
 
 
 def _exponents(step: Step, states: State, orbits: int, per_orbit: int, vectors: np.ndarray) -> Lyapunov:
@@ -284,62 +397,6 @@ def chaos_limit(orbits: int) -> float:
     return _CHAOTIC * np.log(t) / t
 
 
-def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
-    """The exponents of planar motions, of motions in space, and of the observed states, with their errors."""
-    found, unit = chaos(scenario, step, run), scenario.period_unit
-    return "\n".join(
-        [
-            f"\n  exponents in mean motions n = 2π / {scenario.period:g} {unit}; chaotic: above {_CHAOTIC:g} ln(t)/t",
-            *_planar_lines(scenario, found),
-            *_observed_lines(scenario, found),
-            *paragraphs(scenario.notes),
-            f"\n  {found.failed} of these runs had a step that did not converge",
-        ]
-    )
-
-
-def _planar_lines(scenario: Scenario, found: Chaos) -> list[str]:
-    chaotic = found.section[:, 0] > chaos_limit(scenario.orbits)
-    unstable = found.section[:, 1] > chaos_limit(scenario.orbits)
-    lines = [
-        f"\n  planar motions, {scenario.members} starts × {scenario.orbits} orbits",
-        f"  {'chaotic':<58}{_percent(chaotic):>8}",
-        f"  {'of the regular ones, attitude unstable':<58}{_percent(unstable[~chaotic]):>8}",
-    ]
-    for name, values, sample in (
-        (("in the plane", "out of the plane: attitude unstable if > 0"), found.planar, scenario.planar),
-        (("1st", "2nd", "3rd", "4th", "5th", "6th"), found.spatial, scenario.spatial),
-    ):
-        if len(values):
-            space = "planar motions in the chaotic zone" if values is found.planar else "motions in space from there"
-            title = f"{space}, {len(values)} starts × {sample.orbits} orbits"
-            lines.append(f"\n  {title:<68}{'mean ± error':>10}{'spread':>9}{'e-folding':>12}")
-            lines += [
-                f"  {what:<46}{x.mean():>+10.4f} ± {_standard_error(x):.4f}{standard_deviation(x):>10.4f}"
-                + f"{_e_folding_time(scenario, x.mean()):>12}"
-                for what, x in zip(name, values.T, strict=True)
-            ]
-    if len(found.spatial):
-        lines.append(f"  {'largest sum of six':<48}{abs(found.spatial.sum(axis=1)).max():>10.1e} n")
-    return lines
-
-
-def _observed_lines(scenario: Scenario, found: Chaos) -> list[str]:
-    bound = chaos_limit(scenario.around.orbits)
-    lines = [
-        f"\n  observed states, {scenario.around.members} members × {scenario.around.orbits} orbits; "
-        f"chaotic: largest exponent above {bound:.4f} n",
-        f"  {'date':<12}{'principal axes':<32}{'nominal':>17}{'mean of members':>20}{'e-folding':>12}{'chaotic':>9}",
-    ]
-    for given, x, error in zip(scenario.observed, found.observed, found.errors, strict=True):
-        mean = f"{x.mean():>11.4f} ± {_standard_error(x):.4f}"
-        lines.append(
-            f"  {given.date:<12}{given.reading:<32}{x[0]:>8.4f} ± {error[0]:.4f}{mean}"
-            f"{_e_folding_time(scenario, x.mean()):>12}{_percent(x > bound):>9}  {verdict(x, bound)}"
-        )
-    return lines if scenario.observed else []
-
-
 def verdict(exponents: np.ndarray, bound: float) -> str:
     """Whether the members about a state are chaotic: nearly all of them, nearly none, or undecided."""
     share = np.mean(exponents > bound)
@@ -351,76 +408,5 @@ def _standard_error(x: np.ndarray) -> float:
     return float(standard_deviation(x)) / len(x) ** 0.5
 
 
-def _e_folding_time(scenario: Scenario, exponent: float) -> str:
-    """The time in which small differences grow by the factor e."""
-    return f"{scenario.period / (_PERIOD * exponent):.0f} {scenario.period_unit}" if exponent > 0 else "—"
-
-
 def _percent(x: np.ndarray) -> str:
     return f"{100 * np.mean(x):.0f} %" if x.size else "—"
-
-
-@picture(3, size=(4.6, 5.2))
-def draw_section(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the surface of section at pericenter, and maps of the exponents in the plane and out of it."""
-    found = chaos(scenario, step, run)
-    chaotic = found.section[:, 0] > chaos_limit(scenario.orbits)
-    theta, rate = section(scenario, run.state)
-    left, *maps = axes
-    left.scatter(theta[:, chaotic], rate[:, chaotic], s=0.15, color=plots.GRAY, lw=0, rasterized=True)
-    for m in np.flatnonzero(~chaotic):
-        left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=_COLORS[m % len(_COLORS)])
-    left.set_ylabel("spin rate θ̇ / n")
-    left.set_title("surface of section at pericenter; gray: chaotic\nmotions, colors: regular motions, one each")
-    names = ("in the plane", "out of the plane: the spin axis leaves its normal")
-    scale = {"vmin": 0, "vmax": found.section.max(), "cmap": "magma"}
-    images = []
-    for ax, name, values in zip(maps, names, found.section.T, strict=True):
-        x, y, value = (_rows(scenario, grid) for grid in (theta[0], rate[0], values))
-        x[:, -1] += np.pi
-        images.append(ax.pcolormesh(x, y, value, shading="nearest", **scale))
-        ax.set_title(f"Lyapunov exponent / n,\n{name}")
-    left.figure.colorbar(images[0], ax=maps[1], label="Lyapunov exponent / n")
-    for ax in axes:
-        ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, scenario.greatest_rate))
-        ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
-    title = f"{scenario.title}: {scenario.members} planar motions, {scenario.orbits} orbits each"
-    left.figure.suptitle(title)
-
-
-def _rows(scenario: Scenario, x: np.ndarray) -> np.ndarray:
-    """Values of the members as a grid, a row for each rate; its last column repeats the first, since θ has period π."""
-    grid = x.reshape(-1, scenario.angles)
-    return np.concatenate([grid, grid[:, :1]], axis=1)
-
-
-def section(scenario: Scenario, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """θ in [0, π) and θ̇ of planar states."""
-    q, p = np.asarray(state.q), np.asarray(state.p)
-    theta = 2 * np.arctan2(q[..., 3], q[..., 0]) % np.pi
-    return np.where(theta > np.pi - _ROUND_OFF, 0.0, theta), p[..., 2] / scenario.inertia[2]
-
-
-@picture(size=lambda scenario: (8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
-def draw_observed(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the largest exponents of the members about each observed state."""
-    found, bound = chaos(scenario, step, run), chaos_limit(scenario.around.orbits)
-    ax, scatter = axes[0], np.random.default_rng(0)
-    ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not distinguishable from a regular motion")
-    for k, (x, error) in enumerate(zip(found.observed, found.errors, strict=True)):
-        color = plots.RED if verdict(x, bound) == "chaotic" else plots.BLUE
-        ax.plot(x[1:], k + scatter.uniform(-0.2, 0.2, len(x) - 1), "o", ms=3, color=color, alpha=0.6, lw=0)
-        ax.errorbar(x[0], k, xerr=error[0], fmt="D", ms=5, color=plots.INK, capsize=2)
-    ax.plot([], [], "D", ms=5, color=plots.INK, label="state as observed, ± its error")
-    ax.plot([], [], "o", ms=3, color=plots.RED, label="members about it: chaotic as a whole")
-    ax.plot([], [], "o", ms=3, color=plots.BLUE, label="members about it: undecided, or regular")
-    names = [f"{given.date}\n{given.reading}" for given in scenario.observed]
-    ax.set_yticks(range(len(names)), names, fontsize="x-small")
-    ax.invert_yaxis()
-    n = f"the mean motion n = 2π / {scenario.period:g} {scenario.period_unit}"
-    ax.set(xlabel=f"largest Lyapunov exponent / n, with {n}", ylabel="date of the state; its principal axes")
-    ax.set(xlim=(0, None), title="the observed states, and members about each")
-    ax.legend(loc="lower right")
-
-
-PICTURES = {"section": draw_section, "observed": draw_observed}

@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from pydantic import AliasChoices, Field, model_validator
 
-from lieint_jax import schemes, systems
-from lieint_jax.app import plots
-from lieint_jax.app.scenarios import _spread, heavy_top
-from lieint_jax.app.scenarios._common import (
-    Common,
-    NonNegative,
-    NumberSpread,
-    PositiveFloat,
-    Table,
-    Triple,
-    UnitVector,
-    compose_to_order,
-    deviates,
-)
-from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
-from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import drawn_trajectory, nominal_state, series
-from lieint_jax.app.scenarios._spread import DIRECTION, for_member, same_side_of
+from lieint_jax import measure, schemes, systems
+from lieint_jax.app.scenarios._keys import NonNegative, NumberSpread, PositiveFloat, Table, Triple, UnitVector
+from lieint_jax.app.scenarios._kind import Kind, picture
+from lieint_jax.app.scenarios._pictures import draw_errors, draw_on_sphere
+from lieint_jax.app.scenarios._report import CLOSED_FORM, ROUND_OFF, Conserved, Quantity
+from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._spread import DIRECTION, same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
-from lieint_jax.systems import Pendulum, PotentialTop
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.runs import Run
+from lieint_jax.systems import Pendulum, PotentialTop, lagrange_motion
+from lieint_jax.types import State
 
 _FINE = 4  # steps of the drawn path per step of the scenario, so that it reaches its bounds
 
@@ -53,10 +42,9 @@ class Spread(NumberSpread):
     """Standard deviation of the velocity of the direction, per time_unit."""
 
 
-class Scenario(Common):
+class SphericalPendulum(Kind):
     """The keys of a scenario of this kind."""
 
-    system: Literal["pendulum"]  # pyright: ignore[reportIncompatibleVariableOverride]
     mass: PositiveFloat
     """In a unit of mass."""
     gravity: Annotated[float, same_side_of(0)]
@@ -72,111 +60,82 @@ class Scenario(Common):
     spread: Spread = Spread()
 
     @model_validator(mode="after")
-    def _check_gravity(self) -> Scenario:
+    def _check_gravity(self) -> SphericalPendulum:
         if self.gravity == 0:
             raise ValueError("gravity must not be 0")
         return self
 
-    def spreads(self) -> dict[str, tuple[float, str]]:
-        return {"direction": (self.spread.direction_deg, "°"), "velocity": (self.spread.velocity, "")}
+    def make_system(self) -> Pendulum:
+        return systems.pendulum(self.mass, self.gravity, self.axis)
 
+    def options(self) -> tuple[Any, ...]:
+        return (self.normalized,)
 
-def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
-    """The step and the batch of initial states, the nominal one first."""
-    return _spread.build(scenario, deviates(scenario, indices), _step, _start)
+    def start(self, system: Pendulum, noise: Any) -> State:
+        q = so3.Ad(so3.exp(jnp.deg2rad(self.spread.direction_deg) * noise[0]), jnp.asarray(self.state.direction))
+        V = jnp.asarray(self.state.velocity) + self.spread.velocity * noise[1]
+        return system.state(q, velocity=V - q * (q @ V) / (q @ q))
 
+    def conserved(self, run: Run) -> list[Conserved]:
+        """Energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π, which are 0."""
+        bob = nominal_system(run)
+        H, gamma_pi, defect = (series(f, run) for f in (Pendulum.energy, Pendulum.momentum, _defect))
+        depth = abs(float(bob.potential(bob.axis)))
+        kinetic = H[0] + depth  # its largest value, at the lowest point
+        return [
+            Conserved("energy, relative", H, kinetic + depth, ROUND_OFF),
+            Conserved("γ·π, relative", gamma_pi[..., 0], np.sqrt(2 * float(bob.mass) * kinetic), ROUND_OFF),
+            Conserved("constraints |q| = 1, q·π = 0", defect, promise=ROUND_OFF, initial=0.0),
+        ]
 
-def _step(scenario: Scenario) -> Step:
-    bob = systems.pendulum(scenario.mass, scenario.gravity, scenario.axis)
-    return compose_to_order(schemes.sphere_midpoint(bob, scenario.normalized), scenario.order)
+    def quantities(self, run: Run) -> list[Quantity]:
+        """Period, precession and bounds of the swing, measured for every member, and in closed form."""
+        exact = lagrange_motion(*as_top(nominal_system(run), nominal_state(run)))
+        found = measure.nutation(run)
+        bounds = 180 - np.rad2deg(exact.inclination)
+        rows = [
+            (f"lowest point to lowest point ({self.time_unit})", found.period, exact.nutation_period),
+            (f"mean rate about γ (rad/{self.time_unit})", found.precession_rate, -exact.precession_rate),
+            ("least angle from γ (°)", np.rad2deg(found.least), bounds[1]),
+            ("greatest angle from γ (°)", np.rad2deg(found.greatest), bounds[0]),
+        ]
+        return [Quantity(name, x, closed_form=float(closed)) for name, x, closed in rows]
 
+    def remarks(self, run: Run) -> list[str]:
+        """How to read the table."""
+        reasons = "fewer than two swings, states saved too rarely, or a swing through the axis"
+        return [CLOSED_FORM, f"  — none: {reasons}"]
 
-def _start(scenario: Scenario, bob: Pendulum, noise: Any) -> State:
-    rotation, change = jnp.deg2rad(scenario.spread.direction_deg) * noise[0], scenario.spread.velocity * noise[1]
-    q = so3.Ad(so3.exp(rotation), jnp.asarray(scenario.state.direction))
-    V = jnp.asarray(scenario.state.velocity) + change
-    return bob.state(q, velocity=V - q * (q @ V) / (q @ q))
+    @picture(2, spatial=(0,))
+    def draw_path(self, axes: np.ndarray, run: Run) -> None:
+        """Plot a dozen swings of the bob on the sphere, seen from below, and its angle from γ against time."""
+        one = run.member(0)
+        period, steps = measure.nutation(one).period, self.steps
+        if np.isfinite(period):
+            steps = min(steps, int(12 * period / abs(self.dt)) + 1)
+        long = self.drawn(one.step, nominal_state(one), _FINE, steps)
+        bounds = 180 - np.rad2deg(lagrange_motion(*as_top(nominal_system(one), nominal_state(one))).inclination)
+        look: Any = {"unit": self.time_unit, "pole_label": "γ, down", "bounds": bounds[np.isfinite(bounds)]}
+        path, ends, pole = (np.asarray(x) for x in (long.state.q, run.state.q[-1], nominal_system(one).axis))
+        draw_on_sphere(axes, np.asarray(long.t), path, float(run.t[-1]), ends, pole, **look)
+        axes[0].set_title(f"the nominal bob to t = {long.t[-1]:.4g} {self.time_unit}")
+        axes[1].set_title("dashed: its bounds in closed form")
 
-
-def conserved(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Conserved]:
-    """Energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π, which are 0."""
-    H, gamma_pi, defect = (series(f, run, bob) for f in (Pendulum.energy, Pendulum.momentum, _defect))
-    depth = abs(float(bob.potential(bob.axis)))
-    kinetic = H[0] + depth  # its largest value, at the lowest point
-    return [
-        Conserved("energy, relative", H, kinetic + depth, ROUND_OFF),
-        Conserved("γ·π, relative", gamma_pi[..., 0], np.sqrt(2 * float(bob.mass) * kinetic), ROUND_OFF),
-        Conserved("constraints |q| = 1, q·π = 0", defect, promise=ROUND_OFF, initial=0.0),
-    ]
+    @picture(2)
+    def draw_energy(self, axes: np.ndarray, run: Run) -> None:
+        """Plot energy and constraint errors of the nominal member by both forms of the midpoint rule."""
+        one = run.member(0)
+        both = [schemes.sphere_midpoint(nominal_system(one), normalized) for normalized in (False, True)]
+        for ax, name in zip(axes, ("energy, relative", "constraints |q| = 1, q·π = 0"), strict=True):
+            draw_errors(ax, self, one, both, {name: ""}, name)
 
 
 def _defect(bob: Pendulum, state: State) -> Any:
     return bob.phase_space.defect(state)
 
 
-def as_top(bob: Pendulum, run: Trajectory) -> tuple[PotentialTop, Trajectory]:
-    """The pendulum in a uniform field as Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
+def as_top(bob: Pendulum, state: State) -> tuple[PotentialTop, State]:
+    """The pendulum as Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
     depth = -bob.potential(bob.axis)
     top = systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
-    q: Any = series(_attitude, run)
-    return top, run._replace(state=State(q, run.state.p))
-
-
-def _attitude(state: State) -> Any:
-    return so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1))
-
-
-def quantities(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Quantity]:
-    """Period, precession and bounds of the swing, measured for every member, and in closed form."""
-    period, rate, least, greatest = heavy_top.quantities(scenario, *as_top(bob, run))
-    return [
-        replace(period, name=f"lowest point to lowest point ({scenario.time_unit})"),
-        _complement(f"mean rate about γ (rad/{scenario.time_unit})", rate, 0.0),
-        _complement("least angle from γ (°)", greatest, 180.0),
-        _complement("greatest angle from γ (°)", least, 180.0),
-    ]
-
-
-def _complement(name: str, of_top: Quantity, total: float) -> Quantity:
-    """The quantity of the pendulum that adds up with one of the top to `total`."""
-    assert of_top.closed_form is not None
-    return replace(of_top, name=name, values=total - of_top.values, closed_form=total - of_top.closed_form)
-
-
-def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
-    """How to read the table."""
-    return [
-        heavy_top.CLOSED_FORM,
-        "  — none: fewer than two swings, states saved too rarely, or a swing through the axis",
-    ]
-
-
-@picture(2, spatial=(0,))
-def draw_path(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot a dozen swings of the bob on the sphere, seen from below, and its angle from γ against time."""
-    step = for_member(scenario, step)
-    bob, unit = step.system, scenario.time_unit
-    period, _, *bounds = quantities(scenario, bob, run)
-    steps = scenario.steps
-    if np.isfinite(period.nominal):
-        steps = min(steps, int(12 * period.nominal / abs(scenario.dt)) + 1)
-    long = drawn_trajectory(step, nominal_state(run), scenario.dt / _FINE, _FINE * steps)
-    known = [x.closed_form for x in bounds if x.closed_form is not None and np.isfinite(x.closed_form)]
-    path, ends = np.asarray(long.state.q), np.asarray(run.state.q[-1])
-    look = {"unit": unit, "pole_label": "γ, down", "bounds": known}
-    draw_on_sphere(axes, np.asarray(long.t), path, float(run.t[-1]), ends, np.asarray(bob.axis), **look)
-    axes[0].set_title(f"the nominal bob to t = {long.t[-1]:.4g} {unit}")
-    axes[1].set_title("dashed: its bounds in closed form")
-
-
-@picture(2)
-def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot energy and constraint errors of the nominal member by both forms of the midpoint rule."""
-    bob = for_member(scenario, step.system)
-    both = [schemes.sphere_midpoint(bob, normalized) for normalized in (False, True)]
-    t, found = changes_by_scheme(conserved, scenario, both, nominal_state(run))
-    for ax, name in ((axes[0], "energy, relative"), (axes[1], "constraints |q| = 1, q·π = 0")):
-        plots.log_error(ax, t, {scheme: errors[name] for scheme, errors in found.items()}, name, scenario.time_unit)
-
-
-PICTURES = {"path": draw_path, "energy": draw_energy}
+    return top, State(so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1)), state.p)

@@ -11,13 +11,10 @@ import numpy as np
 from jax import Array
 from pydantic import Field, model_validator
 
-from lieint_jax import _checks, diagnostics, schemes, systems
+from lieint_jax import _checks, diagnostics, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios import _spread
-from lieint_jax.app.scenarios._common import (
-    TINY,
-    Common,
+from lieint_jax.app.scenarios._keys import (
     NonNegative,
     NumberSpread,
     PositiveFloat,
@@ -25,17 +22,18 @@ from lieint_jax.app.scenarios._common import (
     Published,
     Rate,
     RateSpread,
+    Stated,
     Table,
     Triple,
     checked,
-    member_indices,
 )
-from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture, positive, step_of
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
-from lieint_jax.app.scenarios._runs import cached_for_last_run, drawn_trajectory, nominal_state, series
-from lieint_jax.app.scenarios._spread import POSITIVE_DETERMINANT, SECOND_MOMENTS, for_member
+from lieint_jax.app.scenarios._runs import length, nominal_state, series
+from lieint_jax.app.scenarios._spread import POSITIVE_DETERMINANT, SECOND_MOMENTS
+from lieint_jax.runs import Run
 from lieint_jax.systems import PseudoRigidBody
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PyTree
 
 _LONGEST = 4_000  # largest number of drawn steps, which are all saved, since a delay plot needs each
@@ -83,14 +81,13 @@ class Spread(RateSpread, NumberSpread):
     """Standard deviations of the members about the nominal state, to which an angular velocity is added, and of
     numbers of the scenario by their paths."""
 
-    deformation: NonNegative = 0.0
+    deformation: Annotated[NonNegative, Stated("F")] = 0.0
     """Standard deviation of each entry of F, without unit."""
 
 
-class Scenario(Common):
+class PseudoRigid(Kind):
     """The keys of a scenario of this kind."""
 
-    system: Literal["pseudo_rigid"]  # pyright: ignore[reportIncompatibleVariableOverride]
     inertia: Annotated[list[Any], SECOND_MOMENTS, checked(partial(_checks.positive_definite, "inertia"))]
     """E, the second moments of mass, principal (3) or a tensor in body axes (3 × 3)."""
     material: Material
@@ -104,7 +101,7 @@ class Scenario(Common):
     spread: Spread = Spread()
     published: dict[Literal["midpoint_energy_variation"], Published] = {}
 
-    fixed: ClassVar[dict[str, str]] = Common.fixed | {"alpha": "it is a number of the scheme"}
+    fixed: ClassVar[dict[str, str]] = Kind.fixed | {"alpha": "it is a number of the scheme"}
 
     @model_validator(mode="after")
     def _check_alpha(self) -> Self:
@@ -114,69 +111,100 @@ class Scenario(Common):
             raise ValueError(f"steps = {self.steps} must be more than 2·lag = {2 * self.lag}")
         return self
 
-    def spreads(self) -> dict[str, tuple[float, str]]:
-        return {"F": (self.spread.deformation, ""), "angular velocity": self.spread.with_unit(self.time_unit)}
+    def make_system(self) -> PseudoRigidBody:
+        material = getattr(systems, self.material.law)(self.material.lam, self.material.mu)
+        return systems.pseudo_rigid_body(jnp.asarray(self.inertia), material)
 
+    def options(self) -> tuple[Any, ...]:
+        return self.rule, self.alpha
 
-def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
-    """The step and the batch of initial states, the nominal one first."""
-    for_F, for_spin = jax.random.split(jax.random.key(scenario.seed))
-    indices, members = member_indices(scenario, indices), scenario.members
-    first = jnp.asarray(indices == 0)
-    dF = scenario.spread.deformation * random_bits.normal_rows(for_F, (members, 3, 3), indices)
-    spin = scenario.spread.rate() * random_bits.normal_rows(for_spin, (members, 3), indices)
-    dF, spin = jnp.where(first[:, None, None], 0.0, dF), jnp.where(first[:, None], 0.0, spin)
-    step, states = _spread.build(scenario, (dF, spin), _step, _start)
-    start = _nominal(scenario, for_member(scenario, step.system))
+    def deviates(self, indices: np.ndarray) -> PyTree:
+        """Those of F and of the added angular velocity, (m, 3, 3) and (m, 3)."""
+        shapes, keys = ((self.members, 3, 3), (self.members, 3)), jax.random.split(jax.random.key(self.seed))
+        sizes = self.spread.deformation, self.spread.rate()
+        noise = [
+            x * random_bits.normal_rows(k, shape, indices) for x, k, shape in zip(sizes, keys, shapes, strict=True)
+        ]
+        return tuple(jnp.where((indices == 0).reshape(-1, *[1] * (x.ndim - 1)), 0.0, x) for x in noise)
 
-    def exact(x: Array, x0: Array) -> Array:  # the nominal state, since F⁻¹F rounds
-        return jnp.where(first.reshape(-1, *[1] * x0.ndim), x0, x)
+    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
+        """The step and the batch of initial states, the nominal one first, and exact: F⁻¹F rounds."""
+        step, states = super().build(indices)
+        first = jnp.asarray(self.indices(indices) == 0)
+        start = self._nominal(jax.tree.map(lambda x: x[0], step.system) if self.own_numbers() else step.system)
 
-    return step, jax.tree.map(exact, states, start)
+        def exact(x: Array, x0: Array) -> Array:
+            return jnp.where(first.reshape(-1, *[1] * x0.ndim), x0, x)
 
+        return step, jax.tree.map(exact, states, start)
 
-def _step(scenario: Scenario) -> Step:
-    material = getattr(systems, scenario.material.law)(scenario.material.lam, scenario.material.mu)
-    body = systems.pseudo_rigid_body(jnp.asarray(scenario.inertia), material)
-    return schemes.additive(body, scenario.rule, scenario.alpha)
+    def _nominal(self, body: Any) -> State:
+        """The nominal state of a scenario."""
+        motion = {name: jnp.asarray(x) for name, x in self.state.motion().items()}
+        return body.state(jnp.asarray(self.state.deformation), **motion)
 
+    def start(self, system: Any, noise: PyTree) -> State:
+        dF, spin = noise
+        start = self._nominal(system)
+        F, V = start.q + dF, system.velocity(start)
+        rotating = system.state(F, angular_velocity=spin)
+        return rotating._replace(p=rotating.p + system.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
 
-def _nominal(scenario: Scenario, body: Any) -> State:
-    """The nominal state of a scenario."""
-    motion = {name: jnp.asarray(x) for name, x in scenario.state.motion().items()}
-    return body.state(jnp.asarray(scenario.state.deformation), **motion)
+    def conserved(self, run: Run) -> list[Conserved]:
+        """Energy and momentum, relative to the member's initial |H| and |Φ|."""
+        H, Phi = series(PseudoRigidBody.energy, run), series(PseudoRigidBody.momentum, run)
+        promised = "bounded, not conserved" if self.rule == "symplectic" else ROUND_OFF
+        return [
+            Conserved("energy, relative", H, positive(abs(H[0])), promised),
+            Conserved("momentum rot[PFᵀ], relative", Phi, positive(length(Phi[0])), ROUND_OFF),
+        ]
 
+    def remarks(self, run: Run) -> list[str]:
+        """The least det F; the energy of the nominal member by the midpoint rule and the published variation."""
+        found, least = self.energies(run), float(np.linalg.det(run.state.q).min())
+        lines = [f"  {'least det F':<34}{least:>10.3g}   above 0, or flagged"]
+        lines += [f"\n  energy of the nominal member, {len(found.t) - 1} steps, max − min"]
+        lines += [f"  {name:<34}{np.ptp(H):>12.3g}" for name, H in found.energy.items()]
+        if (printed := self.published.get("midpoint_energy_variation")) is not None:
+            lines[-1] += f"   published {citation(self, printed)}"
+        if not found.converged:
+            lines.append("  NOT all of these steps converged: values after the first failure are wrong")
+        return lines
 
-def _start(scenario: Scenario, body: Any, noise: PyTree) -> State:
-    dF, spin = noise
-    start = _nominal(scenario, body)
-    F, V = start.q + dF, body.velocity(start)
-    rotating = body.state(F, angular_velocity=spin)
-    return rotating._replace(p=rotating.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
+    @for_last_run
+    def energies(self, run: Run) -> Energies:
+        """Integrate by both rules from the nominal state, at most `_LONGEST` steps, all saved."""
+        one, steps = run.member(0), min(self.steps, _LONGEST)
+        rules = [(f"the rule {self.rule!r}", one.step), (MIDPOINT, step_of(one.system, "additive", 2, "symplectic"))]
+        if (self.rule, self.alpha) == ("symplectic", 0.5):
+            rules = [(MIDPOINT, one.step)]
+        made = {name: self.drawn(step, nominal_state(one), steps=steps) for name, step in rules}
+        energy = {name: series(PseudoRigidBody.energy, long) for name, long in made.items()}
+        own = next(iter(made.values()))
+        displacement = np.sum((np.asarray(own.state.q) - np.eye(3)) ** 2, axis=(1, 2))
+        converged = all(bool(np.all(long.info.converged)) for long in made.values())
+        return Energies(np.asarray(own.t), energy, displacement, converged)
 
+    @picture(2, subplot_kw={"projection": "3d"})
+    def draw_torus(self, axes: np.ndarray, run: Run) -> None:
+        """Draw delay plots as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
+        found = self.energies(run)
+        panels = {
+            f"energy H of the {MIDPOINT}": ("H", found.energy[MIDPOINT]),
+            f"displacement d = ‖F − 1‖² of the rule {self.rule!r}": ("d", found.displacement),
+        }
+        for ax, (title, (symbol, x)) in zip(axes, panels.items(), strict=True):
+            plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), self.lag)), symbol)
+            ax.set_title(f"{title},\nless the middle of its range, at the steps n, n + N, n + 2N; N = {self.lag}")
 
-def conserved(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Conserved]:
-    """Energy and momentum, relative to the member's initial |H| and |Φ|."""
-    H, Phi = series(PseudoRigidBody.energy, run, body), series(PseudoRigidBody.momentum, run, body)
-    size = np.maximum(np.linalg.norm(Phi[0], axis=-1), TINY)
-    promised = "bounded, not conserved" if scenario.rule == "symplectic" else ROUND_OFF
-    return [
-        Conserved("energy, relative", H, np.maximum(abs(H[0]), TINY), promised),
-        Conserved("momentum rot[PFᵀ], relative", Phi, size, ROUND_OFF),
-    ]
-
-
-def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
-    """The least det F; the energy of the nominal member by the midpoint rule and the published variation."""
-    found, least = energies(scenario, step, run), float(np.linalg.det(run.state.q).min())
-    lines = [f"  {'least det F':<34}{least:>10.3g}   above 0, or flagged"]
-    lines += [f"\n  energy of the nominal member, {len(found.t) - 1} steps, max − min"]
-    lines += [f"  {name:<34}{np.ptp(H):>12.3g}" for name, H in found.energy.items()]
-    if (printed := scenario.published.get("midpoint_energy_variation")) is not None:
-        lines[-1] += f"   published {citation(scenario, printed)}"
-    if not found.converged:
-        lines.append("  NOT all of these steps converged: values after the first failure are wrong")
-    return lines
+    @picture(2)
+    def draw_energy(self, axes: np.ndarray, run: Run) -> None:
+        """Plot energy errors of the nominal member by the scenario's rule and the midpoint rule; its displacement."""
+        found = self.energies(run)
+        size = max(float(abs(H[0])) for H in found.energy.values())
+        errors = {name: H - H[0] for name, H in found.energy.items()}
+        plots.log_error(axes[0], found.t, errors, "energy error", self.time_unit, size, "|H₀|")
+        plots.series(axes[1], found.t, {"": found.displacement}, "displacement ‖F − 1‖²", self.time_unit)
 
 
 class Energies(NamedTuple):
@@ -189,46 +217,3 @@ class Energies(NamedTuple):
 
 
 MIDPOINT = "implicit midpoint rule"
-
-
-@cached_for_last_run
-def energies(scenario: Scenario, step: Step, run: Trajectory) -> Energies:
-    """Integrate by both rules from the nominal state, at most `_LONGEST` steps, all saved."""
-    step = for_member(scenario, step)
-    body, start, energy = step.system, nominal_state(run), {}
-    steps = min(scenario.steps, _LONGEST)
-    own = midpoint = drawn_trajectory(step, start, scenario.dt, steps)
-    converged = bool(np.all(own.info.converged))
-    if (scenario.rule, scenario.alpha) != ("symplectic", 0.5):
-        energy[f"the rule {scenario.rule!r}"] = np.asarray(jax.vmap(body.energy)(own.state))
-        midpoint = drawn_trajectory(schemes.additive(body, "symplectic"), start, scenario.dt, steps)
-        converged &= bool(np.all(midpoint.info.converged))
-    energy[MIDPOINT] = np.asarray(jax.vmap(body.energy)(midpoint.state))
-    displacement = np.sum((np.asarray(own.state.q) - np.eye(3)) ** 2, axis=(1, 2))
-    return Energies(np.asarray(own.t), energy, displacement, converged)
-
-
-@picture(2, subplot_kw={"projection": "3d"})
-def draw_torus(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Draw delay plots as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
-    found = energies(scenario, step, run)
-    panels = {
-        f"energy H of the {MIDPOINT}": ("H", found.energy[MIDPOINT]),
-        f"displacement d = ‖F − 1‖² of the rule {scenario.rule!r}": ("d", found.displacement),
-    }
-    for ax, (title, (symbol, x)) in zip(axes, panels.items(), strict=True):
-        plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)), symbol)
-        ax.set_title(f"{title},\nless the middle of its range, at the steps n, n + N, n + 2N; N = {scenario.lag}")
-
-
-@picture(2)
-def draw_energy(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
-    found = energies(scenario, step, run)
-    size = max(float(abs(H[0])) for H in found.energy.values())
-    errors = {name: H - H[0] for name, H in found.energy.items()}
-    plots.log_error(axes[0], found.t, errors, "energy error", scenario.time_unit, size, "|H₀|")
-    plots.series(axes[1], found.t, {"": found.displacement}, "displacement ‖F − 1‖²", scenario.time_unit)
-
-
-PICTURES = {"torus": draw_torus, "energy": draw_energy}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import itertools
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +14,12 @@ from pydantic import field_validator, model_validator
 from lieint_jax import schemes, systems, torques
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
-from lieint_jax.app.scenarios._body import inertia_matrix
-from lieint_jax.app.scenarios._common import HOUR, NonNegative, PositiveFloat, Triple, deviates
-from lieint_jax.app.scenarios._pictures import draw_balance, picture
+from lieint_jax.app.scenarios._body import BodyKind, inertia_matrix
+from lieint_jax.app.scenarios._keys import HOUR, NonNegative, PositiveFloat, RotationSpread, Stated, Triple
+from lieint_jax.app.scenarios._kind import for_last_run, picture
+from lieint_jax.app.scenarios._pictures import draw_balance, draw_members
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import angles_deg, cached_for_last_run, over_members
+from lieint_jax.app.scenarios._runs import angles_deg, series
 from lieint_jax.app.scenarios._satellite_laws import (
     Control,
     Detumbling,
@@ -32,13 +33,14 @@ from lieint_jax.app.scenarios._satellite_laws import (
     laws,
     surroundings,
 )
-from lieint_jax.app.scenarios._spread import draw_members, stretch_inertia, with_numbers
+from lieint_jax.app.scenarios._spread import draw_members as draw_numbers
+from lieint_jax.app.scenarios._spread import stretch_inertia, with_numbers
 from lieint_jax.groups import so3
+from lieint_jax.measure import captured_since, first_below
+from lieint_jax.runs import Run
 from lieint_jax.systems import TorquedBody
-from lieint_jax.types import State, Step, Trajectory, labels
+from lieint_jax.types import State, Step, labels
 
-STEP_AXIS = 0  # every member has its own inertia and dipole
-CERTIFIED = False  # control and friction conserve only the energy balance, which the report has
 _CAPTURED = 10.0  # degrees from the nadir
 _SLOW = 0.5  # °/s: detumbled
 _FEW = 500  # members that are drawn as larger dots
@@ -51,19 +53,18 @@ class InitialState(_body.InitialState):
     """Relative to the orbit, attitude and angular velocity are those of the body with respect to its moving axes."""
 
 
-class Spread(_body.Spread):
+class Spread(RotationSpread):
     """Standard deviations of the members about the nominal satellite and its state."""
 
-    inertia: NonNegative = 0.0
+    inertia: Annotated[NonNegative, Stated("second moments of mass", "of them")] = 0.0
     """Relative standard deviation of the second moments of mass along each body axis."""
-    residual_dipole: NonNegative = 0.0
+    residual_dipole: Annotated[NonNegative, Stated("residual dipole", "A m²")] = 0.0
     """Standard deviation of each component of the residual dipole, in A m²."""
 
 
-class Scenario(_body.BodyScenario):
+class Satellite(BodyKind):
     """The keys of a scenario of this kind. Units: SI; the axes of space are inertial, z to the pole."""
 
-    system: Literal["satellite"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
     date: str
     """YYYY-MM-DD, 0 h UT, at t = 0: from it follow the Earth's field and rotation."""
@@ -82,7 +83,7 @@ class Scenario(_body.BodyScenario):
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    fixed: ClassVar[dict[str, str]] = _body.BodyScenario.fixed | {
+    fixed: ClassVar[dict[str, str]] = BodyKind.fixed | {
         **dict.fromkeys(("orbit.*", "drag.*density*", "drag.*height*"), "all members share the orbit, field and air"),
         "*.window": "all members share the phases",
         "wheels.tilt_deg": "momenta of wheels are measured along axes that all members share",
@@ -114,7 +115,7 @@ class Scenario(_body.BodyScenario):
     @model_validator(mode="after")
     def _check_orbit_and_wheels(self) -> Self:
         self.environment()
-        _driven_inertia(self, jnp.asarray(inertia_matrix(self)))
+        self._driven_inertia(jnp.asarray(inertia_matrix(self)))
         return self
 
     def environment(self) -> Surroundings:
@@ -126,63 +127,201 @@ class Scenario(_body.BodyScenario):
         given = {name: getattr(self, name) for name in ("detumbling", "pointing", "unloading")}
         return dict(sorted(((k, c) for k, c in given.items() if c is not None), key=lambda pair: pair[1].window))
 
-    def spreads(self) -> dict[str, tuple[float, str]]:
-        own = {
-            "second moments of mass": (self.spread.inertia, "of them"),
-            "residual dipole": (self.spread.residual_dipole, "A m²"),
-        }
-        return super().spreads() | own
+    own_step = True  # every member has its own inertia and dipole
+    certified = False
 
+    def _driven_inertia(self, locked: Any) -> Any:
+        """The inertia of the body without the axial inertia of the wheels."""
+        if self.wheels is None:
+            return locked
+        return torques.body_inertia(locked, self.wheels.axes(), self.wheels.inertia_kg_m2)
 
-def _driven_inertia(scenario: Scenario, locked: Any) -> Any:
-    """The inertia of the body without the axial inertia of the wheels."""
-    if scenario.wheels is None:
-        return locked
-    return torques.body_inertia(locked, scenario.wheels.axes(), scenario.wheels.inertia_kg_m2)
+    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
+        """The steps of the members, each with its own inertia and dipole, and their states."""
+        around, spread = self.environment(), self.spread
+        key = jax.random.fold_in(jax.random.key(self.seed), 1)
+        own = jax.random.normal(key, (2, self.members, 3)).at[:, 0].set(0.0)
+        nominal = jnp.asarray(inertia_matrix(self))
+        locked = jax.vmap(stretch_inertia, (None, 0))(nominal, jnp.exp(spread.inertia * own[0]))
+        dipoles = jnp.asarray(self.residual_dipole) + spread.residual_dipole * own[1]
+        pose = self._pose(around)
 
+        def member(own: Any, locked: Any, dipole: Any, noise: Any) -> tuple[Step, State]:
+            of_member = with_numbers(self, own)
+            law = torques.total(laws(of_member, around, locked, dipole))
+            body = systems.torqued_body(of_member._driven_inertia(locked), law)
+            q, Omega = of_member._pose(around) if own else pose
+            return schemes.torqued_midpoint(body), self.state_about(body, noise, q, Omega, works=True)
 
-def build(scenario: Scenario) -> tuple[Step, State]:
-    """The steps of the members, each with its own inertia and dipole, and their states."""
-    around, spread = scenario.environment(), scenario.spread
-    key = jax.random.fold_in(jax.random.key(scenario.seed), 1)
-    own = jax.random.normal(key, (2, scenario.members, 3)).at[:, 0].set(0.0)
-    locked = jax.vmap(stretch_inertia, (None, 0))(
-        jnp.asarray(inertia_matrix(scenario)), jnp.exp(spread.inertia * own[0])
-    )
-    dipoles = jnp.asarray(scenario.residual_dipole) + spread.residual_dipole * own[1]
-    q, Omega = _initial(scenario, around)
-    for_attitude, for_rate = jnp.swapaxes(deviates(scenario), 0, 1)
-    rotations, changes = jnp.deg2rad(spread.attitude_deg) * for_attitude, spread.rate() * for_rate
+        noise = self.deviates(self.indices(None))
+        step, states = jax.jit(jax.vmap(member))(draw_numbers(self), locked, dipoles, noise)
+        if self.wheels is not None and self.own_numbers():
+            heavy = int((np.linalg.eigvalsh(np.asarray(step.system.inertia)).min(axis=-1) <= 0).sum())
+            if heavy:
+                raise ValueError(
+                    f"spread: {heavy} members have wheels heavier than the satellite: give smaller spreads"
+                )
+        return step, states._replace(t=jnp.zeros((), states.p.dtype))
 
-    def member(own: Any, locked: Any, dipole: Any, rotation: Any, change: Any) -> tuple[Step, State]:
-        of_member = with_numbers(scenario, own)
-        law = torques.total(laws(of_member, around, locked, dipole))
-        body = systems.torqued_body(_driven_inertia(of_member, locked), law)
-        attitude, rate = _initial(of_member, around) if own else (q, Omega)
-        state = body.state(so3.multiply(so3.exp(rotation), attitude), angular_velocity=rate + change, works=True)
-        return schemes.torqued_midpoint(body), state
+    def _pose(self, around: Surroundings) -> tuple[Any, Any]:
+        """The nominal attitude, and the angular velocity in the body."""
+        given, frame = self.state, around.frame
+        q, Omega = given.attitude(), jnp.asarray(given.rate())
+        if given.relative_to == "orbit":
+            Omega = Omega + so3.Ad_star(q, frame.angular_velocity(0.0))
+            q = so3.multiply(frame(0.0), q)
+        return q, Omega
 
-    step, states = jax.jit(jax.vmap(member))(draw_members(scenario), locked, dipoles, rotations, changes)
-    _check_wheels(scenario, step)
-    return step, states._replace(t=jnp.zeros((), states.p.dtype))
+    @for_last_run
+    def course(self, run: Run) -> Course:
+        """The measured series of all members."""
+        axes = None if self.wheels is None else self.wheels.axes()
 
+        def measure(body: TorquedBody, state: State) -> tuple[Any, ...]:
+            Omega = body.angular_velocity(state)
+            z = so3.Ad(state.q, jnp.array([0.0, 0.0, 1.0], state.q.dtype))
+            extra: Any = state.extra
+            h = jnp.zeros(()) if axes is None else jnp.linalg.norm(extra["wheels"] @ axes)
+            return jnp.linalg.norm(Omega), z, h, extra["works"], body.energy(state)
 
-def _check_wheels(scenario: Scenario, step: Step) -> None:
-    """Raise ValueError if members have wheels of larger axial inertia than the whole satellite."""
-    if scenario.wheels is not None and scenario.own_numbers():
-        heavy = int((np.linalg.eigvalsh(np.asarray(step.system.inertia)).min(axis=-1) <= 0).sum())
-        if heavy:
-            raise ValueError(f"spread: {heavy} members have wheels heavier than the satellite: give smaller spreads")
+        rate, z, h, works, energy = series(measure, run)
+        frames = jax.vmap(self.environment().frame)(jnp.asarray(run.t))
+        down = np.asarray(jax.vmap(so3.Ad, (0, None))(frames, jnp.array([0.0, 0.0, 1.0])))[:, None]
+        return Course(np.rad2deg(rate), angles_deg(z, down), h, works, energy, labels(run.system))
 
+    def conserved(self, run: Run) -> list[Conserved]:
+        """The energy less the work of all laws, relative to the largest energy of each member."""
+        c = self.course(run)
+        size = abs(c.energy).max(axis=0)
+        return [Conserved("energy less the work of all laws", c.energy - c.works.sum(axis=-1), size, ROUND_OFF)]
 
-def _initial(scenario: Scenario, around: Surroundings) -> tuple[Any, Any]:
-    """The nominal attitude, and the angular velocity in the body."""
-    given, frame = scenario.state, around.frame
-    q, Omega = given.attitude(), jnp.asarray(given.rate())
-    if given.relative_to == "orbit":
-        Omega = Omega + so3.Ad_star(q, frame.angular_velocity(0.0))
-        q = so3.multiply(frame(0.0), q)
-    return q, Omega
+    def quantities(self, run: Run) -> list[Quantity]:
+        """Rates, angles and momenta at the end, and when the members were captured."""
+        c, t = self.course(run), np.asarray(run.t)
+        found = [
+            Quantity("rate at the end (°/s)", c.rate[-1]),
+            Quantity("z axis from the nadir at the end (°)", c.nadir_angle[-1]),
+            Quantity(f"first slower than {_SLOW:g} °/s (s)", first_below(t, c.rate, _SLOW), ".0f"),
+            Quantity(
+                f"within {_CAPTURED:g}° of the nadir since (s)", captured_since(t, c.nadir_angle, _CAPTURED), ".0f"
+            ),
+        ]
+        if self.wheels is not None:
+            found += [
+                Quantity("largest momentum of the wheels (mN m s)", 1e3 * c.wheels.max(axis=0)),
+                Quantity("momentum of the wheels at the end (mN m s)", 1e3 * c.wheels[-1]),
+            ]
+        return found
+
+    def phases(self, t: np.ndarray) -> list[tuple[str, int, int]]:
+        """Name, first and last saved time of each phase: between the edges of the windows of control."""
+        controls = self.controls()
+        edges = sorted({t[0], t[-1], *(x for c in controls.values() for x in c.window if t[0] < x < t[-1])})
+        found = []
+        for start, stop in itertools.pairwise(edges):
+            acting = [name for name, c in controls.items() if c.window[0] <= (start + stop) / 2 < c.window[1]]
+            first, last = (int(np.searchsorted(t, x)) for x in (start, stop))
+            if first < last:
+                found.append((" and ".join(acting) or "free motion", first, last))
+        return found
+
+    def remarks(self, run: Run) -> list[str]:
+        """The phases, and the work of each law in each of them."""
+        c, t = self.course(run), np.asarray(run.t)
+        parts = self.phases(t)
+        lines = [
+            f"\n  {'phase':<28}{'until (s)':>10}{'rate (°/s)':>20}{'from the nadir (°)':>22}{'wheels (mN m s)':>19}",
+            f"  {'median and largest, at its end':<38}",
+        ]
+        for name, _, k in parts:
+            pairs = [f"{np.median(x[k]):.3f}  {np.max(x[k]):.3f}" for x in (c.rate, c.nadir_angle, 1e3 * c.wheels)]
+            lines.append(f"  {name:<28}{t[k]:>10.0f}{pairs[0]:>20}{pairs[1]:>22}{pairs[2]:>19}")
+        lines.append(f"\n  {'work (µJ), mean of members':<28}" + "".join(f"{_short(name):>20}" for name, *_ in parts))
+        for j, name in enumerate(c.names):
+            values = [np.mean(c.works[k, :, j] - c.works[i, :, j]) for _, i, k in parts]
+            lines.append(f"  {name:<28}" + "".join(f"{1e6 * x:>20.4f}" for x in values))
+        gained = [np.mean(c.energy[k] - c.energy[i]) for _, i, k in parts]
+        lines.append(f"  {'energy, changed by':<28}" + "".join(f"{1e6 * x:>20.4f}" for x in gained))
+        if "bdot" in c.names:
+            work = c.works[..., c.names.index("bdot")]
+            braked = int(np.sum(np.all(np.diff(work, axis=0) <= 0, axis=0)))
+            lines.append(
+                f"\n  detumbling never raised the energy between two saved times: {braked} of {work.shape[1]} starts"
+            )
+        done = c.nadir_angle[-1] <= _CAPTURED
+        part, error = fraction(done)
+        lines.append(
+            f"  at the end within {_CAPTURED:g}° of the nadir: {done.sum()} of {done.size}, "
+            f"{_percent(part, error)} of all starts"
+        )
+        return lines
+
+    def _mark_phases(self, ax: Any, t: np.ndarray, named: bool = True) -> None:
+        """Mark the edges of the phases on an axis in hours, with their names above it."""
+        for name, first, last in self.phases(t):
+            if first:
+                ax.axvline(t[first] / HOUR, color="gray", lw=0.6, ls=":", zorder=1)
+            if named:
+                middle, at = (t[first] + t[last]) / 2 / HOUR, ("data", "axes fraction")
+                look: Any = {"ha": "center", "va": "bottom", "size": 7.5}
+                ax.annotate(name.replace(" and ", "\nand "), (middle, 1.0), (0, 4), at, "offset points", **look)
+
+    @picture(3)
+    def draw_phases(self, axes: np.ndarray, run: Run) -> None:
+        """Plot rates, angles and momenta of the wheels of the first hundred members; the nominal one in black."""
+        c, t = self.course(run), np.asarray(run.t)
+        for ax, values, label in (
+            (axes[0], c.rate, "angular velocity (°/s)"),
+            (axes[1], c.nadir_angle, "z axis from the nadir (°)"),
+            (axes[2], 1e3 * c.wheels, "momentum of the wheels (mN m s)"),
+        ):
+            draw_members(ax, t / HOUR, values, label, "h")
+            self._mark_phases(ax, t)
+        axes[1].set(ylim=(0, 180), yticks=range(0, 181, 30))
+        if (c.rate > 0).all():
+            axes[0].set_yscale("log")
+
+    @picture(2)
+    def draw_works(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the work of each law on the nominal member, and how well the works add up to the change of energy."""
+        c, t = self.course(run), np.asarray(run.t)
+        draw_balance(axes, t / HOUR, 1e6 * c.energy, 1e6 * c.works, c.names, unit="µJ", time_unit="h")
+        for ax in axes:
+            self._mark_phases(ax, t, named=False)
+
+    @picture(2)
+    def draw_capture(self, axes: np.ndarray, run: Run) -> None:
+        """Plot when each start became slow, by its initial rate and fate, and how many are slow or captured."""
+        left, right = axes
+        c, t = self.course(run), np.asarray(run.t)
+        captured, slow = (
+            np.isfinite(captured_since(t, c.nadir_angle, _CAPTURED)),
+            first_below(t, c.rate, _SLOW, interpolate=True),
+        )
+        never = int(np.isnan(slow).sum())
+        hours = np.where(np.isnan(slow), t[-1], slow) / HOUR
+        for fate, chosen, look in (
+            ("captured", captured, {"color": plots.BLUE, "marker": ".", "s": 12 if captured.size <= _FEW else 3}),
+            ("not captured", ~captured, {"color": plots.RED, "marker": "x", "s": 16, "linewidths": 0.8}),
+        ):
+            label = f"{fate}: {chosen.sum()} of {chosen.size}"
+            left.scatter(c.rate[0, chosen], hours[chosen], label=label, rasterized=True, **look)
+        left.set(xlabel="initial angular velocity (°/s)", ylabel=f"first slower than {_SLOW:g} °/s, at t (h)")
+        left.set(xlim=(0, None), ylim=(0, None))
+        legend = left.legend(loc="upper left", title=f"never slower: {never}, drawn at the end" if never else None)
+        for handle in legend.legend_handles:
+            handle.set_sizes([20])
+        part, error = fraction(captured)
+        left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: {_percent(part, error)}")
+
+        curves = {f"slower than {_SLOW:g} °/s": c.rate < _SLOW}
+        curves |= {f"z within {limit:g}° of the nadir": c.nadir_angle <= limit for limit in (90.0, _CAPTURED, 1.0)}
+        plots.series(
+            right, t / HOUR, {name: 100 * x.mean(axis=1) for name, x in curves.items()}, "of all starts (%)", "h"
+        )
+        right.set_ylim(0, 102)
+        right.legend(loc="center right")
+        self._mark_phases(right, t)
 
 
 class Course(NamedTuple):
@@ -205,118 +344,6 @@ class Course(NamedTuple):
     names: list[str]
 
 
-@cached_for_last_run
-def course(scenario: Scenario, body: TorquedBody, run: Trajectory) -> Course:
-    """The measured series of all members."""
-    axes = None if scenario.wheels is None else scenario.wheels.axes()
-
-    def measure(body: TorquedBody, state: State) -> tuple[Any, ...]:
-        Omega = body.angular_velocity(state)
-        z = so3.Ad(state.q, jnp.array([0.0, 0.0, 1.0], state.q.dtype))
-        extra: Any = state.extra
-        h = jnp.zeros(()) if axes is None else jnp.linalg.norm(extra["wheels"] @ axes)
-        return jnp.linalg.norm(Omega), z, h, extra["works"], body.energy(state)
-
-    rate, z, h, works, energy = over_members(measure, body, run)
-    frames = jax.vmap(scenario.environment().frame)(jnp.asarray(run.t))
-    down = np.asarray(jax.vmap(so3.Ad, (0, None))(frames, jnp.array([0.0, 0.0, 1.0])))[:, None]
-    return Course(np.rad2deg(rate), angles_deg(z, down), h, works, energy, labels(body))
-
-
-def conserved(scenario: Scenario, body: TorquedBody, run: Trajectory) -> list[Conserved]:
-    """The energy less the work of all laws, relative to the largest energy of each member."""
-    c = course(scenario, body, run)
-    size = abs(c.energy).max(axis=0)
-    return [Conserved("energy less the work of all laws", c.energy - c.works.sum(axis=-1), size, ROUND_OFF)]
-
-
-def quantities(scenario: Scenario, body: TorquedBody, run: Trajectory) -> list[Quantity]:
-    """Rates, angles and momenta at the end, and when the members were captured."""
-    c = course(scenario, body, run)
-    found = [
-        Quantity("rate at the end (°/s)", c.rate[-1]),
-        Quantity("z axis from the nadir at the end (°)", c.nadir_angle[-1]),
-        Quantity(f"first slower than {_SLOW:g} °/s (s)", first_slow(np.asarray(run.t), c.rate), ".0f"),
-        Quantity(
-            f"within {_CAPTURED:g}° of the nadir since (s)", captured_since(np.asarray(run.t), c.nadir_angle), ".0f"
-        ),
-    ]
-    if scenario.wheels is not None:
-        found += [
-            Quantity("largest momentum of the wheels (mN m s)", 1e3 * c.wheels.max(axis=0)),
-            Quantity("momentum of the wheels at the end (mN m s)", 1e3 * c.wheels[-1]),
-        ]
-    return found
-
-
-def first_slow(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """The first saved time at which a member rotates slowly, (members,); nan if there is none."""
-    slow = rate < _SLOW
-    return np.where(slow.any(axis=0), t[slow.argmax(axis=0)], np.nan)
-
-
-def crossing(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """The time at which a member first rotates slowly, (members,), between the saved times around it; or nan."""
-    first = first_slow(t, rate)
-    k = np.searchsorted(t, np.where(np.isnan(first), t[-1], first))
-    members, before = np.arange(rate.shape[1]), np.maximum(k - 1, 0)
-    fall = rate[before, members] - rate[k, members]
-    part = np.where(fall > 0, (rate[before, members] - _SLOW) / np.where(fall > 0, fall, 1), 1.0)
-    return np.where(np.isnan(first), np.nan, t[before] + np.clip(part, 0, 1) * (t[k] - t[before]))
-
-
-def captured_since(t: np.ndarray, nadir_angle: np.ndarray) -> np.ndarray:
-    """The first saved time after which a member stays near the nadir, (members,); nan if it is not near at the end."""
-    far = nadir_angle > _CAPTURED
-    last = np.where(far.any(axis=0), len(t) - 1 - far[::-1].argmax(axis=0), -1)
-    return np.where(last == len(t) - 1, np.nan, t[np.minimum(last + 1, len(t) - 1)])
-
-
-def phases(scenario: Scenario, t: np.ndarray) -> list[tuple[str, int, int]]:
-    """Name, first and last saved time of each phase: between the edges of the windows of control."""
-    controls = scenario.controls()
-    edges = sorted({t[0], t[-1], *(x for c in controls.values() for x in c.window if t[0] < x < t[-1])})
-    found = []
-    for start, stop in itertools.pairwise(edges):
-        acting = [name for name, c in controls.items() if c.window[0] <= (start + stop) / 2 < c.window[1]]
-        first, last = (int(np.searchsorted(t, x)) for x in (start, stop))
-        if first < last:
-            found.append((" and ".join(acting) or "free motion", first, last))
-    return found
-
-
-def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
-    """The phases, and the work of each law in each of them."""
-    c, t = course(scenario, step.system, run), np.asarray(run.t)
-    parts = phases(scenario, t)
-    lines = [
-        f"\n  {'phase':<28}{'until (s)':>10}{'rate (°/s)':>20}{'from the nadir (°)':>22}{'wheels (mN m s)':>19}",
-        f"  {'median and largest, at its end':<38}",
-    ]
-    for name, _, k in parts:
-        pairs = [f"{np.median(x[k]):.3f}  {np.max(x[k]):.3f}" for x in (c.rate, c.nadir_angle, 1e3 * c.wheels)]
-        lines.append(f"  {name:<28}{t[k]:>10.0f}{pairs[0]:>20}{pairs[1]:>22}{pairs[2]:>19}")
-    lines.append(f"\n  {'work (µJ), mean of members':<28}" + "".join(f"{_short(name):>20}" for name, *_ in parts))
-    for j, name in enumerate(c.names):
-        values = [np.mean(c.works[k, :, j] - c.works[i, :, j]) for _, i, k in parts]
-        lines.append(f"  {name:<28}" + "".join(f"{1e6 * x:>20.4f}" for x in values))
-    gained = [np.mean(c.energy[k] - c.energy[i]) for _, i, k in parts]
-    lines.append(f"  {'energy, changed by':<28}" + "".join(f"{1e6 * x:>20.4f}" for x in gained))
-    if "bdot" in c.names:
-        work = c.works[..., c.names.index("bdot")]
-        braked = int(np.sum(np.all(np.diff(work, axis=0) <= 0, axis=0)))
-        lines.append(
-            f"\n  detumbling never raised the energy between two saved times: {braked} of {work.shape[1]} starts"
-        )
-    done = c.nadir_angle[-1] <= _CAPTURED
-    part, error = fraction(done)
-    lines.append(
-        f"  at the end within {_CAPTURED:g}° of the nadir: {done.sum()} of {done.size}, "
-        f"{_percent(part, error)} of all starts"
-    )
-    return lines
-
-
 def _percent(part: float, error: float) -> str:
     """A part and its error in per cent, with two digits of the error."""
     decimals = max(0, 1 - int(np.floor(np.log10(100 * error))))
@@ -328,85 +355,6 @@ def _short(name: str) -> str:
     return name.replace("detumbling", "detumble").replace("pointing", "point").replace("unloading", "unload")
 
 
-def _mark_phases(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
-    """Mark the edges of the phases on an axis in hours."""
-    for _, first, _ in phases(scenario, t)[1:]:
-        ax.axvline(t[first] / HOUR, color="gray", lw=0.6, ls=":", zorder=1)
-
-
-def _name_phases(ax: Any, scenario: Scenario, t: np.ndarray) -> None:
-    """Write the names of the phases above an axis in hours."""
-    for name, first, last in phases(scenario, t):
-        middle = (t[first] + t[last]) / 2 / HOUR
-        text = name.replace(" and ", "\nand ")
-        ax.annotate(
-            text, (middle, 1.0), (0, 4), ("data", "axes fraction"), "offset points", ha="center", va="bottom", size=7.5
-        )
-
-
-@picture(3)
-def draw_phases(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot rates and angles, and the momenta of the wheels, of the first hundred members; the nominal one in black."""
-    c, t = course(scenario, step.system, run), np.asarray(run.t)
-    shown = slice(0, 100)
-    for ax, values, label in (
-        (axes[0], c.rate, "angular velocity (°/s)"),
-        (axes[1], c.nadir_angle, "z axis from the nadir (°)"),
-        (axes[2], 1e3 * c.wheels, "momentum of the wheels (mN m s)"),
-    ):
-        others = ax.plot(t / HOUR, values[:, shown], color=plots.BLUE, lw=0.4, alpha=0.4, rasterized=True)
-        nominal = ax.plot(t / HOUR, values[:, 0], color=plots.INK, lw=1.0)
-        ax.set(xlabel="t (h)", ylabel=label)
-        _mark_phases(ax, scenario, t)
-        _name_phases(ax, scenario, t)
-        if values.shape[1] > 1:
-            ax.legend([nominal[0], others[0]], ["nominal member", "other members"])
-    axes[1].set(ylim=(0, 180), yticks=range(0, 181, 30))
-    if (c.rate > 0).all():
-        axes[0].set_yscale("log")
-
-
-@picture(2)
-def draw_works(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the work of each law on the nominal member, and how well the works add up to the change of energy."""
-    c, t = course(scenario, step.system, run), np.asarray(run.t)
-    energy, works = 1e6 * c.energy, 1e6 * c.works
-    draw_balance(axes, t / HOUR, energy, works, c.names, unit="µJ", time_unit="h")
-    for ax in axes:
-        _mark_phases(ax, scenario, t)
-
-
-@picture(2)
-def draw_capture(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot how long each start took to become slow, by its initial rate and fate, and how many are slow or captured."""
-    left, right = axes
-    c, t = course(scenario, step.system, run), np.asarray(run.t)
-    captured, slow = np.isfinite(captured_since(t, c.nadir_angle)), crossing(t, c.rate)
-    never = int(np.isnan(slow).sum())
-    hours = np.where(np.isnan(slow), t[-1], slow) / HOUR
-    for fate, chosen, look in (
-        ("captured", captured, {"color": plots.BLUE, "marker": ".", "s": 12 if captured.size <= _FEW else 3}),
-        ("not captured", ~captured, {"color": plots.RED, "marker": "x", "s": 16, "linewidths": 0.8}),
-    ):
-        label = f"{fate}: {chosen.sum()} of {chosen.size}"
-        left.scatter(c.rate[0, chosen], hours[chosen], label=label, rasterized=True, **look)
-    left.set(xlabel="initial angular velocity (°/s)", ylabel=f"first slower than {_SLOW:g} °/s, at t (h)")
-    left.set(xlim=(0, None), ylim=(0, None))
-    legend = left.legend(loc="upper left", title=f"never slower: {never}, drawn at the end" if never else None)
-    for handle in legend.legend_handles:
-        handle.set_sizes([20])
-    part, error = fraction(captured)
-    left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: {_percent(part, error)}")
-
-    curves = {f"slower than {_SLOW:g} °/s": c.rate < _SLOW}
-    curves |= {f"z within {limit:g}° of the nadir": c.nadir_angle <= limit for limit in (90.0, _CAPTURED, 1.0)}
-    plots.series(right, t / HOUR, {name: 100 * x.mean(axis=1) for name, x in curves.items()}, "of all starts (%)", "h")
-    right.set_ylim(0, 102)
-    right.legend(loc="center right")
-    _mark_phases(right, scenario, t)
-    _name_phases(right, scenario, t)
-
-
 def fraction(chosen: np.ndarray) -> tuple[float, float]:
     """The fraction of members with a property, and its standard error.
 
@@ -416,6 +364,3 @@ def fraction(chosen: np.ndarray) -> tuple[float, float]:
     n, k = chosen.size, int(chosen.sum())
     p = (k + 0.5) / (n + 1)
     return k / n, float(np.sqrt(p * (1 - p) / (n + 2)))
-
-
-PICTURES = {"phases": draw_phases, "works": draw_works, "capture": draw_capture}

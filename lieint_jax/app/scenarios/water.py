@@ -10,20 +10,19 @@ import numpy as np
 from jax import Array, lax
 from pydantic import Field, model_validator
 
-from lieint_jax import potentials, schemes, systems
+from lieint_jax import measure, potentials, schemes, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Common, NumberSpread, PositiveFloat, Published, Table, member_indices
-from lieint_jax.app.scenarios._multibody import step_of
-from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
+from lieint_jax.app.scenarios._keys import NumberSpread, PositiveFloat, Published, Table
+from lieint_jax.app.scenarios._kind import Kind, picture, step_of
 from lieint_jax.app.scenarios._report import Conserved, citation
 from lieint_jax.app.scenarios._runs import nominal_state, series
 from lieint_jax.app.scenarios._spread import draw_members, with_numbers
 from lieint_jax.groups import so3
+from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step
 
-STEP_AXIS = None  # the molecules are the same in all droplets
 _BOLTZMANN = 0.00831446261815324  # kJ/(mol K)
 _SCALED_EVERY = 10  # steps between scalings of the momenta while a droplet settles
 _LONGEST = 2000  # largest number of steps in the picture of errors: the energy–momentum scheme is slow
@@ -47,10 +46,9 @@ class PublishedValues(Table):
     """The first peak of the O–O distances, in nm."""
 
 
-class Scenario(Common):
+class Water(Kind):
     """The keys of a scenario of this kind. Units are nm, ps, u and kJ/mol, which are consistent."""
 
-    system: Literal["water"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["ps"] = "ps"  # pyright: ignore[reportIncompatibleVariableOverride]
     model: Literal["TIP4P", "TIP4P/2005"] = "TIP4P/2005"
     """The model of the molecule: its charges and its Lennard-Jones site."""
@@ -74,44 +72,103 @@ class Scenario(Common):
         made = "members: other attitudes of the molecules on the grid, and other velocities, before they settle"
         return "; ".join(filter(None, (made, super().assumption())))
 
+    own_step = False  # the molecules are the same in all droplets
 
-def build(scenario: Scenario, indices: np.ndarray | None = None) -> tuple[Step, State]:
-    """The step and the batch of droplets, once they have settled."""
-    bodies = _bodies(scenario)
-    indices = member_indices(scenario, indices)
-    keys = random_bits.split_rows(jax.random.key(scenario.seed), scenario.members, indices)
-    own = {path: values[indices] for path, values in draw_members(scenario).items()}
-    member = jax.vmap(lambda key, own: _droplet(with_numbers(scenario, own), bodies, key))
-    starts = jax.jit(member)(keys, own)
-    return step_of(bodies, scenario.scheme, scenario.order), starts
+    def make_system(self) -> RigidBodies:
+        molecule, n = potentials.water(self.model), self.molecules
+        return systems.rigid_bodies(np.full(n, molecule.mass), np.tile(molecule.inertia, (n, 1)), molecule.potential(n))
+
+    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
+        """The step and the batch of droplets, once they have settled."""
+        step, indices = self.make_step(), self.indices(indices)
+        keys = random_bits.split_rows(jax.random.key(self.seed), self.members, indices)
+        own = {path: values[indices] for path, values in draw_members(self).items()}
+        member = jax.vmap(lambda key, own: with_numbers(self, own).start(step.system, key))
+        return step, jax.jit(member)(keys, own)
+
+    def start(self, system: RigidBodies, noise: Array) -> State:
+        """A droplet that has settled, its center of mass at rest at the origin; `noise` is its random key."""
+        n, given = self.molecules, self.settling
+        for_attitude, *others = jax.random.split(noise, 3)
+        q = jax.random.normal(for_attitude, (n, 4))
+        v, Omega = (jax.random.normal(k, (n, 3)) for k in others)
+        v = (v - jnp.mean(v, axis=0)) / jnp.sqrt(system.masses[:, None])
+        q = q / jnp.sqrt(jnp.sum(q * q, axis=1, keepdims=True))
+        rates = Omega / jnp.sqrt(system.inertias)
+        state = system.state(_grid(n, given.spacing_nm), q, velocities=v, angular_velocities=rates)
+        step, K = schemes.splitting(system), _BOLTZMANN * given.temperature_kelvin * (6 * n - 6) / 2
+
+        def rescale(state: State) -> State:
+            return state._replace(p=state.p * jnp.sqrt(K / system.kinetic_energy(state)))
+
+        def relax(_: Any, state: State) -> State:
+            return lax.fori_loop(0, _SCALED_EVERY, lambda _, z: step(z, self.dt)[0], rescale(state))
+
+        return rescale(lax.fori_loop(0, -(-given.steps // _SCALED_EVERY), relax, state))
+
+    def conserved(self, run: Run) -> list[Conserved]:
+        """H relative to the least kinetic energy, P to the largest |p|, L to the largest |x × p|."""
+        functions = RigidBodies.kinetic_energy, RigidBodies.energy, RigidBodies.momentum
+        K, H, PL = (series(f, run) for f in functions)
+        x, p = (np.asarray(y)[..., :3] for y in (run.state.q, run.state.p))
+        return [
+            Conserved("energy H, over the least kinetic energy", H, K.min()),
+            Conserved("linear momentum P, over the largest |p|", PL[..., :3], abs(p).max()),
+            Conserved("angular momentum L, over the largest |x × p|", PL[..., 3:], abs(np.cross(x, p)).max()),
+        ]
+
+    def remarks(self, run: Run) -> list[str]:
+        """The temperature; the first peak of the O–O distances and the published one."""
+        T, r = series(temperature, run), self.distances(run)
+        later = T[len(T) // 2 :]
+        lines = [f"\n  {'temperature, second half of the run (K)':<54}{later.mean():>10.1f} ± {later.std():.1f}"]
+        lines.append(f"  {'first peak of the O–O distances (nm)':<54}{histogram(r[1:]).peak:>10.4f}")
+        if self.published:
+            lines.append(f"  {'published, of the liquid (nm)':<60}{citation(self, self.published.first_peak_nm)}")
+        return lines
+
+    def distances(self, run: Run) -> np.ndarray:
+        """The O–O distances at all saved times of all members, in nm, (times, members, pairs)."""
+        return measure.distances(run, potentials.water(self.model).points[0])
+
+    @picture(2, sharey=True)
+    def draw_errors(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the errors of H, P and L of the nominal droplet by the splitting and by the energy–momentum scheme."""
+        one = run.member(0)
+        both = [step_of(one.system, name, self.order) for name in ("splitting", "bodies_energy_momentum")]
+        t, found = self.changes(one, both, _LONGEST)
+        titles = "splitting, symplectic", "energy–momentum scheme"
+        for ax, errors, title in zip(axes, found.values(), titles, strict=True):
+            plots.log_error(ax, t, errors, "relative change", "ps")
+            ax.set_title(title)
+        largest = max(float(x.max()) for errors in found.values() for x in errors.values())
+        axes[0].set_ylim(1e-17, max(10 * largest, 1e-13))
+        axes[1].set_ylabel("")
+        plots.legend_below(axes)
+
+    @picture(3, spatial=(0,))
+    def draw_droplet(self, axes: np.ndarray, run: Run) -> None:
+        """Plot the nominal droplet at the end, the temperature of the members, and the histogram of O–O distances."""
+        left, middle, right = axes
+        end, molecule = nominal_state(run, -1), potentials.water(self.model)
+        R = np.asarray(jax.vmap(so3.to_matrix)(end.q[:, 3:]))
+        sites = np.asarray(end.q)[:, None, :3] + np.einsum("nij,sj->nsi", R, molecule.points[:3])
+        _draw_molecules(left, sites - sites.mean(axis=(0, 1)))
+        left.set_title(f"the nominal droplet at t = {run.t[-1]:.3g} ps")
+        T, t = series(temperature, run), np.asarray(run.t)
+        plots.series(middle, t, {f"droplet {m}": T[:, m] for m in range(min(T.shape[1], 6))}, "temperature (K)", "ps")
+        found = histogram(self.distances(run)[1:])
+        right.plot(found.r, found.density, color=plots.INK, lw=1, label=f"first peak at {found.peak:.3f} nm")
+        if self.published:
+            known = self.published.first_peak_nm
+            right.axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")
+        right.set(xlabel="O–O distance r (nm)", ylabel="pairs per volume, over the first peak")
+        right.legend()
 
 
-def _bodies(scenario: Scenario) -> RigidBodies:
-    molecule, n = potentials.water(scenario.model), scenario.molecules
-    return systems.rigid_bodies(np.full(n, molecule.mass), np.tile(molecule.inertia, (n, 1)), molecule.potential(n))
-
-
-def _droplet(scenario: Scenario, bodies: RigidBodies, key: Array) -> State:
-    """A droplet that has settled, its center of mass at rest at the origin."""
-    n, given = scenario.molecules, scenario.settling
-    for_attitude, *others = jax.random.split(key, 3)
-    q = jax.random.normal(for_attitude, (n, 4))
-    v, Omega = (jax.random.normal(k, (n, 3)) for k in others)
-    v = (v - jnp.mean(v, axis=0)) / jnp.sqrt(bodies.masses[:, None])
-    q = q / jnp.sqrt(jnp.sum(q * q, axis=1, keepdims=True))
-    state = bodies.state(
-        _grid(n, given.spacing_nm), q, velocities=v, angular_velocities=Omega / jnp.sqrt(bodies.inertias)
-    )
-    step, kT = schemes.splitting(bodies), _BOLTZMANN * given.temperature_kelvin
-
-    def rescale(state: State) -> State:
-        K = kT * (6 * n - 6) / 2
-        return state._replace(p=state.p * jnp.sqrt(K / bodies.kinetic_energy(state)))
-
-    def relax(_: Any, state: State) -> State:
-        return lax.fori_loop(0, _SCALED_EVERY, lambda _, z: step(z, scenario.dt)[0], rescale(state))
-
-    return rescale(lax.fori_loop(0, -(-given.steps // _SCALED_EVERY), relax, state))
+def temperature(bodies: RigidBodies, state: State) -> Array:
+    """2K over k_B and the 6N − 6 degrees of freedom that P and L leave, in K."""
+    return 2 * bodies.kinetic_energy(state) / (_BOLTZMANN * (6 * bodies.masses.shape[0] - 6))
 
 
 def _grid(n: int, spacing: float) -> np.ndarray:
@@ -120,23 +177,6 @@ def _grid(n: int, spacing: float) -> np.ndarray:
     points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
     chosen = points[np.argsort((points**2).sum(axis=1), kind="stable")[:n]]
     return spacing * (chosen - chosen.mean(axis=0))
-
-
-def temperature(bodies: RigidBodies, state: State) -> Array:
-    """2K over k_B and the 6N − 6 degrees of freedom that P and L leave, in K."""
-    return 2 * bodies.kinetic_energy(state) / (_BOLTZMANN * (6 * bodies.masses.shape[0] - 6))
-
-
-def distances(scenario: Scenario, run: Trajectory) -> np.ndarray:
-    """The O–O distances at all saved times of all members, in nm, (times, members, pairs)."""
-    site = jnp.asarray(potentials.water(scenario.model).points[0])
-    i, j = np.triu_indices(scenario.molecules, 1)
-
-    def pair_distances(state: State) -> Array:
-        oxygens = state.q[:, :3] + jax.vmap(lambda q: so3.Ad(q, site))(state.q[:, 3:])
-        return jnp.sqrt(jnp.sum((oxygens[i] - oxygens[j]) ** 2, axis=1))
-
-    return series(pair_distances, run)
 
 
 class Histogram(NamedTuple):
@@ -165,64 +205,6 @@ def histogram(r: np.ndarray, width: float = 0.005) -> Histogram:
     return Histogram(middles, density / max(top, 1e-300), float(middles[k] + shift * width))
 
 
-def conserved(scenario: Scenario, bodies: RigidBodies, run: Trajectory) -> list[Conserved]:
-    """H relative to the least kinetic energy, P to the largest |p|, L to the largest |x × p|."""
-    K, H, PL = (series(f, run) for f in (bodies.kinetic_energy, bodies.energy, bodies.momentum))
-    x, p = (np.asarray(y)[..., :3] for y in (run.state.q, run.state.p))
-    return [
-        Conserved("energy H, over the least kinetic energy", H, K.min()),
-        Conserved("linear momentum P, over the largest |p|", PL[..., :3], abs(p).max()),
-        Conserved("angular momentum L, over the largest |x × p|", PL[..., 3:], abs(np.cross(x, p)).max()),
-    ]
-
-
-def remarks(scenario: Scenario, step: Step, run: Trajectory) -> list[str]:
-    """The temperature; the first peak of the O–O distances and the published one."""
-    T, r = series(lambda z: temperature(step.system, z), run), distances(scenario, run)
-    later = T[len(T) // 2 :]
-    lines = [f"\n  {'temperature, second half of the run (K)':<54}{later.mean():>10.1f} ± {later.std():.1f}"]
-    lines.append(f"  {'first peak of the O–O distances (nm)':<54}{histogram(r[1:]).peak:>10.4f}")
-    if scenario.published:
-        lines.append(f"  {'published, of the liquid (nm)':<60}{citation(scenario, scenario.published.first_peak_nm)}")
-    return lines
-
-
-@picture(2, sharey=True)
-def draw_errors(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the errors of H, P and L of the nominal droplet by the splitting and by the energy–momentum scheme."""
-    both = [step_of(step.system, name, scenario.order) for name in ("splitting", "bodies_energy_momentum")]
-    t, found = changes_by_scheme(conserved, scenario, both, nominal_state(run), _LONGEST)
-    for ax, errors, title in zip(
-        axes, found.values(), ("splitting, symplectic", "energy–momentum scheme"), strict=True
-    ):
-        plots.log_error(ax, t, errors, "relative change", "ps")
-        ax.set_title(title)
-    largest = max(float(x.max()) for errors in found.values() for x in errors.values())
-    axes[0].set_ylim(1e-17, max(10 * largest, 1e-13))
-    axes[1].set_ylabel("")
-    plots.legend_below(axes)
-
-
-@picture(3, spatial=(0,))
-def draw_droplet(axes: np.ndarray, scenario: Scenario, step: Step, run: Trajectory) -> None:
-    """Plot the nominal droplet at the end, the temperature of the members, and the histogram of O–O distances."""
-    left, middle, right = axes
-    end, molecule = nominal_state(run, -1), potentials.water(scenario.model)
-    R = np.asarray(jax.vmap(so3.to_matrix)(end.q[:, 3:]))
-    sites = np.asarray(end.q)[:, None, :3] + np.einsum("nij,sj->nsi", R, molecule.points[:3])
-    _draw_molecules(left, sites - sites.mean(axis=(0, 1)))
-    left.set_title(f"the nominal droplet at t = {run.t[-1]:.3g} ps")
-    T, t = series(lambda z: temperature(step.system, z), run), np.asarray(run.t)
-    plots.series(middle, t, {f"droplet {m}": T[:, m] for m in range(min(T.shape[1], 6))}, "temperature (K)", "ps")
-    found = histogram(distances(scenario, run)[1:])
-    right.plot(found.r, found.density, color=plots.INK, lw=1, label=f"first peak at {found.peak:.3f} nm")
-    if scenario.published:
-        known = scenario.published.first_peak_nm
-        right.axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")
-    right.set(xlabel="O–O distance r (nm)", ylabel="pairs per volume, over the first peak")
-    right.legend()
-
-
 def _draw_molecules(ax: Any, sites: np.ndarray) -> None:
     """The atoms (molecules, 3, 3), oxygen first, about the origin, in nm; their bonds; a bar of a round length."""
     for hydrogen in (1, 2):
@@ -240,6 +222,3 @@ def _draw_molecules(ax: Any, sites: np.ndarray) -> None:
     ax.plot([-length / 2, length / 2], [0, 0], [-1.1 * size] * 2, color=plots.INK, lw=2)
     ax.text(0, 0, -1.13 * size, f"{length} nm", ha="center", va="top")
     ax.legend(loc="upper left", bbox_to_anchor=(-0.25, 1.0))
-
-
-PICTURES = {"errors": draw_errors, "droplet": draw_droplet}

@@ -28,21 +28,13 @@ _HALF, _STEPS = 12.0, 800  # days before and after the least distance; number of
 
 
 class Flyby(NamedTuple):
-    """The changes of spin in a flyby, over an ensemble of phases and directions.
+    """The changes of spin in a flyby, over an ensemble of phases and directions."""
 
-    Attributes:
-        distance: the least distance, km.
-        speed: the speed at infinity, km/s.
-        momentum: relative change |Δπ|/|π| of the angular momentum, (members,).
-        pole: the angle between the angular momenta before and after, °, (members,).
-        rates: the changes of the mean rates of precession and rotation, 360°/period, in °/d, (members, 2).
-    """
-
-    distance: float
-    speed: float
-    momentum: np.ndarray
-    pole: np.ndarray
-    rates: np.ndarray
+    distance: float  # the least distance, km
+    speed: float  # the speed at infinity, km/s
+    momentum: np.ndarray  # relative change |Δπ|/|π| of the angular momentum, (members,)
+    pole: np.ndarray  # the angle between the angular momenta before and after, °, (members,)
+    rates: np.ndarray  # the changes of the mean rates of precession and rotation, 360°/period, in °/d, (members, 2)
 
 
 def speed_at_infinity(semi_major_axis: float, eccentricity: float, inclination_deg: float) -> float:

@@ -43,15 +43,10 @@ def combinations(order: int) -> np.ndarray:
 
 
 class TwoPeriods(NamedTuple):
-    """Fourier series in pairs of frequencies, fitted to data.
+    """Fourier series in pairs of frequencies, fitted to data."""
 
-    Attributes:
-        pairs: the pairs of frequencies f₁ < f₂, (pairs, 2).
-        left: the share of the variance that each series does not explain, (pairs,).
-    """
-
-    pairs: np.ndarray
-    left: np.ndarray
+    pairs: np.ndarray  # the pairs of frequencies f₁ < f₂, (pairs, 2)
+    left: np.ndarray  # the share of the variance that each series does not explain, (pairs,)
 
     def select_best(self, count: int, separation: float) -> TwoPeriods:
         """The best pairs, of which none is within `separation` of a better one in both frequencies."""
@@ -95,15 +90,10 @@ def fit_two_periods(t: np.ndarray, y: np.ndarray, step: float, numbers: np.ndarr
 
 
 class Peak(NamedTuple):
-    """A sine in the data, found after the removal of stronger ones.
+    """A sine in the data, found after the removal of stronger ones."""
 
-    Attributes:
-        frequency: its frequency.
-        share: the increase of the explained share of the variance by this sine.
-    """
-
-    frequency: float
-    share: float
+    frequency: float  # its frequency
+    share: float  # the increase of the explained share of the variance by this sine
 
 
 def peaks(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray, count: int) -> list[Peak]:
@@ -153,21 +143,13 @@ def bases(pair: np.ndarray, most: int, band: tuple[float, float]) -> np.ndarray:
 
 
 class Search(NamedTuple):
-    """The search for the periods of a light curve.
+    """The search for the periods of a light curve."""
 
-    Attributes:
-        frequencies: the frequencies of the spectrum, 1/min, (k,).
-        power: the share of the variance that each frequency explains alone, (k,).
-        peaks: the strongest sines, one after the other.
-        pairs: the best pairs of frequencies, best first.
-        lines: pairs of frequencies that generate the same combinations as the best pair, (c, 2).
-    """
-
-    frequencies: np.ndarray
-    power: np.ndarray
-    peaks: list[Peak]
-    pairs: TwoPeriods
-    lines: np.ndarray
+    frequencies: np.ndarray  # the frequencies of the spectrum, 1/min, (k,)
+    power: np.ndarray  # the share of the variance that each frequency explains alone, (k,)
+    peaks: list[Peak]  # the strongest sines, one after the other
+    pairs: TwoPeriods  # the best pairs of frequencies, best first
+    lines: np.ndarray  # pairs of frequencies that generate the same combinations as the best pair, (c, 2)
 
     @property
     def candidates(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The spin state and inertia of a satellite from its light curve: the model, many starts, and errors.
+"""The spin state and inertia of a satellite from its light curve: the model, random guesses, and the results.
 
 Eight parameters are fitted: attitude (3), body rate (3), two ratios of inertia. The zero point of the magnitudes is
 eliminated: its least-squares value is the mean of the errors, which is subtracted. The motion is computed by the scheme
@@ -19,32 +19,38 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import schemes
+from lieint_jax.app.studies import inference
 from lieint_jax.app.studies._facets import Facets, magnitude
-from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, true_magnitudes
+from lieint_jax.app.studies._period_search import Search
+from lieint_jax.app.studies._satellite_sky import Lightcurve, Minima, Scene, closed_form
 from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, distance, solutions
 from lieint_jax.app.studies._tumbling import mean_periods, model, rotation_between
-from lieint_jax.fitting import Fit, fit, free, inertia_ratios, principal_inertia
+from lieint_jax.app.studies.inference import Params, Problem, Unknown
+from lieint_jax.fitting import Fit, inertia_ratios, principal_inertia
 from lieint_jax.groups import so3
 from lieint_jax.runs import integrate, over_members
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
 
-BOUNDS = {"attitude": free, "inertia": inertia_ratios, "rate": free}
+UNKNOWNS = {
+    "attitude": Unknown(("attitude x (°)", "attitude y (°)", "attitude z (°)"), (0.0, 0.0, 0.0)),
+    "inertia": Unknown(("inertia ratio Jx/Jz", "inertia ratio Jy/Jz"), (0.9, 1.1), inertia_ratios),
+    "rate": Unknown(("body rate x (°/min)", "body rate y (°/min)", "body rate z (°/min)"), (0.0, 0.0, 0.0)),
+}
+QUANTITIES = ("precession period (min)", "rotation period (min)")
 STEP = 0.75  # min
-_ITERATIONS, _TOLERANCE, _FINE = 50, 1e-6, 4000
+_FINE = 4000
 _AT_ONCE = 10_000  # guesses that are evaluated together
 _POOL, _NEAR = 50_000, 500  # number of random bodies, and of those used for a candidate
 _SCATTER = 0.8  # standard deviation of the logarithms of second moments
 
 
-def magnitudes(params: dict[str, Array], begin: ArrayLike, facets: Facets, curve: Lightcurve) -> tuple[Array, Array]:
+def magnitudes(params: Params, begin: ArrayLike, facets: Facets, curve: Lightcurve) -> tuple[Array, Array]:
     """The model's magnitudes, (n,), and whether all steps converged; `params` and `begin` as in `_tumbling.model`."""
     body, state = model(params, jnp.asarray(begin))
     steps = int(np.ceil(curve.t[-1] / STEP))
     path = integrate(schemes.preprocessed(body, 6), state, STEP, steps, save_at=jnp.asarray(curve.t))
-    q = path.state.q[1:]
-    light = jax.vmap(_light, (0, (None, 0, 0)))(q, (facets, jnp.asarray(curve.sun), jnp.asarray(curve.observer)))
-    return light, jnp.all(path.info.converged)
+    scene = facets, jnp.asarray(curve.sun), jnp.asarray(curve.observer)
+    return jax.vmap(_light, (0, (None, 0, 0)))(path.state.q[1:], scene), jnp.all(path.info.converged)
 
 
 def _magnitude(q: Array, scene: tuple[Facets, Array, Array]) -> Array:
@@ -72,6 +78,20 @@ def _is_zero(tangent: Any) -> bool:
     return isinstance(tangent, SymbolicZero)
 
 
+def problem(facets: Facets, curve: Lightcurve) -> Problem:
+    """The fit to magnitudes at the exposures of a curve; the data of a fit are its reference attitude and these."""
+
+    def errors(params: Params, data: tuple[Array, Array]) -> tuple[Array, Array]:
+        light, converged = magnitudes(params, data[0], facets, curve)
+        error = (light - data[1]) / curve.noise
+        return error - jnp.mean(error), converged
+
+    def derived(params: Params, data: tuple[Array, Array]) -> Array:
+        return mean_periods(*model(params, data[0]))
+
+    return Problem(UNKNOWNS, errors, None, derived=derived, quantities=QUANTITIES)
+
+
 def fit_magnitudes(
     guesses: dict[str, np.ndarray],
     begin: np.ndarray,
@@ -84,23 +104,8 @@ def fit_magnitudes(
 
     Each leaf of `guesses`, and `begin`, has a leading axis (fits).
     """
-
-    def residuals(params: dict[str, Array], data: tuple[Array, Array]) -> tuple[Array, Array]:
-        begin, observed = data
-        light, converged = magnitudes(params, begin, facets, curve)
-        error = (light - observed) / curve.noise
-        return error - jnp.mean(error), converged
-
-    return fit(
-        residuals,
-        guesses,
-        bounds=BOUNDS,
-        starts=True,
-        data=(begin, observed),
-        iterations=_ITERATIONS,
-        tolerance=_TOLERANCE,
-        progress=progress,
-    )
+    options = {"progress": progress, "tolerance": 1e-6, "iterations": 50}
+    return inference.fit_starts(problem(facets, curve), guesses, (begin, observed), **options)
 
 
 def random_guesses(
@@ -152,7 +157,7 @@ def losses(
     """Half the sum of squares of the errors of each guess, in units of the noise, (guesses,)."""
     from tqdm import tqdm  # imported here, so that the package imports quickly
 
-    def loss(params: dict[str, Array], begin: Array) -> Array:
+    def loss(params: Params, begin: Array) -> Array:
         light, _ = magnitudes(params, begin, facets, curve)
         return len(curve.t) * jnp.var(light - curve.magnitude) / (2 * curve.noise**2)
 
@@ -167,32 +172,59 @@ def losses(
 
 
 class Estimate(NamedTuple):
-    """The best solution and the truth: attitude (rotation vector in space, °), inertia ratios, rate (°/min).
+    """The best solution and the truth: attitude (rotation vector in space, °), inertia ratios, rate (°/min)."""
 
-    Attributes:
-        value: the estimate, (8,).
-        truth: the truth, or its image under a symmetry of the facets, whichever is nearest, (8,).
-        sigma: standard errors of the estimate, (8,).
-        facet_symmetry: that symmetry, a rotation of the body axes, (3, 3).
-        periods: mean precession and rotation period of the estimate (min), (2,).
-        periods_sigma: their standard errors, (2,).
-        errors: (estimate − truth)/σ of the synthetic sets, (sets, 8).
-        light: the magnitudes of the fit, with the zero point of the light curve, (n,).
-        fine_t, fine_light: many times, and the same magnitudes at these by the closed form, (m,).
-        integration: the largest difference between the fit's magnitudes and those of the closed form, over the noise.
-    """
-
-    value: np.ndarray
-    truth: np.ndarray
-    sigma: np.ndarray
-    facet_symmetry: np.ndarray
-    periods: np.ndarray
-    periods_sigma: np.ndarray
-    errors: np.ndarray
-    light: np.ndarray
-    fine_t: np.ndarray
-    fine_light: np.ndarray
+    value: np.ndarray  # the estimate, (8,)
+    truth: np.ndarray  # the truth, or its image under a symmetry of the facets, whichever is nearest, (8,)
+    sigma: np.ndarray  # standard errors of the estimate, (8,)
+    facet_symmetry: np.ndarray  # that symmetry, a rotation of the body axes, (3, 3)
+    periods: np.ndarray  # mean precession and rotation period of the estimate (min), (2,)
+    periods_sigma: np.ndarray  # their standard errors, (2,)
+    errors: np.ndarray  # (estimate − truth)/σ of the synthetic sets, (sets, 8)
+    light: np.ndarray  # the magnitudes of the fit, with the zero point of the light curve, (n,)
+    fine_t: np.ndarray  # many times, (m,)
+    fine_light: np.ndarray  # the same magnitudes at these times, by the closed form, (m,)
+    # the largest difference between the fit's magnitudes and those of the closed form, over the noise
     integration: float
+
+
+class Ends(NamedTuple):
+    """The solutions at which fits have ended."""
+
+    loss: np.ndarray  # half the sum of squares of the errors in units of the noise, (n,)
+    # the change that maps the night's best solution to each, an index of `SatelliteFit.changes`; −1 for none, (n,)
+    change: np.ndarray
+    success: np.ndarray  # whether each fit succeeded, (n,)
+
+
+class SatelliteFit(NamedTuple):
+    """The results of the study."""
+
+    title: str  # the title of the scene
+    facets: int  # the number of facets of the satellite
+    rate: float  # the true angular velocity at the start (°/s)
+    curve: Lightcurve  # the light curve
+    session: float  # the end of the first session (min)
+    periods: np.ndarray  # true mean precession and rotation period (min), (2,)
+    minima: Minima  # the minima of the true light in the first session
+    search: Search  # the search for periods
+    guesses: int  # the number of random bodies that were compared with the first session
+    changes: list[Change]  # every change of a solution that may leave the light unchanged
+    first: Ends  # the ends of all starts on the first session
+    candidate: np.ndarray  # the index of the candidate pair of periods of each start, (starts,)
+    night: Ends  # the ends on the whole night of the fits that begin at the best ends of the first session
+    # the ends on the whole night of the fits that begin at the images of the best end of the first session, one for
+    # each kind of change
+    images: Ends
+    # the change that maps the night's best end to the start of each of these fits, an index of `changes`; −1 for none
+    named: np.ndarray
+    fit: Fit  # the fits to the whole night
+    estimate: Estimate  # the best solution, compared with the truth
+    # the effect of the changes in space on the light of the truth (mag, rms), (3, 4): under the directions of the
+    # middle of the first session, those of the session, and those of the night
+    light_changes: np.ndarray
+    seconds: np.ndarray  # the time of the guesses, of the fits to the first session, and of those to the night, (3,)
+    devices: int  # the number of devices over which the fits were split
 
 
 def true_solution(made: Scene) -> Solutions:
@@ -205,51 +237,36 @@ def estimate(
     made: Scene, curve: Lightcurve, night: Fit, begin: np.ndarray, chosen: int, several: int, every: list[Change]
 ) -> Estimate:
     """Compare the fit number `chosen` with the truth; the fits from number `several` on are those of synthetic sets."""
-    starts = night.starts
+    starts, asked = night.starts, problem(made.facets, curve)
     assert starts is not None
-    assert starts.covariance is not None
     params = jax.tree.map(np.asarray, starts.params)  # off the devices over which the fits were split
-    x = np.concatenate([params[name] for name in BOUNDS], axis=1)
-    sigma = np.sqrt(np.diagonal(starts.covariance, axis1=1, axis2=2))
+    data = begin, np.tile(curve.magnitude, (len(begin), 1))
+    every_set = range(several, len(begin))
+    own = jax.tree.map(lambda x: x[0], inference.estimates(asked, night, data, which=[chosen]))
     truth, best = true_solution(made), solutions(params, begin).select(chosen)
+    true = inference.Estimate.exact(_parameter_vector(truth, truth.q[0]), mean_periods(made.body, made.state))
+    tested = inference.estimates(asked, night, data, which=every_set)
+    pulls = inference.compare(asked, true, tested, starts.success[several:]).pulls
     symmetry = min((c for c in every if c.name == SPACE[0]), key=lambda c: float(distance(c(truth), best)[0]))
-    best_params = {name: leaf[chosen] for name, leaf in params.items()}
-    body, state, light, periods, D = _evaluate_solution(best_params, begin[chosen], made, curve)
+    best_params = {name: jnp.asarray(leaf[chosen]) for name, leaf in params.items()}
+    body, state = model(best_params, jnp.asarray(begin[chosen]))
+    light = np.asarray(jax.jit(lambda p: magnitudes(p, begin[chosen], made.facets, curve)[0])(best_params))
     fine = np.linspace(0, curve.t[-1], _FINE)
-    exact = np.asarray(true_magnitudes(made._replace(body=body, state=state), np.append(curve.t, fine)))
+    exact = np.asarray(closed_form(made._replace(body=body, state=state), np.append(curve.t, fine))[1])
     zero = np.mean(curve.magnitude - light)
     return Estimate(
-        x[chosen],
+        own.x,
         _parameter_vector(symmetry(truth), begin[chosen]),
-        sigma[chosen],
+        own.sigmas[:8],
         symmetry.g,
-        periods,
-        np.sqrt(np.diagonal(D @ starts.covariance[chosen] @ D.T)),
-        (x[several:] - _parameter_vector(truth, truth.q[0])) / sigma[several:],
+        own.derived,
+        own.sigmas[8:],
+        pulls[:, :8],
         light + zero,
         fine,
         exact[len(curve.t) :] + zero,
         float(np.abs(light - exact[: len(curve.t)]).max() / curve.noise),
     )
-
-
-def _evaluate_solution(
-    params: dict[str, Array], begin: np.ndarray, made: Scene, curve: Lightcurve
-) -> tuple[RigidBody, State, np.ndarray, np.ndarray, np.ndarray]:
-    """Body, state, magnitudes (n,) and mean periods (2,) of a solution, and the periods' derivative by x, (2, 8)."""
-
-    @jax.jit
-    def evaluate(params: dict[str, Array]) -> tuple[RigidBody, State, Array, Array, list[Array]]:
-        def periods(params: dict[str, Array]) -> tuple[Array, Array]:
-            found = mean_periods(*model(params, jnp.asarray(begin)))
-            return found, found
-
-        D, found = jax.jacfwd(periods, has_aux=True)(params)
-        light, _ = magnitudes(params, begin, made.facets, curve)
-        return *model(params, jnp.asarray(begin)), light, found, [D[name] for name in BOUNDS]
-
-    body, state, light, found, D = evaluate(params)
-    return body, state, np.asarray(light), np.asarray(found), np.concatenate(D, axis=1)
 
 
 def _parameter_vector(solution: Solutions, begin: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The scene of the study of a satellite: its facets, its motion, the directions to Sun and observer, the exposures."""
+"""The scene of the study of a satellite: facets, motion, directions to Sun and observer, exposures, minima of light."""
 
 from __future__ import annotations
 
@@ -11,67 +11,62 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax import schemes
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.studies._facets import Facets, facets, magnitude
+from lieint_jax.groups import so3
+from lieint_jax.runs import Event, events
 from lieint_jax.runs import store as archives
 from lieint_jax.systems import RigidBody, rigid_body
 from lieint_jax.types import State
 
 _DAY = 1440.0  # minutes
 _PIECE = 256  # number of times per call of the closed form: pieces of equal size share one compiled program
+_STEP = 0.1  # min: short enough for at most one minimum or maximum of the light in a step
+_OFFSET = 0.02  # min, before and after a minimum, where the light must be brighter
 
 
 class Scene(NamedTuple):
-    """The contents of `satellite.toml`.
+    """The contents of `satellite.toml`."""
 
-    Attributes:
-        title: the title of the scene.
-        facets: the facets of the satellite.
-        body: the satellite as a rigid body, with moments over the third one.
-        state: the true state at t = 0; rates in rad/min.
-        sky: the directions to Sun and observer, as in the file.
-        exposures: the times and the noise of the exposures, as in the file.
-    """
-
-    title: str
-    facets: Facets
-    body: RigidBody
-    state: State
-    sky: dict[str, float]
-    exposures: dict[str, Any]
+    title: str  # the title of the scene
+    facets: Facets  # the facets of the satellite
+    body: RigidBody  # the satellite as a rigid body, with moments over the third one
+    state: State  # the true state at t = 0; rates in rad/min
+    sky: dict[str, float]  # the directions to Sun and observer, as in the file
+    exposures: dict[str, Any]  # the times and the noise of the exposures, as in the file
 
 
 class Lightcurve(NamedTuple):
-    """Exposures of the satellite.
+    """Exposures of the satellite."""
 
-    Attributes:
-        t: minutes since the first planned exposure, increasing, (n,).
-        magnitude: magnitudes with noise and an unknown zero point, (n,).
-        sun: unit vectors to the Sun, (n, 3).
-        observer: unit vectors to the observer, (n, 3).
-        noise: the standard deviation of each magnitude.
-    """
-
-    t: np.ndarray
-    magnitude: np.ndarray
-    sun: np.ndarray
-    observer: np.ndarray
-    noise: float
+    t: np.ndarray  # minutes since the first planned exposure, increasing, (n,)
+    magnitude: np.ndarray  # magnitudes with noise and an unknown zero point, (n,)
+    sun: np.ndarray  # unit vectors to the Sun, (n, 3)
+    observer: np.ndarray  # unit vectors to the observer, (n, 3)
+    noise: float  # the standard deviation of each magnitude
 
     def truncate(self, end: float) -> Lightcurve:
         """Select the exposures before the time `end`."""
-        before = self.t < end
-        t, magnitude, sun, observer = (leaf[before] for leaf in self[:4])
+        t, magnitude, sun, observer = (leaf[self.t < end] for leaf in self[:4])
         return Lightcurve(t, magnitude, sun, observer, self.noise)
+
+
+class Minima(NamedTuple):
+    """The minima of the light in an observing session."""
+
+    t: np.ndarray  # their times (min), (minima,)
+    magnitude: np.ndarray  # the magnitudes at these times, (minima,)
+    slope: np.ndarray  # the time derivatives of the magnitude at these times: 0 but for rounding (1/min), (minima,)
+    rise: np.ndarray  # the smaller of the differences in magnitude to 0.02 min before and after, (minima,)
 
 
 def scene() -> Scene:
     """Load the scene that the package ships."""
     name = "satellite.toml"
     table = archives.read_toml(resources.files(__package__ or "").joinpath(name), name)
-    inertia = np.array(table["body"]["inertia_kg_m2"])
+    inertia, motion = np.array(table["body"]["inertia_kg_m2"]), table["motion"]
     body = rigid_body(inertia / inertia[2])
-    motion = table["motion"]
     rate = jnp.deg2rad(jnp.array(motion["angular_velocity_deg_min"]))
     state = body.state(motion["attitude_quaternion"], angular_velocity=rate)
     return Scene(table["title"], facets(table["facets"]), body, state, table["sky"], table["exposures"])
@@ -98,11 +93,6 @@ def exposure_times(plan: dict[str, Any]) -> np.ndarray:
     return np.sort(t[clear]) - t[clear].min()
 
 
-def true_magnitudes(scene: Scene, t: ArrayLike) -> Array:
-    """The magnitudes of the true motion, in closed form, without noise, at times (n,)."""
-    return closed_form(scene, t)[1]
-
-
 def closed_form(scene: Scene, t: ArrayLike) -> tuple[Array, Array]:
     """Attitudes, (n, 4), and magnitudes without noise, (n,), of the scene's body at times (n,), n > 0."""
     t = jnp.asarray(t)
@@ -126,6 +116,37 @@ def observe(scene: Scene, sets: int = 1) -> tuple[Lightcurve, np.ndarray]:
     t = exposure_times(scene.exposures)
     sun, observer = (np.asarray(v) for v in jax.jit(directions)(scene.sky, t))
     key, noise = jax.random.key(scene.exposures["seed"] + 1), scene.exposures["noise_mag"]
-    clean = np.asarray(true_magnitudes(scene, t))
-    observed = clean + noise * np.asarray(jax.random.normal(key, (1 + sets, len(t))))
+    observed = np.asarray(closed_form(scene, t)[1]) + noise * np.asarray(jax.random.normal(key, (1 + sets, len(t))))
     return Lightcurve(t, observed[0], sun, observer, noise), observed[1:]
+
+
+def slope(body: RigidBody, facets: Facets, sky: dict[str, float], state: State) -> Array:
+    """The time derivative of the magnitude along the motion."""
+    t = jnp.asarray(state.t)
+    moving = so3.tangent(state.q, body.angular_velocity(state)), jnp.ones_like(t)
+    return jax.jvp(lambda q, t: magnitude(facets, q, *directions(sky, t)), (state.q, t), moving)[1]
+
+
+def minima(body: RigidBody, state: State, facets: Facets, sky: dict[str, float], until: float, count: int) -> Event:
+    """The first `count` minima of the light before the time `until`, as events; differentiable in body and state."""
+    step, begin = schemes.preprocessed(body, 6), state._replace(t=jnp.zeros(()))
+    rise = lambda state: slope(body, facets, sky, state)  # noqa: E731
+    return events(step, begin, _STEP, rise, max_steps=int(until / _STEP), count=count, direction=-1)
+
+
+def scene_minima(scene: Scene, until: float, count: int) -> Minima:
+    """The first `count` minima of the light of a scene, with the slopes and magnitudes that verify them.
+
+    The times and slopes are computed by the scheme, the magnitudes by the closed form.
+    """
+
+    @jax.jit
+    def find_minima(body: RigidBody, state: State) -> tuple[Event, Array]:
+        found = minima(body, state, scene.facets, scene.sky, until, count)
+        return found, jax.vmap(lambda state: slope(body, scene.facets, scene.sky, state))(found.state)
+
+    found, slopes = find_minima(scene.body, scene.state)
+    t, slopes = (np.asarray(x)[np.asarray(found.found)] for x in (found.t, slopes))
+    times = np.concatenate([t - _OFFSET, t, t + _OFFSET])
+    before, there, after = np.asarray(closed_form(scene, times)[1]).reshape(3, -1)
+    return Minima(t, there, slopes, there - np.maximum(before, after))

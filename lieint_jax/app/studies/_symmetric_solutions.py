@@ -32,17 +32,11 @@ _NEAR = (20.0, 0.2, 0.2)  # (attitude (°), relative rate, log moments) differ b
 
 
 class Solutions(NamedTuple):
-    """Spin states at t = 0.
+    """Spin states at t = 0."""
 
-    Attributes:
-        q: attitudes, (n, 4).
-        rate: body rates, (n, 3).
-        inertia: moments over the geometric mean of the three, (n, 3).
-    """
-
-    q: np.ndarray
-    rate: np.ndarray
-    inertia: np.ndarray
+    q: np.ndarray  # attitudes, (n, 4)
+    rate: np.ndarray  # body rates, (n, 3)
+    inertia: np.ndarray  # moments over the geometric mean of the three, (n, 3)
 
     def select(self, which: np.ndarray | int) -> Solutions:
         """The solutions with these indices."""
@@ -66,22 +60,15 @@ def parameters(found: Solutions) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 class Change(NamedTuple):
-    """A change of solutions that may leave the light unchanged.
+    """A change of solutions that may leave the light unchanged."""
 
-    Attributes:
-        space: its kind in space, an index of `SPACE`.
-        axes: the new names of the body axes, such as "yxz"; "xyz" where the facets have this symmetry. With signs,
-            such as "x−y−z", unless all rotations by 180° about the body axes are symmetries of the facets.
-        symmetry: the index of the symmetry of the facets that follows the relabeling; 0 for none.
-        sigma: the rotation of space, a quaternion, (4,).
-        g: the rotation of the body axes, (3, 3).
-    """
-
-    space: int
+    space: int  # its kind in space, an index of `SPACE`
+    # the new names of the body axes, such as "yxz"; "xyz" where the facets have this symmetry. With signs, such as
+    # "x−y−z", unless all rotations by 180° about the body axes are symmetries of the facets
     axes: str
-    symmetry: int
-    sigma: np.ndarray
-    g: np.ndarray
+    symmetry: int  # the index of the symmetry of the facets that follows the relabeling; 0 for none
+    sigma: np.ndarray  # the rotation of space, a quaternion, (4,)
+    g: np.ndarray  # the rotation of the body axes, (3, 3)
 
     @property
     def name(self) -> str:

@@ -61,40 +61,24 @@ def _learned_weights(c: Array) -> Array:
 
 
 class KappaErrors(NamedTuple):
-    """The errors of one κ.
+    """The errors of one κ."""
 
-    Attributes:
-        training_defect: root mean square defect of a step on the training states, at step size DT.
-        test_defect: the same on the unseen test states.
-        defect_by_dt: the same on the training states, by step size.
-        poisson_error: geometric mean over the long runs of their final Poisson errors.
-        energy_error: largest energy error of the long runs.
-        converged_runs: the number of long runs that converged.
-    """
-
-    training_defect: float
-    test_defect: float
-    defect_by_dt: dict[float, float]
-    poisson_error: float
-    energy_error: float
-    converged_runs: int
+    training_defect: float  # root mean square defect of a step on the training states, at step size DT
+    test_defect: float  # the same on the unseen test states
+    defect_by_dt: dict[float, float]  # the same on the training states, by step size
+    poisson_error: float  # geometric mean over the long runs of their final Poisson errors
+    energy_error: float  # largest energy error of the long runs
+    converged_runs: int  # the number of long runs that converged
 
 
 class LearnedKappas(NamedTuple):
-    """The results of the study.
+    """The results of the study."""
 
-    Attributes:
-        coefficients: the learned coefficients, by the form of κ.
-        fit: the common fit of both forms.
-        rows: the errors of each κ, by its name.
-        steps: the number of steps of the long runs.
-        series: the times, and the Poisson errors by the name of κ (geometric mean over the runs).
-    """
-
-    coefficients: dict[str, np.ndarray]
-    fit: Fit
-    rows: dict[str, KappaErrors]
-    steps: int
+    coefficients: dict[str, np.ndarray]  # the learned coefficients, by the form of κ
+    fit: Fit  # the common fit of both forms
+    rows: dict[str, KappaErrors]  # the errors of each κ, by its name
+    steps: int  # the number of steps of the long runs
+    # the times, and the Poisson errors by the name of κ (geometric mean over the runs)
     series: tuple[np.ndarray, dict[str, np.ndarray]]
 
 

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from lieint_jax import diagnostics, schemes, systems
 from lieint_jax.adjoints import reversible
 from lieint_jax.app import plots
+from lieint_jax.app.studies import _report
 from lieint_jax.fitting import Fit, fit, positive
 from lieint_jax.runs import integrate
 from lieint_jax.systems import PseudoRigidBody
@@ -31,21 +32,14 @@ DT, _EVERY, _SEEN = 0.01, 10, 40
 
 
 class MaterialFit(NamedTuple):
-    """The results of the study.
+    """The results of the study."""
 
-    Attributes:
-        fit: the least-squares fit, with a covariance.
-        gradient_ratio: |gradient of the loss| at the estimate over that at the guess, in reverse mode by `reversible`.
-        times: the times of the observations, (n,).
-        data: observed C, (n, 6): xx, yy, zz, yz, xz, xy.
-        fitted: fitted C, (n, 6).
-    """
-
-    fit: Fit
+    fit: Fit  # the least-squares fit, with a covariance
+    # |gradient of the loss| at the estimate over that at the guess, in reverse mode by `reversible`
     gradient_ratio: float
-    times: np.ndarray
-    data: np.ndarray
-    fitted: np.ndarray
+    times: np.ndarray  # the times of the observations, (n,)
+    data: np.ndarray  # observed C, (n, 6): xx, yy, zz, yz, xz, xy
+    fitted: np.ndarray  # fitted C, (n, 6)
 
 
 def start(params: dict[str, Array]) -> tuple[PseudoRigidBody, State]:
@@ -74,64 +68,52 @@ def exact_strains(times: np.ndarray) -> Array:
     return _components(jnp.stack(observed))
 
 
+def _components(C: Array) -> Array:
+    """The components xx, yy, zz, yz, xz, xy of symmetric matrices (…, 3, 3), (…, 6)."""
+    return C[..., (0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)]
+
+
 def run(quick: bool = False, progress: bool = True) -> MaterialFit:
     """Fit from a guess with errors of a quarter; `quick` observes for half the time."""
-    rng = np.random.default_rng(6)
     saves = _SEEN // (2 if quick else 1)
     times = DT * _EVERY * np.arange(1, saves + 1)
     clean = exact_strains(times)
-    data = clean + NOISE * jnp.asarray(rng.normal(size=clean.shape))
+    data = clean + NOISE * jnp.asarray(np.random.default_rng(6).normal(size=clean.shape))
     guess = {"lam": jnp.array(25.0), "mu": jnp.array(4.5)}
 
-    def residuals(params: dict[str, Array]) -> tuple[Array, Array]:
-        model, converged = strains(params, saves, "forward")
+    def residuals(params: dict[str, Array], derivative: str = "forward") -> tuple[Array, Array]:
+        model, converged = strains(params, saves, derivative)
         return (model - data) / NOISE, converged
 
-    def half_square(params: dict[str, Array]) -> tuple[Array, Array]:
-        model, converged = strains(params, saves, "reverse")
-        return jnp.sum(((model - data) / NOISE) ** 2) / 2, converged
-
     found = fit(residuals, guess, bounds=positive, iterations=30, standardized=True, progress=progress)
-    reverse = jax.jit(jax.grad(lambda p: half_square(p)[0]))
+    reverse = jax.jit(jax.grad(lambda p: jnp.sum(residuals(p, "reverse")[0] ** 2) / 2))
     first, last = (float(jnp.linalg.norm(ravel_pytree(reverse(p))[0])) for p in (guess, found.params))
     fitted = jax.jit(lambda p: strains(p, saves, "forward")[0])(found.params)
     return MaterialFit(found, last / first, times, np.asarray(data), np.asarray(fitted))
 
 
-def _components(C: Array) -> Array:
-    """The components xx, yy, zz, yz, xz, xy of symmetric matrices (…, 3, 3), (…, 6)."""
-    i, j = (0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)
-    return C[..., i, j]
-
-
 def text(found: MaterialFit) -> str:
     """The report of the study, as text."""
-    errors = found.fit.standard_errors
-    lines = [
-        f"λ and μ of an elastic ball from {len(found.times)} observations of its strain, noise {NOISE} a component",
-        f"  {found.fit.outcome}",
-        f"  the gradient in reverse mode, by undoing steps, is {found.gradient_ratio:.1e} of that at the guess\n",
-        f"  {'':<4}{'truth':>9}{'estimate':>12}{'± 1 sigma':>11}",
-    ]
-    lines += [
-        f"  {symbol:<4}{TRUTH[key]:>9.4f}{found.fit.params[key]:>12.5f}{errors[key]:>11.5f}"
-        for key, symbol in (("lam", "λ"), ("mu", "μ"))
-    ]
-    return "\n".join(lines)
+    numbers = ((TRUTH[key], found.fit.params[key], found.fit.standard_errors[key]) for key in TRUTH)
+    rows = [(name, f"{t:.4f}", f"{x:.5f}", f"{e:.5f}") for name, (t, x, e) in zip("λμ", numbers, strict=True)]
+    return "\n".join(
+        [
+            f"λ and μ of an elastic ball from {len(found.times)} observations of its strain, noise {NOISE} a component",
+            f"  {found.fit.outcome}",
+            f"  the gradient in reverse mode, by undoing steps, is {found.gradient_ratio:.1e} of that at the guess\n",
+            *_report.table([("", "truth", "estimate", "± 1 sigma"), *rows]),
+        ]
+    )
 
 
 @plots.style()
 def draw(found: MaterialFit) -> Figure:
     """Plot observed and fitted strains."""
     fig, axes = plots.figure(1)
-    plots.series(
-        axes[0, 0],
-        found.times,
-        dict(zip(("$C_{xx}$", "$C_{yy}$", "$C_{zz}$"), found.fitted.T, strict=False)),
-        "strain $C$",
-    )
-    axes[0, 0].plot(found.times, found.data[:, 0], ".", ms=4, color=plots.PURPLE, label="observed")
-    axes[0, 0].plot(found.times, found.data[:, 1:3], ".", ms=4, color=plots.PURPLE)
-    axes[0, 0].set_title("observed strain, and that of the fitted constants")
-    axes[0, 0].legend()
+    ax, names = axes[0, 0], ("$C_{xx}$", "$C_{yy}$", "$C_{zz}$")
+    plots.series(ax, found.times, dict(zip(names, found.fitted.T, strict=False)), "strain $C$")
+    ax.plot(found.times, found.data[:, 0], ".", ms=4, color=plots.PURPLE, label="observed")
+    ax.plot(found.times, found.data[:, 1:3], ".", ms=4, color=plots.PURPLE)
+    ax.set_title("observed strain, and that of the fitted constants")
+    ax.legend()
     return fig

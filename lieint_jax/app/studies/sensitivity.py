@@ -31,26 +31,16 @@ _BLOCKS = 10
 
 
 class LyapunovSpectrum(NamedTuple):
-    """The results of the study.
+    """The results of the study."""
 
-    Attributes:
-        t: times, (n,).
-        exponents: finite-time exponents at these times, (n, 6), 1/time unit.
-        total: sum of the exponents at the end.
-        pair_defect: largest |λ_i + λ_{7−i}| at the end, with the exponents in descending order.
-        short_run: exponents at the end of a short run by `exponents`, (6,).
-        variational: exponents at the same time from the variational equations, by `reference`, (6,).
-        two_trajectories: the largest exponent over the whole run by `shadow`.
-        limit: the largest exponent over the second half of the run, and its standard error from `_BLOCKS` blocks.
-    """
-
-    t: np.ndarray
-    exponents: np.ndarray
-    total: float
-    pair_defect: float
-    short_run: np.ndarray
-    variational: np.ndarray
-    two_trajectories: float
+    t: np.ndarray  # times, (n,)
+    exponents: np.ndarray  # finite-time exponents at these times, (n, 6), 1/time unit
+    total: float  # sum of the exponents at the end
+    pair_defect: float  # largest |λ_i + λ_{7−i}| at the end, with the exponents in descending order
+    short_run: np.ndarray  # exponents at the end of a short run by `exponents`, (6,)
+    variational: np.ndarray  # exponents at the same time from the variational equations, by `reference`, (6,)
+    two_trajectories: float  # the largest exponent over the whole run by `shadow`
+    # the largest exponent over the second half of the run, and its standard error from `_BLOCKS` blocks
     limit: tuple[float, float]
 
 

@@ -17,35 +17,26 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax.app import scenarios
-from lieint_jax.app.studies import _flyby
-from lieint_jax.app.studies._pulls import squared_distances
-from lieint_jax.app.studies._radar import (
+from lieint_jax.app.studies import _flyby, _report, _toutatis, inference
+from lieint_jax.app.studies._toutatis import (
     FITTED,
     MIDDLE,
+    QUANTITIES,
     STATES,
+    Prediction,
     RadarEpochs,
+    SpinFit,
     errors,
     later_fixes,
-    path,
+    published_params,
+    radar_data,
     radar_epochs,
 )
-from lieint_jax.app.studies._spin_fit import (
-    Estimate,
-    Unravel,
-    coverage,
-    derived_quantities,
-    enlarge_errors,
-    estimates,
-    fit_spins,
-    repeat,
-)
 from lieint_jax.app.studies._toutatis_picture import draw
-from lieint_jax.app.studies._toutatis_report import text
-from lieint_jax.app.studies._toutatis_result import Prediction, SpinFit
-from lieint_jax.app.studies._tumbling import model, rotation_between
-from lieint_jax.fitting import DEGREES_OF_FREEDOM, Fit, student_t_weights
+from lieint_jax.app.studies._tumbling import model
+from lieint_jax.app.studies.inference import Estimate, Params, Problem
+from lieint_jax.fitting import DEGREES_OF_FREEDOM, student_t_noise_error, student_t_weights
 from lieint_jax.groups import so3
-from lieint_jax.systems import RigidBody
 from lieint_jax.types import vectors
 
 __all__ = ["RadarEpochs", "SpinFit", "draw", "model", "radar_epochs", "run", "text"]
@@ -57,110 +48,73 @@ _FAR = 18.8  # |e|²/σ²: any of 34 normal vectors of three components exceeds 
 # encyclopaedias quote them from JPL's Small-Body Database: enough for an order of magnitude, not checked there.
 _FLYBY_DISTANCE = 0.01036 * _flyby.AU
 _ELEMENTS = {"semi_major_axis": 2.5321, "eccentricity": 0.6288, "inclination_deg": 0.446}
+_CHANGE = 0.08  # °/d, the largest change of the spin by the flyby of 2004: Busch et al. 2012, AGU, P31A-1873
+_TO_2008 = 1516.0  # days from that flyby, 2004-09-29, to the fix of 2008-11-23
 
 
 def run(quick: bool = False, progress: bool = True) -> SpinFit:
     """Fit, compare, predict, and test the uncertainty; `quick` uses a fifth of the synthetic sets and members."""
     sets, members = (20, 200) if quick else (100, 1000)
-    data = radar_data()
+    problem, data = _toutatis.problem(), radar_data()
     given = {name: published_params(scenario, data["begin"], -data["epoch"]) for name, scenario in STATES.items()}
-    found, many = _fit_from_many_starts(list(given.values()), data, 2 * sets, progress)
-    starts = found.starts
-    assert starts is not None
-    three = jax.tree.map(lambda leaf: leaf[:3], (starts.params, many))
-    states = estimates(*three)
+    # From both published states, from the first with normal errors, and from random states about the second. Their
+    # number is that of synthetic sets, so that one compiled program fits both.
+    zhao, takahashi = (p | {"noise": problem.levels["noise"]} for p in given.values())
+    random = inference.random_starts(problem, 2 * sets - 3, 17)
+    three = jax.tree.map(lambda a, b: jnp.stack([a, b, a]), zhao, takahashi)
+    guesses = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), three, random)
+    many, freedom = inference.repeat(data, 2 * sets), np.full(2 * sets, DEGREES_OF_FREEDOM)
+    freedom[2] = _NORMAL
+    found = inference.fit_starts(problem, guesses, many, freedom, progress)
+    states = inference.estimates(problem, found, many, freedom, range(3))
     estimate, normal = (jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in (0, 2))
-    unravel = ravel_pytree(next(iter(given.values())))[1]
-    test = coverage(estimate, unravel, data, 2 * sets, progress=progress)
-    factors = np.maximum(test.select(slice(None, sets)).scatter, 1)  # errors are never reduced
-    estimate = enlarge_errors(estimate, factors[0])
-    paths = {"fitted": path(unravel(estimate.x), data)} | {name: path(p, data) for name, p in given.items()}
-    residuals = {name: np.asarray(errors(along, data)) for name, along in paths.items()}
-    e, noise = residuals["fitted"], np.asarray(estimate.noise)[:, None]
-    difference = {name: np.asarray(ravel_pytree(p)[0] - estimate.x) for name, p in given.items()}
-    body, state = model(unravel(estimate.x), data["begin"])
+    test = inference.coverage(problem, estimate, 2 * sets, 1992, progress)
+    factors = np.maximum(test.select(slice(sets)).scatter(8, 2), 1)  # errors are never reduced
+    estimate = inference.enlarge_errors(estimate, factors[0])
+    residuals = {
+        name: np.asarray(errors(p, data)) for name, p in {"fitted": problem.unravel(estimate.x), **given}.items()
+    }
+    e, noise = residuals["fitted"], estimate.noise[:, None]
+    difference = np.stack([np.asarray(ravel_pytree(p)[0]) - estimate.x for p in given.values()])
+    distances = _report.squared_distances(difference, estimate.covariance[None])
+    body, state = model(problem.unravel(estimate.x), data["begin"])
+    assert found.starts is not None
     return SpinFit(
         found,
-        float((np.abs(starts.loss[3:] - starts.loss[0]) < 1e-4).mean()),
+        float((np.abs(found.starts.loss[3:] - found.starts.loss[0]) < 1e-4).mean()),
         estimate,
         normal,
         residuals,
         np.asarray(student_t_weights(jnp.asarray(e), jnp.asarray(noise))),
         (e**2).sum(axis=-1) > _FAR * noise**2,
-        {name: _derived_at_epoch(p, data) for name, p in given.items()},
-        {name: float(squared_distances(d[None], np.asarray(estimate.covariance))[0]) for name, d in difference.items()},
-        _predict(estimate, unravel, given, data["begin"], members),
+        {name: np.asarray(_toutatis.derived(p, data)) for name, p in given.items()},
+        dict(zip(given, distances.tolist(), strict=True)),
+        _predict(problem, estimate, given, members),
         _flyby.passage(body, state, _FLYBY_DISTANCE, _flyby.speed_at_infinity(**_ELEMENTS), members),
         factors,
-        test.select(slice(sets, None)).rescale(factors),
+        test.select(slice(sets, None)).rescale(factors, 8, 2),
         scenarios.load("toutatis"),
     )
 
 
-def radar_data() -> dict[str, Array]:
-    """The fixes of 1992 for the fit, with times in days from the middle one, and the epoch of the published states."""
-    fixes = radar_epochs()
-    middle = fixes.t[MIDDLE]
-    return {
-        "begin": jnp.asarray(fixes.q[MIDDLE]),
-        "epoch": jnp.asarray(-middle),
-        "freedom": jnp.asarray(DEGREES_OF_FREEDOM),
-        "q": jnp.asarray(fixes.q[:FITTED]),
-        "rate": jnp.asarray(fixes.angular_velocity_deg[:FITTED]),
-        "t": jnp.asarray(fixes.t[:FITTED] - middle),
-    }
-
-
-def published_params(name: str, begin: Array, t: Array) -> dict[str, Array]:
-    """The published state of a scenario after time t, as parameters of `model`."""
-    scenario = scenarios.load(name)
-    body = RigidBody(jnp.asarray(scenario.inertia) / scenario.inertia[2])
-    later = body.solution(body.state(scenario.state.attitude(), angular_velocity=scenario.state.rate()), t)
-    rate = body.angular_velocity(later)
-    return {"attitude": rotation_between(later.q, begin), "inertia": body.inertia[:2], "rate": jnp.rad2deg(rate)}
-
-
-def _fit_from_many_starts(
-    given: list[dict[str, Array]], data: dict[str, Array], starts: int, progress: bool
-) -> tuple[Fit, dict[str, Array]]:
-    """Fit from both published states, from the first with normal errors, and from random states about the second.
-
-    The number of starts is that of synthetic sets, so that one compiled program fits both.
-    """
-    rng = np.random.default_rng(17)
-    scatter = {"attitude": 10.0, "inertia": 0.15, "rate": 5.0}
-    random = {name: p + scatter[name] * rng.normal(size=(starts - 3, p.size)) for name, p in given[1].items()}
-    chosen = jax.tree.map(lambda a, b, more: jnp.concatenate([jnp.stack([a, b, a]), more]), given[0], given[1], random)
-    many = repeat(data, starts) | {"freedom": jnp.full(starts, DEGREES_OF_FREEDOM).at[2].set(_NORMAL)}
-    return fit_spins(chosen | {"noise": jnp.full((starts, 2), 8.0)}, many, progress), many
-
-
-def _derived_at_epoch(params: dict[str, Array], data: dict[str, Array]) -> np.ndarray:
-    at_epoch = path(params, {"begin": data["begin"], "t": data["epoch"][None]})[0]
-    return np.asarray(derived_quantities(params, data["begin"], at_epoch))
-
-
-def _predict(
-    estimate: Estimate, unravel: Unravel, given: dict[str, dict[str, Array]], begin: Array, members: int
-) -> Prediction:
+def _predict(problem: Problem, estimate: Estimate, given: dict[str, Params], members: int) -> Prediction:
     """Predict the motion of the estimate, of both published states, and of members drawn from the covariance."""
-    fixes, later = radar_epochs(), later_fixes()
-    t = np.append(np.geomspace(1, 8000, 60), later.t - fixes.t[MIDDLE])
-    drawn = np.random.default_rng(2004).multivariate_normal(estimate.x, estimate.covariance, members)
-    x = np.stack([estimate.x, *(ravel_pytree(p)[0] for p in given.values())])
+    fixes, begin, (_, later_t, later_q) = radar_epochs(), problem.data["begin"], later_fixes()
+    t = np.append(np.geomspace(1, 8000, 60), later_t - fixes.t[MIDDLE])
 
-    @jax.jit
-    def attitudes(x: Array) -> Array:
-        body, state = model(unravel(x), begin)
+    def attitudes(params: Params) -> Array:
+        body, state = model(params, begin)
         return jax.vmap(lambda t: body.solution(state, t).q)(jnp.asarray(t))
 
-    q = jax.lax.map(attitudes, jnp.asarray(np.concatenate([x, drawn])))
+    x = np.stack([estimate.x, *(ravel_pytree(p)[0] for p in given.values())])
+    drawn = inference.draw_members(estimate, members, 2004)
+    q = jnp.asarray(inference.predict(problem, attitudes, np.concatenate([x, drawn])))
     angles = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (None, 0))(q[0], q[len(x) :]))
-    off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], jnp.asarray(later.q)))
-    body, state = model(unravel(estimate.x), begin)
+    off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], jnp.asarray(later_q)))
+    body, state = model(problem.unravel(estimate.x), begin)
     rate = jnp.asarray(np.deg2rad(fixes.angular_velocity_deg))
     p = jax.vmap(so3.Ad)(jnp.asarray(fixes.q), body.inertia * rate)
-    every = jnp.concatenate([state.q[None], jnp.asarray(fixes.q), jnp.asarray(later.q[-1:])])
+    every = jnp.concatenate([state.q[None], jnp.asarray(fixes.q), jnp.asarray(later_q[-1:])])
     Pi = np.asarray(jax.vmap(so3.Ad_star, (0, None))(every, state.p / jnp.linalg.norm(state.p)))
     return Prediction(
         t[:-3],
@@ -172,3 +126,138 @@ def _predict(
         np.rad2deg(jax.vmap(vectors.angle, (None, 0))(state.p, p)),
         (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
     )
+
+
+def text(found: SpinFit) -> str:
+    """The report of the study, as text."""
+    parts = (_head, _residual_table, _comparison, _prediction, _torque, _coverage)
+    return "\n".join(line for part in parts for line in part(found))
+
+
+def _head(found: SpinFit) -> list[str]:
+    noise, normal = found.estimate.noise, found.normal.noise
+    error = student_t_noise_error(FITTED, 3) * found.factors[1]
+    ours, sigma = found.estimate.values[8:], found.estimate.sigmas[8:]
+    other = found.normal.values[8:]
+    moved = max(abs(inference.pull(*row)) for row in zip(QUANTITIES, ours, sigma, other, strict=True))
+    assert found.fit.starts is not None
+    return [
+        f"{found.scenario.title}: spin state, inertia ratios and noise from the {FITTED} radar fixes of 1992",
+        f"  fixes: {found.scenario.source('takahashi')}, without errors: attitudes have one weight, and so have rates",
+        f"  {found.fit.outcome}; {100 * found.share_at_minimum:.0f} % of {len(found.fit.starts.loss) - 3} random "
+        "starts end there",
+        f"  noise, fitted: attitudes {noise[0]:.2f} ± {noise[0] * error:.2f}°, rates {noise[1]:.2f} ± "
+        f"{noise[1] * error:.2f} °/d (scales of Student's t, {DEGREES_OF_FREEDOM:g} degrees of freedom)",
+        f"  with normal errors instead: {normal[0]:.2f}°, {normal[1]:.2f} °/d, and the values below change by up to "
+        f"{moved:.1f} σ",
+    ]
+
+
+def _residual_table(found: SpinFit) -> list[str]:
+    size = np.stack([np.linalg.norm(found.residuals[name], axis=-1) for name in ("fitted", *STATES)])
+    heads = ("fitted", "weight", "Zhao", "Takahashi")
+    rows: list[tuple[str, ...]] = [("", *heads, *heads)]
+    columns = size.T, found.weights.T, found.outlier.T
+    for date, sizes, weights, outlier in zip(radar_epochs().date, *columns, strict=False):
+        cells = (
+            (f"{ours:.2f}{' *'[int(far)]}", f"{weight:.2f}", f"{zhao:.1f}", f"{takahashi:.1f}")
+            for (ours, zhao, takahashi), weight, far in zip(sizes, weights, outlier, strict=True)
+        )
+        rows.append((date, *(cell for kind in cells for cell in kind)))
+    rms = (
+        (f"{ours:.2f} ", "", f"{zhao:.2f}", f"{takahashi:.2f}")
+        for ours, zhao, takahashi in np.sqrt((size**2).mean(-1)).T
+    )
+    rows.append(("rms", *(cell for kind in rms for cell in kind)))
+    return [
+        f"\n  {'|calculated − observed|':<31}{'attitude (°)':<38}body rate (°/d)",
+        *_report.table(rows),
+        "  * an outlier: with normal errors of the fitted noise, 1 of 100 such tables has a residual as large",
+    ]
+
+
+def _comparison(found: SpinFit) -> list[str]:
+    value, sigma = found.estimate.values[8:], found.estimate.sigmas[8:]
+    rows: list[tuple[str, ...]] = [("", "fitted", "± 1σ", "Zhao", "", "Takahashi")]
+    for k, name in enumerate(QUANTITIES):
+        others = (float(found.published[state][k]) for state in STATES)
+        each = ((f"{x:.3f}", f"{inference.pull(name, value[k], sigma[k], x):+.1f} σ") for x in others)
+        rows.append((name, f"{value[k]:.3f}", f"{sigma[k]:.3f}", *(cell for pair in each for cell in pair)))
+    distances, tested = found.mahalanobis_squared.values(), found.coverage.mahalanobis_squared
+    beyond = " and ".join(
+        f"{d:.0f} ({(tested > d).sum()} of {len(tested)} synthetic sets are farther off)" for d in distances
+    )
+    return [
+        "",
+        *_report.table(rows),
+        "  (angles and rates at 1992-11-09 17:49:47 UTC; right, values of the published states, with the inertia of",
+        f"  {found.scenario.source('takahashi')}, and their difference from ours)",
+        "  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
+        f"  and Takahashi: {beyond}",
+        "\n  published values:",
+        *inference.published_lines(QUANTITIES, found.estimate, _toutatis.problem().published),
+    ]
+
+
+def _prediction(found: SpinFit) -> list[str]:
+    p = found.prediction
+    low, high = np.percentile(p.member_fix_angles, (5, 95), axis=0)
+    rows = [("", *later_fixes()[0]), *((name, *(f"{x:.1f}" for x in off)) for name, off in p.fix_angles.items())]
+    rows += [("members, 5 to 95 %", *(f"{a:.0f} to {b:.0f}" for a, b in zip(low, high, strict=True)))]
+    rows += [("members farther off", *(f"{100 * share:.0f} %" for share in p.farther_share))]
+    pole = p.pole[:FITTED][~found.outlier[1]]
+    single, early = np.sqrt((pole**2).mean()), p.energy[1 : 1 + FITTED][~found.outlier[0]]
+    verdict = "No miss is outside the spread" if p.farther_share.min() > 0.05 else "Some misses are outside the spread"
+    first, second = (np.interp(angle, p.rms, p.t) for angle in (30, 90))
+    return [
+        "\n  torque-free prediction of later fixes, by radar and, in 2012, by Chang'e-2: angle from the fix (°)",
+        *_report.table(rows, "    "),
+        f"  {verdict} of the fit's own uncertainty: the members spread by 30° rms after {first:.0f} days,",
+        f"  by 90° after {second:.0f}, by {p.rms[-1]:.0f}° at the end (random attitudes: 132°).",
+        f"  The direction of the momentum differs from the fitted one by {single:.1f}° rms in single fixes of 1992, by",
+        f"  {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}° in those of 2004 and 2008; 2H Jz/|π|² is {p.energy[0]:.3f} fitted,",
+        f"  {early.mean():.3f} ± {early.std():.3f} for single attitudes of 1992, "
+        f"{', '.join(f'{x:.3f}' for x in p.energy[-3:])} for the later ones.",
+    ]
+
+
+def _torque(found: SpinFit) -> list[str]:
+    f, (value, error) = found.flyby, found.periods.T
+    own = 360 * error / value**2  # of the mean rates of precession and rotation, 360°/period
+    rms, most = np.sqrt((f.rates**2).mean(axis=0)), np.abs(f.rates[:, 0]).max()
+    change, usual, worst = 100 * np.sqrt((f.momentum**2).mean()), _TO_2008 * rms[0], _TO_2008 * most
+    return [
+        "\n  the Earth's torque in the flyby of 2004-09-29, in order of magnitude, over all phases and directions:",
+        f"    a hyperbola of least distance {f.distance / _flyby.AU:.5f} au, {f.speed:.2f} km/s at infinity",
+        "    (elements quoted from JPL's Small-Body Database, not checked there; the Earth on a circle)",
+        f"    momentum: changes by {change:.2f} % rms, rotates by {f.pole.max():.2f}° at most",
+        f"    precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms",
+        f"    published: {_CHANGE} °/d at most   (Busch et al. 2012, AGU Fall Meeting, P31A-1873)",
+        f"  By the fix of 2008 this change of rate adds up to {usual:.0f}° rms, {worst:.0f}° at most, even from",
+        "  a state known exactly.",
+        f"  The fit of 1992 determines the two rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d.",
+    ]
+
+
+def _coverage(found: SpinFit) -> list[str]:
+    c, names = found.coverage, _toutatis.problem().names
+    one, two, _ = _report.shares(c.pulls[:, :8])
+    labels = (*names, "log noise, attitudes", "log noise, rates", *QUANTITIES[:4])
+    sets, chance = len(c.pulls), _report.chance_errors(len(c.pulls))
+    rows = [
+        ("", "within 1σ", "within 2σ", "rms/σ"),
+        *((label, *cells) for label, cells in zip(labels, _report.coverage_cells(c.pulls), strict=False)),
+        ("mean of the parameters", f"{one.mean():.1f}%", f"{two.mean():.1f}%", f"{c.scatter(8)[0]:.2f}"),
+        ("expected of each", "68.3%", "95.4%", "1"),
+    ]
+    lines = _report.table(rows)
+    inside = 100 * (c.mahalanobis_squared <= _report.chi_square_point(8)).mean()
+    return [
+        f"\n  errors: those of the observed information, enlarged by {found.factors[0]:.3f} (noise levels: "
+        f"{found.factors[1]:.3f}), which is",
+        f"  the ratio of scatter to error in {sets} synthetic sets of the fitted model; a test by {sets} other sets "
+        f"({int(c.success.sum())} fits succeeded):",
+        *lines[:-1],
+        f"{lines[-1]}   ± {chance.within_1:.1f} %, {chance.within_2:.1f} % by chance",
+        f"  truth inside the joint 95 % ellipsoid: {inside:.0f} % of the sets",
+    ]

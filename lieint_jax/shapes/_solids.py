@@ -1,14 +1,4 @@
-"""Bodies by their shape: mass, center, tensor of inertia and higher moments, for systems, potentials and torques.
-
-| | |
-|---|---|
-| `ellipsoid`, `box`, `cylinder` | homogeneous solids, in closed form |
-| `sites` | point masses |
-| `mesh`, `obj` | a homogeneous polyhedron of triangles, from arrays or a file |
-| `surface` | the vertices and triangles of a file, OBJ or STL |
-
-Shapes can be added with `+` and placed with `moved`. Every system, potential or torque that needs an inertia accepts a
-shape. All moments are differentiable with respect to semi-axes, points, vertices and masses.
+"""Mass, center, tensor of inertia and higher moments of bodies.
 
 The moments of a tetrahedron with one vertex at the origin are polynomials in the three others, exact to every order:
 
@@ -36,7 +26,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.types import pytree, static
 
-__all__ = ["Shape", "box", "cylinder", "ellipsoid", "mesh", "obj", "sites", "surface"]
+__all__ = ["Shape", "box", "closed_surface", "cylinder", "ellipsoid", "mesh", "obj", "sites", "surface", "trace_free"]
 
 ORDER = 4  # the highest moments of a shape
 
@@ -234,10 +224,7 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
         >>> float(corner.mass), corner.center.tolist()
         (1.0, [0.25, 0.25, 0.25])
     """
-    at = _checks.real_array("vertices", vertices)
-    if at.ndim != 2 or at.shape[1] != 3:
-        raise ValueError(f"vertices must have shape (V, 3), got {at.shape}")
-    triangles = _triangles(faces, len(at))
+    at, triangles = closed_surface(vertices, faces)
     if concrete(at):
         _check_parts(np.asarray(at, float)[triangles], triangles)
     reference = jnp.mean(at, axis=0)  # near the center: the moments about a distant point would cancel
@@ -395,6 +382,14 @@ def trace_free(M: Array) -> Array:
 def _sums(a: Array, b: Array) -> Array:
     """Σ a⊗b over rows, in full precision on GPUs too."""
     return jnp.matmul(a.T, b, precision="highest")
+
+
+def closed_surface(vertices: ArrayLike, faces: Any) -> tuple[Array, np.ndarray]:
+    """The vertices (V, 3) and faces (F, 3) of a closed surface of triangles, checked as in `mesh`."""
+    at = _checks.real_array("vertices", vertices)
+    if at.ndim != 2 or at.shape[1] != 3:
+        raise ValueError(f"vertices must have shape (V, 3), got {at.shape}")
+    return at, _triangles(faces, len(at))
 
 
 def _triangles(faces: Any, count: int) -> np.ndarray:

@@ -1,0 +1,78 @@
+"""What a run shows: periods, tilts, librations, orbits, spectra and light, as functions of a `li.Run`.
+
+| | |
+|---|---|
+| `tilt`, `pole`, `rotation_rates` | the angle of a body axis; the direction of the angular momentum; the spin |
+| `periods` | the two mean periods of a tumbling body |
+| `nutation` | nutation and precession of a top or a pendulum |
+| `orbit_angles`, `orbit_axes` | how a body on a given orbit points |
+| `relative_motion` | the motion of one of several bodies about another |
+| `distances`, `pair_density` | the distances of all pairs, and how often each occurs |
+| `apsides`, `librations` | mean orbit and precession of its apsides; forced and free libration |
+| `pair_energies` | how two bodies exchange energy |
+| `light_curve`, `brightness`, `lambert` | the light that a convex body of facets reflects (`shapes.facets`) |
+| `spectrum`, `line` | frequencies and amplitudes at even times |
+| `periodogram` | periods at uneven times, with false-alarm probabilities |
+| `mean_rate`, `unwrapped` | of an angle |
+| `is_librating`, `captured_since`, `first_below` | whether, and since when, a series stays within a bound |
+
+Angles are in radians, times in the run's unit. A run of one body gives scalars and series (times,), a batch (members,)
+and (times, members), also where each member has its own step. What a run does not show is NaN.
+"""
+
+from lieint_jax.measure._attitude import MeasuredPeriods, Pole, periods, pole, rotation_rates, tilt
+from lieint_jax.measure._distances import PairDensity, distances, pair_density
+from lieint_jax.measure._light import brightness, lambert, light_curve
+from lieint_jax.measure._nutation import Nutation, nutation
+from lieint_jax.measure._orbit import OrbitAngles, orbit_angles, orbit_axes
+from lieint_jax.measure._relative_motion import (
+    Apsides,
+    Librations,
+    PairEnergies,
+    RelativeMotion,
+    apsides,
+    librations,
+    pair_energies,
+    relative_motion,
+)
+from lieint_jax.measure._series import captured_since, first_below, is_librating, mean_rate, unwrapped
+from lieint_jax.measure._spectrum import Line, Periodogram, Spectrum, line, periodogram, spectrum
+
+__all__ = [
+    "Apsides",
+    "Librations",
+    "Line",
+    "MeasuredPeriods",
+    "Nutation",
+    "OrbitAngles",
+    "PairDensity",
+    "PairEnergies",
+    "Periodogram",
+    "Pole",
+    "RelativeMotion",
+    "Spectrum",
+    "apsides",
+    "brightness",
+    "captured_since",
+    "distances",
+    "first_below",
+    "is_librating",
+    "lambert",
+    "librations",
+    "light_curve",
+    "line",
+    "mean_rate",
+    "nutation",
+    "orbit_angles",
+    "orbit_axes",
+    "pair_density",
+    "pair_energies",
+    "periodogram",
+    "periods",
+    "pole",
+    "relative_motion",
+    "rotation_rates",
+    "spectrum",
+    "tilt",
+    "unwrapped",
+]

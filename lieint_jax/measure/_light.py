@@ -1,0 +1,99 @@
+"""The light that a convex body of facets reflects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax.groups import so3
+from lieint_jax.measure._states import Directions, directions, map_run, rotate, rotation
+from lieint_jax.runs import Run
+from lieint_jax.shapes import Facets
+from lieint_jax.types import callable_pytree, vectors
+from lieint_jax.types.shapes import Scalar, Vector3
+
+__all__ = ["brightness", "lambert", "light_curve"]
+
+ScatteringLaw = Callable[[Array, Array], Array]  # (μ0, μ) ↦ reflectance
+
+
+def lambert(mu0: Array, mu: Array) -> Array:
+    """Lambert's law with albedo 1, μ0: diffuse reflection, equally bright from all sides."""
+    del mu
+    return mu0
+
+
+def brightness(
+    facets: Facets, q: ArrayLike, sun: ArrayLike, observer: ArrayLike, *, law: ScatteringLaw = lambert
+) -> Scalar:
+    """The light that a convex body sends to an observer, integrated over its disk: Σ law(μ0, μ) μ A/π.
+
+    The sum is over the facets that are lit and seen, those with cosines μ0 > 0 of the angle between normal and Sun and
+    μ > 0 between normal and observer. The result times the incident flux over the square of the observer's distance is
+    the observed flux; −2.5 log₁₀ of it is a magnitude. A white Lambert sphere of radius R sends (2/3)R² at opposition.
+
+    A pure function, for jit, vmap and grad. Its derivatives are exact for the facets; those of a law that does not
+    vanish for μ0 → 0 lack the edges between light and shadow.
+
+    Args:
+        facets: of the body, in body axes.
+        q: its attitude, body to space: a unit quaternion (4,), or a matrix (3, 3), or (4, 4) as of SE(3).
+        sun, observer: directions in space, from the body, (3,), of any length but 0.
+        law: (μ0, μ) ↦ the reflectance, any function of arrays (facets,): 1 is a white body that is equally bright where
+            lit; `lambda mu0, mu: mu0 / (mu0 + mu)` is proportional to Lommel–Seeliger's law.
+
+    Source: Kaasalainen & Torppa 2001, Icarus 153, 24, (2).
+    """
+    q = jnp.asarray(q)
+    s, o = (_to_body(q, jnp.asarray(v, q.dtype)) for v in (sun, observer))
+    mu0, mu = (rotate(facets.normals, v / vectors.norm(v)) for v in (s, o))
+    dark = (mu0 <= 0) | (mu <= 0)  # a NaN is not dark, so that it is not lost
+    mu0, mu = (jnp.where(dark, 1.0, x) for x in (mu0, mu))  # harmless to any law and its derivatives
+    return jnp.sum(jnp.where(dark, 0.0, law(mu0, mu) * mu * facets.areas)) / jnp.pi
+
+
+def _to_body(q: Array, v: Array) -> Vector3:
+    return so3.Ad_star(q, v) if q.shape == (4,) else rotate(q[:3, :3].T, v)
+
+
+def light_curve(
+    run: Run, facets: Facets, sun: Directions, observer: Directions, *, law: ScatteringLaw = lambert
+) -> Array:
+    """The light curve of a rotating convex body: `brightness` at each saved time.
+
+    Args:
+        run: of a rigid body, or on SO(3) or SE(3).
+        facets: of the body, in the axes in which the system has its inertia; the same for all members.
+        sun, observer: directions in space, from the body, of any length: (3,), or one for each saved time, (times, 3),
+            or functions of time. With light time, give the direction at the time of reflection.
+        law: as in `brightness`; a function of a module compiles once.
+
+    Returns:
+        (times,) or (times, members), in the square of the unit of length of the facets.
+
+    Raises:
+        ValueError: the run is not of one body with an attitude; a wrong shape.
+    """
+    R = map_run(run, rotation)
+    if R.ndim != 3 + (run.members is not None):
+        raise ValueError("light_curve is that of one body, not of several: call brightness for each of them")
+    t = jnp.asarray(run.t)
+    s, o = (directions(name, given, t) for name, given in (("sun", sun), ("observer", observer)))
+    return _curve(callable_pytree(law), facets, R, s, o)
+
+
+@jax.jit
+def _curve(law: ScatteringLaw, facets: Facets, R: Array, sun: Array, observer: Array) -> Array:
+    """One time after the other: all facets of all times and members may exceed the memory."""
+
+    def at_time(given: tuple[Array, Array, Array]) -> Array:
+        R, s, o = given
+        light = partial(brightness, facets, sun=s, observer=o, law=law)
+        return light(R) if R.ndim == 2 else jax.vmap(light)(R)
+
+    return jax.lax.map(at_time, (R, sun, observer))

@@ -1,0 +1,217 @@
+"""Frequencies and amplitudes of a series: at even times by Fourier's transform, at any times by least squares."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+__all__ = ["Line", "Periodogram", "Spectrum", "line", "periodogram", "spectrum"]
+
+_REFINEMENTS = 6  # of a frequency, each by the parabola through three values of the transform
+_FEWEST = 4  # times of a spectrum
+_EVEN = 0.01  # largest deviation of a time from even spacing, over the spacing
+_OVERSAMPLING = 10  # default frequencies per resolution, 1/duration
+_AT_ONCE = 2**21  # waves times data that are summed together
+_ROUNDING = 4 * np.finfo(float).eps  # standard deviation of a constant, over its size
+_SINGULAR = 1e-12  # mean square of a wave that the times do not see, such as a sine at the Nyquist frequency
+
+
+class Spectrum(NamedTuple):
+    """The spectrum of a series.
+
+    Attributes:
+        frequency: in cycles per unit of time, (frequencies,).
+        amplitude: in the unit of the series, (frequencies, …).
+    """
+
+    frequency: np.ndarray
+    amplitude: np.ndarray
+
+
+class Line(NamedTuple):
+    """The strongest line of a series in a band of frequencies.
+
+    Attributes:
+        frequency: in cycles per unit of time, (…).
+        amplitude: in the unit of the series, (…).
+    """
+
+    frequency: np.ndarray
+    amplitude: np.ndarray
+
+
+def spectrum(t: ArrayLike, x: ArrayLike) -> Spectrum:
+    """The amplitudes of a series at all frequencies that its duration resolves: Fourier's transform, Hann's window.
+
+    A line a cos(2πft + φ), separated from others by two resolutions 1/duration, has a peak of height a, or down to
+    0.85 a where f is between two of the frequencies.
+
+    Args:
+        t: evenly spaced times, (times,).
+        x: (times, …); its mean is subtracted.
+
+    Raises:
+        ValueError: the times are not evenly spaced, or fewer than 4.
+    """
+    if len(np.asarray(t)) < _FEWEST:
+        raise ValueError(f"a spectrum needs at least {_FEWEST} times, got {len(np.asarray(t))}")
+    spacing, windowed, weight = _windowed(t, x)
+    return Spectrum(np.fft.rfftfreq(len(windowed), spacing), 2 * abs(np.fft.rfft(windowed, axis=0)) / weight)
+
+
+def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
+    """The frequency and the amplitude of the strongest line of a series between two frequencies.
+
+    It is the highest value of the transform under Hann's window between them, refined between its two neighbors.
+
+    Args:
+        t: evenly spaced times, (times,).
+        x: (times, …).
+        low, high: in cycles per unit of time, scalars or (…).
+
+    Returns:
+        A `Line`; NaN where no frequency of the transform is between `low` and `high`, where x has a NaN, and for fewer
+        than 4 times.
+
+    Raises:
+        ValueError: the times are not evenly spaced.
+    """
+    if len(np.asarray(t)) < _FEWEST:
+        nothing = np.full(np.shape(x)[1:], np.nan)[()]
+        return Line(nothing, nothing)
+    spacing, windowed, weight = _windowed(t, x)
+    frequencies = np.fft.rfftfreq(len(windowed), spacing)
+    elapsed, column = (_column(a, windowed.ndim) for a in (np.asarray(t, float), frequencies))
+    inside = (column > low) & (column < high)
+    peak = np.argmax(np.where(inside, abs(np.fft.rfft(windowed, axis=0)), -1.0), axis=0)
+    found, reach = frequencies[peak], frequencies[1] / 2
+
+    def height(f: np.ndarray) -> np.ndarray:
+        return abs(np.sum(windowed * np.exp(-2j * np.pi * elapsed * f), axis=0))
+
+    for _ in range(_REFINEMENTS):
+        left, middle, right = height(found - reach), height(found), height(found + reach)
+        curvature = left - 2 * middle + right
+        slope = np.where(curvature < 0, (left - right) / np.where(curvature < 0, 2 * curvature, 1), 0)
+        found, reach = found + reach * np.clip(slope, -1, 1), reach / 4
+    amplitude = 2 * height(found) / weight
+    exists = np.any(inside, axis=0) & ~np.isnan(amplitude)
+    return Line(np.where(exists, found, np.nan)[()], np.where(exists, amplitude, np.nan)[()])
+
+
+def even_spacing(t: ArrayLike) -> float:
+    """The signed spacing of evenly spaced times; ValueError if they are not."""
+    t = np.asarray(t, float)
+    spacing = (t[-1] - t[0]) / max(len(t) - 1, 1)
+    if len(t) > 1 and not np.max(abs(np.diff(t) - spacing)) <= _EVEN * abs(spacing):
+        raise ValueError("the times must be evenly spaced: save every step or every n-th one, or use periodogram")
+    return float(spacing)
+
+
+def _windowed(t: ArrayLike, x: ArrayLike) -> tuple[float, np.ndarray, float]:
+    """The spacing of the times, the series less its mean under the window, and the sum of the window."""
+    x, spacing = np.asarray(x), abs(even_spacing(t))
+    window = np.hanning(len(x))
+    return spacing, _column(window, x.ndim) * (x - x.mean(axis=0)), float(window.sum())
+
+
+def _column(a: np.ndarray, ndim: int) -> np.ndarray:
+    """An array (n,) with further axes of length 1, `ndim` in all."""
+    return a.reshape(-1, *[1] * (ndim - 1))
+
+
+class Periodogram(NamedTuple):
+    """The least-squares spectrum of a series.
+
+    Attributes:
+        frequency: in cycles per unit of time, (frequencies,).
+        power: the share of the variance, weighted by the errors, that a sine of this frequency explains, from 0 to 1,
+            (frequencies, …).
+        false_alarm_probability: the probability that white noise of any variance has such a power, or a greater one,
+            at some frequency of the band, (frequencies, …): an upper bound, which is close where it is small.
+    """
+
+    frequency: np.ndarray
+    power: np.ndarray
+    false_alarm_probability: np.ndarray
+
+
+def periodogram(
+    t: ArrayLike, x: ArrayLike, errors: ArrayLike | None = None, frequencies: ArrayLike | None = None
+) -> Periodogram:
+    """The generalized Lomb–Scargle periodogram: which periods an unevenly sampled series has, and if by chance.
+
+    At each frequency a sine and a constant are fitted (a floating mean). An asteroid's light has two maxima in a
+    rotation, and so a peak at twice the frequency of rotation.
+
+    Args:
+        t: times, (times,), in any order.
+        x: (times, …).
+        errors: standard deviations of x, of which only the ratios matter, (times,); by default equal.
+        frequencies: > 0, (frequencies,); by default in steps of 1/(10 T) from 1/T, with T the duration, to the mean
+            Nyquist frequency of n times, (n − 1)/2T.
+
+    Returns:
+        A `Periodogram`; NaN where x is NaN or constant.
+
+    Raises:
+        ValueError: fewer than 5 times, times or errors that are not finite, errors or frequencies that are not
+            positive.
+
+    Source: Zechmeister & Kürster 2009, Astron. Astrophys. 496, 577; the probability: Baluev 2008, Mon. Not. R. Astron.
+    Soc. 385, 1279, (6) and Table 1, for z₁ and a constant as the model without a signal.
+    """
+    t, x = np.asarray(t, float), np.asarray(x, float)
+    n = len(t)
+    sigma = np.ones(n) if errors is None else np.asarray(errors, float)
+    if n < 5 or len(x) != n or sigma.shape != (n,) or not (np.isfinite([t, sigma]).all() and (sigma > 0).all()):
+        raise ValueError(
+            "t (times,) must hold at least 5 finite times, x be (times, …), and errors positive and finite, (times,); "
+            f"got shapes {t.shape}, {x.shape}, {sigma.shape}"
+        )
+    duration = np.ptp(t)
+    if frequencies is None:
+        frequencies = np.arange(_OVERSAMPLING, (n - 1) / 2 * _OVERSAMPLING) / (_OVERSAMPLING * duration)
+    f = np.asarray(frequencies, float)
+    if f.ndim != 1 or not len(f) or not (f > 0).all() or not np.isfinite(f).all():
+        raise ValueError(f"frequencies must be finite and positive, (frequencies,), got {f}; {duration = :g}")
+    w = sigma**-2 / np.sum(sigma**-2)
+    t, columns = t - w @ t, x.reshape(n, -1)
+    y = columns - w @ columns
+    parts = np.array_split(f, -(-f.size * n // _AT_ONCE))
+    explained = np.concatenate([_explained(part, t, w, y) for part in parts])
+    variance = w @ (y * y)
+    constant = variance <= (_ROUNDING * np.max(abs(columns), axis=0)) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        power = np.clip(explained / np.where(constant, np.nan, variance), 0, 1).reshape(len(f), *x.shape[1:])
+        width = np.ptp(f) * math.sqrt(4 * math.pi * (w @ (t * t)))
+        return Periodogram(f, power, _false_alarm_probability(power, n, width))
+
+
+def _explained(f: np.ndarray, t: np.ndarray, w: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The weighted mean square of y (times, m) that a sine and a constant explain, (frequencies, m).
+
+    Of the two waves in phase and in quadrature that are orthogonal under the weights, one may vanish at all times.
+    """
+    phase = 2 * np.pi * f[:, None] * t
+    c, s = np.cos(phase), np.sin(phase)
+    yc, ys = c @ (w[:, None] * y), s @ (w[:, None] * y)
+    C, S = c @ w, s @ w
+    cc, ss, cs = (c * c) @ w - C * C, (s * s) @ w - S * S, (c * s) @ w - C * S
+    turn = np.arctan2(2 * cs, cc - ss)[:, None] / 2
+    middle, half = (cc + ss)[:, None] / 2, np.hypot(cc - ss, 2 * cs)[:, None] / 2
+    waves = (yc * np.cos(turn) + ys * np.sin(turn), ys * np.cos(turn) - yc * np.sin(turn))
+    pairs = zip(waves, (middle + half, middle - half), strict=True)
+    first, second = (np.where(square > _SINGULAR, b * b / np.maximum(square, _SINGULAR), 0) for b, square in pairs)
+    return first + second
+
+
+def _false_alarm_probability(power: np.ndarray, n: int, width: float) -> np.ndarray:
+    """Baluev's bound, for the width of the band times the effective duration, W = (f₂ − f₁)√(4π var t)."""
+    gamma = math.sqrt(2 / (n - 1)) * math.exp(math.lgamma((n - 1) / 2) - math.lgamma((n - 2) / 2))
+    rest = 1 - power
+    crossings = gamma * width * rest ** ((n - 4) / 2) * np.sqrt((n - 1) * power / 2)
+    return -np.expm1(np.log1p(-(rest ** ((n - 3) / 2))) - crossings)
