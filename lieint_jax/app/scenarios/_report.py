@@ -5,15 +5,19 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from lieint_jax.app.scenarios._keys import Published
 from lieint_jax.app.scenarios._runs import standard_deviation
 
-if TYPE_CHECKING:
-    from lieint_jax.app.scenarios._kind import Kind
+
+class _Citing(Protocol):
+    """A scenario: it has the full references of its published values."""
+
+    def source(self, key: str, /) -> str: ...
+
 
 ROUND_OFF = "conserved to round-off"
 CLOSED_FORM = (
@@ -111,7 +115,7 @@ def join_members(members: Sequence[Sequence[Any]]) -> list[Any]:
 
 
 def text(
-    scenario: Kind, conserved: Sequence[Conserved], quantities: Sequence[Quantity], remarks: Sequence[str] = ()
+    scenario: _Citing, conserved: Sequence[Conserved], quantities: Sequence[Quantity], remarks: Sequence[str] = ()
 ) -> str:
     """The report of a run: what is conserved, what was measured, and the remarks of the kind."""
     width = max([_WIDTH, *(len(x.name) + 2 for x in (*conserved, *quantities))])
@@ -128,7 +132,7 @@ def change_lines(conserved: Sequence[Conserved], width: int = _WIDTH) -> list[st
     return lines + [f"  {x.name:<{width}}{float(x.change().max()):>10.1e}   {x.promise}" for x in conserved]
 
 
-def table_lines(scenario: Kind, quantities: Sequence[Quantity], width: int = _WIDTH, head: str = "") -> list[str]:
+def table_lines(scenario: _Citing, quantities: Sequence[Quantity], width: int = _WIDTH, head: str = "") -> list[str]:
     """The lines of a report with the measured quantities next to their closed forms and published values."""
     if not quantities:
         return []
@@ -160,7 +164,7 @@ def _number(x: float, digits: str) -> str:
     return format(x, digits) if np.isfinite(x) else "—"
 
 
-def citation(scenario: Kind, published: Published) -> str:
+def citation(scenario: _Citing, published: Published) -> str:
     """A published value with its error and source."""
     error = f" ± {published.error:g}" if published.error is not None else ""
     return f"{published.value:g}{error}  ({scenario.source(published.source)})"
