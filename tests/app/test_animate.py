@@ -182,6 +182,22 @@ def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
     assert f"{out} exists and is not overwritten; --force" in capsys.readouterr().err
 
 
+@pytest.mark.long
+def test_with_an_end_a_film_is_as_long_as_it_is_smooth(store, tmp_path, capsys):
+    """At 2 frames a second, six seconds do not suffice for 4.2 rad."""
+    out = tmp_path / "turn.gif"
+    assert animate(store, ["--out", out, "--fps", 2, "--to", 4]) == 0
+    told = capsys.readouterr().out
+    assert "t = 0 … t = 4, " in told
+    assert "does not fit" not in told
+    with Image.open(out) as film:
+        assert 15 < film.n_frames < 25
+    assert animate(store, ["--out", out, "--fps", 2, "--to", 4, "--seconds", 3, "--force"]) == 0
+    told = capsys.readouterr().out
+    assert "t = 0 … t = 4, 6 frames" in told
+    assert re.search(r"--seconds \d+ shows it smoothly", told)
+
+
 class Links(html.parser.HTMLParser):
     """The addresses that a page loads something from."""
 
