@@ -45,13 +45,6 @@ def test_the_grid_has_the_spacing_and_its_middle_at_the_origin():
     assert np.linalg.norm(points, axis=1).max() < 0.31 * 2.7  # a ball of 64 cells has a radius of 2.48 of them
 
 
-def test_the_first_peak_of_a_histogram_is_the_maximum_of_its_density():
-    r = np.random.default_rng(1).normal(0.276, 0.01, 200_000)
-    found = water.histogram(r)
-    assert found.peak == pytest.approx(0.276 - 2 * 0.01**2 / 0.276, abs=1e-3)  # the maximum of a Gaussian over r²
-    assert found.density.max() == pytest.approx(1)
-
-
 @pytest.mark.long
 def test_a_droplet_settles_at_its_temperature_and_stays_at_rest():
     scenario = scenarios.load("water", molecules=8, members=3)

@@ -107,6 +107,29 @@ def test_what_a_run_answers_is_what_diagnostics_answer():
     np.testing.assert_allclose(run.rotations().as_quat()[..., 3], run.state.q[..., 0], rtol=0, atol=4e-16)
 
 
+def test_a_run_of_known_states_answers_like_the_one_that_made_them():
+    """Of one body, of many, and inside jit; it does not know its steps, so that it cannot be extended."""
+    run = li.run(STEP, bodies(4), 0.05, 60, save_every=6, **QUIET)
+    known = li.Run.of(STEP, run.trajectory)
+    np.testing.assert_array_equal(known.energy_error(), run.energy_error())
+    np.testing.assert_array_equal(known.member(2).state.q, run.state.q[:, 2])
+    assert known.members == 4
+    assert known.converged.all()
+    assert "11 saves" in repr(known)
+    assert "given times" not in repr(known)
+    with pytest.raises(ValueError, match="a run at given times cannot be extended"):
+        known.extend(6)
+    start = jax.tree.map(lambda x: x[0], bodies(4))
+    error = jax.jit(lambda z: li.Run.of(STEP, li.integrate(STEP, z, 0.05, 60)).energy_error())(start)
+    assert error.shape == (61,)
+    assert np.abs(error).max() < 5e-15  # observed: 1e-15
+    failed = run.trajectory._replace(info=run.info._replace(converged=np.asarray(run.info.converged).copy()))
+    failed.info.converged[3:, 1] = False
+    assert li.Run.of(STEP, failed).failed.tolist() == [-1, 2, -1, -1]
+    with pytest.raises(ValueError, match="states of RigidBody have q of shape"):
+        li.Run.of(STEP, jax.tree.map(lambda x: x[:, None], run.trajectory))
+
+
 @pytest.mark.long
 def test_states_between_the_saves_are_near_the_exact_ones():
     step = li.schemes.exact(BODY)

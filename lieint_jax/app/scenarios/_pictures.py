@@ -13,7 +13,7 @@ from lieint_jax.app.scenarios._report import Conserved
 from lieint_jax.runs import Run
 from lieint_jax.types import Step
 
-_THIN: dict[str, Any] = {"color": plots.BLUE, "lw": 0.4, "alpha": 0.4, "rasterized": True}
+_FEW = 20  # members whose lines are drawn as clearly as those of others
 
 
 def draw_errors(
@@ -48,7 +48,8 @@ def draw_errors(
 
 def draw_members(ax: Any, t: np.ndarray, x: np.ndarray, label: str, unit: str) -> None:
     """Plot a series (times, members): the nominal member in black, the first hundred others as thin lines."""
-    others = ax.plot(t, x[:, 1:100], **_THIN)
+    thin: Any = {"lw": 0.4, "alpha": 0.4} if x.shape[1] > _FEW else {"lw": 0.8, "alpha": 0.7}
+    others = ax.plot(t, x[:, 1:100], color=plots.BLUE, rasterized=True, **thin)
     [nominal] = ax.plot(t, x[:, 0], color=plots.INK, lw=1.0)
     ax.set(xlabel=f"t ({unit})", ylabel=label)
     if others:

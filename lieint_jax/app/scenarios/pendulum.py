@@ -90,16 +90,20 @@ class SphericalPendulum(Kind):
 
     def quantities(self, run: Run) -> list[Quantity]:
         """Period, precession and bounds of the swing, measured for every member, and in closed form."""
-        exact = lagrange_motion(*as_top(nominal_system(run), nominal_state(run)))
-        found = measure.nutation(run)
-        bounds = 180 - np.rad2deg(exact.inclination)
+        found, exact = measure.nutation(run), lagrange_motion(*as_top(nominal_system(run), nominal_state(run)))
+        least, greatest = self._bounds(run)
         rows = [
             (f"lowest point to lowest point ({self.time_unit})", found.period, exact.nutation_period),
             (f"mean rate about γ (rad/{self.time_unit})", found.precession_rate, -exact.precession_rate),
-            ("least angle from γ (°)", np.rad2deg(found.least), bounds[1]),
-            ("greatest angle from γ (°)", np.rad2deg(found.greatest), bounds[0]),
+            ("least angle from γ (°)", np.rad2deg(found.least), least),
+            ("greatest angle from γ (°)", np.rad2deg(found.greatest), greatest),
         ]
         return [Quantity(name, x, closed_form=float(closed)) for name, x, closed in rows]
+
+    def _bounds(self, run: Run) -> np.ndarray:
+        """The least and the greatest angle from γ in closed form, in degrees. The top's inclination is that from −γ."""
+        angles = np.rad2deg(lagrange_motion(*as_top(nominal_system(run), nominal_state(run))).inclination)
+        return angles if self.gravity < 0 else 180 - angles[::-1]
 
     def remarks(self, run: Run) -> list[str]:
         """How to read the table."""
@@ -114,7 +118,7 @@ class SphericalPendulum(Kind):
         if np.isfinite(period):
             steps = min(steps, int(12 * period / abs(self.dt)) + 1)
         long = self.drawn(one.step, nominal_state(one), _FINE, steps)
-        bounds = 180 - np.rad2deg(lagrange_motion(*as_top(nominal_system(one), nominal_state(one))).inclination)
+        bounds = self._bounds(one)
         look: Any = {"unit": self.time_unit, "pole_label": "γ, down", "bounds": bounds[np.isfinite(bounds)]}
         path, ends, pole = (np.asarray(x) for x in (long.state.q, run.state.q[-1], nominal_system(one).axis))
         draw_on_sphere(axes, np.asarray(long.t), path, float(run.t[-1]), ends, pole, **look)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -119,10 +119,10 @@ class Water(Kind):
 
     def remarks(self, run: Run) -> list[str]:
         """The temperature; the first peak of the O–O distances and the published one."""
-        T, r = series(temperature, run), self.distances(run)
+        T, found = series(temperature, run), self.density(run)
         later = T[len(T) // 2 :]
         lines = [f"\n  {'temperature, second half of the run (K)':<54}{later.mean():>10.1f} ± {later.std():.1f}"]
-        lines.append(f"  {'first peak of the O–O distances (nm)':<54}{histogram(r[1:]).peak:>10.4f}")
+        lines.append(f"  {'first peak of the O–O distances (nm)':<54}{found.peak:>10.4f}")
         if self.published:
             lines.append(f"  {'published, of the liquid (nm)':<60}{citation(self, self.published.first_peak_nm)}")
         return lines
@@ -130,6 +130,10 @@ class Water(Kind):
     def distances(self, run: Run) -> np.ndarray:
         """The O–O distances at all saved times of all members, in nm, (times, members, pairs)."""
         return measure.distances(run, potentials.water(self.model).points[0])
+
+    def density(self, run: Run) -> measure.PairDensity:
+        """The density of the O–O distances, in nm, after the start."""
+        return measure.pair_density(self.distances(run)[1:], np.linspace(0.2, 0.6, 81), 0.35)
 
     @picture(2, sharey=True)
     def draw_errors(self, axes: np.ndarray, run: Run) -> None:
@@ -157,8 +161,10 @@ class Water(Kind):
         left.set_title(f"the nominal droplet at t = {run.t[-1]:.3g} ps")
         T, t = series(temperature, run), np.asarray(run.t)
         plots.series(middle, t, {f"droplet {m}": T[:, m] for m in range(min(T.shape[1], 6))}, "temperature (K)", "ps")
-        found = histogram(self.distances(run)[1:])
-        right.plot(found.r, found.density, color=plots.INK, lw=1, label=f"first peak at {found.peak:.3f} nm")
+        found = self.density(run)
+        right.plot(
+            found.r, found.density / found.height, color=plots.INK, lw=1, label=f"first peak at {found.peak:.3f} nm"
+        )
         if self.published:
             known = self.published.first_peak_nm
             right.axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")
@@ -177,32 +183,6 @@ def _grid(n: int, spacing: float) -> np.ndarray:
     points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
     chosen = points[np.argsort((points**2).sum(axis=1), kind="stable")[:n]]
     return spacing * (chosen - chosen.mean(axis=0))
-
-
-class Histogram(NamedTuple):
-    """The number of pairs of a molecule with others at a distance r, per volume, over that at the first peak.
-
-    Attributes:
-        r: the middles of the bins, in nm.
-        density: the density in units of its first maximum.
-        peak: the distance of the first maximum, by a parabola through three bins, in nm.
-    """
-
-    r: np.ndarray
-    density: np.ndarray
-    peak: float
-
-
-def histogram(r: np.ndarray, width: float = 0.005) -> Histogram:
-    """The histogram of distances, in bins of a width in nm, up to 0.6 nm."""
-    counts, edges = np.histogram(r, np.arange(0.2, 0.6 + width / 2, width))
-    middles = (edges[1:] + edges[:-1]) / 2
-    density = counts / middles**2
-    k = int(np.clip(np.argmax(density[middles < 0.35]), 1, len(density) - 2))
-    left, top, right = density[k - 1 : k + 2]
-    curvature = left - 2 * top + right
-    shift = 0.5 * (left - right) / curvature if curvature else 0.0
-    return Histogram(middles, density / max(top, 1e-300), float(middles[k] + shift * width))
 
 
 def _draw_molecules(ax: Any, sites: np.ndarray) -> None:
