@@ -42,7 +42,7 @@ _MARKED = 8  # markers on each curve of `series`
 _COMPARABLE = 30  # works with peaks of such a ratio are drawn on a linear axis
 _LAYOUTS = 4  # drawings after which a constrained layout has settled: each moves the panels less
 _DOTS, _HEXAGONS = 2000, 60  # points that are drawn as dots, and hexagons across an axis for more
-_AMPLIFIED = 100.0  # growth of deviations that is worth a line
+_AMPLIFIED, _STARTS = 100.0, 50  # growth of deviations that is worth a line, and times from which it is measured
 _NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
 
@@ -219,20 +219,27 @@ def round_off(ax: Axes, epsilon: float = float(np.finfo(float).eps), of: str = "
     return ax
 
 
-def amplified_round_off(ax: Axes, t: np.ndarray, growth: np.ndarray, of: str = "") -> Axes:
-    """Draw how far a motion amplifies round-off, if that is more than a hundredfold: errors below are no defect.
+def amplified_round_off(ax: Axes, t: np.ndarray, linearizations: np.ndarray, of: str = "") -> Axes:
+    """Draw how far a motion amplifies round-off, if more than a hundredfold: errors below the line are no defect.
+
+    An error made at a time s has grown by ‖L(t) L(s)⁻¹‖ at t; the line is ε times the largest growth, over `_STARTS`
+    times s. It grows like t for a stable motion, and exponentially about an unstable one, such as a middle axis.
 
     Args:
         ax: the axes, as `log_error` returns them.
         t: times (n,).
-        growth: the norm of the linearization of the motion from its start to these times, (n,). It grows like t for a
-            stable motion, and exponentially for an unstable one, such as a rotation about the middle axis.
+        linearizations: L(t), of the motion from its start to these times, (n, k, k).
         of: symbol of the quantity whose errors are drawn.
     """
-    largest = np.maximum.accumulate(growth)
-    if largest[-1] > _AMPLIFIED:
+    growth = np.ones(len(t))
+    for s in np.unique(np.linspace(0, len(t) - 1, _STARTS).astype(int)):
+        since = np.linalg.norm(linearizations[s:] @ np.linalg.inv(linearizations[s]), axis=(1, 2))
+        growth[s:] = np.maximum(growth[s:], since)
+    if growth.max() > _AMPLIFIED:
         label = f"ε{of} × growth of deviations: the motion amplifies round-off"
-        ax.plot(t, np.finfo(float).eps * largest, color=GRAY, lw=1.2, ls="--", zorder=1, label=label)
+        bound = np.finfo(float).eps * growth
+        ax.plot(t, bound, color=GRAY, lw=1.2, ls="--", zorder=1, label=label)
+        ax.set_ylim(top=max(ax.get_ylim()[1], 10 * bound.max()))
         ax.legend()
     return ax
 

@@ -182,6 +182,22 @@ def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
     assert f"{out} exists and is not overwritten; --force" in capsys.readouterr().err
 
 
+@pytest.mark.long
+def test_with_an_end_a_film_is_as_long_as_it_is_smooth(store, tmp_path, capsys):
+    """At 2 frames a second, six seconds do not suffice for 4.2 rad."""
+    out = tmp_path / "turn.gif"
+    assert animate(store, ["--out", out, "--fps", 2, "--to", 4]) == 0
+    told = capsys.readouterr().out
+    assert "t = 0 … t = 4, " in told
+    assert "does not fit" not in told
+    with Image.open(out) as film:
+        assert 15 < film.n_frames < 25
+    assert animate(store, ["--out", out, "--fps", 2, "--to", 4, "--seconds", 3, "--force"]) == 0
+    told = capsys.readouterr().out
+    assert "t = 0 … t = 4, 6 frames" in told
+    assert re.search(r"--seconds \d+ shows it smoothly", told)
+
+
 class Links(html.parser.HTMLParser):
     """The addresses that a page loads something from."""
 
@@ -327,6 +343,16 @@ def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
     )
     with pytest.raises(ValueError, match="--shape is given 2 times, but the run has 1 bodies"):
         scene.scene_of(uniform(t), 0, 5, shapes=[found, found])
+
+
+@pytest.mark.long
+def test_a_shape_of_triangles_is_drawn_about_its_center_of_mass(tmp_path):
+    path = tmp_path / "corner.obj"
+    path.write_text("v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    found = body_shapes.read(path)
+    assert len(found.solid.faces) == 4
+    assert area(found.solid) == pytest.approx(24 + 8 * np.sqrt(3), rel=1e-12)
+    np.testing.assert_allclose(found.centered().corners.min(axis=0), [-1, -1, -1], rtol=0, atol=1e-12)
 
 
 def test_the_axes_of_a_shape_are_compared_where_moments_differ():

@@ -208,15 +208,20 @@ def test_points_are_dots_that_shrink_and_above_2000_counted_in_hexagons():
 
 
 def test_round_off_that_a_motion_amplifies_is_a_line_of_its_own():
-    """For a saddle, cosh λt; the line does not fall where the deviations do."""
-    t = np.linspace(0, 10, 11)
+    """Deviations of a saddle that shrink before they grow: x → exp(±u(t)) x with u = (t − 5)²/2."""
+    t = np.linspace(0, 10, 50)
     for rate, drawn in ((0.1, False), (1.0, True)):
+        u = rate * ((t - 5) ** 2 - 25) / 2
         _, axes = plots.figure()
-        growth = np.where(t == 10, 1.0, np.cosh(rate * t))
-        ax = plots.log_error(axes[0, 0], t, {"nominal": 1e-16 * growth}, "Poisson error")
-        lines = plots.amplified_round_off(ax, t, growth, "|H₀|").get_lines()
+        ax = plots.log_error(axes[0, 0], t, {"nominal": np.full(50, 1e-16)}, "Poisson error")
+        motion = np.stack([np.diag([np.exp(x), np.exp(-x)]) for x in u])
+        lines = plots.amplified_round_off(ax, t, motion, "|H₀|").get_lines()
         assert (len(lines) == 3) is drawn
-    np.testing.assert_allclose(lines[2].get_ydata()[9:], np.finfo(float).eps * np.cosh(9), rtol=1e-12)
+    largest = np.maximum.accumulate(u) - u, u - np.minimum.accumulate(u)  # of both directions, since the best start
+    expected = np.exp(np.maximum(*largest))
+    ratio = lines[2].get_ydata() / np.finfo(float).eps / expected
+    assert (ratio >= 1 - 1e-9).all()
+    assert (ratio <= np.sqrt(2) * (1 + 1e-9)).all()  # the norm of Frobenius
     assert "amplifies round-off" in ax.get_legend().get_texts()[-1].get_text()
 
 

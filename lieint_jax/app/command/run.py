@@ -122,7 +122,8 @@ def run(
         show(certify(run.member(0).step, nominal_state(run), scenario.dt, watched))
         show_time("the certificate")
     converged = int(np.asarray(run.info.converged).all(axis=0).sum())
-    show(f"  {converged} of {scenario.members} members converged at every step")
+    all_converged = converged == scenario.members
+    show(f"  {converged} of {scenario.members} members converged at every step", error=not all_converged)
     arrays = ", ".join(["t, q, p, residual, converged, metadata", *(f"member.{name}" for name in own)])
     show_written(out, *drawn, about=f"{arrays}; {files.megabytes(out)}")
 
