@@ -116,7 +116,7 @@ def draw_on_sphere(
     plots.sphere_path(left, path, pole, eye=pole + 0.8 * path[0] if eye is None else eye, pole_label=pole_label)
     if len(ends) > 1:
         when = f"{end:.4g} {unit}".rstrip()
-        plots.sphere_points(left, ends, f"{len(ends)} members at t = {when}", color=plots.INK, s=2, alpha=0.5)
+        plots.sphere_points(left, ends, f"{len(ends)} members at t = {when}", color=plots.INK)
     left.legend(loc="upper center", bbox_to_anchor=(0.5, 0.03), ncols=2)
     plots.series(right, t, {"": np.rad2deg(np.arccos(np.clip(path @ pole, -1, 1)))}, angle_label, unit)
     for bound in bounds:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from pydantic import model_validator
 
 from lieint_jax import diagnostics, maps, measure, systems
@@ -25,10 +27,12 @@ from lieint_jax.app.scenarios._runs import angles_deg, drawn_steps, length, nomi
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBody
+from lieint_jax.types import State, Step
 
 Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
 
 _SUBSCRIPTS = "₁₂₃"
+_AMPLIFIED = 1e-11  # a larger Poisson error of an exact scheme is round-off that the motion amplifies
 
 
 class Observation(InitialState):
@@ -200,7 +204,7 @@ class FreeBody(BodyKind):
         ax, span = plots.sky(wide, center), f"to t = {long.t[-1]:.4g} {self.time_unit}"
         plots.sky_path(ax, path, f"body axis z, nominal member, {span}", center, color=plots.BLUE, lw=0.8)
         label = f"{self.members} members then" if self.members > 1 else "axis z then"
-        plots.sky_points(ax, members, label, center, color=plots.INK, s=2, alpha=0.4, lw=0, zorder=3)
+        plots.sky_points(ax, members, label, center, color=plots.INK, zorder=3)
         plots.sky_points(ax, pole, "angular momentum", center, color=plots.GREEN, marker="P", s=45, zorder=3)
         observed = axis_in_space(seen[0].attitude()[None], Z) if seen else np.zeros((0, 3))
         if seen:
@@ -234,7 +238,22 @@ class FreeBody(BodyKind):
         sigma = length(np.asarray(poisson(z)))
         plots.log_error(axes[0], t, {"nominal member": energy}, "relative energy error", self.time_unit)
         plots.log_error(axes[1], t, {"nominal member": sigma}, "Poisson error |σ|", self.time_unit)
+        if sigma.max() > _AMPLIFIED:
+            plots.amplified_round_off(axes[1], t, np.asarray(_linearizations(step, z, self.dt, n)[::every]))
         _draw_polhode(axes[2], one)
+
+
+@partial(jax.jit, static_argnames="num_steps")
+def _linearizations(step: Step, state: State, dt: float, num_steps: int) -> Array:
+    """The derivatives of the states after 0, 1, … steps by the initial one, (num_steps + 1, 6, 6)."""
+
+    def advance(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], Array]:
+        state, L = carry
+        after = diagnostics.linearization(step, state, dt) @ L
+        return (step(state, dt)[0], after), after
+
+    start = jnp.eye(6, dtype=state.p.dtype)
+    return jnp.concatenate([start[None], jax.lax.scan(advance, (state, start), length=num_steps)[1]])
 
 
 def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed: np.ndarray) -> None:

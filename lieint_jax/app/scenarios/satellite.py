@@ -43,7 +43,6 @@ from lieint_jax.types import State, Step, labels
 
 _CAPTURED = 10.0  # degrees from the nadir
 _SLOW = 0.5  # °/s: detumbled
-_FEW = 500  # members that are drawn as larger dots
 
 
 class InitialState(_body.InitialState):
@@ -300,17 +299,12 @@ class Satellite(BodyKind):
         )
         never = int(np.isnan(slow).sum())
         hours = np.where(np.isnan(slow), t[-1], slow) / HOUR
-        for fate, chosen, look in (
-            ("captured", captured, {"color": plots.BLUE, "marker": ".", "s": 12 if captured.size <= _FEW else 3}),
-            ("not captured", ~captured, {"color": plots.RED, "marker": "x", "s": 16, "linewidths": 0.8}),
-        ):
+        for fate, chosen, color in (("captured", captured, plots.BLUE), ("not captured", ~captured, plots.RED)):
             label = f"{fate}: {chosen.sum()} of {chosen.size}"
-            left.scatter(c.rate[0, chosen], hours[chosen], label=label, rasterized=True, **look)
+            plots.points(left, c.rate[0, chosen], hours[chosen], label, color)
         left.set(xlabel="initial angular velocity (°/s)", ylabel=f"first slower than {_SLOW:g} °/s, at t (h)")
         left.set(xlim=(0, None), ylim=(0, None))
-        legend = left.legend(loc="upper left", title=f"never slower: {never}, drawn at the end" if never else None)
-        for handle in legend.legend_handles:
-            handle.set_sizes([20])
+        left.legend(loc="upper left", title=f"never slower: {never}, drawn at the end" if never else None)
         part, error = fraction(captured)
         left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: {_percent(part, error)}")
 
