@@ -136,7 +136,7 @@ BAD = [
     ([("eccentricity = 0.1", "eccentricity = 1.0")], "orbit: eccentricity must not be 1"),
     ([("eccentricity = 0.1", "eccentricity = 1.5")], "orbit: an ellipse has semi_major_axis > 0"),
     ([("semi_major_axis = 1.5", "semi_major_axis = -1.5"), ("= 0.1\ninc", "= 1.5\ninc")], "a hyperbola has no period"),
-    ([("eccentricity", "eccentrcity")], "orbit.eccentricity: key missing; and 1 more"),
+    ([("eccentricity", "eccentrcity")], "orbit.eccentrcity: unknown key; did you mean eccentricity.*; and 1 more"),
     ([("node_deg", "nod_deg")], "orbit.nod_deg: unknown key; did you mean node_deg"),
     ([('"orbit"\nq', '"earth"\nq')], "state.relative_to: .*'space' or 'orbit'"),
     ([("steps_per_orbit", 'kappa = "cayley"\nsteps_per_orbit')], "kappa is a key of top_energy_momentum"),

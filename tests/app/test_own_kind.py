@@ -15,12 +15,14 @@ PAGE = (Path(__file__).parents[2] / "docs" / "pages" / "howto" / "kind.md").read
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder with the two files of the page, with fewer members and steps."""
+    """A folder with the files of the page, with fewer members."""
     monkeypatch.chdir(tmp_path)
-    [(_, code)], [(_, table)] = blocks(PAGE, "python"), blocks(PAGE, "toml")
-    Path("top.py").write_text(code, encoding="utf-8")
-    small = table.replace("members = 20", "members = 3")
-    Path("top.toml").write_text(small, encoding="utf-8")
+    [(_, top), (_, spun)] = blocks(PAGE, "python")
+    Path("top.py").write_text(top, encoding="utf-8")
+    Path("spun.py").write_text(f"{top.partition('class')[0]}\n{spun}", encoding="utf-8")  # with the first one's imports
+    for name, (_, table) in zip(("top", "spun"), blocks(PAGE, "toml"), strict=True):
+        small = table.replace("members = 20", "members = 3").replace("members = 10", "members = 3")
+        Path(f"{name}.toml").write_text(small, encoding="utf-8")
     return tmp_path
 
 
@@ -53,6 +55,66 @@ def test_a_slow_top_falls_and_a_fast_one_sleeps(folder):
         greatest[spin] = scenario.quantities(run)[0].values[1:].max()
     assert greatest[6.0] < 1.5
     assert greatest[3.9] > 5
+
+
+@pytest.mark.long
+def test_a_kind_with_keys_and_a_state_of_its_own_runs(folder, capsys):
+    """A fast top: its precession is near m g r / (J₃ Ω), and each member has its own mass and tilt."""
+    assert cli.main(["run", "spun.toml", "--no-certificate", "--no-pictures"]) == 0
+    out = capsys.readouterr().out
+    rate = re.search(r"precession rate \(rad/s\) +(\S+) +(\S+)   3.27 ± 0.1", out)
+    assert float(rate[1]) == pytest.approx(3.27, rel=0.05)  # of first order in 1/spin²
+    assert float(rate[2]) > 0
+    assert "mass_kg 2 %" in out
+    assert "tilt_deg 1" in out
+
+
+def write(old, new, name="top.py"):
+    """The kind of the page with a change."""
+    text = Path(name).read_text(encoding="utf-8")
+    assert old in text
+    Path(name).write_text(text.replace(old, new), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        ("top.py", "def draw_tilt", "def tilted", "a picture is a method draw_NAME, .* got tilted"),
+        ("top.py", "def make_system", "def system_of", r"SleepingTop of top\.py must define make_system"),
+        ("spun.py", "def start", "def begin", r"SpunTop of spun\.py must define start"),
+    ],
+)
+def test_a_class_that_is_no_kind_is_refused_when_it_is_read(folder, name, old, new, message):
+    write(old, new, name)
+    with pytest.raises(ValueError, match=message):
+        scenarios.load(name.replace(".py", ".toml"))
+
+
+def test_a_published_value_of_no_quantity_is_refused(folder):
+    table = scenarios.table("spun.toml")
+    table["published"]["precession"] = table["published"].pop("precession_rate")
+    with pytest.raises(ValueError, match=r"published\.precession: no quantity has this key; precession_rate has"):
+        scenarios.parse(table, "spun.toml")
+
+
+def test_a_quantity_of_another_shape_is_refused(folder):
+    write("max(axis=0)", "max(axis=1)")
+    scenario = scenarios.load("top.toml", steps=40)
+    run = kind_run(*scenario.build(), scenario)
+    with pytest.raises(
+        ValueError, match=r"greatest_tilt, greatest tilt \(°\), must return values \(3,\), one for each"
+    ):
+        scenario.quantities(run)
+
+
+def test_numpy_in_a_kind_whose_numbers_have_a_spread_is_explained(folder):
+    write("jnp.deg2rad(self.tilt_deg)", "np.deg2rad(self.tilt_deg)", "spun.py")
+    with pytest.raises(ValueError, match=r"traced in SpunTop: use jax\.numpy .* or set traced = False"):
+        scenarios.load("spun.toml").build()
+    write("    mass_kg: PositiveFloat", "    traced = False\n    mass_kg: PositiveFloat", "spun.py")
+    step, states = scenarios.load("spun.toml").build()
+    assert states.q.shape == (3, 4)
+    assert step.system.inertia.shape == (3, 3)
 
 
 def kind_run(step, states, scenario):

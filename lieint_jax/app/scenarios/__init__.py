@@ -136,7 +136,13 @@ def _own_kind(path: Path, chosen: str, name: str) -> type[Kind]:
     if chosen not in found:
         there = ", ".join(found) or "none: a kind is a subclass of lieint_jax.app.kind.Kind"
         raise ValueError(f"{name}: system: {path} has no kind {_quoted(chosen)}; it has {there}")
-    return found[chosen]
+    made = found[chosen]
+    if made.build is Kind.build:
+        own = {"make_system": (made.make_system, made.make_step), "start": (made.start,)}
+        base = (Kind.make_system, Kind.make_step, Kind.start)
+        if lacking := [method for method, ways in own.items() if all(way in base for way in ways)]:
+            raise ValueError(f"{name}: system: {chosen} of {path} must define {' and '.join(lacking)}, as a kind does")
+    return made
 
 
 def from_results(table: dict[str, Any], name: str, own_kind: str = "") -> Any:
@@ -224,7 +230,7 @@ def _component_keys(place: tuple[int | str, ...], table: dict[str, Any]) -> list
 
 def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
     """The first problem of a validation in one line that names the key; for an unknown key, with the allowed ones."""
-    problem, *others = error.errors()
+    problem, *others = sorted(error.errors(), key=lambda x: x["type"] != "extra_forbidden")  # a misspelled key first
     key = "".join(f"{_checks.printable(part)}." for part in problem["loc"] if part != "[key]").removesuffix(".")
     without_value = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
     given = "" if without_value else f" (got {_quoted(problem['input'])})"

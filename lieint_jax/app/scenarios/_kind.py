@@ -144,6 +144,15 @@ class Kind(Table):
         self.own_numbers()
         return self
 
+    @model_validator(mode="after")
+    def _check_published(self) -> Self:
+        keys = {mark[1] for f in _methods(type(self)) if (mark := vars(f).get("quantity")) is not None}
+        if keys and (unknown := set(self._published()) - keys):
+            raise ValueError(
+                f"published.{min(unknown)}: no quantity has this key; {' or '.join(sorted(keys - {''}))} has"
+            )
+        return self
+
     def own_numbers(self) -> dict[_spread.Path, _spread.GivenSpread]:
         """The spreads of the numbers that differ between members, by the paths of the numbers."""
         return _spread.requested_spreads(self, self.fixed)
@@ -234,10 +243,16 @@ class Kind(Table):
         for function in _methods(type(self)):
             if (mark := vars(function).get("quantity")) is not None:
                 name, published, options = mark
-                known = dict(self).get("published", {}).get(published)
-                values = np.asarray(function(self, run))
-                found.append(Quantity(name.format(time_unit=self.time_unit), values, published=known, **options))
+                values, name = np.asarray(function(self, run)), name.format(time_unit=self.time_unit)
+                if values.shape != (run.members,):
+                    shape = f"({run.members},), one for each member, got {values.shape}"
+                    raise ValueError(f"{type(self).__name__}.{function.__name__}, {name}, must return values {shape}")
+                found.append(Quantity(name, values, published=self._published().get(published), **options))
         return found
+
+    def _published(self) -> dict[str, Any]:
+        """The published values by their keys, of a table or a dict."""
+        return dict(dict(self).get("published") or {})
 
     def remarks(self, run: Run) -> list[str]:
         """Further lines of the report."""
@@ -312,6 +327,9 @@ def picture(
     """
 
     def decorate(draw: Callable[..., None]) -> Picture:
+        if not draw.__name__.startswith("draw_"):
+            raise ValueError(f"a picture is a method draw_NAME, whose file is SCENARIO-NAME.png; got {draw.__name__}")
+
         @plots.style()
         @wraps(draw)
         def figure_of_run(scenario: Any, run: Run) -> Figure:

@@ -374,7 +374,13 @@ def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
         return step, of_member.start(step.system, noise)
 
     if scenario.traced:
-        members = jax.jit(jax.vmap(member))(own, noise)
+        try:
+            members = jax.jit(jax.vmap(member))(own, noise)
+        except jax.errors.JAXTypeError as error:
+            raise ValueError(
+                f"numbers that [spread] names are traced in {type(scenario).__name__}: use jax.numpy for numpy in its "
+                "make_system and start, or set traced = False to make the members one by one"
+            ) from error
     else:
         each = [member(*_select_member((own, noise), m)) for m in range(scenario.members)]
         members = jax.tree.map(lambda *x: jnp.stack(x), *each)
