@@ -1,6 +1,7 @@
 """The studies: what is known of their answers. Small ones; notebook 05 puts `kappa` and `material` to the test."""
 
 import dataclasses
+import warnings
 from pathlib import Path
 
 import jax
@@ -119,7 +120,8 @@ def decay(**changes):
         "t": T,
         "forecast": (np.array([5.0, 10.0]), lambda p: p["amplitude"] * jnp.exp(-p["rate"] * jnp.array([5.0, 10.0]))),
     }
-    return inference.Problem(unknowns, decay_errors, jnp.asarray(DECAY), **(options | changes))
+    given = {"unknowns": unknowns, "errors": decay_errors, "data": jnp.asarray(DECAY)}
+    return inference.Problem(**(given | options | changes))
 
 
 def decay_errors(params, data):
@@ -180,6 +182,27 @@ def test_a_fit_without_success_has_a_report_and_no_errors():
     assert found.coverage is None
     assert "too small by a factor of" in " ".join(inference.text(found).split())
     assert len(inference.draw(found).axes) == 3
+
+
+def test_a_problem_that_cannot_be_fitted_is_refused_in_a_sentence():
+    unknown = inference.Unknown(("amplitude", "phase"), 1.0)
+    cases = [
+        (lambda: decay(unknowns={"a": unknown}), "needs a name for each of its 1 numbers"),
+        (lambda: decay(unknowns={"noise": unknown._replace(names=("noise",))}), "no unknown may be called noise"),
+        (lambda: decay(published=[inference.Published("mass", 1.0)]), "is of 'mass', but the names are amplitude"),
+        (
+            lambda: inference.infer(decay(data=jnp.asarray(DECAY)[:, None]), True, False),
+            r"shape \(40, 40\), but the data",
+        ),
+        (
+            lambda: inference.infer(decay(errors=lambda p, data: data * jnp.nan), True, False),
+            "no start of 'A decay' can",
+        ),
+    ]
+    for make, words in cases:
+        with warnings.catch_warnings(), pytest.raises(ValueError, match=words):
+            warnings.simplefilter("ignore")
+            make()
 
 
 def test_random_starts_stay_inside_their_bounds():
