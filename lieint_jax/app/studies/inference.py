@@ -482,8 +482,8 @@ def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Infer
     sets, members = (20, 200) if quick else (100, 1000)
     if problem.simulate is None and problem.shape != np.shape(problem.data):
         raise ValueError(
-            f"the errors have shape {problem.shape}, but the data {np.shape(problem.data)}: return calculated less observed "
-            "values, or give simulate=, which makes synthetic data"
+            f"the errors have shape {problem.shape}, but the data {np.shape(problem.data)}: return calculated less "
+            "observed values, or give simulate=, which makes synthetic data"
         )
     random, known = random_starts(problem, 2 * sets - 1, 1), not problem.levels
     starts = jax.tree.map(lambda first, more: jnp.concatenate([first[None], more]), problem.guess, random)
