@@ -44,9 +44,28 @@ from lieint_jax.fitting import (
 from lieint_jax.types.shapes import PyTree
 
 __all__ = [
-    *("Coverage", "Estimate", "Inference", "Problem", "Published", "StudentT", "Unknown"),
-    *("compare", "coverage", "draw", "draw_members", "enlarge_errors", "estimates", "fit_starts", "infer", "predict"),
-    *("published_lines", "pull", "random_starts", "repeat", "synthetic", "text"),
+    "Coverage",
+    "Estimate",
+    "Inference",
+    "Problem",
+    "Published",
+    "StudentT",
+    "Unknown",
+    "compare",
+    "coverage",
+    "draw",
+    "draw_members",
+    "enlarge_errors",
+    "estimates",
+    "fit_starts",
+    "infer",
+    "predict",
+    "published_lines",
+    "pull",
+    "random_starts",
+    "repeat",
+    "synthetic",
+    "text",
 ]
 
 Params = dict[str, Array]
@@ -171,6 +190,11 @@ class Problem:
         """The errors, and whether they converged."""
         found = self.errors(params, data)
         return found if isinstance(found, tuple) else (found, np.array(True))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the errors."""
+        return jax.eval_shape(self.flagged_errors, _split_noise(self.guess)[0], self.data)[0].shape
 
     @cached_property
     def calculate(self) -> Callable[[Params, PyTree], tuple[Array, ArrayLike]]:
@@ -382,7 +406,7 @@ def compare(problem: Problem, truth: Estimate, each: Estimate, success: np.ndarr
     p, error = len(truth.x), each.x - truth.x
     level = np.zeros((len(error), 0))
     if problem.levels:
-        _, n, d = jax.eval_shape(problem.flagged_errors, problem.unravel(truth.x), problem.data)[0].shape
+        _, n, d = problem.shape
         level = np.log(each.noise / truth.noise) / student_t_noise_error(n, d)
     wrapped = _difference(each.derived, truth.derived, problem.quantities)
     pulls = np.concatenate([error / each.sigmas[:, :p], level, wrapped / each.sigmas[:, p:]], axis=1)
@@ -421,14 +445,14 @@ def published_lines(names: Sequence[str], estimate: Estimate, published: Iterabl
 
     The names are those of parameters and derived quantities, or of the derived quantities only.
     """
-    rows = [("", "", "", "")]
+    lines, width = [], max(map(len, names))
     values, sigmas = (x[-len(names) :] for x in (estimate.values, estimate.sigmas))
     for quantity, value, error, source in published:
         k = list(names).index(quantity)
         given = f"{value:g}" + (f" ± {error:g}" if error else "")
-        difference = f"{pull(quantity, values[k], sigmas[k], value, error):+.1f} σ"
-        rows.append((f"{quantity:<{max(map(len, names))}}  {given}", difference, f" {source}", ""))
-    return table(rows, "    ")[1:]
+        difference = pull(quantity, values[k], sigmas[k], value, error)
+        lines.append(f"    {quantity:<{width}}  {given:<16}{difference:>+5.1f} σ   {source}")
+    return lines
 
 
 class Inference(NamedTuple):
@@ -475,11 +499,18 @@ class Inference(NamedTuple):
 def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Inference:
     """Fit from many starts, test and enlarge the errors, and predict; `quick` uses a fifth of all numbers."""
     sets, members = (20, 200) if quick else (100, 1000)
+    if problem.simulate is None and problem.shape != np.shape(problem.data):
+        raise ValueError(
+            f"the errors have shape {problem.shape}, but the data {np.shape(problem.data)}: return calculated less "
+            "observed values, or give simulate=, which makes synthetic data"
+        )
     random, known = random_starts(problem, 2 * sets - 1, 1), not problem.levels
     starts = jax.tree.map(lambda first, more: jnp.concatenate([first[None], more]), problem.guess, random)
     data = repeat(problem.data, 2 * sets)
     found = fit_starts(problem, starts, data, progress=progress, standardized=known)
     assert found.starts is not None
+    if not np.isfinite(found.starts.loss).any():
+        raise ValueError(f"no start of {problem.title!r} can be evaluated: {found.message}")
     best = int(np.nanargmin(found.starts.loss))
     estimate = jax.tree.map(lambda leaf: leaf[0], estimates(problem, found, data, which=[best]))
     factors, test, forecast, p, levels = np.ones(3), None, None, len(estimate.x), len(estimate.noise)

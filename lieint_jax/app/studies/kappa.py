@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, maps, schemes, systems
 from lieint_jax.app import plots
+from lieint_jax.app.studies._report import table
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.fitting import Fit, fit
 from lieint_jax.runs import integrate
@@ -167,18 +168,19 @@ def text(found: LearnedKappas) -> str:
     """The report of the study, as text."""
 
     def number(x: float) -> str:
-        return f"{x:>11.3e}" if np.isfinite(x) else f"{'fails':>11}"
+        return f"{x:.3e}" if np.isfinite(x) else "fails"
 
+    rows: list[tuple[str, ...]] = [("κ", "learned on", "unseen", "Δt/2", "2Δt", "Poisson error", "energy")]
+    for name, row in found.rows.items():
+        defects = row.training_defect, row.test_defect, row.defect_by_dt[DT / 2], row.defect_by_dt[2 * DT]
+        rows.append((name, *map(number, (*defects, row.poisson_error)), f"{row.energy_error:.1e}"))
     lines = [
         f"κ learned for a heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1), Δt = {DT}",
         "rms over states of |Lᵀω(z₁)L − ω(z₀)| after a step; Poisson error and energy at the end of long runs",
         *(f"  {name}: c = ({', '.join(f'{x:.5f}' for x in c)})" for name, c in found.coefficients.items()),
-        f"\n  {'κ':<18}{'learned on':>11}{'unseen':>11}{'Δt/2':>11}{'2Δt':>11}{'Poisson error':>15}{'energy':>10}",
+        "",
+        *table(rows),
     ]
-    for name, row in found.rows.items():
-        defects = row.training_defect, row.test_defect, row.defect_by_dt[DT / 2], row.defect_by_dt[2 * DT]
-        poisson = number(row.poisson_error)
-        lines.append(f"  {name:<18}{''.join(map(number, defects))}    {poisson}{row.energy_error:>10.1e}")
     compared = [
         ("the training states", "training_defect"),
         ("unseen, faster states", "test_defect"),
