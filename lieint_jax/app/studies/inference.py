@@ -44,9 +44,28 @@ from lieint_jax.fitting import (
 from lieint_jax.types.shapes import PyTree
 
 __all__ = [
-    *("Coverage", "Estimate", "Inference", "Problem", "Published", "StudentT", "Unknown"),
-    *("compare", "coverage", "draw", "draw_members", "enlarge_errors", "estimates", "fit_starts", "infer", "predict"),
-    *("published_lines", "pull", "random_starts", "repeat", "synthetic", "text"),
+    "Coverage",
+    "Estimate",
+    "Inference",
+    "Problem",
+    "Published",
+    "StudentT",
+    "Unknown",
+    "compare",
+    "coverage",
+    "draw",
+    "draw_members",
+    "enlarge_errors",
+    "estimates",
+    "fit_starts",
+    "infer",
+    "predict",
+    "published_lines",
+    "pull",
+    "random_starts",
+    "repeat",
+    "synthetic",
+    "text",
 ]
 
 Params = dict[str, Array]
