@@ -144,8 +144,8 @@ def test_a_kind_that_cannot_be_found_is_named(folder, system, message):
 def test_keys_of_an_own_kind_are_checked_like_those_of_others(folder):
     with pytest.raises(ValueError, match=r"weight: .*greater than 0"):
         scenarios.load("top.toml", weight=-1.0)
-    with pytest.raises(ValueError, match="hight: unknown key; did you mean weight"):
-        scenarios.parse(scenarios.table("top.toml") | {"hight": 1.0}, "top.toml")
+    with pytest.raises(ValueError, match="weights: unknown key; did you mean weight"):
+        scenarios.parse(scenarios.table("top.toml") | {"weights": 1.0}, "top.toml")
 
 
 @pytest.mark.long
