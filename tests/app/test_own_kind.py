@@ -159,6 +159,24 @@ def test_only_the_kind_that_runs_is_imported():
     assert {name for name in loaded if not name.startswith("_")} == {"rigid_body"}
 
 
+def test_a_spread_is_named_by_its_keys():
+    class Swing(kind.RateSpread):
+        tilt_rad: kind.NonNegative = 0.0
+        arm_m: kind.NonNegative = 0.0
+        speed_mm_s: kind.NonNegative = 0.0
+        share: kind.NonNegative = 0.0
+
+    found = Swing(angular_velocity_deg=2.0, tilt_rad=0.1, speed_mm_s=3.0).stated("s", "the arm's ")
+    assert found == {
+        "the arm's angular velocity": (2.0, "°/s"),
+        "the arm's tilt": (0.1, "rad"),
+        "the arm's arm": (0.0, "m"),
+        "the arm's speed": (3.0, "mm/s"),
+        "the arm's share": (0.0, ""),
+    }
+    assert Swing(angular_velocity_rad=2.0).stated("h")["angular velocity"] == (2.0, "rad/h")
+
+
 def test_the_face_has_what_it_lists():
     assert all(hasattr(kind, name) for name in kind.__all__)
     assert sorted(kind.__all__) == kind.__all__

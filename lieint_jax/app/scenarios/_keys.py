@@ -119,7 +119,7 @@ class Stated(NamedTuple):
     unit: str = ""
 
 
-_UNITS = {"_rad": "rad/{time}", "_deg": "°", "_mm_s": "mm/s", "_m_s": "m/s", "_m": "m", "_percent": "%"}
+_UNITS = {"_rad": "rad", "_deg": "°", "_mm_s": "mm/s", "_m_s": "m/s", "_m": "m", "_percent": "%"}
 _RATE = "angular_velocity"
 
 
@@ -131,8 +131,7 @@ class Spread(Table):
         found: dict[str, tuple[float, str]] = {}
         for key, field in type(self).model_fields.items():
             suffix = next((end for end in _UNITS if key.endswith(end)), "")
-            unit = _UNITS.get(suffix, "").replace("{time}", time_unit)
-            unit = f"°/{time_unit}" if key == f"{_RATE}_deg" else unit
+            unit = _UNITS.get(suffix, "") + (f"/{time_unit}" if key.startswith(_RATE) else "")
             plain = Stated(key.removesuffix(suffix).replace("_", " "), unit)
             name, unit = next((mark for mark in field.metadata if isinstance(mark, Stated)), plain)
             if getattr(self, key) or f"{of}{name}" not in found:
