@@ -127,6 +127,7 @@ def decay_errors(params, data):
     return params["amplitude"] * jnp.exp(-params["rate"] * T) - data
 
 
+@pytest.mark.long
 def test_a_problem_has_the_estimate_the_errors_and_the_forecast_of_scipy():
     """`curve_fit` of the same data; half-life and forecast by propagation of errors."""
     found = inference.infer(decay(), quick=True, progress=False)

@@ -61,6 +61,7 @@ def hull_of_sphere(n):
     return points, hull(points)[1]
 
 
+@pytest.mark.long
 @given(st.lists(st.floats(0.5, 2.0), min_size=3, max_size=3), st.integers(0, 100))
 def test_an_ellipsoid_that_is_equally_bright_everywhere_shows_its_projected_area(semi_axes, seed):
     """π√(b²c²n₁² + c²a²n₂² + a²b²n₃²), over π; at opposition, where all that is seen is lit."""
@@ -135,6 +136,7 @@ def total_light(J, semi_axes):
     return jnp.sum(jax.vmap(lambda q: measure.brightness(facets, q, SUN, OBSERVER))(q))
 
 
+@pytest.mark.long
 def test_derivatives_by_inertia_and_shape_are_those_of_differences():
     """Through a whole run. Lambert's light is once differentiable where a facet rises; observed 3e-9 of them."""
     at = jnp.array([1.0, 1.4, 1.9]), jnp.array([3.0, 2.0, 1.5])
@@ -176,6 +178,7 @@ def test_a_light_curve_is_the_brightness_of_each_state():
         measure.light_curve(tumbling(jnp.array([1.0, 1.4, 1.9]), 2), facets, SUN, OBSERVER)
 
 
+@pytest.mark.long
 def test_the_light_of_an_ellipsoid_repeats_twice_in_a_rotation():
     """At 80 random times over 30 rotations of 1.7; the period is found to a hundredth of its resolution."""
     body = li.systems.rigid_body([1.0, 1.4, 1.9])

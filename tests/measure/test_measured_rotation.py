@@ -88,6 +88,7 @@ def test_a_spinning_body_has_its_tilt_pole_and_rate():
         measure.tilt(run, direction=[[0.0, 0.0, 1.0]])
 
 
+@pytest.mark.long
 def test_tilt_and_rates_of_groups_and_of_several_bodies():
     """In an ideal fluid a body of revolution spins about its axis; two bodies each have a tilt and a rate."""
     swimmer = li.systems.kirchhoff([1.0, 1.0, 2.0])
@@ -100,6 +101,7 @@ def test_tilt_and_rates_of_groups_and_of_several_bodies():
             function(run)
 
 
+@pytest.mark.long
 def test_a_satellite_librates_about_the_vertical(tumblers):
     """In a circle: pitch with √(3(B − A)/C) n; one that spins fast crosses the horizon."""
     J = np.array([1.0, 1.4, 1.6])

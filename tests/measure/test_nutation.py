@@ -43,6 +43,7 @@ def test_nutation_is_that_of_lagrange_in_closed_form(tops):
     assert one.period.shape == ()
 
 
+@pytest.mark.long
 def test_nutation_of_a_pendulum_is_that_of_a_top_without_spin():
     """About γ, which is down for a pendulum, also where gravity is negative and it swings about −γ."""
     gamma = np.array([0.36, -0.48, 0.8])
@@ -63,6 +64,7 @@ def test_nutation_of_a_pendulum_is_that_of_a_top_without_spin():
         np.testing.assert_allclose([found.least, found.greatest], angles, rtol=0, atol=2e-13)
 
 
+@pytest.mark.long
 def test_a_nutation_that_is_not_shown_is_nan(tops):
     start = jax.tree.map(lambda x: x[0], tops.state)
     found = measure.nutation(go(tops.step, start, 0.01, 1600, own_step=True, save_every=40))

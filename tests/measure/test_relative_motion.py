@@ -41,6 +41,7 @@ def pairs():
     return go(step, states, 2 * np.pi / 80, 80 * 60, own_step=True, save_every=2)
 
 
+@pytest.mark.long
 def test_the_orbit_of_two_spheres_is_kepler_s(pairs):
     """Of Kepler's motion the distance has the line 2J₁′(e) a e, over the mean a(1 + e²/2).
 
@@ -74,6 +75,7 @@ def test_the_orbit_of_two_spheres_is_kepler_s(pairs):
     np.testing.assert_allclose(measure.rotation_rates(pairs)[:, 1], [[3.0, 1.0]] * 2401, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_a_locked_moon_librates_with_its_free_and_its_forced_line(pairs):
     """Of small swings the free frequency is √(3(B − A)/C) n, and the forced amplitude 2e n²/(n² − ω²)."""
     motion = measure.relative_motion(pairs)
@@ -93,6 +95,7 @@ def test_a_locked_moon_librates_with_its_free_and_its_forced_line(pairs):
     assert np.isnan(measure.librations(short)).all()
 
 
+@pytest.mark.long
 def test_the_energies_of_a_pair_add_up(pairs):
     found = measure.pair_energies(pairs)
     parts = found.orbit + found.spin_1 + found.spin_2 + found.shape
