@@ -26,6 +26,8 @@ LOOPS = {
     "groups/_matrix.py:exp": "squarings by their number; NaN beyond",
     "groups/_matrix.py:log": "NaN if the last change is not small",
     "groups/_matrix.py:near": "four products, no iteration",
+    "measure/_nutation.py:from_slope": "halves an interval in which the slope changes sign, to its last digit",
+    "measure/_spectrum.py:line": "parabolas over ever smaller steps; the frequency stays near the transform's peak",
     "native/functions/_powers.py:_cbrt": "two corrections, tested in ulps for all exponents",
     "orbits/_anomaly.py:_halley": "two corrections suffice for all M and e, which tests compare with mpmath",
     "orbits/_graded_times.py:graded_times": "any grid will do",
