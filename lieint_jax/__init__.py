@@ -27,6 +27,7 @@ A system and a scheme make a step; a step and states make a run.
 | `transition` | state transition matrices, sensitivities to parameters, linear covariance |
 | `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
+| `files`, `dates` | files that people bring and take away, and their dates |
 | `capabilities` | equations of motion, which systems inherit and schemes integrate |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
@@ -41,9 +42,11 @@ be used. `lieint list` on the command line lists systems, schemes and scenarios.
 from lieint_jax import (
     adjoints,
     capabilities,
+    dates,
     diagnostics,
     elliptic,
     ensemble,
+    files,
     fitting,
     groups,
     maps,
@@ -82,6 +85,7 @@ __all__ = [
     "adjoints",
     "cache_programs",
     "capabilities",
+    "dates",
     "diagnostics",
     "elliptic",
     "engine",
@@ -89,6 +93,7 @@ __all__ = [
     "equilibrium",
     "event",
     "explain",
+    "files",
     "fit",
     "fitting",
     "groups",

@@ -21,6 +21,7 @@ ROOT, TESTS = Path(li.__file__).parent, Path(__file__).parents[1]
 FLOORS = [  # from the roof down; a module imports only from floors below its own, or its own package
     ("studies",),  # the old names of one release
     ("app",),
+    ("files",),
     ("_cache",),
     ("ensemble",),  # older names
     ("fitting",),
@@ -42,7 +43,8 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("types",),
     ("native",),
     ("_xla",),
-    ("_checks", "_deprecated", "_discover", "_version"),
+    ("_text",),
+    ("_checks", "_deprecated", "_discover", "_version", "dates"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `runs`
@@ -138,7 +140,7 @@ def test_no_import_goes_in_a_circle():
 
 def test_the_house_has_few_rooms_and_every_one_a_floor():
     assert ROOMS - {"__init__"} == set(LEVEL)
-    assert len(ROOMS - {"__init__", "studies", "_deprecated"}) <= 28  # and old names, for one release
+    assert len(ROOMS - {"__init__", "studies", "_deprecated"}) <= 32  # and old names, for one release
 
 
 def code_tokens(path):
