@@ -130,7 +130,7 @@ def kind_run(step, states, scenario):
         ("tip.py:Top", r"system: there is no file 'tip\.py', neither here nor next to top\.toml"),
         ("top.py", r"system: top\.py has no kind ''; it has SleepingTop"),
         ("tops", r"system: must be 'binary' or .*, or 'FILE\.py:CLASS' \(got 'tops'\)"),
-        ("bad.py:Top", r"system: bad\.py fails when it is imported: ZeroDivisionError"),
+        ("bad.py:Top", r"system: bad\.py, line 1: ZeroDivisionError"),
         ("empty.py:Top", "it has none: a kind is a subclass of lieint_jax.app.kind.Kind"),
     ],
 )

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -17,6 +14,7 @@ from matplotlib.figure import Figure
 from lieint_jax import _discover
 from lieint_jax._version import __version__
 from lieint_jax.app import plots, studies
+from lieint_jax.app._own_file import import_file
 from lieint_jax.app.command import files, result_file
 from lieint_jax.app.printer import readable, show, show_time, show_written
 from lieint_jax.app.studies import inference
@@ -73,7 +71,7 @@ def _own_study(path: Path) -> Study:
     """The study that a file declares: `PROBLEM`, an `inference.Problem`, or the functions run, text and draw."""
     if not path.is_file():
         raise ValueError(f"there is no file {path}")
-    module = _imported(path)
+    module = import_file(path, _OWN)
     if isinstance(problem := getattr(module, "PROBLEM", None), inference.Problem):
         return Study(partial(inference.infer, problem), inference.text, inference.draw)
     if missing := [name for name in ("run", "text", "draw") if not callable(getattr(module, name, None))]:
@@ -82,22 +80,6 @@ def _own_study(path: Path) -> Study:
             f"functions run, text and draw, of which it lacks {', '.join(missing)}"
         )
     return Study(module.run, module.text, module.draw, module)
-
-
-def _imported(path: Path) -> ModuleType:
-    """The module of a file. An error in the file is reported with its line."""
-    spec = importlib.util.spec_from_file_location(_OWN, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[_OWN] = module
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        lines = [x.lineno for x in traceback.extract_tb(error.__traceback__) if x.filename == str(path.absolute())]
-        line = getattr(error, "lineno", None) or (lines[-1] if lines else "?")  # a syntax error has a line of its own
-        raise ValueError(f"{path}, line {line}: {type(error).__name__}: {error}") from error
-    return module
 
 
 def is_study_file(path: Path) -> bool:

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import importlib.util
 import inspect
 import pkgutil
-import sys
 from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
@@ -22,6 +20,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from lieint_jax import _checks
+from lieint_jax.app._own_file import import_file
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.runs import store as archives
@@ -124,14 +123,10 @@ def _kind_of(system: Any, name: str) -> type[Kind]:
 
 def _own_kind(path: Path, chosen: str, name: str) -> type[Kind]:
     """The kind of a class in a user's file, which is imported."""
-    spec = importlib.util.spec_from_file_location(f"lieint_kind_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where annotations are looked up
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise ValueError(f"{name}: system: {path} fails when it is imported: {error!r}") from error
+        module = import_file(path, f"lieint_kind_{path.stem}")
+    except ValueError as error:
+        raise ValueError(f"{name}: system: {error}") from error
     found = {kind.__name__: kind for kind in _classes(module)}
     if chosen not in found:
         there = ", ".join(found) or "none: a kind is a subclass of lieint_jax.app.kind.Kind"

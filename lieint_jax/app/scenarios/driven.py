@@ -14,7 +14,7 @@ from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._body import TopKind, inertia_matrix
 from lieint_jax.app.scenarios._keys import PositiveFloat, Table, radians
-from lieint_jax.app.scenarios._kind import picture
+from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_on_sphere
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
@@ -123,9 +123,14 @@ class Driven(TopKind):
             found.append(Conserved("Jacobi's integral H − n·π", H - np.asarray(run.state.p) @ spin, size))
         return found
 
+    @for_last_run
+    def angles(self, run: Run) -> measure.OrbitAngles:
+        """The angles between the principal axes and those of the orbit."""
+        return measure.orbit_angles(run)
+
     def quantities(self, run: Run) -> list[Quantity]:
         """The angles (°, ≤ 90) of the axes of least and greatest inertia from the orbit's vertical and normal."""
-        angles = measure.orbit_angles(run)
+        angles = self.angles(run)
         rows = {"least inertia's axis from the vertical": angles.vertical}
         rows |= {"greatest inertia's axis from the orbit's normal": angles.normal}
         found = []
@@ -139,7 +144,7 @@ class Driven(TopKind):
     def remarks(self, run: Run) -> list[str]:
         """The unit of the changes, and the number of librating members."""
         lines = ["  changes are relative to the largest |energy| of each member"]
-        vertical = measure.orbit_angles(run).vertical
+        vertical = self.angles(run).vertical
         if np.isfinite(vertical).all():
             count, horizon = measure.is_librating(vertical).sum(), "never crosses the horizon"
             lines.append(f"  {count} of {self.members} members librate: their axis of least inertia {horizon}")

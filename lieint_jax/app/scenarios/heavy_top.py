@@ -11,7 +11,7 @@ from lieint_jax import measure, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import TopKind, axis_in_space, inertia_matrix
 from lieint_jax.app.scenarios._keys import Direction, Triple, checked
-from lieint_jax.app.scenarios._kind import check_order, picture
+from lieint_jax.app.scenarios._kind import check_order, for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_on_sphere
 from lieint_jax.app.scenarios._report import CLOSED_FORM, Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta, cost
@@ -65,16 +65,21 @@ class HeavyTop(TopKind):
             found.append(Conserved("Kovalevskaya's integral, relative", K, unit))
         return found
 
+    @for_last_run
+    def nutation(self, run: Run) -> Nutation:
+        """The nutation and precession of each member."""
+        return measure.nutation(run)
+
     def quantities(self, run: Run) -> list[Quantity]:
         """Nutation and precession of the axis to the center of mass, measured for every member, and in closed form."""
-        return nutations(measure.nutation(run), closed_form(nominal_system(run), nominal_state(run)), self.time_unit)
+        return nutations(self.nutation(run), closed_form(nominal_system(run), nominal_state(run)), self.time_unit)
 
     def remarks(self, run: Run) -> list[str]:
         """How to read the table."""
         lines = [CLOSED_FORM]
         if not is_lagrange(nominal_system(run)):
             lines = ["  (a closed form is known for J₁ = J₂ and the weight along the third axis: Lagrange's top)"]
-        if np.isnan(measure.nutation(run.member(0)).period):
+        if np.isnan(self.nutation(run).period[0]):
             lines.append("  — not measured: fewer than two nutations, or states saved fewer than 6 times in one")
         return lines
 
