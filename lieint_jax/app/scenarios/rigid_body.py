@@ -271,7 +271,7 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
     half = 1.15 * max(abs(shown).max(), 1.0)
     near = path @ end > np.cos(np.deg2rad(min(3 * half, 90)))
     ax.plot(*np.where(near, from_end(path), np.nan), color=plots.BLUE, lw=0.8)
-    ax.plot(*from_end(members), ".", color=plots.INK, ms=2.5, mew=0, alpha=0.5, zorder=3)
+    plots.points(ax, *from_end(members), f"{len(members)} members", zorder=3)
     ax.plot(0, 0, "o", color=plots.BLUE, ms=6, mfc="white", mew=1.5, zorder=4, label="nominal member")
     ax.legend(loc="lower left")
     ax.plot(*from_end(observed), "x", color=plots.RED, ms=7, mew=1.6, zorder=4)
