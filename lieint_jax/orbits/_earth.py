@@ -54,7 +54,7 @@ def days_since_j2000(date: ArrayLike | Epoch | str, universal: bool = True) -> A
         date: as in `li.dates.epoch`, or an array of Julian dates, which can be traced.
         universal: refuse a date that is not in UTC or UT1.
     """
-    if isinstance(date, np.ndarray | Array):
+    if isinstance(date, np.ndarray | np.generic | Array | list | tuple) and not isinstance(date, float):
         return jnp.asarray(date) - J2000
     found = epoch(date)
     return (found if found.scale == "UT1" or not universal else found.to("UTC")).julian_date - J2000
