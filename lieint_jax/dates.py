@@ -20,11 +20,14 @@ import re
 from fractions import Fraction
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 __all__ = ["SCALES", "Epoch", "epoch"]
 
 SCALES = ("UTC", "UT1", "TAI", "TT", "TDB", "GPS")
 _AFTER_TAI = {"TAI": Fraction(0), "TT": Fraction(32184, 1000), "TDB": Fraction(32184, 1000), "GPS": Fraction(-19)}
-_DAY = 86400
+_DAY, _UNIX = 86400, 719163  # seconds; the day 1970-01-01
 _JULIAN = Fraction(3442849, 2)  # 1721424.5, the Julian date of day 0 of Python's count
 _ISO = re.compile(
     r"(\d{4})-(?:(\d{3})|(\d{1,2})-(\d{1,2}))"  # a day of the year, or a month and a day
@@ -83,6 +86,8 @@ class Epoch:
 
     def iso(self, digits: int = 9) -> str:
         """The date as 2024-03-01T12:00:00.5, rounded to so many digits of the second, without the scale."""
+        if not 1 <= self.day < datetime.date.max.toordinal():
+            raise ValueError(f"a date with a year below 1 or above 9999 cannot be written; its day is {self.day}")
         unit = Fraction(1, 10**digits)
         ticks = round(self.second / unit)
         rounded = Epoch(self.day, Fraction(0), self.scale)._later(ticks * unit)
@@ -92,6 +97,27 @@ class Epoch:
         part = f"{int((second - whole) / unit):0{digits}d}".rstrip("0") if digits else ""
         day = datetime.date.fromordinal(rounded.day).isoformat()
         return f"{day}T{hour:02d}:{minute:02d}:{whole:02d}{'.' if part else ''}{part}"
+
+    def datetimes(self, seconds: ArrayLike) -> np.ndarray:
+        """The dates so many seconds later as `numpy.datetime64`.
+
+        They are in nanoseconds if all are from 1678 to 2262, otherwise in microseconds; NaN is no date, NaT.
+
+        Raises:
+            ValueError: a date that is further than 290 000 years away.
+        """
+        t = np.asarray(seconds, np.float64)
+        start = (self.day - _UNIX) * _DAY + self.second
+        whole = np.floor(t)
+        far = np.nanmax(np.abs(whole), initial=0.0) + abs(float(start))
+        if far > 9.2e12:
+            raise ValueError(f"{far / 3.15576e7:.3g} years from 1970 are too far for a date of numpy")
+        unit, ticks = ("ns", 10**9) if far < 9.2e9 else ("us", 10**6)
+        known = np.isfinite(t)
+        later = np.where(known, whole, 0).astype(np.int64) * ticks
+        rest = np.rint((np.where(known, t, 0) - np.where(known, whole, 0)) * ticks + float(start % 1 * ticks))
+        dates = (later + rest.astype(np.int64) + math.floor(start) * ticks).astype(f"datetime64[{unit}]")
+        return np.where(known, dates, np.datetime64("NaT"))
 
     def __str__(self) -> str:
         return f"{self.iso()} {self.scale}"
@@ -128,6 +154,14 @@ def epoch(date: Any, scale: str | None = None) -> Epoch:
         raise ValueError(f"a date must be a text such as '2024-03-01T12:00:00 TDB' or a Julian date, got {date!r}")
     days = Fraction(float(date)) - _JULIAN
     return Epoch(math.floor(days), (days - math.floor(days)) * _DAY, _scale(scale or "UTC"))
+
+
+def text_of(date: Any) -> str:
+    """The text of a date, to a picosecond; "" of None."""
+    if date is None:
+        return ""
+    found = epoch(date)
+    return f"{found.iso(12)} {found.scale}"
 
 
 def _from_text(date: str, scale: str | None) -> Epoch:

@@ -6,7 +6,7 @@
 | `table` | the orbit through the entries of an ephemeris |
 | `secular_j2` | an ellipse about an oblate center, with its secular rates |
 | `lvlh` | local vertical, local horizontal along an orbit: the attitude to point to the nadir |
-| `earth_field` | the Earth's magnetic dipole along an orbit; `vector_table` for other fields |
+| `earth_field` | the Earth's magnetic field along an orbit, IGRF-14; `vector_table` for other fields |
 | `atmosphere` | the density of the air, and the velocity relative to it |
 | `sun_direction`, `eclipse` | the direction of the Sun, the part of its light that reaches a satellite |
 | `julian_date`, `earth_rotation_angle` | days, and the rotation of the Earth |
@@ -23,9 +23,7 @@ from lieint_jax.orbits._earth import (
     EARTH_RATE,
     J2000,
     Air,
-    EarthField,
     atmosphere,
-    earth_field,
     earth_rotation_angle,
     julian_date,
 )
@@ -33,6 +31,7 @@ from lieint_jax.orbits._frames import LocalFrame, lvlh
 from lieint_jax.orbits._from_state import KeplerFromState, from_state
 from lieint_jax.orbits._graded_times import graded_times
 from lieint_jax.orbits._kepler import Kepler, kepler
+from lieint_jax.orbits._magnetic import EarthField, HarmonicField, earth_field
 from lieint_jax.orbits._secular import SecularJ2, secular_j2
 from lieint_jax.orbits._sun import Eclipse, SunDirection, eclipse, sun_direction
 from lieint_jax.orbits._table import Table, VectorTable, table, vector_table
@@ -46,6 +45,7 @@ __all__ = [
     "Air",
     "EarthField",
     "Eclipse",
+    "HarmonicField",
     "Kepler",
     "KeplerFromState",
     "LocalFrame",

@@ -1,4 +1,4 @@
-"""The Earth: constants, days, its rotation, its magnetic dipole and its upper atmosphere along an orbit."""
+"""The Earth: constants, days, its rotation, and its upper atmosphere along an orbit."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, positive
+from lieint_jax.dates import Epoch, epoch
 from lieint_jax.types import callable_pytree, pytree
-from lieint_jax.types.vectors import cross, dot, norm
+from lieint_jax.types.vectors import cross, norm
 
 EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010
 EARTH_RADIUS = 6378.137  # the equatorial radius in km, WGS 84
@@ -21,19 +22,6 @@ EARTH_J2 = 1.0826359e-3  # IERS Conventions 2010
 EARTH_RATE = 7.292115e-5  # the rotation in rad/s, IERS Conventions 2010
 J2000 = 2451545.0  # the Julian date of 2000 January 1, 12 h
 
-_DIPOLE_RADIUS = 6371.2  # km, of the coefficients of IGRF
-_YEARS = np.array([2000.0, 2005.0, 2010.0, 2015.0, 2020.0, 2025.0, 2030.0])
-_DIPOLE = np.array(  # g₁¹, h₁¹, g₁⁰ in nT, IGRF-14 (IAGA Working Group V-MOD 2024); 2030 by its secular variation
-    [
-        [-1728.2, 5186.1, -29619.4],
-        [-1669.05, 5077.99, -29554.63],
-        [-1586.42, 4944.26, -29496.57],
-        [-1501.77, 4795.99, -29441.46],
-        [-1451.37, 4653.35, -29403.41],
-        [-1410.3, 4545.5, -29350.0],
-        [-1410.3 + 50.0, 4545.5 - 107.5, -29350.0 + 63.0],
-    ]
-)
 _ORDINAL = 1721424.5  # the Julian date of day 0 of Python's count
 _FAR = 100.0  # radii of the Earth: an orbit further away was given in another unit
 
@@ -59,105 +47,34 @@ def julian_date(year: int, month: int, day: int, hours: float = 0.0) -> float:
     return days + _ORDINAL + float(hours) / 24
 
 
-def earth_rotation_angle(date: ArrayLike) -> Array:
-    """The angle of the Earth's rotation at a Julian date (UT1), in radians from 0 to 2π.
+def days_since_j2000(date: ArrayLike | Epoch | str, universal: bool = True) -> Any:
+    """The days from J2000 to a date or to Julian dates; a float of Python, which has the digits, where it is one.
+
+    Args:
+        date: as in `li.dates.epoch`, or an array of Julian dates, which can be traced.
+        universal: refuse a date that is not in UTC or UT1.
+    """
+    if isinstance(date, np.ndarray | np.generic | Array | list | tuple) and not isinstance(date, float):
+        return jnp.asarray(date) - J2000
+    found = epoch(date)
+    return (found if found.scale == "UT1" or not universal else found.to("UTC")).julian_date - J2000
+
+
+def earth_rotation_angle(date: ArrayLike | Epoch | str) -> Array:
+    """The angle of the Earth's rotation at a date, in radians from 0 to 2π.
+
+    Args:
+        date: a date in UT1 or UTC as in `li.dates.epoch`, such as "2026-03-01 UTC", or Julian dates. UTC is within
+            0.9 s of UT1, which is 7e-5 rad.
+
+    Raises:
+        ValueError: a date in another scale, such as TT.
 
     Source: Capitaine, Guinot & McCarthy 2000, Astron. Astrophys. 355; IERS Conventions 2010, equation 5.15.
     """
-    days = jnp.asarray(date) - J2000
-    turns = 0.7790572732640 + 0.00273781191135448 * days + jnp.mod(days, 1)
-    return 2 * jnp.pi * jnp.mod(turns, 1)
-
-
-@pytree
-class EarthField:
-    """The dipole of the Earth's magnetic field along an orbit: `field(t)` is b in space. Made by `earth_field`.
-
-    Attributes:
-        orbit: t ↦ (position, velocity).
-        coefficients: (g₁¹, h₁¹, g₁⁰), in axes that rotate with the Earth, (3,).
-        radius: the radius of the sphere of reference.
-        angle: the angle of the Earth's rotation at t = 0.
-        rate: its rate.
-    """
-
-    orbit: Any
-    coefficients: Array
-    radius: Array
-    angle: Array
-    rate: Array
-
-    def __call__(self, t: ArrayLike) -> Array:
-        """b = (R/r)³ (3 r̂ (r̂·G) − G), with G of the coefficients in space, (3,)."""
-        r, _ = self.orbit(t)
-        angle = self.angle + self.rate * t
-        c, s = jnp.cos(angle), jnp.sin(angle)
-        x, y, z = self.coefficients
-        G = jnp.stack([c * x - s * y, s * x + c * y, z])
-        square = dot(r, r)
-        size = self.radius / jnp.sqrt(square)
-        return size * size * size * (3 * dot(r, G) / square * r - G)
-
-
-def earth_field(
-    orbit: Any,
-    date: float,
-    coefficients: Any = None,
-    radius: ArrayLike = _DIPOLE_RADIUS,
-    *,
-    rate: ArrayLike = EARTH_RATE,
-) -> EarthField:
-    """The Earth's magnetic field along an orbit, as a tilted dipole that rotates with the Earth, in tesla.
-
-    The dipole is the first degree of IGRF-14; the higher degrees are 10 to 20 percent of the field in a low orbit. For
-    all of IGRF, put the values of a package such as ppigrf into `vector_table`.
-
-    Args:
-        orbit: t ↦ (position, velocity) from the Earth's center in inertial axes, z to the pole; t in seconds.
-        date: the Julian date at t = 0 (`julian_date`), in UT.
-        coefficients: (g₁¹, h₁¹, g₁⁰), (3,), in the unit of the returned field; by default IGRF-14 at this date, from
-            2000 to 2030, in tesla.
-        radius: 6371.2 km in the orbit's unit of length.
-        rate: the rate of the Earth's rotation, in radians per unit of time.
-
-    Returns:
-        A function t ↦ b in space, (3,).
-
-    Raises:
-        ValueError: the orbit is below the ground or in another unit of length than the radius, or IGRF-14 has no dipole
-            for the date.
-
-    Source: Alken et al. 2021, Earth Planets Space 73 (IGRF); IAGA Working Group V-MOD 2024, IGRF-14 coefficients.
-    """
-    R = positive("radius", radius)
-    above_ground(orbit, R)
-    G = _dipole_of(date) if coefficients is None else coefficients
-    angle = _checks.real_array("date", earth_rotation_angle(date), ())
-    return EarthField(
-        callable_pytree(orbit),
-        _checks.real_array("coefficients", G, (3,)),
-        R,
-        angle,
-        _checks.real_array("rate", rate, ()),
-    )
-
-
-def _dipole_of(date: float) -> np.ndarray:
-    """(g₁¹, h₁¹, g₁⁰) in tesla at a Julian date, linear between the epochs of IGRF."""
-    year = _decimal_year(float(date))
-    if not _YEARS[0] <= year <= _YEARS[-1]:
-        raise ValueError(
-            f"the built-in dipole is that of IGRF-14 from 2000 to 2030, got the Julian date {date}, year {year:.1f}; "
-            "give coefficients=(g11, h11, g10), in tesla"
-        )
-    return 1e-9 * np.array([np.interp(year, _YEARS, column) for column in _DIPOLE.T])
-
-
-def _decimal_year(date: float) -> float:
-    """The year of a Julian date, 2025.0 at the beginning of January 1."""
-    year = datetime.date.fromordinal(int(date - _ORDINAL)).year
-    first, next_ = julian_date(year, 1, 1), julian_date(year + 1, 1, 1)
-    return year + (date - first) / (next_ - first)
+    days = days_since_j2000(date)
+    turns = 0.7790572732640 + 0.00273781191135448 * days + days % 1
+    return jnp.asarray(2 * jnp.pi * (turns % 1))
 
 
 @pytree

@@ -11,8 +11,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import positive
+from lieint_jax.dates import Epoch
 from lieint_jax.orbits._anomaly import less_sine
-from lieint_jax.orbits._earth import EARTH_RADIUS, J2000, above_ground
+from lieint_jax.orbits._earth import EARTH_RADIUS, above_ground, days_since_j2000
 from lieint_jax.types import callable_pytree, pytree, static
 from lieint_jax.types.vectors import cross, dot, norm
 
@@ -43,11 +44,11 @@ class SunDirection:
         return jnp.stack([jnp.cos(longitude), jnp.cos(tilt) * s, jnp.sin(tilt) * s])
 
 
-def sun_direction(date: float, day: ArrayLike = 86400.0) -> SunDirection:
+def sun_direction(date: ArrayLike | Epoch | str, day: ArrayLike = 86400.0) -> SunDirection:
     """The unit vector to the Sun, seen from the Earth, to 0.01° from 1950 to 2050 (mean equator and equinox of date).
 
     Args:
-        date: the Julian date at t = 0 (`julian_date`).
+        date: the date at t = 0, in any scale: a text such as "2026-03-01", an `Epoch`, or a Julian date.
         day: the length of a day in the unit of t.
 
     Raises:
@@ -55,7 +56,8 @@ def sun_direction(date: float, day: ArrayLike = 86400.0) -> SunDirection:
 
     Source: The Astronomical Almanac, low-precision formulas for the Sun's coordinates (page C5).
     """
-    return SunDirection(_checks.real_array("date", date, ()) - J2000, positive("day", day))
+    days = _checks.real_array("date", days_since_j2000(date, universal=False), ())
+    return SunDirection(days, positive("day", day))
 
 
 @pytree

@@ -24,6 +24,8 @@ class Facts(NamedTuple):
         versions: the versions of packages that computed it, by name.
         complete: whether it has reached its last step.
         source: the path or URL of the store from which its arrays are read; "" if they are in memory.
+        epoch: the date of t = 0, as text; "" if it was not given.
+        time_unit: the unit of t in the store; "1" if it was not given.
     """
 
     batch: bool
@@ -35,6 +37,8 @@ class Facts(NamedTuple):
     versions: tuple[tuple[str, str], ...]
     complete: bool = True
     source: str = ""
+    epoch: str = ""
+    time_unit: str = "1"
 
 
 def lines(run: Any) -> dict[str, str]:
@@ -47,6 +51,8 @@ def lines(run: Any) -> dict[str, str]:
         shown["members"] = f"{run.members}"
     sizes = "given times; " if facts.dt is None else f"{facts.num_steps} steps of {facts.dt:g}; "
     shown["times"] = f"{float(run.t[0]):.6g} … {float(run.t[-1]):.6g}, {sizes if facts.engine else ''}{_saves(run)}"
+    if facts.epoch:
+        shown["epoch"] = f"{facts.epoch} at t = 0"
     state = run.state if run.summary is None else run.summary.state
     leading = (1 if run.summary is None else 0) + facts.batch
     shapes = {name: np.shape(x)[leading:] for name, x in leaves_by_name(state).items()}

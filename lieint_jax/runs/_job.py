@@ -118,6 +118,7 @@ class Job(NamedTuple):
         condition: the condition (step, state) ↦ flag whose first time is recorded for each member, or None.
         part: the members of the run to which this job is restricted, one of its parts; None if it is the whole run.
         batch: False for a run of one body, which is a batch of one member.
+        epoch: the date of t = 0, as text, or "".
         make_states: the function that makes the states of each part; `states` of the whole run are those of its first
             member, repeated. None if `states` are those of all members.
     """
@@ -138,6 +139,7 @@ class Job(NamedTuple):
     condition: Reduction | None = None
     part: range | None = None
     batch: bool = True
+    epoch: str = ""
     make_states: MakeStates | None = None
 
     def with_members(self, members: int, make_states: MakeStates) -> Job:

@@ -91,6 +91,7 @@ def checked_job(
     batch: bool = True,
     per: Literal["member"] | None = None,
     first: Reduction | None = None,
+    epoch: str = "",
 ) -> Job:
     """The checked description of a run from the arguments of `run`; `made` are the members that a function has made."""
     first_member = 0 if made is None else made.start
@@ -109,7 +110,7 @@ def checked_job(
         _check_size(states, len(entries[0]), reduction, store)
     size = None if dt is None else float(dt)
     job = Job(step, states, t0, size, clock, planned_steps, *entries, step_axis, reduction)
-    job = job._replace(per_member=per is not None, condition=condition, batch=batch)
+    job = job._replace(per_member=per is not None, condition=condition, batch=batch, epoch=epoch)
     _check_job(job, first_member)
     _check_reduction(job)
     _checks.time_resolution(t0, job.first_dt, planned_steps)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
+from lieint_jax.dates import text_of
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs._member_axis import check_own_steps, is_batch, with_member_axis
@@ -41,6 +42,7 @@ def run(
     part: tuple[int, int] | Literal["auto"] | None = None,
     members: int | None = None,
     threads: int | None = None,
+    epoch: Any = None,
 ) -> Run:
     """Run a step from initial states, of one body or of many, in memory or into a store that can be resumed.
 
@@ -88,6 +90,8 @@ def run(
             `part_of_task`. In machine code all parts have the bits of one process.
         members: the number of members, where `states` is a function.
         threads: the number of threads of machine code.
+        epoch: the date of t = 0 as in `li.dates.epoch`, such as "2026-03-01T12:00:00 UTC"; it changes no number of the
+            run, whose `epoch` it is.
 
     Returns:
         A `Run`. Its t is t₀ + nΔt, where t₀ is the shared time of the members, or 0; times since the start, if members
@@ -135,6 +139,7 @@ def run(
         members=members,
         threads=threads,
         batch=batch,
+        epoch=text_of(epoch),
     )
     return computed_run(computed, batch)
 

@@ -101,11 +101,13 @@ def compute(
     first: Reduction | None = None,
     batch: bool = True,
     earlier: Saves | None = None,
+    epoch: str = "",
 ) -> Results:
     """The results of a run; arguments as in `ensemble.run`.
 
     Args:
         threads, per, first: as in `li.run`.
+        epoch: the text of an epoch, or "".
         batch: whether it is of a batch, not of one body; states have the member axis in either case.
         earlier: the saves in memory of a run that this one continues.
     """
@@ -133,6 +135,7 @@ def compute(
         batch=batch,
         per=per,
         first=first,
+        epoch=epoch,
     )
     with _checks.on_host():
         whole, job, split = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax import _checks, dates
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._facts import Facts, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
@@ -40,6 +40,7 @@ from lieint_jax.types import (
 )
 
 Tree = Any  # a tree of arrays
+_SECONDS = {"1": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "day": 86400.0}  # of units of time
 _BLOCK = 2**26  # bytes of states that `map` reads from disk at once
 
 
@@ -75,7 +76,7 @@ class Run:
     facts: Facts = static()
 
     @staticmethod
-    def of(step: Step, trajectory: Trajectory, own_step: bool = False) -> Run:
+    def of(step: Step, trajectory: Trajectory, own_step: bool = False, epoch: Any = None) -> Run:
         """The run of states that are known already, such as those of `integrate` inside of jit.
 
         It can be asked everything but to be extended or saved, as its step sizes are not known.
@@ -84,6 +85,7 @@ class Run:
             step: the step that made the states; with `own_step` its leaves have the member axis.
             trajectory: the saved states, (times, …), or (times, members, …) of a batch.
             own_step: whether each member has a step of its own.
+            epoch: the date of t = 0, as in `li.run`.
 
         Raises:
             ValueError: states of another shape than the step's system needs.
@@ -91,7 +93,7 @@ class Run:
         batch = is_batch(step, jax.tree.map(lambda x: x[0], trajectory.state), own_step)
         good = jnp.asarray(trajectory.info.converged)
         failed = jnp.where(good.all(axis=0), -1, jnp.argmin(good, axis=0) - 1)
-        facts = Facts(batch, own_step, None, len(trajectory.t) - 1, None, "", ())
+        facts = Facts(batch, own_step, None, len(trajectory.t) - 1, None, "", (), epoch=dates.text_of(epoch))
         return Run(step, None, trajectory, None, failed, None, None, None, facts)
 
     @property
@@ -138,6 +140,11 @@ class Run:
     def versions(self) -> dict[str, str]:
         """The versions of the packages that computed it."""
         return dict(self.facts.versions)
+
+    @property
+    def epoch(self) -> dates.Epoch | None:
+        """The date of t = 0, if it was given: `run.epoch.datetimes(run.t)` are the dates of the saves."""
+        return dates.epoch(self.facts.epoch) if self.facts.epoch else None
 
     @property
     def converged(self) -> Array:
@@ -243,18 +250,42 @@ class Run:
         return labeled.rotations(self._saved)
 
     def to_xarray(self, units: Mapping[str, str] | None = None) -> Any:
-        """The run as an `xarray.Dataset` with energy, momentum map and angular velocity: see `Trajectory.to_xarray`."""
-        return labeled.dataset(self._in_memory, self.system, units or {}, 0 if self.own_step else None)
+        """The run as an `xarray.Dataset` with energy, momentum map and angular velocity: see `Trajectory.to_xarray`.
+
+        With an epoch it has a coordinate `date` along time, for which t is taken in seconds.
+        """
+        saved, dims = self._in_memory, ("time", "member")
+        found = labeled.dataset(saved, self.system, units or {}, 0 if self.own_step else None)
+        if self.epoch is None:
+            return found
+        when = self._dates(self.epoch, saved)
+        about = {"long_name": "date", "scale": self.epoch.scale}
+        return found.assign_coords(date=(dims[: when.ndim], when, about))
 
     def to_dataframe(self) -> Any:
         """The run as a `pandas.DataFrame`: a row for each time and member, a column for each component.
 
-        The columns are time, member (of a batch), q_w, …, p_x, …, residual, converged, energy, momentum_map_0, …
+        The columns are time, date (with an epoch, for which t is taken in seconds), member (of a batch), q_w, …,
+        p_x, …, residual, converged, energy, momentum_map_0, …
 
         Raises:
             ImportError: pandas is not installed.
         """
-        return labeled.frame(self._in_memory, self.system, 0 if self.own_step else None)
+        saved = self._in_memory
+        found = labeled.frame(saved, self.system, 0 if self.own_step else None)
+        if self.epoch is not None:
+            when, shape = self._dates(self.epoch, saved), np.shape(saved.info.residual)
+            found.insert(1, "date", np.broadcast_to(when.reshape(len(when), -1), (*shape, 1)[:2]).ravel())
+        return found
+
+    def _dates(self, start: dates.Epoch, saved: Trajectory) -> np.ndarray:
+        """The dates of the saves, (times,), or (times, members) of members that have their own times."""
+        unit = _SECONDS.get(self.facts.time_unit)
+        if unit is None:
+            raise ValueError(f"dates need the time in seconds, minutes, hours or days, got {self.facts.time_unit!r}")
+        t, own = np.asarray(saved.t), saved.state.t
+        shared = own is None or bool(np.all(own == t.reshape(-1, *[1] * (np.ndim(own) - 1))))
+        return start.datetimes(unit * (t if shared else np.asarray(own)))
 
     def extend(self, num_steps: int, progress: bool = True) -> Run:
         """The run with `num_steps` further steps, bit for bit the run of all these steps.
@@ -312,6 +343,7 @@ class Run:
             "step_axis": 0 if facts.own_step else None,
             "reduce": _plain(self.reduction),
             "batch": facts.batch,
+            "epoch": facts.epoch,
         }
 
     def __repr__(self) -> str:
@@ -372,6 +404,7 @@ def computed_run(computed: Results, batch: bool) -> Run:
         save_every=job.save_every,
         engine=computed.engine,
         versions=tuple(package_versions().items()),
+        epoch=job.epoch,
     )
     start = job.initial if job.reduction is not None else None
     times = job.clock.times if isinstance(job.clock, GridClock) else None
@@ -394,6 +427,8 @@ def stored_run(path: str, stored: Stored, step: Step) -> Run:
         versions=tuple(described["versions"].items()),
         complete=attributes["progress"]["complete"],
         source=path,
+        epoch=described.get("epoch") or "",
+        time_unit=attributes.get("time_unit", "1"),
     )
     return _make_run(step, None, Saves(found, failed), [None, None], None, facts)
 

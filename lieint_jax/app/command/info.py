@@ -56,7 +56,7 @@ def _plot_scenario(scenario: Kind, run: Trajectory, path: Address, plain: Path, 
     changes = {"steps": (len(saved.t) - 1) * scenario.save_every, "members": saved.state.p.shape[1]}
     step = scenarios.build_first(scenario, changes["members"])
     check_system(path, step.system, saved, scenario.has_own_steps())
-    made = Run.of(step, saved, scenario.has_own_steps())
+    made = Run.of(step, saved, scenario.has_own_steps(), scenario.date_of_zero())
     scenario = scenario.model_copy(update=changes)
     show(headline(scenario, step))
     if scenario.members < members:
@@ -150,7 +150,9 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
     t = _times(run)
     if not len(t):
         return "\n".join(lines)
-    lines.append(f"  t = {t[0]:.6g} … {t[-1]:.6g} {_time_unit(metadata)}".rstrip())
+    date = metadata.get("run", {}).get("epoch") or _table(metadata).get("epoch")
+    since = f"; t = 0 at {_checks.printable(date)}" if date else ""
+    lines.append(f"  t = {t[0]:.6g} … {t[-1]:.6g} {_time_unit(metadata)}".rstrip() + since)
     if not isinstance(run, Trajectory):
         return "\n".join([*lines, *_changes(run, metadata["reduce"])])
     if metadata.get("missing"):
@@ -245,7 +247,8 @@ def _conservation(stored: StoredRun) -> list[str]:
 def headline(scenario: Kind, step: Step) -> str:
     """The first lines of a scenario's report: its title, its size and its scheme."""
     scenario = readable(scenario)
-    lines = [scenario.title, f"  {scenario.members} member(s), {scenario.describe_steps()}, {step.name}"]
+    since = f", t = 0 at {scenario.epoch}" if scenario.epoch else ""
+    lines = [scenario.title, f"  {scenario.members} member(s), {scenario.describe_steps()}{since}, {step.name}"]
     if scenario.members > 1 and scenario.assumption():
         lines.append(f"  {scenario.assumption()}")
     return "\n".join(lines)

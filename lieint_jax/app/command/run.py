@@ -82,6 +82,7 @@ def run(
         if needed > _NOTED:
             show(f"  about {_checks.spoken_size(needed)} of memory")
     options = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
+    options["epoch"] = scenario.date_of_zero()
     options["own_step"] = not makes_own
     options["members"] = scenario.members if makes_own else None
     integrate = partial(runs.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **options)

@@ -261,6 +261,16 @@ class FlybyKeys(Kind):
         self.dt = dt  # pyright: ignore[reportIncompatibleVariableOverride]
         return self
 
+    @model_validator(mode="after")
+    def _check_epoch(self) -> Self:
+        if self.epoch is not None:
+            raise ValueError("epoch: t = 0 is the perigee, whose date is orbit.perigee_utc: leave epoch out")
+        return self
+
+    def date_of_zero(self) -> datetime:
+        """That of the perigee."""
+        return self.orbit.date(0)
+
     def times(self, hours: float | None = None, steps: int | None = None) -> np.ndarray:
         """The boundaries of the steps, graded along the orbit."""
         hours = self.hours if hours is None else hours

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple, Self
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from lieint_jax import _checks
+from lieint_jax import _checks, dates
 
 HOUR, DAY = 3600.0, 86400.0  # seconds
 TINY = float(np.finfo(float).tiny)  # in place of a divisor that is 0
@@ -35,6 +36,13 @@ def _check_unit(value: list[float]) -> None:
         raise ValueError("must be a unit vector; divide it by its norm")
 
 
+def _date_text(value: Any) -> Any:
+    """A date with its scale; TOML has dates without quotes."""
+    if isinstance(value, datetime.date) and not isinstance(value, datetime.datetime):
+        value = value.isoformat()
+    return dates.text_of(value) if isinstance(value, str | datetime.datetime) else value
+
+
 PositiveFloat = Annotated[float, Field(gt=0)]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 PositiveTriple = Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
@@ -44,6 +52,7 @@ Moments = Annotated[Triple, checked(_checks.inertia)]
 Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
 NonNegative = Annotated[float, Field(ge=0)]
 PositiveInt = Annotated[int, Field(gt=0, le=10**12)]
+Date = Annotated[str, BeforeValidator(_date_text)]
 Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
 
 

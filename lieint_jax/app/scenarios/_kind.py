@@ -19,7 +19,7 @@ from lieint_jax import _checks, schemes
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
-from lieint_jax.app.scenarios._keys import PositiveInt, Table, Text
+from lieint_jax.app.scenarios._keys import Date, PositiveInt, Table, Text
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity, join_members, text
 from lieint_jax.app.scenarios._runs import LONGEST, as_batch, drawn_run, length, nominal_state, series
 from lieint_jax.runs import Run
@@ -84,6 +84,8 @@ class Kind(Table):
     """The question that the scenario answers, one line for `lieint list`."""
     time_unit: Text = "time unit"
     """The name of the unit of time. Choose any units of length and mass; all numbers must be in them."""
+    epoch: Date | None = None
+    """The date of t = 0, with its scale, such as "2026-03-01T12:00:00 TDB"; without a scale in UTC."""
     system: str
     """The kind of system."""
     dt: float
@@ -184,6 +186,10 @@ class Kind(Table):
         """The number and size of the steps, as text."""
         span = self.dt * self.steps
         return f"{self.steps} steps of {self.dt:.6g} {self.time_unit} = {span:.6g} {self.time_unit}"
+
+    def date_of_zero(self) -> Any:
+        """The date of t = 0, or None; that of other keys, where they give it."""
+        return self.epoch
 
     def source(self, key: str) -> str:
         """The full reference for `key`, or `key` itself."""

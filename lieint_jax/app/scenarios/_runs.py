@@ -60,7 +60,7 @@ def nominal_member(tree: Any) -> Any:
 def as_batch(run: Run) -> Run:
     """The run of one body as that of an ensemble of one."""
     state, info = jax.tree.map(lambda x: np.asarray(x)[:, None], (run.state, run.info))
-    return Run.of(run.step, Trajectory(run.t, state, info))
+    return Run.of(run.step, Trajectory(run.t, state, info), epoch=run.epoch)
 
 
 def map_on_local_devices(function: Callable[..., Any], axes: PyTree) -> Callable[..., Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from typing import Annotated, Any, NamedTuple, Self
 
 import jax
@@ -159,10 +158,10 @@ class Surroundings(NamedTuple):
     air: Any
 
 
-def surroundings(orbit: Orbit, date: datetime.date, drag: Drag | None) -> Surroundings:
+def surroundings(orbit: Orbit, date: str, drag: Drag | None) -> Surroundings:
     """The surroundings along an orbit, from a date on."""
     motion = orbit.motion()
-    field = orbits.earth_field(motion, orbits.julian_date(date.year, date.month, date.day), radius=_FIELD_RADIUS)
+    field = orbits.earth_field(motion, date, radius=_FIELD_RADIUS)
     air = None
     if drag is not None:
         height, scale = drag.height_km * _KM, drag.scale_height_km * _KM

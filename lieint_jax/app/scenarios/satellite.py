@@ -65,8 +65,8 @@ class Satellite(BodyKind):
     """The keys of a scenario of this kind. Units: SI; the axes of space are inertial, z to the pole."""
 
     time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
-    date: str
-    """YYYY-MM-DD, 0 h UT, at t = 0: from it follow the Earth's field and rotation."""
+    date: str | None = None
+    """In place of epoch, a day as YYYY-MM-DD, 0 h UT: from one of them follow the Earth's field and rotation."""
     orbit: Orbit
     residual_dipole: Triple = [0.0, 0.0, 0.0]
     """The magnetic moment of the switched-off satellite in body axes, in A m²."""
@@ -90,9 +90,9 @@ class Satellite(BodyKind):
 
     @field_validator("date")
     @classmethod
-    def _check_date(cls, value: str) -> str:
+    def _check_date(cls, value: str | None) -> str | None:
         try:
-            datetime.date.fromisoformat(value)
+            datetime.date.fromisoformat(value or "2000-01-01")
         except ValueError as error:
             raise ValueError(f'must be a day such as "2026-03-01": {error}') from error
         return value
@@ -119,7 +119,13 @@ class Satellite(BodyKind):
 
     def environment(self) -> Surroundings:
         """The functions of time along the orbit."""
-        return surroundings(self.orbit, datetime.date.fromisoformat(self.date), self.drag)
+        return surroundings(self.orbit, self.date_of_zero(), self.drag)
+
+    def date_of_zero(self) -> str:
+        """The epoch, or the date."""
+        if (self.date is None) == (self.epoch is None):
+            raise ValueError("give either epoch or date: the Earth's field follows from it")
+        return f"{self.date or self.epoch}"
 
     def controls(self) -> dict[str, Control]:
         """The laws of control in the order in which they begin."""

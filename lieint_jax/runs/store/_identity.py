@@ -63,6 +63,7 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
         "function of reduce": None if job.reduction is None else _digest_or_reason(job.reduction),
         "per": "member" if job.per_member else None,
         "function of first": None if job.condition is None else _digest_or_reason(job.condition),
+        "epoch": job.epoch or None,
         "dtype": str(job.dtype),
         "versions": package_versions() | _python(structure, job.reduction, job.condition, job.make_states),
         "engine": engine,

@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lieint_jax.dates import epoch
+
 _MAX_LENGTH = 10**15  # of an axis of an array
 REALS, _FLAGS, COUNTS = ("float32", "float64"), ("bool",), ("int32", "int64")  # of arrays
 _Kinds = Mapping[str, tuple[tuple[int, ...], str]]  # shape and dtype by name
@@ -23,6 +25,13 @@ class _Kind(NamedTuple):
 
 def _is_count(x: object) -> bool:
     return isinstance(x, int) and not isinstance(x, bool) and 0 <= x <= _MAX_LENGTH
+
+
+def _is_date(x: object) -> bool:
+    try:
+        return x is None or (isinstance(x, str) and bool(epoch(x)))
+    except ValueError:
+        return False
 
 
 NAME = re.compile(r"(?!\.)[^/\\\x00-\x1f\x7f-\x9f]+")
@@ -71,6 +80,7 @@ RUN_KEYS = {
     "device": _TEXT,
     "step_axis": _Kind(lambda x: x is None or (_is_count(x) and x == 0), "null or 0"),
     "engine": _TEXT._replace(required=False),
+    "epoch": _Kind(_is_date, "a date with a scale, or null", required=False),
     "compiler_options": _TABLE,
 }
 

@@ -1,0 +1,127 @@
+"""The Earth's field to any degree of IGRF against ppigrf, and the dates that orbits take."""
+
+import dataclasses
+import datetime
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lieint_jax as li
+from lieint_jax import dates, orbits
+
+LOW = orbits.kepler(orbits.EARTH_GM * 1e9, 6.9e6, 0.01, 0.9)
+R = 6371.2e3
+
+
+def field_at(field, r):
+    """b where the Earth's axes are those of space."""
+    return dataclasses.replace(field, orbit=lambda t: (r, r), angle=jnp.zeros(()))(0.0)
+
+
+def field_of_ppigrf(r, day, degree):
+    """b in the Earth's axes at positions (n, 3) in meters, tesla."""
+    ppigrf = pytest.importorskip("ppigrf")
+    size, theta, phi = np.linalg.norm(r, axis=1), np.arccos(r[:, 2] / np.linalg.norm(r, axis=1)), np.arctan2(*r.T[1::-1])
+    parts = ppigrf.igrf_gc(size / 1e3, np.rad2deg(theta), np.rad2deg(phi), day, max_degree=degree)
+    c, s, cos, sin = np.cos(theta), np.sin(theta), np.cos(phi), np.sin(phi)
+    axes = np.array([[s * cos, s * sin, c], [c * cos, c * sin, -s], [-sin, cos, 0 * c]])
+    return 1e-9 * np.einsum("kn,kjn->nj", np.reshape(parts, (3, -1)), axes)
+
+
+def check_with_ppigrf(degree, days):
+    rng = np.random.default_rng(degree)
+    r = rng.normal(size=(1000, 3))
+    r *= rng.uniform(R, 1.4 * R, (1000, 1)) / np.linalg.norm(r, axis=1)[:, None]
+    at_all = jax.jit(jax.vmap(field_at, (None, 0)))
+    for day in days:
+        expected = field_of_ppigrf(r, day, degree)
+        found = at_all(orbits.earth_field(LOW, day, radius=R, degree=degree), r)
+        error = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
+        assert error.max() < 1e-14, day
+
+
+def test_degree_4_is_that_of_ppigrf():
+    """Observed: 2e-15. Half of 2022 is half of the five years too, which ppigrf counts in days."""
+    check_with_ppigrf(4, [datetime.datetime(2025, 1, 1), datetime.datetime(2022, 7, 2, 12)])
+
+
+@pytest.mark.long
+def test_all_of_igrf_is_that_of_ppigrf():
+    """Observed: 2e-15."""
+    check_with_ppigrf(13, [datetime.datetime(year, 1, 1) for year in range(2000, 2031, 5)])
+
+
+@pytest.mark.parametrize("degree", [4, pytest.param(13, marks=pytest.mark.long)])
+def test_the_field_is_regular_at_the_poles_and_free_of_sources(degree):
+    """The derivatives are symmetric, so rot b = 0, and their trace is 0, everywhere."""
+    field = orbits.earth_field(LOW, "2026-03-01", radius=R, degree=degree)
+    by_place = jax.jit(jax.vmap(jax.jacfwd(field_at, 1), (None, 0)))
+    slopes = np.asarray(by_place(field, R * jnp.array([[0, 0, 1.0], [0, 0, -1.1], [1.0, 0, 0], [0.3, -0.9, 0.6]])))
+    size = abs(slopes).max()
+    np.testing.assert_allclose(slopes, np.swapaxes(slopes, 1, 2), rtol=0, atol=1e-14 * size)
+    np.testing.assert_allclose(np.trace(slopes, axis1=1, axis2=2), 0, rtol=0, atol=1e-14 * size)
+
+
+def test_the_field_rotates_with_the_earth():
+    """After t the Earth has turned by ωt: b at the turned place is the turned b."""
+    field, t = orbits.earth_field(LOW, "2026-03-01", radius=R, degree=4), 3000.0
+    r = jnp.array([0.4 * R, -0.9 * R, 0.5 * R])
+    angle = float(orbits.earth_rotation_angle("2026-03-01")) + orbits.EARTH_RATE * t
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    found = dataclasses.replace(field, orbit=lambda t: (turn @ r, r))(t)
+    np.testing.assert_allclose(found, turn @ field_at(field, r), rtol=0, atol=1e-18)
+
+
+@pytest.mark.long
+def test_a_satellite_in_all_of_igrf_is_machine_code():
+    field = orbits.earth_field(LOW, "2026-03-01", radius=R, degree=13)
+    body = li.systems.torqued_body([0.10, 0.11, 0.08], li.torques.bdot(1e4, field))
+    start = body.state(angular_velocity=[0.1, 0.02, 0.05], t=0.0)
+    run = li.run(li.schemes.torqued_midpoint(body), start, 2.0, 50, save_every=50, progress=False)
+    assert run.engine == "native"
+    assert run.converged
+    path = li.integrate(run.step, start, 2.0, 50, save_every=50)
+    np.testing.assert_allclose(run.state.p[-1], path.state.p[-1], rtol=0, atol=1e-14)
+
+
+@given(st.datetimes(datetime.datetime(1950, 1, 1), datetime.datetime(2050, 1, 1)), st.sampled_from(["UTC", "UT1"]))
+def test_a_date_is_its_julian_date(moment, scale):
+    """To the 4e-5 s of a Julian date."""
+    date = dates.epoch(moment, scale)
+    for given_date in (date, str(date)):
+        assert orbits.earth_rotation_angle(given_date) == orbits.earth_rotation_angle(date.julian_date)
+        np.testing.assert_array_equal(orbits.sun_direction(given_date)(9.0), orbits.sun_direction(date.julian_date)(9.0))
+
+
+def test_dates_of_other_scales_serve_the_sun_alone():
+    day = np.array([2460676.5, 2460677.25])
+    np.testing.assert_array_equal(jax.jit(orbits.earth_rotation_angle)(day), [*map(orbits.earth_rotation_angle, day)])
+    assert np.abs(orbits.sun_direction("2025-01-01 TDB")(0.0) - orbits.sun_direction("2025-01-01")(0.0)).max() == 0
+    for use in (orbits.earth_rotation_angle, lambda date: orbits.earth_field(LOW, date, radius=R)):
+        with pytest.raises(ValueError, match="TT to UTC needs the table of leap seconds"):
+            use("2025-01-01 TT")
+    exact = float(orbits.earth_rotation_angle("2025-01-01T06:00"))
+    with jax.enable_x64(False):  # in float32 a Julian date has the digits of a quarter of a day
+        assert float(orbits.earth_rotation_angle("2025-01-01T06:00")) == pytest.approx(exact, rel=1e-7)
+        assert float(orbits.earth_rotation_angle(2460676.75)) == pytest.approx(exact, rel=1e-7)
+
+
+REFUSED = {
+    "degree": (dict(degree=14), "degree must be at most 13, the last one of IGRF, got 14"),
+    "no degree": (dict(degree=0), "degree must be an integer ≥ 1"),
+    "dipole": (dict(degree=2, coefficients=[0.1, 0.2, 0.9]), "degree must be at most 1 with the coefficients"),
+    "date": (dict(date="1999-12-31"), "IGRF-14 from 2000 to 2030, got the date 1999-12-31"),
+    "text": (dict(date="March"), "a date must be as in"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_igrf_does_not_have_is_refused(name):
+    arguments, what = REFUSED[name]
+    with pytest.raises(ValueError, match=what):
+        orbits.earth_field(LOW, **{"date": 2460676.5, "radius": R} | arguments)
