@@ -35,13 +35,18 @@ def _check_unit(value: list[float]) -> None:
         raise ValueError("must be a unit vector; divide it by its norm")
 
 
+def _unit_quaternion(value: list[float]) -> list[float]:
+    """The quaternion, normalized if it has few digits."""
+    return _checks.nearly_unit("quaternion", np.array(value)).tolist()
+
+
 PositiveFloat = Annotated[float, Field(gt=0)]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 PositiveTriple = Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
 Direction = Annotated[Triple, checked(_check_not_zero)]
 UnitVector = Annotated[Triple, checked(_check_unit)]
 Moments = Annotated[Triple, checked(_checks.inertia)]
-Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
 NonNegative = Annotated[float, Field(ge=0)]
 PositiveInt = Annotated[int, Field(gt=0, le=10**12)]
 Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
