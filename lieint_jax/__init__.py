@@ -27,6 +27,7 @@ A system and a scheme make a step; a step and states make a run.
 | `transition` | state transition matrices, sensitivities to parameters, linear covariance |
 | `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
+| `attitude` | attitudes from other conventions: scalar last, matrices, Euler angles, modified Rodrigues parameters |
 | `files`, `dates` | files that people bring and take away, and their dates |
 | `capabilities` | equations of motion, which systems inherit and schemes integrate |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
@@ -41,6 +42,7 @@ be used. `lieint list` on the command line lists systems, schemes and scenarios.
 
 from lieint_jax import (
     adjoints,
+    attitude,
     capabilities,
     dates,
     diagnostics,
@@ -83,6 +85,7 @@ __all__ = [
     "Trajectory",
     "__version__",
     "adjoints",
+    "attitude",
     "cache_programs",
     "capabilities",
     "dates",

@@ -38,6 +38,7 @@ class RotationLike(Protocol):
 
 Attitude = ArrayLike | Sequence[Any] | RotationLike
 UNIT_TOLERANCE = 1e-6
+PRINTED = 1e-4  # how far from unit length quaternions of four digits are
 _on_host: contextvars.ContextVar[bool] = contextvars.ContextVar("_on_host", default=False)
 _LARGEST_COUNT = 2**53  # beyond, counts are not exact as floating-point numbers
 
@@ -390,10 +391,14 @@ def _moments(array: Array) -> np.ndarray:
 
 
 def quaternions(attitude: Input) -> Input:
-    """The quaternions (w, x, y, z), (4,) or (N, 4), of a scipy `Rotation`; anything else as it is."""
-    if not (hasattr(attitude, "as_quat") and hasattr(attitude, "as_matrix")):
-        return attitude
-    return np.roll(np.asarray(attitude.as_quat()), 1, axis=-1)
+    """The quaternions (w, x, y, z) of a scipy `Rotation`, (4,) or (N, 4), or of a list of them; else what was given."""
+    if isinstance(attitude, list | tuple):
+        return [quaternions(one) for one in attitude] if any(map(_is_rotation, attitude)) else attitude
+    return np.roll(np.asarray(attitude.as_quat()), 1, axis=-1) if _is_rotation(attitude) else attitude
+
+
+def _is_rotation(attitude: Input) -> bool:
+    return hasattr(attitude, "as_quat") and hasattr(attitude, "as_matrix")
 
 
 def unit_vector(name: str, value: Input, *shapes: Sequence[int], like: Array | None = None) -> Array:
@@ -409,30 +414,62 @@ def unit_vector(name: str, value: Input, *shapes: Sequence[int], like: Array | N
     return vector
 
 
-def unit_quaternion(name: str, value: Input) -> Array:
-    """A quaternion (w, x, y, z) of unit length to 1e-6. It is not normalized."""
-    q = real_array(name, value, (4,))
-    if concrete(q):
-        norm = float(np.linalg.norm(np.asarray(q, float)))
-        if abs(norm - 1) > UNIT_TOLERANCE:
-            raise ValueError(
-                f"{name} must be a unit quaternion (w, x, y, z), the scalar part first: its norm is {norm:.9g}, "
-                f"allowed is 1 ± {UNIT_TOLERANCE:g}; divide it by its norm if it is meant as a direction"
-            )
-    return q
+def unit_quaternion(name: str, value: Input, *shapes: Sequence[int], leading: bool = False) -> Array:
+    """A unit quaternion (w, x, y, z), an array of them of one of `shapes`, or a scipy `Rotation`.
+
+    It is not normalized if it is of unit length to 1e-6. Up to 1e-4, as printed ones are, it is, with a RuntimeWarning.
+    With `leading`, any axes may stand before the last one.
+    """
+    value = quaternions(value)
+    q = with_leading(name, value, (4,)) if leading else real_array(name, value, *(shapes or ((4,),)))
+    if not concrete(q):
+        return q
+    host = np.asarray(q, float)
+    unit = nearly_unit(name, host)
+    return q if unit is host else as_array(unit, q.dtype)
 
 
-def rotation_matrix(name: str, value: Input) -> Array:
-    """A proper rotation matrix, orthogonal to 1e-6."""
-    R = real_array(name, value, (3, 3))
+def nearly_unit(name: str, q: np.ndarray, most: float = PRINTED) -> np.ndarray:
+    """Quaternions (…, 4) within `most` of unit length; normalized, with a RuntimeWarning, if beyond 1e-6."""
+    norms = np.linalg.norm(q, axis=-1)
+    if not norms.size or np.max(np.abs(norms - 1)) <= UNIT_TOLERANCE:
+        return q
+    worst = np.unravel_index(np.argmax(np.abs(norms - 1)), norms.shape)
+    which, norm = name + "".join(f"[{k}]" for k in worst), norms[worst]
+    if not abs(norm - 1) <= most:
+        raise ValueError(
+            f"{which} must be a unit quaternion (w, x, y, z), the scalar part first: its norm is {norm:.9g}, "
+            f"allowed is 1 ± {most:g}; divide it by its norm if it is meant as a direction"
+        )
+    warnings.warn(
+        f"{which} has the norm {norm:.9g}, as quaternions printed with few digits have: normalized",
+        RuntimeWarning,
+        stacklevel=4,
+    )
+    return q / norms[..., None]
+
+
+def rotation_matrix(name: str, value: Input, leading: bool = False) -> Array:
+    """A proper rotation matrix, orthogonal to 1e-6; with `leading`, an array of them; or a scipy `Rotation`."""
+    value = value.as_matrix() if _is_rotation(value) else value
+    R = with_leading(name, value, (3, 3)) if leading else real_array(name, value, (3, 3))
     if concrete(R):
         M = np.asarray(R, float)
-        defect = float(np.abs(M.T @ M - np.eye(3)).max())
+        defect = float(np.max(np.abs(np.swapaxes(M, -1, -2) @ M - np.eye(3)), initial=0))
         if defect > UNIT_TOLERANCE:
             raise ValueError(
                 f"{name} must be orthogonal: max|RᵀR − 1| is {defect:.3g}, allowed is {UNIT_TOLERANCE:g}; "
                 "project it with a polar or QR decomposition first"
             )
-        if np.linalg.det(M) < 0:
+        if np.any(np.linalg.det(M) < 0):
             raise ValueError(f"{name} must be a rotation, got a reflection (determinant −1)")
     return R
+
+
+def with_leading(name: str, value: Input, shape: tuple[int, ...]) -> Array:
+    """`value` as a real array of any leading axes and these last ones."""
+    array = real_array(name, value)
+    if array.shape[max(array.ndim - len(shape), 0) :] != shape:
+        wanted = f"(…, {', '.join(map(str, shape))})"
+        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+    return array

@@ -312,8 +312,8 @@ def _rotate(w: Scalar, v: vectors.VectorLike, u: vectors.VectorLike) -> vectors.
 def _length(*components: Array) -> Array:
     """√(x² + y² + …), with derivative 0 at 0."""
     square = sum(x * x for x in components[1:]) + components[0] * components[0]
-    positive = square > 0
-    return where(positive, jnp.sqrt(where(positive, square, 1)), 0)
+    zero = square == 0  # a NaN stays one
+    return where(zero, 0, jnp.sqrt(where(zero, 1, square)))
 
 
 def _arctan2(y: Scalar, x: Scalar) -> Array:

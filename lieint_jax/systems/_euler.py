@@ -67,8 +67,7 @@ class RightEuler(OnGroup, AbstractRightGeodesicFlow):
         """The state at a configuration, as for a left-invariant metric, except that `velocity` is the spatial one, ω.
 
         Args:
-            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion
-                (w, x, y, z) for `groups.so3`. By default the identity.
+            q: as for a left-invariant metric.
             velocity: spatial velocity ω, with π = mω, shape (d,).
             body_momentum: Π = Ad*_q π, shape (d,).
             spatial_momentum: π, shape (d,).

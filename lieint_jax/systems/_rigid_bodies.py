@@ -72,8 +72,8 @@ class _Many(AbstractManyBodies):
 
         Args:
             positions: positions of the centers of mass, (N, 3).
-            attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), or N scipy `Rotation`s,
-                body to space; by default the identity, (1, 0, 0, 0).
+            attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), or N scipy `Rotation`s
+                or a list of them, body to space; by default the identity, (1, 0, 0, 0).
             velocities: velocities of the centers of mass, (N, 3); by default 0.
             angular_velocities: Ω of each body in its own axes, radians per unit time, (N, 3); by default 0.
             t: the time; by default 0 for bodies with dissipation, otherwise None.
@@ -126,9 +126,7 @@ class _Many(AbstractManyBodies):
         if not concrete(state.q):
             return
         q = np.asarray(state.q)
-        lengths = np.linalg.norm(np.asarray(q[:, 3:], float), axis=1)
-        worst = int(np.argmax(np.abs(lengths - 1)))
-        _checks.unit_quaternion(f"the attitude of body {worst}", q[worst, 3:])
+        _checks.nearly_unit("state.q", np.asarray(q[:, 3:], float), _checks.UNIT_TOLERANCE)
         _check_places(q[:, :3])
 
 
@@ -256,11 +254,9 @@ def _attitudes(attitudes: _checks.Attitude | None, n: int, like: Array) -> Array
     if attitudes is None:
         return _checks.as_array(np.tile([1.0, 0, 0, 0], (n, 1)), like.dtype)
     given = _checks.real_array("attitudes", _checks.quaternions(attitudes), (n, 4), (n, 3, 3))
-    if concrete(given):
-        check = _checks.unit_quaternion if given.ndim == 2 else _checks.rotation_matrix
-        for i, one in enumerate(np.asarray(given)):
-            check(f"the attitude of body {i}", one)
-    return given
+    if given.ndim == 2:
+        return _checks.unit_quaternion("attitudes", given, (n, 4))
+    return _checks.rotation_matrix("attitudes", given, leading=True)
 
 
 def _check_places(x: np.ndarray) -> None:

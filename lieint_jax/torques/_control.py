@@ -44,7 +44,7 @@ class PDTrace(Law):
     Args:
         gain: k, a torque, > 0: small errors swing with √(k/J).
         damping: c ≥ 0, torque × time.
-        target: Λ_d, a unit quaternion.
+        target: Λ_d, a unit quaternion or a scipy `Rotation`.
 
     Raises:
         ValueError: a negative gain or damping, a target that is no unit quaternion.
@@ -88,7 +88,7 @@ class PDQuaternion(Law):
     Args:
         gain: k, a torque, > 0: small errors swing with √(k/2J).
         damping: c ≥ 0, torque × time.
-        target: q_d, a unit quaternion; −q_d is the other way round.
+        target: q_d, a unit quaternion or a scipy `Rotation`; −q_d is the other way round.
 
     Raises:
         ValueError: a negative gain or damping, a target that is no unit quaternion.

@@ -125,8 +125,9 @@ def pointing(
     wheels and to torquers. For a fixed target `pd_quaternion` and `pd_trace` have a potential.
 
     Args:
-        frame: the attitude to point to: a unit quaternion, or t ↦ a quaternion, which is normalized. If it has a method
-            `angular_velocity(t)`, in its own axes, that is used, else the derivative of the quaternion.
+        frame: the attitude to point to: a unit quaternion or a scipy `Rotation`, or t ↦ a quaternion, which is
+            normalized. If it has a method `angular_velocity(t)`, in its own axes, that is used, else the derivative of
+            the quaternion.
         gain: k ≥ 0, a torque, a number or (3,): small errors swing with √(k/2J).
         damping: c ≥ 0, torque × time, a number or (3,).
         inertia: J, (3,) or (3, 3), to add Ω × JΩ and J times the acceleration of the frame: the error then tends to 0

@@ -50,7 +50,10 @@ BAD = [
         r"bodies\.0: give mass_kg and moments_kg_m2, or",
     ),
     (dict(bodies=[body("A", 0.0, angular_velocity_deg=[0.0] * 3), body("B", 1.0)]), "angular_velocity_deg, not both"),
-    (dict(bodies=[body("A", 0.0, quaternion=[1.0, 1.0, 0.0, 0.0]), body("B", 1.0)]), r"bodies\.0: .*quaternion"),
+    (
+        dict(bodies=[body("A", 0.0, quaternion=[1.0, 1.0, 0.0, 0.0]), body("B", 1.0)]),
+        r"bodies\.0\.quaternion: .*unit quaternion",
+    ),
     (
         dict(bodies=[body("A", 0.0, quaternion=[1.0, 0.0, 0.0, 0.0], euler_313_deg=[1.0, 0, 0]), body("B", 1.0)]),
         "by quaternion or euler_313_deg, not both",
@@ -80,6 +83,14 @@ def test_a_bad_key_is_refused_by_a_sentence(keys, message):
     with pytest.raises(ValueError, match=message) as found:
         scenarios.parse(book(**keys), "mine.toml")
     assert "\n" not in str(found.value)
+
+
+def test_a_quaternion_of_five_digits_is_normalized_with_a_warning():
+    q = [0.73674, 0.57997, 0.13156, 0.32176]
+    with pytest.warns(RuntimeWarning, match=r"quaternion has the norm 0\.9999.*: normalized"):
+        found = scenarios.parse(book(bodies=[body("A", -1.0, quaternion=q), body("B", 2.0)]), "mine.toml")
+    np.testing.assert_allclose(found.bodies[0].quaternion, np.array(q) / np.linalg.norm(q), rtol=0, atol=1e-16)
+    assert scenarios.parse(found.model_dump(), "mine.npz") == found  # without a warning
 
 
 def test_the_scenario_stored_with_a_run_reads_back():

@@ -204,7 +204,7 @@ BAD = [
     (dict(title="title = "), "not valid TOML"),
     (
         dict(quaternion="quaternion = [2.0, 0.0, 0.0, 0.0]"),
-        "state: .*unit quaternion",
+        r"state\.quaternion: quaternion must be a unit quaternion",
     ),
     (dict(dt='dt = "0.1"'), "dt: .*'0.1'"),
     (

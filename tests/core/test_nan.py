@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lieint_jax import maps, measure, orbits, potentials, shapes, tides, torques
+from lieint_jax import attitude, maps, measure, orbits, potentials, shapes, tides, torques
 from lieint_jax.groups import so3
 from lieint_jax.types import Rotation
 
-MODULES = (orbits, torques, potentials, maps, measure, shapes, tides)
+MODULES = (attitude, orbits, torques, potentials, maps, measure, shapes, tides)
 T, Q, OMEGA = 0.7, so3.normalize(jnp.array([0.8, -0.3, 0.4, 0.2])), jnp.array([0.5, -0.3, 0.6])
 J = jnp.array([1.3, 1.7, 2.2])
 ELEMENTS = dict(mu=1.3, semi_major_axis=1.1, eccentricity=0.1, inclination=0.7)
@@ -90,6 +90,12 @@ AIR = dict(density=0.3, scale_height=0.1, height=0.1)
 MASSES, RADII = jnp.array([2.0, 1.0]), jnp.array([0.4, 0.2])
 CORNERS = jnp.array([[0.0, 0.1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.2]])
 CASES = {
+    **{f"attitude.{name}": (getattr(attitude, name), dict(q=Q)) for name in attitude.__all__ if name != "to_euler"},
+    "attitude.to_euler": (lambda q: attitude.to_euler("ZYX", q), dict(q=Q)),
+    "attitude.from_euler": (lambda angles: attitude.from_euler("zxz", angles), dict(angles=THETA)),
+    "attitude.from_matrix": (attitude.from_matrix, dict(R=ROTATIONS[0])),
+    "attitude.from_mrp": (attitude.from_mrp, dict(sigma=THETA)),
+    "attitude.from_rotvec": (attitude.from_rotvec, dict(rotvec=THETA)),
     "orbits.kepler": orbit_case(orbits.kepler, **ELEMENTS, **ANGLES),
     "orbits.kepler hyperbola": orbit_case(orbits.kepler, mu=1.3, semi_major_axis=-1.1, eccentricity=1.3, **ANGLES),
     "orbits.from_state": orbit_case(orbits.from_state, mu=1.3, position=ROWS[0], velocity=ROWS[1]),

@@ -36,7 +36,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("shapes",),
     ("_free_body",),
     ("phase_spaces",),
-    ("maps",),
+    ("attitude", "maps"),
     ("groups",),
     ("elliptic",),
     ("_numerics",),

@@ -304,7 +304,7 @@ def test_bad_arguments_of_bodies_raise_errors():
     for options, message in [
         (dict(positions=x[:1]), r"positions must have shape \(2, 3\)"),
         (dict(positions=0 * x), "bodies 0 and 1 are at the same position"),
-        (dict(positions=x, attitudes=np.ones((2, 4))), "the attitude of body 0 must be a unit quaternion"),
+        (dict(positions=x, attitudes=np.ones((2, 4))), r"attitudes\[0\] must be a unit quaternion"),
         (dict(positions=x, attitudes=np.ones((2, 5))), "attitudes must have shape"),
         (dict(positions=x, velocities=x * np.nan), "velocities must be finite"),
     ]:

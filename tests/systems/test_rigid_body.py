@@ -92,7 +92,7 @@ def test_pseudo_inertia_warns_and_is_not_refused():
 
 
 BAD_ATTITUDE = {
-    "unit quaternion": ([1.0, 0, 0, 1e-2], [0.0, 0, 0, 0], [1.00001, 0, 0, 0]),
+    "unit quaternion": ([1.0, 0, 0, 2e-2], [0.0, 0, 0, 0], [1.0002, 0, 0, 0]),
     "orthogonal": (np.eye(3) * 1.001, np.ones((3, 3))),
     "reflection": (np.diag([1.0, 1, -1]),),
     "finite": ([np.nan, 0, 0, 0], np.full((3, 3), np.inf)),
@@ -109,6 +109,8 @@ def test_a_bad_attitude_is_refused(message, value):
 def test_a_quaternion_nearly_of_unit_length_is_normalized():
     state = BODY.state([1.0 + 5e-7, 0, 0, 0], angular_velocity=OMEGA)
     assert state.q[0] == 1
+    with pytest.warns(RuntimeWarning, match=r"attitude has the norm 1\.00001, .*few digits have: normalized"):
+        assert BODY.state([1.00001, 0, 0, 0], angular_velocity=OMEGA).q[0] == 1
 
 
 def test_numbers_beyond_the_range_of_floats_are_refused():

@@ -11,7 +11,7 @@ from jax import Array
 from pydantic import model_validator
 
 from lieint_jax import _checks, maps
-from lieint_jax.app.scenarios._keys import GivenRate, Quadruple, RotationSpread, Triple, checked
+from lieint_jax.app.scenarios._keys import GivenRate, Quaternion, RotationSpread, Triple, checked
 from lieint_jax.app.scenarios._kind import Kind, step_of
 from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
@@ -21,7 +21,7 @@ from lieint_jax.types import State, Step
 class InitialState(GivenRate):
     """The nominal state: an attitude, given by one of two keys, and an angular velocity in the body."""
 
-    quaternion: Quadruple | None = None
+    quaternion: Quaternion | None = None
     """Attitude (w, x, y, z), body to space, of unit length."""
     euler_313_deg: Triple | None = None
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
@@ -30,8 +30,6 @@ class InitialState(GivenRate):
     def _check_attitude(self) -> Self:
         if (self.quaternion is None) == (self.euler_313_deg is None):
             raise ValueError("give the attitude by exactly one of quaternion and euler_313_deg")
-        if self.quaternion is not None:
-            _checks.unit_quaternion("quaternion", self.quaternion)
         return self
 
     def attitude(self) -> Any:

@@ -43,13 +43,18 @@ def _date_text(value: Any) -> Any:
     return dates.text_of(value) if isinstance(value, str | datetime.datetime) else value
 
 
+def _unit_quaternion(value: list[float]) -> list[float]:
+    """The quaternion, normalized if it has few digits."""
+    return _checks.nearly_unit("quaternion", np.array(value)).tolist()
+
+
 PositiveFloat = Annotated[float, Field(gt=0)]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 PositiveTriple = Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
 Direction = Annotated[Triple, checked(_check_not_zero)]
 UnitVector = Annotated[Triple, checked(_check_unit)]
 Moments = Annotated[Triple, checked(_checks.inertia)]
-Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
 NonNegative = Annotated[float, Field(ge=0)]
 PositiveInt = Annotated[int, Field(gt=0, le=10**12)]
 Date = Annotated[str, BeforeValidator(_date_text)]

@@ -26,7 +26,7 @@ from lieint_jax.app.scenarios._keys import (
     NumberSpread,
     PositiveFloat,
     Published,
-    Quadruple,
+    Quaternion,
     Table,
     Text,
     Triple,
@@ -73,7 +73,7 @@ class Body(ExtendedBody):
     """The position of the center of mass, in m."""
     velocity_m_s: Triple
     """The velocity of the center of mass, in m/s."""
-    quaternion: Quadruple | None = None
+    quaternion: Quaternion | None = None
     """Attitude (w, x, y, z), body to space, of unit length, instead of euler_313_deg."""
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
     published: dict[PublishedKey, Published] = {}
@@ -81,10 +81,8 @@ class Body(ExtendedBody):
 
     @model_validator(mode="after")
     def _check_attitude(self) -> Self:
-        if self.quaternion is not None:
-            if any(self.euler_313_deg):
-                raise ValueError("give the attitude by quaternion or euler_313_deg, not both")
-            _checks.unit_quaternion("quaternion", self.quaternion)
+        if self.quaternion is not None and any(self.euler_313_deg):
+            raise ValueError("give the attitude by quaternion or euler_313_deg, not both")
         return self
 
     def attitude(self) -> Array:

@@ -44,9 +44,9 @@ class Rotating(AbstractRotatingBody):
         Args:
             attitude: unit quaternion (w, x, y, z), the scalar part first, or rotation matrix (3, 3), or a
                 `scipy.spatial.transform.Rotation`, body to space. The identity is (1, 0, 0, 0); (0, 0, 0, 1), the
-                identity in the order of scipy's arrays, is a half rotation about z. A quaternion within 1e-6 of unit
-                length is normalized. Euler angles: `groups.so3.from_euler`; modified Rodrigues parameters:
-                `groups.so3.from_mrp`.
+                identity in the order of scipy's arrays, is a half rotation about z. A quaternion within 1e-4 of unit
+                length is normalized, beyond 1e-6 with a RuntimeWarning. Other orders and directions, Euler angles,
+                modified Rodrigues parameters: `li.attitude`.
             angular_velocity: body angular velocity Ω, radians per unit time, shape (3,).
             body_momentum: Π, in the body, shape (3,).
             spatial_momentum: π = ΛΠ, shape (3,).
@@ -65,7 +65,9 @@ class Rotating(AbstractRotatingBody):
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or the system is a batch of systems."""
         _checks.of_one_system("inertia", self.inertia)
-        _checks.unit_quaternion("state.q", state.q)
+        q = _checks.real_array("state.q", state.q, (4,))
+        if concrete(q):
+            _checks.nearly_unit("state.q", np.asarray(q, float), _checks.UNIT_TOLERANCE)
         _checks.real_array("state.p", state.p, (3,))
 
 
@@ -226,7 +228,7 @@ def _checked_attitude(attitude: Any) -> Quaternion:
     if np.shape(attitude) != (4,):
         raise ValueError(
             "attitude must be a quaternion (w, x, y, z), shape (4,), or a rotation matrix (3, 3) or one scipy "
-            f"Rotation, got shape {np.shape(attitude)}; Euler angles: so3.from_euler, modified Rodrigues parameters: "
-            "so3.from_mrp; use jax.vmap for batches"
+            f"Rotation, got shape {np.shape(attitude)}; Euler angles: li.attitude.from_euler, modified Rodrigues "
+            "parameters: li.attitude.from_mrp; use jax.vmap for batches"
         )
     return _checks.unit_quaternion("attitude", attitude)

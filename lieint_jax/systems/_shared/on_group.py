@@ -14,6 +14,7 @@ from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics.metric import flat
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractMetricSystem
+from lieint_jax.groups import so3
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.types import Group, State, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar
@@ -34,8 +35,8 @@ class OnGroup(AbstractMetricSystem):
         """The state at a configuration, with one of three ways to give the motion.
 
         Args:
-            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion
-                (w, x, y, z) for `groups.so3`. By default the identity.
+            q: a group element, shape (n, n), within 1e-6 of the group; for `groups.so3` an attitude as in `rigid_body`,
+                a unit quaternion (w, x, y, z) or a scipy `Rotation`. By default the identity.
             velocity: body velocity Ω, shape (d,).
             body_momentum: Π = mΩ, shape (d,).
             spatial_momentum: π, with Π = Ad*_q π, shape (d,).
@@ -43,7 +44,8 @@ class OnGroup(AbstractMetricSystem):
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or a q off the group.
         """
-        element = _checks.as_array(self.group.identity, self.metric.dtype) if q is None else _checks.real_array("q", q)
+        checked = _checks.unit_quaternion if self.group is so3 else _checks.real_array
+        element = _checks.as_array(self.group.identity, self.metric.dtype) if q is None else checked("q", q)
         _check_element("q", self.group, element)
         name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
         value = _checks.real_array(name, given, (self.group.dim,))
