@@ -14,7 +14,10 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.types import pytree
 
-_MODEST, _FACTOR = 0.02, 0.7  # disagreements that are a warning and an error; of 6 entries a revolution it is below 1e-3
+_MODEST, _FACTOR = (
+    0.02,
+    0.7,
+)  # disagreements that are a warning and an error; of 6 entries a revolution it is below 1e-3
 
 
 @pytree
