@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import jax.numpy as jnp
@@ -12,6 +13,11 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.types import pytree
+
+_MODEST, _FACTOR = (
+    0.02,
+    0.7,
+)  # disagreements that are a warning and an error; of 6 entries a revolution it is below 1e-3
 
 
 @pytree
@@ -41,6 +47,39 @@ class Table:
         bend = step - h * va - ends
         return ra + s * (h * va + s * (bend + s * ends)), va + s * (2 * bend + 3 * s * ends) / h
 
+    def disagreement(self) -> tuple[float, str]:
+        """How far positions and velocities disagree, and a sentence about it, which is empty up to 0.02.
+
+        Between two entries the positions move by Δ, the trapezoidal rule of the velocities gives D. The disagreement is
+        the median of (|Δ − D| − E)/max(|Δ|, |D|). E is twice the error of this rule, from second differences of the
+        velocities, and 1e-6 of the distance from the center for round-off.
+        """
+        t, r, v = (np.asarray(x, float) for x in (self.times, self.positions, self.velocities))
+        h, moved, swept = np.diff(t), np.diff(r, axis=0), np.diff(t)[:, None] * (v[1:] + v[:-1]) / 2
+        slopes = np.diff(v, axis=0) / h[:, None]
+        if len(t) > 3:
+            curved = np.linalg.norm(np.diff(slopes, axis=0), axis=1) * 2 / (h[1:] + h[:-1])
+            curved = np.maximum(np.append(curved[:1], curved), np.append(curved, curved[-1:]))
+        else:  # too few for second differences: within a sixth of a revolution v'' is less than 3 |Δv|/h²
+            curved = 3 * np.linalg.norm(slopes, axis=1) / h
+        lengths, given = np.linalg.norm(moved, axis=1), np.linalg.norm(swept, axis=1)
+        excess = np.linalg.norm(moved - swept, axis=1) - h**3 * curved / 6 - 1e-6 * np.linalg.norm(r[1:], axis=1)
+        parts = np.maximum(excess, 0) / np.maximum(np.maximum(lengths, given), np.finfo(float).tiny)
+        found, k = float(np.median(parts)), int(np.argsort(parts)[len(parts) // 2])
+        if found <= _MODEST:
+            return found, ""
+        move = f"from t = {t[k]:g} to {t[k + 1]:g} the positions move by {lengths[k]:.3g}, the velocities give "
+        return found, (
+            f"positions and velocities disagree: {move}{given[k]:.3g} along {_angle(moved[k], swept[k]):.0f}° from "
+            "there; they must have the same unit of length, the unit of time of the times and the same axes, which do "
+            "not rotate, and at least six entries a revolution"
+        )
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> float:
+    """The angle between two vectors, in degrees."""
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
 
 def table(times: Any, positions: Any, velocities: Any) -> Table:
     """An orbit through given positions with given velocities: a cubic between two entries, C¹ (Hermite).
@@ -53,18 +92,38 @@ def table(times: Any, positions: Any, velocities: Any) -> Table:
         positions, velocities: at these times, (n, 3).
 
     Raises:
-        ValueError: times that do not increase, shapes that do not agree, values that are not finite.
+        ValueError: times that do not increase, shapes that do not agree, values that are not finite, or positions and
+            velocities that disagree by a factor, such as km with m/s. A modest disagreement, such as that of positions
+            of a rotating frame near the Earth with velocities of an inertial one, is a warning.
     """
+    found = _entries(times, positions, velocities)
+    if concrete(found):
+        disagreement, sentence = found.disagreement()
+        if disagreement > _FACTOR:
+            raise ValueError(sentence)
+        if sentence:
+            warnings.warn(sentence, stacklevel=2)
+    return found
+
+
+def _entries(times: Any, positions: Any, velocities: Any) -> Table:
+    """The table of checked entries, whose velocities may be anything."""
     t = _checks.real_array("times", times)
     if t.ndim != 1 or len(t) < 2:
         raise ValueError(f"times must have shape (n,) with n ≥ 2, got {t.shape}")
     if concrete(t) and not (np.diff(np.asarray(t)) > 0).all():
         k = int(np.argmin(np.diff(np.asarray(t)) > 0))
         raise ValueError(f"times must increase, got {float(t[k])} before {float(t[k + 1])}, entries {k} and {k + 1}")
-    shape = (len(t), 3)
-    return Table(
-        t, _checks.real_array("positions", positions, shape), _checks.real_array("velocities", velocities, shape)
-    )
+    return Table(t, _vectors("positions", positions, t), _vectors("velocities", velocities, t))
+
+
+def _vectors(name: str, given: Any, t: Array) -> Array:
+    """Vectors at the times t, (n, 3), finite where they are concrete."""
+    found = _checks.real_array(name, given, (len(t), 3), finite=False)
+    if concrete(found) and not np.isfinite(np.asarray(found)).all():
+        k, i = np.argwhere(~np.isfinite(np.asarray(found)))[0]
+        raise ValueError(f"{name} must be finite, got {float(found[k, i])} in entry {k}, component {i}")
+    return found
 
 
 @pytree
@@ -95,7 +154,7 @@ def vector_table(times: Any, values: Any) -> VectorTable:
         >>> field(2.0).tolist()
         [4.0, 1.0, 0.0]
     """
-    found = table(times, values, jnp.zeros_like(jnp.asarray(values)))
+    found = _entries(times, values, jnp.zeros_like(jnp.asarray(values)))
     if len(found.times) < 3:
         raise ValueError(f"times must have at least 3 entries, got {len(found.times)}")
     return VectorTable(Table(found.times, found.positions, _slopes(found.times, found.positions)))

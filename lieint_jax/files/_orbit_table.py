@@ -1,0 +1,58 @@
+"""An orbit that a file gives: a table with its epoch and its axes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+from lieint_jax import _checks, orbits
+from lieint_jax._text import Text
+from lieint_jax.dates import Epoch
+from lieint_jax.types import pytree, static
+
+
+@pytree
+class OrbitTable(orbits.Table):
+    """The orbit of a file: `orbit(t)` is the position and the velocity, in km and km/s, t s after the epoch.
+
+    Between two entries it is a cubic, as in `orbits.table`, whatever interpolation the file recommends. JAX holds 7
+    digits without `jax_enable_x64`, so that positions near the Earth are then right to 0.5 m.
+
+    Attributes:
+        times: the times of the entries in seconds since the epoch, (n,), the first being 0.
+        positions, velocities: in km and km/s, (n, 3).
+        epoch: the date of t = 0.
+        frame: the axes, as the file calls them, such as "EME2000", "TEME" or "Ecliptic of J2000.0".
+        center: the body at the origin.
+        object: the name of what moves.
+    """
+
+    epoch: Epoch = static()
+    frame: str = static()
+    center: str = static()
+    object: str = static()
+
+
+def orbit_table(
+    text: Text, epoch: Epoch, times: np.ndarray, states: np.ndarray, facts: Sequence[str], units: bool = False
+) -> OrbitTable:
+    """The orbit with these entries, positions and velocities as (n, 6) and frame, center and object as `facts`.
+
+    Positions and velocities that disagree by a factor are an error if `units` were given by a person, else a warning.
+    """
+    if len(times) < 2:
+        text.fail(0, "an orbit needs at least two entries, there is one: the file is cut short")
+    t, r, v = (_checks.real_array("entries", x) for x in (times, states[:, :3], states[:, 3:]))
+    if not (np.diff(np.asarray(t)) > 0).all():
+        text.fail(0, "its times need float64: call jax.config.update('jax_enable_x64', True) first")
+    found = OrbitTable(t, r, v, epoch, *facts)
+    if units:
+        try:
+            orbits.table(t, r, v)
+        except ValueError as error:
+            text.fail(0, str(error))
+    elif sentence := found.disagreement()[1]:
+        warnings.warn(f"{text.name}: {sentence}", stacklevel=3)
+    return found
