@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -44,7 +45,7 @@ def _by_trimesh(path: Path) -> tuple:
             f"{path} needs the package trimesh (pip install trimesh); without it {', '.join(shapes.ENDINGS)} are read"
         ) from error
     try:
-        found = trimesh.load(path, force="mesh")
+        found: Any = trimesh.load(path, force="mesh")
         found.merge_vertices()
         return found.vertices, found.faces
     except Exception as error:  # each of its readers raises its own

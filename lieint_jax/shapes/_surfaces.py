@@ -333,7 +333,7 @@ class _Element(NamedTuple):
 
 def _read_ply(name: str, data: bytes) -> _Triangles:
     """The elements "vertex" and "face" of a file PLY."""
-    found = re.search(rb"^end_header[ \t]*(\r\n|\n|\r)", data, re.MULTILINE)
+    found = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data)
     head = decode(name, data[: found.end()] if found else data[:200])
     if not found or head.lines[0].strip() != "ply":
         head.fail(1, 'a PLY file must begin with a line "ply" and have a line "end_header"')
