@@ -376,8 +376,13 @@ def positive_definite(name: str, value: Input, d: int = 3) -> Array:
     if J.ndim == 2 and not _symmetric(J):
         raise ValueError(f"{name} must be symmetric, got\n{J}\nUse (A + A.T) / 2 if the difference is noise")
     moments = _moments(array)
-    if moments[0] <= 0:
-        raise ValueError(f"{name} must be positive definite, got principal values {moments}")
+    rounding = 4 * float(jnp.finfo(array.dtype).eps) * moments[-1] if J.ndim == 2 else 0.0
+    if moments[0] <= rounding:
+        straight = "; a straight molecule takes a small axial_moment, as in files.Atoms.shape" if d == 3 else ""
+        raise ValueError(
+            f"{name} must be positive definite, got principal values {moments}"
+            f"{straight if abs(moments[0]) <= rounding else ''}"
+        )
     return array
 
 

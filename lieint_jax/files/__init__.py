@@ -6,25 +6,42 @@
 | attitudes: CCSDS AEM | `read_aem` | `write_aem` |
 | mean elements of SGP4: TLE, CCSDS OMM | `read_tle`, `read_omm` | |
 | an orbit: vector tables of JPL Horizons, CSV | `read_horizons`, `read_ephemeris_csv` | |
+| shapes of triangles: OBJ, STL, PLY, DAMIT, PDS; others with trimesh | `read_shape` | |
+| robots: URDF, MJCF | `read_urdf_inertia`, `read_mjcf_inertia` | |
+| molecules: xyz, PDB | `read_molecule`, `read_molecules` | |
+| light curves: DAMIT, ALCDEF | `read_light_curves` | |
 """
 
 from lieint_jax.files._aem import Attitudes, read_aem, write_aem
 from lieint_jax.files._horizons import read_ephemeris_csv, read_horizons
+from lieint_jax.files._light_curves import LightCurve, read_light_curves
+from lieint_jax.files._molecules import Atoms, Superposition, read_molecule, read_molecules
 from lieint_jax.files._oem import read_oem, write_oem
 from lieint_jax.files._orbit_table import OrbitTable
+from lieint_jax.files._robots import read_mjcf_inertia, read_urdf_inertia
+from lieint_jax.files._shapes import read_shape
 from lieint_jax.files._tle import Elements, MeanElements, read_omm, read_tle
 
-__all__: list[str] = [
+__all__ = [
+    "Atoms",
     "Attitudes",
     "Elements",
+    "LightCurve",
     "MeanElements",
     "OrbitTable",
+    "Superposition",
     "read_aem",
     "read_ephemeris_csv",
     "read_horizons",
+    "read_light_curves",
+    "read_mjcf_inertia",
+    "read_molecule",
+    "read_molecules",
     "read_oem",
     "read_omm",
+    "read_shape",
     "read_tle",
+    "read_urdf_inertia",
     "write_aem",
     "write_oem",
 ]

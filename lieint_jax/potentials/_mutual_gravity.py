@@ -189,8 +189,8 @@ def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int
         order: 2, 3 or 4.
 
     Raises:
-        ValueError: there are fewer than two bodies, one is neither a shape nor a mass, a mass is not positive, or the
-            order is not one of these.
+        ValueError: there are fewer than two bodies, one is neither a shape nor a mass, a mass is not positive, the
+            order is not one of these, or the moments of a shape are not known to this order.
 
     Source: Hou, Scheeres & Xin 2016, Celest. Mech. Dyn. Astron. 127, the same expansion by inertia integrals; here by
     trace-free moments.
@@ -199,15 +199,19 @@ def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int
         raise ValueError(f"order must be 2, 3 or 4, got {order!r}")
     if not isinstance(shapes, Sequence) or len(shapes) < 2:
         raise ValueError(f"shapes must be a list of two or more shapes or masses, got {shapes!r}")
-    bodies = [_moments(k, shape) for k, shape in enumerate(shapes)]
+    bodies = [_moments(k, shape, order) for k, shape in enumerate(shapes)]
     masses, second, third, fourth = (jnp.stack(column) for column in zip(*bodies, strict=True))
     return MutualGravity(_checks.real_array("G", G, ()), masses, second, third, fourth, order)
 
 
-def _moments(k: int, shape: Any) -> tuple[Array, ...]:
-    """The mass and the trace-free moments of a body."""
+def _moments(k: int, shape: Any, order: int) -> tuple[Array, ...]:
+    """The mass and the trace-free moments of a body, those above the order, which are not used, 0."""
     if isinstance(shape, Shape):
-        mass, *moments = (shape.moments(n) for n in (0, 2, 3, 4))
+        mass = shape.mass
+        try:
+            moments = [shape.moments(n) if n <= order else jnp.zeros((3,) * n, mass.dtype) for n in (2, 3, 4)]
+        except ValueError as error:
+            raise ValueError(f"gravity to order {order} needs more of shapes[{k}]: {error}") from error
     else:
         mass = _checks.real_array(f"shapes[{k}], if it is not a shape, the mass of a point,", shape, ())
         moments = [jnp.zeros((3,) * n, mass.dtype) for n in (2, 3, 4)]

@@ -4,8 +4,9 @@
 |---|---|
 | `ellipsoid`, `box`, `cylinder` | homogeneous solids, in closed form |
 | `sites` | point masses |
+| `body` | given mass, center and inertia |
 | `mesh`, `obj` | a homogeneous polyhedron of triangles, from arrays or a file |
-| `surface` | the vertices and triangles of a file, OBJ or STL |
+| `surface` | the vertices and triangles of a file: OBJ, STL, PLY, plate models of DAMIT and the PDS |
 | `facets`, `ellipsoid_facets`, `box_facets` | the surface of a convex body, for light curves (`li.measure`) |
 
 Shapes can be added with `+` and placed with `moved`. Every system, potential or torque that needs an inertia accepts a
@@ -13,12 +14,15 @@ shape. All moments and facets are differentiable with respect to semi-axes, poin
 """
 
 from lieint_jax.shapes._facets import Facets, box_facets, ellipsoid_facets, facets
-from lieint_jax.shapes._solids import Shape, box, cylinder, ellipsoid, mesh, obj, sites, surface
+from lieint_jax.shapes._solids import Shape, body, box, cylinder, ellipsoid, mesh, sites
 from lieint_jax.shapes._solids import trace_free as trace_free
+from lieint_jax.shapes._surfaces import ENDINGS as ENDINGS
+from lieint_jax.shapes._surfaces import obj, surface
 
 __all__ = [
     "Facets",
     "Shape",
+    "body",
     "box",
     "box_facets",
     "cylinder",

@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -26,27 +24,28 @@ from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.types import pytree, static
 
-__all__ = ["Shape", "box", "closed_surface", "cylinder", "ellipsoid", "mesh", "obj", "sites", "surface", "trace_free"]
+__all__ = ["Shape", "body", "box", "closed_surface", "cylinder", "ellipsoid", "mesh", "sites", "trace_free"]
 
 ORDER = 4  # the highest moments of a shape
 
 
 @pytree
 class Shape:
-    """A distribution of mass, by its moments. Made by `ellipsoid`, `box`, `cylinder`, `sites`, `mesh` and `obj`.
+    """A distribution of mass, by its moments. Made by `ellipsoid`, `box`, `cylinder`, `sites`, `mesh`, `obj`, `body`.
 
     Attributes:
         mass: the mass, a scalar.
         center: the center of mass, in the axes of the shape, (3,).
-        second, third, fourth: ∫ r⊗…⊗r dm about the center, (3, 3), (3, 3, 3) and (3, 3, 3, 3).
+        second, third, fourth: ∫ r⊗…⊗r dm about the center, (3, 3), (3, 3, 3) and (3, 3, 3, 3); the last two are None
+            where they are not known, as of `body`.
         diagonal: whether the axes of the shape are known to be principal axes.
     """
 
     mass: Array
     center: Array
     second: Array
-    third: Array
-    fourth: Array
+    third: Array | None
+    fourth: Array | None
     diagonal: bool = static(default=False)
 
     @property
@@ -64,11 +63,17 @@ class Shape:
             order: 0 (the mass) to 4; the moments of order 1 are 0.
 
         Raises:
-            ValueError: `order` is not one of these.
+            ValueError: `order` is not one of these, or the moments of this order are not known.
         """
         if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= ORDER:
             raise ValueError(f"order must be an integer from 0 to {ORDER}, got {order!r}")
-        return self._about_center()[order]
+        known = self._about_center()
+        if order >= len(known):
+            raise ValueError(
+                f"the moments of order {order} are not known of a body that is given by mass, center and inertia, but "
+                "only those to order 2"
+            )
+        return known[order]
 
     def principal_axes(self) -> tuple[Array, Array]:
         """The principal moments of inertia, ascending, (3,), and the rotation to the shape's axes, (3, 3).
@@ -101,9 +106,12 @@ class Shape:
 
     def _rotate(self, R: Array) -> Shape:
         second = jnp.einsum("ai,bj,ij->ab", R, R, self.second)
+        center = jnp.sum(R * self.center, axis=1)
+        if self.third is None or self.fourth is None:
+            return Shape(self.mass, center, second, None, None)
         third = jnp.einsum("ai,bj,ck,ijk->abc", R, R, R, self.third)
         fourth = jnp.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, self.fourth)
-        return Shape(self.mass, jnp.sum(R * self.center, axis=1), second, third, fourth)
+        return Shape(self.mass, center, second, third, fourth)
 
     def __add__(self, other: Shape) -> Shape:
         """Both bodies joined into one; a body of negative mass is a cavity."""
@@ -112,11 +120,14 @@ class Shape:
         mass = self.mass + other.mass
         center = (self.mass * self.center + other.mass * other.center) / mass
         parts = [_shift_moments(part._about_center(), part.center - center) for part in (self, other)]
-        _, _, second, third, fourth = (a + b for a, b in zip(*parts, strict=True))
+        second, *higher = [a + b for a, b in zip(*parts, strict=False)][2:]  # as far as both are known
+        third, fourth = higher or (None, None)
         return Shape(mass, center, second, third, fourth)
 
     def _about_center(self) -> tuple[Array, ...]:
-        return self.mass, jnp.zeros_like(self.center), self.second, self.third, self.fourth
+        """The moments of orders 0, 1, … that are known."""
+        known = self.mass, jnp.zeros_like(self.center), self.second
+        return known if self.third is None or self.fourth is None else (*known, self.third, self.fourth)
 
 
 def ellipsoid(semi_axes: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None) -> Shape:
@@ -201,6 +212,34 @@ def sites(masses: ArrayLike, points: ArrayLike) -> Shape:
     )
 
 
+def body(*, mass: ArrayLike, inertia: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> Shape:
+    """A body of given mass, center and inertia, such as a data sheet or a CAD program states them.
+
+    Its moments of orders 3 and 4 are not known: `potentials.mutual_gravity` takes it to order 2. Sums and rotations
+    follow from the theorem of parallel axes.
+
+    Args:
+        mass: > 0, a scalar.
+        inertia: about the center, in the axes of the shape: principal moments (3,), or a symmetric tensor (3, 3). With
+            products of inertia P_xy = ∫ x y dm, its off-diagonal elements are −P_xy.
+        center: the center of mass, (3,).
+
+    Raises:
+        ValueError: the mass or the inertia is not positive, or the tensor is not symmetric. A warning says that the
+            moments break the triangle inequality: no body has them.
+
+    Example: two of them, joined.
+
+        >>> half = body(mass=2.0, inertia=[1.0, 2.0, 3.0], center=[1.0, 0.0, 0.0])
+        >>> (half + half.moved([-2.0, 0.0, 0.0])).inertia.diagonal().tolist()
+        [2.0, 8.0, 10.0]
+    """
+    m, J = _checks.positive("mass", mass), _checks.inertia(inertia)
+    squares = jnp.sum(J) / 2 - J if J.ndim == 1 else jnp.trace(J) / 2 * jnp.eye(3, dtype=J.dtype) - J
+    second = jnp.diag(squares) if J.ndim == 1 else squares
+    return Shape(m, _checks.real_array("center", center, (3,), like=J), second, None, None, J.ndim == 1)
+
+
 def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, density: ArrayLike | None = None) -> Shape:
     """A homogeneous polyhedron, bounded by triangles.
 
@@ -241,45 +280,7 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     return Shape(total, reference + to_center, second, third, fourth)
 
 
-def obj(
-    path: str | Path, *, mass: ArrayLike | None = None, density: ArrayLike | None = None, scale: float = 1.0
-) -> Shape:
-    """The homogeneous polyhedron of a Wavefront OBJ file, as planetary archives distribute shapes of asteroids.
-
-    Polygons are cut into triangles, and vertices that are written twice are merged.
-
-    Args:
-        path: the path of the file.
-        mass, density: exactly one of them, a scalar; a density refers to the unit of length after scaling.
-        scale: the factor from the file's unit of length to yours: 1000 from km to m.
-
-    Raises:
-        ValueError: the file has no vertices or no faces, or a line that is not OBJ; and the errors of `mesh`.
-    """
-    vertices, faces = _read_obj(Path(path))
-    return mesh(scale * vertices, faces, mass=mass, density=density)
-
-
-def surface(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """The triangles of a file, Wavefront OBJ or STL (text or binary), for `mesh` or to draw.
-
-    Args:
-        path: a path that ends in .obj or .stl.
-
-    Returns:
-        The vertices (V, 3), those at one place merged, and the indices of the vertices of each triangle, (F, 3).
-
-    Raises:
-        ValueError: another ending, no triangles, or a line of another format.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in (".obj", ".stl"):
-        raise ValueError(f"a surface is read from a file .obj or .stl, got {path}")
-    return _read_obj(path) if path.suffix.lower() == ".obj" else _read_stl(path)
-
-
 _SAMPLES = 16  # faces of a part of a surface whose centers decide whether it lies inside another
-_STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 # ⟨x_i² x_j²⟩ over the squares of the lengths i and j
 _ELLIPSOID = (np.ones((3, 3)) + 2 * np.eye(3)) / 35
@@ -472,54 +473,3 @@ def _inside(points: np.ndarray, corners: np.ndarray) -> bool:
     volume = np.einsum("...i,...i->...", a, np.cross(b, c))
     turns = np.arctan2(volume, la * lb * lc + sum(dots)).sum(axis=1) / (2 * math.pi)
     return bool(np.all(np.abs(turns) > 0.5))
-
-
-def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices and the triangles of an OBJ file, vertices at one place merged."""
-    vertices: list[list[float]] = []
-    faces: list[list[int]] = []
-    written: list[tuple[int, str]] = []  # the line of each triangle
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
-        kind, *words = line.split("#")[0].split() or [""]
-        try:
-            if kind == "v":
-                vertices.append([float(x) for x in words[:3]])
-            elif kind == "f":
-                corners = [int(word.split("/")[0]) for word in words]
-                corners = [k - 1 if k > 0 else len(vertices) + k if k else -1 for k in corners]
-                faces += [[corners[0], b, c] for b, c in itertools.pairwise(corners[1:])]
-                written += [(number, line)] * (len(faces) - len(written))
-        except (ValueError, IndexError) as error:
-            raise ValueError(f"line {number} of {path} must be a line of an OBJ file, got {line!r}") from error
-    if not vertices or not faces or any(len(v) < 3 for v in vertices):
-        raise ValueError(
-            f"{path} must have vertices (v x y z) and faces (f i j k), got {len(vertices)} and {len(faces)}"
-        )
-    indices = np.array(faces)
-    wrong = np.flatnonzero((indices < 0).any(axis=1) | (indices >= len(vertices)).any(axis=1))
-    if len(wrong):
-        number, line = written[wrong[0]]
-        raise ValueError(
-            f"line {number} of {path} must have indices of vertices, from 1 to {len(vertices)}, or from −1 back to the "
-            f"first one above, got {line!r}"
-        )
-    places, merged = np.unique(np.array(vertices), axis=0, return_inverse=True)
-    triangles = merged.reshape(-1)[indices]
-    return places, triangles
-
-
-def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices and the triangles of an STL file, in text or binary, vertices at one place merged."""
-    data = path.read_bytes()
-    if len(data) == 84 + _STL.itemsize * int.from_bytes(data[80:84], "little"):
-        corners = np.frombuffer(data, _STL, offset=84)["corners"].astype(float)
-    else:
-        rows = re.findall(r"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", data.decode("utf-8", "replace"), re.MULTILINE)
-        try:
-            corners = np.array(rows, float).reshape(-1, 3, 3)
-        except ValueError as error:
-            raise ValueError(f"{path} must have three vertices of three numbers per triangle: {error}") from error
-    if not corners.size or not np.isfinite(corners).all():
-        raise ValueError(f"{path} must have triangles of finite numbers, as STL in text or binary, got {len(corners)}")
-    places, merged = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    return places, merged.reshape(-1, 3)

@@ -280,6 +280,7 @@ CASES = {
     "measure.mean_rate": (measure.mean_rate, dict(t=TIMES, angle=ROWS)),
     "measure.orbit_axes": (lambda t, r: measure.orbit_axes(circle(r), t), dict(t=T, r=1.2)),
     "shapes.mesh": (lambda at, mass: shapes.mesh(at, TETRAHEDRON, mass=mass), dict(at=CORNERS, mass=2.0)),
+    "shapes.body": (shapes.body, dict(mass=2.0, inertia=J, center=THETA)),
     "shapes.sites": (shapes.sites, dict(masses=MASSES, points=POSITIONS)),
     **{
         f"tides.{name}": (

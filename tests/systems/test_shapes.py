@@ -249,10 +249,10 @@ def test_stl_files_are_read_in_text_and_binary(tmp_path):
         assert vertices.shape == (8, 3)
         np.testing.assert_array_equal(vertices[faces], triangles)
     text.write_text("solid cube\n vertex 0 0 x\n vertex 1 0 0\n vertex 0 1 0")
-    with pytest.raises(ValueError, match=r"cube\.stl must have three vertices of three numbers"):
+    with pytest.raises(ValueError, match=r"cube\.stl, line 2: a coordinate must be a finite number, got 'x'"):
         shapes.surface(text)
     binary.write_bytes(binary.read_bytes()[:-1])
-    with pytest.raises(ValueError, match=r"binary\.STL must have triangles"):
+    with pytest.raises(ValueError, match=r"binary\.STL: 12 triangles of 50 bytes must follow"):
         shapes.surface(binary)
 
 
@@ -272,10 +272,10 @@ def test_obj_files_are_read(tmp_path):
     np.testing.assert_allclose(cube.center, [500.0] * 3, rtol=1e-14)
     for index in (-9, 0, 9):
         path.write_text("\n".join([*lines[:8], f"f 1 2 {index}"]))
-        with pytest.raises(ValueError, match=f"line 9 of .*cube.obj must have indices.* got 'f 1 2 {index}'"):
+        with pytest.raises(ValueError, match=f"cube.obj, line 9: a face must have indices.* got .*{index}"):
             shapes.obj(path, mass=1.0)
     path.write_text("v 1 2 x\nf 1 1 1")
-    with pytest.raises(ValueError, match=r"line 1 of .*cube.obj must be a line of an OBJ file, got 'v 1 2 x'"):
+    with pytest.raises(ValueError, match=r"cube.obj, line 1: a coordinate must be a finite number, got 'x'"):
         shapes.obj(path, mass=1.0)
 
 
@@ -285,6 +285,40 @@ def test_single_precision_stays_single_and_has_its_digits():
     double, single = (shapes.mesh(jnp.asarray(at, dtype), faces, mass=2.0) for dtype in ("float64", "float32"))
     assert {x.dtype for x in jax.tree.leaves(single)} == {np.dtype("float32")}
     assert_same(single, double, 2e-6)  # observed 4e-7
+
+
+def test_bodies_of_given_inertia_join_as_solids_do():
+    """A box is eight of its octants, each given by mass, center and inertia alone, moved and rotated together."""
+    edges, R = np.array([3.0, 2.0, 1.0]), np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    R *= np.linalg.det(R)
+    octant = shapes.box(edges / 2, mass=1.5)
+    parts = [
+        shapes.body(mass=1.5, inertia=J, center=center)
+        for k, center in enumerate((CUBE - 0.5) * edges / 2)
+        for J in [octant.inertia if k % 2 else jnp.diag(octant.inertia)]
+    ]
+    found, exact = (x.moved([1.0, 2.0, 3.0], R) for x in (sum(parts[1:], parts[0]), shapes.box(edges, mass=12.0)))
+    assert float(found.mass) == 12.0
+    np.testing.assert_allclose(found.center, exact.center, rtol=1e-14)
+    np.testing.assert_allclose(found.inertia, exact.inertia, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.moments(2), exact.moments(2), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.aligned().inertia, exact.aligned().inertia, rtol=1e-13)
+    assert parts[1].diagonal
+    np.testing.assert_array_equal(parts[1].inertia, octant.inertia)
+
+
+def test_moments_that_are_not_known_are_refused_by_name():
+    given = shapes.body(mass=2.0, inertia=[1.0, 1.2, 1.4])
+    solid = shapes.ellipsoid(np.sqrt([0.8 * 2.5, 0.6 * 2.5, 0.4 * 2.5]), mass=2.0)
+    for unknown in (given, solid + given.moved([1.0, 0, 0])):
+        assert unknown.third is None
+        with pytest.raises(ValueError, match="moments of order 3 are not known of a body that is given by mass"):
+            unknown.moments(3)
+        with pytest.raises(ValueError, match=r"gravity to order 4 needs more of shapes\[1\]: the moments of order 3"):
+            li.potentials.mutual_gravity(1.0, [solid, unknown])
+    found, exact = (li.potentials.mutual_gravity(1.0, [x, 1.0], 2) for x in (given, solid))
+    np.testing.assert_allclose(found.second, exact.second, rtol=0, atol=1e-15)
+    assert not found.third.any()
 
 
 @pytest.mark.long
@@ -317,6 +351,9 @@ def test_systems_and_potentials_accept_a_shape():
         (lambda: shapes.sites([1.0, -1.0], [[0, 0, 0], [1, 0, 0]]), "total mass must be positive"),
         (lambda: shapes.box([1, 2, 1], mass=1.0).moments(5), "order must be an integer from 0 to 4"),
         (lambda: shapes.box([1, 2, 1], mass=0.0), "mass must not be 0"),
+        (lambda: shapes.body(mass=0.0, inertia=[1, 1, 1]), "mass must be positive"),
+        (lambda: shapes.body(mass=1.0, inertia=[1, 1, 0]), "inertia must be positive definite"),
+        (lambda: shapes.body(mass=1.0, inertia=np.eye(3), center=[0, np.nan, 0]), "center must be finite"),
     ],
 )
 def test_bad_arguments(make, sentence):

@@ -1,0 +1,257 @@
+"""Molecules from files of xyz and PDB, as rigid bodies."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks, shapes
+from lieint_jax._text import Text, read_text
+
+__all__ = ["Atoms", "Superposition", "read_molecule", "read_molecules"]
+
+_WEIGHTS = """
+H 1.008 He 4.0026 Li 6.94 Be 9.0122 B 10.81 C 12.011 N 14.007 O 15.999 F 18.998 Ne 20.180 Na 22.990 Mg 24.305 Al 26.982
+Si 28.085 P 30.974 S 32.06 Cl 35.45 Ar 39.95 K 39.098 Ca 40.078 Sc 44.956 Ti 47.867 V 50.942 Cr 51.996 Mn 54.938
+Fe 55.845 Co 58.933 Ni 58.693 Cu 63.546 Zn 65.38 Ga 69.723 Ge 72.630 As 74.922 Se 78.971 Br 79.904 Kr 83.798 Rb 85.468
+Sr 87.62 Y 88.906 Zr 91.224 Nb 92.906 Mo 95.95 Tc 97 Ru 101.07 Rh 102.91 Pd 106.42 Ag 107.87 Cd 112.41 In 114.82
+Sn 118.71 Sb 121.76 Te 127.60 I 126.90 Xe 131.29
+"""  # standard atomic weights, IUPAC 2021, abridged; of technetium, which has none, a mass number
+_MASSES: dict[str, float] = {symbol: float(mass) for symbol, mass in re.findall(r"(\w+) ([\d.]+)", _WEIGHTS)}
+_NUMBERED = list(_MASSES)
+_STRAIGHT = 1e-6  # of the largest second moment: files have three digits after the point
+
+
+class Superposition(NamedTuple):
+    """Where a body is, so that its sites lie on the atoms of a file.
+
+    Attributes:
+        attitude: from the axes of the body to those of the file, a unit quaternion (w, x, y, z), (4,).
+        position: of the origin of the body's axes, (3,).
+        rms: the root of the mean square of the distances that are left, weighted by mass.
+    """
+
+    attitude: np.ndarray
+    position: np.ndarray
+    rms: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Atoms:
+    """Atoms that move as one rigid body.
+
+    Attributes:
+        names: of the atoms, as in the file.
+        elements: their symbols.
+        positions: (n, 3), in Å times the `scale` of the reader.
+        masses: (n,), in u.
+    """
+
+    names: tuple[str, ...]
+    elements: tuple[str, ...]
+    positions: np.ndarray
+    masses: np.ndarray
+
+    def shape(self, *, axial_moment: float | None = None) -> shapes.Shape:
+        """The shape of these point masses, in the axes of the file.
+
+        Args:
+            axial_moment: of a straight molecule (CO₂, N₂), which has no moment of inertia about its axis: the small one
+                with which `systems.rigid_bodies` can rotate it. The others stay as they are.
+
+        Raises:
+            ValueError: an axial moment is given that is not positive, or the molecule is not straight.
+        """
+        found = shapes.sites(self.masses, self.positions)
+        if axial_moment is None:
+            return found
+        squares, axes = np.linalg.eigh(np.asarray(found.second, float))
+        if not squares[1] <= _STRAIGHT * squares[2]:
+            raise ValueError(f"axial_moment is that of a straight molecule, but this has second moments {squares}")
+        along = _checks.positive("axial_moment", axial_moment) * np.outer(axes[:, 2], axes[:, 2])
+        across = squares[2] * (np.eye(3) - np.outer(axes[:, 2], axes[:, 2]))
+        return shapes.body(mass=found.mass, center=found.center, inertia=across + along)
+
+    def superpose(self, reference: Atoms | ArrayLike) -> Superposition:
+        """The attitude and position at which a body lies best on these atoms, by least squares weighted by mass.
+
+        Args:
+            reference: the sites of the body in its axes, one for each atom in the same order, (n, 3), in the unit of
+                `positions`, such as `potentials.water().points[:3]`; or another molecule, whose axes are those of its
+                file with the origin at its center of mass, as of its `shape()`.
+
+        Raises:
+            ValueError: another number of sites, or other elements.
+
+        Source: Horn 1987, J. Opt. Soc. Am. A 4, 629. About the axis of a straight molecule any rotation is as good.
+        """
+        if isinstance(reference, Atoms):
+            if reference.elements != self.elements:
+                raise ValueError(f"reference must have the elements {self.elements}, got {reference.elements}")
+            sites = reference.positions - _mean(reference.masses, reference.positions)
+        else:
+            sites = np.asarray(_checks.real_array("reference", reference, self.positions.shape), float)
+        weights = self.masses / self.masses.sum()
+        start, end = _mean(weights, sites), _mean(weights, self.positions)
+        r, p = sites - start, self.positions - end
+        S = (weights[:, None] * r).T @ p
+        about = np.array([S[1, 2] - S[2, 1], S[2, 0] - S[0, 2], S[0, 1] - S[1, 0]])
+        N = np.block([[np.trace(S), about], [about[:, None], S + S.T - np.trace(S) * np.eye(3)]])
+        w, *v = q = np.linalg.eigh(N)[1][:, -1]
+
+        def rotated(x: np.ndarray) -> np.ndarray:
+            return x + 2 * np.cross(v, np.cross(v, x) + w * x)
+
+        error = np.sqrt(weights @ ((p - rotated(r)) ** 2).sum(axis=1))
+        return Superposition(q if w >= 0 else -q, end - rotated(start), float(error))
+
+
+def _mean(masses: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    return masses @ positions / masses.sum()
+
+
+def read_molecule(path: str | Path, *, masses: Mapping[str, float] | None = None, scale: float = 1.0) -> Atoms:
+    """All atoms of a file of xyz or PDB as one rigid molecule, as `read_molecules` reads them.
+
+    Raises:
+        ValueError: several frames of xyz, and the errors of `read_molecules`.
+    """
+    found = read_molecules(path, masses=masses, scale=scale)
+    if _ending(path) == ".xyz" and len(found) > 1:
+        raise ValueError(f"{path} has {len(found)} frames: read_molecules returns a molecule of each")
+    names, elements = (tuple(x for each in found for x in getattr(each, key)) for key in ("names", "elements"))
+    positions, weights = (np.concatenate([getattr(each, key) for each in found]) for key in ("positions", "masses"))
+    return Atoms(names, elements, positions, weights)
+
+
+def read_molecules(path: str | Path, *, masses: Mapping[str, float] | None = None, scale: float = 1.0) -> list[Atoms]:
+    """The molecules of a file: each residue of a PDB, each frame of an xyz.
+
+    Of a PDB the first model is read, and of atoms with alternate locations the first one. An element that the file does
+    not state is taken from the columns of the atom's name.
+
+    Args:
+        path: a path that ends in .xyz, .pdb or .ent, or in one of these and .gz.
+        masses: in u, by names of atoms or symbols of elements, in place of the standard atomic weights of hydrogen to
+            xenon: {"MW": 0.0} for a site without mass, {"H": 2.014} for heavy water.
+        scale: the factor from Å, the unit of these files, to your unit of length: 0.1 for nm.
+
+    Raises:
+        ValueError: another ending, a line that is wrong, an element without a mass, or a file that ends too early.
+    """
+    ending, factor = _ending(path), float(_checks.positive("scale", scale))
+    if ending not in (".xyz", ".pdb", ".ent"):
+        raise ValueError(f"molecules are read from .xyz, .pdb and .ent, each also with .gz, got {path}")
+    text = read_text(path)
+    groups = list(_xyz_frames(text) if ending == ".xyz" else _pdb_residues(text))
+    if not groups:
+        text.fail(0, "there are no atoms")
+    return [_atoms(text, rows, masses or {}, factor) for rows in groups]
+
+
+class _Row(NamedTuple):
+    line: int
+    name: str
+    element: str
+    position: list[float]
+
+
+def _ending(path: str | Path) -> str:
+    return Path(str(path).lower().removesuffix(".gz")).suffix
+
+
+def _atoms(text: Text, rows: list[_Row], masses: Mapping[str, float], scale: float) -> Atoms:
+    weights = []
+    for line, name, element, _ in rows:
+        mass = masses.get(name, masses.get(element, _MASSES.get(element)))
+        if mass is None:
+            text.fail(
+                line, f"no mass is known of {_checks.printable(element or name)!r}: give it as masses={{NAME: mass}}"
+            )
+        weights.append(float(_checks.not_negative(f"the mass of {name}", mass)))
+    if not sum(weights) > 0:
+        text.fail(rows[0].line, "the molecule that begins here has no mass")
+    _, names, elements, positions = zip(*rows, strict=True)
+    return Atoms(names, elements, scale * np.array(positions), np.array(weights))
+
+
+def _xyz_frames(text: Text) -> Iterator[list[_Row]]:
+    """The atoms of each frame: a line with their number, a comment, a line for each."""
+    line, last = 1, len(text.lines)
+    while line <= last:
+        if not (first := text.lines[line - 1].strip()):
+            line += 1
+            continue
+        if not re.fullmatch(r"\d{1,9}", first) or int(first) == 0:
+            text.fail(line, f"a frame of xyz begins with the number of its atoms, got {_checks.printable(first)!r}")
+        end = line + 2 + int(first)
+        if end > last + 1:
+            text.fail(line, f"{first} atoms must follow a line of comment, but the file ends at line {last}")
+        comment = text.lines[line]
+        if "Properties=" in comment and "Properties=species:S:1:pos:R:3" not in comment.replace('"', ""):
+            text.fail(line + 1, "of extended xyz, Properties must begin with species:S:1:pos:R:3")
+        yield [_xyz_row(text, k) for k in range(line + 2, end)]
+        line = end
+
+
+def _xyz_row(text: Text, line: int) -> _Row:
+    words = text.lines[line - 1].split()
+    if len(words) < 4:
+        text.fail(
+            line, f"an atom needs an element and three coordinates, got {_checks.printable(text.lines[line - 1])!r}"
+        )
+    if words[0].isdecimal() and 0 < int(words[0][:9]) <= len(_NUMBERED):
+        element = _NUMBERED[int(words[0]) - 1]
+    else:
+        element = _symbol(re.sub(r"[^A-Za-z].*", "", words[0]))
+    return _Row(line, words[0], element, text.numbers(line, words[1:4], "a coordinate"))
+
+
+def _symbol(letters: str) -> str:
+    """The element of a label: its first two letters if that is one, else its first, as written."""
+    two, one = letters[:2].capitalize(), letters[:1].upper()
+    return two if two in _MASSES or one not in _MASSES else one
+
+
+def _pdb_residues(text: Text) -> Iterator[list[_Row]]:
+    """The atoms of each residue: rows with one chain, number and insertion code, up to TER."""
+    rows, last = [], ""
+    places: dict[str, str] = {}  # the alternate location of each name in the residue
+    for number, line in enumerate(text.lines, 1):
+        record = line[:6].rstrip().upper()
+        if record in ("TER", "ENDMDL", "END"):
+            if rows:
+                yield rows
+            rows, last, places = [], "", {}
+            if record != "TER":
+                return
+        if record not in ("ATOM", "HETATM"):
+            continue
+        if len(line) < 54:
+            text.fail(number, f"an atom needs coordinates in columns 31 to 54, got {_checks.printable(line)!r}")
+        if line[17:27] != last and rows:
+            yield rows
+            rows, places = [], {}
+        name, last = line[12:16].strip(), line[17:27]
+        if places.setdefault(name, line[16]) != line[16]:
+            continue
+        at = text.numbers(number, (line[k : k + 8] for k in (30, 38, 46)), "a coordinate")
+        rows.append(_Row(number, name, _pdb_element(line), at))
+    if rows:
+        yield rows
+
+
+def _pdb_element(line: str) -> str:
+    """Columns 77 and 78, or what the name in columns 13 to 16 says: symbols end in column 14."""
+    if stated := line[76:78].strip():
+        return stated.capitalize()
+    letters = re.sub(r"[^A-Za-z]", "", line[12:14])
+    if line[12:13] == "H" and len(line[12:16].strip()) == 4:
+        return "H"
+    return _symbol(letters if line[12].isalpha() else letters[-1:])
