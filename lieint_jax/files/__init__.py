@@ -2,6 +2,7 @@
 
 | file | read | written |
 |---|---|---|
+| any of these: what it is | `identify` | |
 | an orbit: CCSDS OEM | `read_oem` | `write_oem` |
 | attitudes: CCSDS AEM | `read_aem` | `write_aem` |
 | mean elements of SGP4: TLE, CCSDS OMM | `read_tle`, `read_omm` | |
@@ -14,6 +15,7 @@
 
 from lieint_jax.files._aem import Attitudes, read_aem, write_aem
 from lieint_jax.files._horizons import read_ephemeris_csv, read_horizons
+from lieint_jax.files._identify import identify
 from lieint_jax.files._light_curves import LightCurve, read_light_curves
 from lieint_jax.files._molecules import Atoms, Superposition, read_molecule, read_molecules
 from lieint_jax.files._oem import read_oem, write_oem
@@ -30,6 +32,7 @@ __all__ = [
     "MeanElements",
     "OrbitTable",
     "Superposition",
+    "identify",
     "read_aem",
     "read_ephemeris_csv",
     "read_horizons",

@@ -92,11 +92,44 @@ def load(name: str, **changes: Any) -> Any:
     return parse(table(name) | {key: value for key, value in changes.items() if value is not None}, name)
 
 
-def parse(table: dict[str, Any], name: str) -> Any:
-    """The scenario of a table of keys; error messages begin with `name`."""
+def parse(table: dict[str, Any], name: str, reads_files: bool = True) -> Any:
+    """The scenario of a table of keys, and of the files that they name; error messages begin with `name`."""
     if "system" not in table:
         raise ValueError(f"{name}: system: key missing")
-    return validate(_kind_of(table["system"], name), table, name)
+    kind = _kind_of(table["system"], name)
+    return validate(kind, _with_files(kind, table, name) if reads_files else table, name)
+
+
+def _with_files(model: Any, table: dict[str, Any], name: str, place: str = "") -> dict[str, Any]:
+    """The keys of a table in which those that are {file = "…"} are replaced by what the files give."""
+    found = {}
+    for key, value in table.items():
+        inner = _model_of(model, key)
+        if isinstance(value, dict) and "file" in value and key in getattr(model, "files", {}):
+            where = f"{name}: {place}{key}"
+            chosen = validate(model.files[key], value, where)
+            try:
+                read = chosen.read(_place_of(chosen.file, name), {k: v for k, v in table.items() if k != key})
+            except (ValueError, ImportError) as error:
+                raise ValueError(f"{where}: {error}") from error
+            if twice := set(read) & set(table) - {key, "epoch"}:
+                raise ValueError(f"{where} gives {min(twice)}: leave out one of both")
+            found |= read
+        elif isinstance(value, dict) and inner is not None:
+            found[key] = _with_files(inner, value, name, f"{place}{key}.")
+        elif isinstance(value, list) and inner is not None and all(isinstance(row, dict) for row in value):
+            found[key] = [_with_files(inner, row, name, f"{place}{key}.{k}.") for k, row in enumerate(value, 1)]
+        else:
+            found[key] = value
+    return found
+
+
+def _place_of(file: str, name: str) -> Path:
+    """The file that a scenario names, next to it or here."""
+    places = Path(name).parent / file, Path(file)
+    if (path := next((place for place in places if place.is_file()), None)) is None:
+        raise ValueError(f"there is no file {_quoted(file)}, neither here nor next to {name}")
+    return path
 
 
 def validate(model: Any, table: dict[str, Any], name: str) -> Any:
@@ -115,9 +148,10 @@ def _kind_of(system: Any, name: str) -> type[Kind]:
     if not file.endswith(".py"):
         allowed = " or ".join(map(repr, kind_names()))
         raise ValueError(f"{name}: system: must be {allowed}, or 'FILE.py:CLASS' (got {_quoted(system)})")
-    places = Path(file), Path(name).parent / file
-    if (path := next((place for place in places if place.is_file()), None)) is None:
-        raise ValueError(f"{name}: system: there is no file {_quoted(file)}, neither here nor next to {name}")
+    try:
+        path = _place_of(file, name)
+    except ValueError as error:
+        raise ValueError(f"{name}: system: {error}") from error
     return _own_kind(path, chosen, name)
 
 
@@ -157,7 +191,7 @@ def from_results(table: dict[str, Any], name: str, own_kind: str = "") -> Any:
         return tree
 
     if own_kind or table.get("system") in kind_names():
-        return parse(renamed(table) | ({"system": own_kind} if own_kind else {}), name)
+        return parse(renamed(table) | ({"system": own_kind} if own_kind else {}), name, reads_files=False)
     raise ValueError(
         f"{name}: the run is of the kind {_quoted(table.get('system'))}, and a file of results does not choose what is "
         "imported: give --kind FILE.py:CLASS if it is yours"
@@ -192,12 +226,17 @@ def table(name: str) -> dict[str, Any]:
 def _keys(model: Any, path: list[str]) -> list[str]:
     """The keys of the table at `path` in a model; none if there are several kinds of such tables."""
     for part in path:
-        annotation = model.model_fields[part].annotation if part in getattr(model, "model_fields", {}) else None
-        inner = [x for x in (annotation, *get_args(annotation)) if isinstance(x, type) and issubclass(x, BaseModel)]
-        if len(inner) != 1:
+        model = _model_of(model, part)
+        if model is None:
             return []
-        model = inner[0]
-    return list(model.model_fields)
+    return list(dict.fromkeys([*model.model_fields, *getattr(model, "files", {})]))
+
+
+def _model_of(model: Any, key: str) -> Any:
+    """The model of the table, or of the tables of a list, at a key of a model; None if there is none or are several."""
+    annotation = model.model_fields[key].annotation if key in getattr(model, "model_fields", {}) else None
+    inner = [x for x in (annotation, *get_args(annotation)) if isinstance(x, type) and issubclass(x, BaseModel)]
+    return inner[0] if len(inner) == 1 else None
 
 
 def _nearest(key: str, allowed: list[str]) -> list[str]:

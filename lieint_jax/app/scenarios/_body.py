@@ -11,7 +11,8 @@ from jax import Array
 from pydantic import model_validator
 
 from lieint_jax import _checks, maps
-from lieint_jax.app.scenarios._keys import GivenRate, Quaternion, RotationSpread, Triple, checked
+from lieint_jax.app.scenarios._files import ShapeFile
+from lieint_jax.app.scenarios._keys import GivenRate, Quaternion, RotationSpread, Table, Triple, checked
 from lieint_jax.app.scenarios._kind import Kind, step_of
 from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
@@ -46,6 +47,7 @@ class BodyKind(Kind):
     state: InitialState
     spread: RotationSpread = RotationSpread()
 
+    files: ClassVar[dict[str, type[Table]]] = {"shape": ShapeFile}
     fixed: ClassVar[dict[str, str]] = Kind.fixed | {
         "state.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg",
         "observation.*": "it is an observed value",

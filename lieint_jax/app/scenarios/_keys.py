@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple, Self
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -68,6 +68,17 @@ class Table(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
+    files: ClassVar[Mapping[str, type[Table]]] = {}
+    """Keys that may be {file = "…"} instead, with the keys of that table: see `_files`."""
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: Any) -> Any:
+        made = handler(core_schema)
+        keys = handler.resolve_ref_schema(made).get("properties", {})
+        for key, model in cls.files.items():
+            table = handler(model.__pydantic_core_schema__)
+            keys[key] = {"anyOf": [keys[key], table]} if key in keys else table
+        return made
 
 
 class Published(Table):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 from pydantic import model_validator
 
+from lieint_jax.app.scenarios._files import BodyFile
 from lieint_jax.app.scenarios._keys import (
     AttitudeSpread,
     GivenRate,
@@ -20,6 +21,7 @@ from lieint_jax.app.scenarios._keys import (
     PositiveTriple,
     RateSpread,
     Stated,
+    Table,
     Triple,
     array,
 )
@@ -51,6 +53,8 @@ class ExtendedBody(GivenRate):
     euler_313_deg: Triple = [0.0, 0.0, 0.0]
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
     spread: BodySpread = BodySpread()
+
+    files: ClassVar[dict[str, type[Table]]] = {"shape": BodyFile}
 
     @model_validator(mode="after")
     def _check_body(self) -> Self:

@@ -158,9 +158,8 @@ class Surroundings(NamedTuple):
     air: Any
 
 
-def surroundings(orbit: Orbit, date: str, drag: Drag | None) -> Surroundings:
-    """The surroundings along an orbit, from a date on."""
-    motion = orbit.motion()
+def surroundings(motion: Any, date: str, drag: Drag | None) -> Surroundings:
+    """The surroundings along an orbit, a function of time with `mu`, from a date on."""
     field = orbits.earth_field(motion, date, radius=_FIELD_RADIUS)
     air = None
     if drag is not None:

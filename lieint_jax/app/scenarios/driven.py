@@ -13,6 +13,7 @@ from lieint_jax import measure, orbits, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._body import TopKind, inertia_matrix
+from lieint_jax.app.scenarios._files import Ephemeris, EphemerisOrbit, OrbitFile
 from lieint_jax.app.scenarios._keys import PositiveFloat, Table, radians
 from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_on_sphere
@@ -81,10 +82,14 @@ class Driven(TopKind):
     """Step size, in time_unit, of either sign."""
     steps_per_orbit: PositiveFloat | None = None
     """The period of the orbit, an ellipse, over the step size."""
-    orbit: Orbit
+    orbit: Orbit | None = None
+    """Give orbit or ephemeris."""
+    ephemeris: Ephemeris | None = None
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
 
+    files: ClassVar[dict[str, type[Table]]] = TopKind.files | {"orbit": OrbitFile}
     fixed: ClassVar[dict[str, str]] = TopKind.fixed | {
+        "ephemeris.*": "all members share the orbit",
         "steps_per_orbit": "all members have the same steps",
         "state.t": "all members share their time",
     }
@@ -94,15 +99,29 @@ class Driven(TopKind):
         if (self.dt is None) == (self.steps_per_orbit is None):
             raise ValueError("give exactly one of dt and steps_per_orbit")
         if self.steps_per_orbit is not None:
-            if self.orbit.semi_major_axis < 0:
-                raise ValueError("steps_per_orbit is a key of ellipses; a hyperbola has no period: give dt")
+            if self.orbit is None or self.orbit.semi_major_axis < 0:
+                raise ValueError("steps_per_orbit is a key of ellipses; other orbits have no period: give dt")
             period = 2 * np.pi / float(self.orbit.motion().mean_motion)
             self.dt = period / self.steps_per_orbit  # pyright: ignore[reportIncompatibleVariableOverride]
             self.steps_per_orbit = None  # files of results have dt
         return self
 
+    @model_validator(mode="after")
+    def _check_motion(self) -> Self:
+        self.motion()
+        return self
+
+    def motion(self) -> Kepler | EphemerisOrbit:
+        """The orbit, a function of time."""
+        if self.orbit is not None and self.ephemeris is None:
+            return self.orbit.motion()
+        if self.ephemeris is None or self.orbit is not None:
+            raise ValueError("give either orbit or ephemeris")
+        assert self.dt is not None
+        return self.ephemeris.motion(self.state.t, self.state.t + self.dt * self.steps)
+
     def make_system(self) -> GravityGradient:
-        return systems.gravity_gradient(self.inertia, self.orbit.motion())
+        return systems.gravity_gradient(self.inertia, self.motion())
 
     def start(self, system: GravityGradient, noise: Array) -> State:
         given = self.state
@@ -118,7 +137,7 @@ class Driven(TopKind):
         H, less_work = (series(f, run) for f in (GravityGradient.energy, energy_less_work))
         size = abs(H).max(axis=0)
         found = [Conserved(_ENERGY, H, size), Conserved(_LESS_WORK, less_work, size)]
-        if self.orbit.eccentricity == 0:
+        if self.orbit is not None and self.orbit.eccentricity == 0:
             spin = np.asarray(measure.orbit_axes(nominal_system(run).orbit, jnp.zeros(()))[1])
             found.append(Conserved("Jacobi's integral H − n·π", H - np.asarray(run.state.p) @ spin, size))
         return found
@@ -180,7 +199,7 @@ class Driven(TopKind):
 
     def _clock(self, t: Any) -> tuple[np.ndarray, str]:
         """Times and their unit, in periods of an ellipse."""
-        if self.orbit.semi_major_axis < 0:
+        if self.orbit is None or self.orbit.semi_major_axis < 0:
             return np.asarray(t), self.time_unit
         return np.asarray(t) * float(self.orbit.motion().mean_motion) / (2 * np.pi), "orbits"
 

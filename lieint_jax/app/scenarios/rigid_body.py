@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,8 @@ from lieint_jax.app.scenarios._body import (
     inertia_matrix,
     is_long_axis_mode,
 )
-from lieint_jax.app.scenarios._keys import TINY, Published, Text
+from lieint_jax.app.scenarios._files import ObservationFile
+from lieint_jax.app.scenarios._keys import TINY, Published, Table, Text
 from lieint_jax.app.scenarios._kind import check_order, picture
 from lieint_jax.app.scenarios._report import Quantity
 from lieint_jax.app.scenarios._runs import angles_deg, drawn_steps, length, nominal_state, nominal_system, series
@@ -81,6 +82,8 @@ class FreeBody(BodyKind):
         Literal["precession_period", "rotation_period", "momentum_longitude_deg", "momentum_latitude_deg"], Published
     ] = {}
     observation: list[Observation] = []
+
+    files: ClassVar[dict[str, type[Table]]] = BodyKind.files | {"observation": ObservationFile}
 
     @model_validator(mode="after")
     def _check_scheme(self) -> Self:

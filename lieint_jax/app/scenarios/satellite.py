@@ -15,7 +15,8 @@ from lieint_jax import schemes, systems, torques
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._body import BodyKind, inertia_matrix
-from lieint_jax.app.scenarios._keys import HOUR, NonNegative, PositiveFloat, RotationSpread, Stated, Triple
+from lieint_jax.app.scenarios._files import Ephemeris, SatelliteOrbitFile
+from lieint_jax.app.scenarios._keys import HOUR, NonNegative, PositiveFloat, RotationSpread, Stated, Table, Triple
 from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_balance, draw_members
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
@@ -67,7 +68,10 @@ class Satellite(BodyKind):
     time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
     date: str | None = None
     """In place of epoch, a day as YYYY-MM-DD, 0 h UT: from one of them follow the Earth's field and rotation."""
-    orbit: Orbit
+    orbit: Orbit | None = None
+    """Give orbit or ephemeris."""
+    ephemeris: Ephemeris | None = None
+    """In m and m/s."""
     residual_dipole: Triple = [0.0, 0.0, 0.0]
     """The magnetic moment of the switched-off satellite in body axes, in A m²."""
     drag: Drag | None = None
@@ -82,8 +86,11 @@ class Satellite(BodyKind):
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
 
+    files: ClassVar[dict[str, type[Table]]] = BodyKind.files | {"orbit": SatelliteOrbitFile}
     fixed: ClassVar[dict[str, str]] = BodyKind.fixed | {
-        **dict.fromkeys(("orbit.*", "drag.*density*", "drag.*height*"), "all members share the orbit, field and air"),
+        **dict.fromkeys(
+            ("orbit.*", "ephemeris.*", "drag.*density*", "drag.*height*"), "all members share the orbit, field and air"
+        ),
         "*.window": "all members share the phases",
         "wheels.tilt_deg": "momenta of wheels are measured along axes that all members share",
     }
@@ -119,7 +126,14 @@ class Satellite(BodyKind):
 
     def environment(self) -> Surroundings:
         """The functions of time along the orbit."""
-        return surroundings(self.orbit, self.date_of_zero(), self.drag)
+        if (self.orbit is None) == (self.ephemeris is None):
+            raise ValueError("give either orbit or ephemeris")
+        if self.orbit is not None:
+            motion: Any = self.orbit.motion()
+        else:
+            assert self.ephemeris is not None
+            motion = self.ephemeris.motion(0.0, self.dt * self.steps)
+        return surroundings(motion, self.date_of_zero(), self.drag)
 
     def date_of_zero(self) -> str:
         """The epoch, or the date."""

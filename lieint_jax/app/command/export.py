@@ -1,0 +1,73 @@
+"""The option `--export FILE` of `lieint run`: a run in the formats of others, by the ending of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lieint_jax import files
+from lieint_jax.app.scenarios._files import SECONDS
+from lieint_jax.app.scenarios._kind import Kind
+from lieint_jax.runs import Run
+
+
+def check(path: Path, scenario: Kind) -> None:
+    """Raise ValueError, before the run, if it cannot be written to this file."""
+    if path.suffix not in _WRITERS:
+        raise ValueError(f"--export writes {', '.join(_WRITERS)}, got {path}")
+    if path.exists():
+        raise ValueError(f"{path} exists: remove it, or give another --export")
+    if not path.absolute().parent.is_dir():
+        raise ValueError(f"there is no folder {path.absolute().parent} for {path}")
+    if path.suffix not in (".aem", ".oem"):
+        return
+    if scenario.date_of_zero() is None:
+        raise ValueError(f"{path} needs the date of t = 0: give the key epoch, such as --set epoch=2024-03-01T12:00:00")
+    if scenario.time_unit not in SECONDS:
+        raise ValueError(f"{path} is in seconds: time_unit must be one of {', '.join(SECONDS)}")
+    if path.suffix == ".oem" and scenario.unit_km is None:
+        raise ValueError(f"{path} is in km, and a scenario of the kind {scenario.system} has no unit of length")
+
+
+def write(path: Path, run: Run, scenario: Kind) -> None:
+    """Write a run; of .aem and .oem the nominal member, or the first of its bodies that moves about another one."""
+    _WRITERS[path.suffix](path, run, scenario)
+
+
+def _write_attitudes(path: Path, run: Run, scenario: Kind) -> None:
+    files.write_aem(path, _nominal(run), body=_body(run), **_facts(scenario))
+
+
+def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
+    body = _body(run)
+    about = {} if body is None else {"body": body, "about": 0}
+    names = {"frame": "ICRF", "center": "CENTER"}
+    files.write_oem(path, _nominal(run), **about, **names, **_facts(scenario), unit_length=scenario.unit_km or 1.0)
+
+
+def _write_dataset(path: Path, run: Run, scenario: Kind) -> None:
+    run.to_xarray().assign_attrs(title=scenario.title, time_unit=scenario.time_unit).to_netcdf(path)
+
+
+def _facts(scenario: Kind) -> dict[str, Any]:
+    name = scenario.title.split(",")[0]
+    return {"epoch": scenario.date_of_zero(), "object": name, "unit_time": SECONDS[scenario.time_unit]}
+
+
+def _nominal(run: Run) -> Run:
+    return run if run.members is None else run.member(0)
+
+
+def _body(run: Run) -> int | None:
+    """The second of several bodies, which moves about the first; None of one body."""
+    several = run.state.q.shape[-1] == 7
+    return min(1, run.state.q.shape[-2] - 1) if several else None
+
+
+_WRITERS: dict[str, Callable[[Path, Run, Kind], None]] = {
+    ".aem": _write_attitudes,
+    ".oem": _write_orbit,
+    ".csv": lambda path, run, _: files.write_csv(path, run),
+    ".nc": _write_dataset,
+}
