@@ -2,6 +2,9 @@
 
 | file | read | written |
 |---|---|---|
+| logs of gyros and star trackers, CSV | `read_csv_log` | `write_csv` |
 """
 
-__all__: list[str] = []
+from lieint_jax.files._csv_log import Log, read_csv_log, write_csv
+
+__all__ = ["Log", "read_csv_log", "write_csv"]

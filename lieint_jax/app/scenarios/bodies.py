@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 from pydantic import Field, field_validator, model_validator
 
-from lieint_jax import _checks, measure, potentials, systems
+from lieint_jax import measure, potentials, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._keys import (
     DAY,
