@@ -10,7 +10,7 @@ import os
 import reprlib
 import unicodedata
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -243,6 +243,14 @@ def closed_form(owner: object, name: str, found: Callable[[], Array], by_autodif
             f"{type(owner).__name__}.{name} must be the derivative of its values: it is {ours} where autodiff finds "
             f"{theirs}"
         )
+
+
+def choice(name: str, value: Input, allowed: Iterable[str]) -> str:
+    """`value`, if it is one of these words."""
+    words = list(allowed)
+    if not isinstance(value, str) or value not in words:
+        raise ValueError(f"{name} must be {' or '.join(map(repr, words))}, got {printable(repr(value))}")
+    return value
 
 
 def count(name: str, value: Input, least: int) -> int:

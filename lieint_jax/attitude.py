@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -97,7 +97,7 @@ def to_scalar_last(q: Attitude, frame: Frame = "body_to_space") -> Array:
 
 
 def from_mrp(sigma: ArrayLike, frame: Frame = "body_to_space") -> Array:
-    """The attitudes of modified Rodrigues parameters σ = e tan(φ/4), those of Basilisk (`sigma_BN`) and Schaub & Junkins.
+    """The attitudes of modified Rodrigues parameters σ = e tan(φ/4), such as `sigma_BN` of Basilisk.
 
     Args:
         sigma: σ, (…, 3), of any length: the shadow set −σ/|σ|² is the same attitude, −q.
@@ -190,6 +190,5 @@ def _each(function: Callable[..., Array], axes: int, x: Array, sequence: str | N
 
 def _directed(q: Array, frame: str) -> Array:
     """The quaternions, conjugated if they are those of space to body."""
-    if frame not in ("body_to_space", "space_to_body"):
-        raise ValueError(f'frame must be "body_to_space" or "space_to_body", got {frame!r}')
-    return q if frame == "body_to_space" else jnp.concatenate([q[..., :1], -q[..., 1:]], axis=-1)
+    space_to_body = _checks.choice("frame", frame, get_args(Frame)) == "space_to_body"
+    return jnp.concatenate([q[..., :1], -q[..., 1:]], axis=-1) if space_to_body else q

@@ -11,9 +11,11 @@
 | robots: URDF, MJCF | `read_urdf_inertia`, `read_mjcf_inertia` | |
 | molecules: xyz, PDB | `read_molecule`, `read_molecules` | |
 | light curves: DAMIT, ALCDEF | `read_light_curves` | |
+| logs of gyros and star trackers, CSV | `read_csv_log` | `write_csv` |
 """
 
 from lieint_jax.files._aem import Attitudes, read_aem, write_aem
+from lieint_jax.files._csv_log import Log, read_csv_log, write_csv
 from lieint_jax.files._horizons import read_ephemeris_csv, read_horizons
 from lieint_jax.files._identify import identify
 from lieint_jax.files._light_curves import LightCurve, read_light_curves

@@ -28,7 +28,9 @@ _EPILOG = """examples:
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/app/scenarios/toutatis.toml)
   lieint run toutatis --set order=4 --set 'state.angular_velocity_deg=[10, 0, 90]'   other values of its keys
   lieint run toutatis --out runs.zarr --members 100000   write to disk during the run; --resume continues it
+  lieint run driven --set epoch=2024-03-01T12:00:00 --export attitude.aem   attitudes for other software
   lieint info runs.zarr                    describe that store
+  lieint files satellite.oem body.obj      what files of other software are, and what can be done with them
   lieint plot runs.zarr                    report on that store and draw it
   lieint animate runs.zarr --out turn.html a rotating body, its axis and its momentum; also .gif and .mp4
   lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
@@ -177,6 +179,8 @@ def _add_run(commands: _Commands) -> None:
     add("--out", type=_address, metavar="PATH", help=f"{about}which may be s3://BUCKET/NAME.zarr (gs://, az://)")
     about = "another value of a key, such as dt=0.1 or bodies.1.mass_kg=2e9 (KEY= removes it); may be repeated"
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=about)
+    about = "write the run for other software too: .aem or .oem (CCSDS, the nominal member), .csv or .nc; may be repeated"
+    add("--export", type=Path, action="append", default=[], metavar="FILE", help=about)
     add("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     add("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
     add("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one per line")
@@ -238,6 +242,10 @@ def _add_others(commands: _Commands) -> None:
     about = "length of a run (default 1000; 100 where Ad_q grows)"
     check.add_argument("--steps", type=_positive, metavar="N", help=about)
     check.add_argument("--published", action="store_true", help="recompute published numbers of other codes instead")
+    about = "Describe files that other software wrote: orbits, attitudes, shapes, molecules, light curves, logs."
+    given = commands.add_parser("files", help="describe files of other software", description=about)
+    given.set_defaults(command=_files)
+    given.add_argument("paths", nargs="+", type=Path, metavar="FILE", help="an OEM, a TLE, an OBJ, a CSV, …")
     about = "Write figures as PNG and PDF."
     figure = commands.add_parser("figure", help="recompute figures of the paper", description=about)
     figure.set_defaults(command=_figure, writes=True)
@@ -309,6 +317,7 @@ def _run(options: argparse.Namespace) -> None:
             certificate=not options.no_certificate,
             pictures=not options.no_pictures,
             part=part,
+            exports=options.export,
         )
     except processes.LostProcess as error:
         processes.leave(f"lieint: {error}")
@@ -382,6 +391,12 @@ def _check(options: argparse.Namespace) -> None:
     if not options.scheme and options.steps is None and not options.all:
         listing.announce(f"check {options.system}".strip())
     check.check(options.system, options.scheme, options.steps, options.all)
+
+
+def _files(options: argparse.Namespace) -> None:
+    from lieint_jax.app.command import foreign_files
+
+    show("\n".join(map(foreign_files.describe, options.paths)))
 
 
 def _figure(options: argparse.Namespace) -> None:

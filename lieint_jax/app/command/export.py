@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,10 @@ def check(path: Path, scenario: Kind) -> None:
         raise ValueError(f"{path} is in km, and a scenario of the kind {scenario.system} has no unit of length")
 
 
-def write(path: Path, run: Run, scenario: Kind) -> None:
-    """Write a run; of .aem and .oem the nominal member, or the first of its bodies that moves about another one."""
-    _WRITERS[path.suffix](path, run, scenario)
+def write_all(paths: Sequence[Path], run: Run, scenario: Kind) -> None:
+    """Write a run to files; .aem and .oem hold the nominal member, of several bodies the second about the first."""
+    for path in paths:
+        _WRITERS[path.suffix](path, run, scenario)
 
 
 def _write_attitudes(path: Path, run: Run, scenario: Kind) -> None:
@@ -42,7 +43,7 @@ def _write_attitudes(path: Path, run: Run, scenario: Kind) -> None:
 def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
     body = _body(run)
     about = {} if body is None else {"body": body, "about": 0}
-    names = {"frame": "ICRF", "center": "CENTER"}
+    names = {"frame": "ICRF", "center": "PRIMARY"}
     files.write_oem(path, _nominal(run), **about, **names, **_facts(scenario), unit_length=scenario.unit_km or 1.0)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from lieint_jax import _checks, ensemble, runs
 from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import files, info, settings
+from lieint_jax.app.command import export, files, info, settings
 from lieint_jax.app.printer import readable, show, show_time, show_written
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import nominal_state
@@ -37,6 +37,7 @@ def run(
     certificate: bool = True,
     pictures: bool = True,
     part: tuple[int, int] | None = None,
+    exports: Sequence[Path] = (),
 ) -> None:
     """Integrate a scenario and write the results; for an .npz, also print the report.
 
@@ -50,11 +51,16 @@ def run(
         certificate: measure what the scheme conserves along the nominal member, if an .npz is written.
         pictures: draw the run, if an .npz is written.
         part: (k, n), one of n independent processes that write one NAME.zarr.
+        exports: further files of the run, in formats of others: see `export`.
     """
     if part is not None:
         resume = True  # a part always continues what it finds
     times = save_at and files.read_numbers(save_at)
     scenario = settings.load(name, given, members=members, steps=steps, save_at=times)
+    for path in exports:
+        export.check(path, scenario)
+    if exports and part is not None:
+        raise ValueError("--export writes the whole run: open the store of all parts in Python, with li.open")
     drawings = scenario.pictures() if pictures else {}
     certificate = certificate and scenario.certified
     if out is None:
@@ -89,7 +95,7 @@ def run(
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
         try:
-            integrate(store=ensemble.StoreOptions(out, description, scenario.time_unit))
+            run = integrate(store=ensemble.StoreOptions(out, description, scenario.time_unit))
             show_time("the run")
         except KeyboardInterrupt as stop:
             again = "the same command" if part else "the same command with --resume"
@@ -98,7 +104,8 @@ def run(
             show(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
         elif leader:
             show(info.contents(out))
-            show_written(out, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
+            export.write_all(exports, run, scenario)
+            show_written(out, *exports, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
         return
     run = integrate()
     show_time("the run")
@@ -108,6 +115,7 @@ def run(
     description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
     own = scenarios.members_numbers(scenario)
     files.save(out, run.trajectory, description, own)
+    export.write_all(exports, run, scenario)
     if scenario.save_at is not None:
         _report_outputs(out, pictures)
         return
@@ -126,7 +134,7 @@ def run(
     all_converged = converged == scenario.members
     show(f"  {converged} of {scenario.members} members converged at every step", error=not all_converged)
     arrays = ", ".join(["t, q, p, residual, converged, metadata", *(f"member.{name}" for name in own)])
-    show_written(out, *drawn, about=f"{arrays}; {files.megabytes(out)}")
+    show_written(out, *drawn, *exports, about=f"{arrays}; {files.megabytes(out)}")
 
 
 def _report_outputs(out: Path, pictures: bool) -> None:

@@ -115,6 +115,8 @@ class Kind(Table):
     """Whether each member has a step of its own, and `build` no indices; None: where `[spread]` names numbers."""
     certified: ClassVar[bool] = True
     """Whether `lieint run` prints a certificate: control and friction conserve the energy balance only."""
+    unit_km: ClassVar[float | None] = None
+    """The unit of length of a kind whose states have positions, in km."""
     traced: ClassVar[bool] = True
     """Whether `make_system` accepts traced numbers; if not, the members' systems are made one by one."""
 

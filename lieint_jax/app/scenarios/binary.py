@@ -100,6 +100,7 @@ class Binary(Kind):
     """Periods in hours, rates in degrees a day, changes of speed in mm/s, as the names say."""
 
     own_step = True  # every member has its own system
+    unit_km = 1e-3
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:

@@ -162,6 +162,7 @@ class Bodies(Kind):
     spread: NumberSpread = NumberSpread()
     """Standard deviations of numbers by their paths, such as `potential.1.G` or `bodies.NAME.position_m`."""
 
+    unit_km = 1e-3
     fixed: ClassVar[dict[str, str]] = Kind.fixed | {
         "bodies.*.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg in [bodies.spread]"
     }
