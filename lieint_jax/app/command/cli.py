@@ -179,7 +179,9 @@ def _add_run(commands: _Commands) -> None:
     add("--out", type=_address, metavar="PATH", help=f"{about}which may be s3://BUCKET/NAME.zarr (gs://, az://)")
     about = "another value of a key, such as dt=0.1 or bodies.1.mass_kg=2e9 (KEY= removes it); may be repeated"
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=about)
-    about = "write the run for other software too: .aem or .oem (CCSDS, the nominal member), .csv or .nc; may be repeated"
+    about = (
+        "write the run for other software too: .aem or .oem (CCSDS, the nominal member), .csv or .nc; may be repeated"
+    )
     add("--export", type=Path, action="append", default=[], metavar="FILE", help=about)
     add("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     add("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")

@@ -9,6 +9,7 @@ from typing import Any
 from lieint_jax import files
 from lieint_jax.app.scenarios._files import SECONDS
 from lieint_jax.app.scenarios._kind import Kind
+from lieint_jax.dates import epoch
 from lieint_jax.runs import Run
 
 
@@ -48,7 +49,10 @@ def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
 
 
 def _write_dataset(path: Path, run: Run, scenario: Kind) -> None:
-    run.to_xarray().assign_attrs(title=scenario.title, time_unit=scenario.time_unit).to_netcdf(path)
+    data = run.to_xarray().assign_attrs(title=scenario.title, time_unit=scenario.time_unit)
+    start = scenario.date_of_zero()
+    dates = {"date": {"dtype": "float64", "units": f"seconds since {epoch(start).iso()}"}}  # which netCDF 3 has too
+    data.to_netcdf(path, encoding={} if start is None else dates)
 
 
 def _facts(scenario: Kind) -> dict[str, Any]:

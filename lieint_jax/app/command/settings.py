@@ -11,7 +11,7 @@ from lieint_jax.app import scenarios
 from lieint_jax.runs import store as archives
 
 _PART = re.compile(r'"([^"]*)"|([^."]+)')  # of a key
-_WORDS = re.compile(r"[^\W\d][^\[\]{}\"'=#\n]*")  # a text without quotes
+_WORDS = re.compile(r"([^\W\d]|\d{4}-)[^\[\]{}\"'=#\n]*")  # a text or a date without quotes
 
 
 def load(name: str, settings: Sequence[str], **changes: object) -> Any:

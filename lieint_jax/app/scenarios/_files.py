@@ -99,9 +99,7 @@ class Ephemeris(Table):
         found = orbits.table(self.times, self.positions, self.velocities)
         begin, end = self.times[0], self.times[-1]
         if not begin <= min(first, last) <= max(first, last) <= end:
-            raise ValueError(
-                f"the orbit is given from t = {begin:.6g} to {end:.6g}, the run is from {first} to {last:.6g}"
-            )
+            raise ValueError(f"the orbit is given from t = {begin:.6g} to {end:.6g}, the run {first:.6g} to {last:.6g}")
         return EphemerisOrbit(found.times, found.positions, found.velocities, jnp.asarray(self.mu))
 
 
@@ -140,9 +138,7 @@ class OrbitFile(FromFile):
         if form == "Horizons":
             return files.read_horizons(path)
         if form not in ("TLE", "OMM"):
-            raise ValueError(
-                f"an orbit is read from OEM, TLE, OMM or Horizons, and this file is {form or 'of no format'}"
-            )
+            raise ValueError(f"an orbit is read from OEM, TLE, OMM or Horizons; this is {form or 'none of them'}")
         read: Callable[..., files.MeanElements] = files.read_tle if form == "TLE" else files.read_omm
         elements = read(path, satellite=self.satellite)
         first = 0.0 if start is None else start - elements.epoch

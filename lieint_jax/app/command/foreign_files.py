@@ -1,0 +1,138 @@
+"""The command `files`: what a file of other software is, and what can be done with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from lieint_jax import files, shapes
+from lieint_jax._checks import printable
+from lieint_jax._text import read_text
+
+_COLUMNS = 20  # the most that are listed
+
+
+class Format(NamedTuple):
+    """A format of files of other software.
+
+    Attributes:
+        what: it holds, in words.
+        contents: the lines that describe a file.
+        reader: the call that reads it in Python, with {} for the file.
+        key: the key of a scenario that may be such a file, with further keys of its table and the kinds that have it.
+    """
+
+    what: str
+    contents: Callable[[Path], list[str]]
+    reader: str
+    key: tuple[str, str, str] | None = None
+
+
+def describe(path: Path) -> str:
+    """What a file is, what is in it, and what reads it, as text.
+
+    Raises:
+        ValueError: a file of none of the formats, or what is wrong with it.
+    """
+    form = files.identify(path)
+    if form not in FORMATS:
+        known = ", ".join(FORMATS)
+        raise ValueError(f"{path} has none of the formats {known}; lieint info describes the results of lieint run")
+    what, contents, reader, key = FORMATS[form]
+    lines = [f"{path}: {what}", *contents(path), "in Python: li.files." + reader.replace("{}", f'"{path.name}"')]
+    if key is not None:
+        name, more, kinds = key
+        lines.append(f'in a scenario of the kind {kinds}: {name} = {{file = "{path.name}"{more}}}')
+    return "\n  ".join(lines)
+
+
+def _orbit(read: Callable[[Path], files.OrbitTable]) -> Callable[[Path], list[str]]:
+    def contents(path: Path) -> list[str]:
+        found = read(path)
+        t, r = np.asarray(found.times), np.linalg.norm(np.asarray(found.positions), axis=1)
+        return [
+            f"{printable(found.object)} about {printable(found.center)}, axes {printable(found.frame)}",
+            f"{len(t)} states from {found.epoch} over {t[-1] - t[0]:.6g} s, {r.min():.6g} to {r.max():.6g} km away",
+        ]
+
+    return contents
+
+
+def _attitudes(path: Path) -> list[str]:
+    found = files.read_aem(path)
+    frames = f"axes {printable(found.frame_b)} of the body in {printable(found.frame_a)}"
+    span = f"{len(found.times)} attitudes from {found.epoch} over {found.times[-1] - found.times[0]:.6g} s"
+    return [f"{printable(found.object)}, {frames}", span + (", with rates" if found.rates is not None else "")]
+
+
+def _elements(read: Callable[[Path], files.MeanElements]) -> Callable[[Path], list[str]]:
+    def contents(path: Path) -> list[str]:
+        found = read(path)
+        e = found.elements
+        shape = f"{e.mean_motion:.6g} revolutions a day, eccentricity {e.eccentricity:.4g}, {e.inclination:.4g}°"
+        return [f"{printable(found.name)}, mean elements of {found.epoch}: {shape}"]
+
+    return contents
+
+
+def _surface(path: Path) -> list[str]:
+    corners, faces = shapes.surface(path)
+    body = shapes.mesh(corners, faces, density=1.0)
+    moments = np.asarray(body.principal_axes()[0]) / float(body.mass)
+    size = " × ".join(f"{x:.4g}" for x in np.ptp(corners, axis=0))
+    return [
+        f"{len(corners)} vertices, {len(faces)} triangles, {size}, volume {float(body.mass):.6g}",
+        f"principal moments over the mass {moments[0]:.6g}, {moments[1]:.6g}, {moments[2]:.6g}, in the file's unit²",
+    ]
+
+
+def _molecules(path: Path) -> list[str]:
+    found = files.read_molecules(path)
+    return [f"{len(found)} molecule(s), the first of {len(found[0].names)} atoms and {found[0].masses.sum():.6g} u"]
+
+
+def _curves(path: Path) -> list[str]:
+    found = files.read_light_curves(path)
+    first, last = (f(f(curve.dates) for curve in found) for f in (min, max))
+    return [f"{len(found)} curve(s) of {sum(len(c.dates) for c in found)} points, JD {first:.5f} to {last:.5f}"]
+
+
+def _table(path: Path) -> list[str]:
+    rows = [line for line in read_text(path).lines if line.strip() and not line.lstrip().startswith("#")]
+    names = [name.strip() for name in rows[0].replace(";", ",").replace("\t", ",").split(",")]
+    more = f" and {len(names) - _COLUMNS} more" if len(names) > _COLUMNS else ""
+    return [f"{len(rows) - 1} rows of {', '.join(map(printable, names[:_COLUMNS]))}{more}"]
+
+
+def _robot(path: Path) -> list[str]:
+    return ["masses, centers and inertias of its links"]
+
+
+_ORBIT = ("orbit", "", "driven or satellite")
+FORMATS = {
+    "OEM": Format("an orbit, CCSDS OEM", _orbit(files.read_oem), "read_oem({})", _ORBIT),
+    "AEM": Format("attitudes, CCSDS AEM", _attitudes, "read_aem({})"),
+    "TLE": Format("mean elements of SGP4, TLE", _elements(files.read_tle), "read_tle({})", _ORBIT),
+    "OMM": Format("mean elements of SGP4, CCSDS OMM", _elements(files.read_omm), "read_omm({})", _ORBIT),
+    "Horizons": Format("an orbit of JPL Horizons", _orbit(files.read_horizons), "read_horizons({})", _ORBIT),
+    "shape": Format(
+        "a surface of triangles",
+        _surface,
+        "read_shape({}, density=…)",
+        ("shape", ", density = 1.0", "rigid_body, heavy_top, driven, satellite or bodies"),
+    ),
+    "URDF": Format("a robot, URDF", _robot, "read_urdf_inertia({}, link)", ("shape", ', link = "…"', "rigid_body")),
+    "MJCF": Format("a robot, MJCF", _robot, "read_mjcf_inertia({}, body)", ("shape", ', link = "…"', "rigid_body")),
+    "PDB": Format("molecules, PDB", _molecules, "read_molecules({})"),
+    "xyz": Format("a molecule, xyz", _molecules, "read_molecules({})"),
+    "light curves": Format("light curves", _curves, "read_light_curves({})"),
+    "table": Format(
+        "a table of text",
+        _table,
+        "read_csv_log({}, time=…, rates=[…])",
+        ("observation", ', time = "…"', "rigid_body"),
+    ),
+}
