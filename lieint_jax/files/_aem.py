@@ -76,7 +76,7 @@ def read_aem(path: str | Path, *, segment: int | None = None) -> Attitudes:
     """
     text = read_text(path)
     version, segments = _ccsds.read_segments(text, "AEM")
-    part = _ccsds.one_part(text, [_attitudes(found, version) for found in segments], segment, _same)
+    part = _ccsds.one_part(segments, segment, lambda found: _attitudes(found, version), _same)
     space, body, name = (part.facts[key] for key in ("SPACE", "BODY", "OBJECT_NAME"))
     q, rates = np.split(part.values, [4], axis=1)
     signs = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1, 1)
@@ -125,7 +125,7 @@ def _attitudes(segment: _ccsds.Segment, version: str) -> _ccsds.Part:
     elif kind.endswith("/ANGVEL"):
         rates = _rates(segment, q, np.radians(rest), swapped, a, b)
     space, body = (b, a) if swapped else (a, b)
-    facts = {"SPACE": space, "BODY": body, "OBJECT_NAME": part.facts["OBJECT_NAME"], "TIME_SYSTEM": part.epoch.scale}
+    facts = part.facts | {"SPACE": space, "BODY": body, "ATTITUDE_TYPE": kind}
     return part._replace(facts=facts, values=np.hstack([q, rates]))
 
 
