@@ -138,7 +138,7 @@ def read_ephemeris_csv(
     center: str = "",
     object: str = "",  # noqa: A002
 ) -> OrbitTable:
-    """The orbit of a table with named columns, such as CSV: commas, semicolons or tabs; lines that begin with # skipped.
+    """The orbit of a table with named columns (CSV): commas, semicolons or tabs; lines that begin with # are skipped.
 
     Args:
         path: of the file; its first line names the columns.

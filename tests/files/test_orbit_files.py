@@ -72,7 +72,7 @@ def test_the_motion_of_runs_is_written(tmp_path):
     path = tmp_path / "run.oem"
     meters = orbits.kepler(orbits.EARTH_GM * 1e9, 7e6, 0.01, 0.9)
     body = li.systems.gravity_gradient([1.0, 2.0, 2.5], meters)
-    run = li.run(li.schemes.so3_midpoint(body), body.state(angular_velocity=[0, 0, 1e-3]), 60.0, 5)
+    run = li.run(li.schemes.extrapolate(body, 4), body.state(angular_velocity=[0, 0, 1e-3]), 60.0, 5)
     files.write_oem(path, run, unit_length=1e-3, **NAMES)
     np.testing.assert_allclose(files.read_oem(path).positions, STATES[0][:6], rtol=1e-12)
     pair = li.systems.rigid_bodies([3.0, 1.0], np.ones((2, 3)), li.potentials.point_masses(1.0, [3.0, 1.0]))
@@ -213,7 +213,8 @@ def verification():
     """The lines of the satellites of Vallado et al. 2006, AIAA 2006-6753, which the package sgp4 brings."""
     text = importlib.resources.files(sgp4).joinpath("SGP4-VER.TLE").read_text()
     lines = [line[:69] for line in text.splitlines() if line[:2] in ("1 ", "2 ")]
-    return list(zip(lines[::2], lines[1::2], strict=True))
+    pairs = zip(lines[::2], lines[1::2], strict=True)
+    return [pair for pair in pairs if all(sgp4.io.compute_checksum(x) == int(x[68]) for x in pair)]
 
 
 @pytest.mark.filterwarnings("ignore:23333. positions and velocities disagree")  # of SGP4, by 4 %: e = 0.973
@@ -253,7 +254,7 @@ def test_the_table_of_sgp4_is_smooth_and_spans_what_is_asked():
     assert (found.name, found.catalog_number, found.epoch.iso()) == (
         "ISS (ZARYA)",
         25544,
-        "2008-09-20T12:25:40.104192 UTC",
+        "2008-09-20T12:25:40.104192",
     )
     assert found.elements == files.Elements(
         15.72125391, 0.0006703, 51.6416, 247.4627, 130.536, 325.0288, -1.1606e-5, -2.182e-5
@@ -384,7 +385,7 @@ def test_real_orbits_agree_with_their_velocities(e, count, per):
     """All phases, 6 to 100 entries a revolution, evenly in time: not even a warning."""
     for phase in np.linspace(0, 2 * np.pi, 13):
         M = phase + 2 * np.pi / per * np.arange(count)
-        assert not orbits.table(M, *kepler(M, e)).disagreement()[1]
+        orbits.table(M, *kepler(M, e)).check_velocities()
 
 
 T = np.arange(0.0, 20.0, 0.1)
