@@ -21,16 +21,8 @@ from lieint_jax.runs import Run
 _BODY = re.compile(
     r"(ACC|ACTUATOR|AST|CSS|DSS|ESA|GYRO|IMU|INSTRUMENT|MTA|RW|SA|SC_BODY|SENSOR|STARTRACKER|TAM)(_\w+)?"
 )
-_COLUMNS = {
-    "QUATERNION": 4,
-    "QUATERNION/DERIVATIVE": 8,
-    "QUATERNION/RATE": 7,
-    "QUATERNION/ANGVEL": 7,
-    "EULER_ANGLE": 3,
-    "EULER_ANGLE/RATE": 6,
-    "EULER_ANGLE/DERIVATIVE": 6,
-    "EULER_ANGLE/ANGVEL": 6,
-}
+_COLUMNS = {"QUATERNION": 4, "QUATERNION/DERIVATIVE": 8, "QUATERNION/RATE": 7, "QUATERNION/ANGVEL": 7, "EULER_ANGLE": 3}
+_COLUMNS |= {f"EULER_ANGLE/{rates}": 6 for rates in ("RATE", "DERIVATIVE", "ANGVEL")}
 _NORM = 1e-4  # how far the norm of a printed quaternion may be from 1
 
 

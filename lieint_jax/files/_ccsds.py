@@ -59,15 +59,11 @@ def read_segments(text: Text, kind: str) -> tuple[str, list[Segment]]:
         if not version:
             version = value
             if key != f"CCSDS_{kind}_VERS" or version not in _VERSIONS:
-                first = f"CCSDS_{kind}_VERS = 1.0, 2.0 or 3.0"
-                text.fail(
-                    k, f"the message must begin with {first}, as text and not XML, got {_checks.printable(line)!r}"
-                )
+                first = f"CCSDS_{kind}_VERS = 1.0, 2.0 or 3.0, as text and not XML"
+                text.fail(k, f"the message must begin with {first}, got {_checks.printable(line)!r}")
         elif (block := line.partition("_"))[0] in _BLOCKS and block[2] in ("START", "STOP"):
             if inside != ("" if block[2] == "START" else block[0]) or not (segments or line == "META_START"):
-                text.fail(
-                    k, f"{line} must not stand here, {f'before {inside}_STOP' if inside else 'outside of a block'}"
-                )
+                text.fail(k, f"{line} must not stand {f'before {inside}_STOP' if inside else 'outside of a block'}")
             inside = block[0] if block[2] == "START" else ""
             if line == "META_START":
                 segments.append(Segment(text, k, {}, []))

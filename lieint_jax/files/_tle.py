@@ -24,23 +24,12 @@ _DAY, _STEP, _MOST = 86400.0, 60.0, 10**7  # s; of a table, whose error is then 
 _DEEP = 225.0  # minutes: above, Moon and Sun are part of the theory
 _ALPHA = string.digits + "ABCDEFGHJKLMNPQRSTUVWXYZ"  # first digits of catalog numbers from 100 000, without I and O
 _SMALL = re.compile(r"([+-]?)(\d{5})([+-]\d)")
-_KEYS = {
-    "mean_motion": "MEAN_MOTION",
-    "eccentricity": "ECCENTRICITY",
-    "inclination": "INCLINATION",
-    "node": "RA_OF_ASC_NODE",
-    "periapsis": "ARG_OF_PERICENTER",
-    "mean_anomaly": "MEAN_ANOMALY",
-    "bstar": "BSTAR",
-    "mean_motion_dot": "MEAN_MOTION_DOT",
-    "mean_motion_ddot": "MEAN_MOTION_DDOT",
-}
-_FIXED = {
-    "CENTER_NAME": ("EARTH",),
-    "REF_FRAME": ("TEME",),
-    "TIME_SYSTEM": ("UTC",),
-    "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4"),
-}
+_FIXED = {"CENTER_NAME": ("EARTH",), "REF_FRAME": ("TEME",), "TIME_SYSTEM": ("UTC",)}
+_FIXED |= {"MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4")}
+_KEYS = (
+    "MEAN_MOTION ECCENTRICITY INCLINATION RA_OF_ASC_NODE ARG_OF_PERICENTER MEAN_ANOMALY BSTAR MEAN_MOTION_DOT "
+    "MEAN_MOTION_DDOT"
+)  # of `Elements`
 
 
 class Elements(NamedTuple):
@@ -216,9 +205,7 @@ def _checked(text: Text, line: int, found: MeanElements) -> MeanElements:
     x = found.elements
     if not (0 < x.mean_motion < 20 and 0 <= x.eccentricity < 1 and 0 <= x.inclination <= 180):
         what = f"{x.mean_motion:g} revolutions a day, e = {x.eccentricity:g}, {x.inclination:g}°"
-        text.fail(
-            line, f"the mean motion must be 0 to 20, the eccentricity 0 to 1, the inclination 0 to 180°, got {what}"
-        )
+        text.fail(line, f"the mean motion must be 0 to 20, the eccentricity 0 to 1, the inclination 0 to 180°: {what}")
     return found
 
 
@@ -245,13 +232,8 @@ def read_omm(path: str | Path, *, satellite: str | int | None = None) -> MeanEle
     """
     text = read_text(path)
     whole = "\n".join(text.lines).strip()
-    messages = _of_json(text, whole) if whole[:1] in ("[", "{") else _of_xml(text, whole) if whole[:1] == "<" else []
-    for k, line in enumerate(text.lines if whole[:1] not in ("[", "{", "<") else [], 1):
-        key, equals, value = (part.strip() for part in line.partition("="))
-        if key == "CCSDS_OMM_VERS" or (key == "OBJECT_NAME" and not messages):
-            messages.append({})
-        if equals and messages and not key.startswith("COMMENT"):
-            messages[-1][key] = k, re.sub(r"\s*\[[^]]*\]$", "", value)
+    form = {"[": _of_json, "{": _of_json, "<": _of_xml}.get(whole[:1], _of_lines)
+    messages = form(text, whole)
     if not messages:
         text.fail(0, "there is no orbit mean elements message (OMM) as text, XML or JSON")
     return _chosen(text, [_of_message(text, message) for message in messages], satellite)
@@ -264,7 +246,7 @@ def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanEleme
         if value.upper() not in allowed:
             text.fail(line, f"{key} must be {allowed[0]}, as SGP4 needs, got {_checks.printable(value)!r}")
     values = {}
-    for name, key in _KEYS.items():
+    for name, key in zip(Elements._fields, _KEYS.split(), strict=True):
         if key in message:
             line, word = message[key]
             values[name] = text.number(line, word, key)
@@ -276,6 +258,17 @@ def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanEleme
     name = message.get("OBJECT_NAME", (0, str(number)))[1]
     line, word = message["EPOCH"]
     return _checked(text, line, MeanElements(_ccsds.moment(text, line, word, "UTC"), name, number, Elements(**values)))
+
+
+def _of_lines(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:
+    messages: list[dict[str, tuple[int, str]]] = []
+    for k, line in enumerate(text.lines, 1):
+        key, equals, value = (part.strip() for part in line.partition("="))
+        if key == "CCSDS_OMM_VERS" or (key == "OBJECT_NAME" and not messages):
+            messages.append({})
+        if equals and messages and not key.startswith("COMMENT"):
+            messages[-1][key] = k, re.sub(r"\s*\[[^]]*\]$", "", value)  # without a unit
+    return messages
 
 
 def _of_json(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:

@@ -77,8 +77,8 @@ class Table:
             return
         move = f"from t = {t[k]:g} to {t[k + 1]:g} the positions move by {lengths[k]:.3g}, the velocities give "
         sentence = (
-            f"{name}positions and velocities disagree: {move}{given[k]:.3g} along {_angle(moved[k], swept[k]):.0f}° from "
-            "there; they must have the same unit of length, the unit of time of the times and the same axes, which do "
+            f"{name}positions and velocities disagree: {move}{given[k]:.3g} at {_angle(moved[k], swept[k]):.0f}° to "
+            "that; they must have the same unit of length, the unit of time of the times and the same axes, which do "
             "not rotate, and at least six entries a revolution"
         )
         if refuse and found > _FACTOR:
