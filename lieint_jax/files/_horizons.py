@@ -18,7 +18,7 @@ _LENGTHS = {"km": 1.0, "m": 1e-3, "au": 149597870.7}  # km
 _TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _DATE = re.compile(r"A\.D\.\s+(\d{4})-([A-Z][a-z]{2})-(\d{2})(?:\s+(\d{2}:\d{2}(?::\d{2}(?:\.\d*)?)?))?(?:\s+[A-Z]+)?")
-_LABELS = re.compile(r"[A-Z]+\s*=")
+_LABELS = re.compile(r"\b[A-Z]+\s*=")
 _SCALES = {"CT": "TDB", "TDB": "TDB", "TT": "TT", "UT": "UTC", "UTC": "UTC"}
 
 
@@ -49,7 +49,7 @@ def read_horizons(path: str | Path) -> OrbitTable:
     for k, line in enumerate(stripped[:start], 1):
         key, colon, value = line.partition(":")
         if colon and key.strip().lower() not in header:
-            header[key.strip().lower()] = k, re.sub(r"\s*\{[^}]*\}?$", "", value).strip()
+            header[key.strip().lower()] = k, value.partition("{")[0].strip()
     line, word = _field(text, header, "output units")
     length, _, unit = word.split(",")[0].strip().lower().partition("-")
     if length not in ("km", "au") or unit not in ("s", "d"):

@@ -83,8 +83,8 @@ class MeanElements:
         if not (math.isfinite(first) and math.isfinite(last) and 0 < last - first <= _MOST * _STEP):
             raise ValueError(f"span must be a length or (from, to) in s, up to {_MOST * _STEP:.0e} s, got {span}")
         t = np.linspace(first, last, math.ceil((last - first) / _STEP) + 1)
-        states = self._sgp4(t)
-        return orbit_table(Text(self.name, []), self.epoch, t, states, ("TEME", "EARTH", self.name))
+        text = Text(_checks.printable(self.name), [])
+        return orbit_table(text, self.epoch, t, self._sgp4(t), ("TEME", "EARTH", self.name))
 
     def _sgp4(self, t: np.ndarray) -> np.ndarray:
         """Positions and velocities by the package sgp4, (n, 6)."""
@@ -101,7 +101,8 @@ class MeanElements:
         failed, r, v = satellite.sgp4_array(np.full(len(t), satellite.jdsatepoch), satellite.jdsatepochF + t / _DAY)
         if failed.any():
             k = int(np.argmax(failed != 0))
-            raise ValueError(f"SGP4 fails for {self.name} at {t[k]:g} s from the epoch: {SGP4_ERRORS[int(failed[k])]}")
+            name, why = _checks.printable(self.name), SGP4_ERRORS[int(failed[k])]
+            raise ValueError(f"SGP4 fails for {name} at {t[k]:g} s from the epoch: {why}")
         return np.hstack([r, v])
 
     def secular_j2(self) -> orbits.SecularJ2:
@@ -116,7 +117,7 @@ class MeanElements:
         found = self.elements
         period = 1440 / found.mean_motion
         if period > _DEEP:
-            what = f"{self.name} has a period of {period:.0f} minutes"
+            what = f"{_checks.printable(self.name)} has a period of {period:.0f} minutes"
             raise ValueError(f"{what}; above {_DEEP:.0f}, Moon and Sun move the orbit as much as J2: use .orbit(span)")
         e, n = found.eccentricity, 2 * math.pi / (period * 60)
         i, node, periapsis, M = (math.radians(x) for x in found[2:6])
@@ -249,7 +250,7 @@ def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanEleme
     for name, key in zip(Elements._fields, _KEYS.split(), strict=True):
         if key in message:
             line, word = message[key]
-            values[name] = text.number(line, word, key)
+            values[name] = text.number(line, word.partition("[")[0].strip(), key)  # without a unit
         elif "DOT" not in key:
             text.fail(0, f"the message must have {key}: it is no message of SGP4, or is cut short")
     if "EPOCH" not in message:
@@ -267,7 +268,7 @@ def _of_lines(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:
         if key == "CCSDS_OMM_VERS" or (key == "OBJECT_NAME" and not messages):
             messages.append({})
         if equals and messages and not key.startswith("COMMENT"):
-            messages[-1][key] = k, re.sub(r"\s*\[[^]]*\]$", "", value)  # without a unit
+            messages[-1][key] = k, value
     return messages
 
 

@@ -265,7 +265,7 @@ def test_any_cut_of_a_file_is_read_or_refused_in_a_sentence(tmp_path):
     """At every character: no other exception, and no warning of any kind but those of the readers."""
     path = tmp_path / "file"
     for text, read in READERS.values():
-        for k in range(0, len(text), 7):
+        for k in range(0, len(text), 11):
             path.write_text(text[:k])
             with contextlib.suppress(UserWarning):
                 try:
