@@ -21,16 +21,8 @@ from lieint_jax.runs import Run
 _BODY = re.compile(
     r"(ACC|ACTUATOR|AST|CSS|DSS|ESA|GYRO|IMU|INSTRUMENT|MTA|RW|SA|SC_BODY|SENSOR|STARTRACKER|TAM)(_\w+)?"
 )
-_COLUMNS = {
-    "QUATERNION": 4,
-    "QUATERNION/DERIVATIVE": 8,
-    "QUATERNION/RATE": 7,
-    "QUATERNION/ANGVEL": 7,
-    "EULER_ANGLE": 3,
-    "EULER_ANGLE/RATE": 6,
-    "EULER_ANGLE/DERIVATIVE": 6,
-    "EULER_ANGLE/ANGVEL": 6,
-}
+_COLUMNS = {"QUATERNION": 4, "QUATERNION/DERIVATIVE": 8, "QUATERNION/RATE": 7, "QUATERNION/ANGVEL": 7, "EULER_ANGLE": 3}
+_COLUMNS |= {f"EULER_ANGLE/{rates}": 6 for rates in ("RATE", "DERIVATIVE", "ANGVEL")}
 _NORM = 1e-4  # how far the norm of a printed quaternion may be from 1
 
 
@@ -76,7 +68,7 @@ def read_aem(path: str | Path, *, segment: int | None = None) -> Attitudes:
     """
     text = read_text(path)
     version, segments = _ccsds.read_segments(text, "AEM")
-    part = _ccsds.one_part(text, [_attitudes(found, version) for found in segments], segment, _same)
+    part = _ccsds.one_part(segments, segment, lambda found: _attitudes(found, version), _same)
     space, body, name = (part.facts[key] for key in ("SPACE", "BODY", "OBJECT_NAME"))
     q, rates = np.split(part.values, [4], axis=1)
     signs = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1, 1)
@@ -125,7 +117,7 @@ def _attitudes(segment: _ccsds.Segment, version: str) -> _ccsds.Part:
     elif kind.endswith("/ANGVEL"):
         rates = _rates(segment, q, np.radians(rest), swapped, a, b)
     space, body = (b, a) if swapped else (a, b)
-    facts = {"SPACE": space, "BODY": body, "OBJECT_NAME": part.facts["OBJECT_NAME"], "TIME_SYSTEM": part.epoch.scale}
+    facts = part.facts | {"SPACE": space, "BODY": body, "ATTITUDE_TYPE": kind}
     return part._replace(facts=facts, values=np.hstack([q, rates]))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -58,15 +59,11 @@ def read_segments(text: Text, kind: str) -> tuple[str, list[Segment]]:
         if not version:
             version = value
             if key != f"CCSDS_{kind}_VERS" or version not in _VERSIONS:
-                first = f"CCSDS_{kind}_VERS = 1.0, 2.0 or 3.0"
-                text.fail(
-                    k, f"the message must begin with {first}, as text and not XML, got {_checks.printable(line)!r}"
-                )
+                first = f"CCSDS_{kind}_VERS = 1.0, 2.0 or 3.0, as text and not XML"
+                text.fail(k, f"the message must begin with {first}, got {_checks.printable(line)!r}")
         elif (block := line.partition("_"))[0] in _BLOCKS and block[2] in ("START", "STOP"):
             if inside != ("" if block[2] == "START" else block[0]) or not (segments or line == "META_START"):
-                text.fail(
-                    k, f"{line} must not stand here, {f'before {inside}_STOP' if inside else 'outside of a block'}"
-                )
+                text.fail(k, f"{line} must not stand {f'before {inside}_STOP' if inside else 'outside of a block'}")
             inside = block[0] if block[2] == "START" else ""
             if line == "META_START":
                 segments.append(Segment(text, k, {}, []))
@@ -79,10 +76,8 @@ def read_segments(text: Text, kind: str) -> tuple[str, list[Segment]]:
         elif inside != "COVARIANCE" and (segments or not equals):
             text.fail(k, f"a row of data or KEY = value of metadata was expected, got {_checks.printable(line)!r}")
     if inside or not segments:
-        text.fail(
-            len(text.lines),
-            f"the file is cut short, or no {kind}: it ends before {inside or 'META'}_ST{'OP' if inside else 'ART'}",
-        )
+        mark = f"{inside}_STOP" if inside else "META_START"
+        text.fail(len(text.lines), f"the file is cut short, or no {kind}: it ends before {mark}")
     return version, segments
 
 
@@ -113,7 +108,8 @@ def rows_of(segment: Segment, columns: Sequence[int], keys: Sequence[str]) -> Pa
             line = segment.meta[key][0]
             missing = sign * (moment(text, line, segment.get(key), scale) - moments[0] - end)
             if missing > max(step, 1e-3):
-                text.fail(line, f"the rows miss {missing:g} s at {key}: the file is cut short")
+                what = f"the rows miss {missing:g} s at {key}: the file may be cut short"
+                warnings.warn(f"{text.name}, line {line}: {what}", stacklevel=4)
     facts = {key: segment.get(key) for key in keys} | {"TIME_SYSTEM": scale}
     return Part(facts, moments[0], times, np.array(values))
 
@@ -143,29 +139,36 @@ def increasing(text: Text, lines: Sequence[int], times: np.ndarray, names: Seque
 
 
 def one_part(
-    text: Text, parts: list[Part], segment: int | None, same: Callable[[np.ndarray, np.ndarray], bool]
+    segments: Sequence[Segment],
+    number: int | None,
+    read: Callable[[Segment], Part],
+    same: Callable[[np.ndarray, np.ndarray], bool],
 ) -> Part:
     """A segment by its number, or all joined: each must begin with the `same` row with which the one before ends."""
-    last = len(parts) - 1
-    if segment is not None:
-        if not 0 <= segment <= last:
-            text.fail(0, f"segment must be one of 0 to {last}, got {segment}")
-        return parts[segment]
-    first, times, values = parts[0], [parts[0].times], [parts[0].values]
+    text, last = segments[0].text, len(segments) - 1
+    if number is not None:
+        if not 0 <= number <= last:
+            text.fail(0, f"segment must be one of 0 to {last}, got {number}")
+        return read(segments[number])
+    parts = [read(segment) for segment in segments]
+    whole = parts[0]
+    pieces = [(whole.times, whole.values)]
     for k, part in enumerate(parts[1:], 1):
-        other = [key for key, value in part.facts.items() if value != first.facts[key]]
-        why = f"differ in {other[0]}" if other else ""
-        if not why and abs(part.epoch - first.epoch - times[-1][-1]) > 1e-6:
-            why = "leave a gap in time, or overlap,"
-        if not why and not same(values[-1][-1], part.values[0]):
-            why = "have different rows at the epoch at which they meet"
-        if why:
-            text.fail(
-                0, f"segments {k - 1} and {k} of 0 to {last} {why} and cannot be joined: give segment={k}, or another"
+        since = part.epoch - whole.epoch if part.epoch.scale == whole.epoch.scale else 0.0
+        if other := [key for key, value in part.facts.items() if value != whole.facts[key]]:
+            why = f"differ in {other[0]}"
+        elif abs(since - pieces[-1][0][-1]) > 1e-6:
+            why = "leave a gap in time or overlap"
+        else:
+            why = (
+                "" if same(pieces[-1][1][-1], part.values[0]) else "have different rows at the epoch at which they meet"
             )
-        times.append(part.times[1:] + times[-1][-1])
-        values.append(part.values[1:])
-    return Part(first.facts, first.epoch, np.concatenate(times), np.concatenate(values))
+        if why:
+            text.fail(segments[k].line, f"segments {k - 1} and {k} of 0 to {last} {why}: choose one by segment={k}")
+        if len(part.times) > 1:
+            pieces.append((part.times[1:] + since, part.values[1:]))
+    times, values = (np.concatenate(x) for x in zip(*pieces, strict=True))
+    return whole._replace(times=times, values=values)
 
 
 def write_message(path: str | Path, kind: str, version: str, meta: dict[str, str], rows: Iterable[str]) -> None:

@@ -18,7 +18,7 @@ _LENGTHS = {"km": 1.0, "m": 1e-3, "au": 149597870.7}  # km
 _TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _DATE = re.compile(r"A\.D\.\s+(\d{4})-([A-Z][a-z]{2})-(\d{2})(?:\s+(\d{2}:\d{2}(?::\d{2}(?:\.\d*)?)?))?(?:\s+[A-Z]+)?")
-_LABELS = re.compile(r"[A-Z]+\s*=")
+_LABELS = re.compile(r"\b[A-Z]+\s*=")
 _SCALES = {"CT": "TDB", "TDB": "TDB", "TT": "TT", "UT": "UTC", "UTC": "UTC"}
 
 
@@ -49,40 +49,30 @@ def read_horizons(path: str | Path) -> OrbitTable:
     for k, line in enumerate(stripped[:start], 1):
         key, colon, value = line.partition(":")
         if colon and key.strip().lower() not in header:
-            header[key.strip().lower()] = k, re.sub(r"\s*\{[^}]*\}?$", "", value).strip()
-    length, unit = _units(text, header)
+            header[key.strip().lower()] = k, value.partition("{")[0].strip()
+    line, word = _field(text, header, "output units")
+    length, _, unit = word.split(",")[0].strip().lower().partition("-")
+    if length not in ("km", "au") or unit not in ("s", "d"):
+        text.fail(line, f"the units must be KM-S, KM-D or AU-D, got {_checks.printable(word)!r}")
     line, word = _field(text, header, "start time")
     scale = _SCALES.get(word.split()[-1] if word else "")
     if scale is None:
         text.fail(line, f"the scale of the times must be TDB, TT or UT, got {_checks.printable(word)!r}")
     line, word = header.get("output type", (0, "GEOMETRIC"))
     if "GEOMETRIC" not in word.upper():
-        text.fail(
-            line, f"the states must be geometric, without light time and aberration, got {_checks.printable(word)!r}"
-        )
+        text.fail(line, f"the states must be geometric, without aberration, got {_checks.printable(word)!r}")
     lines, moments, states = _records(text, stripped, start + 1, stop, scale)
     names = [_field(text, header, key)[1] for key in ("center body name", "target body name")]
-    frame = header.get("reference frame", header.get("coordinate systm", (0, "")))[1]
-    if not frame:
-        text.fail(0, "the header must have a line Reference frame")
+    names.insert(0, _field(text, header, "reference frame")[1])
     times = _ccsds.elapsed(text, lines, moments)
-    values = np.array(states) * np.repeat([length, length / unit], 3)
-    return orbit_table(text, moments[0], times, values, (frame, *names))
+    values = np.array(states) * np.repeat([_LENGTHS[length], _LENGTHS[length] / _TIMES[unit]], 3)
+    return orbit_table(text, moments[0], times, values, names)
 
 
 def _field(text: Text, header: Mapping[str, tuple[int, str]], key: str) -> tuple[int, str]:
     if key not in header:
         text.fail(0, f"the header of the table must have a line {key.capitalize()}")
     return header[key]
-
-
-def _units(text: Text, header: Mapping[str, tuple[int, str]]) -> tuple[float, float]:
-    """The units of length in km and of time in s."""
-    line, word = _field(text, header, "output units")
-    length, _, unit = word.split(",")[0].strip().lower().partition("-")
-    if length not in ("km", "au") or unit not in ("s", "d"):
-        text.fail(line, f"the units must be KM-S, KM-D or AU-D, got {_checks.printable(word)!r}")
-    return _LENGTHS[length], _TIMES[unit]
 
 
 def _records(
@@ -103,9 +93,7 @@ def _records(
             moments.append(_ccsds.moment(text, k + 1, word, scale))
             julian = text.number(k + 1, re.split(r"[=,]", line)[0].strip(), "the Julian date")
             if abs(julian - moments[-1].julian_date) > 1e-3:
-                text.fail(
-                    k + 1, f"the calendar date and the Julian date {julian} differ: dates before 1582 are not read"
-                )
+                text.fail(k + 1, f"the date must be of the Gregorian calendar and agree with {julian}")
             lines.append(k + 1)
             states.append([])
             line = line[date.end() :].lstrip(" ,")
@@ -117,7 +105,7 @@ def _records(
     for line, state in zip(lines, states, strict=True):
         if len(state) != 6:
             text.fail(
-                line, f"an entry must be a position and a velocity (vector table 2 or 3), it has {len(state)} numbers"
+                line, f"an entry must be a position and a velocity (vector table 2 or 3), got {len(state)} numbers"
             )
     if not states:
         text.fail(start, "the table has no entries")
@@ -138,7 +126,7 @@ def read_ephemeris_csv(
     center: str = "",
     object: str = "",  # noqa: A002
 ) -> OrbitTable:
-    """The orbit of a table with named columns, such as CSV: commas, semicolons or tabs; lines that begin with # skipped.
+    """The orbit of a table with named columns (CSV): commas, semicolons or tabs; lines that begin with # are skipped.
 
     Args:
         path: of the file; its first line names the columns.

@@ -42,8 +42,7 @@ def read_oem(path: str | Path, *, segment: int | None = None) -> OrbitTable:
     """
     text = read_text(path)
     _, segments = _ccsds.read_segments(text, "OEM")
-    parts = [_ccsds.rows_of(found, (6, 9), _FACTS) for found in segments]
-    part = _ccsds.one_part(text, parts, segment, _same)
+    part = _ccsds.one_part(segments, segment, lambda found: _ccsds.rows_of(found, (6, 9), _FACTS), _same)
     return orbit_table(text, part.epoch, part.times, part.values, [part.facts[key] for key in _FACTS])
 
 

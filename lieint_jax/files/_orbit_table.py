@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -48,11 +47,5 @@ def orbit_table(
     if not (np.diff(np.asarray(t)) > 0).all():
         text.fail(0, "its times need float64: call jax.config.update('jax_enable_x64', True) first")
     found = OrbitTable(t, r, v, epoch, *facts)
-    if units:
-        try:
-            orbits.table(t, r, v)
-        except ValueError as error:
-            text.fail(0, str(error))
-    elif sentence := found.disagreement()[1]:
-        warnings.warn(f"{text.name}: {sentence}", stacklevel=3)
+    found.check_velocities(f"{text.name}: ", refuse=units)
     return found

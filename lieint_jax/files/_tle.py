@@ -24,23 +24,12 @@ _DAY, _STEP, _MOST = 86400.0, 60.0, 10**7  # s; of a table, whose error is then 
 _DEEP = 225.0  # minutes: above, Moon and Sun are part of the theory
 _ALPHA = string.digits + "ABCDEFGHJKLMNPQRSTUVWXYZ"  # first digits of catalog numbers from 100 000, without I and O
 _SMALL = re.compile(r"([+-]?)(\d{5})([+-]\d)")
-_KEYS = {
-    "mean_motion": "MEAN_MOTION",
-    "eccentricity": "ECCENTRICITY",
-    "inclination": "INCLINATION",
-    "node": "RA_OF_ASC_NODE",
-    "periapsis": "ARG_OF_PERICENTER",
-    "mean_anomaly": "MEAN_ANOMALY",
-    "bstar": "BSTAR",
-    "mean_motion_dot": "MEAN_MOTION_DOT",
-    "mean_motion_ddot": "MEAN_MOTION_DDOT",
-}
-_FIXED = {
-    "CENTER_NAME": ("EARTH",),
-    "REF_FRAME": ("TEME",),
-    "TIME_SYSTEM": ("UTC",),
-    "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4"),
-}
+_FIXED = {"CENTER_NAME": ("EARTH",), "REF_FRAME": ("TEME",), "TIME_SYSTEM": ("UTC",)}
+_FIXED |= {"MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4")}
+_KEYS = (
+    "MEAN_MOTION ECCENTRICITY INCLINATION RA_OF_ASC_NODE ARG_OF_PERICENTER MEAN_ANOMALY BSTAR MEAN_MOTION_DOT "
+    "MEAN_MOTION_DDOT"
+)  # of `Elements`
 
 
 class Elements(NamedTuple):
@@ -94,8 +83,8 @@ class MeanElements:
         if not (math.isfinite(first) and math.isfinite(last) and 0 < last - first <= _MOST * _STEP):
             raise ValueError(f"span must be a length or (from, to) in s, up to {_MOST * _STEP:.0e} s, got {span}")
         t = np.linspace(first, last, math.ceil((last - first) / _STEP) + 1)
-        states = self._sgp4(t)
-        return orbit_table(Text(self.name, []), self.epoch, t, states, ("TEME", "EARTH", self.name))
+        text = Text(_checks.printable(self.name), [])
+        return orbit_table(text, self.epoch, t, self._sgp4(t), ("TEME", "EARTH", self.name))
 
     def _sgp4(self, t: np.ndarray) -> np.ndarray:
         """Positions and velocities by the package sgp4, (n, 6)."""
@@ -112,7 +101,8 @@ class MeanElements:
         failed, r, v = satellite.sgp4_array(np.full(len(t), satellite.jdsatepoch), satellite.jdsatepochF + t / _DAY)
         if failed.any():
             k = int(np.argmax(failed != 0))
-            raise ValueError(f"SGP4 fails for {self.name} at {t[k]:g} s from the epoch: {SGP4_ERRORS[int(failed[k])]}")
+            name, why = _checks.printable(self.name), SGP4_ERRORS[int(failed[k])]
+            raise ValueError(f"SGP4 fails for {name} at {t[k]:g} s from the epoch: {why}")
         return np.hstack([r, v])
 
     def secular_j2(self) -> orbits.SecularJ2:
@@ -127,7 +117,7 @@ class MeanElements:
         found = self.elements
         period = 1440 / found.mean_motion
         if period > _DEEP:
-            what = f"{self.name} has a period of {period:.0f} minutes"
+            what = f"{_checks.printable(self.name)} has a period of {period:.0f} minutes"
             raise ValueError(f"{what}; above {_DEEP:.0f}, Moon and Sun move the orbit as much as J2: use .orbit(span)")
         e, n = found.eccentricity, 2 * math.pi / (period * 60)
         i, node, periapsis, M = (math.radians(x) for x in found[2:6])
@@ -216,9 +206,7 @@ def _checked(text: Text, line: int, found: MeanElements) -> MeanElements:
     x = found.elements
     if not (0 < x.mean_motion < 20 and 0 <= x.eccentricity < 1 and 0 <= x.inclination <= 180):
         what = f"{x.mean_motion:g} revolutions a day, e = {x.eccentricity:g}, {x.inclination:g}°"
-        text.fail(
-            line, f"the mean motion must be 0 to 20, the eccentricity 0 to 1, the inclination 0 to 180°, got {what}"
-        )
+        text.fail(line, f"the mean motion must be 0 to 20, the eccentricity 0 to 1, the inclination 0 to 180°: {what}")
     return found
 
 
@@ -245,13 +233,8 @@ def read_omm(path: str | Path, *, satellite: str | int | None = None) -> MeanEle
     """
     text = read_text(path)
     whole = "\n".join(text.lines).strip()
-    messages = _of_json(text, whole) if whole[:1] in ("[", "{") else _of_xml(text, whole) if whole[:1] == "<" else []
-    for k, line in enumerate(text.lines if whole[:1] not in ("[", "{", "<") else [], 1):
-        key, equals, value = (part.strip() for part in line.partition("="))
-        if key == "CCSDS_OMM_VERS" or (key == "OBJECT_NAME" and not messages):
-            messages.append({})
-        if equals and messages and not key.startswith("COMMENT"):
-            messages[-1][key] = k, re.sub(r"\s*\[[^]]*\]$", "", value)
+    form = {"[": _of_json, "{": _of_json, "<": _of_xml}.get(whole[:1], _of_lines)
+    messages = form(text, whole)
     if not messages:
         text.fail(0, "there is no orbit mean elements message (OMM) as text, XML or JSON")
     return _chosen(text, [_of_message(text, message) for message in messages], satellite)
@@ -264,10 +247,10 @@ def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanEleme
         if value.upper() not in allowed:
             text.fail(line, f"{key} must be {allowed[0]}, as SGP4 needs, got {_checks.printable(value)!r}")
     values = {}
-    for name, key in _KEYS.items():
+    for name, key in zip(Elements._fields, _KEYS.split(), strict=True):
         if key in message:
             line, word = message[key]
-            values[name] = text.number(line, word, key)
+            values[name] = text.number(line, word.partition("[")[0].strip(), key)  # without a unit
         elif "DOT" not in key:
             text.fail(0, f"the message must have {key}: it is no message of SGP4, or is cut short")
     if "EPOCH" not in message:
@@ -276,6 +259,17 @@ def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanEleme
     name = message.get("OBJECT_NAME", (0, str(number)))[1]
     line, word = message["EPOCH"]
     return _checked(text, line, MeanElements(_ccsds.moment(text, line, word, "UTC"), name, number, Elements(**values)))
+
+
+def _of_lines(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:
+    messages: list[dict[str, tuple[int, str]]] = []
+    for k, line in enumerate(text.lines, 1):
+        key, equals, value = (part.strip() for part in line.partition("="))
+        if key == "CCSDS_OMM_VERS" or (key == "OBJECT_NAME" and not messages):
+            messages.append({})
+        if equals and messages and not key.startswith("COMMENT"):
+            messages[-1][key] = k, value
+    return messages
 
 
 def _of_json(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:

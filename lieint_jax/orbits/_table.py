@@ -47,12 +47,19 @@ class Table:
         bend = step - h * va - ends
         return ra + s * (h * va + s * (bend + s * ends)), va + s * (2 * bend + 3 * s * ends) / h
 
-    def disagreement(self) -> tuple[float, str]:
-        """How far positions and velocities disagree, and a sentence about it, which is empty up to 0.02.
+    def check_velocities(self, name: str = "", refuse: bool = True) -> None:
+        """Warn of velocities that are not those of the positions; ValueError if they disagree by a factor.
 
-        Between two entries the positions move by Δ, the trapezoidal rule of the velocities gives D. The disagreement is
-        the median of (|Δ − D| − E)/max(|Δ|, |D|). E is twice the error of this rule, from second differences of the
-        velocities, and 1e-6 of the distance from the center for round-off.
+        Between two entries the positions move by Δ, the trapezoidal rule of the velocities gives D. Of all pairs the
+        median of (|Δ − D| − E)/max(|Δ|, |D|) must be at most 0.02. E is twice the error of this rule, from second
+        differences of the velocities, and 1e-6 of the distance from the center for round-off.
+
+        Args:
+            name: what messages begin with.
+            refuse: whether a factor is an error, too, and not a warning.
+
+        Raises:
+            ValueError: a disagreement above 0.7.
         """
         t, r, v = (np.asarray(x, float) for x in (self.times, self.positions, self.velocities))
         h, moved, swept = np.diff(t), np.diff(r, axis=0), np.diff(t)[:, None] * (v[1:] + v[:-1]) / 2
@@ -67,13 +74,16 @@ class Table:
         parts = np.maximum(excess, 0) / np.maximum(np.maximum(lengths, given), np.finfo(float).tiny)
         found, k = float(np.median(parts)), int(np.argsort(parts)[len(parts) // 2])
         if found <= _MODEST:
-            return found, ""
+            return
         move = f"from t = {t[k]:g} to {t[k + 1]:g} the positions move by {lengths[k]:.3g}, the velocities give "
-        return found, (
-            f"positions and velocities disagree: {move}{given[k]:.3g} along {_angle(moved[k], swept[k]):.0f}° from "
-            "there; they must have the same unit of length, the unit of time of the times and the same axes, which do "
+        sentence = (
+            f"{name}positions and velocities disagree: {move}{given[k]:.3g} at {_angle(moved[k], swept[k]):.0f}° to "
+            "that; they must have the same unit of length, the unit of time of the times and the same axes, which do "
             "not rotate, and at least six entries a revolution"
         )
+        if refuse and found > _FACTOR:
+            raise ValueError(sentence)
+        warnings.warn(sentence, stacklevel=3)
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> float:
@@ -98,11 +108,7 @@ def table(times: Any, positions: Any, velocities: Any) -> Table:
     """
     found = _entries(times, positions, velocities)
     if concrete(found):
-        disagreement, sentence = found.disagreement()
-        if disagreement > _FACTOR:
-            raise ValueError(sentence)
-        if sentence:
-            warnings.warn(sentence, stacklevel=2)
+        found.check_velocities()
     return found
 
 
