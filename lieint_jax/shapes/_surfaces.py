@@ -307,7 +307,7 @@ def _table(text: Text, at: Sequence[int], what: str) -> np.ndarray:
         rows = [_split(text, number) for number in some]
         for number, row in zip(some, rows, strict=True):
             if len(row) != columns:
-                text.fail(number, f"{what} needs {columns} numbers, as in the lines above, got {_shown(row)}")
+                text.fail(number, f"{what} needs {columns} numbers, as in the lines above, got {_shown(' '.join(row))}")
         try:
             part = np.array(rows, float)
         except ValueError:  # a D exponent, or no number
