@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -138,15 +138,17 @@ def _check_closed(found: _Triangles) -> None:
     a, b = F.ravel(), np.roll(F, -1, axis=1).ravel()  # edge k of face k // 3
     keys, opposite = a * count + b, b * count + a
     names, uses = np.unique(keys, return_counts=True)
-    if (uses > 1).any():
-        key = names[uses > 1][0]
+    double = np.isin(keys, names[uses > 1])
+    if double.any():
+        worst = int(np.argmax(np.bincount(np.arange(3 * len(F))[double] // 3)))  # probably the one that is wrong
+        key = keys[3 * worst : 3 * worst + 3][double[3 * worst : 3 * worst + 3]][0]
         along, against = np.flatnonzero(keys == key) // 3, np.flatnonzero(opposite == key) // 3
         _check_copies(found, np.concatenate([along, against]))
-        other = f"{found.word} {found.lines[along[0]]}"
+        other = f"{found.word} {found.lines[along[along != worst][0]]}"
         if len(along) == len(against):
-            found.fail(along[1], f"{2 * len(along)} faces, also that of {other}, meet in one edge: separate the parts")
+            found.fail(worst, f"{2 * len(along)} faces, also that of {other}, meet in one edge: separate the parts")
         found.fail(
-            along[1],
+            worst,
             f"this face and that of {other} run along their common edge in the same direction: reverse one of them, "
             "all must be oriented alike",
         )
@@ -323,6 +325,9 @@ def _table(text: Text, at: Sequence[int], what: str) -> np.ndarray:
     return table[:, -3:]
 
 
+_Row = tuple[str, int, dict[str, Sequence[float]]]  # element, its line or number from 1, its properties
+
+
 class _Element(NamedTuple):
     """An element of a PLY file: its properties are (name, code, code of the length of a list or "")."""
 
@@ -332,17 +337,30 @@ class _Element(NamedTuple):
 
 
 def _read_ply(name: str, data: bytes) -> _Triangles:
-    """The elements "vertex" and "face" of a file PLY."""
+    """The elements "vertex" and "face" of a PLY file."""
     found = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data)
-    head = decode(name, data[: found.end()] if found else data[:200])
+    head = _text(name, data[: found.end()] if found else data[:200])
     if not found or head.lines[0].strip() != "ply":
         head.fail(1, 'a PLY file must begin with a line "ply" and have a line "end_header"')
     form, elements = _ply_header(head)
     if form == "ascii":
-        text = _text(name, data)
-        at = [k for k, line in enumerate(text.lines, 1) if line.strip() and k >= len(head.lines)]
-        return _ply_rows(text, elements, at)
-    return _ply_binary(Text(name, []), elements, data[found.end() :], "<" if form == "binary_little_endian" else ">")
+        text, word = _text(name, data), "line"
+        rows = _text_rows(text, elements, len(head.lines))
+    else:
+        text, word = Text(name, []), "face"
+        rows = _binary_rows(text, elements, data[found.end() :], "<" if form == "binary_little_endian" else ">")
+    vertices, faces, lines = [], [], []
+    for kind, place, row in rows:
+        if kind == "vertex":
+            vertices.append([row[x][0] for x in "xyz"])
+        elif kind == "face":
+            corners = row.get("vertex_indices", row.get("vertex_index", ()))
+            if len(corners) < 3 or not all(float(x).is_integer() and abs(x) < 2**53 for x in corners):
+                what = f"{word} {place}: a face needs a list vertex_indices of three or more integers"
+                raise ValueError(f"{name}, {what}, got {_shown(list(corners))}")
+            faces += _fan([int(x) for x in corners])
+            lines += [place] * (len(corners) - 2)
+    return _triangles(text, vertices, faces, lines, word)
 
 
 def _ply_header(head: Text) -> tuple[str, list[_Element]]:
@@ -369,76 +387,47 @@ def _ply_header(head: Text) -> tuple[str, list[_Element]]:
             head.fail(0, "the element vertex must have properties x, y and z and no lists")
         if not element.properties:
             head.fail(0, f"the element {_checks.printable(element.name)} has no properties")
-    if not form or not {"vertex", "face"} <= {element.name for element in elements}:
-        head.fail(0, "the header must state the format, and the elements vertex and face")
+    names = [element.name for element in elements]
+    if not form or names.count("vertex") != 1 or names.count("face") != 1:
+        head.fail(0, "the header must state the format, one element vertex and one element face")
     return form, elements
 
 
-def _ply_faces(text: Text, number: int, row: dict[str, Sequence[float]]) -> list[list[int]]:
-    """The triangles of the face in a row, whose place is `number` in messages."""
-    corners = row.get("vertex_indices", row.get("vertex_index", ()))
-    if len(corners) < 3 or any(x != int(x) for x in corners):
-        text.fail(number, f"a face needs a list vertex_indices of three or more integers, got {_shown(list(corners))}")
-    return _fan([int(x) for x in corners])
+def _text_rows(text: Text, elements: list[_Element], head: int) -> Iterator[_Row]:
+    """The rows of elements in lines of text, after a header of so many lines."""
+    at = [number for number, line in enumerate(text.lines, 1) if line.strip() and number >= head]
+    if len(at) != (count := sum(element.size for element in elements)):
+        text.fail(0, f"{count} lines of elements must follow the header, got {len(at)}")
+    kinds = [element for element in elements for _ in range(element.size)]
+    for number, (kind, _, properties) in zip(at, kinds, strict=True):
+        words, row = text.lines[number - 1].split(), {}
+        for name, _, length in properties:
+            count = _count(text, number, words.pop(0) if words else "") if length else 1
+            row[name] = text.numbers(number, words[:count], f"the property {_checks.printable(name)}")
+            if len(row[name]) != count:
+                text.fail(number, f"the line has too few numbers: {_shown(text.lines[number - 1])}")
+            words = words[count:]
+        if words:
+            text.fail(number, f"the line has too many numbers: {_shown(text.lines[number - 1])}")
+        yield kind, number, row
 
 
-def _ply_rows(text: Text, elements: list[_Element], at: list[int]) -> _Triangles:
-    vertices, faces, lines = [], [], []
-    if len(at) != sum(element.size for element in elements):
-        text.fail(0, f"{sum(e.size for e in elements)} lines of elements must follow the header, got {len(at)}")
-    for element in elements:
-        some, at = at[: element.size], at[element.size :]
-        if element.name not in ("vertex", "face"):
-            continue
-        for number in some:
-            words, row = text.lines[number - 1].split(), {}
-            for name, _, length in element.properties:
-                count = _count(text, number, words.pop(0) if words else "") if length else 1
-                row[name], words = (
-                    text.numbers(number, words[:count], f"the property {_checks.printable(name)}"),
-                    words[count:],
-                )
-                if len(row[name]) != count:
-                    text.fail(number, f"the line has too few numbers: {_shown(text.lines[number - 1])}")
-            if words:
-                text.fail(number, f"the line has too many numbers: {_shown(text.lines[number - 1])}")
-            if element.name == "vertex":
-                vertices.append([row[x][0] for x in "xyz"])
-            else:
-                faces += (more := _ply_faces(text, number, row))
-                lines += [number] * len(more)
-    return _triangles(text, vertices, faces, lines)
-
-
-def _ply_binary(text: Text, elements: list[_Element], data: bytes, order: str) -> _Triangles:
-    vertices, faces, lines, offset = np.empty((0, 3)), [], [], 0
-    for element in elements:
-        if not any(length for *_, length in element.properties):
-            row = np.dtype([(str(k), order + code) for k, (_, code, _) in enumerate(element.properties)])
-            if offset + row.itemsize * element.size > len(data):
-                text.fail(0, f"the file is too short for {element.size} elements {_checks.printable(element.name)}")
-            if element.name == "vertex":
-                table = np.frombuffer(data, row, element.size, offset)
-                names = [name for name, *_ in element.properties]
-                vertices = np.stack([table[str(names.index(x))].astype(float) for x in "xyz"], axis=1)
-            offset += row.itemsize * element.size
-            continue
-        for k in range(1, element.size + 1):
+def _binary_rows(text: Text, elements: list[_Element], data: bytes, order: str) -> Iterator[_Row]:
+    offset = 0
+    for kind, size, properties in elements:
+        for k in range(1, size + 1):
             row = {}
             try:
-                for name, code, length in element.properties:
+                for name, code, length in properties:
                     count = struct.unpack_from(order + length, data, offset)[0] if length else 1
-                    offset += struct.calcsize(order + length) if length else 0
+                    offset += struct.calcsize(length) if length else 0
                     row[name] = struct.unpack_from(f"{order}{count}{code}", data, offset)
-                    offset += count * struct.calcsize(order + code)
+                    offset += count * struct.calcsize(code)
             except struct.error:
-                text.fail(0, f"the file ends in element {_checks.printable(element.name)} {k} of {element.size}")
-            if element.name == "face":
-                faces += (more := _ply_faces(text, 0, row))
-                lines += [k] * len(more)
+                text.fail(0, f"the file ends in element {_checks.printable(kind)} {k} of {size}")
+            yield kind, k, row
     if offset != len(data):
         text.fail(0, f"{offset} bytes must follow the header, got {len(data)}")
-    return _triangles(text, vertices, faces, lines, word="face")
 
 
 _READERS: dict[str, Callable[[str, bytes], _Triangles]] = {

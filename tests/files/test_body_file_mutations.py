@@ -99,7 +99,8 @@ MUTATIONS = [
     ("a.obj", "f 1 2 4\n", "f 1 2.5 4\n", "line 9: a face must have indices .* got '2.5'"),
     ("a.obj", "f 1 2 4\n", "f 1 2 " + "9" * 5000 + "\n", "line 9: a face must have indices .* got '9{200}…'"),
     ("a.obj", "f 1 2 4\n", "f 1 2\n", "line 9: a face needs three numbers, got 'f 1 2'"),
-    ("a.obj", "f 1 2 4\n", "f 1 4 2\n", "line 18: this face and that of line 9 run along their common edge"),
+    ("a.obj", "f 1 2 4\n", "f 1 4 2\n", "line 9: this face and that of line 1.* run along their common edge"),
+    ("a.obj", "f 2 8 4\n", "f 8 2 4\n", "line 20: this face and that of line .* run along their common edge"),
     ("a.obj", "f 1 2 4\n", "f 1 2 4\nf 2 4 1\n", "line 10: this is the face of line 9 again: leave one of them out"),
     ("a.obj", "f 1 2 4\n", "f 1 2 4\nf 2 1 4\n", "line 10: this is the face of line 9 again"),
     ("a.obj", "f 1 2 4\n", "", r"line 9: the surface must be closed, but 3 edges .* from \["),
@@ -109,7 +110,7 @@ MUTATIONS = [
     ("a.obj", "v 0 0 1\n", "v 0 0 \x1b[31m\n", r"line 2: .* got '\\\\x1b\[31m'"),
     ("a.obj", lines(CORNERS, "v "), "", "there must be vertices and faces, got 0 and 12"),
     ("a.obj", lines(FACES, "f "), "f 1 1 2\n", "no face has its three vertices at different places"),
-    ("a.obj", "f 2 8 4\n", f"f 2 8 4\n{FIN}", "line 24: 4 faces, also that of line 11, meet in one edge"),
+    ("a.obj", "f 2 8 4\n", f"f 2 8 4\n{FIN}", "line 11: 4 faces, also that of line 24, meet in one edge"),
     # STL
     ("a.stl", "vertex 0 0 0", "VERTEX 0 0 0d0", SAME),
     ("a.stl", "solid a\n", "\ufeffsolid a\n", SAME),
@@ -144,7 +145,7 @@ MUTATIONS = [
     ("a.ply", "end_header\n", "", 'line 1: a PLY file must begin with a line "ply" and have a line "end_header"'),
     ("b.ply", b"face 12", b"face 13", "the file ends in element face 13 of 13"),
     ("b.ply", b"face 12", b"face 11", "239 bytes must follow the header, got 252"),
-    ("b.ply", b"vertex 8", b"vertex 800000000", "the file is too short for 800000000 elements vertex"),
+    ("b.ply", b"vertex 8", b"vertex 800000000", "the file ends in element vertex 22 of 800000000"),
     ("b.ply", b"\3\0\0\0\0\1", b"\xff\0\0\0\0\1", "the file ends in element face 1 of 12"),
     ("b.ply", b"little", b"big", r"face 1: a face must have .* from 0 to 7, got \[0, 16777216, 50331648\]"),
     # plate models
