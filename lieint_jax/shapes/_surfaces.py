@@ -194,7 +194,9 @@ def _triangles(
 
 
 def _read_obj(name: str, data: bytes) -> _Triangles:
-    text, vertices, faces, lines = _text(name, data), [], [], []
+    text = _text(name, data)
+    at: list[int] = []  # the lines of the vertices
+    rows, faces, lines = [], [], []
     for number, line in enumerate(text.lines, 1):
         kind, *words = line.split("#")[0].split() or [""]
         if kind not in ("v", "f"):
@@ -202,19 +204,21 @@ def _read_obj(name: str, data: bytes) -> _Triangles:
         if len(words) < 3:
             text.fail(number, f"{'a vertex' if kind == 'v' else 'a face'} needs three numbers, got {_shown(line)}")
         if kind == "v":
-            vertices.append(text.numbers(number, words[:3], "a coordinate"))
+            at.append(number)
+            rows.append(words[:3])
             continue
-        corners = [_obj_index(text, number, word, len(vertices)) for word in words]
-        faces += _fan(corners)
-        lines += [number] * (len(corners) - 2)
-    return _triangles(text, vertices, faces, lines, base=1)
+        faces += _fan([_obj_index(text, number, word, len(at)) for word in words])
+        lines += [number] * (len(words) - 2)
+    return _triangles(text, _convert(text, at, rows, "a coordinate"), faces, lines, base=1)
 
 
 def _obj_index(text: Text, number: int, word: str, count: int) -> int:
     """The vertex of a corner "7", "7/1/1" or "−2", counted from 0; `count` vertices are above it."""
-    index = word.split("/")[0]
-    k = int(index) if re.fullmatch(r"[+-]?\d{1,15}", index) else 0
-    if not k or k < -count:
+    try:
+        k = int(word.partition("/")[0])
+    except ValueError:
+        k = 0
+    if not -count <= k < 2**53 or k == 0 or "_" in word:
         text.fail(
             number, f"a face must have indices of vertices, from 1, or from −1 back to −{count}, got {_shown(word)}"
         )
@@ -232,13 +236,14 @@ def _read_stl(name: str, data: bytes) -> _Triangles:
             raise ValueError(f"{name}: {count} triangles of 50 bytes must follow the header of 84, got {rest} bytes")
         corners = np.frombuffer(data, _BINARY_STL, offset=84)["corners"].astype(float).reshape(-1, 3)
         return _separate(Text(name, []), corners, np.arange(1, count + 1), "face")
-    text, corners, lines, open_since = _text(name, data), [], [], 0
+    text, corners, at, lines, open_since = _text(name, data), [], [], [], 0
     for number, line in enumerate(text.lines, 1):
         words = line.lower().split()
         if words[:1] == ["vertex"]:
             if len(words) != 4:
                 text.fail(number, f"a vertex needs three numbers, got {_shown(line)}")
-            corners.append(text.numbers(number, words[1:], "a coordinate"))
+            corners.append(words[1:])
+            at.append(number)
         elif words[:1] == ["outer"]:
             open_since = number
             lines.append(number)
@@ -248,7 +253,7 @@ def _read_stl(name: str, data: bytes) -> _Triangles:
                 text.fail(number, "a facet needs three vertices between outer loop and endloop")
     if open_since or len(corners) != 3 * len(lines):
         text.fail(open_since, "a facet is not finished: the file must have facets of outer loop, 3 vertices, endloop")
-    return _separate(text, np.array(corners).reshape(-1, 3), np.array(lines, int), "line")
+    return _separate(text, _convert(text, at, corners, "a coordinate").reshape(-1, 3), np.array(lines, int), "line")
 
 
 def _separate(text: Text, corners: np.ndarray, lines: np.ndarray, word: str) -> _Triangles:
@@ -310,19 +315,24 @@ def _table(text: Text, at: Sequence[int], what: str) -> np.ndarray:
         for number, row in zip(some, rows, strict=True):
             if len(row) != columns:
                 text.fail(number, f"{what} needs {columns} numbers, as in the lines above, got {_shown(' '.join(row))}")
-        try:
-            part = np.array(rows, float)
-        except ValueError:  # a D exponent, or no number
-            part = np.full((1, 1), np.nan)
-        if not np.isfinite(part).all() or any("_" in text.lines[number - 1] for number in some):
-            part = np.array([text.numbers(number, row, what) for number, row in zip(some, rows, strict=True)])
-        parts.append(part)
+        parts.append(_convert(text, some, rows, what))
     table = np.concatenate(parts)
     if columns == 4:
         wrong = np.flatnonzero(np.diff(table[:, 0]) != 1)
         if len(wrong) or table[0, 0] not in (0, 1):
             text.fail(at[wrong[0] + 1 if len(wrong) else 0], "rows of four numbers must be numbered from 0 or 1")
     return table[:, -3:]
+
+
+def _convert(text: Text, at: Sequence[int], rows: list[list[str]], what: str) -> np.ndarray:
+    """The finite numbers in rows of equal length, of these lines: together, and one by one if some need care."""
+    try:
+        table = np.array(rows, float)
+    except ValueError:  # an exponent of D, or no number
+        table = np.full(1, np.nan)
+    if np.isfinite(table).all() and not any("_" in word for row in rows for word in row):
+        return table
+    return np.array([text.numbers(number, row, what) for number, row in zip(at, rows, strict=True)])
 
 
 _Row = tuple[str, int, dict[str, Sequence[float]]]  # element, its line or number from 1, its properties
