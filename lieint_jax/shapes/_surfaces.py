@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -138,15 +138,17 @@ def _check_closed(found: _Triangles) -> None:
     a, b = F.ravel(), np.roll(F, -1, axis=1).ravel()  # edge k of face k // 3
     keys, opposite = a * count + b, b * count + a
     names, uses = np.unique(keys, return_counts=True)
-    if (uses > 1).any():
-        key = names[uses > 1][0]
+    double = np.isin(keys, names[uses > 1])
+    if double.any():
+        worst = int(np.argmax(np.bincount(np.arange(3 * len(F))[double] // 3)))  # probably the one that is wrong
+        key = keys[3 * worst : 3 * worst + 3][double[3 * worst : 3 * worst + 3]][0]
         along, against = np.flatnonzero(keys == key) // 3, np.flatnonzero(opposite == key) // 3
         _check_copies(found, np.concatenate([along, against]))
-        other = f"{found.word} {found.lines[along[0]]}"
+        other = f"{found.word} {found.lines[along[along != worst][0]]}"
         if len(along) == len(against):
-            found.fail(along[1], f"{2 * len(along)} faces, also that of {other}, meet in one edge: separate the parts")
+            found.fail(worst, f"{2 * len(along)} faces, also that of {other}, meet in one edge: separate the parts")
         found.fail(
-            along[1],
+            worst,
             f"this face and that of {other} run along their common edge in the same direction: reverse one of them, "
             "all must be oriented alike",
         )
@@ -192,7 +194,9 @@ def _triangles(
 
 
 def _read_obj(name: str, data: bytes) -> _Triangles:
-    text, vertices, faces, lines = _text(name, data), [], [], []
+    text = _text(name, data)
+    at: list[int] = []  # the lines of the vertices
+    rows, faces, lines = [], [], []
     for number, line in enumerate(text.lines, 1):
         kind, *words = line.split("#")[0].split() or [""]
         if kind not in ("v", "f"):
@@ -200,19 +204,21 @@ def _read_obj(name: str, data: bytes) -> _Triangles:
         if len(words) < 3:
             text.fail(number, f"{'a vertex' if kind == 'v' else 'a face'} needs three numbers, got {_shown(line)}")
         if kind == "v":
-            vertices.append(text.numbers(number, words[:3], "a coordinate"))
+            at.append(number)
+            rows.append(words[:3])
             continue
-        corners = [_obj_index(text, number, word, len(vertices)) for word in words]
-        faces += _fan(corners)
-        lines += [number] * (len(corners) - 2)
-    return _triangles(text, vertices, faces, lines, base=1)
+        faces += _fan([_obj_index(text, number, word, len(at)) for word in words])
+        lines += [number] * (len(words) - 2)
+    return _triangles(text, _convert(text, at, rows, "a coordinate"), faces, lines, base=1)
 
 
 def _obj_index(text: Text, number: int, word: str, count: int) -> int:
     """The vertex of a corner "7", "7/1/1" or "−2", counted from 0; `count` vertices are above it."""
-    index = word.split("/")[0]
-    k = int(index) if re.fullmatch(r"[+-]?\d{1,15}", index) else 0
-    if not k or k < -count:
+    try:
+        k = int(word.partition("/")[0])
+    except ValueError:
+        k = 0
+    if not -count <= k < 2**53 or k == 0 or "_" in word:
         text.fail(
             number, f"a face must have indices of vertices, from 1, or from −1 back to −{count}, got {_shown(word)}"
         )
@@ -230,13 +236,14 @@ def _read_stl(name: str, data: bytes) -> _Triangles:
             raise ValueError(f"{name}: {count} triangles of 50 bytes must follow the header of 84, got {rest} bytes")
         corners = np.frombuffer(data, _BINARY_STL, offset=84)["corners"].astype(float).reshape(-1, 3)
         return _separate(Text(name, []), corners, np.arange(1, count + 1), "face")
-    text, corners, lines, open_since = _text(name, data), [], [], 0
+    text, corners, at, lines, open_since = _text(name, data), [], [], [], 0
     for number, line in enumerate(text.lines, 1):
         words = line.lower().split()
         if words[:1] == ["vertex"]:
             if len(words) != 4:
                 text.fail(number, f"a vertex needs three numbers, got {_shown(line)}")
-            corners.append(text.numbers(number, words[1:], "a coordinate"))
+            corners.append(words[1:])
+            at.append(number)
         elif words[:1] == ["outer"]:
             open_since = number
             lines.append(number)
@@ -246,7 +253,7 @@ def _read_stl(name: str, data: bytes) -> _Triangles:
                 text.fail(number, "a facet needs three vertices between outer loop and endloop")
     if open_since or len(corners) != 3 * len(lines):
         text.fail(open_since, "a facet is not finished: the file must have facets of outer loop, 3 vertices, endloop")
-    return _separate(text, np.array(corners).reshape(-1, 3), np.array(lines, int), "line")
+    return _separate(text, _convert(text, at, corners, "a coordinate").reshape(-1, 3), np.array(lines, int), "line")
 
 
 def _separate(text: Text, corners: np.ndarray, lines: np.ndarray, word: str) -> _Triangles:
@@ -307,20 +314,28 @@ def _table(text: Text, at: Sequence[int], what: str) -> np.ndarray:
         rows = [_split(text, number) for number in some]
         for number, row in zip(some, rows, strict=True):
             if len(row) != columns:
-                text.fail(number, f"{what} needs {columns} numbers, as in the lines above, got {_shown(row)}")
-        try:
-            part = np.array(rows, float)
-        except ValueError:  # a D exponent, or no number
-            part = np.full((1, 1), np.nan)
-        if not np.isfinite(part).all() or any("_" in text.lines[number - 1] for number in some):
-            part = np.array([text.numbers(number, row, what) for number, row in zip(some, rows, strict=True)])
-        parts.append(part)
+                text.fail(number, f"{what} needs {columns} numbers, as in the lines above, got {_shown(' '.join(row))}")
+        parts.append(_convert(text, some, rows, what))
     table = np.concatenate(parts)
     if columns == 4:
         wrong = np.flatnonzero(np.diff(table[:, 0]) != 1)
         if len(wrong) or table[0, 0] not in (0, 1):
             text.fail(at[wrong[0] + 1 if len(wrong) else 0], "rows of four numbers must be numbered from 0 or 1")
     return table[:, -3:]
+
+
+def _convert(text: Text, at: Sequence[int], rows: list[list[str]], what: str) -> np.ndarray:
+    """The finite numbers in rows of equal length, of these lines: together, and one by one if some need care."""
+    try:
+        table = np.array(rows, float)
+    except ValueError:  # an exponent of D, or no number
+        table = np.full(1, np.nan)
+    if np.isfinite(table).all() and not any("_" in word for row in rows for word in row):
+        return table
+    return np.array([text.numbers(number, row, what) for number, row in zip(at, rows, strict=True)])
+
+
+_Row = tuple[str, int, dict[str, Sequence[float]]]  # element, its line or number from 1, its properties
 
 
 class _Element(NamedTuple):
@@ -332,17 +347,30 @@ class _Element(NamedTuple):
 
 
 def _read_ply(name: str, data: bytes) -> _Triangles:
-    """The elements "vertex" and "face" of a file PLY."""
+    """The elements "vertex" and "face" of a PLY file."""
     found = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data)
-    head = decode(name, data[: found.end()] if found else data[:200])
+    head = _text(name, data[: found.end()] if found else data[:200])
     if not found or head.lines[0].strip() != "ply":
         head.fail(1, 'a PLY file must begin with a line "ply" and have a line "end_header"')
     form, elements = _ply_header(head)
     if form == "ascii":
-        text = _text(name, data)
-        at = [k for k, line in enumerate(text.lines, 1) if line.strip() and k >= len(head.lines)]
-        return _ply_rows(text, elements, at)
-    return _ply_binary(Text(name, []), elements, data[found.end() :], "<" if form == "binary_little_endian" else ">")
+        text, word = _text(name, data), "line"
+        rows = _text_rows(text, elements, len(head.lines))
+    else:
+        text, word = Text(name, []), "face"
+        rows = _binary_rows(text, elements, data[found.end() :], "<" if form == "binary_little_endian" else ">")
+    vertices, faces, lines = [], [], []
+    for kind, place, row in rows:
+        if kind == "vertex":
+            vertices.append([row[x][0] for x in "xyz"])
+        elif kind == "face":
+            corners = row.get("vertex_indices", row.get("vertex_index", ()))
+            if len(corners) < 3 or not all(float(x).is_integer() and abs(x) < 2**53 for x in corners):
+                what = f"{word} {place}: a face needs a list vertex_indices of three or more integers"
+                raise ValueError(f"{name}, {what}, got {_shown(list(corners))}")
+            faces += _fan([int(x) for x in corners])
+            lines += [place] * (len(corners) - 2)
+    return _triangles(text, vertices, faces, lines, word)
 
 
 def _ply_header(head: Text) -> tuple[str, list[_Element]]:
@@ -369,76 +397,47 @@ def _ply_header(head: Text) -> tuple[str, list[_Element]]:
             head.fail(0, "the element vertex must have properties x, y and z and no lists")
         if not element.properties:
             head.fail(0, f"the element {_checks.printable(element.name)} has no properties")
-    if not form or not {"vertex", "face"} <= {element.name for element in elements}:
-        head.fail(0, "the header must state the format, and the elements vertex and face")
+    names = [element.name for element in elements]
+    if not form or names.count("vertex") != 1 or names.count("face") != 1:
+        head.fail(0, "the header must state the format, one element vertex and one element face")
     return form, elements
 
 
-def _ply_faces(text: Text, number: int, row: dict[str, Sequence[float]]) -> list[list[int]]:
-    """The triangles of the face in a row, whose place is `number` in messages."""
-    corners = row.get("vertex_indices", row.get("vertex_index", ()))
-    if len(corners) < 3 or any(x != int(x) for x in corners):
-        text.fail(number, f"a face needs a list vertex_indices of three or more integers, got {_shown(list(corners))}")
-    return _fan([int(x) for x in corners])
+def _text_rows(text: Text, elements: list[_Element], head: int) -> Iterator[_Row]:
+    """The rows of elements in lines of text, after a header of so many lines."""
+    at = [number for number, line in enumerate(text.lines, 1) if line.strip() and number >= head]
+    if len(at) != (count := sum(element.size for element in elements)):
+        text.fail(0, f"{count} lines of elements must follow the header, got {len(at)}")
+    kinds = [element for element in elements for _ in range(element.size)]
+    for number, (kind, _, properties) in zip(at, kinds, strict=True):
+        words, row = text.lines[number - 1].split(), {}
+        for name, _, length in properties:
+            count = _count(text, number, words.pop(0) if words else "") if length else 1
+            row[name] = text.numbers(number, words[:count], f"the property {_checks.printable(name)}")
+            if len(row[name]) != count:
+                text.fail(number, f"the line has too few numbers: {_shown(text.lines[number - 1])}")
+            words = words[count:]
+        if words:
+            text.fail(number, f"the line has too many numbers: {_shown(text.lines[number - 1])}")
+        yield kind, number, row
 
 
-def _ply_rows(text: Text, elements: list[_Element], at: list[int]) -> _Triangles:
-    vertices, faces, lines = [], [], []
-    if len(at) != sum(element.size for element in elements):
-        text.fail(0, f"{sum(e.size for e in elements)} lines of elements must follow the header, got {len(at)}")
-    for element in elements:
-        some, at = at[: element.size], at[element.size :]
-        if element.name not in ("vertex", "face"):
-            continue
-        for number in some:
-            words, row = text.lines[number - 1].split(), {}
-            for name, _, length in element.properties:
-                count = _count(text, number, words.pop(0) if words else "") if length else 1
-                row[name], words = (
-                    text.numbers(number, words[:count], f"the property {_checks.printable(name)}"),
-                    words[count:],
-                )
-                if len(row[name]) != count:
-                    text.fail(number, f"the line has too few numbers: {_shown(text.lines[number - 1])}")
-            if words:
-                text.fail(number, f"the line has too many numbers: {_shown(text.lines[number - 1])}")
-            if element.name == "vertex":
-                vertices.append([row[x][0] for x in "xyz"])
-            else:
-                faces += (more := _ply_faces(text, number, row))
-                lines += [number] * len(more)
-    return _triangles(text, vertices, faces, lines)
-
-
-def _ply_binary(text: Text, elements: list[_Element], data: bytes, order: str) -> _Triangles:
-    vertices, faces, lines, offset = np.empty((0, 3)), [], [], 0
-    for element in elements:
-        if not any(length for *_, length in element.properties):
-            row = np.dtype([(str(k), order + code) for k, (_, code, _) in enumerate(element.properties)])
-            if offset + row.itemsize * element.size > len(data):
-                text.fail(0, f"the file is too short for {element.size} elements {_checks.printable(element.name)}")
-            if element.name == "vertex":
-                table = np.frombuffer(data, row, element.size, offset)
-                names = [name for name, *_ in element.properties]
-                vertices = np.stack([table[str(names.index(x))].astype(float) for x in "xyz"], axis=1)
-            offset += row.itemsize * element.size
-            continue
-        for k in range(1, element.size + 1):
+def _binary_rows(text: Text, elements: list[_Element], data: bytes, order: str) -> Iterator[_Row]:
+    offset = 0
+    for kind, size, properties in elements:
+        for k in range(1, size + 1):
             row = {}
             try:
-                for name, code, length in element.properties:
+                for name, code, length in properties:
                     count = struct.unpack_from(order + length, data, offset)[0] if length else 1
-                    offset += struct.calcsize(order + length) if length else 0
+                    offset += struct.calcsize(length) if length else 0
                     row[name] = struct.unpack_from(f"{order}{count}{code}", data, offset)
-                    offset += count * struct.calcsize(order + code)
+                    offset += count * struct.calcsize(code)
             except struct.error:
-                text.fail(0, f"the file ends in element {_checks.printable(element.name)} {k} of {element.size}")
-            if element.name == "face":
-                faces += (more := _ply_faces(text, 0, row))
-                lines += [k] * len(more)
+                text.fail(0, f"the file ends in element {_checks.printable(kind)} {k} of {size}")
+            yield kind, k, row
     if offset != len(data):
         text.fail(0, f"{offset} bytes must follow the header, got {len(data)}")
-    return _triangles(text, vertices, faces, lines, word="face")
 
 
 _READERS: dict[str, Callable[[str, bytes], _Triangles]] = {
