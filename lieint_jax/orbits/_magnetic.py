@@ -153,7 +153,8 @@ def earth_field(
             this date, from 2000 to 2030, in tesla.
         radius: 6371.2 km in the orbit's unit of length.
         rate: the rate of the Earth's rotation, in radians per unit of time.
-        degree: the degree to which the field is summed, from 1 to 13, which is all of IGRF.
+        degree: the degree to which the field is summed, from 1 to 13, which is all of IGRF. In machine code an
+            evaluation at degree 1, 4 and 13 takes 0.1, 0.15 and 0.5 µs.
 
     Returns:
         A function t ↦ b in space, (3,).

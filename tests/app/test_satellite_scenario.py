@@ -1,5 +1,7 @@
 """`lieint run cubesat`: the balance of all laws, what detumbles, captures and unloads, and the members' spread."""
 
+import datetime
+
 import numpy as np
 import pytest
 
@@ -148,6 +150,20 @@ BAD = [
 def test_bad_keys_of_a_satellite_are_named(changes, message):
     with pytest.raises(ValueError, match=message):
         scenarios.load("cubesat", **changes)
+
+
+def test_the_epoch_of_a_satellite_takes_the_place_of_its_date():
+    table = {key: value for key, value in scenarios.table("cubesat").items() if key != "date"}
+    by_epoch = scenarios.parse(table | {"epoch": datetime.date(2026, 3, 1)}, "file")  # TOML has dates
+    assert (by_epoch.epoch, by_epoch.date_of_zero()) == ("2026-03-01T00:00:00 UTC",) * 2
+    np.testing.assert_array_equal(by_epoch.environment().field(9.0), scenarios.load("cubesat").environment().field(9.0))
+    for more, message in (
+        ({}, "give either epoch or date"),
+        ({"epoch": "2026-03-01", "date": "2026-03-01"}, "give either epoch or date"),
+        ({"epoch": "2026-03-01 TT"}, "TT to UTC needs the table of leap seconds"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            scenarios.parse(table | more, "file")
 
 
 def test_control_needs_its_equipment():

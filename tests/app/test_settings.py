@@ -39,6 +39,22 @@ def test_values_are_those_of_a_file_that_has_them():
     assert settings.load("book.toml", ["members=7", "dt=3", "dt=0.5"], members=2, steps=None).members == 2
 
 
+def test_an_epoch_is_in_the_report_and_in_the_results(capsys):
+    date = "2026-03-01T12:00:00 TDB"
+    for file in ("a.npz", "a.zarr"):
+        more = ["--no-pictures", "--no-certificate", "--out", file]
+        assert cli.main(["run", "book.toml", "--set", 'epoch="2026-03-01T12:00 TDB"', *more]) == 0
+        assert f"100 steps of 0.1 s = 10 s, t = 0 at {date}" in capsys.readouterr().out
+        assert cli.main(["info", file]) == 0
+        assert f"t = 0 … 10 s; t = 0 at {date}" in capsys.readouterr().out
+    assert li.open("a.zarr").epoch == li.dates.epoch(date)
+    with pytest.raises(ValueError, match=r"book\.toml: epoch: the date .* does not exist"):
+        settings.load("book.toml", ['epoch="2026-02-30"'])
+    assert scenarios.load("apophis").date_of_zero().isoformat() == "2029-04-13T21:45:04+00:00"
+    with pytest.raises(ValueError, match="t = 0 is the perigee"):
+        scenarios.load("apophis", epoch=date)
+
+
 def test_a_table_of_a_list_is_named_or_counted():
     name, _, *_ = [body.name for body in scenarios.load("sn263").bodies]
     by_name = settings.load("sn263", [f"bodies.{name}.mass_kg=2e12", "bodies.2.mass_kg=1e9"])

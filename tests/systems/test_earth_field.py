@@ -25,11 +25,8 @@ def field_at(field, r):
 def field_of_ppigrf(r, day, degree):
     """b in the Earth's axes at positions (n, 3) in meters, tesla."""
     ppigrf = pytest.importorskip("ppigrf")
-    size, theta, phi = (
-        np.linalg.norm(r, axis=1),
-        np.arccos(r[:, 2] / np.linalg.norm(r, axis=1)),
-        np.arctan2(*r.T[1::-1]),
-    )
+    size, phi = np.linalg.norm(r, axis=1), np.arctan2(r[:, 1], r[:, 0])
+    theta = np.arccos(r[:, 2] / size)
     parts = ppigrf.igrf_gc(size / 1e3, np.rad2deg(theta), np.rad2deg(phi), day, max_degree=degree)
     c, s, cos, sin = np.cos(theta), np.sin(theta), np.cos(phi), np.sin(phi)
     axes = np.array([[s * cos, s * sin, c], [c * cos, c * sin, -s], [-sin, cos, 0 * c]])
