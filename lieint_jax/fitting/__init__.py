@@ -9,7 +9,7 @@ few numbers. All of them are in `li.studies` too.
 from lieint_jax.fitting._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd
 from lieint_jax.fitting._fit import covariance, fit
 from lieint_jax.fitting._member_by_member import member_by_member
-from lieint_jax.fitting._outcome import Fit
+from lieint_jax.fitting._outcome import Fit, MultiStartResult
 from lieint_jax.fitting._robust import (
     DEGREES_OF_FREEDOM,
     student_t,
@@ -22,6 +22,7 @@ __all__ = [
     "DEGREES_OF_FREEDOM",
     "Bound",
     "Fit",
+    "MultiStartResult",
     "covariance",
     "fit",
     "free",

@@ -15,6 +15,8 @@ from lieint_jax.types.shapes import PyTree
 
 _Numbers = PyTree  # arrays of JAX at the end of a search, of numpy in its report
 _RARE = 4.75  # standard deviations of a normal distribution that one of a million values is above
+_MOST_ROWS, _MOST_COLUMNS = 20, 6  # of the starts and parameters that a table shows
+_NO_COVARIANCE = "only least-squares fits have a covariance: levenberg_marquardt, gauss_newton, scipy"
 _TRY = {
     RUNNING: "raise `iterations`, or fit from several guesses with starts=True",
     STUCK: "look for noise or jumps in the loss and for failing solves, or fit from several guesses with starts=True",
@@ -23,14 +25,19 @@ _TRY = {
 
 
 class MultiStartResult(NamedTuple):
-    """The results of all starts, each leaf with a leading axis of starts.
+    """The results of all starts of a fit, `fit.starts`, in the order of the guesses. Its `repr` is a table, best first.
 
     Attributes:
-        params: the estimates.
-        loss: the losses there.
-        success: whether each is a success, as in `Fit`.
-        at_bound: whether each has a parameter at its bound, as in `Fit`.
-        covariance: covariances as in `Fit`, (starts, p, p), or None.
+        params: the estimates; each leaf has a leading axis of starts.
+        loss: the losses there, (starts,).
+        success: whether each is a success, as in `Fit`, (starts,).
+        at_bound: whether each has a parameter at its bound, as in `Fit`, (starts,).
+        covariance: covariances as in `Fit`, (starts, p, p), or None if the fit is not by least squares.
+        iterations: the numbers of iterations, (starts,); None in results of version 0.2.
+        failures: the numbers of failed trials, (starts,); None in results of version 0.2.
+        stopped: why each search stopped, in words.
+        messages: the problem of each and remedies, as in `Fit.message`, without the error of the steps, which is
+            measured for the best start alone.
     """
 
     params: PyTree
@@ -38,6 +45,36 @@ class MultiStartResult(NamedTuple):
     success: np.ndarray
     at_bound: np.ndarray
     covariance: np.ndarray | None
+    iterations: np.ndarray | None = None
+    failures: np.ndarray | None = None
+    stopped: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
+
+    @property
+    def standard_errors(self) -> PyTree:
+        """Square roots of the variances, in the structure of `params`; NaN without success."""
+        if self.covariance is None:
+            raise ValueError(_NO_COVARIANCE)
+        errors = jnp.sqrt(jnp.diagonal(jnp.asarray(self.covariance), axis1=-2, axis2=-1))
+        return jax.vmap(ravel_pytree(jax.tree.map(lambda leaf: leaf[0], self.params))[1])(errors)
+
+    def __repr__(self) -> str:
+        order = np.argsort(np.where(np.isnan(self.loss), np.inf, self.loss), kind="stable")
+        values = np.asarray(jax.vmap(lambda y: ravel_pytree(y)[0])(self.params))[:, :_MOST_COLUMNS]
+        names = number_names(jax.tree.map(lambda leaf: leaf[0], self.params))[:_MOST_COLUMNS]
+        made = ["?"] * len(order) if self.iterations is None else self.iterations
+        stopped = self.stopped or ("",) * len(order)
+        rows = [
+            [k, f"{self.loss[k]:.6g}", "yes" if self.success[k] else "no", made[k], *(f"{x:.6g}" for x in values[k])]
+            for k in order[:_MOST_ROWS]
+        ]
+        cells = [[str(cell) for cell in row] for row in (["start", "loss", "success", "iterations", *names], *rows)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        edges = [", at a bound" if self.at_bound[k] else "" for k in order[:_MOST_ROWS]]
+        ends = ["stopped", *(f"{stopped[k]}{edge}" for k, edge in zip(order, edges, strict=False))]
+        lines = ["  ".join([*map(str.rjust, row, widths), end]) for row, end in zip(cells, ends, strict=True)]
+        left = len(order) - len(rows)
+        return "\n".join([*lines, *[f"… and {left} more"] * (left > 0)])
 
 
 class Fit(NamedTuple):
@@ -56,7 +93,7 @@ class Fit(NamedTuple):
         covariance: the covariance of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the
             Gauss–Newton matrix, for residuals in units of their standard deviation. A parameter at its bound has NaN,
             and is treated as known in that of the others. NaN without success; None if the fit is not by least squares.
-        starts: with many starts, the result of each, with a leading axis; otherwise None.
+        starts: with many starts, the result of each as a `MultiStartResult`, which prints as a table; otherwise None.
         message: the problem and remedies; empty after a success with no parameter at its bound and, for standardized
             residuals, with steps of negligible error.
         degrees_of_freedom: the number of residuals less that of the parameters that they determine and that are at no
@@ -87,7 +124,7 @@ class Fit(NamedTuple):
     def standard_errors(self) -> PyTree:
         """Square roots of the variances, in the structure of the parameters."""
         if self.covariance is None:
-            raise ValueError("only least-squares fits have a covariance: levenberg_marquardt, gauss_newton, scipy")
+            raise ValueError(_NO_COVARIANCE)
         return ravel_pytree(self.params)[1](jnp.sqrt(jnp.diagonal(jnp.asarray(self.covariance))))
 
     @property
@@ -141,7 +178,21 @@ def outcome(params: PyTree, names: list[str], end: End, history: np.ndarray, sta
         end = end._replace(covariance=np.where(success[..., None, None], end.covariance, np.nan))
     every = None
     if starts:
-        every = MultiStartResult(params, end.loss, success, end.at_side.any(axis=-1), end.covariance)
+        messages = [
+            _message(jax.tree.map(lambda leaf, k=k: leaf[k], end), names, bool(good))
+            for k, good in enumerate(plausible)
+        ]
+        every = MultiStartResult(
+            params,
+            end.loss,
+            success,
+            end.at_side.any(axis=-1),
+            end.covariance,
+            end.made,
+            end.failures,
+            tuple(REASONS[k] for k in end.code),
+            tuple(messages),
+        )
         best = int(np.argmin(np.where(np.isfinite(end.loss), end.loss, np.inf)))
         params, end, success, plausible = jax.tree.map(lambda leaf: leaf[best], (params, end, success, plausible))
         history = history[:, best]

@@ -224,6 +224,18 @@ def test_each_start_may_have_data_of_its_own():
     assert (found.params, found.loss, found.message) == (found.starts.params[1], 0.5, "")  # the best
     assert list(found.starts.success) == [True, True, False]  # χ² = 4, 1, 900 of 1 degree of freedom
     np.testing.assert_allclose(found.starts.covariance, [[[1]], [[1]], [[np.nan]]])
+    np.testing.assert_allclose(found.starts.standard_errors, [1, 1, np.nan])
+    alone = li.fit(lambda p: loss(p, 1.0), jnp.zeros(()), standardized=True)
+    assert (found.starts.iterations[1], found.starts.stopped[1]) == (alone.iterations, alone.stopped)
+    assert found.starts.failures.tolist() == [0, 0, 0]
+    assert found.starts.messages[:2] == ("", "")
+    assert "χ² = 900 is implausible for 1 degrees of freedom" in found.starts.messages[2]
+    assert [line.split()[:3] for line in repr(found.starts).splitlines()] == [
+        ["start", "loss", "success"],
+        ["1", "0.5", "yes"],
+        ["0", "2", "yes"],
+        ["2", "450", "no"],
+    ]
 
 
 @pytest.mark.long
