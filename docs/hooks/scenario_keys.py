@@ -107,24 +107,21 @@ def _tables(schema, properties, path):
     """The tables inside a table, each with its heading and keys, and those inside them."""
     parts = []
     for key, value in properties.items():
-        inner = _inner(schema, value)
-        if inner is None or inner["title"] == "Published":
-            continue
-        name = ".".join([*path, key])
-        many = value.get("type") == "array"
-        heading = f"### `[[{name}]]`" if many else f"### `[{name}]`"
-        parts += [heading, " ".join(inner.get("description", "").split())]
-        parts += [_keys(inner, inner["properties"], schema["$defs"])]
-        parts += _tables(schema, inner["properties"], [*path, key])
+        for inner in _inner(schema, value):
+            name = ".".join([*path, key])
+            heading = f"[[{name}]]" if value.get("type") == "array" else f"[{name}]"
+            heading = f'{name} = {{file = "…"}}' if "file" in inner["properties"] else heading
+            parts += [f"### `{heading}`", " ".join(inner.get("description", "").split())]
+            parts += [_keys(inner, inner["properties"], schema["$defs"])]
+            parts += _tables(schema, inner["properties"], [*path, key])
     return parts
 
 
 def _inner(schema, value):
-    """The model of a key that is a table, or a list of them; None of any other key."""
-    for option in (value, value.get("items", {}), value.get("additionalProperties", {}), *value.get("anyOf", [])):
-        if isinstance(option, dict) and "$ref" in option:
-            return _resolved(schema, option)
-    return None
+    """The models of the tables that a key may be, or of which it may be a list."""
+    options = [value, value.get("items", {}), value.get("additionalProperties", {}), *value.get("anyOf", [])]
+    models = [_resolved(schema, x) if "$ref" in x else x for x in options if isinstance(x, dict)]
+    return [x for x in models if "properties" in x and x["title"] != "Published"]
 
 
 def _resolved(schema, ref):
