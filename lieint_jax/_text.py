@@ -13,7 +13,7 @@ from typing import NoReturn
 from lieint_jax import _checks
 
 _BYTES = 2**28  # the most of a file: 256 MiB
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][+-]?[0-9]+)?")
 
 
 class Text:
