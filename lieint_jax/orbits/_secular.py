@@ -92,8 +92,8 @@ def secular_j2(
     The periodic variations, about J₂(R/p)² of the radius (10 km for a satellite near the Earth), are omitted.
 
     The mean motion of a TLE is not this n: it contains the drift of the mean anomaly already, and its a from Kepler's
-    law is off by about a kilometer. With D(a) = ¾J₂(R/p)²√(1−e²)(3cos²i − 1), iterate a = (μ(1 + D(a))²/n²)^(1/3)
-    from D = 0.
+    law is off by about a kilometer. `files.read_tle(…).secular_j2()` takes it out: it iterates a = (μ(1 + D)²/n²)^(1/3)
+    from D = 0, with D = ¾J₂(R/p)²√(1−e²)(3cos²i − 1).
 
     Args:
         mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time: as in `kepler`, the mean
