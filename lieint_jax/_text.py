@@ -36,7 +36,7 @@ class Text:
         """The finite number of a word, with an exponent of e or D; `what` names it in the message."""
         if not _NUMBER.fullmatch(word.strip()):
             self.fail(line, f"{what} must be a finite number, got {_checks.printable(word)!r}")
-        value = float(re.sub("[dD]", "e", word))
+        value = float(re.sub("[dD]", "e", word.strip()))
         if not math.isfinite(value):
             self.fail(line, f"{what} must be a finite number, got {_checks.printable(word)!r}")
         return value

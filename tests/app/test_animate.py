@@ -380,8 +380,8 @@ def test_the_axes_of_a_shape_are_compared_where_moments_differ():
         ("a.toml", "[[parts]]\nboxx = [1, 2, 3]", r"parts\.0\.boxx: unknown key; did you mean box\?"),
         ("a.toml", "[[parts]]\nbox = [1, 2, 3]\nellipsoid = [1, 2, 3]", "exactly one of box, cylinder and ellipsoid"),
         ("a.toml", "[[parts]]\ncylinder = [1, -2]", r"cylinder\.1: .*greater than 0"),
-        ("a.ply", "", r"a surface is read from a file \.obj or \.stl, got .*a\.ply"),
-        ("a.stl", "solid nothing", r"a\.stl must have triangles"),
+        ("a.off", "", r"a surface is read from a file \.obj, .* got .*a\.off"),
+        ("a.stl", "solid nothing", r"a\.stl: there must be vertices and faces, got 0 and 0"),
     ],
 )
 def test_a_bad_file_of_a_shape_is_refused_by_its_name(tmp_path, name, text, message):

@@ -227,7 +227,7 @@ MUTATIONS = [
     ("alcdef.txt", "ENDMETADATA\n", "", "line 7: 'ENDDATA' must not follow STARTMETADATA of line 1"),
     ("alcdef.txt", "|14.2|", "|NaN|", "line 6: DATA must be a finite number, got 'NaN'"),
     ("alcdef.txt", "|14.2|0.01", "|14.2", "line 5: a curve needs lines DATA=…, all of them with an error"),
-    ("alcdef.txt", "PIPE", "KOMMA", "line 6: DELIMITER must be PIPE or TAB, got 'KOMMA'"),
+    ("alcdef.txt", "PIPE", "STAR", "line 6: DELIMITER must be PIPE or TAB, got 'STAR'"),
     ("alcdef.txt", "|14.2|0.01", "", "line 6: DATA needs a date and a magnitude"),
     ("alcdef.txt", "STARTMETADATA\n", "OBJECT=1\nSTARTMETADATA\n", "line 1: 'OBJECT' must be between STARTMETADATA"),
 ]  # fmt: skip

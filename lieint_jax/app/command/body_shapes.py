@@ -97,7 +97,7 @@ class Parts(Table):
 
 
 def read(path: Path) -> BodyShape:
-    """The shape of a body in a file .obj, .stl or .toml, by the file's ending.
+    """The shape of a body in a file .toml, or of triangles, as `shapes.surface` reads it.
 
     Raises:
         ValueError: there is no such file, it has another ending, or it describes no solid.
@@ -108,5 +108,5 @@ def read(path: Path) -> BodyShape:
         table = scenarios.validate(Parts, archives.read_toml(path, str(path)), str(path))
         solids, found = zip(*(part.placed() for part in table.parts), strict=True)
         return BodyShape(path.name, meshes.join(solids), reduce(add, found))
-    corners, faces = shapes.surface(path)
+    corners, faces = shapes.surface(path, closed=True)
     return BodyShape(path.name, meshes.colored(corners, faces.tolist()), shapes.mesh(corners, faces, density=1.0))

@@ -221,9 +221,7 @@ def _add_results(commands: _Commands) -> None:
     add("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: start)")
     add("--to", type=float, dest="last", metavar="T", help="time of the last frame (default: as far as is smooth)")
     add("--seconds", type=float, metavar="S", help="duration of the film (default 6; with --to as smooth, up to 30)")
-    about = (
-        "shape of the body in the axes of its inertia: .obj, .stl, or .toml with [[parts]]; repeated for more bodies"
-    )
+    about = "shape of the body in the axes of its inertia: .obj, .stl, .ply, or .toml with [[parts]]; repeated for more"
     add("--shape", type=Path, action="append", default=[], metavar="FILE", help=about)
     add("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
     add("--force", action="store_true", help="replace an existing file")
