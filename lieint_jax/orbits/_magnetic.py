@@ -154,7 +154,8 @@ def earth_field(
         radius: 6371.2 km in the orbit's unit of length.
         rate: the rate of the Earth's rotation, in radians per unit of time.
         degree: the degree to which the field is summed, from 1 to 13, which is all of IGRF. In machine code an
-            evaluation at degree 1, 4 and 13 takes 0.1, 0.15 and 0.5 µs.
+            evaluation at degree 1, 4 and 13 takes 0.1, 0.15 and 0.5 µs; at 13 the first call takes seconds more for
+            each place in a law where the field is evaluated.
 
     Returns:
         A function t ↦ b in space, (3,).
