@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from lieint_jax import systems
+from lieint_jax import attitude, systems
 from lieint_jax._checks import Attitude
 from lieint_jax.app.published._case import Case
 
