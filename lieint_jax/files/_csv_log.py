@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import difflib
-import gzip
 import itertools
 import math
 import re
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, NoReturn, cast, get_args
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,13 +26,12 @@ from lieint_jax.runs import Run
 from lieint_jax.types import State, Step
 
 Column = str | int
-_UNITS = {  # how many of them a second has; radians per second; the first is the default
+_UNITS = {  # how many of them a second has; radians per second
     "time": {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9},
     "rates": {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30},
 }
 _DATE, _VALUE = re.compile(r"\d{4}-\d"), re.compile(r"[+-]?\.?\d|[+-]?(nan|inf)", re.IGNORECASE)
 _SHOWN, _SEARCHED = 40, 10_000  # the most columns that a message lists, and among which it guesses
-_Q, _RATES = [f"q_{x}" for x in "wxyz"], [f"angular_velocity_{x}" for x in "xyz"]
 
 
 class Log(NamedTuple):
@@ -99,14 +97,14 @@ def read_csv_log(
     columns = {what: _columns(what, given) for what, given in asked.items() if given is not None}
     if not {"rates", "attitudes"} & set(columns):
         raise ValueError("give the columns of rates, of attitudes, or of both")
-    units = units or {}
-    if unknown := set(units) - set(_UNITS):
-        raise ValueError(f"units are of time and rates, got units of {', '.join(map(repr, sorted(unknown)))}")
-    chosen = {what: units.get(what, next(iter(known))) for what, known in _UNITS.items()}
-    factors = {what: known[_checks.choice(f"units of {what}", chosen[what], known)] for what, known in _UNITS.items()}
+    given = {"time": "s", "rates": "rad/s"} | dict(units or {})
+    known = [_UNITS[_checks.choice("a key of units", what, _UNITS)] for what in given]
+    factors = [
+        table[_checks.choice(f"units of {what}", given[what], table)] for what, table in zip(given, known, strict=True)
+    ]
     _checks.choice("scalar", scalar, ("first", "last"))
     _checks.choice("frame", frame, get_args(Frame))
-    clock = _Clock(None if epoch is None else dates.epoch(epoch), factors["time"], "time" in units)
+    clock = _Clock(None if epoch is None else dates.epoch(epoch), factors[0], "time" in (units or {}))
     text = read_text(path)
     lines, values = _numbers(text, delimiter, columns, clock, member)
     ends = np.cumsum([len(given) for given in columns.values()])
@@ -114,7 +112,7 @@ def read_csv_log(
     q = found.get("attitudes")
     return Log(
         found["time"][:, 0],
-        found["rates"] * factors["rates"] if "rates" in found else None,
+        found["rates"] * factors[1] if "rates" in found else None,
         None if q is None else _attitudes(text, lines, q if scalar == "first" else np.roll(q, 1, axis=1), frame),
         clock.epoch,
     )
@@ -125,10 +123,9 @@ def _columns(what: str, given: Any) -> list[Column]:
     columns = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
     count = {"rates": 3, "attitudes": 4}.get(what, 1)
     for column in columns:
-        if isinstance(column, bool) or not isinstance(column, str | int | np.integer):
-            raise ValueError(f"a column of {what} must be a name or an index, got {column!r}")
-        if not isinstance(column, str) and column < 0:
-            raise ValueError(f"the index of a column of {what} is counted from 0, got {column}")
+        index = isinstance(column, int | np.integer) and not isinstance(column, bool) and column >= 0
+        if not index and not isinstance(column, str):
+            raise ValueError(f"a column of {what} must be a name or an index, counted from 0, got {column!r}")
     if len(columns) != count or len(set(columns)) != count:
         raise ValueError(f"{what} must be {count} different columns, got {columns}")
     return columns
@@ -250,16 +247,12 @@ def _place(text: Text, names: list[str] | None, width: int, column: Column) -> i
         text.fail(0, f"the columns have no names, and {column!r} was asked for: give indices, counted from 0")
     if names.count(column) > 1:
         text.fail(0, f"there are {names.count(column)} columns {column!r}: give the index, counted from 0")
-    if column not in names:
-        _fail_without(text, names, column)
-    return names.index(column)
-
-
-def _fail_without(text: Text, names: list[str], column: str) -> NoReturn:
+    if column in names:
+        return names.index(column)
     near = difflib.get_close_matches(column, names[:_SEARCHED], 1, 0.5)
     guess = f"did you mean {_checks.printable(near[0])!r}? " if near else ""
     shown = ", ".join(_checks.printable(name, 40) for name in names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
-    text.fail(0, f"there is no column {column!r}; {guess}The columns are {shown}")
+    return text.fail(0, f"there is no column {column!r}; {guess}The columns are {shown}")
 
 
 def _number(text: Text, line: int, cell: str, what: str) -> float:
@@ -298,7 +291,7 @@ def write_csv(path: str | Path, run: Run) -> None:
     q_y, q_z (body to space) and angular_velocity_x, …_y, …_z (along the axes of the body).
 
     Args:
-        path: the file; an existing one is replaced.
+        path: the file, packed if its name ends in .gz; an existing one is replaced.
         run: of one rigid body, or of members of it.
 
     Raises:
@@ -310,27 +303,25 @@ def write_csv(path: str | Path, run: Run) -> None:
         >>> start = body.state(angular_velocity=[0.0, 0.5, 0.0])
         >>> run = li.run(li.schemes.so3_midpoint(body), start, dt=0.5, num_steps=4)
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     write_csv(os.path.join(folder, "run.csv"), run)
-        ...     log = read_csv_log(
-        ...         os.path.join(folder, "run.csv"), time="time", rates=[f"angular_velocity_{x}" for x in "xyz"]
-        ...     )
+        ...     path = os.path.join(folder, "run.csv")
+        ...     write_csv(path, run)
+        ...     log = read_csv_log(path, time="time", rates=[f"angular_velocity_{x}" for x in "xyz"])
         >>> print(log.times, log.rates[0])
         [0.  0.5 1.  1.5 2. ] [0.  0.5 0. ]
     """
     if not isinstance(run, Run) or not isinstance(run.system, AbstractRotatingBody):
         raise ValueError(f"write_csv writes runs of one rigid body, as li.run returns, got {run!r}")
-    numbers = np.asarray(run.map(_attitude_and_rate))
-    times = np.asarray(run.t if run.state.t is None else run.state.t)
+    numbers = np.asarray(run.map(_attitude_and_rate), float)
+    times = np.asarray(run.t if run.state.t is None else run.state.t, float)
     members = numbers.ndim == 3
-    place = Path(path)
-    with (
-        gzip.open(place, "wt", encoding="utf-8") if place.suffix == ".gz" else place.open("w", encoding="utf-8") as file
-    ):
-        file.write(",".join(["time", *["member"] * members, *_Q, *_RATES]) + "\n")
-        for k in range(numbers.shape[1]) if members else (None,):
-            own = numbers if k is None else numbers[:, k]
-            for t, row in zip(times if times.ndim == 1 else times[:, k], own, strict=True):
-                file.write(",".join([repr(float(t)), *[str(k)] * members, *(repr(float(x)) for x in row)]) + "\n")
+    if members:
+        numbers = np.swapaxes(numbers, 0, 1)
+        times = np.broadcast_to(times.T, numbers.shape[:2])
+    columns = [times, *[np.indices(times.shape)[0]] * members, *np.moveaxis(numbers, -1, 0)]
+    table = np.stack(columns, axis=-1).reshape(-1, len(columns))
+    names = ["time", *["member"] * members, *(f"q_{x}" for x in "wxyz"), *(f"angular_velocity_{x}" for x in "xyz")]
+    formats = ["%r", *["%d"] * members, *["%r"] * 7]
+    np.savetxt(path, table.astype(object), formats, ",", header=",".join(names), comments="", encoding="utf-8")
 
 
 def _attitude_and_rate(step: Step, state: State) -> Array:

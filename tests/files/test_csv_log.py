@@ -126,7 +126,7 @@ BAD = {  # text, arguments, and the sentence
     "an unknown unit": (GYRO, READ | dict(units={"rates": "grad/s"}),
         "units of rates must be 'rad/s' or 'deg/s' or 'rpm'"),
     "a unit of nothing": (GYRO, READ | dict(units={"rate": "rad/s"}),
-        "units are of time and rates, got units of 'rate'"),
+        "a key of units must be 'time' or 'rates', got"),
     "two rates": (GYRO, READ | dict(rates=["x", "y"]), "rates must be 3 different columns"),
     "one column twice": (GYRO, READ | dict(rates=["x", "x", "y"]), "rates must be 3 different columns"),
     "a text for a list": (GYRO, READ | dict(rates="xyz"), "rates must be 3 different columns"),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lieint_jax import schemes, systems, torques
+from lieint_jax import attitude, schemes, systems, torques
 from lieint_jax.app.published._case import Case
-from lieint_jax.app.published._free_bodies import modified_rodrigues
 from lieint_jax.runs import integrate
 
 
@@ -16,12 +15,10 @@ def basilisk_constant_torque() -> Case:
     def compute() -> dict[str, np.ndarray]:
         law = torques.thruster([-1.0, 1.0, -1.0], 0.0, 600.0)  # N m
         body = systems.torqued_body([900.0, 800.0, 600.0], law)  # kg m²
-        mrp = np.array([0.1, 0.2, -0.3])
-        attitude = np.array([1 - mrp @ mrp, *(2 * mrp)]) / (1 + mrp @ mrp)
-        start = body.state(attitude, angular_velocity=[0.001, -0.01, 0.03], t=0.0)
+        start = body.state(attitude.from_mrp([0.1, 0.2, -0.3]), angular_velocity=[0.001, -0.01, 0.03], t=0.0)
         step = schemes.compose(schemes.torqued_midpoint(body), 6)
         end = integrate(step, start, 0.05, 12000, save_every=12000)
-        return {"MRP at 600 s": modified_rodrigues(end.state.q[-1])}
+        return {"MRP at 600 s": np.asarray(attitude.to_mrp(end.state.q[-1]))}
 
     return Case(
         code="Basilisk, constant torque on a spacecraft, 10 min",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from lieint_jax import systems
+from lieint_jax import attitude, systems
 from lieint_jax._checks import Attitude
 from lieint_jax.app.published._case import Case
 
@@ -54,11 +54,11 @@ def basilisk_momentum_frame() -> Case:
     return _basilisk(name, (0.572693314, 0.510734375, -0.307377611), to_space)
 
 
-def _basilisk(code: str, published: tuple[float, ...], attitude: Attitude = (1.0, 0.0, 0.0, 0.0)) -> Case:
+def _basilisk(code: str, published: tuple[float, ...], start: Attitude = (1.0, 0.0, 0.0, 0.0)) -> Case:
     def compute() -> dict[str, np.ndarray]:
         body = systems.rigid_body(_SPACECRAFT)
-        end = body.solution(body.state(attitude, angular_velocity=_SPIN), 10.0)
-        return {"MRP at 10 s": modified_rodrigues(end.q)}
+        end = body.solution(body.state(start, angular_velocity=_SPIN), 10.0)
+        return {"MRP at 10 s": np.asarray(attitude.to_mrp(end.q))}
 
     return Case(
         code=code,
@@ -90,9 +90,3 @@ def kynema_precession() -> Case:
         limit="the other code's start: its generalized-α method begins with zero acceleration, an error of order 1",
         compute=compute,
     )
-
-
-def modified_rodrigues(q: jax.Array) -> np.ndarray:
-    """The modified Rodrigues parameters v/(1 + w) of the unit quaternion (w, v) from body to space, with w ≥ 0."""
-    w, *v = np.asarray(q) if q[0] >= 0 else -np.asarray(q)
-    return np.array(v) / (1 + w)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax import schemes, systems, torques
+from lieint_jax import attitude, schemes, systems, torques
 from lieint_jax.app.published._case import Case
-from lieint_jax.app.published._free_bodies import modified_rodrigues
 from lieint_jax.runs import integrate
 
 _AXIAL = 100 / (6000 * 2 * np.pi / 60)  # kg m², of each wheel: 100 N m s at 6000 rpm
@@ -30,7 +29,7 @@ def basilisk_wheels() -> Case:
         start = body.state(angular_velocity=[0.08, 0.01, 0.0], t=0.0)
         step = schemes.compose(schemes.torqued_midpoint(body), 4)
         end = integrate(step, start, 0.005, 200, save_every=200)  # the motors stop where a step ends
-        return {"MRP at 1 s": modified_rodrigues(end.state.q[-1])}
+        return {"MRP at 1 s": np.asarray(attitude.to_mrp(end.state.q[-1]))}
 
     return Case(
         code="Basilisk, three balanced reaction wheels",
