@@ -25,7 +25,7 @@ from typing import Literal, get_args
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import Attitude
