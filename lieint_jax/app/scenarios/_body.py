@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax
@@ -47,7 +48,7 @@ class BodyKind(Kind):
     state: InitialState
     spread: RotationSpread = RotationSpread()
 
-    files: ClassVar[dict[str, type[Table]]] = {"shape": ShapeFile}
+    files: ClassVar[Mapping[str, type[Table]]] = {"shape": ShapeFile}
     fixed: ClassVar[dict[str, str]] = Kind.fixed | {
         "state.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg",
         "observation.*": "it is an observed value",

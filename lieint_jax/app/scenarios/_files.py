@@ -148,7 +148,7 @@ class OrbitFile(FromFile):
 class SatelliteOrbitFile(OrbitFile):
     """The orbit of a file for a scenario in m and s."""
 
-    unit_length: Literal[0.001] = 0.001  # pyright: ignore[reportIncompatibleVariableOverride]
+    unit_length: Annotated[float, Field(ge=1e-3, le=1e-3)] = 1e-3
 
 
 class ObservationFile(FromFile):

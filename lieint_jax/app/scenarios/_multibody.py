@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Self
 
 import jax
@@ -54,7 +54,7 @@ class ExtendedBody(GivenRate):
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
     spread: BodySpread = BodySpread()
 
-    files: ClassVar[dict[str, type[Table]]] = {"shape": BodyFile}
+    files: ClassVar[Mapping[str, type[Table]]] = {"shape": BodyFile}
 
     @model_validator(mode="after")
     def _check_body(self) -> Self:

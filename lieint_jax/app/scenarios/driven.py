@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax.numpy as jnp
@@ -87,7 +88,7 @@ class Driven(TopKind):
     ephemeris: Ephemeris | None = None
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    files: ClassVar[dict[str, type[Table]]] = TopKind.files | {"orbit": OrbitFile}
+    files: ClassVar[Mapping[str, type[Table]]] = {**TopKind.files, "orbit": OrbitFile}
     fixed: ClassVar[dict[str, str]] = TopKind.fixed | {
         "ephemeris.*": "all members share the orbit",
         "steps_per_orbit": "all members have the same steps",

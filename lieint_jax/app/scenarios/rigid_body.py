@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
@@ -83,7 +84,7 @@ class FreeBody(BodyKind):
     ] = {}
     observation: list[Observation] = []
 
-    files: ClassVar[dict[str, type[Table]]] = BodyKind.files | {"observation": ObservationFile}
+    files: ClassVar[Mapping[str, type[Table]]] = {**BodyKind.files, "observation": ObservationFile}
 
     @model_validator(mode="after")
     def _check_scheme(self) -> Self:
@@ -262,9 +263,9 @@ def _linearizations(step: Step, state: State, dt: float, num_steps: int) -> Arra
 def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed: np.ndarray) -> None:
     """The members' axes and the observed one in degrees east and north of the end of the path."""
     end = path[-1]
-    east = np.cross((0.0, 0.0, 1.0), end)
-    east = east / np.linalg.norm(east) if east.any() else np.eye(3)[0]
-    across = np.stack([east, np.cross(end, east)], axis=1)
+    aside = np.cross((0.0, 0.0, 1.0), end)
+    aside = aside / np.linalg.norm(aside) if aside.any() else np.eye(3)[0]
+    across = np.stack([aside, np.cross(end, aside)], axis=1)
 
     def from_end(x: np.ndarray) -> np.ndarray:
         offset, angle = x @ across, np.arccos(np.clip(x @ end, -1, 1))
@@ -274,7 +275,8 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
     half = 1.15 * max(abs(shown).max(), 1.0)
     near = path @ end > np.cos(np.deg2rad(min(3 * half, 90)))
     ax.plot(*np.where(near, from_end(path), np.nan), color=plots.BLUE, lw=0.8)
-    plots.points(ax, *from_end(members), f"{len(members)} members", zorder=3)
+    east, north = from_end(members)
+    plots.points(ax, east, north, f"{len(members)} members", zorder=3)
     ax.plot(0, 0, "o", color=plots.BLUE, ms=6, mfc="white", mew=1.5, zorder=4, label="nominal member")
     ax.legend(loc="lower left")
     ax.plot(*from_end(observed), "x", color=plots.RED, ms=7, mew=1.6, zorder=4)

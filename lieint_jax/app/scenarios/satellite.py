@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import itertools
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
@@ -86,7 +87,7 @@ class Satellite(BodyKind):
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    files: ClassVar[dict[str, type[Table]]] = BodyKind.files | {"orbit": SatelliteOrbitFile}
+    files: ClassVar[Mapping[str, type[Table]]] = {**BodyKind.files, "orbit": SatelliteOrbitFile}
     fixed: ClassVar[dict[str, str]] = BodyKind.fixed | {
         **dict.fromkeys(
             ("orbit.*", "ephemeris.*", "drag.*density*", "drag.*height*"), "all members share the orbit, field and air"
