@@ -248,8 +248,8 @@ def test_stl_files_are_read_in_text_and_binary(tmp_path):
         vertices, faces = shapes.surface(path)
         assert vertices.shape == (8, 3)
         np.testing.assert_array_equal(vertices[faces], triangles)
-    text.write_text("solid cube\n vertex 0 0 x\n vertex 1 0 0\n vertex 0 1 0")
-    with pytest.raises(ValueError, match=r"cube\.stl, line 2: a coordinate must be a finite number, got 'x'"):
+    text.write_text("solid cube\nouter loop\n vertex 0 0 x\n vertex 1 0 0\n vertex 0 1 0\nendloop")
+    with pytest.raises(ValueError, match=r"cube\.stl, line 3: a coordinate must be a finite number, got 'x'"):
         shapes.surface(text)
     binary.write_bytes(binary.read_bytes()[:-1])
     with pytest.raises(ValueError, match=r"binary\.STL: 12 triangles of 50 bytes must follow"):
