@@ -10,7 +10,7 @@
 | shapes of triangles: OBJ, STL, PLY, DAMIT, PDS; others with trimesh | `read_shape` | |
 | robots: URDF, MJCF | `read_urdf_inertia`, `read_mjcf_inertia` | |
 | molecules: xyz, PDB | `read_molecule`, `read_molecules` | |
-| light curves: DAMIT, ALCDEF | `read_light_curves` | |
+| light curves: DAMIT, ALCDEF | `read_light_curve`, `read_light_curves` | |
 | logs of gyros and star trackers, CSV | `read_csv_log` | `write_csv` |
 """
 
@@ -18,7 +18,7 @@ from lieint_jax.files._aem import Attitudes, read_aem, write_aem
 from lieint_jax.files._csv_log import Log, read_csv_log, write_csv
 from lieint_jax.files._horizons import read_ephemeris_csv, read_horizons
 from lieint_jax.files._identify import identify
-from lieint_jax.files._light_curves import LightCurve, read_light_curves
+from lieint_jax.files._light_curves import LightCurve, read_light_curve, read_light_curves
 from lieint_jax.files._molecules import Atoms, Superposition, read_molecule, read_molecules
 from lieint_jax.files._oem import read_oem, write_oem
 from lieint_jax.files._orbit_table import OrbitTable
@@ -40,6 +40,7 @@ __all__ = [
     "read_csv_log",
     "read_ephemeris_csv",
     "read_horizons",
+    "read_light_curve",
     "read_light_curves",
     "read_mjcf_inertia",
     "read_molecule",

@@ -13,7 +13,7 @@ import numpy as np
 from lieint_jax import _checks
 from lieint_jax._text import Text, read_text
 
-__all__ = ["LightCurve", "read_light_curves"]
+__all__ = ["LightCurve", "read_light_curve", "read_light_curves"]
 
 _DELIMITERS = {"": "|", "PIPE": "|", "TAB": "\t"}
 
@@ -73,6 +73,24 @@ def read_light_curves(path: str | Path) -> list[LightCurve]:
     if not found:
         text.fail(0, "there is no light curve")
     return found
+
+
+def read_light_curve(path: str | Path, *, number: int | None = None) -> LightCurve:
+    """One light curve of a file, as `read_light_curves` reads them.
+
+    Args:
+        path: of the file.
+        number: which of several, from 0.
+
+    Raises:
+        ValueError: the file has several light curves and no number is given, and the errors of `read_light_curves`.
+    """
+    found = read_light_curves(path)
+    if number is None and len(found) > 1:
+        raise ValueError(f"{path} has {len(found)} light curves: give number=, from 0, or call read_light_curves")
+    if not 0 <= (number or 0) < len(found):
+        raise ValueError(f"number must be from 0 to {len(found) - 1} for {path}, got {number}")
+    return found[number or 0]
 
 
 def _damit(text: Text, at: list[int], calibrated: bool, metadata: dict[str, str]) -> LightCurve:

@@ -48,7 +48,7 @@ def table(name, **changes):
 
 
 def test_a_body_has_the_inertia_of_a_file():
-    """A box of 2 × 1 × 3 with density 2: m (b² + c²)/12, in the file's axes; of one of several bodies principal ones."""
+    """A box of 2 × 1 × 3 with density 2: m (b² + c²)/12, in the file's axes; of several bodies the principal ones."""
     keys = table("driven", inertia=None, shape={"file": "box.obj", "density": 2.0})
     found = scenarios.parse(keys, "mine.toml")
     assert_allclose(found.inertia, np.diag([10.0, 13.0, 5.0]), rtol=1e-14, atol=1e-14)
@@ -62,6 +62,7 @@ def test_a_body_has_the_inertia_of_a_file():
     assert_allclose(body.moments_kg_m2, [250.0, 500.0, 650.0], rtol=1e-14)
 
 
+@pytest.mark.long
 def test_a_satellite_on_the_orbit_of_a_file_moves_as_on_its_kepler_orbit():
     """To the error of a cubic between entries 10 s apart."""
     orbit = write_orbit()

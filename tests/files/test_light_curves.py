@@ -116,3 +116,14 @@ def test_sessions_of_alcdef(tmp_path):
     assert second.calibrated
     assert second.errors is None
     assert second.metadata == {"OBJECTNAME": "Eros", "LTCAPP": "POINT"}
+
+
+def test_one_of_several_curves_is_named(tmp_path):
+    path = tmp_path / "lc.txt"
+    point = "{} 1.5 1 0 0 0 1 0\n"
+    path.write_text("2\n1 0\n" + point.format(2451545.0) + "1 0\n" + point.format(2451546.0))
+    assert files.read_light_curve(path, number=1).dates.tolist() == [2451546.0]
+    with pytest.raises(ValueError, match="has 2 light curves: give number="):
+        files.read_light_curve(path)
+    with pytest.raises(ValueError, match=r"number must be from 0 to 1 for .*, got 2"):
+        files.read_light_curve(path, number=2)

@@ -54,7 +54,7 @@ JOBS = {
     """,
     "the light curve of a DAMIT shape beside an ALCDEF one": """
         corners, faces = li.shapes.surface("shape.txt")
-        seen = li.files.read_light_curves("seen.alcdef")[0]
+        seen = li.files.read_light_curve("seen.alcdef")
         body = li.systems.rigid_body(li.shapes.mesh(corners, faces, density=1.0).aligned())
         start, days = body.state(angular_velocity=[0.0, 0.0, 25.0]), seen.dates - seen.dates[0]
         run = li.run(li.schemes.exact(body), start, times=days, progress=False)
