@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,9 @@ class Shape:
         center: the center of mass, in the axes of the shape, (3,).
         second, third, fourth: ∫ r⊗…⊗r dm about the center, (3, 3), (3, 3, 3) and (3, 3, 3, 3).
         diagonal: whether the axes of the shape are known to be principal axes.
+        radius: of a sphere about the center that encloses the body, a scalar; None if unknown.
+        triangles: the corners of the faces of a mesh, in the axes of the shape, counterclockwise as seen from outside,
+            (F, 3, 3); None for other shapes, and for sums.
     """
 
     mass: Array
@@ -48,6 +52,8 @@ class Shape:
     third: Array
     fourth: Array
     diagonal: bool = static(default=False)
+    radius: Array | None = None
+    triangles: Array | None = None
 
     @property
     def inertia(self) -> Array:
@@ -85,7 +91,7 @@ class Shape:
         _, axes = self.principal_axes()
         turned = self._rotate(axes.T)
         second = jnp.diag(jnp.diagonal(turned.second))
-        return Shape(self.mass, jnp.zeros_like(self.center), second, turned.third, turned.fourth, True)
+        return replace(turned.moved(-turned.center), center=jnp.zeros_like(self.center), second=second, diagonal=True)
 
     def moved(self, by: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Shape:
         """The same body rotated about the origin, then translated.
@@ -96,14 +102,18 @@ class Shape:
         """
         by = _checks.real_array("by", by, (3,), like=self.second)
         if rotation is None:
-            return Shape(self.mass, self.center + by, self.second, self.third, self.fourth, self.diagonal)
+            triangles = None if self.triangles is None else self.triangles + by
+            return replace(self, center=self.center + by, triangles=triangles)
         return self._rotate(_checks.rotation_matrix("rotation", rotation)).moved(by)
 
     def _rotate(self, R: Array) -> Shape:
         second = jnp.einsum("ai,bj,ij->ab", R, R, self.second)
         third = jnp.einsum("ai,bj,ck,ijk->abc", R, R, R, self.third)
         fourth = jnp.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, self.fourth)
-        return Shape(self.mass, jnp.sum(R * self.center, axis=1), second, third, fourth)
+        corners = self.triangles
+        triangles = None if corners is None else jnp.sum(R * corners[:, :, None], axis=3)
+        center = jnp.sum(R * self.center, axis=1)
+        return Shape(self.mass, center, second, third, fourth, radius=self.radius, triangles=triangles)
 
     def __add__(self, other: Shape) -> Shape:
         """Both bodies joined into one; a body of negative mass is a cavity."""
@@ -113,7 +123,10 @@ class Shape:
         center = (self.mass * self.center + other.mass * other.center) / mass
         parts = [_shift_moments(part._about_center(), part.center - center) for part in (self, other)]
         _, _, second, third, fourth = (a + b for a, b in zip(*parts, strict=True))
-        return Shape(mass, center, second, third, fourth)
+        radius = None
+        if self.radius is not None and other.radius is not None:
+            radius = jnp.maximum(*(_norm(part.center - center) + part.radius for part in (self, other)))
+        return Shape(mass, center, second, third, fourth, radius=radius)
 
     def _about_center(self) -> tuple[Array, ...]:
         return self.mass, jnp.zeros_like(self.center), self.second, self.third, self.fourth
@@ -131,7 +144,7 @@ def ellipsoid(semi_axes: ArrayLike, *, mass: ArrayLike | None = None, density: A
         [5.0, 10.0, 13.0]
     """
     a = _checks.positive("semi_axes", semi_axes, (3,))
-    return _solid(4 / 3 * math.pi * jnp.prod(a), a * a / 5, (a * a, _ELLIPSOID), mass, density)
+    return _solid(4 / 3 * math.pi * jnp.prod(a), a * a / 5, (a * a, _ELLIPSOID), jnp.max(a), mass, density)
 
 
 def box(edges: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None) -> Shape:
@@ -146,7 +159,7 @@ def box(edges: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike |
         [5.0, 10.0, 13.0]
     """
     a = _checks.positive("edges", edges, (3,))
-    return _solid(jnp.prod(a), a * a / 12, (a * a, _BOX), mass, density)
+    return _solid(jnp.prod(a), a * a / 12, (a * a, _BOX), _norm(a) / 2, mass, density)
 
 
 def cylinder(
@@ -166,7 +179,8 @@ def cylinder(
     R, H = _checks.real_array("radius", radius, ()), _checks.real_array("height", height, ())
     a = _checks.positive("radius and height", jnp.stack([R, R, H]), (3,))
     squares = a * a * jnp.array([1 / 4, 1 / 4, 1 / 12], a.dtype)
-    return _solid(math.pi * R * R * H, squares, (a * a, _CYLINDER), mass, density)
+    radius = jnp.sqrt(R * R + H * H / 4)
+    return _solid(math.pi * R * R * H, squares, (a * a, _CYLINDER), radius, mass, density)
 
 
 def sites(masses: ArrayLike, points: ArrayLike) -> Shape:
@@ -198,6 +212,7 @@ def sites(masses: ArrayLike, points: ArrayLike) -> Shape:
         jnp.sum(m[:, None] * pairs, axis=0).reshape(3, 3),
         _sums(m[:, None] * pairs, r).reshape(3, 3, 3),
         _sums(m[:, None] * pairs, pairs).reshape(3, 3, 3, 3),
+        radius=jnp.max(_norm(r)),
     )
 
 
@@ -238,7 +253,10 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     scale = scale * jnp.sign(volume)
     to_center = scale * moments[0] / total
     _, _, second, third, fourth = _shift_moments((total, *(scale * M for M in moments)), -to_center)
-    return Shape(total, reference + to_center, second, third, fourth)
+    triangles = jnp.where(volume < 0, at[triangles[:, ::-1]], at[triangles])
+    center = reference + to_center
+    radius = jnp.max(_norm(triangles - center))
+    return Shape(total, center, second, third, fourth, radius=radius, triangles=triangles)
 
 
 def obj(
@@ -296,8 +314,18 @@ def _mass(volume: Array, mass: ArrayLike | None, density: ArrayLike | None) -> t
     return (number, number / volume) if name == "mass" else (number * volume, number)
 
 
+def _norm(x: Array) -> Array:
+    """The lengths of vectors in the last axis."""
+    return jnp.sqrt(jnp.sum(x * x, axis=-1))
+
+
 def _solid(
-    volume: Array, squares: Array, fourths: tuple[Array, np.ndarray], mass: ArrayLike | None, density: ArrayLike | None
+    volume: Array,
+    squares: Array,
+    fourths: tuple[Array, np.ndarray],
+    radius: Array,
+    mass: ArrayLike | None,
+    density: ArrayLike | None,
 ) -> Shape:
     """A body that is symmetric about three planes, from ⟨x_i²⟩ and ⟨x_i² x_j²⟩."""
     total, _ = _mass(volume, mass, density)
@@ -307,7 +335,7 @@ def _solid(
     mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths[None]
     fourth = 3 * _symmetrize(mean[:, None, :, None] * one[:, :, None, None] * one[None, None])
     zero = jnp.zeros((3, 3, 3), lengths.dtype)
-    return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True)
+    return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True, radius)
 
 
 @partial(compiled, once=True)

@@ -343,6 +343,8 @@ def rigid_bodies(
     n = potentials.count(potential)
     if n not in (None, m.size):
         raise ValueError(f"the potential is for {n} bodies, but there are {m.size} masses")
+    if isinstance(potential, potentials.Potential):
+        potential = potential.with_bodies(m, J)
     made = RigidBodies(m, J, callable_pytree(potential))
     _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
     if dissipation is None:
