@@ -25,6 +25,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks, shapes
+from lieint_jax._xla import compiled
 from lieint_jax.potentials._potential import Potential, relative
 from lieint_jax.shapes import Shape, trace_free
 from lieint_jax.types import pytree, vectors
@@ -33,7 +34,7 @@ from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 __all__ = ["Polyhedron", "PolyhedronGravity", "polyhedron"]
 
 _COLUMNS = 25  # of a face: its vertices, its normal, twice its area, the lengths of its edges and their normals
-_BLOCK = 16  # faces that are evaluated together on a CPU
+_BLOCK = 4  # faces that are evaluated together on a CPU
 _ALIKE = 1e-4  # the relative difference of two masses that are taken for the same
 _SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # the positions of the entries of a symmetric tensor
 
@@ -98,7 +99,7 @@ class Polyhedron(Potential):
         points = _checks.real_array("x", x, like=self.table)
         if points.ndim == 0 or points.shape[-1] != 3:
             raise ValueError(f"x must be points (…, 3), got shape {points.shape}")
-        found = jax.vmap(partial(_derivative, order, self.table))(points.reshape(-1, 3))
+        found = _at_points(order, self.table, points.reshape(-1, 3))
         return found.reshape(*points.shape[:-1], -1)
 
 
@@ -269,6 +270,11 @@ def _next_derivative(order: int, primals: tuple[Array, Array], tangents: tuple[A
     if not isinstance(by_table, SymbolicZero):
         change = change + jax.jvp(lambda y: _over_faces(order, y, x), (table,), (by_table,))[1]
     return found, change
+
+
+@partial(compiled, static_argnums=0)
+def _at_points(order: int, table: Array, points: Array) -> Array:
+    return jax.vmap(partial(_derivative, order, table))(points)
 
 
 def _sum_of_faces(order: int, columns: Array, x: Array) -> Array:
