@@ -188,8 +188,9 @@ def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int
 
     All terms up to the order are included, also those that couple both shapes. To order 2 it equals `maccullagh`.
     Homogeneous spheres attract as points, exactly. The series converges where the enclosing spheres of the bodies do
-    not intersect; where the center of a body is inside the enclosing sphere of another, the potential is NaN, so that
-    `.state` refuses it and a step reports `converged=False`. `polyhedron` is exact there. The potential is invariant: P and L are conserved; `bodies_energy_momentum` conserves the energy too.
+    not intersect. Where the center of a body is inside the enclosing sphere of another, V is NaN: `.state` refuses it,
+    and a step reports `converged=False`; `polyhedron` is exact there. The potential is invariant: P and L are
+    conserved; `bodies_energy_momentum` conserves the energy too.
 
     Args:
         G: the constant of gravity, in units consistent with the other arguments.

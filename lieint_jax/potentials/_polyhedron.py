@@ -1,7 +1,7 @@
 """Gravity of a homogeneous polyhedron, in closed form outside, on and inside its surface.
 
-With r from the point to a vertex, n the normal of a face, n_e those of its edges in its plane, h = n·r, p = n_e·r, a and
-b the distances of the ends of an edge of length e, and ω the solid angle of the face,
+With r from the point to a vertex, n the normal of a face, n_e those of its edges in its plane, h = n·r, p = n_e·r, the
+distances a and b of the ends of an edge of length e, and the solid angle ω of the face,
 
     φ = −½Gρ Σ_f h I,   −∇φ = −Gρ Σ_f n I,   ∇∇φ = −Gρ Σ_f n ⊗ (Σ_e n_e L − n ω),
     I = ∫ dS/r = Σ_e p L − h ω,   L = ln((a + b + e)/(a + b − e)),
@@ -192,22 +192,16 @@ def polyhedron(G: ArrayLike, mesh: Shape | tuple[ArrayLike, Any], density: Array
         >>> float(cube.mass), cube.force([1.0, 0.0, 0.0]).round(3).tolist()
         (8.0, [-5.193, 0.0, 0.0])
     """
-    shape = mesh
-    if not isinstance(shape, Shape):
-        if density is None:
-            raise ValueError("density must be given with vertices and faces, or give a shape of shapes.mesh")
-        shape = shapes.mesh(*mesh, density=1.0)
+    if density is None and not isinstance(mesh, Shape):
+        raise ValueError("density must be given with vertices and faces, or give a shape of shapes.mesh")
+    shape = mesh if isinstance(mesh, Shape) else shapes.mesh(*mesh, density=1.0)
     if shape.triangles is None:
         raise ValueError("mesh must be vertices and faces, or a shape of shapes.mesh or shapes.obj; this one has none")
     a, b, c = jnp.moveaxis(shape.triangles - shape.center, 1, 0)
     volume = jnp.sum(a * jnp.cross(b, c)) / 6
-    if density is None:
-        rho = shape.mass / volume
-    else:
-        rho = _checks.real_array("density", density, (), like=volume)
-    return Polyhedron(
-        _checks.real_array("G", G, (), like=volume), rho, rho * volume, shape.center, _table(shape.triangles)
-    )
+    rho = shape.mass / volume if density is None else _checks.real_array("density", density, (), like=volume)
+    G = _checks.real_array("G", G, (), like=volume)
+    return Polyhedron(G, rho, rho * volume, shape.center, _table(shape.triangles))
 
 
 def _isotropic(J: np.ndarray) -> bool:
@@ -233,11 +227,7 @@ def _table(corners: Array) -> Array:
 
 
 def _over_faces(order: int, table: Array, x: Array) -> Array:
-    """The derivatives of ∫ dV/r of one order by the position of the point, as in `_sum_of_faces`.
-
-    On a CPU this is a loop over blocks: machine code reads the table from memory. Other devices evaluate all faces at
-    once.
-    """
+    """As `_sum_of_faces`. On a CPU a loop over blocks, in which machine code reads the table from memory."""
     size = _COLUMNS * _BLOCK
 
     def in_blocks(table: Array, x: Array) -> Array:
@@ -290,17 +280,15 @@ def _sum_of_faces(order: int, columns: Array, x: Array) -> Array:
     sides = [vectors.vector(columns[k : k + 3]) for k in (16, 19, 22)]
     at, eps, tiny = vectors.vector(x), jnp.finfo(x.dtype).eps, jnp.finfo(x.dtype).tiny
     r = [corner - at for corner in corners]
-    (a, b, c), ends = (jnp.sqrt(jnp.maximum(vectors.dot(y, y), tiny)) for y in r), (1, 2, 0)
+    a, b, c = (jnp.sqrt(jnp.maximum(vectors.dot(y, y), tiny)) for y in r)
     # the guards are for points on an edge or a vertex, where these factors multiply 0
-    L = [
-        jnp.log1p(2 * e / jnp.maximum(u + v - e, eps * eps * e + tiny))
-        for u, v, e in zip((a, b, c), (b, c, a), lengths, strict=True)
-    ]
-    h, dots = vectors.dot(n, r[0]), [vectors.dot(r[k], r[ends[k]]) for k in range(3)]
-    volume, turn = h * twice_area, a * b * c + c * dots[0] + a * dots[1] + b * dots[2]
+    excess = [u + v - e for u, v, e in zip((a, b, c), (b, c, a), lengths, strict=True)]
+    L = [jnp.log1p(2 * e / jnp.maximum(s, eps * eps * e + tiny)) for e, s in zip(lengths, excess, strict=True)]
+    h, (ab, bc, ca) = vectors.dot(n, r[0]), (vectors.dot(r[k], r[k - 2]) for k in range(3))
+    volume, turn = h * twice_area, a * b * c + c * ab + a * bc + b * ca
     omega = 2 * jnp.arctan2(volume, jnp.where((volume == 0) & (turn == 0), 1, turn))
     if order < 2:
-        I = sum(vectors.dot(side, y) * log for side, y, log in zip(sides, r, L, strict=True)) - h * omega
-        return jnp.stack([jnp.sum(y) for y in ([h * I / 2] if order == 0 else [-k * I for k in n])])
+        over_face = sum(vectors.dot(side, y) * log for side, y, log in zip(sides, r, L, strict=True)) - h * omega
+        return jnp.stack([jnp.sum(y * over_face) for y in ([h / 2] if order == 0 else -n)])
     flux = [sum(side[i] * log for side, log in zip(sides, L, strict=True)) - n[i] * omega for i in range(3)]
     return jnp.stack([jnp.sum(n[i] * flux[j]) for i in range(3) for j in range(i, 3)])

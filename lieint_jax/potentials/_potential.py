@@ -67,9 +67,8 @@ class SumPotential(Potential):
         return reduce(jnp.add, (term(x, R) for term in self.terms))
 
     def with_bodies(self, masses: Array, inertias: Array) -> SumPotential:
-        return SumPotential(
-            tuple(t.with_bodies(masses, inertias) if isinstance(t, Potential) else t for t in self.terms)
-        )
+        bound = (t.with_bodies(masses, inertias) if isinstance(t, Potential) else t for t in self.terms)
+        return SumPotential(tuple(bound))
 
     @property
     def count(self) -> int | None:

@@ -125,7 +125,7 @@ class Shape:
         _, _, second, third, fourth = (a + b for a, b in zip(*parts, strict=True))
         radius = None
         if self.radius is not None and other.radius is not None:
-            radius = jnp.maximum(*(_norm(part.center - center) + part.radius for part in (self, other)))
+            radius = jnp.maximum(_norm(self.center - center) + self.radius, _norm(other.center - center) + other.radius)
         return Shape(mass, center, second, third, fourth, radius=radius)
 
     def _about_center(self) -> tuple[Array, ...]:

@@ -28,7 +28,7 @@ def bilobed(levels):
 @functools.cache
 def stone(levels=2):
     at, faces = bilobed(levels)
-    return shapes.mesh(at + [0.2, -0.1, 0.3], faces, density=1.5)
+    return shapes.mesh(at + np.array([0.2, -0.1, 0.3]), faces, density=1.5)
 
 
 @functools.cache
@@ -132,7 +132,7 @@ def by_tetrahedra(shape, x, order=10):
         for half, end in zip(halves, longest.T, strict=True):
             half[rows, end] = middle
         pending = np.concatenate(halves)
-    return force * np.sign(np.linalg.det(corners - np.asarray(shape.center)).sum())
+    return -force  # the center is the last corner
 
 
 @pytest.mark.long
@@ -153,7 +153,7 @@ def test_a_bilobed_body_attracts_as_its_tetrahedra_close_to_the_surface():
 def test_round_polyhedra_attract_as_spheres_to_second_order_and_shells_have_no_field_inside():
     """A cavity of the mesh is exactly the difference of two polyhedra; its field is 0 up to the mesh's error."""
     errors, fields = [], []
-    for levels in (1, 2, 3):
+    for levels in (3, 4):
         at, faces = sphere(levels)
         P = potentials.polyhedron(1.0, (at, faces), 1.0)
         x = jnp.array([[1.2, 0.9, -0.4], [0.0, 1.6, 0.3]])
@@ -165,13 +165,13 @@ def test_round_polyhedra_attract_as_spheres_to_second_order_and_shells_have_no_f
         np.testing.assert_allclose(shell.force(y), P.force(y) - inner.force(y), rtol=0, atol=1e-14)
         assert abs(float(shell.laplacian(y))) < 1e-13
     for found in (errors, fields):
-        assert np.log2(found[1] / found[2]) == pytest.approx(2, abs=0.2), found
+        assert np.log2(found[0] / found[1]) == pytest.approx(2, abs=0.1), found
 
 
 @pytest.mark.long
 def test_two_parts_of_one_mesh_attract_as_their_sum():
     at, faces = bilobed(1)
-    two = (np.concatenate([at, at + [3.0, 0, 0]]), np.concatenate([faces, faces + len(at)]))
+    two = (np.concatenate([at, at + np.array([3.0, 0, 0])]), np.concatenate([faces, faces + len(at)]))
     dumbbell, one = (potentials.polyhedron(1.0, mesh, 1.0) for mesh in (two, (at, faces)))
     x = jnp.array(POINTS)
     np.testing.assert_allclose(dumbbell.force(x), one.force(x) + one.force(x - jnp.array([3.0, 0, 0])), atol=1e-13)
@@ -276,8 +276,8 @@ def test_a_pebble_in_orbit_close_to_a_bilobed_body(scheme, steps):
     """Both momenta to round-off; the energy to round-off by the energy–momentum scheme, bounded by splitting."""
     H, P, L = conserved(scheme, steps)
     print(H, P, L)
-    assert P < 1e-15 * steps
-    assert L < 1e-15 * steps
+    assert 1e-15 * steps > P
+    assert 1e-15 * steps > L
     assert H < 1e-12 if scheme == "bodies_energy_momentum" else 1e-7 < H < 1e-3
 
 
@@ -315,7 +315,7 @@ def test_machine_code_reads_the_faces_from_memory_and_agrees_with_xla():
     for engine in ("native", "xla"):
         with li.engine(engine):
             assert [loop.engine for loop in li.explain(jax.vmap(end), states)] == [engine]
-            found[engine] = jax.jit(lambda z: jax.vmap(end)(z))(states)  # noqa: PLW0108 — a function of each engine
+            found[engine] = jax.jit(lambda z: jax.vmap(end)(z))(states)
     np.testing.assert_allclose(found["native"], found["xla"], rtol=0, atol=1e-14)
 
 
@@ -341,7 +341,7 @@ def test_wrong_arguments_of_a_polyhedron_raise_errors():
     ):
         with pytest.raises(ValueError, match=sentence):
             make()
-    with pytest.raises(TypeError, match="systems.rigid_bodies"):
+    with pytest.raises(TypeError, match=r"systems\.rigid_bodies"):
         P(one, one)
 
 
@@ -349,7 +349,7 @@ def test_mutual_gravity_refuses_bodies_within_another_s_enclosing_sphere():
     """At the start, with a sentence that names the cure."""
     long = shapes.ellipsoid([2.0, 1.0, 1.0], mass=1.0)
     bodies = li.systems.rigid_bodies([1.0, 0.1], [[1.0, 1, 1]] * 2, potentials.mutual_gravity(1.0, [long, 0.1]))
-    with pytest.raises(ValueError, match="inside the enclosing sphere of another.*potentials.polyhedron"):
+    with pytest.raises(ValueError, match=r"inside the enclosing sphere of another.*potentials\.polyhedron"):
         bodies.state([[0, 0, 0], [0.0, 1.9, 0]])
 
 
