@@ -174,7 +174,8 @@ def test_two_parts_of_one_mesh_attract_as_their_sum():
     two = (np.concatenate([at, at + np.array([3.0, 0, 0])]), np.concatenate([faces, faces + len(at)]))
     dumbbell, one = (potentials.polyhedron(1.0, mesh, 1.0) for mesh in (two, (at, faces)))
     x = jnp.array(POINTS)
-    np.testing.assert_allclose(dumbbell.force(x), one.force(x) + one.force(x - jnp.array([3.0, 0, 0])), atol=1e-13)
+    both = one.force(x) + one.force(x - jnp.array([3.0, 0, 0]))
+    np.testing.assert_allclose(dumbbell.force(x), both, rtol=0, atol=1e-13)
 
 
 @pytest.mark.long
@@ -192,7 +193,8 @@ def test_a_shape_keeps_its_mesh(turned):
         by = -R @ np.asarray(shape.center)
     else:
         other = shapes.mesh(at, faces[:, ::-1], density=1.5)
-    np.testing.assert_allclose(other.triangles.sum(axis=1), (shape.triangles.sum(axis=1) @ R.T) + 3 * by, atol=1e-14)
+    corners = shape.triangles.sum(axis=1) @ R.T + 3 * by
+    np.testing.assert_allclose(other.triangles.sum(axis=1), corners, rtol=0, atol=1e-13)
     x = np.array([0.9, 0.8, -0.7])
     P, Q = (potentials.polyhedron(1.0, s) for s in (shape, other))
     np.testing.assert_allclose(Q.force(R @ x + by), R @ P.force(x), rtol=1e-12)
@@ -202,7 +204,7 @@ def test_a_shape_keeps_its_mesh(turned):
 
 @functools.cache
 def pair(levels=1, small=None, shape=None):
-    """A bilobed body that rotates, and a pebble, or a small body, on an orbit close to it."""
+    """A bilobed body that rotates, and a pebble, or a small body, on an orbit close to it, against the rotation."""
     shape = shape or stone(levels)
     P = potentials.polyhedron(1.0, shape)
     m = float(P.mass)
@@ -212,7 +214,7 @@ def pair(levels=1, small=None, shape=None):
     state = system.state(
         [[0.0, 0, 0], [1.5, 0, 0.1]],
         velocities=[[0.0, -1e-3 * v / m, 0], [0.0, v, 0.1]],
-        angular_velocities=[[0.02, 0.0, 0.5], [0.3, 0.2, 0.4]],
+        angular_velocities=[[0.02, 0.0, -0.5], [0.3, 0.2, 0.4]],
     )
     return system, state
 
@@ -288,7 +290,7 @@ def test_a_small_body_of_any_shape_conserves_energy_and_both_momenta():
 
 @pytest.mark.long
 def test_the_derivative_through_a_step_agrees_with_differences():
-    system, state = pair(1, tuple(map(tuple, 1e3 * TILTED)))
+    system, state = pair(1)
     step, h = li.schemes.splitting(system), 1e-4
 
     @jax.jit
