@@ -3,6 +3,7 @@
 | | |
 |---|---|
 | `mutual_gravity`, `maccullagh` | gravity of shapes: to order 4, to order 2 by moments of inertia |
+| `polyhedron` | gravity of a mesh on points and small bodies, exact at any distance |
 | `ellipsoid_sphere`, `point_masses` | gravity: of an ellipsoid and a sphere, of mascons |
 | `point_charges`, `lennard_jones`, `sites` | molecules: charges, dispersion, both |
 | `molecule`, `water` | a rigid molecule of sites, with its principal axes; TIP4P water |

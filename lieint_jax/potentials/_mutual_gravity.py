@@ -40,6 +40,7 @@ class MutualGravity(Potential):
         masses: (N,).
         second, third, fourth: the trace-free moments about the centers, in the axes of the bodies, (N, 3, 3),
             (N, 3, 3, 3) and (N, 3, 3, 3, 3).
+        radii: of the spheres that enclose the bodies, (N,); 0 for points and where the radius is unknown.
         order: of the expansion, 2, 3 or 4.
     """
 
@@ -48,7 +49,12 @@ class MutualGravity(Potential):
     second: Array
     third: Array
     fourth: Array
+    radii: Array
     order: int = static()
+    domain = (
+        "mutual_gravity has no value where the center of a body is inside the enclosing sphere of another, where its "
+        "series may diverge. Use potentials.polyhedron, which is exact there, if all bodies but one are small"
+    )
 
     @property
     def count(self) -> int:
@@ -155,6 +161,8 @@ class MutualGravity(Potential):
     def _split(self, invariants: Array) -> _Invariants:
         k = self.count * (self.count - 1) // 2
         u, Gamma_i, Gamma_j, C = jnp.split(invariants, [k, 4 * k, 7 * k])
+        i, j = self._pairs
+        u = jnp.where(u > jnp.maximum(self.radii[i], self.radii[j]) ** 2, u, jnp.nan)
         return _Invariants(
             u, Gamma_i.reshape(k, 3), Gamma_j.reshape(k, 3), C.reshape(k, 3, 3) if self.order == 4 else None
         )
@@ -180,7 +188,9 @@ def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int
 
     All terms up to the order are included, also those that couple both shapes. To order 2 it equals `maccullagh`.
     Homogeneous spheres attract as points, exactly. The series converges where the enclosing spheres of the bodies do
-    not intersect. The potential is invariant: P and L are conserved; `bodies_energy_momentum` conserves the energy too.
+    not intersect. Where the center of a body is inside the enclosing sphere of another, V is NaN: `.state` refuses it,
+    and a step reports `converged=False`; `polyhedron` is exact there. The potential is invariant: P and L are
+    conserved; `bodies_energy_momentum` conserves the energy too.
 
     Args:
         G: the constant of gravity, in units consistent with the other arguments.
@@ -200,14 +210,15 @@ def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int
     if not isinstance(shapes, Sequence) or len(shapes) < 2:
         raise ValueError(f"shapes must be a list of two or more shapes or masses, got {shapes!r}")
     bodies = [_moments(k, shape, order) for k, shape in enumerate(shapes)]
-    masses, second, third, fourth = (jnp.stack(column) for column in zip(*bodies, strict=True))
-    return MutualGravity(_checks.real_array("G", G, ()), masses, second, third, fourth, order)
+    masses, second, third, fourth, radii = (jnp.stack(column) for column in zip(*bodies, strict=True))
+    return MutualGravity(_checks.real_array("G", G, ()), masses, second, third, fourth, radii, order)
 
 
 def _moments(k: int, shape: Any, order: int) -> tuple[Array, ...]:
-    """The mass and the trace-free moments of a body, those above the order, which are not used, 0."""
+    """The mass, the trace-free moments, those above the order, which are not used, 0, and the radius of a body."""
+    radius = None
     if isinstance(shape, Shape):
-        mass = shape.mass
+        mass, radius = shape.mass, shape.radius
         try:
             moments = [shape.moments(n) if n <= order else jnp.zeros((3,) * n, mass.dtype) for n in (2, 3, 4)]
         except ValueError as error:
@@ -217,7 +228,7 @@ def _moments(k: int, shape: Any, order: int) -> tuple[Array, ...]:
         moments = [jnp.zeros((3,) * n, mass.dtype) for n in (2, 3, 4)]
     if _checks.concrete(mass) and not float(mass) > 0:
         raise ValueError(f"the mass of shapes[{k}] must be positive, got {float(mass)}")
-    return mass, *(trace_free(M) for M in moments)
+    return mass, *(trace_free(M) for M in moments), jnp.zeros_like(mass) if radius is None else radius
 
 
 def _times(Q: Array, v: Array) -> Array:

@@ -37,6 +37,10 @@ class Potential:
         """N, or None if the potential accepts any number of bodies."""
         return None
 
+    def with_bodies(self, masses: Array, inertias: Array) -> Potential:
+        """The potential of bodies of these masses (N,) and inertias (N, 3) or (N, 3, 3), for `systems.rigid_bodies`."""
+        return self
+
     @property
     def symmetry(self) -> Array | None:
         """The orthogonal projector (6, 6) to the conserved part of (P, L); None if P and L are conserved."""
@@ -61,6 +65,10 @@ class SumPotential(Potential):
 
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return reduce(jnp.add, (term(x, R) for term in self.terms))
+
+    def with_bodies(self, masses: Array, inertias: Array) -> SumPotential:
+        bound = (t.with_bodies(masses, inertias) if isinstance(t, Potential) else t for t in self.terms)
+        return SumPotential(tuple(bound))
 
     @property
     def count(self) -> int | None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -39,6 +40,9 @@ class Shape:
         second, third, fourth: ∫ r⊗…⊗r dm about the center, (3, 3), (3, 3, 3) and (3, 3, 3, 3); the last two are None
             where they are not known, as of `body`.
         diagonal: whether the axes of the shape are known to be principal axes.
+        radius: of a sphere about the center that encloses the body, a scalar; None if unknown.
+        triangles: the corners of the faces of a mesh, in the axes of the shape, counterclockwise as seen from outside,
+            (F, 3, 3); None for other shapes, and for sums.
     """
 
     mass: Array
@@ -47,6 +51,8 @@ class Shape:
     third: Array | None
     fourth: Array | None
     diagonal: bool = static(default=False)
+    radius: Array | None = None
+    triangles: Array | None = None
 
     @property
     def inertia(self) -> Array:
@@ -90,7 +96,7 @@ class Shape:
         _, axes = self.principal_axes()
         turned = self._rotate(axes.T)
         second = jnp.diag(jnp.diagonal(turned.second))
-        return Shape(self.mass, jnp.zeros_like(self.center), second, turned.third, turned.fourth, True)
+        return replace(turned.moved(-turned.center), center=jnp.zeros_like(self.center), second=second, diagonal=True)
 
     def moved(self, by: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Shape:
         """The same body rotated about the origin, then translated.
@@ -101,17 +107,20 @@ class Shape:
         """
         by = _checks.real_array("by", by, (3,), like=self.second)
         if rotation is None:
-            return Shape(self.mass, self.center + by, self.second, self.third, self.fourth, self.diagonal)
+            triangles = None if self.triangles is None else self.triangles + by
+            return replace(self, center=self.center + by, triangles=triangles)
         return self._rotate(_checks.rotation_matrix("rotation", rotation)).moved(by)
 
     def _rotate(self, R: Array) -> Shape:
         second = jnp.einsum("ai,bj,ij->ab", R, R, self.second)
         center = jnp.sum(R * self.center, axis=1)
         if self.third is None or self.fourth is None:
-            return Shape(self.mass, center, second, None, None)
+            return Shape(self.mass, center, second, None, None, radius=self.radius)
         third = jnp.einsum("ai,bj,ck,ijk->abc", R, R, R, self.third)
         fourth = jnp.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, self.fourth)
-        return Shape(self.mass, center, second, third, fourth)
+        corners = self.triangles
+        triangles = None if corners is None else jnp.sum(R * corners[:, :, None], axis=3)
+        return Shape(self.mass, center, second, third, fourth, radius=self.radius, triangles=triangles)
 
     def __add__(self, other: Shape) -> Shape:
         """Both bodies joined into one; a body of negative mass is a cavity."""
@@ -122,7 +131,10 @@ class Shape:
         parts = [_shift_moments(part._about_center(), part.center - center) for part in (self, other)]
         second, *higher = [a + b for a, b in zip(*parts, strict=False)][2:]  # as far as both are known
         third, fourth = higher or (None, None)
-        return Shape(mass, center, second, third, fourth)
+        radius = None
+        if self.radius is not None and other.radius is not None:
+            radius = jnp.maximum(_norm(self.center - center) + self.radius, _norm(other.center - center) + other.radius)
+        return Shape(mass, center, second, third, fourth, radius=radius)
 
     def _about_center(self) -> tuple[Array, ...]:
         """The moments of orders 0, 1, … that are known."""
@@ -142,7 +154,7 @@ def ellipsoid(semi_axes: ArrayLike, *, mass: ArrayLike | None = None, density: A
         [5.0, 10.0, 13.0]
     """
     a = _checks.positive("semi_axes", semi_axes, (3,))
-    return _solid(4 / 3 * math.pi * jnp.prod(a), a * a / 5, (a * a, _ELLIPSOID), mass, density)
+    return _solid(4 / 3 * math.pi * jnp.prod(a), a * a / 5, (a * a, _ELLIPSOID), jnp.max(a), mass, density)
 
 
 def box(edges: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None) -> Shape:
@@ -157,7 +169,7 @@ def box(edges: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike |
         [5.0, 10.0, 13.0]
     """
     a = _checks.positive("edges", edges, (3,))
-    return _solid(jnp.prod(a), a * a / 12, (a * a, _BOX), mass, density)
+    return _solid(jnp.prod(a), a * a / 12, (a * a, _BOX), _norm(a) / 2, mass, density)
 
 
 def cylinder(
@@ -177,7 +189,8 @@ def cylinder(
     R, H = _checks.real_array("radius", radius, ()), _checks.real_array("height", height, ())
     a = _checks.positive("radius and height", jnp.stack([R, R, H]), (3,))
     squares = a * a * jnp.array([1 / 4, 1 / 4, 1 / 12], a.dtype)
-    return _solid(math.pi * R * R * H, squares, (a * a, _CYLINDER), mass, density)
+    radius = jnp.sqrt(R * R + H * H / 4)
+    return _solid(math.pi * R * R * H, squares, (a * a, _CYLINDER), radius, mass, density)
 
 
 def sites(masses: ArrayLike, points: ArrayLike) -> Shape:
@@ -209,6 +222,7 @@ def sites(masses: ArrayLike, points: ArrayLike) -> Shape:
         jnp.sum(m[:, None] * pairs, axis=0).reshape(3, 3),
         _sums(m[:, None] * pairs, r).reshape(3, 3, 3),
         _sums(m[:, None] * pairs, pairs).reshape(3, 3, 3, 3),
+        radius=jnp.max(_norm(r)),
     )
 
 
@@ -277,7 +291,10 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     scale = scale * jnp.sign(volume)
     to_center = scale * moments[0] / total
     _, _, second, third, fourth = _shift_moments((total, *(scale * M for M in moments)), -to_center)
-    return Shape(total, reference + to_center, second, third, fourth)
+    triangles = jnp.where(volume < 0, at[triangles[:, ::-1]], at[triangles])
+    center = reference + to_center
+    radius = jnp.max(_norm(triangles - center))
+    return Shape(total, center, second, third, fourth, radius=radius, triangles=triangles)
 
 
 _SAMPLES = 16  # faces of a part of a surface whose centers decide whether it lies inside another
@@ -297,8 +314,18 @@ def _mass(volume: Array, mass: ArrayLike | None, density: ArrayLike | None) -> t
     return (number, number / volume) if name == "mass" else (number * volume, number)
 
 
+def _norm(x: Array) -> Array:
+    """The lengths of vectors in the last axis."""
+    return jnp.sqrt(jnp.sum(x * x, axis=-1))
+
+
 def _solid(
-    volume: Array, squares: Array, fourths: tuple[Array, np.ndarray], mass: ArrayLike | None, density: ArrayLike | None
+    volume: Array,
+    squares: Array,
+    fourths: tuple[Array, np.ndarray],
+    radius: Array,
+    mass: ArrayLike | None,
+    density: ArrayLike | None,
 ) -> Shape:
     """A body that is symmetric about three planes, from ⟨x_i²⟩ and ⟨x_i² x_j²⟩."""
     total, _ = _mass(volume, mass, density)
@@ -308,7 +335,7 @@ def _solid(
     mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths[None]
     fourth = 3 * _symmetrize(mean[:, None, :, None] * one[:, :, None, None] * one[None, None])
     zero = jnp.zeros((3, 3, 3), lengths.dtype)
-    return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True)
+    return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True, radius)
 
 
 @partial(compiled, once=True)

@@ -191,7 +191,9 @@ class RigidBodies(_Many, AbstractRigidBodies):
             with at_once():
                 V = energy(self, jnp.asarray(state.q))
             if concrete(V) and not np.isfinite(np.asarray(V)):
-                raise ValueError(f"the potential must be finite at the start, got {float(V)}")
+                hints = [getattr(term, "domain", "") for term in getattr(self.potential, "terms", (self.potential,))]
+                sentence = f"the potential must be finite at the start, got {float(V)}"
+                raise ValueError(". ".join([sentence, *filter(None, hints)]))
 
 
 @pytree
@@ -339,6 +341,8 @@ def rigid_bodies(
     n = potentials.count(potential)
     if n not in (None, m.size):
         raise ValueError(f"the potential is for {n} bodies, but there are {m.size} masses")
+    if isinstance(potential, potentials.Potential):
+        potential = potential.with_bodies(m, J)
     made = RigidBodies(m, J, callable_pytree(potential))
     _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
     if dissipation is None:

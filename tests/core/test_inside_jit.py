@@ -25,6 +25,7 @@ MADE = {
     "ellipsoid_sphere": lambda: potentials.ellipsoid_sphere(ONE, PAIR, THREE),
     "maccullagh": lambda: potentials.maccullagh(ONE, PAIR, INERTIAS),
     "mutual_gravity": lambda: potentials.mutual_gravity(ONE, [shapes.box(THREE, mass=ONE), ONE]),
+    "polyhedron": lambda: systems.rigid_bodies(PAIR / 6, INERTIAS, potentials.polyhedron(ONE, (CORNERS, FACES), ONE)),
     "point_masses": lambda: potentials.point_masses(ONE, PAIR, softening=ONE),
     "point_charges": lambda: potentials.point_charges(ONE, PAIR),
     "lennard_jones": lambda: potentials.lennard_jones(PAIR, PAIR),

@@ -64,6 +64,9 @@ def orbit_case(make, **arguments):
     return lambda t, **given: make(**given)(t), dict(t=T, **arguments)
 
 
+TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+
+
 def pair_case(make, **arguments):
     return lambda x, R, **given: make(**given)(x, R), dict(x=POSITIONS, R=ROTATIONS, **arguments)
 
@@ -206,6 +209,16 @@ CASES = {
         G=1.3,
         edges=jnp.array([0.3, 0.2, 0.1]),
         a=jnp.array([0.2, 0.3, 0.1]),
+    ),
+    "potentials.polyhedron": pair_case(
+        lambda G, corners, density, mass, J: potentials.polyhedron(G, (corners, TETRAHEDRON), density).with_bodies(
+            jnp.stack([1.0, mass]), jnp.stack([jnp.eye(3), J])
+        ),
+        G=1.3,
+        corners=jnp.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        density=1.5,
+        mass=0.7,
+        J=J,
     ),
     "potentials.springs": pair_case(
         lambda points, stiffness, lengths: potentials.springs([[0, 1]], points, stiffness, lengths),

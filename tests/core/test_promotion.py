@@ -51,6 +51,13 @@ def fallen():
     return potential(jnp.array([[0.0, 0.0, 0.0], [9.0, 1.0, 0.0]]), jnp.stack([jnp.eye(3)] * 2))
 
 
+def near():
+    mesh = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    stone = li.potentials.polyhedron(1.0, mesh, 6.0)
+    bodies = li.systems.rigid_bodies([1.0, 0.1], [[1.0, 2.0, 2.5]] * 2, stone)
+    return bodies.force(jnp.array([[0.0, 0, 0, 1, 0, 0, 0], [3.0, 0, 0, 1, 0, 0, 0]])), stone.laplacian([1.0, 1.0, 1.0])
+
+
 def undone(dt):
     options = dict(save_every=2, adjoint=li.adjoints.ReversibleAdjoint())
     return li.integrate(STEP, STATE, dt, 4, **options).state.q[-1, 0]
@@ -67,6 +74,7 @@ RUNS = {
     "certify": lambda: li.diagnostics.certify(STEP, STATE, 0.05, 8),
     "lyapunov": lambda: li.diagnostics.lyapunov(STEP, STATE, 0.05, 32),
     "mutual_gravity": fallen,
+    "polyhedron": near,
     "shapes": lambda: SHAPES[0] + SHAPES[1].moved([1.0, 0.0, 0.0]),
 }
 COMPUTED = {"ensemble", "certify", "shapes"}  # the others are traced only

@@ -206,6 +206,7 @@ schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
 schemes.gauss schemes.extrapolate
 systems.rigid_bodies potentials.maccullagh potentials.point_masses potentials.point_charges potentials.lennard_jones
 potentials.sites potentials.springs potentials.uniform_field potentials.outer_field potentials.ellipsoid_sphere
+potentials.polyhedron potentials.mutual_gravity
 potentials.water elliptic.K elliptic.E elliptic.F elliptic.Pi elliptic.sn elliptic.cn elliptic.dn elliptic.RF
 elliptic.RC elliptic.RD elliptic.RJ shapes.ellipsoid shapes.box shapes.cylinder shapes.sites shapes.mesh shapes.obj
 schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting tides.constant_lag tides.constant_q

@@ -244,17 +244,18 @@ def _platform(
 def look_up(
     walk: AbstractWalk, name: str, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
 ) -> np.ndarray:
-    """An entry of a table."""
-    table = inputs[0]
-    one = name == "dynamic_slice" or (name == "gather" and inputs[1].size == 1)
-    if not (one and isinstance(table, Table) and np.prod(out.shape) == 1 and len(table.shape) == 1):
+    """An entry of a table, or a slice of it."""
+    table, size = inputs[0], int(np.prod(out.shape))
+    one = name == "gather" and inputs[1].size == size == 1
+    if not ((one or name == "dynamic_slice") and isinstance(table, Table) and len(table.shape) == 1):
         raise UnsupportedError(f"{name} of a long array")
-    mode = parameters["mode"] if name == "gather" else _CLIP
-    [index], inside = _window(walk, table.shape, (1,), list(inputs[1].flat), (0,), {}, mode)
-    found = walk.number("table", index, dtype=table.dtype, data=table.data)
-    return array_of(
-        [found if name != "gather" else _fill(walk, inside, found, parameters.get("fill_value"))], out.shape
-    )
+    mode = parameters["mode"] if one else _CLIP
+    [index], inside = _window(walk, table.shape, (size,), list(inputs[1].flat), (0,), {}, mode)
+    places = [_offset(walk, index, k) for k in range(size)]
+    found = [walk.number("table", k, dtype=table.dtype, data=table.data) for k in places]
+    if one:
+        found = [_fill(walk, inside, found[0], parameters.get("fill_value"))]
+    return array_of(found, out.shape)
 
 
 INDEXING: dict[str, Callable[..., np.ndarray]] = {
