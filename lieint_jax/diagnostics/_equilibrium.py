@@ -203,7 +203,7 @@ def equilibrium(
     chosen = np.arange(dim) if free is None else np.asarray(free, int)
     if chosen.ndim != 1 or not chosen.size or chosen.min() < 0 or chosen.max() >= dim:
         raise ValueError(f"free must be coordinates of the phase space, from 0 to {dim - 1}, got {free!r}")
-    spins = _symmetric_spins(system, state, spinning) if np.size(spinning) else None
+    spins = _symmetric_spins(system, state, spinning) if np.ndim(spinning) == 0 or len(spinning) else None
     start, state = state, _newton(system, state, omega, chosen, spins)
     found, space = derivatives(system, state, omega, spins), system.phase_space
     rates, dtype = found.rates(), state.p.dtype

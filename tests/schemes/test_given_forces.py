@@ -57,6 +57,7 @@ def pushed():
 
 
 def test_energy_less_work_is_constant_while_both_rise_and_fall():
+    """Over 10⁴ steps, in which the energy passes from −0.08 to 0.26. Observed 7e-15."""
     system, path = pushed()
     assert path.info.converged.all()
     gained = np.diff(path.state.work)
@@ -64,12 +65,11 @@ def test_energy_less_work_is_constant_while_both_rise_and_fall():
     assert gained.max() > 1e-5
     H = np.asarray(jax.vmap(system.energy)(path.state))
     error = np.abs(H - path.state.work - H[0])
-    print(error.max(), H.min(), H.max(), np.abs(path.state.work).max())
-    assert error.max() < 1e-13
+    assert error.max() < 3e-14
 
 
 def test_both_momenta_change_by_the_impulses():
-    """Over each step by Δt times the forces at its middle, at x̄ = ½(x_n + x_{n+1}), and their moments."""
+    """Over each step by Δt times the forces at its middle, at x̄ = ½(x_n + x_{n+1}), and their moments. Observed 4e-14."""
     system, path = pushed()
     assert system.momentum(start(system)).shape == (0,)
     momenta = np.asarray(jax.vmap(system.conservative.momentum)(path.state))
@@ -81,8 +81,7 @@ def test_both_momenta_change_by_the_impulses():
     force = push + np.cos(t)[:, None, None] * np.array(PUSHES["wave"]) - PUSHES["drag"] * v
     moments = np.cross((x[1:] + x[:-1]) / 2, force) + twist
     impulses = 0.02 * np.cumsum(np.concatenate([force, moments], axis=2).sum(1), axis=0)
-    print(np.abs(momenta[1:] - momenta[0] - impulses).max(0), np.abs(impulses).max(0))
-    np.testing.assert_allclose(momenta[1:] - momenta[0], impulses, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(momenta[1:] - momenta[0], impulses, rtol=0, atol=2e-13)
 
 
 def dop853(system, state, span, given):
@@ -109,24 +108,25 @@ def dop853(system, state, span, given):
 @pytest.mark.long
 @pytest.mark.parametrize("order", [2, 4])
 def test_the_motion_is_that_of_an_explicit_method_on_equations_of_its_own(order):
+    """Observed orders 2.00 and 4.00."""
     system = bodies(**PUSHES)
     expected, errors = dop853(system, start(system), 4.0, PUSHES), []
     for n in (40, 80):
         end = run(system, start(system), 4.0 / n, n, order).state.q[-1]
         errors.append(np.abs(end - expected).max())
-    print(errors, np.log2(errors[0] / errors[1]))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.02)
 
 
 @pytest.mark.long
 def test_steps_back_undo_steps_and_give_back_their_work():
+    """Observed 2e-16 for the state, 6e-19 for the work."""
     system = bodies(**PUSHES)
     state = start(system, t=0.3)
     there = last(run(system, state, 0.05, 20)).state
-    back, info = last(run(system, there, -0.05, 20))[:2]
-    assert info.converged
+    path = run(system, there, -0.05, 20)
+    back = last(path).state
+    assert path.info.converged.all()
     assert abs(float(there.work)) > 1e-5
-    print(back.work, abs(back.q-state.q).max(), abs(back.p-state.p).max(),back.t)
     assert abs(float(back.work)) < 1e-16
     np.testing.assert_allclose(back.q, state.q, rtol=0, atol=3e-15)
     np.testing.assert_allclose(back.p, state.p, rtol=0, atol=3e-15)
@@ -134,7 +134,7 @@ def test_steps_back_undo_steps_and_give_back_their_work():
 
 @pytest.mark.long
 def test_a_constant_torque_spins_a_body_up_as_in_closed_form():
-    """YORP: ω = ω₀ + Tt/J about a principal axis, and its work is the energy of the spin, both ways."""
+    """YORP: ω = ω₀ + Tt/J about a principal axis, and its work is the energy of the spin, both ways. 2e-14."""
     torque, spin, t = np.array([0.0, 0.0, 0.002]), 0.5, 20.0
     for sign in (1, -1):
         system = bodies(twist=[[0, 0, 0], sign * torque])
@@ -143,14 +143,16 @@ def test_a_constant_torque_spins_a_body_up_as_in_closed_form():
         state = system.state(state.q[:, :3], velocities=state.p[:, :3] / MASSES[:, None], angular_velocities=Omega)
         end = last(run(system, state, 0.02, 1000)).state
         found, expected = system.angular_velocities(end)[1, 2], spin + sign * torque[2] * t / MOMENTS[1, 2]
-        print(found - expected, end.work - MOMENTS[1, 2] * (expected**2 - spin**2) / 2)
         assert float(found) == pytest.approx(expected, rel=1e-12)
         assert float(end.work) == pytest.approx(MOMENTS[1, 2] * (expected**2 - spin**2) / 2, rel=1e-11)
 
 
 @pytest.mark.long
 def test_byorp_moves_a_binary_outward_by_the_secular_formula():
-    """A force along the track, fixed in a synchronous secondary: da/dt = 2a_t/n, so that a^(−½) falls by a_t t/√(GM)."""
+    """A force along the track, fixed in a synchronous secondary: da/dt = 2a_t/n, so that a^(−½) falls by a_t t/√(GM).
+
+    The distance changes by 5 % in 200 orbits, as the formula says to 0.2 % of that. H − W is constant to 2e-14.
+    """
     m, along, steps, orbits = np.array([1.0, 1e-3]), 2e-5, 100, 200
     J = np.array([[0.4e-2] * 3, [0.8e-7, 1.0e-7, 1.1e-7]])
     gravity = potentials.maccullagh(1.0, m, J)
@@ -171,10 +173,9 @@ def test_byorp_moves_a_binary_outward_by_the_secular_formula():
         a = float(jnp.mean(jnp.linalg.norm(r, axis=1)))
         t = float(jnp.mean(end.state.t[-3 * steps :]))
         expected = (1 - sign * along * t / rate) ** -2
-        print(a, expected, (a - 1) / (expected - 1))
-        assert (a - 1) / (expected - 1) == pytest.approx(1, abs=0.01)
-        H = jax.vmap(system.energy)(end.state)
-        print(jnp.abs(H - end.state.work - H[0]).max() / abs(H[0]))
+        assert (a - 1) / (expected - 1) == pytest.approx(1, abs=0.004)
+        H = jax.vmap(system.energy)(end.state) - end.state.work
+        assert jnp.abs(H / H[0] - 1).max() < 1e-13
 
 
 @pytest.mark.long
@@ -185,27 +186,28 @@ def test_the_work_has_derivatives_by_the_numbers_of_the_forces():
 
     START = start(bodies(**PUSHES))
     slope, h = jax.grad(work)(1.0), 1e-4
-    print(slope, (work(1 + h) - work(1 - h)) / (2 * h) - slope)
-    assert float(slope) == pytest.approx(float((work(1 + h) - work(1 - h)) / (2 * h)), rel=1e-6)
+    assert float(slope) == pytest.approx(float((work(1 + h) - work(1 - h)) / (2 * h)), rel=1e-7)
 
 
 @pytest.mark.long
 def test_a_force_that_is_not_finite_or_too_stiff_is_flagged():
-    for given in ({"drag": 1e4}, {"drag": np.nan}):
-        system = bodies(**given)
-        assert not run(system, start(bodies()), 0.05, 20).info.converged[1]
+    take = jax.jit(lambda system, z: schemes.bodies_energy_momentum(system)(z, 0.05)[1].converged)
+    state = start(bodies())
+    assert [bool(take(bodies(drag=drag), state)) for drag in (0.1, 1e4, np.nan)] == [True, False, False]
+    assert not take(bodies(), state._replace(q=state.q.at[0, 0].set(jnp.nan)))
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("ignore:the time")
 def test_a_run_in_float32_is_balanced_to_its_rounding():
+    """Observed 2e-7."""
     system = jax.tree.map(lambda x: x.astype(jnp.float32), bodies(**PUSHES))
     state = jax.tree.map(lambda x: x.astype(jnp.float32), start(bodies(**PUSHES)))
     path = run(system, state, 0.02, 500)
     assert path.state.q.dtype == jnp.float32
     assert path.info.converged.all()
     H = jax.vmap(system.energy)(path.state) - path.state.work
-    print(jnp.abs(H - H[0]).max())
-    assert jnp.abs(H - H[0]).max() < 5e-6
+    assert jnp.abs(H - H[0]).max() < 1e-6
 
 
 @pytest.mark.parametrize(
