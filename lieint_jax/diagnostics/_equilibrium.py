@@ -6,8 +6,8 @@
 generator x_a of Φ_a. Where the system is driven by a field that rotates in space with the angular velocity ω, such as
 that along a circular orbit, K is its energy in the axes that rotate with the field.
 
-A body that is symmetric about an axis a of its own, in inertia and field, may spin about it at a rate of its own: Π·a is
-conserved, and joins Φ.
+A body that is symmetric about an axis a of its own, in inertia and field, may spin about it at a rate of its own: Π·a
+is conserved, and joins Φ.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ class Equilibrium(NamedTuple):
         state: the state.
         rates: ξ, (k,), the rate of the motion along each symmetry, in the order of `system.momentum`: for a free body
             its angular velocity in space, for a top the rate about its axis, for several bodies their common velocity
-            and angular velocity, then the rate of each spinning body about its own axis, less the common one. (0,) for a
-            system without known symmetries.
+            and angular velocity, then the rate of each spinning body about its own axis, less the common one. (0,) for
+            a system without known symmetries.
         frame: ω, (3,), the angular velocity of the axes in space in which the field is constant; 0 if it is at rest.
         residual: |dK|, relative to the second derivatives of K, in the units of the state.
         moved: the largest change of a coordinate from the guess, in radians, or in units of the largest momentum; for
             systems with a unit of length, in that unit.
-        change: the same change of every coordinate, (2d,), in units of the system: of N bodies, `change.reshape(2, N, 6)`
-            has the shift of each position and the rotation in radians, then the changes of both momenta.
+        change: the change of every coordinate of the phase space, (2d,): of N bodies, `change.reshape(2, N, 6)` has the
+            shift of each position and the rotation in radians, then the changes of both momenta.
         spins: the bodies that spin at rates of their own, and their axes.
     """
 
@@ -173,8 +173,8 @@ def equilibrium(
             they are δθ and δπ in space; for N bodies, 6 for each body's δx and δθ, then 6 for each one's δp and δπ.
         frame: the angular velocity in space, (3,), of the axes in which a driven body's field is constant; by default
             that of the system's `axis`, or 0.
-        spinning: numbers of bodies of `systems.rigid_bodies` that may rotate at rates of their own, such as `(0,)` for the
-            fast primary of a synchronous secondary. Each must be symmetric about its axis of spin: its other two
+        spinning: numbers of bodies of `systems.rigid_bodies` that may rotate at rates of their own, such as `(0,)` for
+            the fast primary of a synchronous secondary. Each must be symmetric about its axis of spin: its other two
             moments are equal, and the potential does not change as it rotates about that axis.
 
     Returns:

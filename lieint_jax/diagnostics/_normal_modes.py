@@ -69,8 +69,8 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
 
     Args:
         system: as in `equilibrium`.
-        state: a relative equilibrium to 1e-6, such as the result of `equilibrium`, which says which bodies spin at rates
-            of their own.
+        state: a relative equilibrium to 1e-6, such as the result of `equilibrium`, which knows the bodies that spin at
+            rates of their own.
         frame: as in `equilibrium`.
 
     Returns:

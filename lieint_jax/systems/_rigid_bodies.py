@@ -305,9 +305,18 @@ def rigid_bodies(
     masses: ArrayLike,
     inertias: ArrayLike,
     potential: Callable[[Array, Array], Array],
-    dissipation: Callable[..., PyTree] | None = None,
+    dissipation: Callable[..., PyTree],
     *,
     forces: Callable[..., PyTree] | None = None,
+) -> DissipativeBodies: ...
+@overload
+def rigid_bodies(
+    masses: ArrayLike,
+    inertias: ArrayLike,
+    potential: Callable[[Array, Array], Array],
+    dissipation: None = None,
+    *,
+    forces: Callable[..., PyTree],
 ) -> DissipativeBodies: ...
 def rigid_bodies(
     masses: ArrayLike,
@@ -368,13 +377,9 @@ def rigid_bodies(
     _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
     if dissipation is None and forces is None:
         return made
-    law = None if dissipation is None else callable_pytree(_pair_law(dissipation, m.size))
-    driven = DissipativeBodies(m, J, made.potential, law, None if forces is None else callable_pytree(forces))
-    if dissipation is not None:
-        _check_law(driven)
-    if forces is not None:
-        _check_forces(driven)
-    return driven
+    law = None if dissipation is None else _pair_law(dissipation, m)
+    given = None if forces is None else _checked_forces(forces, m)
+    return DissipativeBodies(m, J, made.potential, law, given)
 
 
 PROPERTIES = SystemProperties(
@@ -389,8 +394,9 @@ PROPERTIES = SystemProperties(
 )
 
 
-def _pair_law(dissipation: Callable[..., PyTree], n: int) -> Callable[..., PyTree]:
-    """The law; ValueError if it is not a law for n bodies."""
+def _pair_law(dissipation: Callable[..., PyTree], masses: Array) -> Callable[..., PyTree]:
+    """The law; ValueError unless it is one for these bodies, conserves angular momentum and does not add energy."""
+    n = masses.size
     if not callable(dissipation):
         raise ValueError(
             f"dissipation must be a law of pairs, such as tides.constant_lag(…), or a function {_LAW}, got "
@@ -400,18 +406,14 @@ def _pair_law(dissipation: Callable[..., PyTree], n: int) -> Callable[..., PyTre
         raise ValueError(f"dissipation needs two bodies or more, but there is {n} mass")
     if isinstance(dissipation, PairLaw) and dissipation.count not in (None, n):
         raise ValueError(f"the law of dissipation is for {dissipation.count} bodies, but there are {n} masses")
-    return dissipation
-
-
-def _check_law(bodies: DissipativeBodies) -> None:
-    """Raise ValueError unless the law has the right shapes, conserves angular momentum and does not add energy."""
-    space = [jax.ShapeDtypeStruct((len(bodies.masses), 3), bodies.masses.dtype)] * 3
-    _checks.function("dissipation", partial(_forces_of, bodies), _LAW, (len(bodies.masses), 6), *space)
-    if not concrete(bodies):
-        return
-    P, L, gain, size = np.asarray(_violations(bodies))
+    space = [jax.ShapeDtypeStruct((n, 3), masses.dtype)] * 3
+    _checks.function("dissipation", lambda *moving: pair_forces(dissipation, *moving)[0], _LAW, (n, 6), *space)
+    law = callable_pytree(dissipation)
+    if not concrete(law):
+        return law
+    P, L, gain, size = np.asarray(_violations(law, masses))
     if not np.isfinite(size):  # a law that is singular where it is looked at cannot be judged
-        return
+        return law
     if max(P, L) > size:
         raise ValueError(
             "dissipation must conserve the angular momentum, r × f + τ_i + τ_j = 0: the force on the second body and "
@@ -422,31 +424,29 @@ def _check_law(bodies: DissipativeBodies) -> None:
             f"dissipation must not add energy, f·v + τ_i·ω_i + τ_j·ω_j ≤ 0, {_LAW}; at a test state it does. Check "
             "its sign, or give forces that supply energy as forces=…"
         )
+    return law
 
 
-def _check_forces(bodies: DissipativeBodies) -> None:
-    """Raise ValueError unless `forces` returns two arrays, the forces and the torques on all bodies."""
-    n, dtype = len(bodies.masses), bodies.masses.dtype
-    given = [jax.ShapeDtypeStruct(shape, dtype) for shape in ((), (n, 3), (n, 3, 3), (n, 3), (n, 3))]
+def _checked_forces(forces: Callable[..., PyTree], masses: Array) -> Callable[..., PyTree]:
+    """The function; ValueError unless it returns two arrays, the forces and the torques on all bodies."""
+    n = masses.size
+    given = [jax.ShapeDtypeStruct(shape, masses.dtype) for shape in ((), (n, 3), (n, 3, 3), (n, 3), (n, 3))]
     for part, kind in enumerate(("forces", "torques")):
 
         def one(*arguments: Array, part: int = part) -> Array:
-            forces, torques = bodies.forces(*arguments)  # pyright: ignore[reportOptionalCall]
-            return jnp.asarray((forces, torques)[part])
+            pushes, turns = forces(*arguments)
+            return jnp.asarray((pushes, turns)[part])
 
         _checks.function(f"the {kind} that forces returns", one, _GIVEN, (n, 3), *given)
-
-
-def _forces_of(bodies: DissipativeBodies, x: Array, v: Array, omega: Array) -> Array:
-    return pair_forces(bodies.dissipation, x, v, omega)[0]
+    return callable_pytree(forces)
 
 
 @partial(compiled, once=True)
-def _violations(bodies: DissipativeBodies) -> Array:
+def _violations(law: Callable[..., PyTree], masses: Array) -> Array:
     """The defects of linear and angular momentum under the law, the energy it adds, and the tolerance for all."""
-    numbers = jnp.arange(9 * len(bodies.masses), dtype=bodies.masses.dtype)
+    numbers = jnp.arange(9 * masses.size, dtype=masses.dtype)
     x, v, omega = jnp.sin(1.7 * numbers + 0.3 * numbers**2).reshape(3, -1, 3)
-    force, lost = pair_forces(bodies.dissipation, x, v, omega)
+    force, lost = pair_forces(law, x, v, omega)
     f, tau = force[:, :3], force[:, 3:]
     turned = jnp.abs(jnp.sum(jnp.cross(x, f) + tau, axis=0)).max()
     given = jnp.sum(f * v + tau * omega)
@@ -455,7 +455,7 @@ def _violations(bodies: DissipativeBodies) -> Array:
 
 
 def examples() -> dict[str, tuple[RigidBodies | DissipativeBodies, State, float]]:
-    """A binary asteroid, with friction between its bodies, with forces on it; three bodies with a potential of three."""
+    """A binary asteroid, alone, with friction between its bodies, with given forces; three bodies."""
     masses, inertias = jnp.array([1.0, 0.5]), jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
     binary = rigid_bodies(masses, inertias, potentials.maccullagh(1.0, masses, inertias))
     at = jnp.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])

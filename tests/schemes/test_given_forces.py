@@ -13,6 +13,7 @@ import lieint_jax as li
 from lieint_jax import potentials, schemes, systems
 
 MASSES, MOMENTS = np.array([1.0, 0.4]), np.array([[0.08, 0.10, 0.13], [0.02, 0.03, 0.035]])
+GRAVITY = potentials.point_masses(1.0, MASSES)
 REST = {"push": np.zeros((2, 3)), "twist": np.zeros((2, 3)), "wave": np.zeros((2, 3)), "drag": np.zeros(())}
 
 
@@ -22,7 +23,7 @@ def law(given, t, x, R, v, omega):
     return turned[0] + jnp.cos(t) * given["wave"] - given["drag"] * v, turned[1]
 
 
-def bodies(moments=MOMENTS, masses=MASSES, gravity=potentials.point_masses(1.0, MASSES), **given):
+def bodies(moments=MOMENTS, masses=MASSES, gravity=GRAVITY, **given):
     forces = jax.tree_util.Partial(law, {k: jnp.asarray(x, float) for k, x in (REST | given).items()})
     return systems.rigid_bodies(masses, moments, gravity, forces=forces)
 
@@ -69,11 +70,11 @@ def test_energy_less_work_is_constant_while_both_rise_and_fall():
 
 
 def test_both_momenta_change_by_the_impulses():
-    """Over each step by Δt times the forces at its middle, at x̄ = ½(x_n + x_{n+1}), and their moments. Observed 4e-14."""
+    """Over each step by Δt times the forces in its middle, and their moments at ½(x_n + x_{n+1}). Observed 4e-14."""
     system, path = pushed()
     assert system.momentum(start(system)).shape == (0,)
     momenta = np.asarray(jax.vmap(system.conservative.momentum)(path.state))
-    x, q, p = (np.asarray(y) for y in (path.state.q[..., :3], path.state.q[..., 3:], path.state.p))
+    x, q = (np.asarray(y) for y in (path.state.q[..., :3], path.state.q[..., 3:]))
     middle = q[1:] + q[:-1]
     R = np.stack([Rotation.from_quat(np.roll(middle[:, i], -1, 1)).as_matrix() for i in (0, 1)], axis=1)
     t, v = np.asarray(path.state.t[1:]) - 0.01, np.diff(x, axis=0) / 0.02
@@ -222,7 +223,7 @@ def test_a_run_in_float32_is_balanced_to_its_rounding():
 )
 def test_forces_of_another_shape_raise_an_error_that_says_which(forces, message):
     with pytest.raises(ValueError, match=message):
-        systems.rigid_bodies(MASSES, MOMENTS, potentials.point_masses(1.0, MASSES), forces=forces)
+        systems.rigid_bodies(MASSES, MOMENTS, GRAVITY, forces=forces)
 
 
 def test_dissipation_that_adds_energy_is_still_refused_and_says_where_it_belongs():
@@ -230,7 +231,7 @@ def test_dissipation_that_adds_energy_is_still_refused_and_says_where_it_belongs
         return 0.1 * v, -0.1 * jnp.cross(r, v), jnp.zeros(3)
 
     with pytest.raises(ValueError, match=r"must not add energy.*Check its sign, or give forces .* as forces="):
-        systems.rigid_bodies(MASSES, MOMENTS, potentials.point_masses(1.0, MASSES), gains)
+        systems.rigid_bodies(MASSES, MOMENTS, GRAVITY, gains)
     with pytest.raises(ValueError, match="use bodies_energy_momentum"):
         schemes.splitting(bodies(**PUSHES))
     with pytest.raises(ValueError, match="its state needs the time"):
