@@ -409,7 +409,7 @@ def _pair_law(dissipation: Callable[..., PyTree], masses: Array) -> Callable[...
     space = [jax.ShapeDtypeStruct((n, 3), masses.dtype)] * 3
     _checks.function("dissipation", lambda *moving: pair_forces(dissipation, *moving)[0], _LAW, (n, 6), *space)
     law = callable_pytree(dissipation)
-    if not concrete(law):
+    if not concrete(law, masses):
         return law
     P, L, gain, size = np.asarray(_violations(law, masses))
     if not np.isfinite(size):  # a law that is singular where it is looked at cannot be judged
