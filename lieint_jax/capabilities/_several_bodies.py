@@ -1,4 +1,4 @@
-"""Several rigid bodies: free, in a potential of their positions and attitudes, or with dissipation between pairs."""
+"""Several rigid bodies: free, in a potential of their positions and attitudes, or with dissipation and given forces."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lieint_jax.capabilities._one_body import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.types import PhaseSpace, State, autodiff_gradient, pair_forces
-from lieint_jax.types.shapes import Inertia, PoseMomenta, Poses, Positions, PyTree, Rotations
+from lieint_jax.types.shapes import Inertia, PoseMomenta, Poses, Positions, PyTree, Rotations, Scalar, Time
 from lieint_jax.types.vectors import symmetric
 
 
@@ -90,37 +90,48 @@ class AbstractRigidBodies(AbstractForcedSystem, AbstractManyBodies):
 
 
 class AbstractDissipativeBodies(AbstractManyBodies):
-    """N rigid bodies in a potential, with dissipative forces between pairs: as `AbstractRigidBodies`, plus these
-    forces.
+    """N rigid bodies in a potential, with dissipative forces between pairs, with given forces, or with both: as
+    `AbstractRigidBodies`, plus these forces.
 
-    H − W is conserved, with W the work of the dissipative forces, and so are both momenta if the potential is
-    invariant.
+    H − W is conserved, with W their work, which given forces may raise. Dissipation conserves both momenta if the
+    potential is invariant.
 
     Attributes:
         masses, inertias, potential: as in `AbstractRigidBodies`.
-        dissipation: a `PairLaw`, or a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j).
+        dissipation: a `PairLaw`, or a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), or None.
+        forces: a function (t, x, Λ, v, ω) ↦ (forces (N, 3), torques (N, 3)), or None; a system with it has a time.
     """
 
-    noun = "bodies with dissipation (systems.rigid_bodies)"
+    noun = "bodies with dissipation or given forces (systems.rigid_bodies)"
     potential: Callable[[Array, Array], Array]
-    dissipation: Callable[..., PyTree]
+    dissipation: Callable[..., PyTree] | None
+    forces: Callable[..., PyTree] | None
 
     @property
     @abc.abstractmethod
     def conservative(self) -> AbstractRigidBodies:
-        """The same bodies without the law."""
+        """The same bodies without dissipation and given forces."""
 
     @equation
-    def dissipative_force(self, state: State) -> tuple[Array, Array]:
-        """The forces and torques of the law in space, (N, 6), and the power dissipated."""
-        omega = jax.vmap(so3.Ad)(state.q[:, 3:], self.angular_velocities(state))
-        return pair_forces(self.dissipation, state.q[:, :3], state.p[:, :3] / self.masses[:, None], omega)
+    def applied_force(self, t: Time | None, q: Poses, v: Positions, omega: Positions) -> tuple[PoseMomenta, Scalar]:
+        """The forces and torques of dissipation and of `forces`, (N, 6), and their power; all in space."""
+        force, power = jnp.zeros((q.shape[0], 6), q.dtype), jnp.zeros((), q.dtype)
+        if self.dissipation is not None:
+            force, lost = pair_forces(self.dissipation, q[:, :3], v, omega)
+            power = -lost
+        if self.forces is not None:
+            pushes, turns = (jnp.asarray(x, q.dtype) for x in self.forces(t, q[:, :3], rotations(q), v, omega))
+            force = force + jnp.concatenate([pushes, turns], axis=1)
+            power = power + jnp.sum(pushes * v + turns * omega)
+        return force, power
 
     @equation
     def vector_field(self, state: State) -> State:
-        """The motion with the forces and torques of potential and dissipation, and the rate of the work."""
-        moving, (force, lost) = self.conservative.vector_field(state), self.dissipative_force(state)
-        return moving._replace(p=moving.p + force, work=-lost)
+        """The motion with all forces and torques, and the rate of the work."""
+        omega = jax.vmap(so3.Ad)(state.q[:, 3:], self.angular_velocities(state))
+        v = state.p[:, :3] / self.masses[:, None]
+        moving, (force, power) = self.conservative.vector_field(state), self.applied_force(state.t, state.q, v, omega)
+        return moving._replace(p=moving.p + force, work=power)
 
 
 def rotations(q: Poses) -> Rotations:

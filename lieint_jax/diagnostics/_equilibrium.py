@@ -5,6 +5,9 @@
 Φ is the momentum map of the system's symmetries and ξ the rates of the motion along them: ẋ = Σ ξ_a x_a with the
 generator x_a of Φ_a. Where the system is driven by a field that rotates in space with the angular velocity ω, such as
 that along a circular orbit, K is its energy in the axes that rotate with the field.
+
+A body that is symmetric about an axis a of its own, in inertia and field, may spin about it at a rate of its own: Π·a
+is conserved, and joins Φ.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractDrivenTop
+from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
 from lieint_jax.diagnostics.tangent import distance, units
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
@@ -32,6 +35,22 @@ _ITERATIONS, _HALVINGS = 60, 12
 _RANK = 1e-9  # singular values below this part of the largest one count as 0: those of symmetries are round-off
 
 
+class Spins(NamedTuple):
+    """Symmetric bodies that spin at rates of their own.
+
+    Attributes:
+        bodies: their numbers, (k,).
+        axes: their axes of symmetry in the bodies, (k, 3).
+    """
+
+    bodies: Array
+    axes: Array
+
+    def momentum(self, state: State) -> Array:
+        """Π·a of each, (k,)."""
+        return jnp.sum(jax.vmap(so3.Ad_star)(state.q[self.bodies, 3:], state.p[self.bodies, 3:]) * self.axes, axis=1)
+
+
 class Equilibrium(NamedTuple):
     """A relative equilibrium. Made by `equilibrium`.
 
@@ -39,11 +58,15 @@ class Equilibrium(NamedTuple):
         state: the state.
         rates: ξ, (k,), the rate of the motion along each symmetry, in the order of `system.momentum`: for a free body
             its angular velocity in space, for a top the rate about its axis, for several bodies their common velocity
-            and angular velocity. (0,) for a system without known symmetries.
+            and angular velocity, then the rate of each spinning body about its own axis, less the common one. (0,) for
+            a system without known symmetries.
         frame: ω, (3,), the angular velocity of the axes in space in which the field is constant; 0 if it is at rest.
         residual: |dK|, relative to the second derivatives of K, in the units of the state.
         moved: the largest change of a coordinate from the guess, in radians, or in units of the largest momentum; for
             systems with a unit of length, in that unit.
+        change: the change of every coordinate of the phase space, (2d,): of N bodies, `change.reshape(2, N, 6)` has the
+            shift of each position and the rotation in radians, then the changes of both momenta.
+        spins: the bodies that spin at rates of their own, and their axes.
     """
 
     state: State
@@ -51,6 +74,8 @@ class Equilibrium(NamedTuple):
     frame: Array
     residual: Array
     moved: Array
+    change: Array
+    spins: Spins | None = None
 
 
 class Derivatives(NamedTuple):
@@ -91,13 +116,13 @@ class Derivatives(NamedTuple):
         return float(np.abs(self.gradient(rates)).max()) / (size or 1.0)
 
 
-def derivatives(system: System, state: State, frame: Array) -> Derivatives:
+def derivatives(system: System, state: State, frame: Array, spins: Spins | None) -> Derivatives:
     """The derivatives at a concrete state, as host arrays."""
-    return Derivatives(*(np.asarray(x, float) for x in _derivatives(system, state, frame)))
+    return Derivatives(*(np.asarray(x, float) for x in _derivatives(system, state, frame, spins)))
 
 
 @partial(compiled, once=True)
-def _derivatives(system: System, state: State, frame: Array) -> tuple[Array, ...]:
+def _derivatives(system: System, state: State, frame: Array, spins: Spins | None) -> tuple[Array, ...]:
     space = system.phase_space
 
     def energy(delta: Array) -> Array:
@@ -106,7 +131,9 @@ def _derivatives(system: System, state: State, frame: Array) -> tuple[Array, ...
         return H - frame @ moved.p if _is_attitude(system) else H
 
     def momentum(delta: Array) -> Array:
-        return system.momentum(space.perturb(state, delta))
+        moved = space.perturb(state, delta)
+        known = system.momentum(moved)
+        return known if spins is None else jnp.concatenate([known, spins.momentum(moved)])
 
     zero = jnp.zeros(space.dim, state.p.dtype)
     k = jax.eval_shape(momentum, zero).size
@@ -125,6 +152,7 @@ def equilibrium(
     *,
     free: Sequence[int] | None = None,
     frame: ArrayLike | None = None,
+    spinning: Sequence[int] = (),
 ) -> Equilibrium:
     """A relative equilibrium near a guess: a steady spin, a satellite at rest in its orbit frame, a synchronous binary.
 
@@ -134,7 +162,8 @@ def equilibrium(
     is by how much. `free` selects the coordinates that may change.
 
     At a relative equilibrium all bodies rotate at one rate, that of the common motion: a binary is synchronous on both
-    sides. From a guess in which one body rotates faster the positions change too, until that rate is the common one.
+    sides. From a guess in which one body rotates faster the positions change too, until that rate is the common one,
+    unless that body is among the `spinning`.
 
     Args:
         system: a Hamiltonian system, with its known symmetries in `momentum`. It may be driven by an axis that rotates
@@ -144,13 +173,16 @@ def equilibrium(
             they are δθ and δπ in space; for N bodies, 6 for each body's δx and δθ, then 6 for each one's δp and δπ.
         frame: the angular velocity in space, (3,), of the axes in which a driven body's field is constant; by default
             that of the system's `axis`, or 0.
+        spinning: numbers of bodies of `systems.rigid_bodies` that may rotate at rates of their own, such as `(0,)` for
+            the fast primary of a synchronous secondary. Each must be symmetric about its axis of spin: its other two
+            moments are equal, and the potential does not change as it rotates about that axis.
 
     Returns:
         An `Equilibrium`; `normal_modes` gives its modes and its stability.
 
     Raises:
         ValueError: no equilibrium is found near the guess, the system is not Hamiltonian or its field is not constant
-            in rotating axes, or coordinates are out of range.
+            in rotating axes, coordinates are out of range, or a spinning body is not symmetric.
 
     Example:
         >>> import lieint_jax as li
@@ -171,15 +203,70 @@ def equilibrium(
     chosen = np.arange(dim) if free is None else np.asarray(free, int)
     if chosen.ndim != 1 or not chosen.size or chosen.min() < 0 or chosen.max() >= dim:
         raise ValueError(f"free must be coordinates of the phase space, from 0 to {dim - 1}, got {free!r}")
-    start, state = state, _newton(system, state, omega, chosen)
-    found = derivatives(system, state, omega)
-    rates, moved = found.rates(), distance(start, state, system.phase_space)
-    return Equilibrium(state, jnp.asarray(rates, state.p.dtype), omega, jnp.asarray(found.residual(rates)), moved)
+    spins = _symmetric_spins(system, state, spinning) if np.ndim(spinning) == 0 or len(spinning) else None
+    start, state = state, _newton(system, state, omega, chosen, spins)
+    found, space = derivatives(system, state, omega, spins), system.phase_space
+    rates, dtype = found.rates(), state.p.dtype
+    moved, change = distance(start, state, space), space.displacement(start, state)
+    residual = jnp.asarray(found.residual(rates))
+    return Equilibrium(state, jnp.asarray(rates, dtype), omega, residual, moved, change, spins)
 
 
-def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> State:
+def _symmetric_spins(system: System, state: State, bodies: Sequence[int]) -> Spins:
+    """The axes about which these bodies are symmetric; ValueError if one is not."""
+    if not isinstance(system, AbstractRigidBodies):
+        raise ValueError(f"spinning is for bodies of systems.rigid_bodies, got {type(system).__name__}")
+    numbers, n = np.asarray(bodies), len(system.masses)
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or numbers.min() < 0 or numbers.max() >= n:
+        raise ValueError(f"spinning must be numbers of bodies, from 0 to {n - 1}, got {bodies!r}")
+    Omega, tolerance = np.asarray(system.angular_velocities(state)), 1e3 * float(np.finfo(state.p.dtype).eps)
+    spins = Spins(jnp.asarray(numbers), jnp.stack([_axis(system.inertias[i], Omega[i], tolerance, i) for i in numbers]))
+    turning = np.asarray(_torques_about(system, state, spins))
+    for i, relative in zip(numbers, turning, strict=True):
+        if not relative <= tolerance:
+            raise ValueError(
+                f"body {i} cannot spin at a rate of its own in a relative equilibrium: the potential exerts a torque "
+                "about its axis of symmetry, so its field is not symmetric. Leave it out of spinning"
+            )
+    return spins
+
+
+def _axis(inertia: Array, Omega: np.ndarray, tolerance: float, body: int) -> Array:
+    """The axis of symmetry of an inertia; of a spherical one the axis of the spin."""
+    J = np.asarray(inertia, float)
+    moments, axes = np.linalg.eigh(np.diag(J) if J.ndim == 1 else J)
+    equal = np.diff(moments) <= tolerance * moments[2]
+    if not equal.any():
+        raise ValueError(
+            f"body {body} cannot spin at a rate of its own in a relative equilibrium: its principal moments {moments} "
+            "differ. Give it two equal ones, about the axes across its spin, or leave it out of spinning"
+        )
+    axis = axes[:, 2 if equal[0] else 0]
+    if equal.all():
+        axis = Omega / np.linalg.norm(Omega) if Omega.any() else np.array([0.0, 0.0, 1.0])
+    return jnp.asarray(axis, inertia.dtype)
+
+
+@partial(compiled, once=True)
+def _torques_about(system: AbstractRigidBodies, state: State, spins: Spins) -> Array:
+    """The greatest torques about the axes at attitudes near the given ones, relative to |x||f| and |τ| of all."""
+    space = system.phase_space
+    offsets = 0.3 * jnp.asarray(np.sin(np.outer([1.0, 2.3, 3.1], 1.7 + np.arange(space.dim))), state.q.dtype)
+
+    def torque(offset: Array) -> Array:
+        q = space.perturb(state, offset * jnp.concatenate(units(space, state))).q
+        force = system.force(q)
+        about = jax.vmap(so3.Ad_star)(q[spins.bodies, 3:], force[spins.bodies, 3:])
+        levers = q[:, :3] - jnp.mean(q[:, :3], axis=0)
+        size = jnp.max(jnp.abs(levers)) * jnp.max(jnp.abs(force[:, :3])) + jnp.max(jnp.abs(force[:, 3:]))
+        return jnp.abs(jnp.sum(about * spins.axes, axis=1)) / jnp.where(size > 0, size, 1)
+
+    return jnp.max(jax.vmap(torque)(offsets), axis=0)
+
+
+def _newton(system: System, state: State, frame: Array, free: np.ndarray, spins: Spins | None) -> State:
     """The state at which dK vanishes to round-off; ValueError if Newton's method does not reach it."""
-    found = derivatives(system, state, frame)
+    found = derivatives(system, state, frame, spins)
     rates = found.rates()
     residual, eps = found.residual(rates), float(np.finfo(state.p.dtype).eps)
     for _ in range(_ITERATIONS):
@@ -191,7 +278,7 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> Sta
             delta = np.zeros(found.unit.size)
             delta[free] = correction
             moved = _perturb(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
-            after = derivatives(system, moved, frame)
+            after = derivatives(system, moved, frame, spins)
             less = after.residual(after.rates())
             if less < residual:
                 break
@@ -202,9 +289,11 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> Sta
         if size == 0 or residual <= eps:
             break
     if not residual <= 1e4 * eps:
+        several = isinstance(system, AbstractRigidBodies)
         raise ValueError(
             f"no relative equilibrium was found near this state: |dK| decreased to {residual:.2g} of the second "
             "derivatives of K and no further. Give a closer guess, or free more coordinates"
+            + (". All bodies rotate at one rate there, but those that you list as spinning" if several else "")
         )
     return state
 

@@ -69,7 +69,8 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
 
     Args:
         system: as in `equilibrium`.
-        state: a relative equilibrium to 1e-6, such as the result of `equilibrium`.
+        state: a relative equilibrium to 1e-6, such as the result of `equilibrium`, which knows the bodies that spin at
+            rates of their own.
         frame: as in `equilibrium`.
 
     Returns:
@@ -89,12 +90,12 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
     Source: Marsden, Lectures on Mechanics (1992), chapters 5 and 10; Meyer & Offin 2017, Introduction to Hamiltonian
     Dynamical Systems, 3.3 (the pairs), and Krein's theorem: Yakubovich & Starzhinskii 1975, III.
     """
-    given = state.state if isinstance(state, Equilibrium) else state
+    given, spins = (state.state, state.spins) if isinstance(state, Equilibrium) else (state, None)
     system, at, _ = promoted(system, given)
     if not concrete(system, at, frame):
         raise ValueError("normal_modes computes with concrete numbers: call it outside of jit, vmap and grad")
     system.check(at)
-    found = derivatives(system, at, frame_of(system, at, frame))
+    found = derivatives(system, at, frame_of(system, at, frame), spins)
     rates = found.rates()
     residual, eps = found.residual(rates), float(np.finfo(at.p.dtype).eps)
     if not residual <= max(1e-6, 1e3 * eps):

@@ -13,7 +13,9 @@ the balance of angular momentum: κ_i τ̄_i in place of τ̄_i conserves energy
 
 A law of dissipation f(r, v, ω_i, ω_j) is evaluated at r̄, v̄ = Δr/Δt and ω̄ = θ̄/Δt, θ̄ = Λ_nΘ̄, and adds to f̄ and τ̄.
 Forces and torques do work along (Δx, θ̄), so the energy decreases by Δt times the dissipated power at these means,
-which is never negative. The forces balance at x̄, so P and L are still conserved.
+which is never negative. The forces balance at x̄, so P and L are still conserved. Given forces are evaluated at the same
+means, at the time t̄ and at the attitudes half-way. Their work raises or lowers H, and their impulses are ΔP = Δt Σf̄ and
+ΔL = Δt Σ(x̄ × f̄ + τ̄), exactly.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodi
 from lieint_jax.groups import so3
 from lieint_jax.potentials import Potential, invariant_form, torques
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pair_forces, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
 __all__ = ["BodiesEnergyMomentum", "bodies_energy_momentum"]
@@ -56,7 +58,7 @@ class BodiesEnergyMomentum(Step):
     """The step made by `bodies_energy_momentum`.
 
     Attributes:
-        system: bodies in a potential, with dissipation or without.
+        system: bodies in a potential, with dissipation and given forces or without.
         iterations: the most iterations of a step in float64.
     """
 
@@ -73,9 +75,9 @@ class BodiesEnergyMomentum(Step):
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
         most = _iterations_at_precision(self.iterations, state.p.dtype)
         ends, info = equation.solve(equation.guess(), most, 2, most)
-        force, lost = equation.force(ends), equation.dissipation(ends)[1]
+        force, power = equation.force(ends), equation.applied(ends)[1]
         good = jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
-        work = None if state.work is None else state.work - equation.dt * lost
+        work = None if state.work is None else state.work + equation.dt * power
         end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
         return end, info._replace(converged=info.converged & good)
 
@@ -95,6 +97,7 @@ def bodies_energy_momentum(
     |---|---|
     | energy | round-off, for potentials of `lieint_jax.potentials`; for others up to the rounding of their values |
     | with dissipation, energy less work (`State.work`), with work ≤ 0 in each step | round-off |
+    | with given forces, energy less work of either sign; P and L less their impulses | round-off |
     | P and L, if the potential is invariant | round-off |
     | the symplectic form | no: defect O(Δt³) per step |
 
@@ -166,17 +169,18 @@ class _Equation(FixedPointEquation[_Ends]):
         D, R = gradient(invariants(x0, R0), invariants(x1, R1)), (R0 + R1) / 2
         along_x, along_R = jax.vjp(invariants, x0 + ends.move / 2, R)[1](D)
         force = jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
-        if isinstance(self.system, AbstractDissipativeBodies):
-            force = force + self.dissipation(ends)[0]
-        return force
+        return force + self.applied(ends)[0] if isinstance(self.system, AbstractDissipativeBodies) else force
 
-    def dissipation(self, ends: _Ends) -> tuple[Array, Array]:
-        """The dissipative part of f̄ and τ̄, (N, 6), and the power dissipated."""
+    def applied(self, ends: _Ends) -> tuple[Array, Array]:
+        """The part of f̄ and τ̄ of dissipation and given forces, (N, 6), and their power."""
         if not isinstance(self.system, AbstractDissipativeBodies):
             return jnp.zeros_like(self.state.p), jnp.zeros_like(self.dt)
-        rate = 1 / jnp.where(self.dt == 0, 1, self.dt)
-        x, v = self.state.q[:, :3] + ends.move / 2, rate * ends.move
-        return pair_forces(self.system.dissipation, x, v, jax.vmap(so3.Ad)(self.state.q[:, 3:], 2 * rate * ends.turn))
+        rate, q = 1 / jnp.where(self.dt == 0, 1, self.dt), self.state.q
+        between = jax.vmap(so3.normalize)(q[:, 3:] + self.configuration(ends)[:, 3:])
+        middle = jnp.concatenate([q[:, :3] + ends.move / 2, between], axis=1)
+        t = None if self.state.t is None else self.state.t + self.dt / 2
+        omega = jax.vmap(so3.Ad)(q[:, 3:], 2 * rate * ends.turn)
+        return self.system.applied_force(t, middle, rate * ends.move, omega)
 
     def residual(self, ends: _Ends) -> _Ends:
         return self.linearized(ends)[0]
@@ -246,7 +250,7 @@ def _well_conditioned(J: Array) -> Array:
 
 PROPERTIES = SchemeProperties(
     name="bodies_energy_momentum",
-    systems="several bodies, with dissipation too",
+    systems="several bodies, with dissipation or given forces too",
     conserves=("energy", "energy less work", "momentum"),
     order=2,
     symmetric=True,
@@ -258,7 +262,7 @@ PROPERTIES = SchemeProperties(
 
 
 def examples(system: System) -> dict[str, Step]:
-    """The scheme, for bodies in a potential, with dissipation or without."""
+    """The scheme, for bodies in a potential, with dissipation and given forces or without."""
     if isinstance(system, AbstractRigidBodies | AbstractDissipativeBodies):
         return {"bodies_energy_momentum": bodies_energy_momentum(system)}
     return {}

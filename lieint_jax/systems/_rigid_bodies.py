@@ -32,6 +32,7 @@ from lieint_jax.types import (
     PairLaw,
     State,
     callable_pytree,
+    clock,
     pair_forces,
     pytree,
     vectors,
@@ -49,6 +50,7 @@ __all__ = ["DissipativeBodies", "FreeBodies", "RigidBodies", "rigid_bodies"]
 
 _ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
 _LAW = "(r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j)"
+_GIVEN = "the time, positions (N, 3), rotations (N, 3, 3), velocities and angular velocities (N, 3)"
 _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns
 
 
@@ -76,9 +78,9 @@ class _Many(AbstractManyBodies):
                 or a list of them, body to space; by default the identity, (1, 0, 0, 0).
             velocities: velocities of the centers of mass, (N, 3); by default 0.
             angular_velocities: Ω of each body in its own axes, radians per unit time, (N, 3); by default 0.
-            t: the time; by default 0 for bodies with dissipation, otherwise None.
-            work: the work done on the bodies so far; by default 0 for bodies with dissipation, whose losses are
-                negative work, otherwise None.
+            t: the time; by default 0 for bodies with dissipation or given forces, otherwise None.
+            work: the work done on the bodies so far, in which losses are negative; by default 0 for bodies with
+                dissipation or given forces, otherwise None.
 
         Returns:
             q (N, 7): position and quaternion; p (N, 6): linear momentum, and spatial angular momentum about the body's
@@ -97,9 +99,10 @@ class _Many(AbstractManyBodies):
             for name, given in (("velocities", velocities), ("angular_velocities", angular_velocities))
         )
         state = _make_state(self.masses, self.inertias, x, _attitudes(attitudes, n, x), v, Omega)
-        self.check(state)
         t, work = self._clock if t is None else t, self._clock if work is None else work
-        return state if t is None and work is None else timed(state, 0.0 if t is None else t, work)
+        state = state if t is None and work is None else timed(state, 0.0 if t is None else t, work)
+        self.check(state)
+        return state
 
     def kinetic_energy(self, state: State) -> Scalar:
         """Σ |p|²/2m + ½ Π·J⁻¹Π."""
@@ -198,22 +201,24 @@ class RigidBodies(_Many, AbstractRigidBodies):
 
 @pytree
 class DissipativeBodies(_Many, AbstractDissipativeBodies):
-    """Bodies in a mutual potential with dissipative forces between pairs. Made by `rigid_bodies`.
+    """Bodies in a mutual potential with dissipative forces between pairs or given forces. Made by `rigid_bodies`.
 
     Attributes:
         masses, inertias, potential: as in `RigidBodies`.
-        dissipation: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `PairLaw` or a function.
+        dissipation: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `PairLaw` or a function; or None.
+        forces: (t, x, Λ, v, ω) ↦ (forces, torques), or None.
     """
 
     masses: Array
     inertias: Array
     potential: Callable[[Array, Array], Array]
-    dissipation: Callable[..., PyTree]
+    dissipation: Callable[..., PyTree] | None
+    forces: Callable[..., PyTree] | None = None
     _clock = 0.0
 
     @property
     def conservative(self) -> RigidBodies:
-        """The same bodies without dissipation."""
+        """The same bodies without dissipation and given forces."""
         return RigidBodies(self.masses, self.inertias, self.potential)
 
     def potential_energy(self, q: Array) -> Array:
@@ -221,16 +226,18 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
         return self.conservative.potential_energy(q)
 
     def momentum(self, state: State) -> Array:
-        """P and L, (6,), as in `RigidBodies`."""
-        return self.conservative.momentum(state)
+        """P and L, (6,), as in `RigidBodies`; (0,) with given forces, whose impulses change both."""
+        return self.conservative.momentum(state) if self.forces is None else state.p[0, :0]
 
     def energy(self, state: State) -> Array:
-        """The kinetic energy plus V, which decreases; energy less `state.work` is conserved."""
+        """The kinetic energy plus V; energy less `state.work` is conserved, and dissipation alone decreases it."""
         return self.conservative.energy(state)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
         self.conservative.check(state)
+        if self.forces is not None:
+            clock(state)
 
 
 @partial(compiled, once=True)
@@ -284,7 +291,12 @@ def _check_places(x: np.ndarray) -> None:
 
 @overload
 def rigid_bodies(
-    masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Array, Array], Array], dissipation: None = None
+    masses: ArrayLike,
+    inertias: ArrayLike,
+    potential: Callable[[Array, Array], Array],
+    dissipation: None = None,
+    *,
+    forces: None = None,
 ) -> RigidBodies: ...
 @overload
 def rigid_bodies(
@@ -292,12 +304,25 @@ def rigid_bodies(
     inertias: ArrayLike,
     potential: Callable[[Array, Array], Array],
     dissipation: Callable[..., PyTree],
+    *,
+    forces: Callable[..., PyTree] | None = None,
+) -> DissipativeBodies: ...
+@overload
+def rigid_bodies(
+    masses: ArrayLike,
+    inertias: ArrayLike,
+    potential: Callable[[Array, Array], Array],
+    dissipation: None = None,
+    *,
+    forces: Callable[..., PyTree],
 ) -> DissipativeBodies: ...
 def rigid_bodies(
     masses: ArrayLike,
     inertias: ArrayLike,
     potential: Callable[[Array, Array], Array],
     dissipation: Callable[..., PyTree] | None = None,
+    *,
+    forces: Callable[..., PyTree] | None = None,
 ) -> RigidBodies | DissipativeBodies:
     """N ≥ 1 rigid bodies in a potential V(x, Λ) of their positions and attitudes.
 
@@ -316,11 +341,16 @@ def rigid_bodies(
             (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j) of the position and velocity of the second body relative to the first and
             of their angular velocities, all in space, to the force on the second body and the torques on both (see
             `tides.PairLaw`). Only `schemes.bodies_energy_momentum` integrates it; `State.work` counts the losses.
+        forces: given forces and torques that may supply energy, such as thrust, YORP and BYORP: a function
+            (t, x, Λ, v, ω) ↦ (forces, torques) of the time, positions (N, 3), rotations body to space (N, 3, 3),
+            velocities (N, 3) and angular velocities (N, 3), to forces (N, 3) and torques about each center (N, 3), all
+            in space. A force f in the axes of body i is `rotations[i] @ f`. Only `schemes.bodies_energy_momentum`
+            integrates them; `State.work` counts their work, of either sign, and `momentum` is empty, as they change it.
 
     Raises:
-        ValueError: a mass is not positive, an inertia is not positive definite, or shapes disagree; the potential or
-            the law is not callable, or is for another number of bodies; the law changes the angular momentum, or adds
-            energy.
+        ValueError: a mass is not positive, an inertia is not positive definite, or shapes disagree; the potential, the
+            law or `forces` is not callable, or is for another number of bodies; the law changes the angular momentum,
+            or adds energy.
 
     Source: Maciejewski 1995, Celest. Mech. Dyn. Astron. 63.
     """
@@ -345,27 +375,28 @@ def rigid_bodies(
         potential = potential.with_bodies(m, J)
     made = RigidBodies(m, J, callable_pytree(potential))
     _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
-    if dissipation is None:
+    if dissipation is None and forces is None:
         return made
-    lossy = DissipativeBodies(m, J, made.potential, callable_pytree(_pair_law(dissipation, m.size)))
-    _check_law(lossy)
-    return lossy
+    law = None if dissipation is None else _pair_law(dissipation, m)
+    given = None if forces is None else _checked_forces(forces, m)
+    return DissipativeBodies(m, J, made.potential, law, given)
 
 
 PROPERTIES = SystemProperties(
     name="rigid_bodies",
     models="several rigid bodies in a potential of positions and attitudes",
     phase_space="(T*ℝ³ × T*SO(3))ᴺ: poses (N, 7), momenta (N, 6)",
-    conserves=("energy (without dissipation)", "energy less work", "momentum"),
-    momentum="P and L about the origin, or the components that an outer field leaves",
+    conserves=("energy (without dissipation and given forces)", "energy less work", "momentum (without given forces)"),
+    momentum="P and L about the origin, or the components that an outer field leaves; none with given forces",
     sizes=(6, 5, 4, 3, 2, 1, 0),
     aliases=("full two-body problem", "rigid molecules"),
     source="Maciejewski 1995, Celest. Mech. 63",
 )
 
 
-def _pair_law(dissipation: Callable[..., PyTree], n: int) -> Callable[..., PyTree]:
-    """The law; ValueError if it is not a law for n bodies."""
+def _pair_law(dissipation: Callable[..., PyTree], masses: Array) -> Callable[..., PyTree]:
+    """The law; ValueError unless it is one for these bodies, conserves angular momentum and does not add energy."""
+    n = masses.size
     if not callable(dissipation):
         raise ValueError(
             f"dissipation must be a law of pairs, such as tides.constant_lag(…), or a function {_LAW}, got "
@@ -375,18 +406,14 @@ def _pair_law(dissipation: Callable[..., PyTree], n: int) -> Callable[..., PyTre
         raise ValueError(f"dissipation needs two bodies or more, but there is {n} mass")
     if isinstance(dissipation, PairLaw) and dissipation.count not in (None, n):
         raise ValueError(f"the law of dissipation is for {dissipation.count} bodies, but there are {n} masses")
-    return dissipation
-
-
-def _check_law(bodies: DissipativeBodies) -> None:
-    """Raise ValueError unless the law has the right shapes, conserves angular momentum and does not add energy."""
-    space = [jax.ShapeDtypeStruct((len(bodies.masses), 3), bodies.masses.dtype)] * 3
-    _checks.function("dissipation", partial(_forces_of, bodies), _LAW, (len(bodies.masses), 6), *space)
-    if not concrete(bodies):
-        return
-    P, L, gain, size = np.asarray(_violations(bodies))
+    space = [jax.ShapeDtypeStruct((n, 3), masses.dtype)] * 3
+    _checks.function("dissipation", lambda *moving: pair_forces(dissipation, *moving)[0], _LAW, (n, 6), *space)
+    law = callable_pytree(dissipation)
+    if not concrete(law, masses):
+        return law
+    P, L, gain, size = np.asarray(_violations(law, masses))
     if not np.isfinite(size):  # a law that is singular where it is looked at cannot be judged
-        return
+        return law
     if max(P, L) > size:
         raise ValueError(
             "dissipation must conserve the angular momentum, r × f + τ_i + τ_j = 0: the force on the second body and "
@@ -395,20 +422,31 @@ def _check_law(bodies: DissipativeBodies) -> None:
     if gain > size:
         raise ValueError(
             f"dissipation must not add energy, f·v + τ_i·ω_i + τ_j·ω_j ≤ 0, {_LAW}; at a test state it does. Check "
-            "its sign"
+            "its sign, or give forces that supply energy as forces=…"
         )
+    return law
 
 
-def _forces_of(bodies: DissipativeBodies, x: Array, v: Array, omega: Array) -> Array:
-    return pair_forces(bodies.dissipation, x, v, omega)[0]
+def _checked_forces(forces: Callable[..., PyTree], masses: Array) -> Callable[..., PyTree]:
+    """The function; ValueError unless it returns two arrays, the forces and the torques on all bodies."""
+    n = masses.size
+    given = [jax.ShapeDtypeStruct(shape, masses.dtype) for shape in ((), (n, 3), (n, 3, 3), (n, 3), (n, 3))]
+    for part, kind in enumerate(("forces", "torques")):
+
+        def one(*arguments: Array, part: int = part) -> Array:
+            pushes, turns = forces(*arguments)
+            return jnp.asarray((pushes, turns)[part])
+
+        _checks.function(f"the {kind} that forces returns", one, _GIVEN, (n, 3), *given)
+    return callable_pytree(forces)
 
 
 @partial(compiled, once=True)
-def _violations(bodies: DissipativeBodies) -> Array:
+def _violations(law: Callable[..., PyTree], masses: Array) -> Array:
     """The defects of linear and angular momentum under the law, the energy it adds, and the tolerance for all."""
-    numbers = jnp.arange(9 * len(bodies.masses), dtype=bodies.masses.dtype)
+    numbers = jnp.arange(9 * masses.size, dtype=masses.dtype)
     x, v, omega = jnp.sin(1.7 * numbers + 0.3 * numbers**2).reshape(3, -1, 3)
-    force, lost = pair_forces(bodies.dissipation, x, v, omega)
+    force, lost = pair_forces(law, x, v, omega)
     f, tau = force[:, :3], force[:, 3:]
     turned = jnp.abs(jnp.sum(jnp.cross(x, f) + tau, axis=0)).max()
     given = jnp.sum(f * v + tau * omega)
@@ -417,7 +455,7 @@ def _violations(bodies: DissipativeBodies) -> Array:
 
 
 def examples() -> dict[str, tuple[RigidBodies | DissipativeBodies, State, float]]:
-    """A binary asteroid, without and with friction between its bodies; three bodies with a three-body potential."""
+    """A binary asteroid, alone, with friction between its bodies, with given forces; three bodies."""
     masses, inertias = jnp.array([1.0, 0.5]), jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
     binary = rigid_bodies(masses, inertias, potentials.maccullagh(1.0, masses, inertias))
     at = jnp.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
@@ -427,8 +465,10 @@ def examples() -> dict[str, tuple[RigidBodies | DissipativeBodies, State, float]
     corners = jnp.array([[1.0, 0, 0], [-1.0, 0.5, 0], [0, -1.2, 0.3]])
     past = jnp.array([[-0.19, -0.1, 0.14], [0.3, 0.2, -0.4], [0.2, 0, 0.3]])
     rubbing = rigid_bodies(masses, inertias, binary.potential, _friction)
+    pushed = rigid_bodies(masses, inertias, binary.potential, forces=_push)
     return {
         "binary": (binary, binary.state(at, velocities=moving, angular_velocities=spins), 0.05),
+        "pushed": (pushed, pushed.state(at, velocities=moving, angular_velocities=spins), 0.05),
         "rubbing": (rubbing, rubbing.state(at, velocities=moving, angular_velocities=spins), 0.05),
         "triple": (triple, triple.state(corners, velocities=past, angular_velocities=0.3 * corners), 0.05),
     }
@@ -441,6 +481,12 @@ def _friction(r: Array, v: Array, omega_i: Array, omega_j: Array) -> tuple[Array
     tau = -jnp.cross(r, f) / 2
     more = 0.01 * (omega_j - omega_i)
     return f, tau + more, tau - more
+
+
+def _push(t: Array, x: Array, R: Array, v: Array, omega: Array) -> tuple[Array, Array]:
+    """A thrust fixed in the second body, and a torque along the axis of the first that comes and goes."""
+    forces = jnp.stack([jnp.zeros(3, x.dtype), 0.02 * R[1, :, 1]])
+    return forces, jnp.stack([0.01 * jnp.cos(t) * R[0, :, 2], -0.001 * omega[1]])
 
 
 def _spread(x: Array, R: Array) -> Array:

@@ -167,6 +167,72 @@ def test_a_synchronous_binary_librates_as_its_planar_problem():
     assert expected.min() / naive == pytest.approx(0.928, abs=0.002)
 
 
+def fast_primary(oblate=0.045, moments=None, distance=1.2):
+    """A primary that spins six times as fast as its synchronous secondary moves, near a relative equilibrium."""
+    m, J = np.array([1.0, 0.1]), np.array([[0.04, 0.04, oblate], [0.0008, 0.0010, 0.0011]])
+    law = li.potentials.maccullagh(1.0, m, J if moments is None else np.array([moments, J[1]]))
+    x = np.array([[-m[1], 0, 0], [m[0], 0, 0]]) * distance / m.sum()
+    rate = np.sqrt(m.sum() / distance**3)
+    bodies = li.systems.rigid_bodies(m, J, law)
+    v = np.cross([0, 0, rate], x)
+    return bodies, bodies.state(x, velocities=v, angular_velocities=[[0, 0, 5.0], [0, 0, rate]])
+
+
+def apart(state):
+    return np.linalg.norm(state.q[..., 1, :3] - state.q[..., 0, :3], axis=-1)
+
+
+@pytest.mark.long
+def test_a_symmetric_primary_may_spin_faster_than_its_synchronous_secondary():
+    """n² = GM/r³ (1 + 3/2r² ((C − A)/m₁ + (B + C − 2A)/m₂)), to 1e-14; over 1000 steps r is constant to 5e-15."""
+    bodies, guess = fast_primary()
+    without, found = li.equilibrium(bodies, guess), li.equilibrium(bodies, guess, spinning=(0,))
+    assert apart(without.state) < 0.9
+    assert apart(found.state) == pytest.approx(1.2, rel=3e-3)
+    shift = np.asarray(found.change).reshape(2, 2, 6)[0, :, 0]
+    assert apart(found.state) == pytest.approx(1.2 + shift[1] - shift[0], rel=1e-12)
+    held = li.equilibrium(bodies, guess, spinning=(0,), free=range(12, 24))
+    assert apart(held.state) == 1.2
+    m, J, r = np.asarray(bodies.masses), np.asarray(bodies.inertias), 1.2
+    bulges = (J[0, 2] - J[0, 0]) / m[0] + (J[1, 1] + J[1, 2] - 2 * J[1, 0]) / m[1]
+    rate = np.sqrt(m.sum() / r**3 * (1 + 1.5 * bulges / r**2))
+    spin = float(bodies.angular_velocities(held.state)[0, 2])
+    np.testing.assert_allclose(held.rates[5:], [rate, spin - rate], rtol=1e-12)
+    assert spin == pytest.approx(5, abs=1e-4)
+    path = li.integrate(li.schemes.extrapolate(bodies, 12), held.state, 0.02, 1000)
+    assert np.abs(apart(path.state) - r).max() < 1e-13
+
+
+@pytest.mark.long
+def test_modes_do_not_depend_on_the_spin_of_a_spherical_primary():
+    bodies, guess = fast_primary(oblate=0.04, distance=1.5)
+    found = li.equilibrium(bodies, guess, spinning=[0], free=range(12, 24))
+    rate, expected = planar_binary(np.asarray(bodies.masses)[::-1], np.asarray(bodies.inertias)[1], 1.5)
+    assert float(found.rates[5]) == pytest.approx(rate, rel=1e-9)
+    frequencies = np.asarray(li.normal_modes(bodies, found).frequencies)
+    for frequency in expected:
+        assert np.abs(frequencies / frequency - 1).min() < 1e-6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("more", "spinning", "message"),
+    [
+        ({}, (1,), "body 1 cannot spin at a rate of its own .* principal moments .* differ"),
+        ({"moments": [0.04, 0.041, 0.045]}, (0,), "the potential exerts a torque about its axis"),
+        ({}, (2,), "spinning must be numbers of bodies, from 0 to 1"),
+        ({}, 0, "spinning must be numbers of bodies, from 0 to 1"),
+    ],
+)
+def test_bodies_that_are_not_symmetric_cannot_spin_at_rates_of_their_own(more, spinning, message):
+    bodies, guess = fast_primary(**more)
+    with pytest.raises(ValueError, match=message):
+        li.equilibrium(bodies, guess, spinning=spinning)
+    top = li.systems.heavy_top([2.0, 2.0, 1.0], [0.0, 0.0, 1.3])
+    with pytest.raises(ValueError, match="spinning is for bodies"):
+        li.equilibrium(top, top.state(body_momentum=[0.0, 0.0, 1.0]), spinning=(0,))
+
+
 @pytest.mark.long
 def test_a_free_body_has_rates_and_a_spin_about_the_middle_axis_grows():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
