@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -102,13 +102,11 @@ class SampledRate:
 
     Attributes:
         times: the ends of the intervals, (n+1,).
-        means, slopes, bends: m, s and c of each interval, (n, d).
+        coefficients: m, s and c of each interval, one after the other, (3dn,): machine code reads long logs this way.
     """
 
     times: Array
-    means: Array
-    slopes: Array
-    bends: Array
+    coefficients: Array
 
     def __call__(self, t: ArrayLike) -> AlgebraVector:
         """The rate at time t, (d,). Outside the log: ValueError if t is concrete, otherwise NaN."""
@@ -117,8 +115,9 @@ class SampledRate:
     def mean(self, t: ArrayLike, h: ArrayLike) -> AlgebraVector:
         """The mean from t to t + h, (d,), for steps inside one interval; times outside the log as in a call."""
         k, since, length = interval(self.times, t + h / 2)
-        u, w = since / length - 0.5, h / length
-        return self.means[k] + u * self.slopes[k] + (u * u + (w * w - 1) / 12) * self.bends[k]
+        u, w, size = since / length - 0.5, h / length, self.coefficients.size // (len(self.times) - 1)
+        mean, slope, bend = lax.dynamic_slice(self.coefficients, (k * size,), (size,)).reshape(3, -1)
+        return mean + u * slope + (u * u + (w * w - 1) / 12) * bend
 
 
 def sampled_rate(times: ArrayLike, rates: ArrayLike, kind: Kind = "interpolate") -> SampledRate:
@@ -157,14 +156,18 @@ def sampled_rate(times: ArrayLike, rates: ArrayLike, kind: Kind = "interpolate")
         wanted = "(n, d) for n + 1 times, n ≥ 3" if means else "(n, d) for n times"
         raise ValueError(f"rates of kind {kind!r} must have shape {wanted}, got {x.shape} for {len(t)} times")
     if not means:
-        return SampledRate(t, (x[:-1] + x[1:]) / 2, jnp.diff(x, axis=0), jnp.zeros_like(x[1:]))
+        return _of_intervals(t, (x[:-1] + x[1:]) / 2, jnp.diff(x, axis=0), jnp.zeros_like(x[1:]))
     h, n = jnp.diff(t)[:, None], len(x)
     first = np.clip(np.arange(n) - 1, 0, n - 3)  # of the three intervals whose means a parabola has
     nodes = t[first[:, None] + np.arange(4)][..., None]
     second = jnp.diff(x, axis=0) / (t[2:] - t[:-2])[:, None]
     third = (second[first + 1] - second[first]) / (nodes[:, 3] - nodes[:, 0])  # divided differences of the angle
     slopes = second[first] * 2 + third * (3 * (t[:-1] + t[1:])[:, None] - 2 * nodes[:, :3].sum(axis=1))
-    return SampledRate(t, x, h * slopes, 3 * h * h * third)
+    return _of_intervals(t, x, h * slopes, 3 * h * h * third)
+
+
+def _of_intervals(times: Array, *coefficients: Array) -> SampledRate:
+    return SampledRate(times, jnp.stack(coefficients, axis=1).ravel())
 
 
 def _coning(a: Array, t: Array) -> AlgebraVector:
