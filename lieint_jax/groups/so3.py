@@ -138,8 +138,10 @@ def cayley_increment(q: Quaternion, h: Vector3 | tuple[Array, ...]) -> Quaternio
     return jnp.stack(vectors.vector(q) + cayley_difference(q, h))
 
 
-def exp_increment(q: Quaternion, xi: Vector3) -> Quaternion:
-    """q exp ξ, as the increment of q by q(cos ½|ξ| − 1, sin ½|ξ| ξ/|ξ|), which corrects |q| as in `cayley_increment`."""
+def exp_increment(q: Quaternion, xi: Vector3, left: bool = False) -> Quaternion:
+    """q exp ξ, or exp ξ q, as q + q(cos ½|ξ| − 1, sin ½|ξ| ξ/|ξ|), which corrects |q| as in `cayley_increment`."""
+    if left:  # exp ξ q = (q⁻¹ exp −ξ)⁻¹
+        return inverse(exp_increment(inverse(q), -xi))
     x, d = dot(xi, xi) / 4, defect(q) / 2
     s, c = power_series.sinc_sqrt(x / 4), power_series.cos_sqrt(x / 4)
     return jnp.stack(vectors.vector(q) + _increment(q, -x * s * s / 2 - d, ((1 - d) / 2 * s * c) * vectors.Vector(xi)))

@@ -22,7 +22,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import collocation
 from lieint_jax.capabilities import AbstractKinematics
-from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AnalyticGroup, State, Step, StepInfo, System, clock, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, GroupElement
@@ -81,11 +80,12 @@ class Magnus(Step):
 
     def _moved(self, q: GroupElement, theta: AlgebraVector) -> GroupElement:
         """q exp θ in the body, exp θ q in space."""
-        group, in_space = self.system.group, self.system.frame == "space"
-        if group is so3:  # increments, which correct |q|; exp θ q = (q⁻¹ exp −θ)⁻¹
-            return so3.inverse(so3.exp_increment(so3.inverse(q), -theta)) if in_space else so3.exp_increment(q, theta)
-        turn = group.exp_near(theta) if isinstance(group, AnalyticGroup) else group.exp(theta)
-        return group.multiply(turn, q) if in_space else group.multiply(q, turn)
+        group, left = self.system.group, self.system.frame == "space"
+        increment = getattr(group, "exp_increment", None)
+        if increment is not None:  # which corrects the length of q
+            return increment(q, theta, left)
+        turn = group.exp(theta)
+        return group.multiply(turn, q) if left else group.multiply(q, turn)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
