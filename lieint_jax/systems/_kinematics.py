@@ -187,7 +187,7 @@ def _screw(v: Array, t: Array) -> AlgebraVector:
 
 PROPERTIES = SystemProperties(
     name="kinematics",
-    models="a motion on a group with a given rate: gyros, spins in fields",
+    models="a motion on a group with a given rate, such as the `sampled_rate` of a gyro",
     phase_space="G: unit quaternion or matrix (n, n); π (0,)",
     conserves=(),
     momentum="none",
@@ -198,21 +198,17 @@ PROPERTIES = SystemProperties(
 
 
 def examples() -> dict[str, tuple[Kinematics, State, float]]:
-    """Coning in the body, a spin in a rotating field, a screw on SE(3), and the log of a gyro."""
+    """Coning in the body, a spin in a rotating field, and a screw on SE(3)."""
     from lieint_jax.groups import special_euclidean, special_unitary
 
     spin, start = special_unitary(2), so3.exp(jnp.array([0.7, 0.5, -0.2]))
-    times = np.linspace(0.0, 400.0, 8001)
-    log = np.stack([np.cos(0.3 * times), 0.5 * np.sin(times), 0.2 + 0 * times], axis=1)
     coning = kinematics(so3, jax.tree_util.Partial(_coning, jnp.array(0.6)))
     field = kinematics(spin, jax.tree_util.Partial(_rotating_field, jnp.array([1.0, 0.2, 1.1])), "space")
     screw = kinematics(
         special_euclidean(3), jax.tree_util.Partial(_screw, jnp.array([0.3, -0.2, 0.5, 1.0, 0.4, -0.6]))
     )
-    gyro = kinematics(so3, sampled_rate(times, log))
     return {
         "coning": (coning, coning.state(start, t=0.3), 0.1),
         "spin": (field, field.state(), 0.1),
         "screw": (screw, screw.state(t=0.2), 0.1),
-        "gyro": (gyro, gyro.state(start, t=1.0), 0.05),
     }
