@@ -30,7 +30,7 @@ def few_members(job: Job) -> Job:
     def changed(x: Any) -> np.ndarray:
         x, n = take(x), len(chosen)
         if x.dtype.kind == "f":
-            largest = np.abs(x[n:]).max(axis=tuple(range(1, x.ndim)), keepdims=True)
+            largest = np.abs(x[n:]).max(axis=tuple(range(1, x.ndim)), keepdims=True, initial=0)
             pattern = np.cos(1.0 + np.arange(x[n:].size)).reshape(x[n:].shape)
             x[n:] += (_CHANGE * np.finfo(x.dtype).eps * largest * pattern).astype(x.dtype)
         return x

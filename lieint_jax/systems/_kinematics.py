@@ -90,7 +90,7 @@ def kinematics(group: Group, rate: Callable[[Array], Array], frame: Frame = "bod
         raise ValueError(f"frame must be 'body' or 'space', got {frame!r}")
     if not callable(rate):
         raise ValueError(f"rate must be a function of t, the time, or systems.sampled_rate(…), got {rate!r}")
-    _checks.function("rate", rate, "t, the time", (group.dim,), jax.ShapeDtypeStruct((), float))
+    _checks.function("rate", rate, "t, the time", (group.dim,), jnp.zeros(()))
     return Kinematics(callable_pytree(rate), group, frame)
 
 
@@ -171,8 +171,8 @@ def _of_intervals(times: Array, *coefficients: Array) -> SampledRate:
 
 
 def _coning(a: Array, t: Array) -> AlgebraVector:
-    """An axis that precesses about z, a rad off it, at the rate 1: the motion that coning corrections are tested by."""
-    return jnp.stack([jnp.sin(a) * jnp.cos(t), jnp.sin(a) * jnp.sin(t), 2 * jnp.sin(a / 2) ** 2 + 0 * t])
+    """The rate of q = (cos ½a, sin ½a cos t, sin ½a sin t, 0), an axis that moves on a cone of half-angle a."""
+    return jnp.stack([-jnp.sin(a) * jnp.sin(t), jnp.sin(a) * jnp.cos(t), -2 * jnp.sin(a / 2) ** 2 + 0 * t])
 
 
 def _rotating_field(w: Array, t: Array) -> AlgebraVector:
