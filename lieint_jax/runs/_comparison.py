@@ -62,6 +62,6 @@ def _agree(ours: np.ndarray, theirs: np.ndarray, changed: np.ndarray) -> bool:
         differs, spread = np.abs(ours - theirs), np.abs(changed - theirs)
         undecided = ~np.isfinite(spread) & (theirs != changed) & ~(np.isnan(theirs) & np.isnan(changed))
         same = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs)) | undecided
-    size, rounding = (np.max(np.where(np.isfinite(x), x, 0), axis=axes) for x in (np.abs(theirs), spread))
+    size, rounding = (np.max(np.where(np.isfinite(x), x, 0), axis=axes, initial=0) for x in (np.abs(theirs), spread))
     allowed = np.sqrt(np.finfo(theirs.dtype).eps) * size + _LEEWAY * rounding
     return bool(np.all(same | (allowed >= differs.T).T))
