@@ -12,8 +12,8 @@ from lieint_jax.types import Group, State, pytree, static, vectors
 from lieint_jax.types.shapes import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
 
 __all__ = [
-    "ConfigurationGroup", "CotangentGroup", "CotangentMatrices", "CotangentMotions", "CotangentSphere", "CotangentUnimodular",
-    "EmbeddedRotations", "SphericalChart", "frame",
+    "ConfigurationGroup", "CotangentGroup", "CotangentMatrices", "CotangentMotions", "CotangentSphere",
+    "CotangentUnimodular", "EmbeddedRotations", "SphericalChart", "frame",
 ]  # fmt: skip
 
 

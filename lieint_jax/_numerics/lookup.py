@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -11,7 +13,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 
 
-def increasing_times(times: ArrayLike) -> Array:
+def increasing_times(times: Any) -> Array:
     """The times of a table, (n,) with n ≥ 2; ValueError unless they are finite and increase."""
     t = _checks.real_array("times", times)
     if t.ndim != 1 or len(t) < 2:

@@ -20,7 +20,7 @@ from lieint_jax.systems._shared.on_group import check_element
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import Group, State, callable_pytree, pytree, static
-from lieint_jax.types.shapes import AlgebraVector
+from lieint_jax.types.shapes import AlgebraVector, Time
 
 __all__ = ["Kinematics", "SampledRate", "kinematics", "sampled_rate"]
 
@@ -108,11 +108,11 @@ class SampledRate:
     times: Array
     coefficients: Array
 
-    def __call__(self, t: ArrayLike) -> AlgebraVector:
+    def __call__(self, t: Time | float) -> AlgebraVector:
         """The rate at time t, (d,). Outside the log: ValueError if t is concrete, otherwise NaN."""
         return self.mean(t, 0.0)
 
-    def mean(self, t: ArrayLike, h: ArrayLike) -> AlgebraVector:
+    def mean(self, t: Time | float, h: Time | float) -> AlgebraVector:
         """The mean from t to t + h, (d,), for steps inside one interval; times outside the log as in a call."""
         k, since, length = interval(self.times, t + h / 2)
         u, w, size = since / length - 0.5, h / length, self.coefficients.size // (len(self.times) - 1)
@@ -204,9 +204,7 @@ def examples() -> dict[str, tuple[Kinematics, State, float]]:
     spin, start = special_unitary(2), so3.exp(jnp.array([0.7, 0.5, -0.2]))
     coning = kinematics(so3, jax.tree_util.Partial(_coning, jnp.array(0.6)))
     field = kinematics(spin, jax.tree_util.Partial(_rotating_field, jnp.array([1.0, 0.2, 1.1])), "space")
-    screw = kinematics(
-        special_euclidean(3), jax.tree_util.Partial(_screw, jnp.array([0.3, -0.2, 0.5, 1.0, 0.4, -0.6]))
-    )
+    screw = kinematics(special_euclidean(3), jax.tree_util.Partial(_screw, jnp.array([0.3, -0.2, 0.5, 1.0, 0.4, -0.6])))
     return {
         "coning": (coning, coning.state(start, t=0.3), 0.1),
         "spin": (field, field.state(), 0.1),

@@ -10,7 +10,9 @@ from lieint_jax.types import energy_less_work, time_derivative
 
 ENTRIES = {entry.name: entry for entry in li.systems.catalogue()}
 EXAMPLES = {name: module.examples() for name, module in _discover.modules_with("examples", li.systems).items()}
-GIVEN = {name for name, found in EXAMPLES.items() if not all(x[0].hamiltonian for x in found.values())}  # without energy
+GIVEN = {
+    name for name, found in EXAMPLES.items() if not all(x[0].hamiltonian for x in found.values())
+}  # without energy
 CASES = [  # the first of each system by default, the others in the shards
     pytest.param(name, key, marks=[pytest.mark.long] * (key != next(iter(found)) or name in ("euler", "rigid_bodies")))
     for name, found in EXAMPLES.items()
