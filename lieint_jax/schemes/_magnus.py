@@ -89,9 +89,9 @@ class Magnus(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self.name}: the Magnus series does not converge at dt = {dt}: its commutators exceed {_LARGEST:g} of the "
-            "rotation of a step, or a step is too large for exp, or a sampled rate has no value there. Use a smaller dt, "
-            "and times inside of the log"
+            f"{self.name}: the Magnus series does not converge at dt = {dt}: its commutators exceed {_LARGEST:g} of "
+            "the rotation of a step, or a step is too large for exp, or a sampled rate has no value there. Use a "
+            "smaller dt, and times inside of the log"
         )
 
 
