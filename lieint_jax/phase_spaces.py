@@ -12,8 +12,8 @@ from lieint_jax.types import Group, State, pytree, static, vectors
 from lieint_jax.types.shapes import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
 
 __all__ = [
-    "CotangentGroup", "CotangentMatrices", "CotangentMotions", "CotangentSphere", "CotangentUnimodular",
-    "EmbeddedRotations", "SphericalChart", "frame",
+    "ConfigurationGroup", "CotangentGroup", "CotangentMatrices", "CotangentMotions", "CotangentSphere",
+    "CotangentUnimodular", "EmbeddedRotations", "SphericalChart", "frame",
 ]  # fmt: skip
 
 
@@ -85,6 +85,50 @@ class CotangentGroup(_ByPerturbation):
         one, zero = jnp.eye(d, dtype=state.p.dtype), jnp.zeros((d, d), state.p.dtype)
         alpha = jax.vmap(self.group.ad_star, in_axes=(1, None), out_axes=1)(one, state.p)
         return jnp.block([[alpha, one], [-one, zero]])
+
+    def defect(self, state: State) -> Scalar:
+        """The distance of q from the group: |q|² − 1 for unit quaternions."""
+        return self.group.defect(state.q)
+
+
+@pytree
+class ConfigurationGroup(_ByPerturbation):
+    """A Lie group G itself, without momenta: a state is q, with p of shape (0,), a tangent vector δθ with δq = δθ q.
+
+    It has no symplectic form.
+    """
+
+    group: Group = static()
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the group."""
+        return self.group.dim
+
+    @property
+    def origin(self) -> State:
+        """The identity."""
+        return State(jnp.asarray(self.group.identity, float), jnp.zeros(0))
+
+    def perturb(self, state: State, delta: PhaseVector) -> State:
+        """The state displaced by δθ, shape (d,): exp(δθ) q."""
+        return state._replace(q=self.group.multiply(self.group.exp(delta), state.q))
+
+    def tangent(self, state: State, delta: PhaseVector) -> tuple[Array, Array]:
+        """δq = δθ q, and no δp."""
+        return self.group.spatial_tangent(state.q, delta), jnp.zeros_like(state.p)
+
+    def displacement(self, start: State, end: State) -> PhaseVector:
+        """The least δθ, shape (d,), with perturb(start, δθ) = end."""
+        return self.group.log(self.group.multiply(end.q, self.group.inverse(start.q)))
+
+    def trivialize(self, state: State, tangent: State) -> PhaseVector:
+        """δθ, shape (d,), of a tangent vector δq."""
+        return self.group.spatial_velocity(state.q, tangent.q)
+
+    def omega(self, state: State) -> PhaseMatrix:
+        """Raises ValueError: there is no form."""
+        raise ValueError("a motion with given rates has neither momenta nor a symplectic form")
 
     def defect(self, state: State) -> Scalar:
         """The distance of q from the group: |q|² − 1 for unit quaternions."""

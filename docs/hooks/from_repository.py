@@ -21,6 +21,7 @@ TITLES = {
     "thermostat": "Free bodies in a heat bath",
     "tides": "Angular momentum under tides",
     "se3": "SE(3)",
+    "rates": "Given rates",
     "engines": "Steps for engines",
     "gradients": "Gradients",
     "one_body": "One body",

@@ -14,6 +14,7 @@ from lieint_jax.capabilities._deforming import (
     AbstractViscousBody,
 )
 from lieint_jax.capabilities._forces import AbstractDrivenSystem, AbstractForcedSystem
+from lieint_jax.capabilities._kinematics import AbstractKinematics
 from lieint_jax.capabilities._on_groups import (
     AbstractGeodesicFlow,
     AbstractMechanicalSystem,
@@ -55,6 +56,7 @@ __all__ = [
     "AbstractGeodesicFlow",
     "AbstractGyrostat",
     "AbstractIncompressibleBody",
+    "AbstractKinematics",
     "AbstractManyBodies",
     "AbstractMechanicalSystem",
     "AbstractMetricSystem",

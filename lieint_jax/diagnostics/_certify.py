@@ -56,6 +56,7 @@ class Certificate(NamedTuple):
         cancellation: the sum of the absolute terms of the momentum map over max|Φ₀|, the factor by which its rounding
             error is larger.
         momentum_map: whether the system has a momentum map.
+        hamiltonian: whether the system has an energy and a symplectic form, whose fields are nan otherwise.
     """
 
     scheme: str
@@ -77,6 +78,7 @@ class Certificate(NamedTuple):
     own_time: bool = False
     cancellation: float = 1.0
     momentum_map: bool = True
+    hamiltonian: bool = True
 
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
@@ -98,6 +100,8 @@ class Certificate(NamedTuple):
         lines = [f"  {name:<16} {value:>9.2g}   {verdict}" for name, value, verdict in rows]
         if not self.momentum_map:
             lines[1] = f"  {'momentum':<16} {'—':>9}   no momentum map"
+        if not self.hamiltonian:  # neither energy, momentum nor a form
+            del lines[3], lines[:2]
         return "\n".join([head, *lines])
 
     def _form(self) -> str:
@@ -136,8 +140,9 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
     _checks.time_resolution(start_time(step, state), h, num_steps)
     run = _measure.run(step, state, h, num_steps, most)
     seen = jax.device_get(_measure_invariants(step.system, run))
-    form = _on_arrays(step)
-    coarse, fine = (float(dimensionless_defect(form, state, x)) for x in (h, _checks.as_array(np.asarray(h) / 2)))
+    form, coarse, fine = _on_arrays(step), math.nan, math.nan
+    if step.system.hamiltonian:
+        coarse, fine = (float(dimensionless_defect(form, state, x)) for x in (h, _checks.as_array(np.asarray(h) / 2)))
     floor = 32 * float(jnp.finfo(h.dtype).eps) * max(1, step.system.phase_space.dim / 6)
     power = math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf
     rounding = power < 1 and coarse < 10 * floor  # which does not fall with dt
@@ -161,6 +166,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         own_time=step.own_time,
         cancellation=max(1.0, _relative(seen.terms, seen.total)),
         momentum_map=jax.eval_shape(step.system.momentum, state).size > 0,
+        hamiltonian=step.system.hamiltonian,
     )
 
 
@@ -189,14 +195,14 @@ def _measure_invariants(system: System, run: Trajectory) -> MeasuredInvariants:
     def largest(x: Array) -> Array:
         return jnp.max(jnp.abs(x))
 
-    errors, total, terms = momentum_error(system, run), system.momentum(start), _terms(system, start)
+    errors, total = momentum_error(system, run), system.momentum(start)
     none = not total.size
     return MeasuredInvariants(
         energy=largest(energy_error(system, run)),
         size=jnp.abs(system.energy(start)),
         momentum=jnp.nan if none else largest(errors),
         total=0.0 if none else largest(total),
-        terms=0.0 if none else jnp.max(terms),
+        terms=0.0 if none else jnp.max(_terms(system, start)),
         constraint=largest(constraint_error(system, run)),
     )
 

@@ -43,12 +43,12 @@ def distance(a: State, b: State, space: PhaseSpace | None = None) -> Scalar:
     """
     if space is not None and getattr(space, "units", None):
         return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, b))))
-    return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p)) / size(b.p))
+    return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p), initial=0) / size(b.p))
 
 
 def size(p: Array) -> Scalar:
     """The largest component of a momentum, 1 for zero: the unit of errors of momenta."""
-    largest = jnp.max(jnp.abs(p))
+    largest = jnp.max(jnp.abs(p), initial=0)
     return jnp.where(largest > 0, largest, 1)
 
 
@@ -57,8 +57,8 @@ def units(space: PhaseSpace, state: State) -> tuple[PhaseVector, PhaseVector]:
     own = getattr(space, "units", None)
     if own is not None:
         return own(state)
-    one = jnp.ones(space.dim // 2, state.p.dtype)
-    return one, one * size(state.p)
+    momenta = space.dim // 2 if state.p.size else 0
+    return jnp.ones(space.dim - momenta, state.p.dtype), jnp.ones(momenta, state.p.dtype) * size(state.p)
 
 
 def orthonormalize(W: TangentVectors) -> tuple[Array, Array]:

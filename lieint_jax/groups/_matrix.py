@@ -117,6 +117,17 @@ class MatrixGroup:
         """exp ξ̂ without scaling, for the steps of schemes: to round-off where `near` holds."""
         return la.as_array(la.materialized(self.exp_both(self._vector(xi))[0]), xi)
 
+    def exp_increment(self, q: SquareMatrix, xi: AlgebraVector, left: bool = False) -> SquareMatrix:
+        """q exp ξ̂, or exp ξ̂ q, where `near` holds; errors of q against a form that the group preserves are removed.
+
+        With D = q⁻¹q − 1, by the bilinear form, it is q(exp ξ̂ − ½D), so rounding does not add up in long runs.
+        """
+        q_, E = self._element(q), self.exp_both(self._vector(xi))[0]
+        if self._form is not None:
+            inverse = self._inverse(q_)
+            E = E - 0.5 * ((q_ @ inverse if left else inverse @ q_) - la.identity(q_))
+        return la.as_array(E @ q_ if left else q_ @ E, jnp.asarray(q))
+
     def exp_along(self, q: SquareMatrix, xi: AlgebraVector, s: Array) -> Array:
         """q exp(sξ̂) for a number s, or at each of several, (k,), where `near` holds: for the steps of schemes.
 

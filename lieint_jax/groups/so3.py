@@ -138,17 +138,23 @@ def cayley_increment(q: Quaternion, h: Vector3 | tuple[Array, ...]) -> Quaternio
     return jnp.stack(vectors.vector(q) + cayley_difference(q, h))
 
 
+def exp_increment(q: Quaternion, xi: Vector3, left: bool = False) -> Quaternion:
+    """q exp ξ, or exp ξ q, as q + q(cos ½|ξ| − 1, sin ½|ξ| ξ/|ξ|), which corrects |q| as in `cayley_increment`."""
+    if left:  # exp ξ q = (q⁻¹ exp −ξ)⁻¹
+        return inverse(exp_increment(inverse(q), -xi))
+    x, d = dot(xi, xi) / 4, defect(q) / 2
+    s, c = power_series.sinc_sqrt(x / 4), power_series.cos_sqrt(x / 4)
+    return jnp.stack(vectors.vector(q) + _increment(q, -x * s * s / 2 - d, ((1 - d) / 2 * s * c) * vectors.Vector(xi)))
+
+
 def cayley_difference(q: vectors.VectorLike, h: vectors.VectorLike) -> tuple[Array, Array, Array, Array]:
     """`cayley_increment` less q, in components."""
-    w, v = q[0], vectors.Vector(q[1:])
     y = dot(h, h)
     s = jnp.sqrt(1 + y)
     r = 1 / (s * (1 + s))
     c = r * (1 + s)
     d = c * defect(q) / 2
-    k, c = -y * r - d, c - d  # c − 1 without cancellation; both over |q|
-    ch = c * vectors.Vector(h)
-    return (w * k - dot(v, ch), *(w * ch + k * v + cross(v, ch)))
+    return _increment(q, -y * r - d, (c - d) * vectors.Vector(h))  # c − 1 without cancellation; both over |q|
 
 
 def to_matrix(q: Quaternion) -> Matrix3:
@@ -288,6 +294,12 @@ def angle(a: Quaternion, b: Quaternion) -> Scalar:
     """The angle of the rotation between two attitudes, in [0, π]; where it is 0, its derivative is set to 0."""
     w, x, y, z = _product(inverse(a), b)
     return 2 * jnp.arctan2(_length(x, y, z), jnp.abs(w))
+
+
+def _increment(q: vectors.VectorLike, k: Scalar, u: vectors.Vector) -> tuple[Array, Array, Array, Array]:
+    """The product of q and the quaternion (k, u), in components."""
+    w, v = q[0], vectors.Vector(q[1:])
+    return (w * k - dot(v, u), *(w * u + k * v + cross(v, u)))
 
 
 def _product(a: vectors.VectorLike, b: vectors.VectorLike) -> tuple[Array, Array, Array, Array]:

@@ -411,7 +411,7 @@ def _pieces_and_rest(
     found = lax.scan(lambda c, x: run_piece(c, *x), carry, (starts, cut), reverse=loop.reverse)
     # The transpose of a barrier is one: JAX 0.10 fails if the cotangent of `ys` is a symbolic zero
     carry, ys = lax.optimization_barrier(found) if found[1] else found
-    ys = [y.reshape(-1, *y.shape[2:]) for y in ys]
+    ys = [y.reshape(y.shape[0] * y.shape[1], *y.shape[2:]) for y in ys]
     if not rest:
         return [*carry, *ys]
     tail = loop._replace(rows=1, every=rest) if loop.rows == 1 else loop._replace(rows=rest // loop.known_every)

@@ -12,12 +12,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.lookup import increasing_times, interval
 from lieint_jax.types import pytree
 
-_MODEST, _FACTOR = (
-    0.02,
-    0.7,
-)  # disagreements that are a warning and an error; of 6 entries a revolution it is below 1e-3
+# disagreements that are a warning and an error; of 6 entries a revolution it is below 1e-3
+_MODEST, _FACTOR = 0.02, 0.7
 
 
 @pytree
@@ -35,14 +34,9 @@ class Table:
 
     def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
         """Position (3,) and velocity (3,) at time t. Outside the table: ValueError if t is concrete, otherwise NaN."""
-        first, last = self.times[0], self.times[-1]
-        if concrete(t, self.times) and not float(first) <= float(now := np.asarray(t)) <= float(last):
-            raise ValueError(f"the table has times from {float(first):g} to {float(last):g}, got t = {float(now):g}")
-        t = jnp.asarray(t, self.times.dtype)
-        k = jnp.clip(jnp.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
-        (a, b), (ra, rb), (va, vb) = ((x[k], x[k + 1]) for x in (self.times, self.positions, self.velocities))
-        h = jnp.where((first <= t) & (t <= last), b - a, jnp.nan)
-        s = (t - a) / h
+        k, since, h = interval(self.times, t)
+        (ra, rb), (va, vb) = ((x[k], x[k + 1]) for x in (self.positions, self.velocities))
+        s = since / h
         step, ends = rb - ra, h * (va + vb) - 2 * (rb - ra)  # r = ra + h va s + (step − h va − ends) s² + ends s³
         bend = step - h * va - ends
         return ra + s * (h * va + s * (bend + s * ends)), va + s * (2 * bend + 3 * s * ends) / h
@@ -114,12 +108,7 @@ def table(times: Any, positions: Any, velocities: Any) -> Table:
 
 def _entries(times: Any, positions: Any, velocities: Any) -> Table:
     """The table of checked entries, whose velocities may be anything."""
-    t = _checks.real_array("times", times)
-    if t.ndim != 1 or len(t) < 2:
-        raise ValueError(f"times must have shape (n,) with n ≥ 2, got {t.shape}")
-    if concrete(t) and not (np.diff(np.asarray(t)) > 0).all():
-        k = int(np.argmin(np.diff(np.asarray(t)) > 0))
-        raise ValueError(f"times must increase, got {float(t[k])} before {float(t[k + 1])}, entries {k} and {k + 1}")
+    t = increasing_times(times)
     return Table(t, _vectors("positions", positions, t), _vectors("velocities", velocities, t))
 
 

@@ -30,7 +30,7 @@ def few_members(job: Job) -> Job:
     def changed(x: Any) -> np.ndarray:
         x, n = take(x), len(chosen)
         if x.dtype.kind == "f":
-            largest = np.abs(x[n:]).max(axis=tuple(range(1, x.ndim)), keepdims=True)
+            largest = np.abs(x[n:]).max(axis=tuple(range(1, x.ndim)), keepdims=True, initial=0)
             pattern = np.cos(1.0 + np.arange(x[n:].size)).reshape(x[n:].shape)
             x[n:] += (_CHANGE * np.finfo(x.dtype).eps * largest * pattern).astype(x.dtype)
         return x
@@ -62,6 +62,6 @@ def _agree(ours: np.ndarray, theirs: np.ndarray, changed: np.ndarray) -> bool:
         differs, spread = np.abs(ours - theirs), np.abs(changed - theirs)
         undecided = ~np.isfinite(spread) & (theirs != changed) & ~(np.isnan(theirs) & np.isnan(changed))
         same = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs)) | undecided
-    size, rounding = (np.max(np.where(np.isfinite(x), x, 0), axis=axes) for x in (np.abs(theirs), spread))
+    size, rounding = (np.max(np.where(np.isfinite(x), x, 0), axis=axes, initial=0) for x in (np.abs(theirs), spread))
     allowed = np.sqrt(np.finfo(theirs.dtype).eps) * size + _LEEWAY * rounding
     return bool(np.all(same | (allowed >= differs.T).T))

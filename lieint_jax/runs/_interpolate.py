@@ -124,7 +124,7 @@ def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tu
         found = found if a.t is None else found._replace(t=jnp.where(a.t == t[k], time, a.t + (time - t[k])))
         found = jax.tree.map(lambda x: jnp.where(inside, x, jnp.nan), found)
         gap = jnp.abs(h * (v0 + v1) / 2 - end) / (1 + jnp.abs(end))
-        return found, jnp.where(inside, jnp.max(gap[: space.dim // 2]), 0)
+        return found, jnp.where(inside, jnp.max(gap[: space.dim // 2 if a.p.size else None]), 0)
 
     return jax.vmap(interpolate_at)(left, times, inside)
 

@@ -165,7 +165,8 @@ def _gather_leaf(layout: Layout, x: Numbers, axis: int) -> np.ndarray:
     per_device = -(-layout.each // devices)
     mine = np.concatenate([mine, np.zeros((devices * per_device - len(mine), *mine.shape[1:]), mine.dtype)])
     whole = _all_gather_rows(layout.mesh, mine.reshape(devices, per_device, *mine.shape[1:]))
-    whole = whole.reshape(processes, -1, *mine.shape[1:])[:, : layout.each].reshape(-1, *mine.shape[1:])
+    whole = whole.reshape(processes, devices * per_device, *mine.shape[1:])[:, : layout.each]
+    whole = whole.reshape(processes * layout.each, *mine.shape[1:])
     return np.moveaxis(whole[: layout.members], 0, axis)
 
 

@@ -14,6 +14,7 @@ from lieint_jax.schemes._group_midpoint import *
 from lieint_jax.schemes._kepler_splitting import *
 from lieint_jax.schemes._langevin import *
 from lieint_jax.schemes._log_hamiltonian import *
+from lieint_jax.schemes._magnus import *
 from lieint_jax.schemes._nystrom import *
 from lieint_jax.schemes._preprocessed import *
 from lieint_jax.schemes._reversible_control import *

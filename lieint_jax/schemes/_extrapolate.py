@@ -175,7 +175,7 @@ def _relative(start: Sequence[Array], best: Sequence[Array], second: Sequence[Ar
 
 
 def _largest(arrays: Sequence[Array]) -> Array:
-    return functools.reduce(jnp.maximum, [jnp.max(jnp.abs(x)) for x in arrays])
+    return functools.reduce(jnp.maximum, [jnp.max(jnp.abs(x), initial=0) for x in arrays])
 
 
 PROPERTIES = SchemeProperties(

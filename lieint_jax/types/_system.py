@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,13 @@ from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 class System(abc.ABC):
-    """A Hamiltonian system: the functions that every scheme and every diagnostic may call."""
+    """A system: the functions that every scheme and every diagnostic may call.
+
+    Attributes:
+        hamiltonian: whether it has an energy and a symplectic form; all have, except motions with given rates.
+    """
+
+    hamiltonian: ClassVar[bool] = True
 
     @property
     @abc.abstractmethod

@@ -29,7 +29,7 @@ def sampled(name, h):
 
 def error(found, true):
     pairs = zip(jax.tree.leaves(found), jax.tree.leaves(true), strict=True)
-    return max(float(jnp.max(jnp.abs(a - b))) for a, b in pairs)
+    return max(float(jnp.max(jnp.abs(a - b), initial=0)) for a, b in pairs)
 
 
 # A satellite's laws have limits and a rod, at whose switches the motion has no sixth derivative.

@@ -47,7 +47,9 @@ def setting(name):
 
     direction = [rng.normal(size=np.shape(x)) * np.abs(x).max(initial=0) for x in leaves]
     direction = [(d + d.T) / 2 if d.shape == d.T.shape and d.ndim == 2 else d for d in direction]  # inertias stay so
-    delta = rng.normal(size=space.dim) * np.repeat([1.0, float(jnp.abs(state.p).max())], space.dim // 2)
+    momenta = space.dim // 2 if state.p.size else 0
+    units = np.repeat([1.0, float(jnp.abs(state.p).max(initial=0))], [space.dim - momenta, momenta])
+    delta = rng.normal(size=space.dim) * units
     at = ([jnp.asarray(x) for x in leaves], jnp.zeros(space.dim), jnp.asarray(dt))
     return loss, at, ([jnp.asarray(d) for d in direction], jnp.asarray(delta), jnp.asarray(0.3 * dt))
 

@@ -76,7 +76,8 @@ def order_and_error(name, step, states, dt):
         end = jax.tree.map(lambda x: x[-1], run.state)
         times = np.asarray(end.t - states.t) if step.own_time else np.full(MEMBERS, SHORT * dt)
         exact = reference(name, states.t is not None)([states, times], [step.system])
-        errors.append(max(np.abs(end.q - exact.q).max(), np.abs(end.p - exact.p).max() / np.abs(exact.p).max()))
+        size = np.abs(exact.p).max(initial=1e-300)
+        errors.append(max(np.abs(end.q - exact.q).max(), np.abs(end.p - exact.p).max(initial=0) / size))
     return np.log2(errors[0] / errors[1]), errors
 
 

@@ -107,6 +107,12 @@ def _is_finite(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value
     return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
 
+def _before(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
+    """Whether x₀ comes before x₁ in the order in which a NaN is the last, as in `jnp.searchsorted`."""
+    last = walk.number("and", walk.number("eq", x[0], x[0]), walk.number("ne", x[1], x[1]))
+    return walk.number("or", walk.number("lt", *x), last)
+
+
 def _operation(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, op: str) -> Value:
     return walk.number(op, *x, dtype=dtype)
 
@@ -132,6 +138,7 @@ ELEMENTWISE: dict[str, Callable[..., Value]] = {
     "integer_pow": _integer_power,
     "is_finite": _is_finite,
     "log2": _log2,
+    "lt_to": _before,
     "name": _name,
     "one_minus_square": _one_minus_square,
     "polynomial": _polynomial,

@@ -17,6 +17,8 @@ from lieint_jax.native._program import Value
 
 Window = tuple[list[Value], Value, np.ndarray]  # its first index, whether it is written, its numbers
 _CLIP, _FILL = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
+_ROW = 1024  # the most entries of a table that are read at once
+_COPIED = 256  # the longest array that is put together from numbers: LLVM needs 10 s for 400, minutes for 2000
 _SELECTED = 8  # the most numbers from which one is selected by comparing indices; longer arrays are read from memory
 
 
@@ -37,6 +39,8 @@ def _entry(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
     if all(x.is_constant for x in column):
         values = np.array([x.data for x in column], column[0].dtype)
         return walk.number("values", k, dtype=values.dtype, data=(values.dtype.str, values.tobytes()))
+    if len(column) > _COPIED:
+        raise UnsupportedError("an index into a long array that is not a table")
     array = walk.number("array", *column, dtype=column[0].dtype)
     return walk.number("entry", k, array, dtype=column[0].dtype)
 
@@ -244,17 +248,19 @@ def _platform(
 def look_up(
     walk: AbstractWalk, name: str, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
 ) -> np.ndarray:
-    """An entry of a table, or a slice of it."""
-    table, size = inputs[0], int(np.prod(out.shape))
-    one = name == "gather" and inputs[1].size == size == 1
-    if not ((one or name == "dynamic_slice") and isinstance(table, Table) and len(table.shape) == 1):
+    """An entry of a table, or a few that follow each other."""
+    table, few = inputs[0], int(np.prod(out.shape))
+    one = name in ("dynamic_slice", "slice") or (name == "gather" and inputs[1].size == few == 1)
+    if not (one and isinstance(table, Table) and 0 < few <= _ROW and len(table.shape) == 1):
         raise UnsupportedError(f"{name} of a long array")
-    mode = parameters["mode"] if one else _CLIP
-    [index], inside = _window(walk, table.shape, (size,), list(inputs[1].flat), (0,), {}, mode)
-    places = [_offset(walk, index, k) for k in range(size)]
+    mode = parameters["mode"] if name == "gather" else _CLIP
+    first = [walk.index(parameters["start_indices"][0])] if name == "slice" else list(inputs[1].flat)
+    [index], inside = _window(walk, table.shape, (few,), first, (0,), {}, mode)
+    stride = parameters.get("strides", (1,))[0]
+    places = [_offset(walk, index, k * stride) for k in range(few)]
     found = [walk.number("table", k, dtype=table.dtype, data=table.data) for k in places]
-    if one:
-        found = [_fill(walk, inside, found[0], parameters.get("fill_value"))]
+    if name == "gather":
+        found = [_fill(walk, inside, x, parameters.get("fill_value")) for x in found]
     return array_of(found, out.shape)
 
 

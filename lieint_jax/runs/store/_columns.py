@@ -50,7 +50,8 @@ class Axes:
     def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> Column:
         """The description of an array of one leaf of the states along `axes`."""
         dims, _ = labeled.state_axes(store_name(name), leaf.shape[1:])
-        return self.column({**axes, **{dim: (n, n) for dim, n in zip(dims, leaf.shape[1:], strict=True)}}, **attributes)
+        sizes = {dim: (n, max(n, 1)) for dim, n in zip(dims, leaf.shape[1:], strict=True)}  # momenta may have none
+        return self.column({**axes, **sizes}, **attributes)
 
 
 def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, Column]:

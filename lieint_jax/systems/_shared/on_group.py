@@ -46,7 +46,7 @@ class OnGroup(AbstractMetricSystem):
         """
         checked = _checks.unit_quaternion if self.group is so3 else _checks.real_array
         element = _checks.as_array(self.group.identity, self.metric.dtype) if q is None else checked("q", q)
-        _check_element("q", self.group, element)
+        check_element("q", self.group, element)
         name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
         value = _checks.real_array(name, given, (self.group.dim,))
         p = _momentum(self.group, self.metric, element, value, name)
@@ -65,7 +65,7 @@ class OnGroup(AbstractMetricSystem):
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or the system is a batch of systems."""
         _checks.of_one_system("metric", self.metric, self.group.dim)
-        _check_element("state.q", self.group, state.q)
+        check_element("state.q", self.group, state.q)
         _checks.real_array("state.p", state.p, (self.group.dim,))
 
 
@@ -82,7 +82,7 @@ def _defect(group: Group, q: Array) -> Array:
     return group.defect(q)
 
 
-def _check_element(name: str, group: Group, q: Array) -> None:
+def check_element(name: str, group: Group, q: Array) -> None:
     """Raise ValueError if a concrete q is off the group."""
     shape = np.shape(group.identity)
     if np.shape(q) != shape:
