@@ -22,13 +22,16 @@ from lieint_jax.capabilities._on_groups import (
     spatial_force,
 )
 from lieint_jax.capabilities._one_body import (
+    AbstractBodyInTime,
     AbstractDampedBody,
     AbstractDrivenGyrostat,
     AbstractEmbeddedBody,
     AbstractFreeBody,
+    AbstractFreeBodyInTime,
     AbstractGyrostat,
     AbstractRotatingBody,
     AbstractTorquedBody,
+    AbstractTorquedBodyInTime,
 )
 from lieint_jax.capabilities._several_bodies import (
     AbstractDissipativeBodies,
@@ -41,6 +44,7 @@ from lieint_jax.capabilities._sphere import AbstractSphereSystem
 from lieint_jax.capabilities._tops import AbstractDrivenTop, AbstractTop
 
 __all__ = [
+    "AbstractBodyInTime",
     "AbstractDampedBody",
     "AbstractDeformingBody",
     "AbstractDissipativeBodies",
@@ -52,6 +56,7 @@ __all__ = [
     "AbstractForcedSystem",
     "AbstractFreeBodies",
     "AbstractFreeBody",
+    "AbstractFreeBodyInTime",
     "AbstractGeodesicFlow",
     "AbstractGyrostat",
     "AbstractIncompressibleBody",
@@ -64,6 +69,7 @@ __all__ = [
     "AbstractSphereSystem",
     "AbstractTop",
     "AbstractTorquedBody",
+    "AbstractTorquedBodyInTime",
     "AbstractViscousBody",
     "Capability",
     "equation",

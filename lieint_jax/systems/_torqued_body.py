@@ -58,9 +58,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
 
     def state(self, *arguments: Any, works: bool = False, **options: Any) -> State:
         state = super().state(*arguments, **options)
-        Omega = self.angular_velocity(state)
-        now = Rotation.at_instant(clock(state), state.q, Omega, so3.Ad(state.q, Omega))
-        extra = jax.tree.map(lambda x: x.astype(state.p.dtype), self._starts(now))
+        extra = jax.tree.map(lambda x: x.astype(state.p.dtype), self._starts(self.now(state)))
         if works:
             extra["works"] = jnp.zeros(len(self.laws), state.p.dtype)
             state = state if state.work is not None else state._replace(work=jnp.zeros((), state.p.dtype))
