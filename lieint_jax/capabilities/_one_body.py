@@ -122,6 +122,15 @@ class AbstractTorquedBodyInTime(AbstractBodyInTime):
         """The laws one by one, in the order of `State.extra["works"]`."""
         return parts(self.torque)
 
+    @abc.abstractmethod
+    def frozen(self, t: Time, /) -> AbstractTorquedBody:
+        """The body whose constant inertia is J(t)."""
+
+    @equation
+    def sampled(self, state: State, dt: Array) -> tuple[State, Flag | bool]:
+        """That of the frozen body."""
+        return self.frozen(clock(state)).sampled(state, dt)
+
 
 class AbstractGyrostat(AbstractRotatingBody):
     """A rigid body with a rotor whose momentum in the body is constant: q̇ = ½ q Ω, π̇ = 0 with JΩ = Π − h_r, Π = Λᵀπ.
@@ -269,14 +278,13 @@ class AbstractTorquedBody(AbstractRotatingBody):
         return Rotation.at_instant(clock(state), state.q, Omega, so3.Ad(state.q, Omega))
 
     @equation
-    def sampled(self, state: State, dt: Array) -> tuple[State, Flag]:
+    def sampled(self, state: State, dt: Array) -> tuple[State, Flag | bool]:
         """The state that a step of dt begins with, after laws have sampled it, and whether they take such a step."""
-        flags = []
+        now, fits = self.now(state), True
         for law in (law for law in self.laws if law.samples):
-            held, flag = law.sample(self.now(state), dt, jnp.asarray(self.inner(state, law)))
-            state = state._replace(extra=(state.extra or {}) | {str(law.key): held})
-            flags.append(flag)
-        return state, jnp.all(jnp.stack(flags)) if flags else jnp.ones((), bool)
+            held, fit = law.sample(now, dt, jnp.asarray(self.inner(state, law)))
+            state, fits = state._replace(extra=(state.extra or {}) | {str(law.key): held}), fit & fits
+        return state, fits
 
     @equation
     def instant(self, state: State, law: Law) -> tuple[Vector3, Array | None]:

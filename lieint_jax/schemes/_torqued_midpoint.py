@@ -31,7 +31,6 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.equation import ImplicitEquation
@@ -48,7 +47,6 @@ from lieint_jax.types import (
     Rotation,
     State,
     Step,
-    StepError,
     StepInfo,
     System,
     clock,
@@ -99,16 +97,12 @@ class TorquedMidpoint(Step):
         return f"torqued_midpoint[{self.kappa.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        system, dt = self.system, jnp.asarray(dt)
-        in_time = isinstance(system, AbstractTorquedBodyInTime)
-        samples, fits = any(law.samples for law in system.laws), None
-        if samples:
-            state, fits = (system.frozen(clock(state)) if in_time else system).sampled(state, dt)
-        if in_time:
-            end, info = step_in_time(system, state, dt, lambda body, z: self._advance(body, z, dt))
+        state, fits = self.system.sampled(state, jnp.asarray(dt))
+        if isinstance(self.system, AbstractTorquedBodyInTime):
+            end, info = step_in_time(self.system, state, dt, lambda body, z: self._advance(body, z, dt))
         else:
-            end, info = self._advance(system, state, dt)
-        return end, info._replace(converged=info.converged & fits) if samples else info
+            end, info = self._advance(self.system, state, dt)
+        return end, info if fits is True else info._replace(converged=info.converged & fits)
 
     def _advance(self, system: AbstractTorquedBody, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """The step of a body of constant inertia."""
@@ -129,15 +123,9 @@ class TorquedMidpoint(Step):
             end = end._replace(work=state.work + sum(works))
         return end._replace(extra=_extra_after(state.extra, equation.laws, torques.each, works)), info
 
-    def check(self, state: State, dt: ArrayLike) -> None:
-        if concrete(self, state, dt):
-            self.system.check(state)
-            for refusal in (law.refusal(float(clock(state)), float(dt)) for law in self.system.laws):
-                if refusal:
-                    raise StepError(refusal)
-        super().check(state, dt)
-
     def advice(self, state: State, dt: ArrayLike) -> str:
+        if not self.system.sampled(state, jnp.asarray(dt))[1]:
+            return next(law.refusal(clock(state), dt) for law in self.system.laws if law.samples)
         dtype = state.p.dtype
         number, q, vector = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((), (4,), (3,)))
         for name, law in zip(labels(self.system), self.system.laws, strict=True):

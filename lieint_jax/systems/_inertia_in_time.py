@@ -177,25 +177,27 @@ def _check(name: str, function: Any) -> None:
         shape = jax.eval_shape(lambda t: jnp.asarray(function(t)), jnp.zeros(())).shape
     except Exception:  # `_checks.function` says what fails
         shape = (3,)
-    _checks.function(name, lambda t: _value(function, t), "the time t", shape if shape == (3, 3) else (3,), jnp.zeros(()))
+    _checks.function(
+        name, lambda t: _value(function, t), "the time t", shape if shape == (3, 3) else (3,), jnp.zeros(())
+    )
 
 
 @pytree
 class Deployment:
-    """Moments that change smoothly from `folded` to `open` in `duration`, for the examples.
+    """Moments that change smoothly from `folded` to `deployed` in `duration`, for the examples.
 
     Attributes:
-        folded, open: principal moments, (3,).
+        folded, deployed: principal moments, (3,).
         duration: of the deployment, from t = 0.
     """
 
     folded: Array
-    open: Array
+    deployed: Array
     duration: Array
 
     def __call__(self, t: Time) -> Vector3:
         s = jnp.clip(t / self.duration, 0, 1)
-        return self.folded + s * s * (3 - 2 * s) * (self.open - self.folded)
+        return self.folded + s * s * (3 - 2 * s) * (self.deployed - self.folded)
 
 
 PROPERTIES = SystemProperties(

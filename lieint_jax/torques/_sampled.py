@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax._checks import named, positive
 from lieint_jax.torques._actuators import control_laws, control_torque
@@ -12,7 +13,8 @@ from lieint_jax.types.shapes import PyTree
 
 __all__ = ["Sampled", "sampled"]
 
-_NEAR = 1 / 16  # of a step: how far from a sample, by the rounding of the time, a step may begin or end
+_NEAR = 1 / 16  # of a step: how far from a sample, by the rounding of the time, a step may begin
+_EQUAL = 1e-5  # relative: how far from a multiple of dt, by rounding, the period may be
 
 
 @pytree
@@ -20,13 +22,13 @@ class Sampled(Law):
     """A digital controller: a law sampled at t = 0, period, 2 period, …, whose torque is held in the body in between.
 
     Each sample evaluates the law at the state of that moment, at the start of a step. `State.extra[key]` is the torque
-    held, (3,); before the first sample it is the one at the initial state. The work is that of the torque held. The
-    samples of the past are not known, so a step of Δt < 0 reports `converged=False`.
+    held, (3,); before the first sample it is the one at the initial state. The work is that of the torque held. There
+    is no way back, for samples of the past are not known.
 
     Args:
         law: a law without an internal state, a sum of such laws, or a function (t, q, Ω) ↦ (3,) in the body.
-        period: between two samples, > 0. Steps must not pass over a sample, so Δt divides the period and the first
-            step begins at a multiple of Δt: others are refused, and report `converged=False`.
+        period: between two samples, > 0. A step that could pass over a sample is refused, and reports
+            `converged=False`: Δt > 0 divides the period, and runs begin at a multiple of Δt.
         key: the name of the torque held in `State.extra`; several controllers need several names.
 
     Raises:
@@ -61,24 +63,21 @@ class Sampled(Law):
         return control_torque(self.law, now.t, now.q_n, now.Omega)
 
     def sample(self, now: Rotation, dt: Array, inner: Array) -> tuple[Array, Array]:
-        """The torque to hold in a step of dt from now, and whether the step passes over no sample and dt ≥ 0."""
-        near = _NEAR * jnp.abs(dt)
-        last = jnp.floor((now.t + near) / self.period)
-        following = jnp.ceil((now.t + dt - near) / self.period)
-        at_sample = jnp.abs(now.t - last * self.period) <= near
-        return jnp.where(at_sample, self.start(now), inner), (following - last <= 1) & (dt >= 0)
+        """The torque to hold in a step of dt from now, and whether no step of dt passes over a sample."""
+        at_sample = jnp.abs(now.t - jnp.round(now.t / self.period) * self.period) <= _NEAR * jnp.abs(dt)
+        moves = dt != 0
+        number, passed = (x / jnp.where(moves, dt, 1) for x in (self.period, now.t))
+        divides = jnp.abs(number - jnp.round(number)) <= _EQUAL * number
+        fits = (dt > 0) & divides & (jnp.abs(passed - jnp.round(passed)) <= _NEAR)
+        return jnp.where(at_sample, self.start(now), inner), fits | ~moves
 
-    def refusal(self, t: float, dt: float) -> str:
-        """Why the law does not take a step."""
-        period, allowed = float(self.period), "give a dt > 0 that divides the period, and start at a multiple of dt"
-        if dt < 0:
-            return f"a sampled law does not know its samples of the past, and got dt = {dt:g}: {allowed}"
-        number, start = (x / dt if dt else 0.0 for x in (period, t))
-        if dt and abs(number - round(number)) > 1e-5 * number:
-            return f"dt = {dt:g} does not divide the period {period:g} of {self.key}: {allowed}"
-        if abs(start - round(start)) > _NEAR:
-            return f"t = {t:g} is no multiple of dt = {dt:g}, so a step would pass over a sample of {self.key}: {allowed}"
-        return ""
+    def refusal(self, t: Array, dt: ArrayLike) -> str:
+        """Which steps the law accepts."""
+        return (
+            f"{self.label} samples at multiples of {float(self.period):g}, and no step may go back or pass over a sample: "
+            f"give a dt > 0 that divides {float(self.period):g} and a start at a multiple of dt, got dt = {dt} at "
+            f"t = {t}"
+        )
 
 
 sampled = Sampled

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax._deprecated import old_calls
 from lieint_jax.types._pytree import callable_pytree, pytree, static
@@ -119,9 +120,9 @@ class Law(abc.ABC):
         """The internal state to begin a step of dt with, and whether the law takes such a step, a flag."""
         raise NotImplementedError
 
-    def refusal(self, t: float, dt: float) -> str:
-        """Why the law does not take a step of dt from t, a sentence, and what is allowed; empty where it does."""
-        return ""
+    def refusal(self, t: Array, dt: ArrayLike) -> str:
+        """Why the law does not take a step of dt from t, and what is allowed, for a law that `samples`."""
+        raise NotImplementedError
 
     def inner_rate(self, now: Rotation, inner: Array) -> Array | None:
         """The rate of the internal state at one instant; by default None: the derivative of what `mean` returns.
