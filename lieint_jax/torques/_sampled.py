@@ -74,9 +74,9 @@ class Sampled(Law):
     def refusal(self, t: Array, dt: ArrayLike) -> str:
         """Which steps the law accepts."""
         return (
-            f"{self.label} samples at multiples of {float(self.period):g}, and no step may go back or pass over a sample: "
-            f"give a dt > 0 that divides {float(self.period):g} and a start at a multiple of dt, got dt = {dt} at "
-            f"t = {t}"
+            f"{self.label} samples at multiples of {float(self.period):g}, and no step may go back or pass over a "
+            f"sample: give a dt > 0 that divides {float(self.period):g} and a start at a multiple of dt, got dt = {dt} "
+            f"at t = {t}"
         )
 
 
