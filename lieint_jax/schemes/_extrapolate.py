@@ -161,7 +161,7 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
     if any(law.samples for law in getattr(system, "laws", ())):
         raise ValueError(
-            "extrapolate integrates vector fields, and a sampled law changes its torque at samples: use torqued_midpoint"
+            "extrapolate integrates vector fields, and a sampled law changes its torque in jumps: use torqued_midpoint"
         )
     form = next(name for name, chart in _CHARTS.items() if chart.supports(system))
     return Extrapolated(system, order, form, increments)

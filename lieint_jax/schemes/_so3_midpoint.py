@@ -207,7 +207,7 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for free rigid bodies and gyrostats."""
-    if not isinstance(system, PROPERTIES.accepts):
+    if not isinstance(system, AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat):
         return {}
     return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in KAPPAS)}
 

@@ -266,7 +266,7 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for bodies with a torque or with internal friction."""
-    if not isinstance(system, PROPERTIES.accepts):
+    if not isinstance(system, AbstractTorquedBody | AbstractTorquedBodyInTime | AbstractDampedBody):
         return {}
     return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
 

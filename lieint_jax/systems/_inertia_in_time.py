@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -36,6 +38,10 @@ class _InTime(AbstractBodyInTime):
 
     inertia: _Inertia
     rate: _Inertia | None
+
+    @abc.abstractmethod
+    def frozen(self, t: Time, /) -> FrozenBody | TorquedBody:
+        """The body whose constant inertia is J(t)."""
 
     def inertia_at(self, t: Time) -> Array:
         """J(t), (3,) or (3, 3)."""
@@ -158,7 +164,7 @@ def inertia_in_time(
     return TorquedInertiaInTime(*parts, torqued_body(_value(inertia, jnp.zeros(())), torque).torque)
 
 
-def _value(function: _Inertia, t: Time) -> Array:
+def _value(function: Callable[..., Any], t: Time) -> Array:
     """The tensor at a time, in the type of the time."""
     t = jnp.asarray(t)
     return jnp.asarray(function(t), t.dtype)
@@ -173,13 +179,12 @@ def _check(name: str, function: Any) -> None:
             f"{name} must be a function of the time t with values (3,) or (3, 3), got {function!r}; a body of constant "
             "inertia is systems.rigid_body or systems.torqued_body"
         )
+    zero = jnp.zeros(())
     try:
-        shape = jax.eval_shape(lambda t: jnp.asarray(function(t)), jnp.zeros(())).shape
+        shape = jax.eval_shape(_value, function, zero).shape
     except Exception:  # `_checks.function` says what fails
         shape = (3,)
-    _checks.function(
-        name, lambda t: _value(function, t), "the time t", shape if shape == (3, 3) else (3,), jnp.zeros(())
-    )
+    _checks.function(name, partial(_value, function), "the time t", shape if shape == (3, 3) else (3,), zero)
 
 
 @pytree
