@@ -106,6 +106,10 @@ class AbstractFreeBodyInTime(AbstractBodyInTime):
 
     noun = "free bodies whose inertia changes (systems.inertia_in_time)"
 
+    @abc.abstractmethod
+    def frozen(self, t: Time, /) -> AbstractFreeBody:
+        """The body whose constant inertia is J(t)."""
+
 
 class AbstractTorquedBodyInTime(AbstractBodyInTime):
     """The same with laws of torque: q̇ = ½ q Ω, π̇ = Στ_k.

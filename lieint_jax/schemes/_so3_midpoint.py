@@ -25,8 +25,8 @@ and from Π_{n+1} = cay(Θ)ᵀΠ_n, with cay(Θ)Θ̄ = Θ̄, follows H_{n+1} −
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -75,7 +75,7 @@ class SO3Midpoint(Step):
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if isinstance(self.system, AbstractFreeBodyInTime):
-            return step_in_time(self.system, state, dt, lambda body, z: self._frozen(body).advance(z, dt))
+            return step_in_time(self.system, state, dt, lambda body, z: replace(self, system=body).advance(z, dt))
         if isinstance(self.system, AbstractDrivenGyrostat):
             return self._driven_step(self.system, state, jnp.asarray(dt))
         J, a = scaled(self.system, state, dt)
@@ -102,7 +102,7 @@ class SO3Midpoint(Step):
         """The step of the gyrostat with the mean rotor momentum h̄_r, with the change of h_r and the motor's work."""
         rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
         mean = rotor + 0.5 * change
-        end, info = dataclasses.replace(self, system=system.with_rotor(mean))(state, dt)
+        end, info = replace(self, system=system.with_rotor(mean))(state, dt)
         end = end._replace(extra=(state.extra or {}) | {"rotor": rotor + change})
         if state.work is None:
             return end, info
@@ -110,24 +110,23 @@ class SO3Midpoint(Step):
         Omega = symmetric(system.inertia).solve(own)
         return end._replace(work=state.work - dot(Omega, change)), info
 
-    def _frozen(self, body: AbstractFreeBody) -> SO3Midpoint:
-        return dataclasses.replace(self, system=body)
-
     def advice(self, state: State, dt: ArrayLike) -> str:
-        if isinstance(self.system, AbstractFreeBodyInTime):
-            frozen = self._frozen(self.system.frozen(clock(state) + dt / 2))
-            return advice_in_time(self.system, state, dt) or frozen.advice(state, dt)
         return self.advice_to(self.name, state, dt, f", or more iterations than {self.iterations}")
 
     def advice_to(self, name: str, state: State, dt: ArrayLike, iterations: str = "") -> str:
         """The advice to a step of this name with the same equation; `iterations` is what helps Newton's method."""
-        J = np.asarray(self.system.inertia)
-        own = np.asarray(so3.Ad_star(state.q, state.p) - _rotor(self.system, state))
+        system = self.system
+        if isinstance(system, AbstractFreeBodyInTime):
+            if wrong := advice_in_time(system, state, dt):
+                return wrong
+            system = system.frozen(clock(state) + jnp.asarray(dt) / 2)
+        J = np.asarray(system.inertia)
+        own = np.asarray(so3.Ad_star(state.q, state.p) - _rotor(system, state))
         turn = float(np.abs(dt) * np.linalg.norm(own / J if J.ndim == 1 else np.linalg.solve(J, own)))
         more = iterations if turn < 1 else ""  # beyond, Newton may fail to converge
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
-        if not symmetric(self.system.inertia).well_conditioned:
+        if not symmetric(system.inertia).well_conditioned:
             return f"{name}: {SLENDER}"
         return (
             f"{name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the rotation in a step, rad; the branch "

@@ -25,9 +25,10 @@ def step_in_time(
     system: AbstractBodyInTime, state: State, dt: ArrayLike, advance: Callable[[Any, State], tuple[State, StepInfo]]
 ) -> tuple[State, StepInfo]:
     """The step, by `advance(frozen body, state)`; `converged` only if J is positive definite at its three times."""
-    middle = clock(state) + jnp.asarray(dt) / 2
+    t = clock(state)
+    middle = t + jnp.asarray(dt) / 2
     end, info = advance(system.frozen(middle), state)
-    start, mid, last = [symmetric(system.inertia_at(t)) for t in (state.t, middle, clock(state) + dt)]
+    start, mid, last = [symmetric(system.inertia_at(x)) for x in (t, middle, t + dt)]
     if state.work is not None and end.work is not None:
         before, after = so3.Ad_star(state.q, state.p), so3.Ad_star(end.q, end.p)
         end = end._replace(work=end.work + (_change(before, start, mid) + _change(after, mid, last)))
