@@ -181,7 +181,7 @@ def _check(name: str, function: Any) -> None:
         )
     zero = jnp.zeros(())
     try:
-        shape = jax.eval_shape(_value, function, zero).shape
+        shape = jax.eval_shape(partial(_value, function), zero).shape
     except Exception:  # `_checks.function` says what fails
         shape = (3,)
     _checks.function(name, partial(_value, function), "the time t", shape if shape == (3, 3) else (3,), zero)
