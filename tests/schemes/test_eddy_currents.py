@@ -1,7 +1,5 @@
 """Eddy currents in a conducting body: the closed form of a sphere, and the sign of the work at any step."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import lieint_jax as li
 from lieint_jax import torques
 from lieint_jax.groups import so3
 from lieint_jax.schemes import torqued_midpoint
@@ -19,26 +16,34 @@ FIELD, OMEGA = np.array([0.5, -1.0, 1.2]), np.array([0.3, -0.4, 0.8])
 TENSOR = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.05], [0.0, -0.05, 0.2]])
 
 
-@functools.partial(jax.jit, static_argnums=3)
+once = jax.jit(lambda step, state, dt: step(state, dt))
+
+
 def path(step, state, dt, num_steps):
-    return li.integrate(step, state, dt, num_steps)
+    """The last state, and the largest |H − W − H₀| and |Δπ·b| of the run."""
+    energy = lambda z: step.system.energy(z) - z.work  # noqa: E731
+    z, most = state, np.zeros(2)
+    for _ in range(num_steps):
+        z, info = once(step, z, dt)
+        assert info.converged
+        most = np.maximum(most, np.abs([energy(z) - energy(state), (z.p - state.p) @ FIELD]))
+    return z, *most
 
 
 def test_a_sphere_loses_its_rotation_across_the_field_as_in_closed_form():
-    """π∥ is constant, π⊥ = π⊥(0) exp(−k|b|²t/J). Observed: π·b to 2e-16, order 2.00."""
+    """π∥ is constant, π⊥ = π⊥(0) exp(−k|b|²t/J). Both balances are round-off."""
     k, J, end = 0.2, 1.7, 4.0
     body = torqued_body([J, J, J], torques.eddy_current(k, FIELD))
     state = body.state([0.8, -0.3, 0.4, np.sqrt(0.11)], angular_velocity=OMEGA, work=0.0)
     along = FIELD * (FIELD @ state.p) / (FIELD @ FIELD)
     exact = along + (state.p - along) * np.exp(-k * FIELD @ FIELD * end / J)
     errors = []
-    for n in (20, 40, 80):
-        run = path(torqued_midpoint(body), state, end / n, n)
-        np.testing.assert_allclose(run.state.p @ FIELD, state.p @ FIELD, rtol=1e-14)
-        assert abs(li.diagnostics.energy_error(body, run)).max() < 1e-15
-        errors.append(np.abs(run.state.p[-1] - exact).max())
-    assert errors[-1] < 1e-4
-    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2, rtol=0, atol=0.02)
+    for n in (20, 40):
+        z, balance, moved = path(torqued_midpoint(body), state, end / n, n)
+        assert max(balance, moved) < 2e-15
+        errors.append(np.abs(z.p - exact).max())
+    assert errors[-1] < 1e-3
+    assert abs(np.log2(errors[0] / errors[1]) - 2) < 0.02
 
 
 def test_a_number_and_a_multiple_of_the_identity_are_the_torque_of_the_literature():
@@ -65,6 +70,7 @@ numbers = st.floats(-3, 3, allow_subnormal=False)
 vectors = st.lists(numbers, min_size=3, max_size=3).map(np.array)
 
 
+@pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.lists(vectors, min_size=3, max_size=3), vectors, vectors, st.floats(1e-3, 1e3), st.booleans())
 def test_the_work_of_a_step_is_never_positive(root, field, omega, dt, singular):
@@ -73,9 +79,11 @@ def test_the_work_of_a_step_is_never_positive(root, field, omega, dt, singular):
     work, gained, energy, converged = work_of_step(root, field, omega, dt)
     assert work <= 0
     if converged:
-        assert abs(gained - work) <= 1e-12 * energy
+        stiffness = dt * np.sum(root**2) * (field @ field)
+        assert abs(gained - work) <= 2e-14 * (1 + stiffness) * energy
 
 
+@pytest.mark.long
 def test_a_body_comes_to_rest_in_a_field_that_turns_with_it():
     """With the rate of the field a body that rotates with the field has no torque, and a body at rest is driven."""
     spin = np.array([0.0, 0.0, 0.7])
@@ -88,9 +96,9 @@ def test_a_body_comes_to_rest_in_a_field_that_turns_with_it():
     np.testing.assert_allclose(law(jnp.zeros(()), q, spin), 0, rtol=0, atol=1e-16)
     assert law(jnp.zeros(()), q, np.zeros(3))[2] > 0.1
     body = torqued_body([1.0, 1.3, 1.5], law)
-    run = path(torqued_midpoint(body), body.state(angular_velocity=[0.2, 0, 0], work=0.0), 0.05, 200)
-    assert abs(li.diagnostics.energy_error(body, run)).max() < 1e-14
-    assert run.state.work[-1] > 0.02
+    z, balance, _ = path(torqued_midpoint(body), body.state(angular_velocity=[0.2, 0, 0], work=0.0), 0.05, 100)
+    assert balance < 1e-14
+    assert z.work > 0.01
 
 
 def test_wrong_tensors_are_refused():
