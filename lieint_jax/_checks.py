@@ -340,6 +340,8 @@ def inertia(value: Input, stacklevel: int = 3) -> Array:
     Moments that violate the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass. They cause a warning,
     not an error, since such pseudo-inertias are in use.
     """
+    if callable(value) and not hasattr(value, "inertia"):
+        raise ValueError(f"inertia must be an array, got {value!r}; a function of time: systems.inertia_in_time")
     array = positive_definite("inertia", value)
     if not concrete(array):
         return array

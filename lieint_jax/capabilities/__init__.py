@@ -23,13 +23,16 @@ from lieint_jax.capabilities._on_groups import (
     spatial_force,
 )
 from lieint_jax.capabilities._one_body import (
+    AbstractBodyInTime,
     AbstractDampedBody,
     AbstractDrivenGyrostat,
     AbstractEmbeddedBody,
     AbstractFreeBody,
+    AbstractFreeBodyInTime,
     AbstractGyrostat,
     AbstractRotatingBody,
     AbstractTorquedBody,
+    AbstractTorquedBodyInTime,
 )
 from lieint_jax.capabilities._several_bodies import (
     AbstractDissipativeBodies,
@@ -42,6 +45,7 @@ from lieint_jax.capabilities._sphere import AbstractSphereSystem
 from lieint_jax.capabilities._tops import AbstractDrivenTop, AbstractTop
 
 __all__ = [
+    "AbstractBodyInTime",
     "AbstractDampedBody",
     "AbstractDeformingBody",
     "AbstractDissipativeBodies",
@@ -53,6 +57,7 @@ __all__ = [
     "AbstractForcedSystem",
     "AbstractFreeBodies",
     "AbstractFreeBody",
+    "AbstractFreeBodyInTime",
     "AbstractGeodesicFlow",
     "AbstractGyrostat",
     "AbstractIncompressibleBody",
@@ -66,6 +71,7 @@ __all__ = [
     "AbstractSphereSystem",
     "AbstractTop",
     "AbstractTorquedBody",
+    "AbstractTorquedBodyInTime",
     "AbstractViscousBody",
     "Capability",
     "equation",

@@ -14,8 +14,8 @@ from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, EmbeddedRotations
 from lieint_jax.torques import internal_friction
-from lieint_jax.types import Law, PhaseSpace, State, clock, instant, parts
-from lieint_jax.types.shapes import Matrix3, Scalar, Time, Vector3
+from lieint_jax.types import Law, PhaseSpace, Rotation, State, clock, instant, parts
+from lieint_jax.types.shapes import Flag, Matrix3, Scalar, Time, Vector3
 from lieint_jax.types.vectors import cross, dot, matrix, symmetric, vector
 
 _PHASE_SPACE, _EMBEDDED = CotangentGroup(so3), EmbeddedRotations()
@@ -62,6 +62,78 @@ class AbstractFreeBody(AbstractRotatingBody):
     """
 
     noun = "free rigid bodies (systems.rigid_body)"
+
+
+class AbstractBodyInTime(Capability):
+    """A rigid body whose inertia is a function of time: at each time it moves as `frozen`, its present self.
+
+    H − W is conserved, with the power Ẇ = −½ Ω·J̇Ω of what moves the masses, plus that of torques.
+    """
+
+    @property
+    def phase_space(self) -> PhaseSpace:
+        return _PHASE_SPACE
+
+    @abc.abstractmethod
+    def inertia_at(self, t: Time, /) -> Array:
+        """J(t), principal moments (3,) or a symmetric tensor (3, 3)."""
+
+    @abc.abstractmethod
+    def rate_at(self, t: Time, /) -> Array:
+        """J̇(t), of the shape of J."""
+
+    @abc.abstractmethod
+    def frozen(self, t: Time, /) -> AbstractFreeBody | AbstractTorquedBody:
+        """The body whose constant inertia is J(t)."""
+
+    @equation
+    def angular_velocity(self, state: State) -> Vector3:
+        """The body angular velocity Ω = J(t)⁻¹Π, shape (3,)."""
+        return self.frozen(clock(state)).angular_velocity(state)
+
+    @equation
+    def vector_field(self, state: State) -> State:
+        """That of the frozen body, with −½ Ω·J̇Ω added to the rate of the work."""
+        t = clock(state)
+        body = self.frozen(t)
+        moving, Omega = body.vector_field(state), body.angular_velocity(state)
+        power = -dot(Omega, symmetric(self.rate_at(t)) @ Omega) / 2
+        return moving._replace(work=power if moving.work is None else power + moving.work)
+
+
+class AbstractFreeBodyInTime(AbstractBodyInTime):
+    """A torque-free body whose inertia is a function of time: q̇ = ½ q Ω, π̇ = 0 with J(t)Ω = Π = Λᵀπ."""
+
+    noun = "free bodies whose inertia changes (systems.inertia_in_time)"
+
+    @abc.abstractmethod
+    def frozen(self, t: Time, /) -> AbstractFreeBody:
+        """The body whose constant inertia is J(t)."""
+
+
+class AbstractTorquedBodyInTime(AbstractBodyInTime):
+    """The same with laws of torque: q̇ = ½ q Ω, π̇ = Στ_k.
+
+    Attributes:
+        torque: a law of torque, or the `Total` of several laws.
+    """
+
+    noun = "bodies with a torque whose inertia changes (systems.inertia_in_time)"
+    torque: Law
+
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """The laws one by one, in the order of `State.extra["works"]`."""
+        return parts(self.torque)
+
+    @abc.abstractmethod
+    def frozen(self, t: Time, /) -> AbstractTorquedBody:
+        """The body whose constant inertia is J(t)."""
+
+    @equation
+    def sampled(self, state: State, dt: Array) -> tuple[State, Flag | bool]:
+        """That of the frozen body."""
+        return self.frozen(clock(state)).sampled(state, dt)
 
 
 class AbstractGyrostat(AbstractRotatingBody):
@@ -202,6 +274,21 @@ class AbstractTorquedBody(AbstractRotatingBody):
                 f'system.state(...), or give it one with state._replace(extra={{"{key}": …}})'
             )
         return state.extra[key]
+
+    @equation
+    def now(self, state: State) -> Rotation:
+        """The instant of a state, for laws."""
+        Omega = self.angular_velocity(state)
+        return Rotation.at_instant(clock(state), state.q, Omega, so3.Ad(state.q, Omega))
+
+    @equation
+    def sampled(self, state: State, dt: Array) -> tuple[State, Flag | bool]:
+        """The state that a step of dt begins with, after laws have sampled it, and whether they take such a step."""
+        now, fits = self.now(state), True
+        for law in (law for law in self.laws if law.samples):
+            held, fit = law.sample(now, dt, jnp.asarray(self.inner(state, law)))
+            state, fits = state._replace(extra=(state.extra or {}) | {str(law.key): held}), fit & fits
+        return state, fits
 
     @equation
     def instant(self, state: State, law: Law) -> tuple[Vector3, Array | None]:

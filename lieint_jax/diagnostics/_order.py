@@ -44,9 +44,14 @@ def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     z0, unravel = ravel_pytree(state)
     _, A, b = (jnp.asarray(x, z0.dtype) for x in collocation.gauss(_STAGES))
     h = jnp.asarray(t, z0.dtype) / num_steps
+
+    def begin(z: Array) -> Array:
+        return ravel_pytree(system.sampled(unravel(z), h)[0])[0]
+
     f = jax.vmap(lambda z: ravel_pytree(time_derivative(system, unravel(z)))[0])
 
     def step_once(z: Array, _: None) -> tuple[Array, None]:
+        z = begin(z)
         start = jnp.zeros((_STAGES, z.size), z.dtype)
         k, before = lax.fori_loop(0, _ITERATIONS, lambda _, k: (f(z[None] + h * (A @ k[0])), k[0]), (start, start))
         change, size = (jnp.max(jnp.abs(x)) for x in (h * (k - before), z))

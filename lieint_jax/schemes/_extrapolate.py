@@ -150,7 +150,7 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
             of the time for a top in an ensemble, and gives 3 to 40 times the round-off.
 
     Raises:
-        ValueError: the order is not one of these, or `system` is not a system.
+        ValueError: the order is not one of these, or `system` is not a system, or has a sampled law.
 
     Source: Gragg, SIAM J. Numer. Anal. 2 (1965) 384; Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations
     I, II.9.
@@ -159,6 +159,10 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
+    if any(law.samples for law in getattr(system, "laws", ())):
+        raise ValueError(
+            "extrapolate integrates vector fields, and a sampled law changes its torque in jumps: use torqued_midpoint"
+        )
     form = next(name for name, chart in _CHARTS.items() if chart.supports(system))
     return Extrapolated(system, order, form, increments)
 

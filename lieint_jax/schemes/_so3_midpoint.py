@@ -25,8 +25,8 @@ and from Π_{n+1} = cay(Θ)ᵀΠ_n, with cay(Θ)Θ̄ = Θ̄, follows H_{n+1} −
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -34,10 +34,11 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.capabilities import AbstractDrivenGyrostat, AbstractFreeBody, AbstractGyrostat
+from lieint_jax.capabilities import AbstractDrivenGyrostat, AbstractFreeBody, AbstractFreeBodyInTime, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS, bias, half_rotation, scaled
+from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rounding import SLENDER
 from lieint_jax.schemes._shared.scalar_form import half_rotation_derivative
@@ -53,12 +54,12 @@ class SO3Midpoint(Step):
     """The step made by `so3_midpoint`.
 
     Attributes:
-        system: a free rigid body or a gyrostat.
+        system: a free rigid body, also one whose inertia changes in time, or a gyrostat.
         kappa: the scaling κ.
         iterations: Newton corrections per step.
     """
 
-    system: AbstractFreeBody | AbstractGyrostat | AbstractDrivenGyrostat
+    system: AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat
     kappa: Kappa
     iterations: int = static()
     order: float = static(default=2)
@@ -73,6 +74,8 @@ class SO3Midpoint(Step):
         return f"so3_midpoint[{self.kappa.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        if isinstance(self.system, AbstractFreeBodyInTime):
+            return step_in_time(self.system, state, dt, lambda body, z: replace(self, system=body).advance(z, dt))
         if isinstance(self.system, AbstractDrivenGyrostat):
             return self._driven_step(self.system, state, jnp.asarray(dt))
         J, a = scaled(self.system, state, dt)
@@ -99,7 +102,7 @@ class SO3Midpoint(Step):
         """The step of the gyrostat with the mean rotor momentum h̄_r, with the change of h_r and the motor's work."""
         rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
         mean = rotor + 0.5 * change
-        end, info = dataclasses.replace(self, system=system.with_rotor(mean))(state, dt)
+        end, info = replace(self, system=system.with_rotor(mean))(state, dt)
         end = end._replace(extra=(state.extra or {}) | {"rotor": rotor + change})
         if state.work is None:
             return end, info
@@ -112,13 +115,18 @@ class SO3Midpoint(Step):
 
     def advice_to(self, name: str, state: State, dt: ArrayLike, iterations: str = "") -> str:
         """The advice to a step of this name with the same equation; `iterations` is what helps Newton's method."""
-        J = np.asarray(self.system.inertia)
-        own = np.asarray(so3.Ad_star(state.q, state.p) - _rotor(self.system, state))
+        system = self.system
+        if isinstance(system, AbstractFreeBodyInTime):
+            if wrong := advice_in_time(system, state, dt):
+                return wrong
+            system = system.frozen(clock(state) + jnp.asarray(dt) / 2)
+        J = np.asarray(system.inertia)
+        own = np.asarray(so3.Ad_star(state.q, state.p) - _rotor(system, state))
         turn = float(np.abs(dt) * np.linalg.norm(own / J if J.ndim == 1 else np.linalg.solve(J, own)))
         more = iterations if turn < 1 else ""  # beyond, Newton may fail to converge
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
-        if not symmetric(self.system.inertia).well_conditioned:
+        if not symmetric(system.inertia).well_conditioned:
             return f"{name}: {SLENDER}"
         return (
             f"{name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the rotation in a step, rad; the branch "
@@ -127,7 +135,7 @@ class SO3Midpoint(Step):
 
 
 def so3_midpoint(
-    system: AbstractFreeBody | AbstractGyrostat | AbstractDrivenGyrostat,
+    system: AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat,
     kappa: Kappa | Callable[[Array], Array] = kappa_symplectic,
     iterations: int | None = None,
 ) -> SO3Midpoint:
@@ -141,16 +149,19 @@ def so3_midpoint(
     | any other, free body | exact (Result 3) | exact, bit for bit | defect O(Δt³) per step |
     | any, gyrostat | exact | exact, bit for bit | defect O(Δt³) per step: `splitting` is symplectic |
     | any, driven gyrostat | energy less work exact | exact, bit for bit | defect O(Δt³) per step |
+    | as a free body, for J(t) | energy less work exact | exact, bit for bit | as a free body |
 
     In a driven gyrostat each step changes the rotor's momentum by Δh_r = Δt τ(t_n + ½Δt), and the work, if it is
-    tracked, by −Ω̄·Δh_r.
+    tracked, by −Ω̄·Δh_r. A body whose inertia is a function of time moves in each step with J(t_n + ½Δt); the work is
+    that of the changes of J at both ends.
 
     All are of second order and time-symmetric, with |q| = 1 to round-off. Momentum is the Noether invariant of
     rotations in space; energy is ½ Π·J⁻¹Π. "Exact" is to round-off at a converged step; rounding errors add up, to
     6e-12 of the energy in 10⁷ steps of J = (1, 2, 2.7) with Δt = 0.1 (`so3_explicit` corrects them).
 
     Args:
-        system: `systems.rigid_body(...)`, `systems.gyrostat(...)`, `systems.driven_gyrostat(...)`.
+        system: `systems.rigid_body(...)`, `systems.gyrostat(...)`, `systems.driven_gyrostat(...)`,
+            or `systems.inertia_in_time(...)` without a torque.
         kappa: κ as a callable of x = |Θ̄|² with κ(0) = 1. A κ with parameters is a `jax.tree_util.Partial`.
         iterations: Newton corrections per step; by default 3 for the scalar form (the symplectic κ of a free body), 4
             for the vector form. The scalar form reaches round-off with 2 for |Δt Ω| ≤ 0.7, with 3 for ≤ 0.95; the
@@ -175,26 +186,27 @@ def so3_midpoint(
     PROPERTIES.check(system)
     kappa = as_kappa(kappa)
     if iterations is None:
-        iterations = ITERATIONS[kappa.solve_by if isinstance(system, AbstractFreeBody) else "vector"]
+        free = isinstance(system, AbstractFreeBody | AbstractFreeBodyInTime)
+        iterations = ITERATIONS[kappa.solve_by if free else "vector"]
     return SO3Midpoint(system, kappa, _checks.count("iterations", iterations, 1))
 
 
 PROPERTIES = SchemeProperties(
     name="so3_midpoint",
-    systems="free bodies, gyrostats",
+    systems="free bodies, also with J(t), gyrostats",
     conserves=("energy", "momentum", "form (symplectic κ, free body)"),
     order=2,
     symmetric=True,
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("discrete Moser–Veselov (symplectic κ)", "RATTLE (symplectic κ)"),
     source="Lewis & Simo 1994, (2.24), (2.28), Results 1 to 5",
-    accepts=(AbstractFreeBody, AbstractGyrostat, AbstractDrivenGyrostat),
+    accepts=(AbstractFreeBody, AbstractGyrostat, AbstractDrivenGyrostat, AbstractFreeBodyInTime),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for free rigid bodies and gyrostats."""
-    if not isinstance(system, AbstractFreeBody | AbstractGyrostat | AbstractDrivenGyrostat):
+    if not isinstance(system, AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat):
         return {}
     return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in KAPPAS)}
 

@@ -34,9 +34,10 @@ from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.equation import ImplicitEquation
-from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody
+from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody, AbstractTorquedBodyInTime
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
 from lieint_jax.torques import internal_friction
@@ -80,12 +81,12 @@ class TorquedMidpoint(Step):
     """The step made by `torqued_midpoint` for a body with a torque.
 
     Attributes:
-        system: a rigid body with a torque.
+        system: a rigid body with a torque, also one whose inertia changes in time.
         kappa: the scaling κ.
         iterations: Newton corrections per step.
     """
 
-    system: AbstractTorquedBody
+    system: AbstractTorquedBody | AbstractTorquedBodyInTime
     kappa: Kappa
     iterations: int = static()
     order: float = static(default=2)
@@ -96,7 +97,16 @@ class TorquedMidpoint(Step):
         return f"torqued_midpoint[{self.kappa.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        equation = _Equation.from_state(self, state, dt)
+        state, fits = self.system.sampled(state, jnp.asarray(dt))
+        if isinstance(self.system, AbstractTorquedBodyInTime):
+            end, info = step_in_time(self.system, state, dt, lambda body, z: self._advance(body, z, dt))
+        else:
+            end, info = self._advance(self.system, state, dt)
+        return end, info if fits is True else info._replace(converged=info.converged & fits)
+
+    def _advance(self, system: AbstractTorquedBody, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        """The step of a body of constant inertia."""
+        equation = _Equation.from_state(self.kappa, system, state, dt)
         guess, limit = equation.guess()
         x, info = equation.solve(guess, self.iterations, done=newton.quadratic, first=limit)
         y, z = Vector(x[:3]), Vector(x[3:])
@@ -114,6 +124,8 @@ class TorquedMidpoint(Step):
         return end._replace(extra=_extra_after(state.extra, equation.laws, torques.each, works)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
+        if not self.system.sampled(state, jnp.asarray(dt))[1]:
+            return next(law.refusal(clock(state), dt) for law in self.system.laws if law.samples)
         dtype = state.p.dtype
         number, q, vector = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((), (4,), (3,)))
         for name, law in zip(labels(self.system), self.system.laws, strict=True):
@@ -123,7 +135,8 @@ class TorquedMidpoint(Step):
                     f"the torque {name} returns {found}, so that no step converges to round-off of {dtype}, the type "
                     "of the state: compute it in the type of its arguments"
                 )
-        return _advice(self, dt, "the torque is too stiff")
+        in_time = isinstance(self.system, AbstractTorquedBodyInTime) and advice_in_time(self.system, state, dt)
+        return in_time or _advice(self, dt, "the torque is too stiff")
 
 
 @pytree
@@ -196,7 +209,7 @@ def _advice(step: TorquedMidpoint | DampedMidpoint, dt: ArrayLike, reason: str) 
 
 
 def torqued_midpoint(
-    system: AbstractTorquedBody | AbstractDampedBody,
+    system: AbstractTorquedBody | AbstractTorquedBodyInTime | AbstractDampedBody,
     kappa: Kappa | Callable[[Array], Array] = kappa_cayley,
     iterations: int | None = None,
 ) -> TorquedMidpoint | DampedMidpoint:
@@ -215,10 +228,11 @@ def torqued_midpoint(
     `State.extra["works"]`, if it exists, counts the work of each law.
 
     The torque of a function is evaluated at t + ½Δt, at the attitude half-way, (q_n + q_{n+1})/|…|, and at ω̄. A law
-    defines its own mean torque, such as that of a potential, whose balance is then exact too.
+    defines its own mean torque, such as that of a potential, whose balance is then exact too. A body whose inertia is a
+    function of time moves in each step with J(t + ½Δt); `State.work` counts the changes of J at both ends too.
 
     Args:
-        system: `systems.torqued_body(...)` or `systems.damped_body(...)`.
+        system: `systems.torqued_body(...)`, `systems.damped_body(...)`, or `systems.inertia_in_time(..., torque=...)`.
         kappa: κ as in `so3_midpoint`. The symplectic κ ends at |ΔtΩ| ≈ 1, the Cayley κ at 2 to 4.
         iterations: the most Newton corrections per step, by default 5. A step that does not converge reports
             `converged=False`.
@@ -239,20 +253,20 @@ def torqued_midpoint(
 
 PROPERTIES = SchemeProperties(
     name="torqued_midpoint",
-    systems="bodies with torques or internal friction",
+    systems="bodies with torques, also with J(t), or internal friction",
     conserves=("energy less work",),
     order=2,
     symmetric=True,
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("energy–momentum midpoint rule",),
     source="Lewis & Simo 1994, Results 1 to 3, with torques: this package",
-    accepts=(AbstractTorquedBody, AbstractDampedBody),
+    accepts=(AbstractTorquedBody, AbstractDampedBody, AbstractTorquedBodyInTime),
 )
 
 
 def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for bodies with a torque or with internal friction."""
-    if not isinstance(system, AbstractTorquedBody | AbstractDampedBody):
+    if not isinstance(system, AbstractTorquedBody | AbstractTorquedBodyInTime | AbstractDampedBody):
         return {}
     return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
 
@@ -318,13 +332,12 @@ class _Equation(ImplicitEquation[Vector]):
     dt: Array
 
     @classmethod
-    def from_state(cls, step: TorquedMidpoint, state: State, dt: Any) -> _Equation:
+    def from_state(cls, kappa: Kappa, system: AbstractTorquedBody, state: State, dt: Any) -> _Equation:
         """The equation of a step from a state."""
-        system = step.system
         J, r = unit_trace(system.inertia)
         Pi = vector(r * so3.Ad_star(state.q, state.p))
         inner = tuple(_inner(state, law) for law in system.laws)
-        return cls(step.kappa, system.laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
+        return cls(kappa, system.laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
 
     @property
     def a(self) -> Vector:

@@ -58,9 +58,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
 
     def state(self, *arguments: Any, works: bool = False, **options: Any) -> State:
         state = super().state(*arguments, **options)
-        Omega = self.angular_velocity(state)
-        now = Rotation.at_instant(clock(state), state.q, Omega, so3.Ad(state.q, Omega))
-        extra = jax.tree.map(lambda x: x.astype(state.p.dtype), self._starts(now))
+        extra = jax.tree.map(lambda x: x.astype(state.p.dtype), self._starts(self.now(state)))
         if works:
             extra["works"] = jnp.zeros(len(self.laws), state.p.dtype)
             state = state if state.work is not None else state._replace(work=jnp.zeros((), state.p.dtype))
@@ -218,7 +216,7 @@ PROPERTIES = SystemProperties(
 
 
 def examples() -> dict[str, tuple[TorquedBody, State, float]]:
-    """Magnetic detumbling on a polar orbit, a controlled slew, an internal damper, and a satellite with five laws."""
+    """Magnetic detumbling on a polar orbit, a controlled slew, dampers, a computer, and a satellite with five laws."""
     J, start, Omega = [1.0, 2.0, 2.5], so3.exp(jnp.array([0.9, -1.2, 0.5])), jnp.array([0.3, -0.4, 0.8])
     satellite = torques.total(
         [
@@ -233,6 +231,8 @@ def examples() -> dict[str, tuple[TorquedBody, State, float]]:
         "detumbling": torqued_body(J, torques.bdot(0.05, _dipole_field)),
         "slew": torqued_body(J, torques.pd_quaternion(0.5, 0.8)),
         "damper": torqued_body(J, torques.kane_damper(0.2, 0.1)),
+        "eddy_currents": torqued_body(J, torques.eddy_current([0.05, 0.1, 0.2], _dipole_field)),
+        "computer": torqued_body(J, torques.sampled(torques.pd_quaternion(0.5, 0.8), 0.1)),
         "satellite": torqued_body(J, satellite),
     }
     return {name: (body, body.state(start, angular_velocity=Omega, work=0.0), 0.05) for name, body in made.items()}

@@ -9,6 +9,7 @@
 | `wheels` | −(Ω × h_r + dh_r/dt), h_r = Σ g_j h_j | Σ Δh_j σ̄_j of the motors |
 | `kane_damper` | −c(ω − ω_d), ω_d of a sphere inside | −Δt c\\|ω̄ − ω̄_d\\|² |
 | `bdot` | −k(\\|b\\|²ω − b(b·ω)) in a field b(t), with or without a limit | −Δt k\\|b × ω̄\\|², never positive |
+| `eddy_current` | M(Ω × B) × B of a conducting body in a field | −Δt (Ω̄ × B̄)·M(Ω̄ × B̄), never positive |
 | `hysteresis` | a magnetic rod: F(w) e × b with a play operator | that of the field, less ρ\\|ΔF(w)\\| |
 | `pd_trace`, `pd_quaternion` | proportional-derivative control, which unwinds or not | −Δt c\\|ω̄\\|² |
 | `pointing`, `sliding_mode` | control to a frame that moves, such as `orbits.lvlh` | Δt Ω̄·T̄ |
@@ -16,6 +17,7 @@
 | `solar_plate`, `solar_plates` | r × F(s) of flat plates, s the direction of the Sun | the same |
 | `aerodynamic` | r × F(v) of flat plates in a thin atmosphere | the same |
 | `thruster` | constant T in the body, in a time window | the same |
+| `sampled` | any control law, at the samples of a digital controller | Δt Ω̄·T of the torque held |
 | `saturated` | any of them, cut at a limit | Δt Ω̄·T̄ and the change of its energy |
 
 `a + b` and `total` add laws, plain functions (t, q, Ω) ↦ T too. A bar on Ω or ω is the step's own angular velocity,

@@ -8,6 +8,7 @@ from lieint_jax.torques._magnetic import *
 from lieint_jax.torques._modified_law import *
 from lieint_jax.torques._pointing import *
 from lieint_jax.torques._potential import *
+from lieint_jax.torques._sampled import *
 from lieint_jax.torques._surfaces import *
 from lieint_jax.torques._thruster import *
 from lieint_jax.torques._wheels import *

@@ -54,7 +54,8 @@ def allocation(axes: ArrayLike) -> Array:
     return g @ jnp.linalg.inv(g.T @ g)
 
 
-def _control_laws(control: Any) -> tuple[Law, ...]:
+def control_laws(control: Any) -> tuple[Law, ...]:
+    """The laws of a control law; ValueError if one has an internal state."""
     laws = parts(control)
     for law in laws:
         if (key := law.key or law.reads) is not None:
@@ -68,7 +69,7 @@ def _control_laws(control: Any) -> tuple[Law, ...]:
 _limit = named(positive, "max_dipole", (), (3,), optional=True)
 
 
-def _control_torque(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> Array:
+def control_torque(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> Array:
     """The torque of control laws in the body."""
     total = jnp.zeros_like(Omega)
     for law in laws:
@@ -98,7 +99,7 @@ class WheelMotor:
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
         """The torques dh_j/dt on the wheels, (m,)."""
         momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
-        return -(self.allocation @ (_control_torque(self.control, t, q, Omega) + momentum))
+        return -(self.allocation @ (control_torque(self.control, t, q, Omega) + momentum))
 
 
 def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> WheelMotor:
@@ -113,7 +114,7 @@ def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> Whee
     Raises:
         ValueError: axes that are not of unit length or do not span all directions, a law with an internal state.
     """
-    return WheelMotor(_control_laws(control), wheel_axes(axes), allocation(axes), bool(gyroscopic))
+    return WheelMotor(control_laws(control), wheel_axes(axes), allocation(axes), bool(gyroscopic))
 
 
 @pytree
@@ -135,14 +136,14 @@ class Torquers(Law):
     Source: Sidi 1997, Spacecraft Dynamics and Control, 7.4.
     """
 
-    control: tuple[Law, ...] = argument(converter=_control_laws)
+    control: tuple[Law, ...] = argument(converter=control_laws)
     field: VectorOfTime = argument(converter=named(vector_of_time, "field"))
     max_dipole: Array | None = argument(converter=_limit, default=None)
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """The law at the middle of the step."""
         B = middle_axes(rotation, value_at(self.field, rotation.t))
-        torque = _control_torque(self.control, rotation.t, rotation.q_mid, rotation.Omega)
+        torque = control_torque(self.control, rotation.t, rotation.q_mid, rotation.Omega)
         return _magnetic_torque(torque, B, self.max_dipole), inner
 
 

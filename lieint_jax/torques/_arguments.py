@@ -7,11 +7,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._checks import concrete
 from lieint_jax.types import callable_pytree
-from lieint_jax.types.vectors import norm
+from lieint_jax.types.vectors import Symmetric, norm, symmetric
 
 VectorOfTime = Array | Callable[[Array], Array]
 
@@ -44,6 +47,25 @@ def direction_at(direction: VectorOfTime, t: Array) -> Array:
 def evaluate(function: Callable[[Array], Any], t: Array) -> Any:
     """A function of time, traced once, although a step evaluates it in each iteration."""
     return function(t)
+
+
+def dissipative_tensor(name: str, value: ArrayLike) -> Array:
+    """A number, principal values (3,), or a symmetric tensor (3, 3) without a negative principal value."""
+    D = _checks.real_array(name, value, (), (3,), (3, 3))
+    if concrete(D):
+        values = np.asarray(D, float)
+        if values.ndim == 2:
+            if not np.allclose(values, values.T, rtol=1e-6, atol=1e-6 * np.abs(values).max()):
+                raise ValueError(f"{name} must be symmetric, got\n{values}\nGive (D + D.T) / 2")
+            values = np.linalg.eigvalsh(values)
+        if values.min() < -1e-12 * np.abs(values).max():
+            raise ValueError(f"{name} must not be negative, got principal values {values}")
+    return D
+
+
+def tensor_of(value: Array) -> Symmetric:
+    """The tensor that `dissipative_tensor` accepts; a number stands for a multiple of the identity."""
+    return symmetric(value if value.ndim else jnp.broadcast_to(value, (3,)))
 
 
 def cut(vector: Array, limit: Array) -> Array:

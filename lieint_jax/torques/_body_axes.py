@@ -32,6 +32,11 @@ def end_axes(rotation: Rotation, v: VectorLike) -> Array:
     return _rotate(rotation, v, weight, weight)
 
 
+def mean_axes(rotation: Rotation, v: VectorLike) -> Array:
+    """Λ̄ᵀv, the mean of a vector of space in the axes of the body at both ends of the step, (3,)."""
+    return (start_axes(rotation, v) + end_axes(rotation, v)) / 2
+
+
 def _rotate(rotation: Rotation, v: VectorLike, first: Array, second: Array) -> Array:
     a = start_axes(rotation, v)
     b = cross(rotation.h, a)

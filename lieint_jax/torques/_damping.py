@@ -3,30 +3,15 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
-from numpy.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import concrete, named, not_negative, positive
-from lieint_jax.types import Law, Rotation, argument, pytree, static, vectors
+from lieint_jax._checks import named, not_negative, positive
+from lieint_jax.torques._arguments import dissipative_tensor, tensor_of
+from lieint_jax.types import Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Scalar, Vector, VectorLike, cross, dot
 
 __all__ = ["KaneDamper", "Viscous", "internal_friction", "kane_damper", "viscous"]
-
-
-def _damping(damping: ArrayLike) -> Array:
-    D = _checks.real_array("damping", damping, (), (3,), (3, 3))
-    if concrete(D):
-        values = np.asarray(D, float)
-        if values.ndim == 2:
-            if not np.allclose(values, values.T, rtol=1e-6, atol=1e-6 * np.abs(values).max()):
-                raise ValueError(f"damping must be symmetric, got\n{values}\nGive (D + D.T) / 2")
-            values = np.linalg.eigvalsh(values)
-        if values.min() < -1e-12 * np.abs(values).max():
-            raise ValueError(f"damping must not be negative, got principal values {values}")
-    return D
 
 
 @pytree
@@ -40,12 +25,11 @@ class Viscous(Law):
         ValueError: a negative D, or none of these shapes.
     """
 
-    damping: Array = argument(converter=_damping)
+    damping: Array = argument(converter=named(dissipative_tensor, "damping"))
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """−DΩ̄."""
-        D = self.damping if self.damping.ndim else jnp.broadcast_to(self.damping, (3,))
-        return -jnp.stack(vectors.symmetric(D) @ rotation.Omega), inner
+        return -jnp.stack(tensor_of(self.damping) @ rotation.Omega), inner
 
 
 @pytree

@@ -45,6 +45,13 @@ class System(abc.ABC):
     def check(self, state: State, /) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
 
+    def sampled(self, state: State, dt: Array, /) -> tuple[State, Array | bool]:
+        """The state that a step of dt begins with, where a controller has sampled it, and whether dt suits the samples.
+
+        By default nothing is sampled.
+        """
+        return state, True
+
     @property
     def initial_extra(self) -> dict[str, Array] | None:
         """The arrays that the states of this system have in `extra`, at rest; None if there are none."""

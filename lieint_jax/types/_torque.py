@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax._deprecated import old_calls
 from lieint_jax.types._pytree import callable_pytree, pytree, static
@@ -78,6 +79,7 @@ class Law(abc.ABC):
         internal: whether the law exchanges momentum with its internal state only, so that the total is conserved.
         implicit: whether the internal state after a step is an unknown of the step's equation, since its rate depends
             on it. Then a step calls `implicit_mean`.
+        samples: whether the law changes its internal state at the start of a step. Then a step calls `sample`.
     """
 
     frame: str = "body"
@@ -86,6 +88,7 @@ class Law(abc.ABC):
     symmetric: bool = True
     internal: bool = False
     implicit: bool = False
+    samples: bool = False
 
     @property
     def label(self) -> str:
@@ -112,6 +115,14 @@ class Law(abc.ABC):
     def start(self, now: Rotation) -> Array | None:
         """The internal state at the start of a run, for the body at that instant; None if the law has none."""
         return None
+
+    def sample(self, now: Rotation, dt: Array, inner: Array) -> tuple[Array, Array]:
+        """The internal state to begin a step of dt with, and whether the law takes such a step, a flag."""
+        raise NotImplementedError
+
+    def refusal(self, t: Array, dt: ArrayLike) -> str:
+        """Why the law does not take a step of dt from t, and what is allowed, for a law that `samples`."""
+        raise NotImplementedError
 
     def inner_rate(self, now: Rotation, inner: Array) -> Array | None:
         """The rate of the internal state at one instant; by default None: the derivative of what `mean` returns.

@@ -144,6 +144,13 @@ CASES = {
     "torques.bdot limited": torque(lambda gain, b, limit: torques.bdot(gain, turning(b), limit))(
         gain=0.4, b=FIELD, limit=jnp.array([0.1, 0.2, 0.3])
     ),
+    "torques.eddy_current": torque(lambda k, b, rate: torques.eddy_current(k, turning(b), turning(rate)))(
+        k=J, b=FIELD, rate=THETA
+    ),
+    "torques.eddy_current in a slow field": torque(lambda k, b: torques.eddy_current(k, turning(b)))(k=0.4, b=FIELD),
+    "torques.sampled": torque(lambda gain, period: torques.sampled(torques.viscous(gain), period), THETA)(
+        gain=0.4, period=0.2
+    ),
     "torques.hysteresis": torque(lambda b, **more: torques.hysteresis(field=turning(b), **more), jnp.array(0.2))(
         b=FIELD, axis=SUN, saturation=0.3, slope=0.2, coercivity=0.1
     ),

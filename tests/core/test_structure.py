@@ -190,6 +190,7 @@ systems.rigid_body systems.heavy_top
 systems.potential_top orbits.graded_times
 systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
 systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat systems.torqued_body
+systems.inertia_in_time torques.eddy_current torques.sampled
 systems.damped_body systems.driven_top systems.gravity_gradient schemes.torqued_midpoint schemes.so3_alpha
 schemes.group_alpha schemes.sphere_chart groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean
 groups.special_linear groups.symplectic groups.special_unitary groups.affine groups.heisenberg groups.product

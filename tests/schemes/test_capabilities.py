@@ -301,6 +301,8 @@ def test_every_system_declares_what_it_is():
         capabilities.AbstractGyrostat,
         capabilities.AbstractDrivenGyrostat,
         capabilities.AbstractTorquedBody,
+        capabilities.AbstractFreeBodyInTime,
+        capabilities.AbstractTorquedBodyInTime,
         capabilities.AbstractDampedBody,
         capabilities.AbstractDissipativeBodies,
         capabilities.AbstractViscousBody,
