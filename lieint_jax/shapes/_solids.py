@@ -112,7 +112,7 @@ class Shape:
         fourth = jnp.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, self.fourth)
         corners = self.triangles
         triangles = None if corners is None else jnp.sum(R[None, None] * corners[:, :, None], axis=3)
-        center = jnp.sum(R * self.center, axis=1)
+        center = jnp.sum(R * self.center[None], axis=1)
         return Shape(self.mass, center, second, third, fourth, radius=self.radius, triangles=triangles)
 
     def __add__(self, other: Shape) -> Shape:
