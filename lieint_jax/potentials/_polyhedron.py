@@ -143,14 +143,14 @@ class PolyhedronGravity(Potential):
             force = force - jnp.sum(tensors[..., None] * slope, axis=(1, 2)) / 2
             W = jnp.sum(tensors[:, :, :, None] * T[:, None], axis=2)
             torque = jnp.stack([W[:, 2, 1] - W[:, 1, 2], W[:, 0, 2] - W[:, 2, 0], W[:, 1, 0] - W[:, 0, 1]], axis=1)
-        f, tau = (jnp.sum(R[0] * y[:, None, :], axis=2) for y in (force, torque))
+        f, tau = (jnp.sum(R[:1] * y[:, None, :], axis=2) for y in (force, torque))
         back = -jnp.sum(jnp.concatenate([f, jnp.cross(x[1:] - x[:1], f) + tau], axis=1), axis=0, keepdims=True)
         return jnp.concatenate([back, jnp.concatenate([f, tau], axis=1)])
 
     def _split(self, invariants: Array) -> tuple[Array, Array | None]:
         """The points from the origin of the mesh, (n, 3), and CMCᵀ, (n, 3, 3)."""
         n = len(self.masses)
-        points = invariants[: 3 * n].reshape(n, 3) + self.polyhedron.center
+        points = invariants[: 3 * n].reshape(n, 3) + self.polyhedron.center[None]
         if self.second is None:
             return points, None
         C = invariants[3 * n :].reshape(n, 3, 3)
@@ -197,7 +197,7 @@ def polyhedron(G: ArrayLike, mesh: Shape | tuple[ArrayLike, Any], density: Array
     shape = mesh if isinstance(mesh, Shape) else shapes.mesh(*mesh, density=1.0)
     if shape.triangles is None:
         raise ValueError("mesh must be vertices and faces, or a shape of shapes.mesh or shapes.obj; this one has none")
-    a, b, c = jnp.moveaxis(shape.triangles - shape.center, 1, 0)
+    a, b, c = jnp.moveaxis(shape.triangles - shape.center[None, None], 1, 0)
     volume = jnp.sum(a * jnp.cross(b, c)) / 6
     rho = shape.mass / volume if density is None else _checks.real_array("density", density, (), like=volume)
     G = _checks.real_array("G", G, (), like=volume)
@@ -256,7 +256,7 @@ def _next_derivative(order: int, primals: tuple[Array, Array], tangents: tuple[A
     change = jnp.zeros_like(found)
     if not isinstance(by_x, SymbolicZero):
         slope = _derivative(order + 1, table, x)
-        change = change + jnp.sum((slope[_SIX] if order == 1 else slope.reshape(-1, 3)) * by_x, axis=1)
+        change = change + jnp.sum((slope[_SIX] if order == 1 else slope.reshape(-1, 3)) * by_x[None], axis=1)
     if not isinstance(by_table, SymbolicZero):
         change = change + jax.jvp(lambda y: _over_faces(order, y, x), (table,), (by_table,))[1]
     return found, change

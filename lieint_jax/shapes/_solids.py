@@ -107,19 +107,19 @@ class Shape:
         """
         by = _checks.real_array("by", by, (3,), like=self.second)
         if rotation is None:
-            triangles = None if self.triangles is None else self.triangles + by
+            triangles = None if self.triangles is None else self.triangles + by[None, None]
             return replace(self, center=self.center + by, triangles=triangles)
         return self._rotate(_checks.rotation_matrix("rotation", rotation)).moved(by)
 
     def _rotate(self, R: Array) -> Shape:
         second = jnp.einsum("ai,bj,ij->ab", R, R, self.second)
-        center = jnp.sum(R * self.center, axis=1)
+        center = jnp.sum(R * self.center[None], axis=1)
         if self.third is None or self.fourth is None:
             return Shape(self.mass, center, second, None, None, radius=self.radius)
         third = jnp.einsum("ai,bj,ck,ijk->abc", R, R, R, self.third)
         fourth = jnp.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, self.fourth)
         corners = self.triangles
-        triangles = None if corners is None else jnp.sum(R * corners[:, :, None], axis=3)
+        triangles = None if corners is None else jnp.sum(R[None, None] * corners[:, :, None], axis=3)
         return Shape(self.mass, center, second, third, fourth, radius=self.radius, triangles=triangles)
 
     def __add__(self, other: Shape) -> Shape:
@@ -281,7 +281,7 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     if concrete(at):
         _check_parts(np.asarray(at, float)[triangles], triangles)
     reference = jnp.mean(at, axis=0)  # near the center: the moments about a distant point would cancel
-    corners = (at - reference)[triangles]
+    corners = (at - reference[None])[triangles]
     volume, *moments = _of_tetrahedra(corners)
     if concrete(volume):
         size = float(jnp.max(jnp.abs(corners)))
@@ -291,9 +291,9 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     scale = scale * jnp.sign(volume)
     to_center = scale * moments[0] / total
     _, _, second, third, fourth = _shift_moments((total, *(scale * M for M in moments)), -to_center)
-    triangles = jnp.where(volume < 0, at[triangles[:, ::-1]], at[triangles])
+    triangles = jnp.where(volume < 0, at[triangles[:, ::-1]], at[triangles]) + 0 * volume  # NaN where it is NaN
     center = reference + to_center
-    radius = jnp.max(_norm(triangles - center))
+    radius = jnp.max(_norm(triangles - center[None, None]))
     return Shape(total, center, second, third, fourth, radius=radius, triangles=triangles)
 
 
