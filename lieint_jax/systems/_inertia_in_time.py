@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -143,8 +144,8 @@ def inertia_in_time(
         torque: as in `torqued_body`, in the body if it is a function; None for a free body.
 
     Raises:
-        ValueError: a function that JAX cannot trace or with values of another shape, or that is not positive definite
-            at t = 0; a bad torque.
+        ValueError: a function that JAX cannot trace or with values of another shape; a bad torque. `state` raises one
+            if J is not positive definite at its time.
 
     Source: Hughes 1986, Spacecraft Attitude Dynamics; for jet damping: Thomson 1986, Introduction to Space Dynamics.
 
@@ -161,7 +162,7 @@ def inertia_in_time(
     parts = (callable_pytree(inertia), None if rate is None else callable_pytree(rate))
     if torque is None:
         return InertiaInTime(*parts)
-    return TorquedInertiaInTime(*parts, torqued_body(_value(inertia, jnp.zeros(())), torque).torque)
+    return TorquedInertiaInTime(*parts, torqued_body(jnp.ones(3), torque).torque)
 
 
 def _value(function: Callable[..., Any], t: Time) -> Array:
@@ -179,30 +180,18 @@ def _check(name: str, function: Any) -> None:
             f"{name} must be a function of the time t with values (3,) or (3, 3), got {function!r}; a body of constant "
             "inertia is systems.rigid_body or systems.torqued_body"
         )
-    zero = jnp.zeros(())
+    value, zero = partial(_value, function), jnp.zeros(())
     try:
-        shape = jax.eval_shape(partial(_value, function), zero).shape
+        shape = jax.eval_shape(value, zero).shape
     except Exception:  # `_checks.function` says what fails
         shape = (3,)
-    _checks.function(name, partial(_value, function), "the time t", shape if shape == (3, 3) else (3,), zero)
+    _checks.function(name, value, "the time t", shape if shape == (3, 3) else (3,), zero)
 
 
-@pytree
-class Deployment:
-    """Moments that change smoothly from `folded` to `deployed` in `duration`, for the examples.
-
-    Attributes:
-        folded, deployed: principal moments, (3,).
-        duration: of the deployment, from t = 0.
-    """
-
-    folded: Array
-    deployed: Array
-    duration: Array
-
-    def __call__(self, t: Time) -> Vector3:
-        s = jnp.clip(t / self.duration, 0, 1)
-        return self.folded + s * s * (3 - 2 * s) * (self.deployed - self.folded)
+def _deploying(folded: Array, change: Array, t: Time) -> Vector3:
+    """Moments that change smoothly from t = 0 to 4, for the examples."""
+    s = jnp.clip(t / 4, 0, 1)
+    return folded + s * s * (3 - 2 * s) * change
 
 
 PROPERTIES = SystemProperties(
@@ -219,8 +208,8 @@ PROPERTIES = SystemProperties(
 
 def examples() -> dict[str, tuple[InertiaInTime | TorquedInertiaInTime, State, float]]:
     """A satellite that deploys booms while it tumbles, and a motor off the axis that burns its fuel."""
-    booms = Deployment(jnp.array([1.0, 1.5, 2.0]), jnp.array([3.0, 1.8, 4.0]), jnp.array(4.0))
-    fuel = Deployment(jnp.array([2.0, 1.9, 0.6]), jnp.array([1.4, 1.3, 0.5]), jnp.array(5.0))
-    motor = thruster([0.02, 0.05, 0.0], 0.0, 5.0)
+    booms = Partial(_deploying, jnp.array([1.0, 1.5, 2.0]), jnp.array([2.0, 0.3, 2.0]))
+    fuel = Partial(_deploying, jnp.array([2.0, 1.9, 0.6]), jnp.array([-0.6, -0.6, -0.1]))
+    motor = thruster([0.02, 0.05, 0.0], 0.0, 4.0)
     made = {"booms": inertia_in_time(booms), "motor": inertia_in_time(fuel, torque=motor)}
     return {name: (body, body.state(angular_velocity=[0.3, -0.4, 0.8], work=0.0), 0.05) for name, body in made.items()}

@@ -30,7 +30,8 @@ class Thruster(Law):
         silent = (rotation.t < self.begin) | (self.stop <= rotation.t)  # neither for NaN
         instant = length == 0
         part = jnp.clip(overlap / jnp.where(instant, 1, length), 0, 1)
-        return jnp.where(instant, jnp.where(fires | silent, fires, jnp.nan), part) * self.torque, inner
+        now = jnp.where(fires, 1.0, jnp.where(silent, 0.0, jnp.nan)).astype(part.dtype)
+        return jnp.where(instant, now, part) * self.torque, inner
 
 
 def thruster(torque: ArrayLike, start: ArrayLike, stop: ArrayLike) -> Thruster:
