@@ -162,7 +162,7 @@ class _Clock:
 
 def _numbers(
     text: Text, delimiter: str | None, columns: dict[str, list[Column]], clock: _Clock, member: int | None
-) -> tuple[array[int], np.ndarray]:
+) -> tuple[Sequence[int], np.ndarray]:
     """The lines of the rows, and the numbers in the columns, (rows, columns), times in seconds."""
     wanted = [column for given in columns.values() for column in given]
     names, width, rows = _header(text, _rows(text, delimiter), wanted)
@@ -268,7 +268,7 @@ def _number(text: Text, line: int, cell: str, what: str) -> float:
     return text.number(line, cell, what)
 
 
-def _attitudes(text: Text, lines: array[int], q: np.ndarray, frame: Frame) -> np.ndarray:
+def _attitudes(text: Text, lines: Sequence[int], q: np.ndarray, frame: Frame) -> np.ndarray:
     """Quaternions of unit length without jumps of sign, body to space."""
     norms = np.linalg.norm(q, axis=1)
     worst = int(np.argmax(np.abs(norms - 1)))

@@ -227,7 +227,7 @@ def at_root(name, q, y, dt):
     step = torqued_midpoint(body, kappa_exponential)
     if name == "kane_damper":
         rest = rest._replace(extra={"damper": jnp.array([0.1, -0.3, 0.2])})
-    a = jnp.stack(EQUATION.from_state(step, rest, dt).residual(y))  # ½ΔtΠ/tr J
+    a = jnp.stack(EQUATION.from_state(step.kappa, step.system, rest, dt).residual(y))  # ½ΔtΠ/tr J
     start = rest._replace(p=so3.Ad(q, 2 / dt * jnp.trace(FULL) * a))
     with mock.patch.object(EQUATION, "solve", return_value=(Vector(y), StepInfo.empty(y))):
         end, _ = step(start, dt)

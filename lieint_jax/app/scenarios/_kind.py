@@ -57,8 +57,7 @@ def check_order(scheme: str, order: Any) -> None:
     """Raise ValueError if a scheme does not have the given order; an exact scheme has none."""
     allowed = ORDERS.get(scheme, [])
     if order is not None and order not in allowed:
-        ascending = sorted(allowed, key=lambda x: (isinstance(x, list), x))
-        known = " or ".join(map(str, ascending)) or "none, since it is exact"
+        known = " or ".join(map(str, allowed)) or "none, since it is exact"
         raise ValueError(f"order of {scheme} is {known}, got {order}")
 
 

@@ -101,7 +101,8 @@ class Driven(TopKind):
             raise ValueError("give exactly one of dt and steps_per_orbit")
         if self.steps_per_orbit is not None:
             if self.orbit is None or self.orbit.semi_major_axis < 0:
-                raise ValueError("steps_per_orbit is a key of ellipses; other orbits have no period: give dt")
+                kind = "an ephemeris" if self.orbit is None else "a hyperbola"
+                raise ValueError(f"steps_per_orbit is a key of ellipses; {kind} has no period: give dt")
             period = 2 * np.pi / float(self.orbit.motion().mean_motion)
             self.dt = period / self.steps_per_orbit  # pyright: ignore[reportIncompatibleVariableOverride]
             self.steps_per_orbit = None  # files of results have dt
