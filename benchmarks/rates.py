@@ -72,7 +72,8 @@ def contestants() -> dict[str, Callable[[Any, bool], Any]]:
         term = diffrax.ODETerm(lambda t, q, w: li.groups.so3.tangent(q, rate(w, t)))
         control, last = diffrax.PIDController(rtol=rtol, atol=rtol), diffrax.SaveAt(t1=True)
         options = {"stepsize_controller": control, "saveat": last, "max_steps": 200_000}
-        return diffrax.diffeqsolve(term, solver, 0.0, SPAN, 0.05, start.q, w, **options).ys[0]
+        found: Any = diffrax.diffeqsolve(term, solver, 0.0, SPAN, 0.05, start.q, w, **options)
+        return found.ys[0]
 
     def compiled(solver: Any, rtol: float) -> Callable[[Any, bool], Any]:
         one = partial(solve, solver, rtol)

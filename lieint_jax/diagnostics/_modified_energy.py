@@ -25,7 +25,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractDrivenSystem, AbstractGyrostat
+from lieint_jax.capabilities import AbstractBodyInTime, AbstractDrivenSystem, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.schemes import FreeFlight, GyrostatSplitting, SO3Midpoint, Splitting
 from lieint_jax.types import State, Step, checked_step, clock, energy_less_work, promoted, vectors
@@ -185,7 +185,7 @@ def _drift_error(step: Splitting | GyrostatSplitting, z: State) -> Array:
     if isinstance(drift, FreeFlight) and isinstance(drift.turn, SO3Midpoint):
         each = jax.vmap(_midpoint_error)(drift.system.inertias, z.q[:, 3:], z.p[:, 3:])
         return weight * jnp.sum(each)
-    if isinstance(drift, SO3Midpoint):
+    if isinstance(drift, SO3Midpoint) and not isinstance(drift.system, AbstractBodyInTime):
         return weight * _midpoint_error(drift.system.inertia, z.q, z.p)
     return jnp.zeros_like(z.p.ravel()[0])
 

@@ -145,7 +145,11 @@ def test_the_reference_flow_agrees_with_25_digits():
 )
 def test_verdicts_distinguish_random_rounding_from_one_rounding_per_step(energy, verdict):
     """After 10 000 steps 16 ε√n is 3.6e-13, and nε is 2.2e-12."""
-    exact = dict.fromkeys(diagnostics.Certificate._fields, 0.0) | {"precision": "float64", "num_steps": 10_000, "hamiltonian": True}
+    exact = dict.fromkeys(diagnostics.Certificate._fields, 0.0) | {
+        "precision": "float64",
+        "num_steps": 10_000,
+        "hamiltonian": True,
+    }
     line = str(diagnostics.Certificate(**exact | {"energy": energy})).splitlines()[1]
     assert line.endswith("   " + verdict)
 
