@@ -187,6 +187,7 @@ def test_a_file_of_no_format_is_refused(capsys):
     assert "noise.bin has none of the formats OEM, AEM" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_run_is_exported(capsys):
     """The nominal member as AEM and, with all others, as CSV and netCDF: equal to the digits of each."""
     arguments = ["run", "driven", "--members", "2", "--steps", "40", "--no-pictures", "--no-certificate"]

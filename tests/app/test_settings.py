@@ -39,6 +39,7 @@ def test_values_are_those_of_a_file_that_has_them():
     assert settings.load("book.toml", ["members=7", "dt=3", "dt=0.5"], members=2, steps=None).members == 2
 
 
+@pytest.mark.long
 def test_an_epoch_is_in_the_report_and_in_the_results(capsys):
     date = "2026-03-01T12:00:00 TDB"
     for file in ("a.npz", "a.zarr"):

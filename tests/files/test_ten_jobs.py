@@ -223,6 +223,7 @@ def test_the_flight_of_a_part_of_a_robot(folder, monkeypatch):
     assert abs(found["run"].momentum_error()).max() < 1e-13
 
 
+@pytest.mark.long
 def test_a_flyby_along_horizons(folder, monkeypatch):
     """The torque of the passage changes the spin, and the table carries the closest approach of 20 000 km."""
     found = do(5, folder, monkeypatch)

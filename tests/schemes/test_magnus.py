@@ -233,6 +233,7 @@ def test_a_log_of_rates_is_linear_between_its_entries():
     assert np.isnan(end.q).all()
 
 
+@pytest.mark.long
 def test_means_of_parabolas_are_the_means_given():
     """Also where the intervals differ, by 8-point quadrature."""
     rng = np.random.default_rng(1)

@@ -74,6 +74,7 @@ def test_a_certificate_measures_order_2_across_samples():
 
 
 @pytest.mark.parametrize(("dt", "t"), [(0.03, 0.0), (-0.025, 0.1), (0.2, 0.0), (0.025, 0.01)])
+@pytest.mark.long
 def test_steps_that_could_pass_over_a_sample_are_refused(dt, t):
     step, state = satellite(t=t)
     assert not once(step, state, dt)[1].converged

@@ -269,7 +269,7 @@ def conserved(scheme, steps, small=None, levels=1):
 @pytest.mark.parametrize(
     ("scheme", "steps"),
     [
-        ("splitting", 300),
+        pytest.param("splitting", 300, marks=pytest.mark.long),
         pytest.param("splitting", 100_000, marks=pytest.mark.long),
         pytest.param("bodies_energy_momentum", 300, marks=pytest.mark.long),
     ],
