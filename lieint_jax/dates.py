@@ -117,7 +117,7 @@ class Epoch:
         later = np.where(known, whole, 0).astype(np.int64) * ticks
         rest = np.rint((np.where(known, t, 0) - np.where(known, whole, 0)) * ticks + float(start % 1 * ticks))
         dates = (later + rest.astype(np.int64) + math.floor(start) * ticks).astype(f"datetime64[{unit}]")
-        return np.where(known, dates, np.datetime64("NaT"))
+        return np.where(known, dates, np.datetime64("NaT", unit))
 
     def __str__(self) -> str:
         return f"{self.iso()} {self.scale}"
