@@ -18,7 +18,7 @@ from kernels import Kernel, MachineFunction
 from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled, stacking
 
 from lieint_jax import ensemble, schemes, systems
-from lieint_jax.native import _emit, _machine, _pieces
+from lieint_jax.native import _machine, _pieces
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
@@ -476,11 +476,11 @@ def test_constants_carries_and_rows_are_recognized_by_number_and_shape(monkeypat
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("broken", [(CONTROL_FLOW, "while"), (ELEMENTWISE, "mul"), (_emit, "emit")])
+@pytest.mark.parametrize("broken", [(CONTROL_FLOW, "while"), (ELEMENTWISE, "mul"), (_pieces, "emit")])
 def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, caplog, broken):
     """A failure of the walk or of what writes LLVM's text, as by a primitive that a later JAX has changed."""
 
-    def fail(*_):
+    def fail(*_, **__):
         raise KeyError(name)
 
     def potential(axis):  # of this test alone, so that no engine of it is in the cache
