@@ -57,14 +57,14 @@ def read_text(path: str | Path) -> Text:
     return decode(str(path), read_bytes(path))
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """The bytes of an ordinary file, unpacked if its name ends in .gz; ValueError as in `read_text`."""
+def read_bytes(path: str | Path, head: int | None = None) -> bytes:
+    """The bytes of an ordinary file, or its first `head` ones, unpacked if it ends in .gz; errors as in `read_text`."""
     place = Path(path)
     if not place.is_file():
         raise ValueError(f"there is no file {place}" if not place.exists() else f"{place} is no ordinary file")
     try:
         with gzip.open(place) if place.suffix == ".gz" else place.open("rb") as stream:
-            data = stream.read(_BYTES + 1)
+            data = stream.read(_BYTES + 1 if head is None else head)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise ValueError(f"{place} is damaged, its compressed data cannot be read: {error}") from error
     if len(data) > _BYTES:

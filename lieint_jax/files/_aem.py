@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieint_jax import dates
+from lieint_jax._checks import PRINTED
 from lieint_jax._text import read_text
 from lieint_jax.files import _ccsds
+from lieint_jax.files._signs import join_signs
 from lieint_jax.runs import Run
 
 _BODY = re.compile(
@@ -23,7 +25,6 @@ _BODY = re.compile(
 )
 _COLUMNS = {"QUATERNION": 4, "QUATERNION/DERIVATIVE": 8, "QUATERNION/RATE": 7, "QUATERNION/ANGVEL": 7, "EULER_ANGLE": 3}
 _COLUMNS |= {f"EULER_ANGLE/{rates}": 6 for rates in ("RATE", "DERIVATIVE", "ANGVEL")}
-_NORM = 1e-4  # how far the norm of a printed quaternion may be from 1
 
 
 class Attitudes(NamedTuple):
@@ -71,9 +72,7 @@ def read_aem(path: str | Path, *, segment: int | None = None) -> Attitudes:
     part = _ccsds.one_part(segments, segment, lambda found: _attitudes(found, version), _same)
     space, body, name = (part.facts[key] for key in ("SPACE", "BODY", "OBJECT_NAME"))
     q, rates = np.split(part.values, [4], axis=1)
-    signs = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1, 1)
-    q[1:] *= np.cumprod(signs)[:, None]
-    return Attitudes(part.epoch, part.times, q, space, body, name, rates if rates.shape[1] else None)
+    return Attitudes(part.epoch, part.times, join_signs(q), space, body, name, rates if rates.shape[1] else None)
 
 
 def _same(a: np.ndarray, b: np.ndarray) -> bool:
@@ -103,9 +102,9 @@ def _attitudes(segment: _ccsds.Segment, version: str) -> _ccsds.Part:
         shift = 0 if order == "FIRST" else 1
         q, derivative = np.roll(x, shift, axis=1), np.roll(rest, shift, axis=1)
         size = np.linalg.norm(q, axis=1)
-        if (wrong := abs(size - 1) > _NORM).any():
+        if (wrong := abs(size - 1) > PRINTED).any():
             k = int(np.argmax(wrong))
-            segment.text.fail(segment.rows[k][0], f"a quaternion must have norm 1 up to {_NORM}, got {size[k]:.7g}")
+            segment.text.fail(segment.rows[k][0], f"a quaternion must have norm 1 up to {PRINTED}, got {size[k]:.7g}")
         size = np.where(abs(size - 1) < 1e-14, 1, size)  # what was written is read again, bit for bit
         q, derivative = q / size[:, None], derivative / size[:, None]
     swapped = bool(_BODY.fullmatch(a.upper())) and not _BODY.fullmatch(b.upper())  # A is the body
@@ -189,8 +188,8 @@ def write_aem(
     t, q = (np.asarray(x, float) for x in _times_and_attitudes(run, body))
     if t.ndim != 1 or q.shape != (len(t), 4) or not len(t) or not (np.diff(t) > 0).all():
         raise ValueError(f"times must increase, (n,), and attitudes be (n, 4), got {t.shape} and {q.shape}")
-    if not (abs(np.linalg.norm(q, axis=1) - 1) <= _NORM).all():
-        raise ValueError(f"attitudes must be unit quaternions (w, x, y, z), of norm 1 up to {_NORM}")
+    if not (abs(np.linalg.norm(q, axis=1) - 1) <= PRINTED).all():
+        raise ValueError(f"attitudes must be unit quaternions (w, x, y, z), of norm 1 up to {PRINTED}")
     start, t = dates.epoch(start), t * unit_time
     meta = {
         "OBJECT_NAME": name,

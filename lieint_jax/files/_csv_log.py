@@ -21,6 +21,7 @@ from lieint_jax._text import Text, read_text
 from lieint_jax.attitude import Frame
 from lieint_jax.capabilities import AbstractRotatingBody
 from lieint_jax.dates import Epoch
+from lieint_jax.files._signs import join_signs
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step
@@ -277,8 +278,7 @@ def _attitudes(text: Text, lines: Sequence[int], q: np.ndarray, frame: Frame) ->
             lines[worst],
             f"attitudes must be unit quaternions, got the norm {norms[worst]:.9g}; allowed is 1 ± {_checks.PRINTED:g}",
         )
-    q = np.array(_checks.nearly_unit(f"{_checks.printable(text.name)}: attitudes", q))
-    q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))[:, None]
+    q = join_signs(_checks.nearly_unit(f"{_checks.printable(text.name)}: attitudes", q))
     if frame == "space_to_body":
         q[:, 1:] *= -1
     return q

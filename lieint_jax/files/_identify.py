@@ -32,14 +32,14 @@ def identify(path: str | Path) -> str:
         with names of columns), or "" for any other file.
 
     Raises:
-        ValueError: there is no such file, or it is too large.
+        ValueError: there is no such file.
 
     Example:
         >>> identify("nothing.oem")
         Traceback (most recent call last):
         ValueError: there is no file nothing.oem
     """
-    head, name = read_bytes(path)[:_HEAD], str(path).lower().removesuffix(".gz")
+    head, name = read_bytes(path, _HEAD), str(path).lower().removesuffix(".gz")
     text = "" if b"\0" in head else re.sub(r"\r\n?", "\n", head.decode("utf-8-sig", "replace"))
     for form, mark in _MARKS.items():
         if re.search(mark, text, re.MULTILINE):

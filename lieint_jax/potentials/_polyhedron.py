@@ -238,11 +238,11 @@ def _over_faces(order: int, table: Array, x: Array) -> Array:
         start = jnp.zeros((1, 3, 6)[order] if order < 3 else 6 * 3 ** (order - 2), jnp.result_type(table, x))
         return lax.scan(add, start, jnp.arange(table.size // size))[0]
 
-    def together(table: Array, x: Array) -> Array:
+    def all_at_once(table: Array, x: Array) -> Array:
         columns = jnp.moveaxis(table.reshape(-1, _COLUMNS, _BLOCK), 1, 0)
         return _sum_of_faces(order, columns.reshape(_COLUMNS, -1), x)
 
-    return lax.platform_dependent(table, x, cpu=in_blocks, default=together)
+    return lax.platform_dependent(table, x, cpu=in_blocks, default=all_at_once)
 
 
 _derivative = jax.custom_jvp(_over_faces, nondiff_argnums=(0,))

@@ -55,7 +55,7 @@ class Magnus(Step):
         parts, brackets = self._exponents(t, h)
         good = jnp.ones((), bool)
         for part in parts:
-            q = self._moved(q, part)
+            q = self._multiply_exp(q, part)
             good = good & group.near(part) if isinstance(group, AnalyticGroup) else good
         size, left_out = (lax.stop_gradient(jnp.max(jnp.abs(x))) for x in (jnp.stack(parts), brackets))
         ratio = left_out / jnp.where(size > 0, size, 1)
@@ -78,7 +78,7 @@ class Magnus(Step):
         """[x, y] for a rate in space, [y, x] for one in the body."""
         return self.system.group.ad(x, y) if self.system.frame == "space" else self.system.group.ad(y, x)
 
-    def _moved(self, q: GroupElement, theta: AlgebraVector) -> GroupElement:
+    def _multiply_exp(self, q: GroupElement, theta: AlgebraVector) -> GroupElement:
         """q exp θ in the body, exp θ q in space."""
         group, left = self.system.group, self.system.frame == "space"
         increment = getattr(group, "exp_increment", None)

@@ -202,7 +202,7 @@ def _read_obj(name: str, data: bytes) -> _Triangles:
         if kind not in ("v", "f"):
             continue
         if len(words) < 3:
-            text.fail(number, f"{'a vertex' if kind == 'v' else 'a face'} needs three numbers, got {_shown(line)}")
+            text.fail(number, f"{'a vertex' if kind == 'v' else 'a face'} needs three numbers, got {_show(line)}")
         if kind == "v":
             at.append(number)
             rows.append(words[:3])
@@ -220,12 +220,12 @@ def _obj_index(text: Text, number: int, word: str, count: int) -> int:
         k = 0
     if not -count <= k < 2**53 or k == 0 or "_" in word:
         text.fail(
-            number, f"a face must have indices of vertices, from 1, or from −1 back to −{count}, got {_shown(word)}"
+            number, f"a face must have indices of vertices, from 1, or from −1 back to −{count}, got {_show(word)}"
         )
     return k - 1 if k > 0 else count + k
 
 
-def _shown(value: object) -> str:
+def _show(value: object) -> str:
     return repr(_checks.printable(value))
 
 
@@ -241,7 +241,7 @@ def _read_stl(name: str, data: bytes) -> _Triangles:
         words = line.lower().split()
         if words[:1] == ["vertex"]:
             if len(words) != 4:
-                text.fail(number, f"a vertex needs three numbers, got {_shown(line)}")
+                text.fail(number, f"a vertex needs three numbers, got {_show(line)}")
             corners.append(words[1:])
             at.append(number)
         elif words[:1] == ["outer"]:
@@ -301,7 +301,7 @@ def _split(text: Text, number: int) -> list[str]:
 
 def _count(text: Text, number: int, word: str) -> int:
     if not re.fullmatch(r"\d{1,9}", word):
-        text.fail(number, f"a number of vertices or faces must be an integer, got {_shown(word)}")
+        text.fail(number, f"a number of vertices or faces must be an integer, got {_show(word)}")
     return int(word)
 
 
@@ -314,7 +314,7 @@ def _table(text: Text, at: Sequence[int], what: str) -> np.ndarray:
         rows = [_split(text, number) for number in some]
         for number, row in zip(some, rows, strict=True):
             if len(row) != columns:
-                text.fail(number, f"{what} needs {columns} numbers, as in the lines above, got {_shown(' '.join(row))}")
+                text.fail(number, f"{what} needs {columns} numbers, as in the lines above, got {_show(' '.join(row))}")
         parts.append(_convert(text, some, rows, what))
     table = np.concatenate(parts)
     if columns == 4:
@@ -367,7 +367,7 @@ def _read_ply(name: str, data: bytes) -> _Triangles:
             corners = row.get("vertex_indices", row.get("vertex_index", ()))
             if len(corners) < 3 or not all(float(x).is_integer() and abs(x) < 2**53 for x in corners):
                 what = f"{word} {place}: a face needs a list vertex_indices of three or more integers"
-                raise ValueError(f"{name}, {what}, got {_shown(list(corners))}")
+                raise ValueError(f"{name}, {what}, got {_show(list(corners))}")
             faces += _fan([int(x) for x in corners])
             lines += [place] * (len(corners) - 2)
     return _triangles(text, vertices, faces, lines, word)
@@ -390,7 +390,7 @@ def _ply_header(head: Text) -> tuple[str, list[_Element]]:
             case [] | ["ply" | "comment" | "obj_info" | "end_header", *_]:
                 pass
             case _:
-                head.fail(number, f"no line of the header of a PLY file: {_shown(line)}")
+                head.fail(number, f"no line of the header of a PLY file: {_show(line)}")
     for element in elements:
         names = [name for name, _, length in element.properties if not length]
         if element.name == "vertex" and not ({"x", "y", "z"} <= set(names) and len(names) == len(element.properties)):
@@ -415,10 +415,10 @@ def _text_rows(text: Text, elements: list[_Element], head: int) -> Iterator[_Row
             count = _count(text, number, words.pop(0) if words else "") if length else 1
             row[name] = text.numbers(number, words[:count], f"the property {_checks.printable(name)}")
             if len(row[name]) != count:
-                text.fail(number, f"the line has too few numbers: {_shown(text.lines[number - 1])}")
+                text.fail(number, f"the line has too few numbers: {_show(text.lines[number - 1])}")
             words = words[count:]
         if words:
-            text.fail(number, f"the line has too many numbers: {_shown(text.lines[number - 1])}")
+            text.fail(number, f"the line has too many numbers: {_show(text.lines[number - 1])}")
         yield kind, number, row
 
 

@@ -433,11 +433,11 @@ def _checked_forces(forces: Callable[..., PyTree], masses: Array) -> Callable[..
     given = [jax.ShapeDtypeStruct(shape, masses.dtype) for shape in ((), (n, 3), (n, 3, 3), (n, 3), (n, 3))]
     for part, kind in enumerate(("forces", "torques")):
 
-        def one(*arguments: Array, part: int = part) -> Array:
+        def of_kind(*arguments: Array, part: int = part) -> Array:
             pushes, turns = forces(*arguments)
             return jnp.asarray((pushes, turns)[part])
 
-        _checks.function(f"the {kind} that forces returns", one, _GIVEN, (n, 3), *given)
+        _checks.function(f"the {kind} that forces returns", of_kind, _GIVEN, (n, 3), *given)
     return callable_pytree(forces)
 
 

@@ -107,7 +107,7 @@ def _is_finite(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value
     return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
 
-def _before(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
+def _is_before(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     """Whether x₀ comes before x₁ in the order in which a NaN is the last, as in `jnp.searchsorted`."""
     last = walk.number("and", walk.number("eq", x[0], x[0]), walk.number("ne", x[1], x[1]))
     return walk.number("or", walk.number("lt", *x), last)
@@ -138,7 +138,7 @@ ELEMENTWISE: dict[str, Callable[..., Value]] = {
     "integer_pow": _integer_power,
     "is_finite": _is_finite,
     "log2": _log2,
-    "lt_to": _before,
+    "lt_to": _is_before,
     "name": _name,
     "one_minus_square": _one_minus_square,
     "polynomial": _polynomial,
