@@ -16,7 +16,7 @@ from lieint_jax._numerics.lookup import increasing_times, interval
 from lieint_jax.capabilities import AbstractKinematics
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.on_group import check_element
+from lieint_jax.systems._shared.on_group import check_element, group_element
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import Group, State, callable_pytree, pytree, static
@@ -47,15 +47,14 @@ class Kinematics(AbstractKinematics):
         """The state at a configuration and a time.
 
         Args:
-            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion (w, x, y, z) for
-                `groups.so3`. By default the identity.
+            q: a group element, shape (n, n), within 1e-6 of the group; for `groups.so3` an attitude as in `rigid_body`,
+                a unit quaternion (w, x, y, z) or a scipy `Rotation`. By default the identity.
             t: the time of the state, a scalar; by default 0.
 
         Raises:
             ValueError: a wrong shape, a NaN, or a q off the group; a time that is not a finite scalar.
         """
-        element = _checks.as_array(self.group.identity, float) if q is None else _checks.real_array("q", q)
-        check_element("q", self.group, element)
+        element = group_element(self.group, q, float)
         return timed(State(element, jnp.zeros(0, element.dtype)), t, None)
 
     def check(self, state: State) -> None:
@@ -86,8 +85,7 @@ def kinematics(group: Group, rate: Callable[[Array], Array], frame: Frame = "bod
         >>> spin.vector_field(spin.state(t=1.0)).q.tolist()
         [0.0, 0.0, 0.0, 1.0]
     """
-    if frame not in get_args(Frame):
-        raise ValueError(f"frame must be 'body' or 'space', got {frame!r}")
+    _checks.choice("frame", frame, get_args(Frame))
     if not callable(rate):
         raise ValueError(f"rate must be a function of t, the time, or systems.sampled_rate(…), got {rate!r}")
     _checks.function("rate", rate, "t, the time", (group.dim,), jnp.zeros(()))
@@ -147,8 +145,7 @@ def sampled_rate(times: ArrayLike, rates: ArrayLike, kind: Kind = "interpolate")
         >>> rate(0.5).tolist()
         [1.0]
     """
-    if kind not in get_args(Kind):
-        raise ValueError(f"kind must be 'interpolate' or 'mean', got {kind!r}")
+    _checks.choice("kind", kind, get_args(Kind))
     t, means = increasing_times(times), kind == "mean"
     x = _checks.real_array("rates", rates)
     least = 3 if means else 2

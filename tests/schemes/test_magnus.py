@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 from grid import examples_of
+from scipy.spatial.transform import Rotation
 
 import lieint_jax as li
 from lieint_jax import groups, schemes, systems
@@ -348,7 +349,7 @@ def test_a_bias_of_a_gyro_is_found_from_star_trackers_with_its_covariance():
         (lambda: schemes.magnus(systems.rigid_body([1.0, 2.0, 3.0])), "magnus integrates motions with given rates"),
         (lambda: made(EXAMPLES["coning"][0], 8), "order must be 2, 4 or 6, got 8"),
         (lambda: made(EXAMPLES["coning"][0], 6, False), "commutators=False is of order 4, got order 6"),
-        (lambda: EXAMPLES["coning"][0].state(np.ones(4)), "q is off the group by 3"),
+        (lambda: EXAMPLES["coning"][0].state(np.ones(4)), r"q must be a unit quaternion \(w, x, y, z\), the scalar part first: its norm is 2, allowed is 1"),
         (lambda: EXAMPLES["coning"][0].state(t=None), "t must be a number"),
         (lambda: li.run(made(EXAMPLES["coning"][0]), li.State(cone(0), np.zeros(0)), 0.1, 1), "state needs the time"),
     ],
@@ -379,3 +380,12 @@ def test_runs_are_stored_and_extended_and_give_tables(tmp_path):
     end, info = schemes.extrapolate(system)(state, dt)
     assert info.converged
     np.testing.assert_allclose(end.q, made(system, 6)(state, dt)[0].q, rtol=0, atol=1e-9)
+
+
+def test_an_attitude_of_any_form_starts_a_motion_with_a_given_rate():
+    """As of a rigid body: printed digits are normalized with a warning, a rotation of scipy is accepted."""
+    spin = systems.kinematics(so3, lambda t: jnp.stack([t, 0 * t, 0 * t]))
+    rotation = Rotation.from_euler("z", 0.4)
+    np.testing.assert_allclose(spin.state(rotation).q, np.roll(rotation.as_quat(), 1), rtol=0, atol=1e-15)
+    with pytest.warns(RuntimeWarning, match="printed with few digits"):
+        assert abs(np.linalg.norm(spin.state([0.98007, 0.0, 0.0, 0.19867]).q) - 1) < 1e-15

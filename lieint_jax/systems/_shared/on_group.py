@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
@@ -44,9 +45,7 @@ class OnGroup(AbstractMetricSystem):
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or a q off the group.
         """
-        checked = _checks.unit_quaternion if self.group is so3 else _checks.real_array
-        element = _checks.as_array(self.group.identity, self.metric.dtype) if q is None else checked("q", q)
-        check_element("q", self.group, element)
+        element = group_element(self.group, q, self.metric.dtype)
         name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
         value = _checks.real_array(name, given, (self.group.dim,))
         p = _momentum(self.group, self.metric, element, value, name)
@@ -80,6 +79,14 @@ def _momentum(group: Group, metric: Array, q: Array, motion: Array, name: str) -
 @partial(compiled, static_argnums=0, once=True)
 def _defect(group: Group, q: Array) -> Array:
     return group.defect(q)
+
+
+def group_element(group: Group, q: Any, dtype: DTypeLike) -> Array:
+    """The element that a user gives as q; of this type the identity for None; on SO(3) any form of an attitude."""
+    checked = _checks.unit_quaternion if group is so3 else _checks.real_array
+    element = _checks.as_array(group.identity, dtype) if q is None else checked("q", q)
+    check_element("q", group, element)
+    return element
 
 
 def check_element(name: str, group: Group, q: Array) -> None:
