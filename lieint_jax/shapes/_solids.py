@@ -38,7 +38,7 @@ class Shape:
         mass: the mass, a scalar.
         center: the center of mass, in the axes of the shape, (3,).
         second, third, fourth: ∫ r⊗…⊗r dm about the center, (3, 3), (3, 3, 3) and (3, 3, 3, 3); the last two are None
-            where they are not known, as of `body`.
+            where they are not known, as in `body`.
         diagonal: whether the axes of the shape are known to be principal axes.
         radius: of a sphere about the center that encloses the body, a scalar; None if unknown.
         triangles: the corners of the faces of a mesh, in the axes of the shape, counterclockwise as seen from outside,

@@ -349,7 +349,10 @@ def test_a_bias_of_a_gyro_is_found_from_star_trackers_with_its_covariance():
         (lambda: schemes.magnus(systems.rigid_body([1.0, 2.0, 3.0])), "magnus integrates motions with given rates"),
         (lambda: made(EXAMPLES["coning"][0], 8), "order must be 2, 4 or 6, got 8"),
         (lambda: made(EXAMPLES["coning"][0], 6, False), "commutators=False is of order 4, got order 6"),
-        (lambda: EXAMPLES["coning"][0].state(np.ones(4)), r"q must be a unit quaternion \(w, x, y, z\), the scalar part first: its norm is 2, allowed is 1"),
+        (
+            lambda: EXAMPLES["coning"][0].state(np.ones(4)),
+            r"q must be a unit quaternion \(w, x, y, z\), the scalar part first: its norm is 2, allowed is 1",
+        ),
         (lambda: EXAMPLES["coning"][0].state(t=None), "t must be a number"),
         (lambda: li.run(made(EXAMPLES["coning"][0]), li.State(cone(0), np.zeros(0)), 0.1, 1), "state needs the time"),
     ],
