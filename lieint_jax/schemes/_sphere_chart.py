@@ -86,10 +86,12 @@ class SphereChart(Step):
         )
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        theta = float(np.degrees(self.chart.coordinates(state)[0]))
+        theta = float(self.chart.coordinates(state)[0])
+        on_axis = not np.sin(theta) > _pole(state.p.dtype)
+        cure = "another axis" if on_axis else f"a smaller dt, or more iterations than {self.iterations}"
         return (
-            f"{self.name} does not converge at dt = {dt}, {theta:.3g}° off the axis, where the chart is singular: use "
-            f"a smaller dt, or more iterations than {self.iterations}, or sphere_midpoint, which has no singularity"
+            f"{self.name} does not converge at dt = {dt}, {np.degrees(theta):.3g}° off the axis, where the chart is "
+            f"singular: use {cure}, or sphere_midpoint, which has no singularity"
         )
 
 
