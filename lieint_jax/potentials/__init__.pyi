@@ -7,6 +7,7 @@ from lieint_jax.potentials._mutual_gravity import *
 from lieint_jax.potentials._outer_field import *
 from lieint_jax.potentials._polyhedron import *
 from lieint_jax.potentials._potential import *
+from lieint_jax.potentials._rod import *
 from lieint_jax.potentials._site_pairs import *
 from lieint_jax.potentials._springs import *
 from lieint_jax.potentials._water import *

@@ -29,6 +29,8 @@ class Potential:
     conserves energy, and those components of P and L that generate symmetries of the invariants.
     """
 
+    chain = False  # whether each body acts only on the one before and the one after it
+
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return self.value(self.invariants(x, R))  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -76,6 +78,10 @@ class SumPotential(Potential):
         if len(counts) > 1:
             raise ValueError(f"the terms of a sum must have the same number of bodies, got {sorted(counts)}")
         return counts.pop() if counts else None
+
+    @property
+    def chain(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return all(getattr(term, "chain", False) for term in self.terms)
 
     @property
     def symmetry(self) -> Array | None:
