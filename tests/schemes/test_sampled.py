@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import schemes, systems, torques
+from lieint_jax import schemes, systems, torques, types
 from lieint_jax.groups import so3
 
 PERIOD, DT, MOMENTS = 0.1, 0.025, [1.0, 2.0, 2.5]
@@ -54,6 +54,44 @@ def test_a_sampled_law_is_that_of_a_loop_with_a_constant_torque_between_samples(
     assert abs(run.energy_error()).max() < 1e-14
     assert run.state.extra["works"][-1, 0] < -0.3
     assert run.converged
+
+
+@types.pytree
+class Held(types.Law):
+    """A constant torque in the body."""
+
+    torque: jax.Array
+    label = "held"
+
+    def mean(self, rotation, inner):
+        return self.torque, inner
+
+
+@pytest.mark.long
+def test_it_is_a_loop_written_by_hand_bit_for_bit():
+    """Both in machine code, at the times of the run's nodes."""
+    satellite = systems.torqued_body(MOMENTS, torques.sampled(LAW, PERIOD))
+    step, start = schemes.torqued_midpoint(satellite), satellite.state(angular_velocity=[1.0, -0.5, 0.8], work=0.0)
+    run = li.run(step, start, DT, 400)
+
+    def by_hand(state, times):
+        def advance(carry, now):
+            state, torque = carry
+            n, t, dt = now
+            state = state._replace(t=t)
+            torque = jnp.where(n % 4 == 0, LAW(t, state.q, satellite.now(state).Omega), torque)
+            state, _ = schemes.torqued_midpoint(systems.torqued_body(MOMENTS, Held(torque)))(state, dt)
+            return (state, torque), (state, torque)
+
+        nodes = jnp.arange(400), times[:-1], jnp.diff(times)
+        return li.scan(advance, (state, jnp.zeros(3)), nodes)[1]
+
+    given = start._replace(extra=None), jnp.asarray(run.state.t)
+    assert li.explain(by_hand, *given).engines == {"native"}
+    found, held = jax.jit(by_hand)(*given)
+    for name in ("q", "p", "work"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(run.state, name)[1:])
+    np.testing.assert_array_equal(held, run.state.extra["sampled"][1:])
 
 
 @pytest.mark.long
