@@ -21,7 +21,7 @@ class OrbitTable(orbits.Table):
 
     Attributes:
         times: the times of the entries in seconds since the epoch, (n,), the first being 0.
-        positions, velocities: in km and km/s, (n, 3).
+        entries: position and velocity of each, in km and km/s, (6n,); also as `positions` and `velocities`, (n, 3).
         epoch: the date of t = 0.
         frame: the axes, as the file calls them, such as "EME2000", "TEME" or "Ecliptic of J2000.0".
         center: the body at the origin.
@@ -43,9 +43,9 @@ def orbit_table(
     """
     if len(times) < 2:
         text.fail(0, "an orbit needs at least two entries, there is one: the file is cut short")
-    t, r, v = (_checks.real_array("entries", x) for x in (times, states[:, :3], states[:, 3:]))
+    t, entries = (_checks.real_array("entries", x) for x in (times, states.ravel()))
     if not (np.diff(np.asarray(t)) > 0).all():
         text.fail(0, "its times need float64: call jax.config.update('jax_enable_x64', True) first")
-    found = OrbitTable(t, r, v, epoch, *facts)
+    found = OrbitTable(t, entries, epoch, *facts)
     found.check_velocities(f"{text.name}: ", refuse=units)
     return found

@@ -7,7 +7,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -25,17 +25,27 @@ class Table:
 
     Attributes:
         times: the times of the entries, increasing, (n,).
-        positions, velocities: positions and velocities at these times, (n, 3).
+        entries: position and velocity at each of these times, one after the other, (6n,): machine code reads long
+            tables this way.
     """
 
     times: Array
-    positions: Array
-    velocities: Array
+    entries: Array
+
+    @property
+    def positions(self) -> Array:
+        """The positions, (n, 3)."""
+        return self.entries.reshape(-1, 6)[:, :3]
+
+    @property
+    def velocities(self) -> Array:
+        """The velocities, (n, 3)."""
+        return self.entries.reshape(-1, 6)[:, 3:]
 
     def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
         """Position (3,) and velocity (3,) at time t. Outside the table: ValueError if t is concrete, otherwise NaN."""
         k, since, h = interval(self.times, t)
-        (ra, rb), (va, vb) = ((x[k], x[k + 1]) for x in (self.positions, self.velocities))
+        ra, va, rb, vb = lax.dynamic_slice(self.entries, (6 * k,), (12,)).reshape(4, 3)
         s = since / h
         step, ends = rb - ra, h * (va + vb) - 2 * (rb - ra)  # r = ra + h va s + (step − h va − ends) s² + ends s³
         bend = step - h * va - ends
@@ -109,7 +119,11 @@ def table(times: Any, positions: Any, velocities: Any) -> Table:
 def _entries(times: Any, positions: Any, velocities: Any) -> Table:
     """The table of checked entries, whose velocities may be anything."""
     t = increasing_times(times)
-    return Table(t, _vectors("positions", positions, t), _vectors("velocities", velocities, t))
+    return Table(t, _flat(_vectors("positions", positions, t), _vectors("velocities", velocities, t)))
+
+
+def _flat(positions: Array, velocities: Array) -> Array:
+    return jnp.concatenate([positions, velocities], axis=1).ravel()
 
 
 def _vectors(name: str, given: Any, t: Array) -> Array:
@@ -152,7 +166,7 @@ def vector_table(times: Any, values: Any) -> VectorTable:
     found = _entries(times, values, jnp.zeros_like(jnp.asarray(values)))
     if len(found.times) < 3:
         raise ValueError(f"times must have at least 3 entries, got {len(found.times)}")
-    return VectorTable(Table(found.times, found.positions, _slopes(found.times, found.positions)))
+    return VectorTable(Table(found.times, _flat(found.positions, _slopes(found.times, found.positions))))
 
 
 def _slopes(t: Array, x: Array) -> Array:

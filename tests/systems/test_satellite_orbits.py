@@ -134,6 +134,15 @@ def test_a_table_is_a_smooth_orbit_of_order_four():
 
 
 @pytest.mark.long
+def test_a_long_table_is_read_by_machine_code():
+    times = np.linspace(0.0, 6.0, 1000)
+    table = orbits.table(times, *jax.jit(jax.vmap(ORBIT))(times))
+    body = li.systems.gravity_gradient([1.0, 2.0, 2.5], table, mu=1.3)
+    step, state = li.schemes.splitting(body), body.state(angular_velocity=[0.1, 0.2, 1.0])
+    assert li.explain(lambda z: li.integrate(step, z, 0.05, 100), state).engines == {"native"}
+
+
+@pytest.mark.long
 def test_a_time_outside_of_a_table_is_an_error_or_a_failed_step():
     times = np.linspace(0.0, 1.0, 11)
     table = orbits.table(times, *jax.vmap(ORBIT)(times))

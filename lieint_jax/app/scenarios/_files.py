@@ -100,7 +100,7 @@ class Ephemeris(Table):
         begin, end = self.times[0], self.times[-1]
         if not begin <= min(first, last) <= max(first, last) <= end:
             raise ValueError(f"the orbit is given from t = {begin:.6g} to {end:.6g}, the run {first:.6g} to {last:.6g}")
-        return EphemerisOrbit(found.times, found.positions, found.velocities, jnp.asarray(self.mu))
+        return EphemerisOrbit(found.times, found.entries, jnp.asarray(self.mu))
 
 
 class OrbitFile(FromFile):
