@@ -231,3 +231,18 @@ def test_the_orbit_of_a_binary_is_exported():
     with np.load("run.npz") as stored:
         x = stored["q"][:, 0, :, :3]
     assert_allclose(found.positions, 1e-3 * (x[:, 1] - x[:, 0]), rtol=1e-14)
+
+
+@pytest.mark.long
+def test_the_orbit_of_a_satellite_is_exported():
+    assert cli.main(["run", "cubesat", "--members", "1", "--set", "steps=40", "--set", "save_every=10", "--no-pictures",
+                     "--out", "run.npz", "--export", "sat.oem"]) == 0  # fmt: skip
+    found = li.files.read_oem("sat.oem")
+    assert found.times.tolist() == np.load("run.npz")["t"].tolist()
+    height = np.linalg.norm(found.positions, axis=1) - 6371
+    assert ((height > 300) & (height < 800)).all()
+    swept = (
+        np.diff(found.positions, axis=0)
+        - (found.velocities[1:] + found.velocities[:-1]) / 2 * np.diff(found.times)[:, None]
+    )
+    assert np.abs(swept).max() < 1e-3 * np.abs(np.diff(found.positions, axis=0)).max()

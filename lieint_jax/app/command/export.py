@@ -42,10 +42,11 @@ def _write_attitudes(path: Path, run: Run, scenario: Kind) -> None:
 
 
 def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
-    body = _body(run)
-    about = {} if body is None else {"body": body, "about": 0}
-    names = {"frame": "ICRF", "center": "PRIMARY"}
-    files.write_oem(path, _nominal(run), **about, **names, **_facts(scenario), unit_length=scenario.unit_km or 1.0)
+    facts = {"frame": "ICRF", **_facts(scenario), "unit_length": scenario.unit_km or 1.0}
+    if (orbit := scenario.given_orbit()) is not None:
+        files.write_oem(path, orbit, times=run.t, center="EARTH", **facts)
+    else:
+        files.write_oem(path, _nominal(run), body=_body(run), about=0, center="PRIMARY", **facts)
 
 
 def _write_dataset(path: Path, run: Run, scenario: Kind) -> None:

@@ -116,9 +116,12 @@ class Kind(Table):
     certified: ClassVar[bool] = True
     """Whether `lieint run` prints a certificate: control and friction conserve the energy balance only."""
     unit_km: ClassVar[float | None] = None
-    """The unit of length of a kind whose states have positions, in km."""
+    """The unit of length of a kind that has positions, in km."""
     traced: ClassVar[bool] = True
     """Whether `make_system` accepts traced numbers; if not, the members' systems are made one by one."""
+
+    def given_orbit(self) -> Callable[..., Any] | None:
+        """The orbit of a body, t ↦ position and velocity, where all members share it and states have no positions."""
 
     @model_validator(mode="before")
     @classmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
@@ -149,6 +149,11 @@ class Satellite(BodyKind):
 
     own_step = True  # every member has its own inertia and dipole
     certified = False
+    unit_km = 1e-3
+
+    def given_orbit(self) -> Callable[..., Any]:
+        """In m and m/s."""
+        return self.environment().orbit
 
     def _driven_inertia(self, locked: Any) -> Any:
         """The inertia of the body without the axial inertia of the wheels."""
