@@ -5,6 +5,7 @@ import datetime
 import numpy as np
 import pytest
 
+import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import satellite
 from lieint_jax.groups import so3
@@ -57,6 +58,17 @@ def test_laws_of_control_act_in_their_windows(short):
         "pointing",
         "pointing and unloading",
     ]
+
+
+@pytest.mark.long
+def test_a_stored_run_is_opened_and_goes_on_with_its_orbit_and_field(short, tmp_path):
+    """The functions of time are constants of the step, which the store describes."""
+    _, made = short
+    path = tmp_path / "run.zarr"
+    made.save(path)
+    found = li.open(path)
+    np.testing.assert_array_equal(found.energy_error(), made.energy_error())
+    np.testing.assert_array_equal(found.load().extend(5).state.q[-1], made.extend(5).state.q[-1])
 
 
 @pytest.mark.long

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, NamedTuple, Self
 
 import jax
@@ -125,23 +127,50 @@ class Unloading(Control):
     """In 1/s: the rate at which the momentum across the field falls."""
 
 
+@dataclass(frozen=True, eq=False)
+class Constant:
+    """A pytree whose arrays are constants of the programs that use it, compared by their values."""
+
+    value: Any
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Constant) and self._identity == other._identity
+
+    def __hash__(self) -> int:
+        return hash(self._identity)
+
+    @property
+    def _identity(self) -> tuple[Any, ...]:
+        leaves, structure = jax.tree.flatten(self.value)
+        return structure, *((str(x.dtype), x.tobytes()) for x in map(np.asarray, leaves))
+
+
 @pytree
-class Frame:
-    """A frame whose functions are traced once, although every iteration of a step calls them."""
+class Given:
+    """A function of time, the same for all members, traced once although every iteration of a step calls it."""
 
-    attitude: Any = static()
-    velocity: Any = static()
+    function: Constant = static()
 
-    def __call__(self, t: Any) -> Array:
-        return self.attitude(t)
+    def __call__(self, t: Any) -> Any:
+        return _call(self.function, "__call__", t)
+
+
+@pytree
+class Frame(Given):
+    """A frame."""
 
     def angular_velocity(self, t: Any) -> Array:
         """The angular velocity in the axes of the frame."""
-        return self.velocity(t)
+        return _call(self.function, "angular_velocity", t)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _call(function: Constant, method: str, t: Any) -> Any:
+    return getattr(function.value, method)(t)
 
 
 class Surroundings(NamedTuple):
-    """Functions of time along the orbit, the same for all members: constants of the program, not leaves of a step.
+    """Functions of time along the orbit, the same for all members.
 
     Attributes:
         orbit: position and velocity, m and m/s.
@@ -165,15 +194,9 @@ def surroundings(motion: Any, date: str, drag: Drag | None) -> Surroundings:
     if drag is not None:
         height, scale = drag.height_km * _KM, drag.scale_height_km * _KM
         air = orbits.atmosphere(motion, drag.density_kg_m3, scale, height, radius=orbits.EARTH_RADIUS * _KM)
-    shared = jax.jit(lambda t: motion(t))  # traced once, although many laws evaluate it in every iteration of a step
-    frame = orbits.lvlh(shared)
-    return Surroundings(
-        shared,
-        float(motion.mu),
-        jax.jit(lambda t: field(t)),
-        Frame(jax.jit(frame), jax.jit(frame.angular_velocity)),
-        None if air is None else jax.jit(lambda t: air(t)),
-    )
+    orbit = Given(Constant(motion))
+    frame = Frame(Constant(orbits.lvlh(orbit)))
+    return Surroundings(orbit, float(motion.mu), Given(Constant(field)), frame, air and Given(Constant(air)))
 
 
 @pytree

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from types import ModuleType
 from typing import Any
 
@@ -61,6 +61,7 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
     inner = {name: make(part, arrays, own, system) for name, part in description.get("fields", {}).items()}
     makers: dict[str, Callable[[], object]] = {
         "array": lambda: np.asarray(arrays[value]),
+        "constant": lambda: np.array(value, description["dtype"]),
         "float": lambda: float(value),
         "tuple": lambda: tuple(make(part, arrays, own, system) for part in value),
         "name": lambda: _find_object(value, own),
@@ -75,9 +76,14 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
     return makers[kind]()
 
 
-def _describe(x: object, path: str, arrays: dict[str, np.ndarray], system: object) -> object:
-    def fields(**values: object) -> dict[str, object]:
-        return {name: _describe(value, f"{path}.{name}", arrays, system) for name, value in values.items()}
+def _describe(x: object, path: str, arrays: dict[str, np.ndarray] | None, system: object) -> object:
+    """The description of a part, and its arrays in `arrays`; without these the part is a constant, with all numbers."""
+
+    def fields(_static: Set[str] = frozenset(), **values: object) -> dict[str, object]:
+        return {
+            name: _describe(value, f"{path}.{name}", None if name in _static else arrays, system)
+            for name, value in values.items()
+        }
 
     if x is system and x is not None:
         return {"same": "system"}
@@ -86,6 +92,8 @@ def _describe(x: object, path: str, arrays: dict[str, np.ndarray], system: objec
     if isinstance(x, float):
         return x if math.isfinite(x) else {"float": str(x)}
     if isinstance(x, jax.Array | np.ndarray | np.generic):
+        if arrays is None:
+            return {"constant": np.asarray(x).tolist(), "dtype": np.asarray(x).dtype.str}
         name = store_name(path)
         while name in arrays:  # a_b and a.b
             name += "_"
@@ -104,7 +112,8 @@ def _describe(x: object, path: str, arrays: dict[str, np.ndarray], system: objec
         return {"name": _name(x)}
     if dataclasses.is_dataclass(x):
         values = {field.name: getattr(x, field.name) for field in dataclasses.fields(x)}
-        return {"class": _name(type(x)), "fields": fields(**values)}
+        static = {field.name for field in dataclasses.fields(x) if field.metadata.get("static")}
+        return {"class": _name(type(x)), "fields": fields(static, **values)}
     return {"name": f"{_name(type(x))} object"}
 
 
