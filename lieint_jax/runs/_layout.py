@@ -77,8 +77,8 @@ def checked_mesh(mesh: Mesh | None) -> Mesh:
 def count_cores() -> int:
     """The number of cores that this process may use, at least 1.
 
-    The least of those on which it may run, of the CPU quota of its container (1 for half a CPU), of SLURM_CPUS_PER_TASK,
-    and of OMP_NUM_THREADS, by which Dask, Ray and joblib give each worker its share.
+    The least of those on which it may run, of the CPU quota of its control group (1 for half a CPU), and of
+    SLURM_CPUS_PER_TASK and OMP_NUM_THREADS, by which SLURM, Dask, Ray and joblib give each worker its share.
     """
     affinity = getattr(os, "sched_getaffinity", None)  # not on every system
     limits = [float(len(affinity(0)) if affinity else os.cpu_count() or 1)]

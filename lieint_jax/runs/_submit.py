@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import jax
+import numpy as np
 
 from lieint_jax._checks import count
 from lieint_jax.runs import processes
@@ -101,7 +102,7 @@ def submit(
         tasks = {k: executor.submit(task, k, parts) for k in range(parts)}
     _wait(tasks, progress)
     found = stored_run(str(place), read_run(place), step)
-    warn_of_failures(jax.numpy.atleast_1d(found.failed), 0)
+    warn_of_failures(np.atleast_1d(found.failed), 0)
     return found
 
 
@@ -152,6 +153,6 @@ def _wait(tasks: dict[int, Any], shown: bool) -> None:
     if failed:
         k, error = min(failed.items())
         raise processes.LostProcess(
-            f"{len(failed)} of {parts} part(s) have not ended: {', '.join(map(str, sorted(failed)[:5]))}; part {k} by "
-            f"{type(error).__name__}: {error}. What is in the store is kept: the same call computes the rest"
+            f"{len(failed)} of {parts} part(s) did not finish. Part {k}: {type(error).__name__}: "
+            f"{str(error).partition(chr(10))[0]} What is in the store is kept: the same call computes the rest"
         ) from error

@@ -201,7 +201,9 @@ def _machines(metadata: dict[str, Any]) -> list[str]:
     found: dict[str, list[int]] = {}
     for part, machine in metadata.get("machines", ()):
         versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
-        found.setdefault(_checks.printable(f"{machine['device']}, {machine.get('engine', 'xla')}, {versions}"), []).append(part)
+        found.setdefault(
+            _checks.printable(f"{machine['device']}, {machine.get('engine', 'xla')}, {versions}"), []
+        ).append(part)
     lines = (f"  part {', '.join(map(str, parts))} on {machine}" for machine, parts in found.items())
     return [_checks.printable(line, _LINE) for line in lines] if len(found) > 1 else []
 

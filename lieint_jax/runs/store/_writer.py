@@ -59,7 +59,7 @@ class Origin(NamedTuple):
     """
 
     initial: str = ""
-    machine: Table = {}
+    machine: Table | None = None
     same_bits: bool = True
 
 
@@ -162,17 +162,18 @@ class Writer:
         leader: whether this process publishes.
     """
 
-    def __init__(self, root: Root, k: int = 0, origin: Origin = Origin(), leader: bool = True) -> None:
+    def __init__(self, root: Root, k: int = 0, origin: Origin | None = None, leader: bool = True) -> None:
         self.path = root.storage.address
-        self._root, self._k, self._origin, self._leader = root, k, origin, leader
+        self._root, self._k, self._leader = root, k, leader
+        self._origin = origin or Origin()
         self._members = root.split.part(k)
         self._store = writable_arrays(root.storage)
         self._arrays: dict[str, Any] = {}
         self._pool = ThreadPoolExecutor(REQUESTS) if root.storage.is_remote else None
         self._background = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
         self._writing: Future[None] | None = None
-        state = self._found() or PartState(START, {}, origin.initial)
-        self._state = state if origin.machine in ({}, *state.machines) else state.on(origin.machine)
+        state, machine = self._found() or PartState(START, {}, self._origin.initial), self._origin.machine
+        self._state = state if machine is None or machine in state.machines else state.on(machine)
         if leader:
             root.show(self.progress)
 
