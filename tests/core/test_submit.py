@@ -177,9 +177,11 @@ def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_pat
     li.run(STEP, STATES, part=(0, 2), **options)
     assert "part 0 on" not in info.contents(path)
     internals.another_machine(monkeypatch, "another processor")
-    with pytest.raises(ValueError, match="another machine.*device is .* and 'another processor' here.*same_bits=False"):
+    with pytest.raises(
+        ValueError, match=r"another machine.*device is .* and 'another processor' here.*same_bits=False"
+    ):
         li.run(STEP, STATES, part=(1, 2), **options)
-    with pytest.raises(ValueError, match="holds another run.*: device is .*; dt is 0.1"):
+    with pytest.raises(ValueError, match=r"holds another run.*: device is .*; dt is 0.1"):
         li.run(STEP, STATES, part=(1, 2), same_bits=False, **options | {"dt": 0.2})
     found = submit(path, Engine(), 2, same_bits=False)
     assert_same(found.state, whole.state)
@@ -189,12 +191,12 @@ def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_pat
 
 
 def kill_one(store, processes):
-    """Kill the first of some processes a second after the first part has begun."""
+    """Kill the first of some processes half a second after the first part has begun."""
 
     def kill():
         while not list(Path(store).glob("parts/*")):
             time.sleep(0.02)
-        time.sleep(1.0)
+        time.sleep(0.5)
         os.kill(processes()[0], signal.SIGKILL)
 
     thread = threading.Thread(target=kill)
@@ -222,7 +224,7 @@ def test_a_worker_of_dask_is_killed(tmp_path):
         found = submit(path, client.get_executor(), **LONG)
         killing.join()
         assert [worker.pid for worker in cluster.workers.values()] != before
-        with pytest.raises(li.PermanentError, match="dt is 0.1 in the store and 0.2 here"):
+        with pytest.raises(li.PermanentError, match=r"dt is 0\.1 in the store and 0.2 here"):
             submit(path, client.get_executor(retries=5), **LONG | {"dt": 0.2})
     assert_same(found.state, whole_of_long().state)
 
