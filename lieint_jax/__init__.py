@@ -73,13 +73,12 @@ from lieint_jax.adjoints import observe, reversible, transition
 from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
-from lieint_jax.runs import Event, PermanentError, Run, event, integrate, interpolate, run, submit
+from lieint_jax.runs import Event, Run, event, integrate, interpolate, run, submit
 from lieint_jax.runs import open_run as open  # noqa: A004
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 __all__ = [
     "Event",
-    "PermanentError",
     "Run",
     "State",
     "Step",

@@ -46,7 +46,7 @@ from lieint_jax.runs._over_members import over_members
 from lieint_jax.runs._part_of_task import part_of_task, part_of_text
 from lieint_jax.runs._results import compute, untransformed
 from lieint_jax.runs._run import Run
-from lieint_jax.runs._submit import Executor, PermanentError, submit
+from lieint_jax.runs._submit import Executor, submit
 
 __all__ = [
     "MOST_TO_OUTPUTS",
@@ -57,7 +57,6 @@ __all__ = [
     "Executor",
     "GridClock",
     "MakeStates",
-    "PermanentError",
     "Progress",
     "Reduction",
     "RoundedClock",

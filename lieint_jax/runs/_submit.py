@@ -31,10 +31,6 @@ _PAUSE = 0.05  # seconds between two looks at the tasks
 _OWN = ("mesh", "part", "progress", "resume")  # arguments of `run` that each task has for itself
 
 
-class PermanentError(ValueError):
-    """A part of a run fails however often it is started: an argument is wrong, or the first step of a member fails."""
-
-
 class Executor(Protocol):
     """What `submit` needs of an executor, such as those of `concurrent.futures`, Dask, mpi4py, loky and submitit."""
 
@@ -79,8 +75,8 @@ def submit(
 
     Raises:
         TypeError: an argument that `li.run` does not have; the call is inside of jit, vmap, grad or jvp.
-        PermanentError: a part fails for a reason that stays, of which `li.run` has the list under ValueError. The task
-            returns it instead of raising it, so that no engine repeats it; parts that have not begun are cancelled.
+        processes.PermanentError: a part fails for a reason that stays, one of those of the ValueError of `li.run`. The
+            task returns it instead of raising it, so that no engine repeats it; parts that have not begun are cancelled.
         processes.LostProcess: parts whose workers were lost, or which failed for a reason that may pass, such as a full
             disk, after all others have ended. Call again to compute them.
 
@@ -144,7 +140,7 @@ def _wait(tasks: dict[int, Any], shown: bool) -> None:
                     except Exception as error:
                         failed[k], message = error, None
                     if message is not None:
-                        raise PermanentError(f"part {k} of {parts}: {message}")
+                        raise processes.PermanentError(f"part {k} of {parts}: {message}")
                     bar.update(1)
                 time.sleep(_PAUSE)
     finally:

@@ -1,4 +1,4 @@
-"""The page on clusters: its files run as written where they can run here, the others parse; and `lieint run --parts`."""
+"""The page on clusters: its files run as written where they can run here, the others parse; `lieint run --parts`."""
 
 import json
 import os

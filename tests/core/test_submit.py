@@ -18,6 +18,7 @@ from stores import assert_same
 
 import lieint_jax as li
 from lieint_jax.app.command import info
+from lieint_jax.ensemble import processes
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -95,11 +96,13 @@ def test_a_worker_compiles_for_its_first_part_only_and_failures_are_reported(tmp
 
 def test_an_error_that_stays_is_not_repeated_and_ends_the_run(tmp_path):
     engine = Engine(retries=5)
-    with pytest.raises(li.PermanentError, match=r"part 0 of 3: the first step fails for 4 member\(s\): 0, 1, 2, 3"):
+    with pytest.raises(
+        processes.PermanentError, match=r"part 0 of 3: the first step fails for 4 member\(s\): 0, 1, 2, 3"
+    ):
         submit(tmp_path / "run.zarr", engine, dt=100.0)
     assert engine.calls == [0, 1, 2]
     for arguments, message in ((dict(parts=13), "at most 12 part"), (dict(save_every=7), "multiple of save_every")):
-        with pytest.raises(li.PermanentError, match=message):
+        with pytest.raises(processes.PermanentError, match=message):
             submit(tmp_path / "other.zarr", Engine(), **arguments)
 
 
@@ -120,9 +123,7 @@ def test_lost_workers_are_replaced_by_the_engine_or_named_and_the_same_call_comp
     whole = li.run(STEP, made, members=12, progress=False, **OPTIONS)
     engine = Engine(retries=1, lost=[1, 2, 2])
     options = dict(states=made, members=12)
-    with pytest.raises(
-        li.ensemble.processes.LostProcess, match=r"1 of 3 .* Part 2: ConnectionError: the worker is gone W"
-    ):
+    with pytest.raises(processes.LostProcess, match=r"1 of 3 .* Part 2: ConnectionError: the worker is gone W"):
         submit(tmp_path / "run.zarr", engine, **options)
     assert engine.calls == [0, 1, 1, 2, 2]
     assert_same(submit(tmp_path / "run.zarr", Engine(), **options).state, whole.state)
@@ -133,7 +134,7 @@ def test_a_part_that_another_process_writes_may_be_repeated(tmp_path):
     lock = li.ensemble.archives.open_storage(tmp_path / "run.zarr").lock("parts/1")
     with (
         lock,
-        pytest.raises(li.ensemble.processes.LostProcess, match="Part 1: BlockingIOError: another run is writing"),
+        pytest.raises(processes.LostProcess, match="Part 1: BlockingIOError: another run is writing"),
     ):
         submit(tmp_path / "run.zarr", Engine())
 
@@ -190,14 +191,14 @@ def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_pat
     assert re.search(r"part 0 on \S.*, native, jax ", text)
 
 
-def kill_one(store, processes):
+def kill_one(store, pids):
     """Kill the first of some processes half a second after the first part has begun."""
 
     def kill():
         while not list(Path(store).glob("parts/*")):
             time.sleep(0.02)
         time.sleep(0.5)
-        os.kill(processes()[0], signal.SIGKILL)
+        os.kill(pids()[0], signal.SIGKILL)
 
     thread = threading.Thread(target=kill)
     thread.start()
@@ -224,7 +225,7 @@ def test_a_worker_of_dask_is_killed(tmp_path):
         found = submit(path, client.get_executor(), **LONG)
         killing.join()
         assert [worker.pid for worker in cluster.workers.values()] != before
-        with pytest.raises(li.PermanentError, match=r"dt is 0\.1 in the store and 0.2 here"):
+        with pytest.raises(processes.PermanentError, match=r"dt is 0\.1 in the store and 0.2 here"):
             submit(path, client.get_executor(retries=5), **LONG | {"dt": 0.2})
     assert_same(found.state, whole_of_long().state)
 
@@ -237,7 +238,7 @@ def test_a_worker_of_loky_is_killed(tmp_path):
     pool = loky.get_reusable_executor(max_workers=2)
     pool.submit(int).result()
     killing = kill_one(path, lambda: list(pool._processes))
-    with pytest.raises(li.ensemble.processes.LostProcess, match="TerminatedWorkerError"):
+    with pytest.raises(processes.LostProcess, match="TerminatedWorkerError"):
         submit(path, pool, **LONG)
     killing.join()
     pool = loky.get_reusable_executor(max_workers=2)

@@ -55,8 +55,7 @@ def run(
         pictures: draw the run, if an .npz is written.
         part: (k, n), one of n independent processes that write one NAME.zarr.
         exports: further files of the run, in formats of others: see `export`.
-        parts, executor: the number of parts that an executor runs, which write one NAME.zarr.
-        same_bits: as in `li.run`.
+        parts, executor, same_bits: as in `li.submit`, for the parts of one NAME.zarr.
     """
     resume = resume or part is not None or parts is not None  # a part always continues what it finds
     times = save_at and files.read_numbers(save_at)
