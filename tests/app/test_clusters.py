@@ -100,6 +100,25 @@ def test_options_that_do_not_fit_are_refused(folder, capsys, options, message):
     assert [path.name for path in folder.iterdir()] == ["my.toml"]
 
 
+def test_a_kind_in_a_file_that_workers_do_not_have_is_refused(folder, capsys):
+    text = "from lieint_jax.app.scenarios.rigid_body import FreeBody\n\nclass Mine(FreeBody):\n    'Mine.'\n"
+    Path("mine.py").write_text(text)
+    command = [
+        "run",
+        "my.toml",
+        "--set",
+        "system=mine.py:Mine",
+        "--out",
+        "x.zarr",
+        "--parts",
+        "2",
+        "--dask",
+        "localhost:1",
+    ]
+    assert cli.main(command) == 2
+    assert "the workers of Dask do not have the file of mine.py:Mine: use --slurm" in capsys.readouterr().err
+
+
 def test_the_commands_of_gnu_parallel_parse():
     words = shlex.split(code("bash", "parallel"))
     options, values = words[words.index("lieint") + 1 : words.index(":::")], words[words.index(":::") + 1 :]

@@ -23,7 +23,7 @@ from lieint_jax.ensemble import processes
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
 STATES = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.array(np.random.default_rng(7).normal(size=(12, 3))))
-OPTIONS = dict(dt=0.1, num_steps=60, save_every=5)
+OPTIONS = dict(dt=0.1, num_steps=60, save_every=5, progress=False)
 velocity = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))
 
 
@@ -54,7 +54,7 @@ class Engine:
 
 
 def submit(store, executor, parts=3, step=STEP, states=STATES, **options):
-    return li.submit(step, states, store=store, parts=parts, executor=executor, progress=False, **OPTIONS | options)
+    return li.submit(step, states, store=store, parts=parts, executor=executor, **OPTIONS | options)
 
 
 def contents(folder):
@@ -62,7 +62,7 @@ def contents(folder):
 
 
 def test_parts_in_threads_are_one_run_and_the_same_call_again_computes_nothing(tmp_path):
-    whole = li.run(STEP, STATES, progress=False, **OPTIONS)
+    whole = li.run(STEP, STATES, **OPTIONS)
     with ThreadPoolExecutor(2) as pool:
         found = submit(tmp_path / "run.zarr", pool)
         before = contents(tmp_path)
@@ -119,8 +119,17 @@ def test_arguments_that_no_part_can_have_are_refused_before_a_task_is_made(tmp_p
     assert engine.calls == []
 
 
+def test_the_progress_bar_counts_parts(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    submit(tmp_path / "run.zarr", Engine(), progress=True)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "/3.00" in err
+    assert "parts/s" in err
+
+
 def test_lost_workers_are_replaced_by_the_engine_or_named_and_the_same_call_computes_the_rest(tmp_path):
-    whole = li.run(STEP, made, members=12, progress=False, **OPTIONS)
+    whole = li.run(STEP, made, members=12, **OPTIONS)
     engine = Engine(retries=1, lost=[1, 2, 2])
     options = dict(states=made, members=12)
     with pytest.raises(processes.LostProcess, match=r"1 of 3 .* Part 2: ConnectionError: the worker is gone W"):
@@ -173,21 +182,20 @@ def test_cores_are_those_of_the_quota(tmp_path, monkeypatch, version):
 
 def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_path, monkeypatch):
     path = tmp_path / "run.zarr"
-    whole = li.run(STEP, STATES, progress=False, **OPTIONS)
-    options = dict(store=path, progress=False, **OPTIONS)
+    whole = li.run(STEP, STATES, **OPTIONS)
+    options = dict(store=path, **OPTIONS)
     li.run(STEP, STATES, part=(0, 2), **options)
     assert "part 0 on" not in info.contents(path)
-    internals.another_machine(monkeypatch, "another processor")
-    with pytest.raises(
-        ValueError, match=r"another machine.*device is .* and 'another processor' here.*same_bits=False"
-    ):
+    internals.another_machine(monkeypatch, "another processor", "9.9.1")
+    refused = r"another machine.* and 'another processor' here.*jaxlib is .* and '9\.9\.1' here\. Pass same_bits=False"
+    with pytest.raises(ValueError, match=refused):
         li.run(STEP, STATES, part=(1, 2), **options)
     with pytest.raises(ValueError, match=r"holds another run.*: device is .*; dt is 0.1"):
         li.run(STEP, STATES, part=(1, 2), same_bits=False, **options | {"dt": 0.2})
     found = submit(path, Engine(), 2, same_bits=False)
     assert_same(found.state, whole.state)
     text = info.contents(path)
-    assert "part 1 on another processor, native, jax " in text
+    assert re.search(r"part 1 on another processor, native, jax .*, jaxlib 9\.9\.1", text)
     assert re.search(r"part 0 on \S.*, native, jax ", text)
 
 
@@ -250,7 +258,7 @@ def test_a_file_waits_for_the_disk_once_and_a_folder_once_a_commit(tmp_path, mon
     internals.commit_every(monkeypatch, 4)
     waits, sync = [], os.fsync
     monkeypatch.setattr(os, "fsync", lambda d: waits.append(os.readlink(f"/proc/self/fd/{d}")) or sync(d))
-    li.run(STEP, STATES, store=tmp_path / "run.zarr", progress=False, **OPTIONS)
+    li.run(STEP, STATES, store=tmp_path / "run.zarr", **OPTIONS)
     commits = math.ceil(13 / 4)
     times = {name: waits.count(name) for name in waits}
     assert all(times[name] == 1 for name in times if name.endswith(".partial"))  # a file, before it has its name

@@ -121,9 +121,10 @@ def interrupt_after_the_first_call(monkeypatch):
     monkeypatch.setattr(_execute.CallLength, "measure", lambda *_: True)
 
 
-def another_machine(monkeypatch, device):
-    """Let runs be on another kind of processor."""
+def another_machine(monkeypatch, device, jaxlib):
+    """Let runs be on another kind of processor and by another jaxlib."""
     monkeypatch.setattr(_identity, "device", lambda: device)
+    monkeypatch.setattr(_identity, "version", lambda _: jaxlib)
 
 
 def control_groups(monkeypatch, top, own):

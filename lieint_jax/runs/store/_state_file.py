@@ -30,10 +30,6 @@ class PartState(NamedTuple):
     initial: str = ""
     machines: tuple[Table, ...] = ()
 
-    def on(self, machine: Table) -> PartState:
-        """The state of a part that goes on with another machine."""
-        return self._replace(machines=(*self.machines, machine))
-
     def encode(self, place: Table) -> bytes:
         """The bytes of a state: a line of JSON, the arrays, and a digest; `place` is its part and its run."""
         arrays = {name: np.ascontiguousarray(x) for name, x in sorted(self.arrays.items())}

@@ -173,7 +173,11 @@ class Writer:
         self._background = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
         self._writing: Future[None] | None = None
         state, machine = self._found() or PartState(START, {}, self._origin.initial), self._origin.machine
-        self._state = state if machine is None or machine in state.machines else state.on(machine)
+        self._state = (
+            state
+            if machine is None or machine in state.machines
+            else state._replace(machines=(*state.machines, machine))
+        )
         if leader:
             root.show(self.progress)
 
