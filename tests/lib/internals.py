@@ -121,6 +121,18 @@ def interrupt_after_the_first_call(monkeypatch):
     monkeypatch.setattr(_execute.CallLength, "measure", lambda *_: True)
 
 
+def another_machine(monkeypatch, device, jaxlib):
+    """Let runs be on another kind of processor and by another jaxlib."""
+    monkeypatch.setattr(_identity, "device", lambda: device)
+    monkeypatch.setattr(_identity, "version", lambda _: jaxlib)
+
+
+def control_groups(monkeypatch, top, own):
+    """Let `top` be the folder of the control groups, and `own` the file of those of this process."""
+    monkeypatch.setattr(_checks, "_GROUPS", top)
+    monkeypatch.setattr(_checks, "_OWN_GROUPS", own)
+
+
 def another_version(monkeypatch, **versions):
     """Let stores be written by another version of `lieint_jax` or `python`."""
     for name, version in versions.items():

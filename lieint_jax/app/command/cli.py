@@ -195,6 +195,11 @@ def _add_run(commands: _Commands) -> None:
     )
     more = "K and N of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)"
     add("--part", metavar="K/N", help=about + more)
+    add("--parts", type=_positive, metavar="N", help="run N parts as tasks of a cluster, by --dask or --slurm")
+    add("--dask", metavar="ADDRESS", help="with --parts: the Dask scheduler, such as tcp://HOST:8786")
+    about = 'with --parts: write and submit an array of jobs with these options, as in --slurm="--time=4:00:00"'
+    add("--slurm", metavar="OPTIONS", help=about)
+    add("--any-machine", action="store_true", help="continue on another processor or JAX, whose last bits may differ")
     add("--distributed", action="store_true", help="run as one of the processes that srun or mpirun start")
     add("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
     add("--processes", type=_positive, metavar="N", help="… the number of processes")
@@ -284,13 +289,17 @@ def _positive(text: str) -> int:
 
 def _run(options: argparse.Namespace) -> None:
     from lieint_jax import ensemble
+    from lieint_jax.app.command import cluster, run
     from lieint_jax.app.command import list as listing
-    from lieint_jax.app.command import run
     from lieint_jax.runs import processes
 
     group = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in group):
         raise ValueError("--coordinator, --processes and --process require --distributed")
+    cluster.check(options)
+    if options.slurm is not None:
+        cluster.slurm(options)
+        return
     part = None
     if options.part is not None:
         if options.distributed:
@@ -305,20 +314,24 @@ def _run(options: argparse.Namespace) -> None:
         with _report_waiting(f"waiting for the processes of this run{_describe_coordinator(options)} to connect"):
             processes.initialize(*group)
     try:
-        run.run(
-            options.scenario,
-            options.out,
-            options.members,
-            options.steps,
-            options.devices,
-            options.resume,
-            options.save_at,
-            given=options.set,
-            certificate=not options.no_certificate,
-            pictures=not options.no_pictures,
-            part=part,
-            exports=options.export,
-        )
+        with contextlib.nullcontext() if options.dask is None else cluster.dask(options.dask) as executor:
+            run.run(
+                options.scenario,
+                options.out,
+                options.members,
+                options.steps,
+                options.devices,
+                options.resume,
+                options.save_at,
+                given=options.set,
+                certificate=not options.no_certificate,
+                pictures=not options.no_pictures,
+                part=part,
+                exports=options.export,
+                parts=options.parts,
+                executor=executor,
+                same_bits=not options.any_machine,
+            )
     except processes.LostProcess as error:
         processes.leave(f"lieint: {error}")
 

@@ -22,6 +22,7 @@ from lieint_jax.runs.store import Address, UnreadableError, check_system, system
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
 _SHOWN = 2**28  # largest number of bytes that are read from a store to draw it
+_LINE = 400  # largest number of characters of a line with the numbers of parts
 _TIMES, _BLOCK = 17, 8192  # number of saved times at which energies are computed, and of members at once
 
 
@@ -190,8 +191,21 @@ def _origin(path: Address, run: Any, metadata: dict[str, Any]) -> list[str]:
         f"  {scheme} · {system}, {metadata['members']} member(s), {planned} steps {sizes}",
         f"  {state}: {len(_times(run))} of {entries} entries",
         f"  written by {versions} on {device}, {how}",
+        *_machines(metadata),
         *_parts(metadata),
     ]
+
+
+def _machines(metadata: dict[str, Any]) -> list[str]:
+    """A line for each kind of machine that has computed parts of a store, where there are several."""
+    found: dict[str, list[int]] = {}
+    for part, machine in metadata.get("machines", ()):
+        versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
+        found.setdefault(
+            _checks.printable(f"{machine['device']}, {machine.get('engine', 'xla')}, {versions}"), []
+        ).append(part)
+    lines = (f"  part {', '.join(map(str, parts))} on {machine}" for machine, parts in found.items())
+    return [_checks.printable(line, _LINE) for line in lines] if len(found) > 1 else []
 
 
 def _parts(metadata: dict[str, Any]) -> list[str]:
