@@ -1,15 +1,11 @@
 """Orbits from states and tables, secular rates, frames, the Earth's field, air and shadow, against other sources."""
 
-import ast
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
-import reference_numbers
-from documents import blocks
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
@@ -288,31 +284,3 @@ def test_what_is_no_orbit_is_refused_in_a_sentence(name):
     make, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
         make()
-
-
-SGP4 = dict(  # by inclination, eccentricity and revolutions a day
-    zip([(97.4, 0.001, 15.2), (51.64, 0.0006, 15.5)], reference_numbers.numbers("sgp4").values(), strict=True)
-)
-
-
-def far_from_sgp4(elements, semi_major_axis):
-    """The largest distance of `secular_j2` from SGP4, km."""
-    inclination, e, revolutions = elements
-    n, i = revolutions * 2 * np.pi / 86400, np.radians(inclination)
-    node, periapsis, anomaly = np.radians([30.0, 40.0, 10.0])
-    a = semi_major_axis(n, e, i)
-    orbit = orbits.secular_j2(orbits.EARTH_GM, a, e, i, node=node, periapsis=periapsis, periapsis_time=-anomaly / n)
-    positions = jax.vmap(lambda t: orbit(t)[0])(60.0 * (1440 + 25 * jnp.arange(4)))
-    return float(np.linalg.norm(positions - np.array(SGP4[elements]), axis=1).max())
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("elements", "twice"), list(zip(SGP4, (400, 70), strict=True)))
-def test_the_mean_motion_of_a_tle_without_its_drift_gives_the_orbit_of_sgp4(elements, twice):
-    """By the function of the page; with the drift counted twice the orbits are hundreds of kilometers apart."""
-    text = (Path(__file__).parents[2] / "docs/pages/howto/satellite.md").read_text(encoding="utf-8")
-    page = ast.parse(next(code for _, code in blocks(text, "python") if "def semi_major_axis" in code))
-    scope = {"np": np, "li": li}
-    exec(compile(ast.Module([x for x in page.body if isinstance(x, ast.FunctionDef)], []), "page", "exec"), scope)
-    assert far_from_sgp4(elements, scope["semi_major_axis"]) < 19
-    assert far_from_sgp4(elements, lambda n, e, i: (orbits.EARTH_GM / n**2) ** (1 / 3)) > twice
