@@ -1,6 +1,5 @@
 """Orbits from states and tables, secular rates, frames, the Earth's field, air and shadow, against other sources."""
 
-
 import jax
 import jax.numpy as jnp
 import mpmath
