@@ -29,22 +29,14 @@ _QUICK: dict[str, str | bool] = {
 
 
 class _Task(NamedTuple):
-    """The examples of one module of systems by the steps of one module of schemes: they share compiled programs.
+    """The examples of one module of systems by the steps of one module of schemes: they share compiled programs."""
 
-    Attributes:
-        system, scheme: names of the modules.
-        example: the name of the only example to check; all examples if empty.
-        wanted: text that the names of the steps must contain.
-        brief: check only the first example that the scheme accepts.
-        num_steps: the length of a run in steps.
-    """
-
-    system: str
-    scheme: str
-    example: str
-    wanted: str
-    brief: bool
-    num_steps: int
+    system: str  # the name of a module of systems
+    scheme: str  # that of a module of schemes
+    example: str  # the name of the only example to check; all examples if empty
+    wanted: str  # text that the names of the steps must contain
+    brief: bool  # check only the first example that the scheme accepts
+    num_steps: int  # the length of a run in steps
 
 
 class _TaskResult(NamedTuple):

@@ -16,18 +16,12 @@ _COLUMNS = 20  # the most that are listed
 
 
 class Format(NamedTuple):
-    """A format of files of other software.
+    """A format of files of other software."""
 
-    Attributes:
-        what: it holds, in words.
-        contents: the lines that describe a file.
-        reader: the call that reads it in Python, with {} for the file.
-        key: the key of a scenario that may be such a file, with further keys of its table and the kinds that have it.
-    """
-
-    what: str
-    contents: Callable[[Path], list[str]]
-    reader: str
+    what: str  # it holds, in words
+    contents: Callable[[Path], list[str]]  # the lines that describe a file
+    reader: str  # the call that reads it in Python, with {} for the file
+    # the key of a scenario that may be such a file, with further keys of its table and the kinds that have it
     key: tuple[str, str, str] | None = None
 
 

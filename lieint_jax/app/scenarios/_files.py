@@ -178,19 +178,12 @@ class ObservationFile(FromFile):
         assert log.attitudes is not None
         assert log.rates is not None
         rows = zip(log.times.tolist(), log.attitudes.tolist(), (log.rates * unit).tolist(), strict=True)
-        source = self.source or path.name
-        return {
-            "observation": [
-                {
-                    "label": f"{path.name}, {k}",
-                    "t": t / unit,
-                    "quaternion": q,
-                    "angular_velocity_rad": rate,
-                    "source": source,
-                }
-                for k, (t, q, rate) in enumerate(rows, 1)
-            ]
-        }
+        source = {"source": self.source or path.name}
+        found = [
+            {"label": f"{path.name}, {k}", "t": t / unit, "quaternion": q, "angular_velocity_rad": rate, **source}
+            for k, (t, q, rate) in enumerate(rows, 1)
+        ]
+        return {"observation": found}
 
 
 def _seconds(keys: dict[str, Any]) -> float:

@@ -32,46 +32,29 @@ _MARGIN = 1e-12  # fraction of a mode's range of energies that is excluded at ei
 class Spin(NamedTuple):
     """A tumbling state before the passage; arrays of one shape.
 
-    Attributes:
-        least, middle: principal moments over the greatest, about the body's x and y axes.
-        precession: P_φ, the mean period of the long axis x about the angular momentum, in h.
-        rotation: P_ψ, the period of the angular momentum in the body, in h.
-        longitude, latitude: of the angular momentum.
-        phi: at the perigee, the angle about the angular momentum from the line Earth–body to the long axis x.
-        psi: at the perigee, 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x.
-
     Both phases are those of the torque-free motion.
     """
 
-    least: Numbers
-    middle: Numbers
-    precession: Numbers
-    rotation: Numbers
-    longitude: Numbers
-    latitude: Numbers
-    phi: Numbers
-    psi: Numbers
+    least: Numbers  # the principal moment about the body's x axis, over the greatest
+    middle: Numbers  # that about its y axis, over the greatest
+    precession: Numbers  # P_φ, the mean period of the long axis x about the angular momentum, in h
+    rotation: Numbers  # P_ψ, the period of the angular momentum in the body, in h
+    longitude: Numbers  # of the angular momentum
+    latitude: Numbers  # of the angular momentum
+    phi: Numbers  # at the perigee, the angle about the angular momentum from the line Earth–body to the long axis x
+    psi: Numbers  # at the perigee, 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x
 
 
 class Outcome(NamedTuple):
-    """The invariants of a tumbling state, before or after a passage.
+    """The invariants of a tumbling state, before or after a passage."""
 
-    Attributes:
-        precession, rotation: P_φ and P_ψ, in h.
-        long_axis: whether it is a long-axis mode.
-        momentum: |π|.
-        rate: 2H/|π|, the effective spin rate.
-        excitation: 2H J₃/|π|², the energy over that of the principal-axis state of least energy.
-        pole: the direction of π, (3,).
-    """
-
-    precession: Numbers
-    rotation: Numbers
-    long_axis: Numbers
-    momentum: Numbers
-    rate: Numbers
-    excitation: Numbers
-    pole: Numbers
+    precession: Numbers  # P_φ, in h
+    rotation: Numbers  # P_ψ, in h
+    long_axis: Numbers  # whether it is a long-axis mode
+    momentum: Numbers  # |π|
+    rate: Numbers  # 2H/|π|, the effective spin rate
+    excitation: Numbers  # 2H J₃/|π|², the energy over that of the principal-axis state of least energy
+    pole: Numbers  # the direction of π, (3,)
 
 
 @pytree

@@ -73,28 +73,18 @@ def _along_great_circle(longitude: Array, latitude: Array, east: Array, north: A
 
 
 class Study(NamedTuple):
-    """The contents of the report and the pictures.
+    """The contents of the report and the pictures."""
 
-    Attributes:
-        before, after: the spins of the members.
-        grid: the spins of the map, φ slowest.
-        mapped: the passages of the map.
-        slopes: derivatives at every second value of both phases, by name, as `_flyby_motion.slopes` returns them.
-        step_error: the largest angle between final attitudes by the steps of the run and by steps half as long.
-        arcs: passages of the first members, by the length of the arc in h.
-        variants: passages under other assumptions, by their labels.
-        failed: the number of these passages with a step that did not converge.
-    """
-
-    before: Outcome
-    after: Outcome
-    grid: Spin
-    mapped: Passage
+    before: Outcome  # the spins of the members before the passage
+    after: Outcome  # those after it
+    grid: Spin  # the spins of the map, φ slowest
+    mapped: Passage  # the passages of the map
+    # derivatives at every second value of both phases, by name, as `_flyby_motion.slopes` returns them
     slopes: dict[str, np.ndarray]
-    step_error: float
-    arcs: dict[float, Passage]
-    variants: dict[str, Passage]
-    failed: int
+    step_error: float  # the largest angle between final attitudes by the steps of the run and by steps half as long
+    arcs: dict[float, Passage]  # passages of the first members, by the length of the arc in h
+    variants: dict[str, Passage]  # passages under other assumptions, by their labels
+    failed: int  # the number of these passages with a step that did not converge
 
 
 @for_last_run
@@ -165,22 +155,14 @@ def _passages_of_variant(scenario: FlybyKeys, variant: Variant, count: int) -> P
 
 
 class SpinChange(NamedTuple):
-    """The changes of the members' spins by a passage.
+    """The changes of the members' spins by a passage."""
 
-    Attributes:
-        momentum, rate: |π| and 2H/|π| after, over those before.
-        pole_angle: the angle between the poles before and after, in degrees.
-        longitude: the change of the pole's longitude, in degrees.
-        latitude: the change of the pole's distance from the ecliptic, in degrees.
-        same_mode: whether the mode is the same.
-    """
-
-    momentum: np.ndarray
-    rate: np.ndarray
-    pole_angle: np.ndarray
-    longitude: np.ndarray
-    latitude: np.ndarray
-    same_mode: np.ndarray
+    momentum: np.ndarray  # |π| after, over that before
+    rate: np.ndarray  # 2H/|π| after, over that before
+    pole_angle: np.ndarray  # the angle between the poles before and after, in degrees
+    longitude: np.ndarray  # the change of the pole's longitude, in degrees
+    latitude: np.ndarray  # the change of the pole's distance from the ecliptic, in degrees
+    same_mode: np.ndarray  # whether the mode is the same
 
 
 def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:

@@ -283,10 +283,12 @@ class Kind(Table):
         """The functions that draw a run, by the suffix of their file names."""
         return {f.__name__.removeprefix("draw_"): f for f in _methods(cls) if f.__name__.startswith("draw_")}
 
-    def drawn(self, step: Step, state: State, fine: int = 1, steps: int | None = None, longest: int = LONGEST) -> Run:
-        """A run of one body for a picture, in steps `fine` times as small, saved at the points to draw."""
+    def drawn(
+        self, one: Run, fine: int = 1, steps: int | None = None, longest: int = LONGEST, step: Step | None = None
+    ) -> Run:
+        """A run of one body again for a picture, in steps `fine` times as small, saved at the points to draw."""
         count = fine * (self.steps if steps is None else steps)
-        return drawn_run(step, state, self.dt / fine, count, longest)
+        return drawn_run(step or one.step, nominal_state(one), self.dt / fine, count, longest)
 
     def changes(
         self, run: Run, steps: Iterable[Step], longest: int = LONGEST
@@ -300,7 +302,7 @@ class Kind(Table):
         """
         found, t = {}, np.zeros(0)
         for step in steps:
-            long = as_batch(self.drawn(step, nominal_state(run), longest=longest))
+            long = as_batch(self.drawn(run, longest=longest, step=step))
             t = np.asarray(long.t)
             found[step.name] = {x.name: x.change()[:, 0] for x in self.conserved(long)}
         return t, found

@@ -90,29 +90,17 @@ def member_bodies(bodies: Sequence[ExtendedBody], noise: Array) -> tuple[Array, 
         bodies: the nominal bodies.
         noise: standard normal deviates of mass, semi-axes, attitude and angular velocity, (n, 4 or more, 3).
     """
-    members = [
-        (*_mass_and_moments(body, x[0], x[1]), _attitude(body, x[2]), _angular_velocity(body, x[3]))
-        for body, x in zip(bodies, noise, strict=True)
-    ]
-    m, J, q, Omega = (jnp.stack(x) for x in zip(*members, strict=True))
+    m, J, q, Omega = map(jnp.stack, zip(*map(_member_body, bodies, noise), strict=True))
     return m, J, q, Omega
 
 
-def _mass_and_moments(body: ExtendedBody, for_mass: Array, for_axes: Array) -> tuple[Array, Array]:
-    """The mass and the principal moments of a member's body, for its deviates of mass and semi-axes."""
-    mass = body.mass() * (1 + body.spread.mass_percent / 100 * for_mass[0])
-    E = body.second_moments() * (1 + body.spread.axes_percent / 100 * for_axes) ** 2
-    return mass, mass * (jnp.sum(E) - E)
-
-
-def _attitude(body: ExtendedBody, noise: Array) -> Array:
-    """The attitude of a member's body, for its deviates."""
-    return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * noise), body.attitude())
-
-
-def _angular_velocity(body: ExtendedBody, noise: Array) -> Array:
-    """The angular velocity of a member's body, for its deviates."""
-    return jnp.asarray(body.rate()) + body.spread.rate() * noise
+def _member_body(body: ExtendedBody, noise: Array) -> tuple[Array, Array, Array, Array]:
+    """The mass, the principal moments, the attitude and the angular velocity of one of a member's bodies."""
+    spread, (for_mass, for_axes, for_attitude, for_rate, *_) = body.spread, noise
+    mass = body.mass() * (1 + spread.mass_percent / 100 * for_mass[0])
+    E = body.second_moments() * (1 + spread.axes_percent / 100 * for_axes) ** 2
+    q = so3.multiply(so3.exp(jnp.deg2rad(spread.attitude_deg) * for_attitude), body.attitude())
+    return mass, mass * (jnp.sum(E) - E), q, jnp.asarray(body.rate()) + spread.rate() * for_rate
 
 
 def build_members(

@@ -261,7 +261,7 @@ class Binary(Kind):
     def draw_spectrum(self, axes: np.ndarray, run: Run) -> None:
         """Plot the spectrum of the nominal secondary's libration over a longer run, and its expected frequencies."""
         one, ax = run.member(0), axes[0]
-        long = as_batch(self.drawn(one.step, nominal_state(one), steps=_LONG * self.steps))
+        long = as_batch(self.drawn(one, steps=_LONG * self.steps))
         t, found = np.asarray(long.t), measure.relative_motion(long)
         f, amplitude = measure.spectrum(t, np.rad2deg(found.libration[:, 0]))
         orbital = float(mean_rate(t, found.longitude)[0]) / (2 * np.pi)
@@ -285,7 +285,7 @@ class Binary(Kind):
         one = run.member(0)
         orbital_period = float(measure.apsides(self.motion(run)).period[0])
         steps = min(self.steps, round(_BRIEF * orbital_period / abs(self.dt)))
-        brief = self.drawn(one.step, nominal_state(one), _FINE, steps)  # the primary rotates once in few steps
+        brief = self.drawn(one, _FINE, steps)  # the primary rotates once in few steps
         parts = measure.pair_energies(brief)
         size = abs(parts.orbit[0])
         names = {
@@ -344,18 +344,10 @@ def _exchange(run: Run) -> list[str]:
 
 
 class Impact(NamedTuple):
-    """The change of speed that follows from the published change of the period; periods in h, speeds in mm/s.
+    """The change of speed that follows from the published change of the period; periods in h, speeds in mm/s."""
 
-    Attributes:
-        period_unchanged: the period of the nominal state without the scenario's change of speed.
-        change: the change of speed from the published period before to that after, by the whole model.
-        slope: the derivative of the period by the speed half-way, h/(mm/s).
-        kepler: the change of speed for two points.
-        kepler_slope: the derivative for two points, h/(mm/s).
-    """
-
-    period_unchanged: float
-    change: float
-    slope: float
-    kepler: float
-    kepler_slope: float
+    period_unchanged: float  # the period of the nominal state without the scenario's change of speed
+    change: float  # the change of speed from the published period before to that after, by the whole model
+    slope: float  # the derivative of the period by the speed half-way, h/(mm/s)
+    kepler: float  # the change of speed for two points
+    kepler_slope: float  # the derivative for two points, h/(mm/s)

@@ -19,7 +19,7 @@ from lieint_jax.app.scenarios._keys import PositiveFloat, Table, radians
 from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_on_sphere
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._runs import nominal_system, series
 from lieint_jax.app.scenarios._spread import same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
@@ -178,7 +178,7 @@ class Driven(TopKind):
         body = nominal_system(one)
         found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
         which, (axis, stable, k) = next(iter(found.items()))
-        long = self.drawn(one.step, nominal_state(one))
+        long = self.drawn(one)
         path, ends = series(_in_axes_of_orbit, long) @ axis, series(_in_axes_of_orbit, run)[-1] @ axis
         pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
         t, unit = self._clock(long.t)

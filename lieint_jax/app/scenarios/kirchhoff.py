@@ -123,7 +123,7 @@ class Kirchhoff(Kind):
         left, right = axes
         last = f"member {self.members - 1}" if self.members > 1 else "nominal member"
         members = {"nominal member": run.member(0), last: run.member(-1)}
-        paths = {name: self.drawn(one.step, nominal_state(one)).state.q for name, one in members.items()}
+        paths = {name: self.drawn(one).state.q for name, one in members.items()}
         for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
             left.plot(*q[:, :3, 3].T, color=color, lw=0.8, label=name)
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2)

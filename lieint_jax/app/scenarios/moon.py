@@ -352,23 +352,14 @@ def _states(body: GravityGradient, q: Array, Omega: Array, t: float) -> State:
 
 
 class Chaos(NamedTuple):
-    """The exponents of a scenario's motions, in n.
+    """The exponents of a scenario's motions, in n."""
 
-    Attributes:
-        section: the exponents of the members, in the plane and out of it, (members, 2).
-        planar: the same for longer planar motions in the chaotic zone, (starts, 2).
-        spatial: the spectrum of motions in space from these starts, (starts, 6).
-        observed: the largest exponents of the members about each observed state, (states, members).
-        errors: the standard errors of `observed`.
-        failed: the number of these runs with a step that did not converge.
-    """
-
-    section: np.ndarray
-    planar: np.ndarray
-    spatial: np.ndarray
-    observed: np.ndarray
-    errors: np.ndarray
-    failed: int
+    section: np.ndarray  # the exponents of the members, in the plane and out of it, (members, 2)
+    planar: np.ndarray  # the same for longer planar motions in the chaotic zone, (starts, 2)
+    spatial: np.ndarray  # the spectrum of motions in space from these starts, (starts, 6)
+    observed: np.ndarray  # the largest exponents of the members about each observed state, (states, members)
+    errors: np.ndarray  # the standard errors of `observed`
+    failed: int  # the number of these runs with a step that did not converge
 
 
 def _select_evenly(states: State, among: np.ndarray, count: int) -> State:

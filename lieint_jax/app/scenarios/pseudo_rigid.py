@@ -29,7 +29,7 @@ from lieint_jax.app.scenarios._keys import (
 )
 from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture, positive, step_of
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
-from lieint_jax.app.scenarios._runs import length, nominal_state, series
+from lieint_jax.app.scenarios._runs import length, series
 from lieint_jax.app.scenarios._spread import POSITIVE_DETERMINANT, SECOND_MOMENTS
 from lieint_jax.runs import Run
 from lieint_jax.systems import PseudoRigidBody
@@ -178,7 +178,7 @@ class PseudoRigid(Kind):
         rules = [(f"the rule {self.rule!r}", one.step), (MIDPOINT, step_of(one.system, "additive", 2, "symplectic"))]
         if (self.rule, self.alpha) == ("symplectic", 0.5):
             rules = [(MIDPOINT, one.step)]
-        made = {name: self.drawn(step, nominal_state(one), steps=steps) for name, step in rules}
+        made = {name: self.drawn(one, steps=steps, step=step) for name, step in rules}
         energy = {name: series(PseudoRigidBody.energy, long) for name, long in made.items()}
         own = next(iter(made.values()))
         displacement = np.sum((np.asarray(own.state.q) - np.eye(3)) ** 2, axis=(1, 2))

@@ -25,8 +25,9 @@ from lieint_jax.app.scenarios._files import ObservationFile
 from lieint_jax.app.scenarios._keys import TINY, Published, Table, Text
 from lieint_jax.app.scenarios._kind import check_order, picture
 from lieint_jax.app.scenarios._report import Quantity
-from lieint_jax.app.scenarios._runs import angles_deg, drawn_steps, length, nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._runs import drawn_steps, length, nominal_state, nominal_system, series
 from lieint_jax.groups import so3
+from lieint_jax.measure._states import angles
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step
@@ -48,23 +49,14 @@ class Observation(InitialState):
 
 
 class Prediction(NamedTuple):
-    """The prediction of an observation; angles in degrees.
-
-    Attributes:
-        observation: the observation.
-        euler_313_deg: the predicted attitude, (3,).
-        angular_velocity_deg: the predicted angular velocity in the body, (3,).
-        misfit_deg: the angle between the predicted and the observed attitude.
-        spread_deg: the root mean square angle of the members about the nominal one.
-        integrator_error_deg: the angle between the nominal attitude and that of `diagnostics.flow`, which is accurate
-            to round-off.
-    """
+    """The prediction of an observation; angles in degrees."""
 
     observation: Observation
-    euler_313_deg: np.ndarray
-    angular_velocity_deg: np.ndarray
-    misfit_deg: float
-    spread_deg: float
+    euler_313_deg: np.ndarray  # the predicted attitude, (3,)
+    angular_velocity_deg: np.ndarray  # the predicted angular velocity in the body, (3,)
+    misfit_deg: float  # the angle between the predicted and the observed attitude
+    spread_deg: float  # the root mean square angle of the members about the nominal one
+    # the angle between the nominal attitude and that of `diagnostics.flow`, which is accurate to round-off
     integrator_error_deg: float
 
 
@@ -201,7 +193,7 @@ class FreeBody(BodyKind):
         place.remove()
         seen = [s for s in self.observation if 0 <= self.save_index(s) < len(run.t)][:1]
         last = self.save_index(seen[0]) if seen else len(run.t) - 1
-        long = self.drawn(one.step, nominal_state(one), steps=last * self.save_every)
+        long = self.drawn(one, steps=last * self.save_every)
         path, members = axis_in_space(long.state.q, Z), axis_in_space(run.state.q[last], Z)
         pole = np.asarray(run.state.p[0, :1]) / np.linalg.norm(run.state.p[0, 0])
         center = float(30 * np.round(np.rad2deg(np.arctan2(pole[0, 1], pole[0, 0])) / 30))
@@ -224,11 +216,11 @@ class FreeBody(BodyKind):
     def _observation_in_words(self, seen: Observation, nominal_axis: np.ndarray, members: np.ndarray) -> str:
         """The caption of `draw_path`: the source of the cross, and its distance from the predicted axes."""
         [observed] = axis_in_space(seen.attitude()[None], Z)
-        spread = np.sqrt(np.mean(angles_deg(members, nominal_axis) ** 2))
+        spread = np.rad2deg(np.sqrt(np.mean(angles(members, nominal_axis) ** 2)))
+        off = np.rad2deg(angles(observed, nominal_axis))
         return (
             f"Cross: axis z of the attitude observed by {seen.label} ({self.source(seen.source)}), "
-            f"{angles_deg(observed, nominal_axis):.1f}° from the nominal prediction; members scatter by {spread:.1f}° "
-            "rms"
+            f"{off:.1f}° from the nominal prediction; members scatter by {spread:.1f}° rms"
         )
 
     @picture(3)
@@ -236,7 +228,7 @@ class FreeBody(BodyKind):
         """Plot the energy and Poisson errors of the nominal member against time."""
         one, (n, every) = run.member(0), drawn_steps(self.steps)
         z, step = nominal_state(one), one.step
-        long = self.drawn(step, z)
+        long = self.drawn(one)
         t, energy = np.asarray(long.t), np.asarray(long.energy_error() / step.system.energy(z))
         poisson = jax.jit(lambda z: jax.vmap(so3.vee)(diagnostics.poisson_error(step, z, self.dt, n)[::every]))
         sigma = length(np.asarray(poisson(z)))

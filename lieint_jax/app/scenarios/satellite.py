@@ -21,7 +21,7 @@ from lieint_jax.app.scenarios._keys import HOUR, NonNegative, PositiveFloat, Rot
 from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_balance, draw_members
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import angles_deg, series
+from lieint_jax.app.scenarios._runs import series
 from lieint_jax.app.scenarios._satellite_laws import (
     Control,
     Detumbling,
@@ -39,6 +39,7 @@ from lieint_jax.app.scenarios._spread import draw_members as draw_numbers
 from lieint_jax.app.scenarios._spread import stretch_inertia, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.measure import captured_since, first_below
+from lieint_jax.measure._states import angles
 from lieint_jax.runs import Run
 from lieint_jax.systems import TorquedBody
 from lieint_jax.types import State, Step, labels
@@ -207,7 +208,7 @@ class Satellite(BodyKind):
         rate, z, h, works, energy = series(measure, run)
         frames = jax.vmap(self.environment().frame)(jnp.asarray(run.t))
         down = np.asarray(jax.vmap(so3.Ad, (0, None))(frames, jnp.array([0.0, 0.0, 1.0])))[:, None]
-        return Course(np.rad2deg(rate), angles_deg(z, down), h, works, energy, labels(run.system))
+        return Course(np.rad2deg(rate), np.rad2deg(angles(z, down)), h, works, energy, labels(run.system))
 
     def conserved(self, run: Run) -> list[Conserved]:
         """The energy less the work of all laws, relative to the largest energy of each member."""
@@ -340,23 +341,14 @@ class Satellite(BodyKind):
 
 
 class Course(NamedTuple):
-    """The measured series of a run.
+    """The measured series of a run."""
 
-    Attributes:
-        rate: the size of the angular velocity in space, °/s, (times, members).
-        nadir_angle: the angle of the z axis from the nadir, degrees, (times, members).
-        wheels: the size of the momentum of the wheels, N m s, (times, members); 0 without wheels.
-        works: the work of each law, J, (times, members, laws).
-        energy: the energy, J, (times, members).
-        names: the names of the laws.
-    """
-
-    rate: np.ndarray
-    nadir_angle: np.ndarray
-    wheels: np.ndarray
-    works: np.ndarray
-    energy: np.ndarray
-    names: list[str]
+    rate: np.ndarray  # the size of the angular velocity in space, °/s, (times, members)
+    nadir_angle: np.ndarray  # the angle of the z axis from the nadir, degrees, (times, members)
+    wheels: np.ndarray  # the size of the momentum of the wheels, N m s, (times, members); 0 without wheels
+    works: np.ndarray  # the work of each law, J, (times, members, laws)
+    energy: np.ndarray  # the energy, J, (times, members)
+    names: list[str]  # the names of the laws
 
 
 def _percent(part: float, error: float) -> str:

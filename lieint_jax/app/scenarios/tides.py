@@ -215,23 +215,14 @@ class Tides(Kind):
 
 
 class Course(NamedTuple):
-    """The measured series of a run, (times, members) or (times, members, 2).
+    """The measured series of a run, (times, members) or (times, members, 2)."""
 
-    Attributes:
-        distance: the distance of the centers, km.
-        spins: the angular velocities about the normal of the orbit, rad/d.
-        orbital: the angular momentum of the orbit about its normal.
-        lost: the energy lost since the start.
-        balance: the energy plus the energy lost.
-        momentum: the angular momentum of orbit and bodies about the normal of the orbit.
-    """
-
-    distance: np.ndarray
-    spins: np.ndarray
-    orbital: np.ndarray
-    lost: np.ndarray
-    balance: np.ndarray
-    momentum: np.ndarray
+    distance: np.ndarray  # the distance of the centers, km
+    spins: np.ndarray  # the angular velocities about the normal of the orbit, rad/d
+    orbital: np.ndarray  # the angular momentum of the orbit about its normal
+    lost: np.ndarray  # the energy lost since the start
+    balance: np.ndarray  # the energy plus the energy lost
+    momentum: np.ndarray  # the angular momentum of orbit and bodies about the normal of the orbit
 
 
 def _least_loss(lost: np.ndarray) -> float:
