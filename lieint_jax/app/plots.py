@@ -62,11 +62,7 @@ def figure(
 ) -> tuple[Figure, np.ndarray]:
     """Make a figure and its array of axes, (rows, columns), without pyplot, so that no window system is needed.
 
-    Args:
-        columns: number of columns of panels.
-        rows: number of rows of panels.
-        size: width and height of a panel in inches; by default those of the style.
-        axes: further keyword arguments of `Figure.subplots`.
+    `size` is that of a panel in inches, by default that of the style; `axes` are options of `Figure.subplots`.
     """
     width, height = size or _LOOK["figure.figsize"]
     fig = Figure(figsize=(width * columns, height * rows), layout="constrained")
@@ -80,12 +76,7 @@ def letter_panels(axes: np.ndarray, titles: Sequence[str]) -> None:
 
 
 def save(fig: Figure, path: Path) -> list[Path]:
-    """Write a figure as PNG and as PDF, and return the paths of both files.
-
-    Args:
-        fig: the figure.
-        path: path of the PNG; the PDF is written next to it.
-    """
+    """Write a figure as PNG at `path`, and as PDF next to it, and return the paths of both files."""
     with style():
         for _ in range(_LAYOUTS):
             fig.draw_without_rendering()
@@ -296,9 +287,8 @@ def _outline(direction: np.ndarray) -> np.ndarray:
 
 def unit_vectors(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
     """Unit vectors (n, 3) with the longitudes and latitudes (n,), in radians."""
-    return np.stack(
-        [np.cos(longitude) * np.cos(latitude), np.sin(longitude) * np.cos(latitude), np.sin(latitude)], axis=-1
-    )
+    c = np.cos(latitude)
+    return np.stack([c * np.cos(longitude), c * np.sin(longitude), np.sin(latitude)], axis=-1)
 
 
 def points(ax: Any, x: np.ndarray, y: np.ndarray, label: str, color: str = INK, **look: Any) -> Any:

@@ -302,29 +302,16 @@ def _run(options: argparse.Namespace) -> None:
     if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
     if options.distributed:
-        with _report_waiting(f"waiting for the processes of this run{_describe_coordinator(options)} to connect"):
+        where = f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
+        with _report_waiting(f"waiting for the processes of this run{where} to connect"):
             processes.initialize(*group)
+    given = {name: getattr(options, name) for name in ("out", "members", "steps", "devices", "resume", "save_at")}
+    given |= {"given": options.set, "part": part, "exports": options.export}
     try:
-        run.run(
-            options.scenario,
-            options.out,
-            options.members,
-            options.steps,
-            options.devices,
-            options.resume,
-            options.save_at,
-            given=options.set,
-            certificate=not options.no_certificate,
-            pictures=not options.no_pictures,
-            part=part,
-            exports=options.export,
-        )
+        without = {"certificate": not options.no_certificate, "pictures": not options.no_pictures}
+        run.run(options.scenario, **given, **without)
     except processes.LostProcess as error:
         processes.leave(f"lieint: {error}")
-
-
-def _describe_coordinator(options: argparse.Namespace) -> str:
-    return f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
 
 
 @contextlib.contextmanager

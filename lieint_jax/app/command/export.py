@@ -38,14 +38,14 @@ def write_all(paths: Sequence[Path], run: Run, scenario: Kind) -> None:
 
 
 def _write_attitudes(path: Path, run: Run, scenario: Kind) -> None:
-    files.write_aem(path, _nominal(run), body=_body(run), **_facts(scenario))
+    files.write_aem(path, run.member(0), body=_body(run), **_facts(scenario))
 
 
 def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
     body = _body(run)
     about = {} if body is None else {"body": body, "about": 0}
     names = {"frame": "ICRF", "center": "PRIMARY"}
-    files.write_oem(path, _nominal(run), **about, **names, **_facts(scenario), unit_length=scenario.unit_km or 1.0)
+    files.write_oem(path, run.member(0), **about, **names, **_facts(scenario), unit_length=scenario.unit_km or 1.0)
 
 
 def _write_dataset(path: Path, run: Run, scenario: Kind) -> None:
@@ -58,10 +58,6 @@ def _write_dataset(path: Path, run: Run, scenario: Kind) -> None:
 def _facts(scenario: Kind) -> dict[str, Any]:
     name = scenario.title.split(",")[0]
     return {"epoch": scenario.date_of_zero(), "object": name, "unit_time": SECONDS[scenario.time_unit]}
-
-
-def _nominal(run: Run) -> Run:
-    return run if run.members is None else run.member(0)
 
 
 def _body(run: Run) -> int | None:

@@ -212,9 +212,8 @@ def _delay_figure(number: int, out: Path) -> str:
         verdict = "yes" if run.converged else "NO"
         lines.append(f"  {panel.name:<4} {variation:>9.3g} {panel.printed:>9.3g}   {verdict:<4} {panel.note}".rstrip())
     shown = " or ".join(dict.fromkeys("d = ‖F − 1‖²" if panel.displacement else "energy H" for panel in PANELS[number]))
-    fig.suptitle(
-        f"Delay plots of the midpoint rule: {shown} at the steps n, n + N and n + 2N, less the middle of its range"
-    )
+    at = "at the steps n, n + N and n + 2N, less the middle of its range"
+    fig.suptitle(f"Delay plots of the midpoint rule: {shown} {at}")
     plots.save(fig, out / f"figure-{number}.png")
     return "\n".join(lines)
 

@@ -103,6 +103,13 @@ class Ephemeris(Table):
         return EphemerisOrbit(found.times, found.positions, found.velocities, jnp.asarray(self.mu))
 
 
+def given_motion(orbit: Any, ephemeris: Ephemeris | None, first: float, last: float) -> Any:
+    """The orbit of the one of two keys that is given; ValueError if both or none are, or unless it covers a run."""
+    if (orbit is None) == (ephemeris is None):
+        raise ValueError("give either orbit or ephemeris")
+    return orbit.motion() if ephemeris is None else ephemeris.motion(first, last)
+
+
 class OrbitFile(FromFile):
     """The orbit of a file: OEM, TLE, OMM, or a vector table of Horizons. Its epoch is t = 0, unless you give one."""
 

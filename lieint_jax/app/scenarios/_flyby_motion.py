@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.typing import ArrayLike
 
 from lieint_jax import _free_body, orbits, systems
 from lieint_jax._numerics import elliptic
@@ -168,13 +167,10 @@ def orbit_of(elements: Numbers) -> orbits.Kepler:
     return orbits.kepler(**dict(zip(names, elements, strict=False)))
 
 
-def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: ArrayLike) -> Passage:
-    """The passages of many members, in steps between the times (N + 1,), on all devices."""
-    return _passages(order, long_axis)(spins, elements, times)
-
-
 @cache
-def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
+def passages(order: int, long_axis: bool) -> Callable[..., Passage]:
+    """The function (spins, elements of the orbit, times (N + 1,) of steps) ↦ passages of many members."""
+
     def passage(spin: Spin, elements: Array, times: Array) -> Passage:
         start = step_and_state(spin, orbit_of(elements), times[0], order, long_axis)
         return _integrate_passage(moments(spin), *start, times)
@@ -194,19 +190,14 @@ def _integrate_passage(J: Array, step: Step, state: State, times: Array) -> Pass
     return Passage(outcome(J, state), outcome(J, last), last.q, jnp.all(run.info.converged))
 
 
-def slopes(
-    elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: ArrayLike
-) -> dict[str, np.ndarray]:
-    """Derivatives of (P_φ, P_ψ, 2H/|π|, angle of the pole) after many passages, each (members, 4).
+@cache
+def slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]:
+    """As `passages`, ↦ derivatives of (P_φ, P_ψ, 2H/|π|, angle of the pole) after passages, each (members, 4).
 
     They are those by each part of `Spin`, by its name, and by the distance of the "perigee" at constant energy of the
     orbit, in forward mode through all steps.
     """
-    return _slopes(order, long_axis)(spins, elements, times)
 
-
-@cache
-def _slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]:
     def spin_after(spin: Spin, perigee: Array, elements: Array, times: Array) -> Array:
         mu, a, _, *others = elements
         orbit = orbit_of((mu, a, 1 - perigee / a, *others))

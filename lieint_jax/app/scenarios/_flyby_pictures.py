@@ -24,23 +24,12 @@ def draw_map(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
     found = study(scenario, run)
     x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
     shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
-    before = found.mapped.before
+    P_phi, P_psi = found.mapped.before.precession[0], found.mapped.before.rotation[0]
+    contours, shown = (18, 20, 24, 28, 32, 36, 40), np.clip(after.rotation, None, _LONGEST)
     panels = (
         ("effective spin rate $2H/|L|$ over that before", x.rate, "PuOr_r", (0.5, 0.75, 1, 1.25, 1.5, 2), True),
-        (
-            f"precession period $P_\\phi$ (h); before {before.precession[0]:.2f}",
-            after.precession,
-            "viridis",
-            (18, 20, 24, 28, 32, 36, 40),
-            False,
-        ),
-        (
-            f"rotation period $P_\\psi$ (h); before {before.rotation[0]:.0f}",
-            np.clip(after.rotation, None, _LONGEST),
-            "cividis",
-            (),
-            False,
-        ),
+        (f"precession period $P_\\phi$ (h); before {P_phi:.2f}", after.precession, "viridis", contours, False),
+        (f"rotation period $P_\\psi$ (h); before {P_psi:.0f}", shown, "cividis", (), False),
         ("rotation of the pole (°)", x.pole_angle, "magma", (5, 10, 15, 20, 25, 30), False),
     )
     for ax, (title, values, colors, levels, is_ratio) in zip(axes, panels, strict=True):
@@ -125,10 +114,10 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     """Plot the poles on the sky about the nearer pole of the ecliptic."""
     side = np.sign(before.pole[0, 2]) or 1.0
     for outcome, color, label in ((before, plots.GREEN, "before"), (after, plots.WINE, "after")):
-        longitude, latitude = longitude_latitude(outcome.pole)
+        longitude, latitude = np.asarray(longitude_latitude(outcome.pole)).T
         ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=color, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=color, label=label)
-    far = np.concatenate([90 - side * longitude_latitude(x.pole)[1] for x in (before, after)])
+    far = 90 - side * np.asarray(longitude_latitude(np.concatenate([before.pole, after.pole])))[:, 1]
     ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))
     ax.set_rlabel_position(22.5)
     ax.tick_params(labelsize="x-small")

@@ -98,28 +98,27 @@ def study(scenario: FlybyKeys, run: Run) -> Study:
     before, after = (jax.tree.map(np.asarray, outcomes(J, State(z.q, z.p))) for z in ends)
     grid, first = phases(scenario), _first_members(scenario, CHECKED)
     orbit, long_axis = scenario.orbit.elements(), scenario.spin.long_axis
-    passages = partial(motion.passages, orbit, scenario.order, long_axis)
+    passages, slopes = motion.passages(scenario.order, long_axis), motion.slopes(_SLOPE_ORDER, long_axis)
     count = 3 + len(scenario.arcs_hours) + len(scenario.variant)
     with tqdm(total=count, unit=" passages", disable=None, leave=False) as bar:
 
-        def advance_bar(x: Any) -> Any:
+        def counted(function: Any, spins: Spin, *times: Any) -> Any:
+            made = function(spins, orbit, scenario.times(*times))
             bar.update()
-            return x
+            return made
 
-        mapped = advance_bar(passages(grid, scenario.times()))
-        fine = advance_bar(passages(first, scenario.times(steps=2 * scenario.steps)))
-        arcs = {
-            hours: advance_bar(passages(first, scenario.times(hours, 2 * scenario.steps)))
-            for hours in scenario.arcs_hours
-        }
-        variants = {x.label: advance_bar(_passages_of_variant(scenario, x, len(grid.phi))) for x in scenario.variant}
-        slopes = advance_bar(
-            motion.slopes(orbit, _SLOPE_ORDER, long_axis, every_second_phase(scenario, grid), scenario.times())
-        )
+        mapped = counted(passages, grid)
+        fine = counted(passages, first, None, 2 * scenario.steps)
+        arcs = {hours: counted(passages, first, hours, 2 * scenario.steps) for hours in scenario.arcs_hours}
+        variants = {}
+        for variant in scenario.variant:
+            variants[variant.label] = _passages_of_variant(scenario, variant, len(grid.phi))
+            bar.update()
+        by_unknown = counted(slopes, every_second_phase(scenario, grid))
     count = min(CHECKED, run.state.q.shape[1])
     step_error = float(np.max(_angles(fine.q[:count], run.state.q[-1, :count])))
     failed = sum(int((~x.converged).sum()) for x in (mapped, fine, *arcs.values(), *variants.values()))
-    return Study(before, after, grid, mapped, slopes, step_error, arcs, variants, failed)
+    return Study(before, after, grid, mapped, by_unknown, step_error, arcs, variants, failed)
 
 
 _angles = jax.jit(jax.vmap(so3.angle))
@@ -151,7 +150,7 @@ def _passages_of_variant(scenario: FlybyKeys, variant: Variant, count: int) -> P
     spin = scenario.spin.with_changes(variant)
     orbit = scenario.orbit.model_copy(update={"frame": variant.frame or scenario.orbit.frame})
     spins = _first_members(scenario.model_copy(update={"spin": spin}), count)
-    return motion.passages(orbit.elements(), scenario.order, spin.long_axis, spins, scenario.times())
+    return motion.passages(scenario.order, spin.long_axis)(spins, orbit.elements(), scenario.times())
 
 
 class SpinChange(NamedTuple):
@@ -167,7 +166,7 @@ class SpinChange(NamedTuple):
 
 def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
     """The changes of the members."""
-    longitudes, latitudes = zip(*(longitude_latitude(x.pole) for x in (before, after)), strict=True)
+    longitudes, latitudes = np.moveaxis(longitude_latitude(np.stack([before.pole, after.pole])), -1, 0)
     return SpinChange(
         after.momentum / before.momentum,
         after.rate / before.rate,

@@ -152,9 +152,8 @@ class Kind(Table):
     def _check_published(self) -> Self:
         keys = {mark[1] for f in _methods(type(self)) if (mark := vars(f).get("quantity")) is not None}
         if keys and (unknown := set(self._published()) - keys):
-            raise ValueError(
-                f"published.{min(unknown)}: no quantity has this key; {' or '.join(sorted(keys - {''}))} has"
-            )
+            known = " or ".join(sorted(keys - {""}))
+            raise ValueError(f"published.{min(unknown)}: no quantity has this key; {known} has")
         return self
 
     def own_numbers(self) -> dict[_spread.Path, _spread.GivenSpread]:
@@ -293,12 +292,9 @@ class Kind(Table):
     def changes(
         self, run: Run, steps: Iterable[Step], longest: int = LONGEST
     ) -> tuple[np.ndarray, dict[str, dict[str, np.ndarray]]]:
-        """Times, and the relative changes of what is conserved, by the names of steps and quantities, from one state.
+        """Times, and the relative changes of what is conserved, by the names of steps and quantities.
 
-        Args:
-            run: a run of one body, whose first state is the initial one.
-            steps: the steps to compare.
-            longest: the largest number of steps.
+        They are those of at most `longest` of each of the `steps`, from the first state of a run of one body.
         """
         found, t = {}, np.zeros(0)
         for step in steps:

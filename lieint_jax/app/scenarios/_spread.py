@@ -192,12 +192,8 @@ class GivenSpread(NamedTuple):
 def requested_spreads(scenario: Any, fixed: Mapping[str, str]) -> dict[Path, GivenSpread]:
     """The spreads of numbers that a scenario gives, by the paths of the numbers, without those that are 0.
 
-    Args:
-        scenario: the scenario; its table `spread` may contain them.
-        fixed: patterns of paths of numbers that have no spread, with the reasons.
-
-    Raises:
-        ValueError: no such number, or no standard deviation.
+    `fixed` are patterns of paths of numbers that have no spread, with the reasons. ValueError: no such number, or no
+    standard deviation.
     """
     table: Any = getattr(scenario, _SPREAD, None)
     entries = dict(_entries(getattr(table, "model_extra", None) or {}))
@@ -331,11 +327,9 @@ def _with_parts(value: Any, parts: Mapping[Path, Numbers]) -> Any:
 
 
 def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
-    """The step and the members' states; where numbers have a spread, the leaves of the step have the member axis.
+    """The step and the members' states, for deviates with the member axis.
 
-    Args:
-        scenario: the scenario, a `Kind`.
-        noise: the deviates of the members' initial states, with the member axis.
+    Where numbers have a spread, the leaves of the step have the member axis too.
     """
     nominal, own = scenario.make_step(), draw_members(scenario)
     if not own:

@@ -70,10 +70,9 @@ def facts(scenario: FlybyKeys, before: Outcome) -> list[Quantity]:
     """Quantities of the orbit and of the members before the passage, with published values."""
     position, velocity = (np.asarray(x) for x in GivenOrbit(scenario.orbit.elements())(jnp.zeros(())))
     date, a = scenario.orbit.date(0), scenario.orbit.elements()[1]
-    at_infinity, light = (
-        float(np.sqrt(-scenario.orbit.gm_km3_s2 / a)),
-        1 / (1 / before.precession - 1 / before.rotation),
-    )
+    at_infinity = float(np.sqrt(-scenario.orbit.gm_km3_s2 / a))
+    light = 1 / (1 / before.precession - 1 / before.rotation)
+    hours = date.hour + date.minute / 60 + date.second / HOUR
 
     def quantity(name: str, values: np.ndarray | float, key: str = "") -> Quantity:
         published = [known for known in scenario.published if known.quantity == key]
@@ -83,9 +82,7 @@ def facts(scenario: FlybyKeys, before: Outcome) -> list[Quantity]:
         quantity("distance at the perigee (km)", float(np.linalg.norm(position)), "perigee_distance_km"),
         quantity("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
         quantity("speed far away (km/s)", at_infinity),
-        quantity(
-            "time of the perigee (h, UTC)", date.hour + date.minute / 60 + date.second / HOUR, "perigee_time_utc_h"
-        ),
+        quantity("time of the perigee (h, UTC)", hours, "perigee_time_utc_h"),
         quantity("precession period P_φ (h)", before.precession, "precession_period_h"),
         quantity("rotation period P_ψ (h)", before.rotation, "rotation_period_h"),
         quantity("1/(1/P_φ − 1/P_ψ), strongest in light curves (h)", light, "lightcurve_period_h"),

@@ -19,17 +19,7 @@ from pydantic import Field, model_validator
 
 from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._keys import (
-    Direction,
-    Moments,
-    NonNegative,
-    PositiveFloat,
-    PositiveInt,
-    Table,
-    Text,
-    Triple,
-    checked,
-)
+from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture
 from lieint_jax.app.scenarios._report import paragraphs
 from lieint_jax.app.scenarios._runs import map_on_local_devices, standard_deviation
@@ -49,52 +39,52 @@ _IN_PLANE, _OUT_OF_PLANE = (2, 5), (0, 1, 3, 4)  # coordinates (δθ, δπ), whi
 Eccentricity = Annotated[float, Field(ge=0, lt=1)]
 
 
-class Sample(Table):
+class Sample(keys.Table):
     """The number of chaotic motions that are integrated, and their length."""
 
-    starts: PositiveInt
+    starts: keys.PositiveInt
     """The number of motions, those of the section's chaotic members."""
-    orbits: PositiveInt
+    orbits: keys.PositiveInt
     """The length of each motion."""
 
 
-class Observed(Table):
+class Observed(keys.Table):
     """An observed rotation state, and the assumed principal axes."""
 
     date: str
     """The date of the observation."""
     reading: str
     """A short name of the assumption on the principal axes."""
-    inertia: Moments
+    inertia: keys.Moments
     """Principal moments about the axes a, b, c."""
     eccentricity: Eccentricity
     """The eccentricity of the orbit at that date."""
     mean_anomaly_deg: float
     """The mean anomaly at that date, in degrees."""
-    euler_313_deg: Triple
+    euler_313_deg: keys.Triple
     """Attitude R_z(α) R_x(β) R_z(γ), axes a, b, c to space, in degrees; in space x is toward pericenter, z normal."""
-    spin_axis: Direction
+    spin_axis: keys.Direction
     """The direction of the angular velocity, components along a, b, c; of any length."""
-    spin_rate: PositiveFloat
+    spin_rate: keys.PositiveFloat
     """The size of the angular velocity, in mean motions."""
     source: str
     """A key of the table sources."""
 
 
-class Ensemble(Table):
+class Ensemble(keys.Table):
     """Members about each observed state, an assumption on its errors."""
 
-    members: PositiveInt
+    members: keys.PositiveInt
     """The number of members of each; the first is the state itself."""
-    orbits: PositiveInt
+    orbits: keys.PositiveInt
     """The length of a run."""
-    steps_per_orbit: PositiveInt
+    steps_per_orbit: keys.PositiveInt
     """The period over the step size: fast spin needs more steps than planar motions."""
-    attitude_deg: NonNegative = 0.0
+    attitude_deg: keys.NonNegative = 0.0
     """Standard deviation of a rotation about each axis of space, in degrees."""
-    spin_axis_deg: NonNegative = 0.0
+    spin_axis_deg: keys.NonNegative = 0.0
     """Standard deviation of the spin axis in the body, about each of two axes, in degrees."""
-    spin_rate: NonNegative = 0.0
+    spin_rate: keys.NonNegative = 0.0
     """Standard deviation of the spin rate, in mean motions."""
 
 
@@ -108,31 +98,31 @@ class Moon(Kind):
 
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """Follows from steps_per_orbit; files of results have it."""
-    period: PositiveFloat
+    period: keys.PositiveFloat
     """The period of the orbit, in period_unit: for times in reports."""
     period_unit: str = "d"
     """The name of that unit."""
-    inertia: Annotated[Moments, checked(_check_in_order)]
+    inertia: Annotated[keys.Moments, keys.checked(_check_in_order)]
     """Principal moments of the planar motions, the axes of the least and the greatest first and last."""
     eccentricity: Eccentricity
     """The eccentricity of the orbit of the planar motions."""
-    steps_per_orbit: PositiveInt
+    steps_per_orbit: keys.PositiveInt
     """The period over the step size; a state is saved at every pericenter."""
-    angles: PositiveInt
+    angles: keys.PositiveInt
     """The number of starts with one rate: θ = 0 … π; members is a multiple of it."""
-    greatest_rate: PositiveFloat
+    greatest_rate: keys.PositiveFloat
     """Starts have rates θ̇ = 0 … greatest_rate, in mean motions."""
     planar: Sample
     """The sample of the planar exponents."""
     spatial: Sample
     """The sample of the exponents of motions in space: the same starts, tilted by tilt_deg."""
-    tilt_deg: PositiveFloat = 5.0
+    tilt_deg: keys.PositiveFloat = 5.0
     """In degrees."""
     around: Ensemble
     """About the observed states."""
     observed: list[Observed] = []
     """Observed states."""
-    notes: list[Text] = []
+    notes: list[keys.Text] = []
     """Paragraphs of the report below the observed states: the assumptions."""
 
     no_spread: ClassVar[str] = (

@@ -14,13 +14,7 @@ from pydantic import model_validator
 
 from lieint_jax import diagnostics, maps, measure, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._body import (
-    BodyKind,
-    InitialState,
-    axis_in_space,
-    inertia_matrix,
-    is_long_axis_mode,
-)
+from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._files import ObservationFile
 from lieint_jax.app.scenarios._keys import TINY, Published, Table, Text
 from lieint_jax.app.scenarios._kind import check_order, picture
@@ -38,7 +32,7 @@ _SUBSCRIPTS = "₁₂₃"
 _AMPLIFIED = 1e-11  # a larger Poisson error of an exact scheme is round-off that the motion amplifies
 
 
-class Observation(InitialState):
+class Observation(_body.InitialState):
     """An observed attitude and angular velocity at time t, with its source."""
 
     label: Text
@@ -60,7 +54,7 @@ class Prediction(NamedTuple):
     integrator_error_deg: float
 
 
-class FreeBody(BodyKind):
+class FreeBody(_body.BodyKind):
     """The keys of a scenario of this kind."""
 
     scheme: Literal["so3_midpoint", "so3_explicit", "preprocessed", "calibrated", "exact", "gauss", "extrapolate"] = (
@@ -76,7 +70,7 @@ class FreeBody(BodyKind):
     ] = {}
     observation: list[Observation] = []
 
-    files: ClassVar[Mapping[str, type[Table]]] = {**BodyKind.files, "observation": ObservationFile}
+    files: ClassVar[Mapping[str, type[Table]]] = {**_body.BodyKind.files, "observation": ObservationFile}
 
     @model_validator(mode="after")
     def _check_scheme(self) -> Self:
@@ -194,7 +188,7 @@ class FreeBody(BodyKind):
         seen = [s for s in self.observation if 0 <= self.save_index(s) < len(run.t)][:1]
         last = self.save_index(seen[0]) if seen else len(run.t) - 1
         long = self.drawn(one, steps=last * self.save_every)
-        path, members = axis_in_space(long.state.q, Z), axis_in_space(run.state.q[last], Z)
+        path, members = _body.axis_in_space(long.state.q, Z), _body.axis_in_space(run.state.q[last], Z)
         pole = np.asarray(run.state.p[0, :1]) / np.linalg.norm(run.state.p[0, 0])
         center = float(30 * np.round(np.rad2deg(np.arctan2(pole[0, 1], pole[0, 0])) / 30))
         ax, span = plots.sky(wide, center), f"to t = {long.t[-1]:.4g} {self.time_unit}"
@@ -202,7 +196,7 @@ class FreeBody(BodyKind):
         label = f"{self.members} members then" if self.members > 1 else "axis z then"
         plots.sky_points(ax, members, label, center, color=plots.INK, zorder=3)
         plots.sky_points(ax, pole, "angular momentum", center, color=plots.GREEN, marker="P", s=45, zorder=3)
-        observed = axis_in_space(seen[0].attitude()[None], Z) if seen else np.zeros((0, 3))
+        observed = _body.axis_in_space(seen[0].attitude()[None], Z) if seen else np.zeros((0, 3))
         if seen:
             plots.sky_points(ax, observed, "observed then", center, color=plots.RED, marker="x", s=60, lw=1.6, zorder=4)
             plots.caption(ax.figure, self._observation_in_words(seen[0], path[-1], members))
@@ -215,7 +209,7 @@ class FreeBody(BodyKind):
 
     def _observation_in_words(self, seen: Observation, nominal_axis: np.ndarray, members: np.ndarray) -> str:
         """The caption of `draw_path`: the source of the cross, and its distance from the predicted axes."""
-        [observed] = axis_in_space(seen.attitude()[None], Z)
+        [observed] = _body.axis_in_space(seen.attitude()[None], Z)
         spread = np.rad2deg(np.sqrt(np.mean(angles(members, nominal_axis) ** 2)))
         off = np.rad2deg(angles(observed, nominal_axis))
         return (
@@ -277,10 +271,10 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
 
 def _draw_polhode(ax: Any, one: Run) -> None:
     """The body momentum of the nominal member, seen along the principal axis that it circles."""
-    moments, axes = np.linalg.eigh(inertia_matrix(one.system))
+    moments, axes = np.linalg.eigh(_body.inertia_matrix(one.system))
     Pi = series(RigidBody.body_momentum, one)
     Pi = Pi @ axes / np.linalg.norm(Pi[0])
-    about = 0 if is_long_axis_mode(moments, Pi[0]) else 2
+    about = 0 if _body.is_long_axis_mode(moments, Pi[0]) else 2
     x, y = (k for k in range(3) if k != about)
     angle = np.linspace(0, 2 * np.pi, 145)
     ax.plot(np.cos(angle), np.sin(angle), color=plots.GRAY, lw=0.8)

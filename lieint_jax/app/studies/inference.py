@@ -51,6 +51,7 @@ __all__ = [
     "Published",
     "StudentT",
     "Unknown",
+    "calibrate_errors",
     "compare",
     "coverage",
     "draw",
@@ -401,6 +402,19 @@ def coverage(problem: Problem, truth: Estimate, sets: int, seed: int, progress: 
     return compare(problem, truth, estimates(problem, found, data), found.starts.success)
 
 
+def calibrate_errors(
+    problem: Problem, estimate: Estimate, sets: int, seed: int, progress: bool = True
+) -> tuple[np.ndarray, Coverage]:
+    """By how much half of 2 `sets` synthetic data sets enlarges the errors, and a test of these by the other half.
+
+    The factors, (2,), are those of the parameters and of the noise levels; none is below 1.
+    """
+    p, levels = len(estimate.x), len(estimate.noise)
+    both = coverage(problem, estimate, 2 * sets, seed, progress)
+    factors = np.maximum(both.select(slice(sets)).scatter(p, levels), 1)
+    return factors, both.select(slice(sets, None)).rescale(factors, p, levels)
+
+
 def compare(problem: Problem, truth: Estimate, each: Estimate, success: np.ndarray) -> Coverage:
     """The coverage of the truth by the estimates of many fits."""
     p, error = len(truth.x), each.x - truth.x
@@ -513,11 +527,9 @@ def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Infer
         raise ValueError(f"no start of {problem.title!r} can be evaluated: {found.message}")
     best = int(np.nanargmin(found.starts.loss))
     estimate = jax.tree.map(lambda leaf: leaf[0], estimates(problem, found, data, which=[best]))
-    factors, test, forecast, p, levels = np.ones(3), None, None, len(estimate.x), len(estimate.noise)
+    factors, test, forecast = np.ones(3), None, None
     if found.success and np.isfinite(estimate.covariance).all():
-        both = coverage(problem, estimate, 2 * sets, 2, progress)
-        factors[:2] = np.maximum(both.select(slice(sets)).scatter(p, levels), 1)
-        test = both.select(slice(sets, None)).rescale(factors, p, levels)
+        factors[:2], test = calibrate_errors(problem, estimate, sets, 2, progress)
         factors[2] = max(1.0, np.sqrt(found.chi_square / max(found.degrees_of_freedom or 0, 1))) if known else 1.0
         estimate = enlarge_errors(estimate, factors[0] * factors[2])
         if problem.forecast is not None:

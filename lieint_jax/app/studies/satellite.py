@@ -49,16 +49,13 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     curve, synthetic = observe(made, sets)
     found = search(curve.t, curve.magnitude)
     first = curve.truncate(session)
-    clock = [time.perf_counter()]
-    guess, begin, candidate = _satellite_fit.random_guesses(
-        found.candidates, guesses, jax.random.key(made.exposures["seed"])
-    )
+    clock, key = [time.perf_counter()], jax.random.key(made.exposures["seed"])
+    guess, begin, candidate = _satellite_fit.random_guesses(found.candidates, guesses, key)
     order = np.argsort(_satellite_fit.losses(guess, begin, made.facets, first, progress))[:starts]
     guess, begin, candidate = jax.tree.map(lambda leaf: leaf[order], (guess, begin, candidate))
     clock.append(time.perf_counter())
-    fits = _satellite_fit.fit_magnitudes(
-        guess, begin, np.tile(first.magnitude, (starts, 1)), made.facets, first, progress
-    )
+    observed = np.tile(first.magnitude, (starts, 1))
+    fits = _satellite_fit.fit_magnitudes(guess, begin, observed, made.facets, first, progress)
     clock.append(time.perf_counter())
     assert fits.starts is not None
     every = changes(made.facets, first.sun, first.observer)
@@ -149,11 +146,9 @@ def _periods(found: SatelliteFit) -> list[str]:
     jk = combinations(HARMONICS)
     by_chance = [100 * coincidence(part @ true, SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
     rows = [("1/min", "period (min)", "variance", "j", "k", "off (1/min)")]
-    for p in s.peaks:
-        j, k, off = find_combination(p.frequency, true, HARMONICS, width)
-        rows.append(
-            (f"{p.frequency:.5f}", f"{1 / p.frequency:.2f}", f"{100 * p.share:.1f}%", str(j), str(k), f"{off:.5f}")
-        )
+    for f, share in s.peaks:
+        j, k, off = find_combination(f, true, HARMONICS, width)
+        rows.append((f"{f:.5f}", f"{1 / f:.2f}", f"{100 * share:.1f}%", str(j), str(k), f"{off:.5f}"))
     lines = [
         "\n  sines in the light, the strongest first, each with the simplest j f_precession + k f_rotation, |j|, |k| ≤ "
         f"{HARMONICS}",
@@ -237,10 +232,7 @@ def _symmetries(found: SatelliteFit) -> list[str]:
 def _estimate(found: SatelliteFit) -> list[str]:
     e, chance = found.estimate, _report.chance_errors(len(found.estimate.errors))
     values = np.append(e.value, e.periods), np.append(e.sigma, e.periods_sigma), np.append(e.truth, found.periods)
-    names = [
-        *(name for unknown in UNKNOWNS.values() for name in unknown.names),
-        *QUANTITIES,
-    ]
+    names = [*(name for unknown in UNKNOWNS.values() for name in unknown.names), *QUANTITIES]
     compared = [
         (name, f"{x:.4f}", f"{s:.4f}", f"{t:.4f}", f"{(x - t) / s:+.2f} σ")
         for name, x, s, t in zip(names, *values, strict=True)
