@@ -3,18 +3,8 @@
 `cases()` lists the cases, `Case.compare()` runs one; the command `lieint check --published` prints all comparisons.
 """
 
+from lieint_jax.app.published import _constant_torque, _detumbling, _free_bodies, _gravity_gradient, _heavy_top, _wheels
 from lieint_jax.app.published._case import Case, Comparison
-from lieint_jax.app.published._constant_torque import basilisk_constant_torque
-from lieint_jax.app.published._detumbling import magnetic_detumbling
-from lieint_jax.app.published._free_bodies import (
-    basilisk_free_body,
-    basilisk_momentum_frame,
-    kynema_precession,
-    tumbling_brick,
-)
-from lieint_jax.app.published._gravity_gradient import jeod_gravity_gradient, jeod_pitching
-from lieint_jax.app.published._heavy_top import multibody_heavy_top
-from lieint_jax.app.published._wheels import basilisk_wheels
 
 __all__ = ["Case", "Comparison", "cases"]
 
@@ -22,14 +12,14 @@ __all__ = ["Case", "Comparison", "cases"]
 def cases() -> tuple[Case, ...]:
     """All cases, in the order in which `lieint check --published` prints them."""
     return (
-        jeod_gravity_gradient(),
-        jeod_pitching(),
-        tumbling_brick(),
-        basilisk_free_body(),
-        basilisk_momentum_frame(),
-        basilisk_wheels(),
-        basilisk_constant_torque(),
-        magnetic_detumbling(),
-        multibody_heavy_top(),
-        kynema_precession(),
+        _gravity_gradient.jeod_gravity_gradient(),
+        _gravity_gradient.jeod_pitching(),
+        _free_bodies.tumbling_brick,
+        _free_bodies.basilisk_free_body(),
+        _free_bodies.basilisk_momentum_frame(),
+        _wheels.basilisk_wheels,
+        _constant_torque.basilisk_constant_torque,
+        _detumbling.magnetic_detumbling,
+        _heavy_top.multibody_heavy_top,
+        _free_bodies.kynema_precession,
     )

@@ -11,18 +11,12 @@ from numpy.typing import ArrayLike
 
 
 class Comparison(NamedTuple):
-    """One quantity of a case: the published numbers and ours.
+    """One quantity of a case: the published numbers and ours."""
 
-    Attributes:
-        quantity: the name of the quantity, with its time and unit.
-        theirs, ours: the published numbers and those of this package.
-        digits: half a unit of the last printed digit, 0 if they are printed in full.
-    """
-
-    quantity: str
+    quantity: str  # its name, with its time and unit
     theirs: np.ndarray
     ours: np.ndarray
-    digits: float
+    digits: float  # half a unit of the last printed digit, 0 if they are printed in full
 
     @property
     def difference(self) -> float:
@@ -34,23 +28,16 @@ class Comparison(NamedTuple):
 class Case:
     """A case that another code has published.
 
-    Attributes:
-        code: the code and the name of the case there.
-        source: repository, file and commit, or paper.
-        scheme: the scheme, with its step size, that computes the numbers here.
-        published: quantity ↦ the numbers as published.
-        limit: the error that limits the agreement.
-        compute: function of no argument that returns quantity ↦ our numbers.
-        digits: half a unit of the last printed digit, 0 if the numbers are printed in full.
+    `@partial(Case, code=…, …)` makes one of the function that computes it.
     """
 
-    code: str
-    source: str
-    scheme: str
-    published: Mapping[str, ArrayLike]
-    limit: str
-    compute: Callable[[], Mapping[str, ArrayLike]]
-    digits: float = 0.0
+    compute: Callable[[], Mapping[str, ArrayLike]]  # () ↦ quantity ↦ our numbers
+    code: str  # the code and the name of the case there
+    source: str  # repository, file and commit, or paper
+    scheme: str  # the scheme, with its step size, that computes the numbers here
+    published: Mapping[str, ArrayLike]  # quantity ↦ the numbers as published
+    limit: str  # the error that limits the agreement
+    digits: float = 0.0  # half a unit of the last printed digit, 0 if the numbers are printed in full
 
     def compare(self) -> list[Comparison]:
         """Compute all quantities, and compare each with the published numbers."""

@@ -34,14 +34,14 @@ _PUBLISHED = {  # hours ↦ the momentum in mN m s, for both gains
     0.8: (0.5523330453224512, 0.7567601398504379),
     1.0: (0.40556637037912, 0.7544831104898146),
 }
+_NAMES = [f"momentum for 1 h, gain {gain:g} N m s, mN m s" for gain in _GAINS]
 
 
 def field_of_case() -> orbits.VectorTable:
     """The field along the orbit for the first hour, T."""
     t = np.arange(0.0, 3601.0, 10.0)
-    return orbits.vector_table(
-        t, igrf(orbits.julian_date(2018, 1, 1), t, orbit_with_j2(np.array(_ORBIT), 10.0, 360), 2018 + 1 / 365.2425)
-    )
+    places = orbit_with_j2(np.array(_ORBIT), 10.0, 360)
+    return orbits.vector_table(t, igrf(orbits.julian_date(2018, 1, 1), t, places, 2018 + 1 / 365.2425))
 
 
 def start_of_case(field: Any) -> tuple[Array, Array]:
@@ -73,27 +73,21 @@ def _momenta(field: Any, q: Array, Omega: Array, gain: Array, samples: int) -> A
     return jnp.concatenate([jnp.linalg.norm(start.p)[None], momenta])
 
 
-def magnetic_detumbling() -> Case:
+@partial(
+    Case,
+    code="Willis et al. 2024, magnetic detumbling of a CubeSat, 1 h",
+    source="RoboticExplorationLab/non-monotonic-detumbling, final/bcross_stuck_detumble.jl, "
+    "figs/bcross_stuck.tikz @413faf0; arXiv:2407.02724",
+    scheme="torqued_midpoint(body) with torques.dipole, constant for each of 36 000 samples, Δt = 0.1 s",
+    published=dict(zip(_NAMES, np.array(list(_PUBLISHED.values())).T, strict=True)),
+    limit="the noise of the sensors there, and an orbit without air and without tesseral gravity here",
+)
+def magnetic_detumbling() -> dict[str, np.ndarray]:
     """The "B-cross" law with two gains, from a rotation about the field; the greater gain gets stuck there."""
-    hours = np.array(list(_PUBLISHED))
-    numbers = np.array(list(_PUBLISHED.values())).T
-    names = [f"momentum for 1 h, gain {gain:g} N m s, mN m s" for gain in _GAINS]
-
-    def compute() -> dict[str, np.ndarray]:
-        field = field_of_case()
-        q, Omega = start_of_case(field)
-        samples = np.round(3600 * hours / _SAMPLING).astype(int)
-        return {
-            name: 1e3 * np.asarray(_momenta(field, q, Omega, jnp.asarray(gain), int(samples[-1])))[samples]
-            for name, gain in zip(names, _GAINS, strict=True)
-        }
-
-    return Case(
-        code="Willis et al. 2024, magnetic detumbling of a CubeSat, 1 h",
-        source="RoboticExplorationLab/non-monotonic-detumbling, final/bcross_stuck_detumble.jl, "
-        "figs/bcross_stuck.tikz @413faf0; arXiv:2407.02724",
-        scheme="torqued_midpoint(body) with torques.dipole, constant for each of 36 000 samples, Δt = 0.1 s",
-        published=dict(zip(names, numbers, strict=True)),
-        limit="the noise of the sensors there, and an orbit without air and without tesseral gravity here",
-        compute=compute,
-    )
+    field = field_of_case()
+    q, Omega = start_of_case(field)
+    samples = np.round(3600 * np.array(list(_PUBLISHED)) / _SAMPLING).astype(int)
+    return {
+        name: 1e3 * np.asarray(_momenta(field, q, Omega, jnp.asarray(gain), int(samples[-1])))[samples]
+        for name, gain in zip(_NAMES, _GAINS, strict=True)
+    }

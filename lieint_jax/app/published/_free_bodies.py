@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import numpy as np
 
@@ -18,24 +20,21 @@ _RATES = {  # °/s at the times
 _SPACECRAFT, _SPIN = [500.0, 200.0, 300.0], [0.5, -0.4, 0.7]  # kg m², rad/s
 
 
-def tumbling_brick() -> Case:
+@partial(
+    Case,
+    code="NASA, tumbling brick (NESC atmospheric check case 2)",
+    source="nasa/simupy-flight, NESC_data/Atmospheric_checkcases/Atmos_02_TumblingBrickNoDamping/"
+    "Atmos_02_sim_04.csv @70754e6; NASA/TM-2015-218675",
+    scheme="rigid_body(…).solution, the closed form",
+    published={f"rates at {t} s, °/s": rate for t, rate in _RATES.items()},
+    limit="the other code's steps: NASA's simulations 01 and 04 differ by 1e-9, others by up to 3e-3",
+)
+def tumbling_brick() -> dict[str, np.ndarray]:
     """NASA's check case of a tumbling brick without damping."""
-
-    def compute() -> dict[str, np.ndarray]:
-        body = systems.rigid_body([0.00189422, 0.006211019, 0.007194665])  # slug ft²
-        start = body.state(angular_velocity=np.deg2rad([10.0, 20.0, 30.0]))
-        ends = jax.vmap(lambda t: body.angular_velocity(body.solution(start, t)))(np.array(list(_RATES), float))
-        return {f"rates at {t} s, °/s": np.rad2deg(end) for t, end in zip(_RATES, np.asarray(ends), strict=True)}
-
-    return Case(
-        code="NASA, tumbling brick (NESC atmospheric check case 2)",
-        source="nasa/simupy-flight, NESC_data/Atmospheric_checkcases/Atmos_02_TumblingBrickNoDamping/"
-        "Atmos_02_sim_04.csv @70754e6; NASA/TM-2015-218675",
-        scheme="rigid_body(…).solution, the closed form",
-        published={f"rates at {t} s, °/s": rate for t, rate in _RATES.items()},
-        limit="the other code's steps: NASA's simulations 01 and 04 differ by 1e-9, others by up to 3e-3",
-        compute=compute,
-    )
+    body = systems.rigid_body([0.00189422, 0.006211019, 0.007194665])  # slug ft²
+    start = body.state(angular_velocity=np.deg2rad([10.0, 20.0, 30.0]))
+    ends = jax.vmap(lambda t: body.angular_velocity(body.solution(start, t)))(np.array(list(_RATES), float))
+    return {f"rates at {t} s, °/s": np.rad2deg(end) for t, end in zip(_RATES, np.asarray(ends), strict=True)}
 
 
 def basilisk_free_body() -> Case:
@@ -55,38 +54,36 @@ def basilisk_momentum_frame() -> Case:
 
 
 def _basilisk(code: str, published: tuple[float, ...], start: Attitude = (1.0, 0.0, 0.0, 0.0)) -> Case:
-    def compute() -> dict[str, np.ndarray]:
-        body = systems.rigid_body(_SPACECRAFT)
-        end = body.solution(body.state(start, angular_velocity=_SPIN), 10.0)
-        return {"MRP at 10 s": np.asarray(attitude.to_mrp(end.q))}
-
-    return Case(
+    @partial(
+        Case,
         code=code,
         source="AVSLab/basilisk, src/simulation/dynamics/spacecraft/_UnitTest/test_spacecraft.py @babdff7",
         scheme="rigid_body(…).solution, the closed form",
         published={"MRP at 10 s": published},
         limit="nine printed digits",
-        compute=compute,
         digits=5e-10,
     )
+    def case() -> dict[str, np.ndarray]:
+        body = systems.rigid_body(_SPACECRAFT)
+        end = body.solution(body.state(start, angular_velocity=_SPIN), 10.0)
+        return {"MRP at 10 s": np.asarray(attitude.to_mrp(end.q))}
+
+    return case
 
 
-def kynema_precession() -> Case:
+@partial(
+    Case,
+    code="kynema, precession of a free symmetric body",
+    source="kynema/kynema, tests/regression_tests/regression/test_precession.cpp @d3b403d",
+    scheme="rigid_body(…).solution, the closed form",
+    published={
+        "quaternion at 5 s": (-0.63053045128590757, 0.60556039120583116, -0.30157681970585326, -0.38049886257377241)
+    },
+    limit="the other code's start: its generalized-α method begins with zero acceleration, an error of order 1",
+)
+def kynema_precession() -> dict[str, np.ndarray]:
     """kynema's precessing body; its first step explains the difference (`tests/app/test_published_misfits.py`)."""
-
-    def compute() -> dict[str, np.ndarray]:
-        body = systems.rigid_body([1.0, 1.0, 0.5])
-        end = body.solution(body.state(angular_velocity=[0.5, 0.5, 1.0]), 5.0)
-        q = np.asarray(end.q)
-        return {"quaternion at 5 s": q if q[0] < 0 else -q}
-
-    return Case(
-        code="kynema, precession of a free symmetric body",
-        source="kynema/kynema, tests/regression_tests/regression/test_precession.cpp @d3b403d",
-        scheme="rigid_body(…).solution, the closed form",
-        published={
-            "quaternion at 5 s": (-0.63053045128590757, 0.60556039120583116, -0.30157681970585326, -0.38049886257377241)
-        },
-        limit="the other code's start: its generalized-α method begins with zero acceleration, an error of order 1",
-        compute=compute,
-    )
+    body = systems.rigid_body([1.0, 1.0, 0.5])
+    end = body.solution(body.state(angular_velocity=[0.5, 0.5, 1.0]), 5.0)
+    q = np.asarray(end.q)
+    return {"quaternion at 5 s": q if q[0] < 0 else -q}

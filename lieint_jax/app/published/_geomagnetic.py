@@ -18,10 +18,7 @@ _PRECESSION = np.deg2rad(2004.19 / 3600) / 36525  # rad per day, by which the po
 def orbit_with_j2(state: np.ndarray, dt: float, steps: int) -> np.ndarray:
     """Positions (steps + 1, 3), in m, along an orbit about an oblate Earth, by RK4 with steps of dt (s).
 
-    Args:
-        state: position and velocity at the start, m and m/s, (6,).
-        dt: the step, s.
-        steps: their number.
+    `state` is position and velocity at the start, m and m/s, (6,).
     """
     mu, J2, radius = orbits.EARTH_GM * 1e9, orbits.EARTH_J2, orbits.EARTH_RADIUS * 1e3
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import numpy as np
 
@@ -57,13 +59,9 @@ _PITCHING = {  # RUN_10D, on the same orbit
 
 def jeod_gravity_gradient() -> Case:
     """JEOD's RUN_10C, which is NESC check case 10C."""
-    return _jeod(
-        "NASA JEOD, gravity gradient on an ellipse, 8 h (NESC check case 10C)",
-        "RUN_10C",
-        _AT_REST,
-        "JEOD's orbit, which differs from Kepler's by 1e-5 m after 8 h, and its steps of the attitude",
-        pitch_rate=-0.001122059109806593,
-    )
+    name = "NASA JEOD, gravity gradient on an ellipse, 8 h (NESC check case 10C)"
+    limit = "JEOD's orbit, which differs from Kepler's by 1e-5 m after 8 h, and its steps of the attitude"
+    return _jeod(name, "RUN_10C", _AT_REST, limit, pitch_rate=-0.001122059109806593)
 
 
 def jeod_pitching() -> Case:
@@ -77,21 +75,16 @@ def _jeod(code: str, run: str, published: dict, limit: str, *, pitch_rate: float
         code=code,
         source=f"nasa/jeod, {_HEAD}/{run}/log_state_ASCII.csv @6550cf4",
         scheme="extrapolate(satellite, 14), Δt = 60 s; orbits.from_state",
-        published=_flatten(published),
+        published={f"{name}, at {t} s": x for t, values in published.items() for name, x in values.items()},
         limit=limit,
-        compute=lambda: _compute(pitch_rate),
+        compute=partial(_compute, pitch_rate),
     )
-
-
-def _flatten(published: dict) -> dict:
-    return {f"{name}, at {t} s": x for t, values in published.items() for name, x in values.items()}
 
 
 def _compute(pitch_rate: float) -> dict[str, np.ndarray]:
     """The positions, attitudes and rates at both times, by this package."""
-    orbit = orbits.from_state(
-        398600441500000.0, [-4315967.74, 960356.2, 5167269.53], [129.091037, -7491.513855, 1452.515654]
-    )
+    position, velocity = [-4315967.74, 960356.2, 5167269.53], [129.091037, -7491.513855, 1452.515654]
+    orbit = orbits.from_state(398600441500000.0, position, velocity)
     satellite = systems.gravity_gradient([500.0, 12250.0, 12250.0], orbit)
     start = satellite.state(np.array(_T0).T, angular_velocity=[-1.958561461497211e-05, pitch_rate, 0.0], t=0.0)
     run = integrate(schemes.extrapolate(satellite, 14), start, 60.0, 480, save_every=5)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,27 +19,24 @@ def _motors(t: jnp.ndarray, q: jnp.ndarray, Omega: jnp.ndarray, h: jnp.ndarray) 
     return jnp.where(t < 0.5, jnp.array([0.2, 0.1, -0.5]), 0.0)
 
 
-def basilisk_wheels() -> Case:
+@partial(
+    Case,
+    code="Basilisk, three balanced reaction wheels",
+    source="AVSLab/basilisk, src/simulation/dynamics/reactionWheels/_UnitTest/"
+    "test_reactionWheelStateEffector_integrated.py @babdff7",
+    scheme="compose(torqued_midpoint(body), 4) with torques.wheels, Δt = 0.005 s",
+    published={"MRP at 1 s": (0.0199853994, 0.00245647716, 8.45356279e-06)},
+    limit="nine printed digits",
+    digits=5e-11,
+)
+def basilisk_wheels() -> dict[str, np.ndarray]:
     """A spacecraft with three balanced wheels; the third motor is limited to the largest torque of 0.2 N m."""
-
-    def compute() -> dict[str, np.ndarray]:
-        axes, moments = jnp.eye(3), jnp.full(3, _AXIAL)
-        locked = jnp.array([900.0, 800.0, 600.0])
-        speeds = jnp.array([500.0, 200.0, -150.0]) * (2 * np.pi / 60)
-        law = torques.wheels(axes, moments, _motors, max_torque=0.2, speeds=speeds)
-        body = systems.torqued_body(torques.body_inertia(locked, axes, moments), law)
-        start = body.state(angular_velocity=[0.08, 0.01, 0.0], t=0.0)
-        step = schemes.compose(schemes.torqued_midpoint(body), 4)
-        end = integrate(step, start, 0.005, 200, save_every=200)  # the motors stop where a step ends
-        return {"MRP at 1 s": np.asarray(attitude.to_mrp(end.state.q[-1]))}
-
-    return Case(
-        code="Basilisk, three balanced reaction wheels",
-        source="AVSLab/basilisk, src/simulation/dynamics/reactionWheels/_UnitTest/"
-        "test_reactionWheelStateEffector_integrated.py @babdff7",
-        scheme="compose(torqued_midpoint(body), 4) with torques.wheels, Δt = 0.005 s",
-        published={"MRP at 1 s": (0.0199853994, 0.00245647716, 8.45356279e-06)},
-        limit="nine printed digits",
-        compute=compute,
-        digits=5e-11,
-    )
+    axes, moments = jnp.eye(3), jnp.full(3, _AXIAL)
+    locked = jnp.array([900.0, 800.0, 600.0])
+    speeds = jnp.array([500.0, 200.0, -150.0]) * (2 * np.pi / 60)
+    law = torques.wheels(axes, moments, _motors, max_torque=0.2, speeds=speeds)
+    body = systems.torqued_body(torques.body_inertia(locked, axes, moments), law)
+    start = body.state(angular_velocity=[0.08, 0.01, 0.0], t=0.0)
+    step = schemes.compose(schemes.torqued_midpoint(body), 4)
+    end = integrate(step, start, 0.005, 200, save_every=200)  # the motors stop where a step ends
+    return {"MRP at 1 s": np.asarray(attitude.to_mrp(end.state.q[-1]))}
