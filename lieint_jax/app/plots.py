@@ -181,14 +181,8 @@ def log_error(
     A logarithmic axis has no zero: exact zeros are left out, and a curve that is zero throughout appears only in the
     legend, as "exactly 0".
 
-    Args:
-        ax: the axes.
-        t: times (n,).
-        curves: errors (n,) by label, at most eight.
-        ylabel: name of the errors.
-        time_unit: unit of t.
-        size: magnitude of the quantity whose errors these are; 1 for relative errors.
-        of: symbol of `size`, such as "|H₀|".
+    `curves` are at most eight errors (n,) by label, of a quantity of the magnitude `size`, 1 for relative errors, whose
+    symbol is `of`, such as "|H₀|".
     """
     epsilon = size * float(np.finfo(np.result_type(*curves.values(), np.float32)).eps)
     errors = {f"{label}: exactly 0" if not np.any(y) else label: abs(np.asarray(y)) for label, y in curves.items()}
@@ -215,12 +209,7 @@ def amplified_round_off(ax: Axes, t: np.ndarray, linearizations: np.ndarray, of:
 
     An error made at a time s has grown by ‖L(t) L(s)⁻¹‖ at t; the line is ε times the largest growth, over `_STARTS`
     times s. It grows like t for a stable motion, and exponentially about an unstable one, such as a middle axis.
-
-    Args:
-        ax: the axes, as `log_error` returns them.
-        t: times (n,).
-        linearizations: L(t), of the motion from its start to these times, (n, k, k).
-        of: symbol of the quantity whose errors are drawn.
+    `linearizations` are L(t), of the motion from its start to the times, (n, k, k); `of` is as in `log_error`.
     """
     growth = np.ones(len(t))
     for s in np.unique(np.linspace(0, len(t) - 1, _STARTS).astype(int)):
@@ -383,10 +372,7 @@ def _view_direction(ax: SpatialAxes) -> np.ndarray:
 def delay_plot(ax: SpatialAxes, points: np.ndarray, symbol: str = "x") -> SpatialAxes:
     """Plot the points (x_n, x_{n+N}, x_{n+2N}) of a series, (n, 3), relative to the middle of their range, as dots.
 
-    Args:
-        ax: axes in three dimensions.
-        points: as `diagnostics.delay` returns them.
-        symbol: the symbol of x, in TeX.
+    They are those of `diagnostics.delay`; `symbol` is that of x, in TeX.
     """
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     power = int(np.floor(np.log10(np.ptp(points) / 2 or 1.0)))

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
-from lieint_jax.app.scenarios import _body, _flyby_study, flyby
+from lieint_jax.app.scenarios import _body, _flyby_study, _runs, flyby
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.groups import so3
 
@@ -295,7 +295,7 @@ def test_derivatives_of_a_passage_agree_with_differences():
 
     def measured(spins, elements=elements):
         passage = motion.passages(8, False)(spins, elements, times)
-        turn = np.asarray(_flyby_study.pole_angles(passage.before.pole, passage.after.pole))
+        turn = np.asarray(_runs.angles(passage.before.pole, passage.after.pole))
         after = passage.after
         values = np.stack([after.precession, after.rotation, after.rate, turn], axis=1)
         return np.stack([_flyby_study.every_second_phase(scenario, x) for x in values.T], axis=1)

@@ -17,6 +17,7 @@ from lieint_jax import _discover, schemes, systems
 from lieint_jax.app.command import check_groups
 from lieint_jax.app.command.compilation import use_program_cache
 from lieint_jax.app.printer import show
+from lieint_jax.app.published import cases
 from lieint_jax.diagnostics import certify
 from lieint_jax.runs import count_cores
 
@@ -170,3 +171,13 @@ def _xla_has_flag(name: str, value: str | bool) -> bool:
     except jax.errors.JaxRuntimeError:
         return False
     return True
+
+
+def check_published() -> None:
+    """Run every case, and print its source, the scheme, and the largest difference in each quantity."""
+    for case in cases():
+        show(f"{case.code}\n  source     {case.source}\n  scheme     {case.scheme}")
+        for found in case.compare():
+            digits = f", printed to {found.digits:.0e}" if found.digits else ""
+            show(f"  {found.quantity:<42} differs by {found.difference:.1e}{digits}")
+        show(f"  limited by {case.limit}\n")

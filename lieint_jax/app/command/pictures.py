@@ -25,21 +25,13 @@ _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the
 
 
 class StoredRun(NamedTuple):
-    """A run with its system.
+    """A run with its system."""
 
-    Attributes:
-        title: the title of its pictures.
-        time_unit: the unit of its times.
-        system: the system; its leaves have the member axis first if `own_system`.
-        run: a `Trajectory`, whose arrays may be on disk, or the arrays of a run with `reduce` by name.
-        own_system: whether each member has a system of its own.
-    """
-
-    title: str
-    time_unit: str
-    system: Any
-    run: Any
-    own_system: bool
+    title: str  # the title of its pictures
+    time_unit: str  # the unit of its times
+    system: Any  # the system; its leaves have the member axis first if `own_system`
+    run: Any  # a `Trajectory`, whose arrays may be on disk, or the arrays of a run with `reduce` by name
+    own_system: bool  # whether each member has a system of its own
 
     def select(self, times: np.ndarray, members: slice) -> StoredRun:
         """The saved states of these members at these times (indices), read into memory."""

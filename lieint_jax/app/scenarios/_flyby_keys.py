@@ -18,6 +18,7 @@ from lieint_jax.groups import so3
 
 _OBLIQUITY = np.deg2rad(23.4392911)  # of the ecliptic at J2000, IAU 1976
 
+_Period = Literal["precession_period_h", "rotation_period_h", "lightcurve_period_h"]
 Mode = Literal["short_axis", "long_axis"]
 Frame = Literal["ecliptic", "equator"]
 
@@ -191,14 +192,7 @@ class Phases(Table):
 class Known(Published):
     """A published number, in the unit of the quantity's name."""
 
-    quantity: Literal[
-        "perigee_distance_km",
-        "perigee_time_utc_h",
-        "precession_period_h",
-        "rotation_period_h",
-        "lightcurve_period_h",
-        "energy_ratio",
-    ]
+    quantity: Literal["perigee_distance_km", "perigee_time_utc_h", _Period, "energy_ratio"]
     """Which quantity it is."""
 
 

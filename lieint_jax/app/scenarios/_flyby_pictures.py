@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.patheffects import withStroke
 
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import longitude_latitude
@@ -45,8 +47,6 @@ def draw_map(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
 
 def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: str, levels: Any, is_ratio: bool) -> None:
     """Plot a map over φ and ψ, both to 360°: its second half is the first, with ψ + 180° and φ + `same_deg`."""
-    from matplotlib.patheffects import withStroke
-
     n, m = values.shape
 
     def full_circle(x: np.ndarray) -> np.ndarray:
@@ -56,8 +56,6 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
     phi, psi = np.linspace(0, 360, n + 1), np.linspace(0, 360, 2 * m + 1)
     options: dict[str, Any] = {"cmap": colors, "shading": "gouraud", "rasterized": True}
     if is_ratio:
-        from matplotlib.colors import LogNorm
-
         most = max(abs(np.log(values)).max(), np.log(1.2))
         options["norm"] = LogNorm(np.exp(-most), np.exp(most))
     image = ax.pcolormesh(phi, psi, full_circle(values), **options)
@@ -141,22 +139,13 @@ def draw_sensitivity(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
         "latitude": "pole's latitude",
     }
     sizes = {name: sigma for name, (_, _, sigma) in unknowns(scenario).items() if sigma > 0}
-    for ax, k, label in (
-        (axes[0], 0, "change of $P_\\phi$ after the passage (h)"),
-        (axes[1], 1, "change of $P_\\psi$ after the passage (h)"),
-    ):
+    look: dict[str, Any] = {"orientation": "horizontal", "whis": (5, 95), "showfliers": False}
+    look |= {"medianprops": {"color": plots.RED}, "tick_labels": [names[name] for name in names if name in sizes]}
+    for k, (ax, period) in enumerate(zip(axes, ("$P_\\phi$", "$P_\\psi$"), strict=True)):
         changes = [abs(found.slopes[name][:, k]) * sizes[name] for name in names if name in sizes]
-        ax.boxplot(
-            [x[x > 0] for x in changes],  # a logarithmic axis has no zero
-            orientation="horizontal",
-            whis=(5, 95),
-            showfliers=False,
-            medianprops={"color": plots.RED},
-            tick_labels=[text for name, text in names.items() if name in sizes],
-        )
+        ax.boxplot([x[x > 0] for x in changes], **look)  # a logarithmic axis has no zero
         ax.invert_yaxis()
-        ax.set_xscale("log")
-        ax.set_xlabel(label)
+        ax.set(xscale="log", xlabel=f"change of {period} after the passage (h)")
     axes[1].set_yticklabels([])
     axes[0].figure.suptitle(
         f"{scenario.title}: effect of one standard deviation of each unknown\n"

@@ -15,6 +15,7 @@ from lieint_jax.app.scenarios._body import direction, longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import FlybyKeys, SpinValues, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
 from lieint_jax.app.scenarios._kind import for_last_run
+from lieint_jax.app.scenarios._runs import angles
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.types import State, vectors
@@ -170,14 +171,11 @@ def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
     return SpinChange(
         after.momentum / before.momentum,
         after.rate / before.rate,
-        np.rad2deg(pole_angles(before.pole, after.pole)),
+        np.rad2deg(angles(before.pole, after.pole)),
         (longitudes[1] - longitudes[0] + 180) % 360 - 180,
         abs(latitudes[1]) - abs(latitudes[0]),
         after.long_axis == before.long_axis,
     )
-
-
-pole_angles = jax.jit(jax.vmap(vectors.angle))
 
 
 def unknowns(scenario: FlybyKeys) -> dict[str, tuple[str, float, float]]:

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
+from jax.tree_util import Partial
 
 from lieint_jax import ensemble
-from lieint_jax.measure._states import series_of
 from lieint_jax.runs import Run, integrate
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step, Trajectory, vectors
 from lieint_jax.types.shapes import PyTree
 
 Numbers: TypeAlias = Any  # a number of one member, or an array of the numbers of all, of JAX or of numpy
@@ -22,6 +22,7 @@ Numbers: TypeAlias = Any  # a number of one member, or an array of the numbers o
 LONGEST, POINTS = 200_000, 4_000  # largest numbers of steps of a drawn run and of points of a curve
 
 length: Callable[[Any], np.ndarray] = partial(np.linalg.norm, axis=-1)
+angles = jax.jit(jnp.vectorize(vectors.angle, signature="(n),(n)->()"))  # between vectors (…, 3), in radians
 
 
 def series(function: Callable[[Any, State], Any], run: Run) -> Any:
@@ -29,7 +30,7 @@ def series(function: Callable[[Any, State], Any], run: Run) -> Any:
 
     A function that is not a closure is compiled once.
     """
-    return series_of(run, _value, function)
+    return jax.tree.map(np.asarray, run.map(Partial(_value, function)))
 
 
 def _value(function: Callable[[Any, State], Any], step: Step, state: State) -> Any:

@@ -24,12 +24,12 @@ from lieint_jax.app.scenarios._flyby_study import (
     change_of_spin,
     every_second_phase,
     members,
-    pole_angles,
     study,
     unknowns,
 )
 from lieint_jax.app.scenarios._keys import HOUR
 from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
+from lieint_jax.app.scenarios._runs import angles
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step
 
@@ -210,7 +210,7 @@ def _errors(scenario: FlybyKeys, found: Study) -> list[str]:
             abs(x.precession - best.precession),
             100 * abs(x.rotation / best.rotation - 1),
             100 * abs(x.rate / best.rate - 1),
-            np.rad2deg(pole_angles(x.pole, best.pole)),
+            np.rad2deg(angles(x.pole, best.pole)),
         )
         lines.append(f"  {f'± {hours:g} h':<34}" + "".join(f"{np.median(v):>11.2g}{v.max():>9.2g}" for v in parts))
     return lines

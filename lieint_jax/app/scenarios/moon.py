@@ -35,6 +35,7 @@ _MAJORITY = 0.95  # share of chaotic members above which a state is chaotic; bel
 _COLORS = plots.COLORS[1:]  # of regular motions
 _ROUND_OFF = 1e-9  # an angle closer to π is 0
 _IN_PLANE, _OUT_OF_PLANE = (2, 5), (0, 1, 3, 4)  # coordinates (δθ, δπ), which do not mix along a planar motion
+_IN_AND_OUT = "in the plane", "out of the plane: attitude unstable if > 0"
 
 Eccentricity = Annotated[float, Field(ge=0, lt=1)]
 
@@ -169,7 +170,7 @@ class Moon(Kind):
 
     @for_last_run
     def chaos(self, run: Run) -> Chaos:
-        """The exponents of a self."""
+        """The exponents of a run."""
         starts = State(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]), jnp.asarray(run.t[0]))
         planes = np.zeros((6, 2))
         planes[_IN_PLANE, 0] = planes[_OUT_OF_PLANE, 1] = 1
@@ -232,14 +233,12 @@ class Moon(Kind):
             f"  {'chaotic':<58}{_percent(chaotic):>8}",
             f"  {'of the regular ones, attitude unstable':<58}{_percent(unstable[~chaotic]):>8}",
         ]
-        for name, values, sample in (
-            (("in the plane", "out of the plane: attitude unstable if > 0"), found.planar, self.planar),
-            (("1st", "2nd", "3rd", "4th", "5th", "6th"), found.spatial, self.spatial),
-        ):
+        tables: dict[str, Any] = {
+            "planar motions in the chaotic zone": (found.planar, self.planar, _IN_AND_OUT),
+            "motions in space from there": (found.spatial, self.spatial, ("1st", "2nd", "3rd", "4th", "5th", "6th")),
+        }
+        for space, (values, sample, name) in tables.items():
             if len(values):
-                space = (
-                    "planar motions in the chaotic zone" if values is found.planar else "motions in space from there"
-                )
                 title = f"{space}, {len(values)} starts × {sample.orbits} orbits"
                 lines.append(f"\n  {title:<68}{'mean ± error':>10}{'spread':>9}{'e-folding':>12}")
                 lines += [
@@ -295,8 +294,7 @@ class Moon(Kind):
         for ax in axes:
             ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, self.greatest_rate))
             ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
-        title = f"{self.title}: {self.members} planar motions, {self.orbits} orbits each"
-        left.figure.suptitle(title)
+        left.figure.suptitle(f"{self.title}: {self.members} planar motions, {self.orbits} orbits each")
 
     def _rows(self, x: np.ndarray) -> np.ndarray:
         """Values of the members as a grid, a row for each rate; its last column repeats the first: θ has period π."""

@@ -19,9 +19,8 @@ from lieint_jax.app.scenarios._files import ObservationFile
 from lieint_jax.app.scenarios._keys import TINY, Published, Table, Text
 from lieint_jax.app.scenarios._kind import check_order, picture
 from lieint_jax.app.scenarios._report import Quantity
-from lieint_jax.app.scenarios._runs import drawn_steps, length, nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._runs import angles, drawn_steps, length, nominal_state, nominal_system, series
 from lieint_jax.groups import so3
-from lieint_jax.measure._states import angles
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step
@@ -112,20 +111,19 @@ class FreeBody(_body.BodyKind):
             "momentum_latitude_deg": "angular momentum latitude (°)",
         }
         angles = np.rad2deg(pole.longitude[0]), np.rad2deg(pole.latitude[0])
-        values, known = (periods.precession, periods.rotation, *angles), {**self.published}
+        values: Any = (periods.precession, periods.rotation, *angles)
+        known: dict[str, Published] = {**self.published}
         return [
-            Quantity(name, x, published=known.get(key), angle=key.endswith("_deg"))  # pyright: ignore[reportArgumentType]
+            Quantity(name, x, published=known.get(key), angle=key.endswith("_deg"))
             for (key, name), x in zip(rows.items(), values, strict=True)
         ]
 
     def remarks(self, run: Run) -> list[str]:
         """The reason for a missing period, and predictions next to observations."""
         one = run.member(0)
-        lines = [self._prediction_lines(found) for found in self.predictions(run)]
-        if np.isnan(measure.periods(one)[:2]).any():
-            missing = "  — no period: the body spins about an axis, or states are saved too rarely (lower save_every)"
-            return [missing, *lines]
-        return lines
+        missing = "  — no period: the body spins about an axis, or states are saved too rarely (lower save_every)"
+        lines = [missing] if np.isnan(measure.periods(one)[:2]).any() else []
+        return lines + [self._prediction_lines(found) for found in self.predictions(run)]
 
     def save_index(self, seen: Observation) -> int:
         """The index of the saved state at the time of an observation."""
@@ -161,12 +159,12 @@ class FreeBody(_body.BodyKind):
             return "(" + ", ".join(f"{x:8.2f}" for x in values) + ")"
 
         lines = [f"\n  {seen.label}: t = {seen.t:g} {self.time_unit}   [{self.source(seen.source)}]"]
-        if seen.euler_313_deg:
-            predicted, observed = triple(found.euler_313_deg), triple(seen.euler_313_deg)
-            lines += [f"    Euler 3-1-3 (°)      predicted {predicted}   observed {observed}"]
-        if seen.angular_velocity_deg:
-            predicted, observed = triple(found.angular_velocity_deg), triple(seen.angular_velocity_deg)
-            lines += [f"    body rate (°/{self.time_unit})      predicted {predicted}   observed {observed}"]
+        for name, predicted, observed in (
+            ("Euler 3-1-3 (°)", found.euler_313_deg, seen.euler_313_deg),
+            (f"body rate (°/{self.time_unit})", found.angular_velocity_deg, seen.angular_velocity_deg),
+        ):
+            if observed:
+                lines.append(f"    {name}      predicted {triple(predicted)}   observed {triple(observed)}")
         lines += [
             f"    angle between attitudes predicted and observed: {found.misfit_deg:.2f}°; members about the nominal "
             f"one: {found.spread_deg:.2f}° rms; the integrator's own error: {found.integrator_error_deg:.2g}°",

@@ -22,12 +22,11 @@ from lieint_jax.app.scenarios._keys import HOUR, NonNegative, PositiveFloat, Rot
 from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_balance, draw_members
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import series
+from lieint_jax.app.scenarios._runs import angles, series
 from lieint_jax.app.scenarios._spread import draw_members as draw_numbers
 from lieint_jax.app.scenarios._spread import stretch_inertia, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.measure import captured_since, first_below
-from lieint_jax.measure._states import angles
 from lieint_jax.runs import Run
 from lieint_jax.systems import TorquedBody
 from lieint_jax.types import State, Step, labels

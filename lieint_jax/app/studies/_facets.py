@@ -23,7 +23,6 @@ from pydantic import Field
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios._keys import Direction, NonNegative, Table
 from lieint_jax.groups import so3
-from lieint_jax.measure._states import rotate
 from lieint_jax.types import pytree
 
 SUN_RADIUS = 0.00465  # rad, from the Earth
@@ -77,7 +76,7 @@ def brightness(body: Facets, q: Array, sun: Array, observer: Array) -> Array:
     s, o = so3.Ad_star(q, sun), so3.Ad_star(q, observer)
     between = s + o
     h = between / jnp.sqrt(jnp.sum(between * between))
-    lit, seen, mirrored = (_ramp(rotate(body.normal, v)) for v in (s, o, h))
+    lit, seen, mirrored = (_ramp(jnp.sum(body.normal * v, axis=1)) for v in (s, o, h))
     lobe = body.specular * mirrored**body.exponent
     return jnp.sum(body.area / jnp.pi * lit * seen * (body.diffuse + lobe))
 

@@ -50,11 +50,7 @@ class TwoPeriods(NamedTuple):
 def fit_two_periods(t: np.ndarray, y: np.ndarray, step: float, numbers: np.ndarray, order: int) -> TwoPeriods:
     """Fit Fourier series of `order` in pairs of frequencies, Σ c_jk exp 2πi(j f₁ + k f₂)t with |j|, |k| ≤ order.
 
-    Args:
-        t, y: times and data, (n,).
-        step: the spacing of the frequencies: all combinations are multiples of it, so one table of waves is enough.
-        numbers: the pairs of frequencies as multiples of `step`, (pairs, 2).
-        order: the order of the series.
+    The pairs, (pairs, 2), are given as multiples of `step`: so are all combinations, and one table of waves is enough.
     """
     jk = combinations(order)
     reach = int(2 * order * np.abs(numbers).sum(axis=1).max())

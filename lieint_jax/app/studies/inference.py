@@ -584,15 +584,12 @@ def text(found: Inference) -> str:
     also += f", and by {chi:.3f}, since χ² is above its degrees of freedom" if chi > 1 else ""
     inside, sets = 100 * (c.mahalanobis_squared <= chi_square_point(len(e.x))).mean(), len(c.pulls)
     published = published_lines(found.names, e, found.published)
-    return "\n".join(
-        [
-            *lines,
-            *table([*rows, ("expected of each", "", "", "68%", "95%", "1.00")]),
-            f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {sets} synthetic sets{also}",
-            f"  right: a test by {sets} other sets; the truth is inside the joint 95 % ellipsoid in {inside:.0f} %",
-            *(["\n  published values:", *published] if published else []),
-        ]
-    )
+    lines += [
+        *table([*rows, ("expected of each", "", "", "68%", "95%", "1.00")]),
+        f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {sets} synthetic sets{also}",
+        f"  right: a test by {sets} other sets; the truth is inside the joint 95 % ellipsoid in {inside:.0f} %",
+    ]
+    return "\n".join([*lines, *(["\n  published values:", *published] if published else [])])
 
 
 def _digits(value: float, sigma: float) -> tuple[str, str]:
@@ -640,9 +637,7 @@ def _draw_estimate(ax: Axes, found: Inference) -> None:
         x, size = pull(quantity, e.values[k], e.sigmas[k], value), error / e.sigmas[k]
         mark = "D" if abs(x) < _EDGE else ">" if x > 0 else "<"
         ax.errorbar(np.clip(x, -_EDGE, _EDGE), y[k], xerr=size, fmt=mark, ms=4, color=plots.RED)
-    pairs = (_digits(x, s) for x, s in zip(e.values, e.sigmas, strict=True))
-    ax.set_yticks(
-        y, [f"{name}\n{x} ± {s}" for name, (x, s) in zip(found.names, pairs, strict=True)], fontsize="x-small"
-    )
+    each = ((name, *_digits(x, s)) for name, x, s in zip(found.names, e.values, e.sigmas, strict=True))
+    ax.set_yticks(y, [f"{name}\n{x} ± {s}" for name, x, s in each], fontsize="x-small")
     label = "(from synthetic data, or published − fitted)/σ"
     ax.set(xlabel=label, xlim=(-_EDGE, _EDGE), title="the estimate, and tests of its errors")

@@ -133,18 +133,17 @@ def text(found: LyapunovSpectrum) -> str:
     def row(values: np.ndarray) -> str:
         return "(" + ", ".join(f"{x:9.5f}" for x in values) + ")"
 
-    return "\n".join(
-        [
-            "Lyapunov exponents of a chaotic heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1)",
-            f"  to t = 20, order 6:            {row(found.short_run)}",
-            f"  the same by the vector field:  {row(found.variational)}",
-            f"  largest difference             {np.abs(found.short_run - found.variational).max():.1e}",
-            f"  to t = {found.t[-1]:g}, splitting:      {row(found.exponents[-1])}",
-            f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pair_defect:.1e}",
-            f"  largest by two neighbors      {found.two_trajectories:.5f}",
-            "  largest, over the second half  {:.4f} ± {:.4f}, a standard error".format(*found.limit),
-        ]
-    )
+    lines = [
+        "Lyapunov exponents of a chaotic heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1)",
+        f"  to t = 20, order 6:            {row(found.short_run)}",
+        f"  the same by the vector field:  {row(found.variational)}",
+        f"  largest difference             {np.abs(found.short_run - found.variational).max():.1e}",
+        f"  to t = {found.t[-1]:g}, splitting:      {row(found.exponents[-1])}",
+        f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pair_defect:.1e}",
+        f"  largest by two neighbors      {found.two_trajectories:.5f}",
+        "  largest, over the second half  {:.4f} ± {:.4f}, a standard error".format(*found.limit),
+    ]
+    return "\n".join(lines)
 
 
 @plots.style()

@@ -1,4 +1,4 @@
-"""NASA's satellite under the gravity gradient on an ellipse, for 8 h, without and with an initial pitch rate."""
+"""NASA's cases: satellites under the gravity gradient on an ellipse, for 8 h, and a free tumbling brick."""
 
 from __future__ import annotations
 
@@ -98,3 +98,28 @@ def _compute(pitch_rate: float) -> dict[str, np.ndarray]:
         }
         found |= {f"{name}, at {t} s": np.asarray(value) for name, value in ours.items()}
     return found
+
+
+_RATES = {  # °/s at the times
+    2: (-1.75081532854, 23.6495577599, 28.0713200449),
+    10: (-2.41890222177, -23.5525695195, 28.12859263),
+    20: (-5.42273467991, 22.7159305765, 28.6082817473),
+    30: (12.6183907757, -17.3974747619, 31.1195888868),
+}
+
+
+@partial(
+    Case,
+    code="NASA, tumbling brick (NESC atmospheric check case 2)",
+    source="nasa/simupy-flight, NESC_data/Atmospheric_checkcases/Atmos_02_TumblingBrickNoDamping/"
+    "Atmos_02_sim_04.csv @70754e6; NASA/TM-2015-218675",
+    scheme="rigid_body(…).solution, the closed form",
+    published={f"rates at {t} s, °/s": rate for t, rate in _RATES.items()},
+    limit="the other code's steps: NASA's simulations 01 and 04 differ by 1e-9, others by up to 3e-3",
+)
+def tumbling_brick() -> dict[str, np.ndarray]:
+    """NASA's check case of a tumbling brick without damping."""
+    body = systems.rigid_body([0.00189422, 0.006211019, 0.007194665])  # slug ft²
+    start = body.state(angular_velocity=np.deg2rad([10.0, 20.0, 30.0]))
+    ends = jax.vmap(lambda t: body.angular_velocity(body.solution(start, t)))(np.array(list(_RATES), float))
+    return {f"rates at {t} s, °/s": np.rad2deg(end) for t, end in zip(_RATES, np.asarray(ends), strict=True)}
