@@ -298,7 +298,7 @@ def test_derivatives_of_a_passage_agree_with_differences():
         turn = np.asarray(_runs.angles(passage.before.pole, passage.after.pole))
         after = passage.after
         values = np.stack([after.precession, after.rotation, after.rate, turn], axis=1)
-        return np.stack([_flyby_study.every_second_phase(scenario, x) for x in values.T], axis=1)
+        return np.stack([scenario.every_second_phase(x) for x in values.T], axis=1)
 
     for name, h in (("phi", 1e-4), ("psi", 1e-4), ("least", 1e-6), ("middle", 1e-7), ("latitude", 1e-4)):
         up, down = (measured(found.grid._replace(**{name: getattr(found.grid, name) + s * h})) for s in (1, -1))

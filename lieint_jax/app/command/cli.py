@@ -298,11 +298,11 @@ def _run(options: argparse.Namespace) -> None:
         where = f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
         with _report_waiting(f"waiting for the processes of this run{where} to connect"):
             processes.initialize(*group)
-    given = {name: getattr(options, name) for name in ("out", "members", "steps", "devices", "resume", "save_at")}
-    given |= {"given": options.set, "part": part, "exports": options.export}
+    same = ("out", "members", "steps", "devices", "resume", "save_at")
+    given: dict[str, Any] = {name: getattr(options, name) for name in same}
+    given |= {"certificate": not options.no_certificate, "pictures": not options.no_pictures}
     try:
-        without = {"certificate": not options.no_certificate, "pictures": not options.no_pictures}
-        run.run(options.scenario, **given, **without)
+        run.run(options.scenario, **given, given=options.set, part=part, exports=options.export)
     except processes.LostProcess as error:
         processes.leave(f"lieint: {error}")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from pydantic import BeforeValidator, Field, field_validator, model_validator
@@ -269,6 +270,11 @@ class FlybyKeys(Kind):
         """The boundaries of the steps, graded along the orbit."""
         hours = self.hours if hours is None else hours
         return orbits.graded_times(GivenOrbit(self.orbit.elements()), -hours, hours, steps or self.steps)
+
+    def every_second_phase(self, grid: Any) -> Any:
+        """Every second value of both phases of a tree of values at all of them."""
+        n, m = self.map.precession_phases, self.map.rotation_phases
+        return jax.tree.map(lambda x: x.reshape(n, m)[::2, ::2].ravel(), grid)
 
     def clock(self) -> dict[str, Any]:
         return {"times": self.times()}

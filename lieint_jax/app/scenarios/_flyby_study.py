@@ -115,7 +115,7 @@ def study(scenario: FlybyKeys, run: Run) -> Study:
         for variant in scenario.variant:
             variants[variant.label] = _passages_of_variant(scenario, variant, len(grid.phi))
             bar.update()
-        by_unknown = counted(slopes, every_second_phase(scenario, grid))
+        by_unknown = counted(slopes, scenario.every_second_phase(grid))
     count = min(CHECKED, run.state.q.shape[1])
     step_error = float(np.max(_angles(fine.q[:count], run.state.q[-1, :count])))
     failed = sum(int((~x.converged).sum()) for x in (mapped, fine, *arcs.values(), *variants.values()))
@@ -132,12 +132,6 @@ def phases(scenario: FlybyKeys) -> Spin:
     phi, psi = np.meshgrid(2 * np.pi * np.arange(n) / n, np.pi * np.arange(m) / m, indexing="ij")
     same = [np.full(phi.size, x) for x in (*given[:4], *np.deg2rad(given[4:]))]
     return Spin(*map(jnp.asarray, (*same, phi.ravel(), psi.ravel())))
-
-
-def every_second_phase(scenario: FlybyKeys, grid: Any) -> Any:
-    """Every second value of both phases."""
-    n, m = scenario.map.precession_phases, scenario.map.rotation_phases
-    return jax.tree.map(lambda x: x.reshape(n, m)[::2, ::2].ravel(), grid)
 
 
 def _first_members(scenario: FlybyKeys, count: int) -> Spin:
@@ -167,7 +161,7 @@ class SpinChange(NamedTuple):
 
 def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
     """The changes of the members."""
-    longitudes, latitudes = np.moveaxis(longitude_latitude(np.stack([before.pole, after.pole])), -1, 0)
+    longitudes, latitudes = np.asarray(longitude_latitude(np.stack([before.pole, after.pole]))).transpose(2, 0, 1)
     return SpinChange(
         after.momentum / before.momentum,
         after.rate / before.rate,

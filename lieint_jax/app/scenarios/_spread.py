@@ -76,7 +76,7 @@ _TESTS: dict[type, Callable[[np.ndarray, Any], np.ndarray]] = {
 
 def _holds_for_all(good: np.ndarray) -> np.ndarray:
     """Whether something holds for all components of each member, (members, …)."""
-    return good.reshape(len(good), -1).all(axis=1)
+    return np.all(good.reshape(len(good), -1), axis=1)
 
 
 def _is_positive_definite(value: np.ndarray, x: np.ndarray) -> np.ndarray:

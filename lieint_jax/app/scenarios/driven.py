@@ -166,7 +166,7 @@ class Driven(TopKind):
     def draw_pointing(self, axes: np.ndarray, run: Run) -> None:
         """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from stability."""
         one = run.member(0)
-        found = _principal(one.system) or {"some": (np.eye(3)[0], "vertical", 0)}
+        found = _principal(nominal_system(one)) or {"some": (np.eye(3)[0], "vertical", 0)}
         which, (axis, stable, k) = next(iter(found.items()))
         long = self.drawn(one)
         path, ends = series(_in_axes_of_orbit, long) @ axis, series(_in_axes_of_orbit, run)[-1] @ axis

@@ -18,15 +18,7 @@ from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._flyby_keys import FlybyKeys
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
-from lieint_jax.app.scenarios._flyby_study import (
-    CHECKED,
-    Study,
-    change_of_spin,
-    every_second_phase,
-    members,
-    study,
-    unknowns,
-)
+from lieint_jax.app.scenarios._flyby_study import CHECKED, Study, change_of_spin, members, study, unknowns
 from lieint_jax.app.scenarios._keys import HOUR
 from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
 from lieint_jax.app.scenarios._runs import angles
@@ -184,7 +176,7 @@ def _sensitivity(scenario: FlybyKeys, found: Study) -> list[str]:
         "\n  sensitivities over the map, by forward differentiation of the whole passage: median and largest",
         f"  {'by':<28}{'dP_φ (h)':>18}{'dP_ψ (h)':>22}{'d ln(spin rate)':>22}{'d pole (°)':>20}",
     ]
-    rate = every_second_phase(scenario, found.mapped.after.rate)
+    rate = scenario.every_second_phase(found.mapped.after.rate)
     for name, (unit, size, _) in unknowns(scenario).items():
         x = abs(found.slopes[name]) * size
         scaled = (x[:, 0], x[:, 1], x[:, 2] / rate, np.rad2deg(x[:, 3]))

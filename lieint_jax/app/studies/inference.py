@@ -28,19 +28,10 @@ from jax.typing import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lieint_jax import fitting
 from lieint_jax.app import plots
 from lieint_jax.app.studies._report import chi_square_point, coverage_cells, squared_distances, table
-from lieint_jax.fitting import (
-    DEGREES_OF_FREEDOM,
-    Bound,
-    Fit,
-    fit,
-    free,
-    interval,
-    student_t,
-    student_t_curvature,
-    student_t_noise_error,
-)
+from lieint_jax.fitting import DEGREES_OF_FREEDOM, Bound, Fit, fit, free, interval
 from lieint_jax.types.shapes import PyTree
 
 __all__ = [
@@ -185,7 +176,7 @@ class Problem:
         if not isinstance(self.noise, StudentT):
             return errors / self.noise, converged
         low = self.noise.low
-        return [student_t(e, levels[k], low, freedom) for k, e in enumerate(errors)], converged
+        return [fitting.student_t(e, levels[k], low, freedom) for k, e in enumerate(errors)], converged
 
     def flagged_errors(self, params: Params, data: PyTree) -> tuple[Array, ArrayLike]:
         """The errors, and whether they converged."""
@@ -352,7 +343,7 @@ def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree,
         J, e = _with_jacobian(lambda x: problem.flagged_errors(unravel(x), data)[0], x)
 
         def information(noise: Array) -> Array:
-            curvature = jnp.stack([student_t_curvature(e[k], noise[k], freedom) for k in range(len(e))])
+            curvature = jnp.stack([fitting.student_t_curvature(e[k], noise[k], freedom) for k in range(len(e))])
             return jnp.einsum("knci,kncd,kndj->kij", J, curvature, J)
 
         share, count = information(noise), e.shape[1] * e.shape[2]
@@ -421,7 +412,7 @@ def compare(problem: Problem, truth: Estimate, each: Estimate, success: np.ndarr
     level = np.zeros((len(error), 0))
     if problem.levels:
         _, n, d = problem.shape
-        level = np.log(each.noise / truth.noise) / student_t_noise_error(n, d)
+        level = np.log(each.noise / truth.noise) / fitting.student_t_noise_error(n, d)
     wrapped = _difference(each.derived, truth.derived, problem.quantities)
     pulls = np.concatenate([error / each.sigmas[:, :p], level, wrapped / each.sigmas[:, p:]], axis=1)
     return Coverage(pulls, squared_distances(error, each.covariance), success)
