@@ -124,11 +124,8 @@ def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
         system = scenarios.build_first(scenario, run.state.p.shape[1]).system
         title, own_system = _checks.printable(scenario.title), scenario.has_own_steps()
     elif "run" in metadata:
-        system, title, own_system = (
-            system_from_store(path, metadata),
-            _title(path, metadata),
-            metadata["run"]["step_axis"] == 0,
-        )
+        system, title = system_from_store(path, metadata), _title(path, metadata)
+        own_system = metadata["run"]["step_axis"] == 0
     else:
         raise ValueError(f"{path} holds neither a scenario nor the parameters of its system")
     if isinstance(run, Trajectory):
@@ -170,8 +167,7 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
 
 def _origin(path: Address, run: Any, metadata: dict[str, Any]) -> list[str]:
     """Lines with the scheme, the system and the size of a run, its progress, and the versions of the software."""
-    progress = metadata.get("progress")
-    if not progress:
+    if not (progress := metadata.get("progress")):
         if "lieint_jax" not in metadata:
             raise UnreadableError(f"{path} is no file of results that lieint wrote: its metadata has no lieint_jax")
         version = _checks.printable(metadata["lieint_jax"])
@@ -213,10 +209,8 @@ def _parts(metadata: dict[str, Any]) -> list[str]:
     if "parts" not in metadata:
         return []
     missing = metadata["missing"]
-    return [
-        f"  {metadata['parts'] - len(missing)} of {metadata['parts']} part(s) complete",
-        *(f"  {x}" for x in missing),
-    ]
+    complete = f"  {metadata['parts'] - len(missing)} of {metadata['parts']} part(s) complete"
+    return [complete, *(f"  {x}" for x in missing)]
 
 
 def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
@@ -232,10 +226,8 @@ def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
         reached = series["first"][~np.isnan(series["first"])]
         when = f", from t = {reached.min():.6g} to {reached.max():.6g}" if reached.size else ""
         lines.append(f"  the condition became true for {reached.size} of {len(series['first'])} member(s){when}")
-    return [
-        *lines,
-        f"  largest residual {series['residual'].max():.2g}; unconverged members {series['unconverged'].max()}",
-    ]
+    residual, failed = series["residual"].max(), series["unconverged"].max()
+    return [*lines, f"  largest residual {residual:.2g}; unconverged members {failed}"]
 
 
 def _conservation(stored: StoredRun) -> list[str]:

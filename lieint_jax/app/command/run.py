@@ -92,9 +92,8 @@ def run(
         if needed > _NOTED:
             show(f"  about {_checks.spoken_size(needed)} of memory")
     options = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
+    options |= {"own_step": not makes_own, "members": scenario.members if makes_own else None}
     options["epoch"] = scenario.date_of_zero()
-    options["own_step"] = not makes_own
-    options["members"] = scenario.members if makes_own else None
     options["same_bits"] = same_bits
     if executor is None:
         integrate = partial(runs.run, mesh=mesh, resume=resume, part=part)
@@ -163,10 +162,7 @@ def _entries(scenario: Kind) -> int:
 def _check_size(scenario: Kind, out: Address, parts: int) -> None:
     """Raise ValueError, before the members are built, if a large run exceeds the memory of this machine.
 
-    Args:
-        scenario: the run.
-        out: where results are written.
-        parts: the number of parts of which this process makes one.
+    Of `parts` of the run, this process makes one.
     """
     entries, members = _entries(scenario), -(-scenario.members // parts)
     if members * entries < _LARGE:
