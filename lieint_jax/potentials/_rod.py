@@ -14,7 +14,10 @@ diagonal A = ½ tr(C_κ) − C_κ,
     directors   V_b = (1/2ℓ) s·C_κs                       = ½ℓ κ·C_κκ (1 − θ²/3 + …)
     fourth      V_b = (1/ℓ)[(4/3) A·o − (1/6) s·C_κs]     = ½ℓ κ·C_κκ (1 − θ⁴/90 + …)
 
-Both are quadratic in Γ, s and o, so their discrete gradient is the gradient at the mean.
+Both are quadratic in Γ, s and o, so their discrete gradient is the gradient at the mean. About one axis V_b is convex
+up to cos θ = 1 − ½√6, θ = 103°, and up to 45° for the directors. About any axis, as a function of the rotation vector,
+it is convex up to 102° and 45° for stiffnesses within a factor of 2, by its Hessian, and less far for others. V is NaN
+where an element turns further than about one axis: Σo = 2(1 − cos θ).
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ __all__ = ["Rod", "rod"]
 
 _OTHERS = ((1, 2), (2, 0), (0, 1))
 _ENERGIES = {"fourth": (4 / 3, -1 / 3), "directors": (0.0, 1.0)}  # the factors of A·o/ℓ and of s·C_κs/2ℓ
+_FARTHEST = {"fourth": 6**0.5, "directors": 2 - 2**0.5}  # Σo where V_b ceases to be convex
 
 
 @pytree
@@ -57,6 +61,10 @@ class Rod(Potential):
     half_turn: Array
     energy: str = static(default="fourth")
     chain = True
+    domain = (
+        "potentials.rod has no value where an element turns by more than 103° from its natural shape (45° with the "
+        "energy of directors), beyond which its energy is not convex: use more elements"
+    )
 
     @property
     def count(self) -> int:
@@ -74,7 +82,7 @@ class Rod(Potential):
         strain, s, o = invariants
         opened, squared = _ENERGIES[self.energy]
         stretched = jnp.sum(self.stretching * (strain - self.natural_strain) ** 2, axis=1)
-        bent = jnp.sum(2 * opened * self._opposite * o + squared * self.bending * s**2, axis=1)
+        bent = jnp.sum(2 * opened * self._opposite * o + squared * self.bending * s**2 + self._outside(o), axis=1)
         return jnp.sum(self.lengths * stretched + bent / self.lengths) / 2
 
     def discrete_gradient(
@@ -82,10 +90,15 @@ class Rod(Potential):
     ) -> tuple[Array, Array, Array]:
         """D with D·(end − start) = V(end) − V(start): the gradient at the mean, as V is quadratic."""
         strain, s, _ = ((a + b) / 2 for a, b in zip(start, end, strict=True))
+        opposite = self._opposite + self._outside(start[2]) + self._outside(end[2])
         opened, squared = _ENERGIES[self.energy]
         lengths = self.lengths[:, None]
         along_strain = lengths * self.stretching * (strain - self.natural_strain)
-        return along_strain, squared * self.bending * s / lengths, opened * self._opposite / lengths
+        return along_strain, squared * self.bending * s / lengths, opened * opposite / lengths
+
+    def _outside(self, o: Array) -> Array:
+        """NaN for elements whose energy is not convex, otherwise 0, (N − 1, 1)."""
+        return jnp.where(jnp.sum(o, axis=1, keepdims=True) < _FARTHEST[self.energy], 0.0, jnp.nan).astype(o.dtype)
 
     @property
     def _opposite(self) -> Array:
