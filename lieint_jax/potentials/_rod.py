@@ -25,14 +25,14 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.groups import so3, special_euclidean
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import pytree, static
-from lieint_jax.types.shapes import Positions, Rotations, Scalar
+from lieint_jax.types import pytree, static, vectors
+from lieint_jax.types.shapes import Poses, Positions, Rotations, Scalar
 
 __all__ = ["Rod", "rod"]
 
@@ -99,6 +99,21 @@ class Rod(Potential):
     def _outside(self, o: Array) -> Array:
         """NaN for elements whose energy is not convex, otherwise 0, (N − 1, 1)."""
         return jnp.where(jnp.sum(o, axis=1, keepdims=True) < _FARTHEST[self.energy], 0.0, jnp.nan).astype(o.dtype)
+
+    def natural_shape(self, first: Array) -> Poses:
+        """The poses (N, 7) of the sections in the natural shape, where V = 0, from that of the first, (7,)."""
+        whole = _product(self.half_turn, self.half_turn)
+        mean = (jnp.eye(3, dtype=whole.dtype) + whole) / 2  # of the directors, in the first section
+        chord = jax.vmap(lambda d, strain: jnp.stack(vectors.matrix(d.T).solve(strain)))(mean, self.natural_strain)
+
+        def following(pose: Array, element: tuple[Array, Array]) -> tuple[Array, Array]:
+            x, q = pose[:3], pose[3:]
+            turned = so3.normalize(so3.multiply(q, element[1]))
+            pose = jnp.concatenate([x + so3.Ad(q, element[0]), turned])
+            return pose, pose
+
+        steps = self.lengths[:, None] * chord, jax.vmap(so3.from_matrix)(whole)
+        return jnp.concatenate([first[None], lax.scan(following, first, steps)[1]])
 
     @property
     def _opposite(self) -> Array:
