@@ -22,6 +22,8 @@ where an element turns further than about one axis: Σo = 2(1 − cos θ).
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,7 +31,9 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.groups import so3, special_euclidean
+from lieint_jax._numerics.power_series import stumpff
+from lieint_jax._xla import compiled
+from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree, static, vectors
 from lieint_jax.types.shapes import Poses, Positions, Rotations, Scalar
@@ -162,16 +166,21 @@ def rod(
     if energy not in _ENERGIES:
         raise ValueError(f"energy must be one of {', '.join(_ENERGIES)}, got {energy!r}")
     curvature = jnp.broadcast_to(_checks.real_array("natural_curvature", natural_curvature, (), (3,), rows), rows)
-    strain, half = jax.vmap(_natural)(ell, curvature)
+    strain, half = _natural(ell, curvature)
     return Rod(ell, along, turning, strain, half, energy)
 
 
-def _natural(length: Array, curvature: Array) -> tuple[Array, Array]:
-    """Γ₀ and H of an element with this curvature along its whole length."""
-    twist = jnp.concatenate([length * curvature, jnp.array([0, 0, 1], curvature.dtype)])
-    pose = special_euclidean(3).exp(twist)  # of the second section, in the first, in units of the length
-    chord, turned = pose[:3, 3], pose[:3, :3]
-    return (chord + jnp.sum(turned * chord[:, None], axis=0)) / 2, so3.to_matrix(so3.exp(twist[:3] / 2))
+@partial(compiled, once=True)
+def _natural(lengths: Array, curvature: Array) -> tuple[Array, Array]:
+    """Γ₀ and H of elements with a curvature along their whole lengths.
+
+    In the axes of the middle, with θ = ℓκ₀, Γ₀ = sinc |θ| e₃ + (1 − sinc |θ|) θ₃θ/|θ|²: the product of the mean of the
+    directors, which is cos ½|θ| across θ, with the chord, sinc ½|θ| across θ; both are 1 along θ.
+    """
+    turn = lengths[:, None] * curvature
+    _, sinc, _, g = stumpff(jnp.sum(turn**2, axis=1, keepdims=True))
+    strain = g * turn[:, 2:] * turn + sinc * jnp.array([[0, 0, 1.0]], turn.dtype)
+    return strain, jax.vmap(so3.to_matrix)(jax.vmap(so3.exp)(turn / 2))
 
 
 def _product(A: Array, B: Array) -> Array:
