@@ -31,12 +31,13 @@ def errors(system, path, free=None):
 
 
 def test_a_free_rod_conserves_energy_and_both_momenta():
-    """Observed 4e-15 and 2e-15 in 3000 steps, in which it turns and bends."""
+    """Observed 9e-15 and 7e-16 in 3000 steps, in which it turns and bends."""
     rod, start = thrown(3)
     path = li.integrate(schemes.bodies_energy_momentum(rod), start, 0.01, 3000)
     assert path.info.converged.all()
     energy, momentum = errors(rod, path)
-    print(abs(energy).max(), abs(momentum).max())
+    assert abs(energy).max() < 3e-14
+    assert abs(momentum).max() < 4e-15
 
 
 @functools.cache
@@ -47,16 +48,17 @@ def shaken():
 
 
 def test_the_work_of_a_driven_end_of_loads_and_of_damping_is_counted():
-    """Observed 2e-15, where the energy changes by 0.4."""
+    """Observed 1.4e-15, where the work varies by 1.4."""
     rod, _, path = shaken()
     assert path.info.converged.all()
     energy, _ = errors(rod, path, rod.conservative)
-    print(abs(energy).max(), np.ptp(path.state.work))
+    assert np.ptp(path.state.work) > 1
+    assert abs(energy).max() < 6e-15
 
 
 @pytest.mark.long
 def test_a_driven_rod_moves_as_its_equations_by_another_method():
-    """The state and the work at t = 1 by scipy from the vector field; order 2.00 observed for both."""
+    """The state and the work at t = 1 by scipy from the vector field; orders 2.000 and 1.992 observed."""
     rod, start, _ = shaken()
     step = schemes.bodies_energy_momentum(rod)
     shape = start.q.shape
@@ -73,7 +75,7 @@ def test_a_driven_rod_moves_as_its_equations_by_another_method():
     for n in (200, 400):
         found = jax.tree.map(lambda x: x[-1], li.integrate(step, start, 1 / n, n)).state
         off.append([np.abs(np.ravel(found.q) - end[: start.q.size]).max(), abs(found.work - end[-1])])
-    print(np.log2(np.divide(*off)))
+    assert np.log2(np.divide(*off)) == pytest.approx(2, abs=0.02)
 
 
 def test_a_pair_of_sections_vibrates_and_decays_as_a_damped_oscillator():
@@ -87,9 +89,11 @@ def test_a_pair_of_sections_vibrates_and_decays_as_a_damped_oscillator():
     omega = np.sqrt(square - rate**2)
     expected = 2e-3 / omega * np.exp(-rate * t) * np.sin(omega * t)
     stretch = np.asarray(path.state.q[:, 1, 2] - path.state.q[:, 0, 2]) - 0.5
-    print(abs(stretch - expected).max() / abs(expected).max())
+    assert abs(stretch - expected).max() < 3e-4 * abs(expected).max()  # observed 1.6e-4, (Δtω)²/12 in the phase
     energy, momentum = errors(rod, path)
-    print(abs(energy).max(), abs(momentum).max(), np.diff(path.state.work).max())
+    assert abs(energy).max() < 1e-17  # of 2.5e-7; observed 2.3e-18
+    assert abs(momentum).max() < 1e-18
+    assert np.diff(path.state.work).max() < 0
 
 
 @pytest.mark.slow
@@ -98,27 +102,28 @@ def test_damping_of_a_rod_conserves_its_momenta_and_never_adds_energy():
     path = li.integrate(schemes.bodies_energy_momentum(rod), start, 0.01, 1000)
     assert path.info.converged.all()
     energy, momentum = errors(rod, path)
-    print(abs(energy).max(), abs(momentum).max(), np.diff(path.state.work).max(), path.state.work[-1])
+    assert abs(energy).max() < 1e-15  # observed 1e-16
+    assert abs(momentum).max() < 2e-15  # observed 3e-16
+    assert np.diff(path.state.work).max() < 0
+    assert path.state.work[-1] < -0.01
 
 
 @pytest.mark.slow
 def test_symplectic_schemes_integrate_a_clamped_rod():
     rod = systems.rod(1.0, 2, SOFT, natural_curvature=CURVED, ends=("clamped", "free"))
-    start = rod.state(velocities=[[0.1, 0, 0], [0.3, 0.1, 0]])
-    report = li.diagnostics.certify(schemes.splitting(rod), start, dt=0.01, num_steps=200)
-    print(report)
+    start = rod.state(velocities=[[0.1, 0, 0], [0.3, 0.1, 0]], angular_velocities=[[1.0, 0.3, 0.5], [0.4, 2.0, 0.7]])
+    assert li.diagnostics.symplectic_defect(schemes.splitting(rod), start, 0.01) < 1e-13
+    assert not rod.momentum(start).any()  # nothing of P and L is conserved, and nothing is claimed
 
 
 @pytest.mark.slow
 def test_the_order_in_the_time_step_is_two():
-    """Against the splitting of order 6."""
+    """Against a splitting of order 6. Observed 1.97."""
     rod, start = thrown(2)
     exact = li.integrate(schemes.nystrom(rod, 6), start, 1 / 400, 400).state.q[-1]
-    off = [
-        abs(li.integrate(schemes.bodies_energy_momentum(rod), start, 1 / n, n).state.q[-1] - exact).max()
-        for n in (100, 200)
-    ]
-    print(np.log2(off[0] / off[1]), off)
+    step = schemes.bodies_energy_momentum(rod)
+    off = [abs(li.integrate(step, start, 1 / n, n).state.q[-1] - exact).max() for n in (100, 200)]
+    assert np.log2(off[0] / off[1]) == pytest.approx(2, abs=0.05)
 
 
 def test_a_rod_in_float32_conserves_to_its_rounding():
@@ -127,19 +132,38 @@ def test_a_rod_in_float32_conserves_to_its_rounding():
     assert path.state.q.dtype == jnp.float32
     assert path.info.converged.all()
     energy, momentum = errors(rod, path)
-    print(abs(energy).max(), abs(momentum).max())
+    assert abs(energy).max() < 1e-6  # observed 1.9e-7
+    assert abs(momentum).max() < 5e-7  # observed 7.5e-8
 
 
 @pytest.mark.long
-def test_the_order_in_the_length_of_an_element_is_two():
-    """The tip of a cantilever let go from a circle, by three refinements."""
-    tips = []
-    for n in (4, 8, 16):
-        straight = systems.rod(1.0, n, SOFT, ends=("clamped", "free"))
-        bent = systems.rod(1.0, n, SOFT, ends=("clamped", "free"), natural_curvature=(0.5, 0.4, 0.3)).state()
-        path = li.integrate(schemes.nystrom(straight, 6), bent, 0.5 / 200, 200)
-        tips.append(path.state.q[-1, -1, :3])
-    print(np.log2(np.abs(tips[0] - tips[1]).max() / np.abs(tips[1] - tips[2]).max()))
+def test_flying_spaghetti_conserves_once_its_load_has_ended():
+    """A free rod thrown by a force and moments on one end until t = 5; H − W throughout, then H, P and L.
+
+    The data are those of Simo & Vu-Quoc 1988, Comput. Methods Appl. Mech. Eng. 66, here with five elements.
+    """
+    tilt = np.arctan2(6, -8) / 2
+
+    def pull(t):
+        M = 200 * jnp.maximum(0, 1 - jnp.abs(t / 2.5 - 1))
+        zero = jnp.zeros_like(t)
+        return jnp.stack([M / 10, zero, zero, zero, M, M / 2])
+
+    section = systems.Section(1.0, (10.0, 10.0), (1e4, 1e4, 1e4), (500.0, 500.0, 500.0))
+    rod = systems.rod(10.0, 5, section, pose=[0, 0, 8, np.cos(tilt), 0, np.sin(tilt), 0], loads={-1: pull})
+    start = rod.state()
+    np.testing.assert_allclose(start.q[-1, :3], [6, 0, 0], rtol=0, atol=1e-14)
+    path = li.integrate(schemes.bodies_energy_momentum(rod), start, 0.005, 2000)
+    assert path.info.converged.all()
+    energy, momentum = errors(rod, path, rod.conservative)
+    flying = np.asarray(path.t) > 5.001
+    print(
+        abs(energy).max(),
+        np.ptp(path.state.work[flying]),
+        np.ptp(momentum[flying], axis=0),
+        momentum[-1],
+        path.state.work[-1],
+    )
 
 
 @pytest.mark.long
@@ -156,4 +180,6 @@ def test_the_path_of_the_tip_has_derivatives_by_the_stiffness():
     forward, reverse = jax.jacfwd(tip)(0.5), jax.jacrev(tip)(0.5)
     h = 2e-3
     by_differences = (8 * (tip(0.5 + h) - tip(0.5 - h)) - (tip(0.5 + 2 * h) - tip(0.5 - 2 * h))) / (12 * h)
-    print(forward, abs(forward - by_differences).max(), abs(reverse - by_differences).max())
+    assert abs(by_differences).max() > 0.01
+    np.testing.assert_allclose(forward, by_differences, rtol=0, atol=1e-10)  # observed 9e-12
+    np.testing.assert_allclose(reverse, forward, rtol=0, atol=1e-14)
