@@ -34,6 +34,7 @@ class UniformField(Potential):
     field: Array
     weights: Array
     moments: Array
+    chain = True
 
     @property
     def count(self) -> int:

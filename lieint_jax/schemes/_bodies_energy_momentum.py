@@ -15,7 +15,8 @@ A law of dissipation f(r, v, ω_i, ω_j) is evaluated at r̄, v̄ = Δr/Δt and 
 Forces and torques do work along (Δx, θ̄), so the energy decreases by Δt times the dissipated power at these means,
 which is never negative. The forces balance at x̄, so P and L are still conserved. Given forces are evaluated at the same
 means, at the time t̄ and at the attitudes half-way. Their work raises or lowers H, and their impulses are ΔP = Δt Σf̄ and
-ΔL = Δt Σ(x̄ × f̄ + τ̄), exactly.
+ΔL = Δt Σ(x̄ × f̄ + τ̄), exactly. A potential in which some poses are given functions of time has their mean in place of
+x̄ and Λ̄, and the derivative of w by these poses times their change is the work that enters there.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from lieint_jax._numerics.equation import FixedPointEquation
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
-from lieint_jax.potentials import Potential, invariant_form, torques
+from lieint_jax.potentials import Potential, given_poses, invariant_form, torques
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
@@ -76,8 +77,9 @@ class BodiesEnergyMomentum(Step):
         most = _iterations_at_precision(self.iterations, state.p.dtype)
         ends, info = equation.solve(equation.guess(), most, 2, most)
         force, power = equation.force(ends), equation.applied(ends)[1]
+        entered = equation.mutual(ends)[1]
         good = jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
-        work = None if state.work is None else state.work + equation.dt * power
+        work = None if state.work is None else state.work + equation.dt * power + entered
         end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
         return end, info._replace(converged=info.converged & good)
 
@@ -164,12 +166,19 @@ class _Equation(FixedPointEquation[_Ends]):
 
     def force(self, ends: _Ends) -> Array:
         """f̄ and τ̄ of each body, (N, 6)."""
-        invariants, _, gradient = invariant_form(self.system.potential)
-        (x0, R0), (x1, R1) = _parts(self.state.q), _parts(self.configuration(ends))
-        D, R = gradient(invariants(x0, R0), invariants(x1, R1)), (R0 + R1) / 2
-        along_x, along_R = jax.vjp(invariants, x0 + ends.move / 2, R)[1](D)
-        force = jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
+        force = self.mutual(ends)[0]
         return force + self.applied(ends)[0] if isinstance(self.system, AbstractDissipativeBodies) else force
+
+    def mutual(self, ends: _Ends) -> tuple[Array, Array]:
+        """The part of f̄ and τ̄ of the potential, (N, 6), and the work of the poses that move in it as given."""
+        (x0, R0), (x1, R1) = _parts(self.state.q), _parts(self.configuration(ends))
+        invariants, _, gradient = invariant_form(self.system.potential)
+        given0, given1 = (given_poses(self.system.potential, self.state, late) for late in (0, self.dt))
+        D = gradient(invariants(x0, R0, *given0), invariants(x1, R1, *given1))
+        R, given = (R0 + R1) / 2, [(a + b) / 2 for a, b in zip(given0, given1, strict=True)]
+        along_x, along_R, *along = jax.vjp(invariants, x0 + ends.move / 2, R, *given)[1](D)
+        work = [jnp.sum(a * (end - start)) for a, start, end in zip(along, given0, given1, strict=True)]
+        return jnp.concatenate([-along_x, torques(R, along_R)], axis=1), sum(work, jnp.zeros_like(self.dt))
 
     def applied(self, ends: _Ends) -> tuple[Array, Array]:
         """The part of f̄ and τ̄ of dissipation and given forces, (N, 6), and their power."""
