@@ -1,7 +1,7 @@
 """API pages list a room's functions before its classes: `::: functions of NAME` and `::: classes of NAME` on a page.
 
-Both stand for the public names: those of `__all__`, else what the module defines. After the build, objects.inv, by which
-sites of other projects link to this one (intersphinx), must have every public name.
+Both stand for the public names: those of `__all__`, else what the module defines. After the build, objects.inv, by
+which sites of other projects link to this one (intersphinx), must have every public name.
 """
 
 import importlib
