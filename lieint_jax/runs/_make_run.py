@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, TypedDict, Unpack, overload
 
 from jax.sharding import Mesh
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
-from lieint_jax.dates import text_of
+from lieint_jax.dates import DateLike, text_of
+from lieint_jax.runs._job import MemberSummary, Summary
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs._member_axis import check_own_steps, is_batch, with_member_axis
@@ -18,9 +19,62 @@ from lieint_jax.runs._run import Run, computed_run, stored_run
 from lieint_jax.runs.store._reading import open_with_step
 from lieint_jax.runs.store._storage import address
 from lieint_jax.runs.store._store_options import StoreOptions
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, Trajectory
+
+_AnyRun = Run[Trajectory | None, Summary | MemberSummary | None]
 
 
+class _Options(TypedDict, total=False):
+    """The arguments of `run` on which the type of its result does not depend."""
+
+    save_every: int | None
+    own_step: bool
+    mesh: Mesh | None
+    store: str | Path | StoreOptions | None
+    progress: bool
+    resume: bool
+    times: ArrayLike | None
+    save_at: ArrayLike | None
+    part: tuple[int, int] | Literal["auto"] | None
+    members: int | None
+    threads: int | None
+    same_bits: bool
+    epoch: DateLike | None
+
+
+@overload
+def run(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    reduce: None = ...,
+    **options: Unpack[_Options],
+) -> Run[Trajectory, None]: ...
+@overload
+def run(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    reduce: Reduction | Literal["energy"],
+    per: None = ...,
+    **options: Unpack[_Options],
+) -> Run[None, Summary]: ...
+@overload
+def run(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    reduce: Reduction | Literal["energy"],
+    per: Literal["member"],
+    first: Reduction | None = ...,
+    **options: Unpack[_Options],
+) -> Run[None, MemberSummary]: ...
 @untransformed("li.run")
 def run(
     step: Step,
@@ -43,8 +97,8 @@ def run(
     members: int | None = None,
     threads: int | None = None,
     same_bits: bool = True,
-    epoch: Any = None,
-) -> Run:
+    epoch: DateLike | None = None,
+) -> _AnyRun:
     """Run a step from initial states, of one body or of many, in memory or into a store that can be resumed.
 
     On a CPU the loop is machine code for vectors of members, in one thread per core (`lieint_jax.native`). Steps that
@@ -144,7 +198,7 @@ def run(
     return computed_run(computed, batch)
 
 
-def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> Run:
+def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> _AnyRun:
     """The run in a store, as `run` has written it or is writing it. Its arrays are read when they are indexed.
 
     Args:

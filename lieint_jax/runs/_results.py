@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax.errors import ConcretizationTypeError, TracerArrayConversionError
 from jax.sharding import Mesh
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.runs import _layout, _loop, processes
