@@ -284,44 +284,6 @@ def test_the_shadow_of_a_direction_does_not_depend_on_its_length(shadow):
     np.testing.assert_allclose(light[1:], [light[0]] * 2, rtol=0, atol=1e-12)
 
 
-REFUSED = {
-    "no mu": (lambda: orbits.from_state(0.0, [1.0, 0, 0], [0, 1.0, 0]), "mu must be positive"),
-    "center": (lambda: orbits.from_state(1.0, [0.0, 0, 0], [0, 1.0, 0]), "position must not be that of the center"),
-    "line": (lambda: orbits.from_state(1.0, [1.0, 0, 0], [2.0, 0, 0]), "must not be a line through the center"),
-    "parabola": (lambda: orbits.from_state(1.0, [1.0, 0, 0], [0, 2**0.5, 0]), "the orbit is a parabola"),
-    "times": (lambda: orbits.table([0.0, 1, 1], np.zeros((3, 3)), np.zeros((3, 3))), r"times must increase.*1 and 2"),
-    "one time": (lambda: orbits.table([0.0], np.zeros((1, 3)), np.zeros((1, 3))), "with n ≥ 2"),
-    "positions": (lambda: orbits.table([0.0, 1], np.zeros((3, 3)), np.zeros((2, 3))), "positions must have shape"),
-    "ground": (lambda: orbits.secular_j2(orbits.EARTH_GM, 6700.0, 0.1, 1.0), "the periapsis is below the ground"),
-    "hyperbola": (lambda: orbits.secular_j2(orbits.EARTH_GM, -9e3, 1.1, 1.0), "secular rates are those of an ellipse"),
-    "field below": (
-        lambda: orbits.earth_field(orbits.kepler(1.0, 1.0, 0.1), 2460676.5),
-        "the orbit is below the ground",
-    ),
-    "meters": (
-        lambda: orbits.earth_field(orbits.kepler(orbits.EARTH_GM * 1e9, 7e6, 0.0), 2460676.5),
-        "give the radius 6371.2 in the orbit's unit",
-    ),
-    "date": (lambda: orbits.earth_field(LOW, orbits.julian_date(1950, 1, 1)), "IGRF-14 from 2000 to 2030"),
-    "day": (lambda: orbits.julian_date(2024, 2, 30), "must be a day of the calendar"),
-    "air": (lambda: orbits.atmosphere(LOW, -1.0, 60.0, 500.0), "density must be positive"),
-    "shadow": (lambda: orbits.eclipse(LOW, [1.0, 0, 0], shadow="sphere"), "shadow must be"),
-    "sun": (
-        lambda: orbits.eclipse(LOW, [2.0, 0, 0], shadow="cylindrical"),
-        r"sun must be a unit vector, got \[2\. 0\. 0\.\] of length 2\.0; divide it by its length",
-    ),
-    "frame": (lambda: orbits.lvlh(lambda t: t), "orbit must be a function of the time t"),
-    "vectors": (lambda: orbits.vector_table([0.0, 1.0], np.zeros((2, 3))), "at least 3 entries"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_orbit_is_refused_in_a_sentence(name):
-    make, message = REFUSED[name]
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
 # km, 1440, 1465, 1490 and 1515 minutes after the epoch, by the package sgp4 2.27 (Vallado et al. 2006, AIAA 2006-6753)
 # in WGS 72 without drag: node 30°, argument of perigee 40°, mean anomaly 10°; inclination, eccentricity, rev a day
 SGP4 = {
