@@ -364,14 +364,14 @@ def _check_map(tau: Tau, group: Group) -> bool:
             f"τ(0) and Dτ(0) must be the identity for the scheme to be consistent; {tau.name} is off by {off:.2g} "
             f"and {slope:.2g}"
         )
-    symmetric = True
+    symmetric, name = True, getattr(group, "__name__", str(group)).rpartition(".")[2]  # so3 is a module
     for theta in jnp.asarray(rng.uniform(-0.3, 0.3, (3, group.dim))):
         defect, turned = abs(float(group.defect(tau(group, theta)))), float(axis_residual(tau, group, theta))
         if not defect < 1e4 * eps:
-            raise ValueError(f"τ(Θ) must lie in {group}; {tau.name} leaves it by {defect:.2g}")
+            raise ValueError(f"τ(Θ) must lie in {name}; {tau.name} leaves it by {defect:.2g}")
         if not turned < 1e4 * eps:
             raise ValueError(
-                f"Ad_τ(Θ) Θ = Θ must hold for energy to be conserved (Result 10); for {tau.name} on {group} it is off "
+                f"Ad_τ(Θ) Θ = Θ must hold for energy to be conserved (Result 10); for {tau.name} on {name} it is off "
                 f"by {turned:.2g}. To use it nevertheless, pass maps.Tau(tau)"
             )
         there_and_back = group.multiply(tau(group, theta), tau(group, -theta))

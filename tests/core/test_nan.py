@@ -25,7 +25,6 @@ ROWS = jnp.sin(jnp.arange(15.0)).reshape(5, 3)
 AXES = torques.wheel_pyramid(0.6)
 POSITIONS = jnp.array([[0.0, 0.1, 0.2], [4.0, 1.0, -0.5]])
 ROTATIONS = jnp.stack([so3.to_matrix(Q), so3.to_matrix(so3.inverse(Q))])
-SOLIDS = [shapes.box([0.3, 0.2, 0.1], mass=2.0), shapes.ellipsoid([0.2, 0.3, 0.1], mass=1.0)]
 SITES = [jnp.array([[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1]]), jnp.array([[0.0, 0.2, 0.1]])]
 TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 

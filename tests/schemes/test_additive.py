@@ -24,7 +24,6 @@ SOFT = li.systems.pseudo_rigid_body(E, li.systems.mooney_rivlin(40.0, 6.0))
 F0 = np.array([[1.1, 0.02, 0.0], [0.0, 0.95, 0.05], [-0.03, 0.0, 1.0]])
 P0 = np.array([[0.3, -1.0, 0.2], [0.8, 0.1, 0.5], [-0.4, 0.6, -0.2]])
 SOFT_STATE = SOFT.state(F0, momentum=P0)
-RULES = ("symplectic", "average", "energy", "energy_momentum")
 OMEGA = np.block([[np.zeros((9, 9)), np.eye(9)], [-np.eye(9), np.zeros((9, 9))]])  # (6.1)
 
 
@@ -437,18 +436,3 @@ def test_pseudo_rigid_bodies_in_float32_stay_in_float32():
             assert info.converged
         assert state.q.dtype == state.p.dtype == info.residual.dtype == jnp.float32
         assert step.system.energy(state) == pytest.approx(18, rel=1e-4)  # floor 1e-5
-
-
-def test_arguments_of_additive_out_of_range_raise_errors():
-    rigid = li.systems.rigid_body([1.0, 2.0, 3.0])
-    for arguments, message in (
-        ((rigid,), "elastic bodies"),
-        ((SOFT, "magic"), "symplectic, energy, energy_momentum, average"),
-        ((SOFT, "symplectic", 1.5), r"in \[0, 1\]"),
-        ((SOFT, "average", 0.3), "alpha = 1/2 only"),
-        ((SOFT, "average", 0.5, 0), "iterations must be an integer"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            li.schemes.additive(*arguments)
-    with pytest.raises(ValueError, match="dt must be a real number"):
-        additive(SOFT)(SOFT_STATE, "0.1")

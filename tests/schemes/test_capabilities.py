@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import inspect
+import re
 from typing import Any
 
 import jax
@@ -18,13 +19,65 @@ from lieint_jax.types import State
 J = jnp.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J)
 TOP = li.systems.heavy_top(J, [0.3, -0.2, 1.0])
-FREE_BODY_SCHEMES = {
-    "so3_midpoint": schemes.so3_midpoint,
-    "so3_explicit": schemes.so3_explicit,
-    "exact": schemes.exact,
-    "calibrated": schemes.calibrated,
-    "preprocessed": lambda system: schemes.preprocessed(system, 4),
+ARGUMENTS = {"nystrom": {"order": 4}, "preprocessed": {"order": 4}, "langevin": {"temperature": 1.0, "friction": 0.1}}
+INTEGRATES = {  # how a message begins, for all but two schemes that accept steps and one that accepts every system
+    "additive": "elastic bodies",
+    "bodies_energy_momentum": "bodies that act on one another",
+    "calibrated": "free rigid bodies",
+    "exact": "free rigid bodies",
+    "gauss": r"free rigid bodies \(systems.rigid_body\), gyrostats",
+    "group_alpha": "geodesics on groups",
+    "group_energy_momentum": "a metric and a potential",
+    "group_midpoint": "geodesics on groups",
+    "kepler_splitting": "bodies that act on one another",
+    "langevin": "free rigid bodies",
+    "log_hamiltonian": "rigid bodies in a potential .*, whose free motion is known exactly",
+    "magnus": "motions with given rates",
+    "nystrom": "rigid bodies in a potential",
+    "preprocessed": "free rigid bodies",
+    "so3_alpha": "free rigid bodies with an attitude in .*systems.embedded_body",
+    "so3_explicit": "free rigid bodies",
+    "so3_midpoint": "free rigid bodies",
+    "sphere_chart": "pendulums",
+    "sphere_midpoint": "pendulums",
+    "splitting": "systems with a potential .*without viscosity",
+    "top_energy_momentum": "rigid bodies in a potential with an axis",
+    "torqued_midpoint": "rigid bodies with a torque",
 }
+SCHEMES = {
+    entry: functools.partial(getattr(schemes, entry.name), **ARGUMENTS.get(entry.name, {}))
+    for entry in schemes.catalogue()
+    if entry.name in INTEGRATES
+}
+KINDS = {type(system).__name__: system for _, (system, *_) in reversed(systems())}
+FITTING = {  # the schemes that a message names: those of a system that few accept
+    "DampedBody": "torqued_midpoint",
+    "DissipativeBodies": "bodies_energy_momentum",
+    "DrivenGroupPotential": "nystrom or splitting",
+    "DrivenGyrostat": "so3_midpoint",
+    "EmbeddedBody": "so3_alpha",
+    "Euler": "group_alpha or group_midpoint",
+    "Gyrostat": "gauss or so3_midpoint or splitting",
+    "IncompressibleBody": "additive",
+    "InertiaInTime": "so3_midpoint",
+    "Kinematics": "magnus",
+    "Pendulum": "sphere_chart or sphere_midpoint",
+    "PseudoRigidBody": "additive or gauss or splitting",
+    "RightEuler": "group_midpoint",
+    "TorquedBody": "torqued_midpoint",
+    "TorquedInertiaInTime": "torqued_midpoint",
+    "ViscousBody": "additive",
+}
+OTHERWISE = {  # the end of a message about the systems that many accept
+    "group_midpoint": "; with a potential use group_energy_momentum",
+    "so3_alpha": "; for a body that stays on SO(3), which α = 1/2 does, use so3_midpoint",
+}
+OF_OTHER_GROUPS = [  # whose capability the scheme accepts, on another group
+    ("log_hamiltonian", "GroupPotential"),
+    ("log_hamiltonian", "RigidBodies"),
+    ("nystrom", "DrivenGroupPotential"),
+    ("nystrom", "GroupPotential"),
+]
 
 
 class Undeclared:
@@ -60,58 +113,48 @@ class Gyrostat(li.systems.RigidBody):
         return (self.body_momentum(state) - self.rotor) / self.inertia
 
 
-@li.pytree
-class Wind(li.systems.Euler):
-    """A geodesic flow with a force added."""
-
-    metric: jax.Array
-    group: object = li.static()
+class Doubled:
+    """Twice the force, and a little more."""
 
     def vector_field(self, state):
-        free = super().vector_field(state)
-        return State(free.q, free.p + 1e-6)
+        q, p, *_ = super().vector_field(state)
+        return State(q, 2 * p + 0.1)
 
 
-@pytest.mark.parametrize("name", FREE_BODY_SCHEMES)
-def test_a_gyrostat_is_no_free_body(name):
-    make = FREE_BODY_SCHEMES[name]
-    with pytest.raises(ValueError, match=f"{name} integrates free rigid bodies .*got Undeclared"):
-        make(Undeclared())
-    with pytest.raises(ValueError, match=rf"{name} integrates free rigid bodies .*Gyrostat.angular_velocity overrides"):
-        make(Gyrostat(J, jnp.array([0.0, 0.0, 0.4])))
-    make(BODY)
+@pytest.mark.parametrize("kind", [*KINDS, "str", "Undeclared"])
+def test_every_scheme_refuses_every_other_system_and_names_those_that_accept_it(kind):
+    """And a subclass of each system that a scheme accepts, with another motion."""
+    system = KINDS.get(kind, Undeclared() if kind == "Undeclared" else "a top")
+    assert len(SCHEMES) == len(INTEGRATES) == len(schemes.catalogue()) - 3
+    assert set(FITTING) < set(KINDS)
+    for entry, make in SCHEMES.items():
+        if isinstance(system, entry.accepts):
+            changed = li.pytree(type("Changed", (Doubled, type(system)), {}))(
+                **{field.name: getattr(system, field.name) for field in dataclasses.fields(system)}
+            )
+            known = (entry.name, kind) not in OF_OTHER_GROUPS
+            message = r"Changed\.vector_field overrides their equations" if known else ", got Changed"
+            with pytest.raises(ValueError, match=f"{entry.name} integrates .*{message}"):
+                make(changed)
+            if known:
+                continue
+        end = f"; use {FITTING[kind]}" if kind in FITTING else OTHERWISE.get(entry.name, "")
+        message = f"^{entry.name} integrates {INTEGRATES[entry.name]}.*, got {kind}{re.escape(end)}$"
+        if entry.name == "log_hamiltonian" and kind in ("DrivenTop", "GravityGradient", "DrivenGroupPotential"):
+            message = f"needs a constant energy, got {kind}, whose potential depends on time; use reversible_control"
+        with pytest.raises(ValueError, match=message):
+            make(system)
 
 
-def test_a_force_added_to_a_geodesic_flow_is_detected_however_small_it_is():
-    wind = Wind(jnp.array([1.0, 2.0, 3.0]), li.groups.special_euclidean(2))
-    with pytest.raises(
-        ValueError, match=r"group_midpoint integrates geodesics on groups .*Wind.vector_field overrides"
-    ):
-        schemes.group_midpoint(wind)
-
-
-def test_a_message_names_the_schemes_for_a_system_if_they_are_few():
-    gyrostat = li.systems.gyrostat(J, [0.0, 0.0, 0.4])
-    with pytest.raises(ValueError, match="got Gyrostat; use gauss or so3_midpoint or splitting"):
-        schemes.exact(gyrostat)
-    with pytest.raises(ValueError, match=r"got RigidBody$"):  # of which many schemes are
-        schemes.additive(BODY)
-
-
-def test_systems_with_a_potential_are_no_geodesic_flows_and_the_other_way_round():
-    plane, metric = li.groups.special_euclidean(2), [2.0, 1.0, 1.0]
-    flow = li.systems.euler(plane, metric)
-    weight = li.systems.group_potential(plane, metric, lambda q: q[1, 2])
-    with pytest.raises(ValueError, match="GroupPotential; with a potential use group_energy_momentum"):
-        schemes.group_midpoint(weight)
-    with pytest.raises(ValueError, match="Euler; use group_alpha or group_midpoint"):
-        schemes.group_energy_momentum(flow)
-    with pytest.raises(ValueError, match=r"splitting integrates systems with a potential .*got Euler"):
-        schemes.splitting(flow)
-    with pytest.raises(ValueError, match=r"so3_midpoint integrates free rigid bodies .*got PotentialTop"):
-        schemes.so3_midpoint(TOP)
-    with pytest.raises(ValueError, match="without an axis; use splitting"):
-        schemes.top_energy_momentum(li.systems.potential_top(J, lambda R: R[0, 0], None))
+def test_a_changed_angular_velocity_is_refused_too_and_of_traced_systems():
+    gyrostat = Gyrostat(J, jnp.array([0.0, 0.0, 0.4]))
+    for entry, make in SCHEMES.items():
+        if isinstance(gyrostat, entry.accepts):
+            with pytest.raises(ValueError, match=rf"{entry.name} integrates .*Gyrostat\.angular_velocity overrides"):
+                make(gyrostat)
+    with pytest.raises(ValueError, match=r"Gyrostat\.angular_velocity"):
+        jax.jit(lambda rotor: schemes.so3_midpoint(Gyrostat(J, rotor)).order)(gyrostat.rotor)
+    jax.jit(lambda J: schemes.so3_midpoint(li.systems.rigid_body(J))(BODY.state(spatial_momentum=J), 0.1))(J)
 
 
 def with_other_moments(system):
@@ -159,42 +202,6 @@ def test_the_drift_of_a_splitting_is_of_the_same_body():
     for other in (li.systems.rigid_body([1.0, 2.0, 2.999]), li.systems.rigid_body(jnp.diag(J))):
         with pytest.raises(ValueError, match=r"splitting with exact: the drift must be a step of system.free"):
             schemes.splitting(TOP, schemes.exact(other))
-
-
-class Doubled:
-    """Twice the force, and a little more."""
-
-    def vector_field(self, state):
-        q, p, *_ = super().vector_field(state)
-        return State(q, 2 * p + 0.1)
-
-
-@pytest.mark.long
-def test_an_altered_motion_is_refused_by_every_scheme_with_a_field_of_its_own():
-    """A subclass of each system with a force, doubled."""
-    flat = li.groups.special_euclidean(2)
-    elastic = li.systems.pseudo_rigid_body(J, li.systems.neo_hookean(3.0, 2.0))
-    more = {"nystrom": {"order": 4}, "langevin": {"temperature": 1.0, "friction": 0.1}}
-    made = [
-        ("top_energy_momentum", TOP),
-        ("gauss", TOP),
-        ("gauss", BODY),
-        ("group_energy_momentum", li.systems.group_potential(flat, [2.0, 1.0, 1.0], lambda q: q[1, 2])),
-        ("additive", elastic),
-        ("splitting", elastic),
-        ("log_hamiltonian", TOP),
-        ("nystrom", TOP),
-        ("langevin", TOP),
-        ("sphere_midpoint", li.systems.pendulum(1.0, 1.0)),
-    ]
-    for name, system in made:
-        scheme = functools.partial(getattr(schemes, name), **more.get(name, {}))
-        scheme(system)
-
-        changed = li.pytree(type("Changed", (Doubled, type(system)), {}))
-        fields = {field.name: getattr(system, field.name) for field in dataclasses.fields(system)}
-        with pytest.raises(ValueError, match=f"{name} integrates .*Changed.vector_field overrides"):
-            scheme(changed(**fields))
 
 
 @li.pytree
@@ -262,13 +269,6 @@ def test_another_force_is_refused_by_schemes_that_use_the_potential_and_taken_by
     np.testing.assert_allclose(schemes.splitting(changed)(state, dt)[0].p, expected.p, rtol=1e-14)
     best = schemes.extrapolate(changed)(state, dt)[0]
     np.testing.assert_allclose(best.p, schemes.extrapolate(twice)(state, dt)[0].p, rtol=1e-12)
-
-
-def test_traced_systems_are_refused_as_others_are():
-    gyrostat = Gyrostat(J, jnp.ones(3))
-    with pytest.raises(ValueError, match=r"Gyrostat\.angular_velocity"):
-        jax.jit(lambda rotor: schemes.so3_midpoint(Gyrostat(J, rotor)).order)(gyrostat.rotor)
-    jax.jit(lambda J: schemes.so3_midpoint(li.systems.rigid_body(J))(BODY.state(spatial_momentum=J), 0.1))(J)
 
 
 def test_extreme_bodies_are_accepted():

@@ -201,28 +201,6 @@ def test_a_thousand_bodies_to_the_accuracy_that_is_claimed():
     assert ours < 2.5e-9
 
 
-class Skew(Step):
-    """A step that is not symmetric."""
-
-    order, symmetric, name = 2, False, "skew"
-
-    def advance(self, state, dt):
-        raise NotImplementedError
-
-
-def test_bad_arguments_of_compose_raise_errors():
-    for call, message in (
-        (lambda: compose(Skew(), 4), "symmetric step of order 2, got 'skew'"),
-        (lambda: compose(compose(SYMPLECTIC, 4), 4), "symmetric step of order 2"),
-        (lambda: compose("step", 4), "symmetric step of order 2"),
-        (lambda: compose(SYMPLECTIC, 5), "order must be one of 4, 6, 8, 10, got 5"),
-        (lambda: compose(SYMPLECTIC, 4, "kahan_li_6"), "triple_jump, suzuki, commuting_4"),
-        (lambda: compose(CAYLEY, 4, "commuting_4"), "method must be one of triple_jump, suzuki for so3_midpoint"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            call()
-
-
 @pytest.mark.long
 def test_a_sub_step_past_the_branch_is_flagged():
     step = compose(SYMPLECTIC, 8)

@@ -102,13 +102,3 @@ def test_a_body_comes_to_rest_in_a_field_that_turns_with_it():
     z, balance, _ = path(torqued_midpoint(body), body.state(angular_velocity=[0.2, 0, 0], work=0.0), 0.05, 100)
     assert balance < 1e-14
     assert z.work > 0.01
-
-
-def test_wrong_tensors_are_refused():
-    for tensor in (-0.1, [0.1, -0.1, 0.2], np.diag([0.1, 0.1, -0.1])):
-        with pytest.raises(ValueError, match="tensor must not be negative"):
-            torques.eddy_current(tensor, FIELD)
-    with pytest.raises(ValueError, match="tensor must be symmetric"):
-        torques.eddy_current(np.triu(np.ones((3, 3))), FIELD)
-    with pytest.raises(ValueError, match="field must have shape"):
-        torques.eddy_current(0.1, [1.0, 0.0])

@@ -117,15 +117,3 @@ def test_a_step_that_inverts_the_body_is_flagged():
     assert not jax.jit(schemes.splitting(BALL))(start, 0.5)[1].converged
     with pytest.raises(ValueError, match="splitting inverts the body"):
         li.run(schemes.splitting(BALL), start, dt=0.5, num_steps=2)
-
-
-def test_viscous_and_incompressible_bodies_and_drifts_are_refused():
-    material = systems.neo_hookean(LAM, MU)
-    with pytest.raises(ValueError, match=r"without viscosity.*got ViscousBody; use additive"):
-        schemes.splitting(systems.pseudo_rigid_body(np.ones(3), material, viscosity=0.1))
-    with pytest.raises(ValueError, match="got IncompressibleBody; use additive"):
-        schemes.splitting(systems.incompressible_body(np.ones(3), material))
-    with pytest.raises(ValueError, match="the drift of an elastic body is a straight line"):
-        schemes.splitting(BALL, schemes.additive(BALL))
-    with pytest.raises(ValueError, match=r"modified energy .* except of elastic bodies"):
-        diagnostics.modified_energy(schemes.splitting(BALL), BALL.state(momentum=np.zeros((3, 3))), 0.01)

@@ -257,21 +257,6 @@ def test_a_step_of_gauss_is_independent_of_units(size):
     np.testing.assert_allclose(other.p / size, end.p, rtol=0, atol=1e-15)
 
 
-def test_bad_arguments_of_gauss_and_extrapolate_raise_errors():
-    for make, message in [
-        (
-            lambda: schemes.gauss(systems.pendulum(1.0, 1.0)),
-            r"gauss integrates free rigid bodies \(systems.rigid_body\), gyrostats .*got Pendulum",
-        ),
-        (lambda: schemes.gauss(TOP, 0), "stages"),
-        (lambda: schemes.gauss(TOP, sweeps=0), "sweeps"),
-        (lambda: schemes.extrapolate(TOP, 5), "order must be an even number from 4 to 20"),
-        (lambda: schemes.extrapolate(1.0), "extrapolate integrates systems"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            make()
-
-
 def test_the_polynomial_through_the_nodes_has_exact_values_and_integrals():
     """Of degree 3 through 4 nodes, at 7: its values and its integrals; observed 1.1e-15 and 6e-17."""
     c, at = collocation.nodes(4), collocation.nodes(7)

@@ -209,30 +209,3 @@ def test_a_run_in_float32_is_balanced_to_its_rounding():
     assert path.info.converged.all()
     H = jax.vmap(system.energy)(path.state) - path.state.work
     assert jnp.abs(H - H[0]).max() < 1e-6
-
-
-@pytest.mark.parametrize(
-    ("forces", "message"),
-    [
-        (lambda t, x, R, v, w: x, r"the forces that forces returns must be .* of shape \(2, 3\) .*got shape \(3,\)"),
-        (lambda t, x, R, v, w: (x, x[0]), r"the torques that forces returns must be .* got shape \(3,\)"),
-        (lambda t, x, R, v, w: (x, x, x), "too many values"),
-        (lambda t: t, "takes 1 positional argument"),
-        (3, "the forces that forces returns must be a function"),
-    ],
-)
-def test_forces_of_another_shape_raise_an_error_that_says_which(forces, message):
-    with pytest.raises(ValueError, match=message):
-        systems.rigid_bodies(MASSES, MOMENTS, GRAVITY, forces=forces)
-
-
-def test_dissipation_that_adds_energy_is_still_refused_and_says_where_it_belongs():
-    def gains(r, v, omega_i, omega_j):
-        return 0.1 * v, -0.1 * jnp.cross(r, v), jnp.zeros(3)
-
-    with pytest.raises(ValueError, match=r"must not add energy.*Check its sign, or give forces .* as forces="):
-        systems.rigid_bodies(MASSES, MOMENTS, GRAVITY, gains)
-    with pytest.raises(ValueError, match="use bodies_energy_momentum"):
-        schemes.splitting(bodies(**PUSHES))
-    with pytest.raises(ValueError, match="its state needs the time"):
-        run(bodies(**PUSHES), start(bodies(**PUSHES))._replace(t=None, work=None), 0.1, 1)

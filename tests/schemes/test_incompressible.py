@@ -179,14 +179,3 @@ def test_the_derivative_by_dt_agrees_with_differences():
     end = lambda h: STEP(STATE, h)[0].q  # noqa: E731
     slope, ends = jax.jit(jax.jacfwd(end))(DT), jax.jit(jax.vmap(end))(jnp.array([DT - 1e-5, DT + 1e-5]))
     np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-5, rtol=0, atol=1e-8)
-
-
-def test_bad_arguments_of_incompressible_bodies_raise_errors():
-    with pytest.raises(ValueError, match=r"det deformation must be 1 to 1e-06, got 8; divide"):
-        BODY.state(2 * np.eye(3), angular_velocity=[0, 0, 1.0])
-    with pytest.raises(ValueError, match=r"incompressible_body with the rule 'incompressible'.* got .* with 'average'"):
-        li.schemes.additive(BODY)
-    with pytest.raises(ValueError, match=r"got PseudoRigidBody with 'incompressible'"):
-        li.schemes.additive(BODY.compressible, "incompressible")
-    with pytest.raises(ValueError, match="alpha = 1/2 only"):
-        li.schemes.additive(BODY, "incompressible", 0.3)

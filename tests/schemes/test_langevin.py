@@ -154,34 +154,6 @@ def test_a_count_of_steps_that_a_number_does_not_hold_is_flagged():
             assert bool(jax.jit(own)(late, jnp.asarray(0.1, dtype))[1].converged) is good
 
 
-DISSIPATIVE = systems.rigid_bodies(
-    [1.0, 1.0],
-    np.ones((2, 3)),
-    potentials.point_masses(1.0, [1.0, 1.0]),
-    li.tides.constant_lag(1, [1, 1], [1, 1], 1, 1),
-)
-WRONG = {
-    "cold": (lambda: schemes.langevin(TOP, 0.0, 1.0), "temperature must be positive"),
-    "negative friction": (lambda: schemes.langevin(TOP, 1.0, -1.0), "friction must be ≥ 0"),
-    "six rates": (lambda: schemes.langevin(TOP, 1.0, np.ones(6)), "friction must have shape"),
-    "rates of a tensor": (
-        lambda: schemes.langevin(systems.rigid_body(np.diag(J)), 1.0, RATES),
-        "principal moments, or one rate",
-    ),
-    "tides": (lambda: schemes.langevin(DISSIPATIVE, 1.0, 1.0), "use bodies_energy_momentum"),
-    "no key": (lambda: thermostat()(BEGIN, 0.1), "needs a key"),
-    "a float": (lambda: thermostat().start(BEGIN, key=0.5), "key must be jax.random.key"),
-    "composition": (lambda: schemes.compose(thermostat(), 4), "symmetric step"),
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_bad_arguments_of_langevin_raise_errors(name):
-    make, text = WRONG[name]
-    with pytest.raises(ValueError, match=text):
-        make()
-
-
 def test_the_root_of_a_tensor_squares_to_it():
     root = np.random.default_rng(0).normal(size=(3, 3))
     tensor = jnp.array(root @ root.T + np.eye(3))

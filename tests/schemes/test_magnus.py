@@ -336,32 +336,6 @@ def test_a_bias_of_a_gyro_is_found_from_star_trackers_with_its_covariance():
     assert np.linalg.eigvalsh(P).min() > 1e-6
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: systems.kinematics(so3, np.ones(3)), "rate must be a function of t"),
-        (lambda: systems.kinematics(so3, lambda t: t), r"rate must be a function of t, .*shape \(3,\)"),
-        (lambda: systems.kinematics(so3, EXAMPLES["coning"][0].rate, "world"), "frame must be 'body' or 'space'"),
-        (lambda: systems.sampled_rate([0, 1], np.ones((2, 3)), "means"), "kind must be 'interpolate' or 'mean'"),
-        (lambda: systems.sampled_rate([0, 1, 2], np.ones((2, 3)), "mean"), r"\(n, d\) for n \+ 1 times, n ≥ 3"),
-        (lambda: systems.sampled_rate([0, 1, 2], np.ones((2, 3))), r"\(n, d\) for n times, got \(2, 3\) for 3"),
-        (lambda: systems.sampled_rate([0, 2, 1], np.ones((3, 3))), r"times must increase, got 2\.0 before 1\.0"),
-        (lambda: schemes.magnus(systems.rigid_body([1.0, 2.0, 3.0])), "magnus integrates motions with given rates"),
-        (lambda: made(EXAMPLES["coning"][0], 8), "order must be 2, 4 or 6, got 8"),
-        (lambda: made(EXAMPLES["coning"][0], 6, False), "commutators=False is of order 4, got order 6"),
-        (
-            lambda: EXAMPLES["coning"][0].state(np.ones(4)),
-            r"q must be a unit quaternion \(w, x, y, z\), the scalar part first: its norm is 2, allowed is 1",
-        ),
-        (lambda: EXAMPLES["coning"][0].state(t=None), "t must be a number"),
-        (lambda: li.run(made(EXAMPLES["coning"][0]), li.State(cone(0), np.zeros(0)), 0.1, 1), "state needs the time"),
-    ],
-)
-def test_messages(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()
-
-
 def test_a_step_with_too_many_turns_is_flagged():
     """Perpendicular rates of 8 rad at the nodes: commutators exceed half of the rotation."""
     system = systems.kinematics(so3, lambda t: 8 * jnp.stack([jnp.cos(3 * t), jnp.sin(3 * t), 0 * t]))

@@ -109,17 +109,3 @@ def test_derivatives_by_weight_and_step_size_agree_with_differences():
     for k, e in enumerate(h * jnp.eye(3)):
         assert by_weight[k] == pytest.approx(float(run(weight + e, 0.3) - run(weight - e, 0.3)) / (2 * h), rel=1e-6)
     assert by_dt == pytest.approx(float(run(weight, 0.3 + h) - run(weight, 0.3 - h)) / (2 * h), rel=1e-6)
-
-
-def test_drifts_that_do_not_suit_are_refused():
-    other = systems.rigid_body([1.0, 2.0, 2.6])
-    for drift, message in (
-        (
-            schemes.so3_midpoint(TOP.free),
-            r"drift must be of order 6 or more, such as exact\(system.free\), got so3_mid",
-        ),
-        (schemes.exact, "drift must be a symmetric step"),
-        (schemes.exact(other), "nystrom with exact"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            schemes.nystrom(TOP, 6, drift)

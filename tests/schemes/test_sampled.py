@@ -153,12 +153,3 @@ def test_a_sum_of_laws_is_sampled_on_a_body_with_wheels_whose_inertia_changes():
     z = jax.tree.map(lambda x: jnp.asarray(x[k]), run.state)
     now = functools.partial(torques.sampled(control, 0.2).start, body.frozen(z.t).now(z))
     np.testing.assert_allclose(run.state.extra["computer"][k + 1], now(), rtol=1e-12)
-
-
-def test_what_cannot_be_sampled_is_refused():
-    with pytest.raises(ValueError, match=r"Wheels has State\.extra"):
-        torques.sampled(torques.wheels(jnp.eye(3), 0.1), 0.1)
-    with pytest.raises(ValueError, match="period must be"):
-        torques.sampled(LAW, 0.0)
-    with pytest.raises(ValueError, match="use torqued_midpoint"):
-        schemes.extrapolate(satellite()[0].system)

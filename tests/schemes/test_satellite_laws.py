@@ -304,30 +304,6 @@ def test_directions_and_attitudes_from_functions_are_normalized():
     np.testing.assert_allclose(pairs[1], pairs[0], rtol=1e-14)
 
 
-REFUSED = {
-    "no wheels": (lambda: torqued_body(INERTIA, LAWS["unloading"]), "reads State.extra.*add the law with that"),
-    "air": (lambda: torques.aerodynamic(lambda t: t, *PLATES), "air must be a function of the time t"),
-    "arms": (lambda: torques.aerodynamic(AIR, 1.0, [0.0, 0, 1], [0.0, 0, 1]), r"arms must have shape \(m, 3\)"),
-    "normals": (lambda: torques.aerodynamic(AIR, 1.0, [[0.0, 1, 1]], [[0.0, 0, 1]]), "normals must be unit vectors"),
-    "areas": (lambda: torques.aerodynamic(AIR, -1.0, [[0.0, 0, 1]], [[0.0, 0, 1]]), "areas must not be negative"),
-    "parts": (lambda: torques.solar_plates(*PLATES, SUN, specular=0.9, diffuse=0.2), "must be at most 1"),
-    "light": (lambda: torques.solar_plates(*PLATES, SUN, light=lambda t: SUN), "light must be a function"),
-    "plane": (lambda: torques.allocation([[1.0, 0, 0], [0, 1.0, 0]]), "axes must span all directions"),
-    "two wheels": (lambda: torques.wheel_pyramid(wheels=2), "wheels must be an integer ≥ 3"),
-    "control": (lambda: torques.wheel_motor(AXES, HOLDING), "control law must not have an internal state"),
-    "frame": (lambda: torques.pointing(lambda t: SUN, 1.0, 1.0), "frame must be a function of the time t"),
-    "quaternion": (lambda: torques.pointing([2.0, 0, 0, 0], 1.0, 1.0), "frame must be a unit quaternion"),
-    "layer": (lambda: torques.sliding_mode(FRAME, INERTIA, 1.0, 1.0, layer=0.0), "layer must be positive"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_bad_laws_of_a_satellite_are_refused_in_a_sentence(name):
-    make, message = REFUSED[name]
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
 @pytest.mark.long
 def test_three_derivatives_agree_with_differences():
     """Of the end by gains, drag and speeds of wheels: forward, reverse, and by undoing steps."""

@@ -167,19 +167,3 @@ def test_so3_alpha_in_float32_has_its_accuracy():
     assert after.q.dtype == np.float32
     exact = _once(li.schemes.so3_alpha(BODY, 0.3), STATE, 0.2)[0]
     np.testing.assert_allclose(after.q, exact.q, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("alpha", [-0.1, 1.5, np.nan, [0.5, 0.5], "half"])
-def test_alpha_out_of_range_is_refused(alpha):
-    with pytest.raises(ValueError, match="alpha must"):
-        li.schemes.so3_alpha(BODY, alpha)
-
-
-def test_other_systems_and_states_are_refused():
-    body = li.systems.rigid_body([1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match=r"systems.embedded_body.*got RigidBody.*use so3_midpoint"):
-        li.schemes.so3_alpha(body)
-    with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
-        li.integrate(li.schemes.so3_alpha(BODY), body.state(angular_velocity=[0, 0, 1.0]), 0.1, 1)
-    with pytest.raises(ValueError, match="positive determinant"):
-        BODY.check(li.State(-jnp.eye(3), jnp.ones(3)))

@@ -357,13 +357,3 @@ def test_advice_for_the_symplectic_kappa_names_its_limit_in_either_form():
     for kappa, ends in ((kappa_symplectic, "ends at"), (vector, "ends at"), (kappa_cayley, "folds at")):
         step = li.schemes.so3_midpoint(BODY, kappa)
         assert f"the branch of this κ {ends} |Δt Ω|" in step.advice(STATE, 2.0)
-
-
-def test_bad_arguments_of_so3_midpoint_raise_errors():
-    with pytest.raises(ValueError, match="free rigid bodies"):
-        li.schemes.so3_midpoint("a top")
-    with pytest.raises(ValueError, match="callable"):
-        li.schemes.so3_midpoint(BODY, 1.0)
-    for iterations in (0, -1, 2.5):
-        with pytest.raises(ValueError, match="iterations must be an integer ≥ 1"):
-            li.schemes.so3_midpoint(BODY, iterations=iterations)

@@ -337,30 +337,3 @@ def test_gradients_through_a_sum_are_those_of_differences():
     u = jnp.sin(jnp.arange(10.0))
     reverse = jax.jit(jax.grad(lambda x: u @ end(x)))(x) @ v
     assert float(reverse) == pytest.approx(float(u @ forward), abs=1e-13)
-
-
-REFUSED = {
-    "twice": (lambda: LAWS["kane_damper"] + torques.kane_damper(0.1, 0.1), "the same key .damper. .* give one of them"),
-    "no law": (lambda: torques.total([3.0]), "torque must be a function of"),
-    "axes": (lambda: torques.wheels([[1.0, 1.0, 0]], 0.1), "axes must be unit vectors"),
-    "axes' shape": (lambda: torques.wheels([1.0, 0, 0], 0.1), r"axes must have shape \(m, 3\)"),
-    "moments": (lambda: torques.wheels(AXES, [0.1, 0.2]), r"inertias must have shape \(\) or \(3,\)"),
-    "negative": (lambda: torques.wheels(AXES, -0.1), "inertias must be positive"),
-    "motor": (lambda: torques.wheels(AXES, 0.1, lambda t, q, Omega, h: Omega[:2]), r"motor must be a function of t, q"),
-    "cut wheels": (lambda: torques.saturated(wheels(), 0.1), "give wheels a max_torque"),
-    "limit": (lambda: torques.saturated(torques.viscous(0.1), 0.0), "limit must be positive"),
-    "field": (lambda: torques.dipole([0, 0, 1.0], lambda t: t), r"field must be a function of the time t"),
-    "field that fails": (lambda: torques.bdot(1.0, lambda t: {}["b"]), "field must be a function .* fails: KeyError"),
-    "motor that fails": (lambda: wheels(motor=lambda t, q, w, h: w @ h @ q), "motor must be a function .* it fails"),
-    "orbit that fails": (lambda: torques.gravity_gradient(lambda t: 1 / 0, LOCKED, 1.0), "fails: ZeroDivisionError"),
-    "orbit": (lambda: torques.gravity_gradient(lambda t: (field(t), field(t)), LOCKED), "this orbit has no mu"),
-    "V": (lambda: torques.potential(lambda G, t: G, field), "V must be a function of Gamma"),
-    "too little body": (lambda: torques.body_inertia([0.05, 1, 1.0], [[1.0, 0, 0]], 0.06), "inertia must be positive"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_bad_laws_are_refused_in_a_sentence(name):
-    make, message = REFUSED[name]
-    with pytest.raises(ValueError, match=message):
-        make()

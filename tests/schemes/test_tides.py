@@ -223,39 +223,6 @@ def test_derivatives_of_the_loss_at_a_constant_q_by_differences_at_rest_too():
         assert bool(jnp.any(found != 0)) is moves
 
 
-def test_other_schemes_refuse_bodies_that_lose_energy():
-    system = bodies()
-    for make in (schemes.splitting, schemes.gauss, schemes.kepler_splitting, lambda x: schemes.nystrom(x, 6)):
-        with pytest.raises(ValueError, match="use bodies_energy_momentum"):
-            make(system)
-    with pytest.raises(ValueError, match=r"state.work must have shape \(\)"):
-        system.check(start(system)._replace(work=jnp.zeros(2)))
-
-
-WRONG = {
-    "no function": (lambda: bodies(law=3.0), "law of pairs"),
-    "another number": (lambda: bodies(law=tides.constant_lag(1.0, [1.0] * 3, [1.0] * 3, 0.1, 0.1)), "3 bodies.*2 mass"),
-    "a shape": (lambda: bodies(law=lambda r, v, a, b: (v[:2], v, v)), "dissipation must be a function"),
-    "it turns": (lambda: bodies(law=lambda r, v, a, b: (-v, 0 * v, 0 * v)), "angular momentum"),
-    "it drives": (lambda: bodies(law=lambda r, v, a, b: (0 * v, a - b, b - a)), "must not add energy"),
-    "a lag": (lambda: tides.constant_lag(1.0, MASSES, RADII, K2, -1.0), "lags must be ≥ 0"),
-    "a radius": (lambda: tides.constant_lag(1.0, MASSES, [0.0, 1.0], K2, 1.0), "radii must be positive"),
-    "no quality": (lambda: tides.constant_q(G, MASSES, RADII, K2, Q=[5.0, 0.0], threshold=1.0), "Q must be positive"),
-    "no threshold": (
-        lambda: tides.constant_q(G, MASSES, RADII, K2, Q=5.0, threshold=0.0),
-        "threshold must be positive",
-    ),
-    "one mass": (lambda: tides.constant_lag(1.0, [1.0], [1.0], 0.1, 1.0), "N ≥ 2"),
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_a_wrong_law_is_refused_with_a_sentence(name):
-    make, text = WRONG[name]
-    with pytest.raises(ValueError, match=text):
-        make()
-
-
 @pytest.mark.long
 def test_friction_too_large_for_the_step_is_flagged():
     """The iteration does not converge, and the report says so; observed: finite, converged False."""

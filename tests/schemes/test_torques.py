@@ -180,10 +180,6 @@ def balance(name, row, q, Omega, dt):
     }
 
 
-def every_third(states, first):
-    return jax.tree.map(lambda x: x[first::3], states)
-
-
 def random_cases(B):
     rng = np.random.default_rng(0)
     q, dt = rng.normal(size=(B, 4)), rng.choice([-1, 1], B) * rng.uniform(0.02, 0.1, B)
@@ -667,59 +663,6 @@ def test_torqued_bodies_in_single_precision_stay_single(name):
 # Bad input, and other schemes -----------------------------------------------------------------------------------------
 
 
-def spin(t, q, omega):
-    return 0.1 * omega
-
-
-REFUSED = {
-    "of another shape": (lambda: torqued_body(J, lambda t, q, omega: q), r"numbers of shape \(3,\), got shape \(4,\)"),
-    "a number": (lambda: torqued_body(J, lambda t, q, omega: 0.0), r"of shape \(3,\), got shape \(\)"),
-    "complex": (lambda: torqued_body(J, lambda t, q, omega: 1j * omega), r"real numbers .* dtype complex128"),
-    "a list": (lambda: torqued_body(J, lambda t, q, omega: list(omega)), r"must return an array of real numbers"),
-    "none": (lambda: torqued_body(J, lambda t, q, omega: None), r"must return an array of real numbers"),
-    "no function": (lambda: torqued_body(J, [0.0, 0.0, 1.0]), r"torque must be a function of \(t, q, omega\)"),
-    "of two arguments": (lambda: torqued_body(J, lambda t, q: q[1:]), "torque fails as a function of t .* positional"),
-    "that fails": (lambda: torqued_body(J, lambda t, q, omega: omega @ q), "torque fails as a function of t"),
-    "in no frame": (lambda: torqued_body(J, spin, "inertial"), '"body" or "space", got .inertial.'),
-    "in the other frame": (
-        lambda: torqued_body(J, torques.viscous(0.1), "space"), 'frame must be "body", the axes of Viscous, got .space.'
-    ),
-    "inertia": (lambda: torqued_body([1.0, 0.0, 1.0], spin), "inertia must be positive definite"),
-    "damping": (lambda: torques.viscous(-0.1), "damping must not be negative"),
-    "damping along an axis": (lambda: torques.viscous([0.1, -0.1, 0.2]), "damping must not be negative"),
-    "damping that is not symmetric": (lambda: torques.viscous(D + np.eye(3, k=1)), "damping must be symmetric"),
-    "damping of a shape": (lambda: torques.viscous([0.1, 0.2]), r"damping must have shape \(\) or \(3,\) or \(3, 3\)"),
-    "NaN": (lambda: torques.viscous(np.nan), "damping must be finite"),
-    "gain": (lambda: torques.pd_trace(-1.0, 0.2), "gain must not be negative, got -1"),
-    "control's damping": (lambda: torques.pd_quaternion(1.0, -0.2), "damping must not be negative, got -0.2"),
-    "target": (lambda: torques.pd_quaternion(1.0, 0.2, [1.0, 1.0, 0, 0]), "target must be a unit quaternion"),
-    "coils": (lambda: torques.bdot(-1.0, field), "gain must not be negative"),
-    "field": (lambda: torques.bdot(1.0, [0.0, 1.0]), r"field must have shape \(3,\), got \(2,\)"),
-    "sphere": (lambda: torques.kane_damper(0.0, 0.1), "inertia must be positive, got 0"),
-    "fluid": (lambda: torques.kane_damper(0.1, -0.1), "damping must not be negative"),
-    "window": (lambda: torques.thruster([0, 0, 1.0], 2.0, 1.0), "must not stop before it starts, got start = 2"),
-    "thrust": (lambda: torques.thruster([0, 1.0], 1.0, 2.0), r"torque must have shape \(3,\)"),
-    "plate": (lambda: torques.solar_plate(1.0, [0, 0, 2.0], ARM, SUN), "normal must be a unit vector"),
-    "Sun": (lambda: torques.solar_plate(1.0, NORMAL, ARM, [0, 1.0, 1.0]), "sun must be a unit vector"),
-    "light": (lambda: torques.solar_plate(1.0, NORMAL, ARM, SUN, specular=0.7, diffuse=0.5), "must be at most 1"),
-    "pressure": (lambda: torques.solar_plate(-1.0, NORMAL, ARM, SUN), "force must not be negative"),
-    "friction": (lambda: damped_body(J, -0.1), "friction must not be negative, got -0.1: it would give energy"),
-    "friction of a shape": (lambda: damped_body(J, [0.1, 0.1]), r"friction must have shape \(\)"),
-    "κ": (lambda: torqued_midpoint(BODIES["viscous"], 1.0), "kappa"),
-    "iterations": (lambda: torqued_midpoint(BODIES["viscous"], iterations=0), "iterations must be an integer ≥ 1"),
-    "a free body": (
-        lambda: torqued_midpoint(li.systems.rigid_body(J)), "torqued_midpoint .* got RigidBody"
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_bad_torques_and_bodies_are_refused_with_a_sentence(name):
-    make, message = REFUSED[name]
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
 def test_a_law_with_more_than_a_value_must_be_a_pytree():
     class Spring:
         def __call__(self, t, q, omega):
@@ -774,33 +717,6 @@ def test_a_step_too_large_for_the_torque_is_refused_with_advice():
         torqued_midpoint(BODIES["viscous"]).check(start, 9.0)
     with pytest.raises(ValueError, match=r"does not converge at dt = 2.0.* the friction is too strong.* smaller dt"):
         torqued_midpoint(BODIES["internal friction"]).check(start, 2.0)
-
-
-OTHERS = {"compose", "extrapolate", "reversible_control", "torqued_midpoint"}  # two take steps, one any system
-SCHEMES = sorted(set(_discover.modules_with("examples", schemes)) - OTHERS)
-
-
-@pytest.mark.parametrize("name", SCHEMES)
-def test_other_schemes_refuse_torques_and_friction_and_name_the_scheme_that_accepts_them(name):
-    make = getattr(schemes, name)
-    make = functools.partial(make, order=4) if name in ("nystrom", "preprocessed") else make
-    make = functools.partial(make, temperature=1.0, friction=1.0) if name == "langevin" else make
-    for body in (BODIES["viscous"], BODIES["internal friction"]):
-        with pytest.raises(ValueError, match=f"{name} integrates .* got {type(body).__name__}; use torqued_midpoint$"):
-            make(body)
-
-
-@pytest.mark.long
-def test_torqued_bodies_with_an_altered_vector_field_are_refused():
-    class Faster:
-        def vector_field(self, state):
-            rate = super().vector_field(state)
-            return rate._replace(q=1.001 * rate.q)
-
-    for name in ("viscous", "kane_damper", "internal friction"):
-        changed = li.pytree(type("Changed", (Faster, type(BODIES[name])), {}))
-        with pytest.raises(ValueError, match=r"Changed\.vector_field overrides their equations"):
-            torqued_midpoint(changed(**vars(BODIES[name])))
 
 
 @pytest.mark.long

@@ -402,66 +402,6 @@ def test_derivatives_by_every_number_of_the_satellite_and_its_orbit(kind):
 
 
 @pytest.mark.long
-def test_bad_input_is_refused_in_a_sentence():
-    satellite, state, _ = example("satellite")
-    orbit = satellite.orbit
-    step = schemes.splitting(satellite)
-    cases = [
-        (lambda: step(state._replace(t=None, work=None), 0.1), "the system is driven, so its state needs the time"),
-        (lambda: satellite.energy(State(state.q, state.p)), "needs the time: make it with system.state"),
-        (lambda: step.check(state._replace(t=np.nan), 0.1), "state.t must be finite"),
-        (lambda: step.check(state._replace(work=np.inf), 0.1), "state.work must be finite"),
-        (lambda: step(state._replace(t=None), 0.1), "a state that counts work needs a time"),
-        (lambda: step(state._replace(extra=3.0), 0.1), "state.extra must be a dict of arrays"),
-        (lambda: satellite.state(angular_velocity=[0, 0, 1], t=[0.0, 1]), "t must have shape ()"),
-        (lambda: satellite.state(angular_velocity=[0, 0, 1], work="much"), "work must be an array of real numbers"),
-        (lambda: systems.gravity_gradient(J, orbit, mu=-1.0), "mu must be positive, got -1"),
-        (lambda: systems.gravity_gradient(J, lambda t: (t, t)), "the orbit has no attribute mu: give mu"),
-        (lambda: systems.gravity_gradient(J, lambda t: (t, t), 1.0), r"each of shape \(3,\), got shapes"),
-        (lambda: systems.gravity_gradient(J, lambda t: 1 / 0, 1.0), None),
-        (lambda: systems.gravity_gradient(J, 7.0), "orbit must be a function"),
-        (lambda: systems.driven_top(J, lambda Gamma: Gamma[0]), r"function of \(Γ, t\).*it fails"),
-        (lambda: systems.driven_top(J, lambda Gamma, t: Gamma), "a real scalar as its value, got shape"),
-        (
-            lambda: systems.driven_top(J, lambda Gamma, t: t, lambda t: t),
-            r"axis .* shape \(3,\) as its value, got shape \(\)",
-        ),
-        (lambda: systems.driven_top(J, lambda Gamma, t: t, [0, 0, 0]), "axis must not be zero"),
-        (lambda: systems.driven_top(J, 3.0), "potential must be a function of"),
-        (lambda: schemes.top_energy_momentum(example("two_wells")[0]), "without an axis; use splitting"),
-        (lambda: example("two_wells")[0].Gamma(state), "has no axis"),
-    ]
-    for call, message in cases:
-        with pytest.raises(ZeroDivisionError if message is None else ValueError, match=message):
-            call()
-
-
-@pytest.mark.parametrize("make", ["so3_midpoint", "so3_explicit", "exact", "calibrated", "group_midpoint", "additive"])
-def test_schemes_that_ignore_time_refuse_what_is_driven(make):
-    with pytest.raises(ValueError, match=r"integrates .*, got (GravityGradient|DrivenTop|DrivenGroupPotential)"):
-        getattr(schemes, make)(example("satellite")[0])
-    with pytest.raises(ValueError, match=r"group_energy_momentum integrates .*, got DrivenGroupPotential"):
-        schemes.group_energy_momentum(example("pulsating")[0])
-
-
-@pytest.mark.long
-def test_a_driven_body_with_an_altered_vector_field_is_refused():
-    """A satellite with a drag of its own: neither scheme knows of it."""
-
-    @li.pytree
-    class Dragged(systems.GravityGradient):
-        def vector_field(self, state):
-            rate = super().vector_field(state)
-            return rate._replace(p=rate.p - 0.1 * state.p)
-
-    satellite = example("satellite")[0]
-    dragged = Dragged(satellite.inertia, satellite.orbit, satellite.mu)
-    for scheme in (schemes.splitting, schemes.top_energy_momentum):
-        with pytest.raises(ValueError, match=r"Dragged\.vector_field overrides their equations"):
-            scheme(dragged)
-
-
-@pytest.mark.long
 def test_a_time_too_large_for_its_type_warns():
     satellite, state, _ = example("satellite")
     step, late = schemes.splitting(satellite), state._replace(t=np.float64(1e9))

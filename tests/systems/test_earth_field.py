@@ -112,19 +112,3 @@ def test_dates_of_other_scales_serve_the_sun_alone():
     with jax.enable_x64(False):  # in float32 a Julian date has the digits of a quarter of a day
         assert float(orbits.earth_rotation_angle("2025-01-01T06:00")) == pytest.approx(exact, rel=1e-7)
         assert float(orbits.earth_rotation_angle(2460676.75)) == pytest.approx(exact, rel=1e-7)
-
-
-REFUSED = {
-    "degree": (dict(degree=14), "degree must be at most 13, the last one of IGRF, got 14"),
-    "no degree": (dict(degree=0), "degree must be an integer ≥ 1"),
-    "dipole": (dict(degree=2, coefficients=[0.1, 0.2, 0.9]), "degree must be at most 1 with the coefficients"),
-    "date": (dict(date="1999-12-31"), "IGRF-14 from 2000 to 2030, got the date 1999-12-31"),
-    "text": (dict(date="March"), "a date must be as in"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_igrf_does_not_have_is_refused(name):
-    arguments, what = REFUSED[name]
-    with pytest.raises(ValueError, match=what):
-        orbits.earth_field(LOW, **{"date": 2460676.5, "radius": R} | arguments)

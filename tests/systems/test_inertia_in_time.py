@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, torques
-from lieint_jax.systems import inertia_in_time, rigid_body, torqued_body
+from lieint_jax.systems import inertia_in_time, rigid_body
 
 OMEGA, END = np.array([0.3, -0.4, 0.8]), 3.0
 
@@ -198,18 +198,3 @@ def test_a_rate_may_be_given():
     a, b = body.vector_field(state), given.vector_field(state)
     np.testing.assert_allclose(a.work, -0.5 * np.sum(rate * OMEGA**2), rtol=1e-14)
     np.testing.assert_allclose(b.work, a.work, rtol=1e-15)
-
-
-def test_wrong_arguments_are_explained():
-    with pytest.raises(ValueError, match=r"inertia must be a function of the time t.*systems.rigid_body"):
-        inertia_in_time([1.0, 2.0, 3.0])
-    with pytest.raises(
-        ValueError, match=r"with an array of real numbers of shape \(3,\) as its value, got shape \(2,\)"
-    ):
-        inertia_in_time(lambda t: jnp.ones(2) * t)
-    with pytest.raises(ValueError, match=r"inertia must be a function of the time t, which JAX can trace"):
-        inertia_in_time(lambda t: [float(t)] * 3)
-    with pytest.raises(ValueError, match=r"a function of time: systems\.inertia_in_time"):
-        torqued_body(lambda t: jnp.ones(3), torques.viscous(0.1))
-    with pytest.raises(ValueError, match="use torqued_midpoint"):
-        schemes.so3_midpoint(example("motor")[0])

@@ -198,14 +198,3 @@ def test_the_derivative_of_a_force_by_a_vertex_agrees_with_differences():
     differences = sum(c * float(pull(k * h)) for k, c in ((-3, -1), (-2, 9), (-1, -45), (1, 45), (2, -9), (3, 1)))
     for way in (jax.jacfwd, jax.grad):
         assert float(way(pull)(0.0)) == pytest.approx(differences / (60 * h), rel=1e-9)  # observed 2e-12
-
-
-def test_bad_arguments_of_mutual_gravity_raise_errors():
-    for shape_list, order, sentence in (
-        ([1.0, 2.0], 5, "order must be 2, 3 or 4, got 5"),
-        ([1.0], 2, "two or more shapes or masses"),
-        ([1.0, -2.0], 2, r"mass of shapes\[1\] must be positive"),
-        ([1.0, "stone"], 2, r"shapes\[1\], if it is not a shape"),
-    ):
-        with pytest.raises(ValueError, match=sentence):
-            potentials.mutual_gravity(1.0, shape_list, order)

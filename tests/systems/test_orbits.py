@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-import lieint_jax as li
 from lieint_jax import orbits
 
 ELEMENTS = ("mu", "semi_major_axis", "eccentricity", "inclination", "node", "periapsis", "periapsis_time")
@@ -131,24 +130,6 @@ def test_orbits_in_float32_have_its_accuracy():
     np.testing.assert_allclose(position, orbits.kepler(1.7, 1.3, 0.9)(0.7)[0], rtol=0, atol=3e-6)
 
 
-@pytest.mark.parametrize(
-    ("elements", "message"),
-    [
-        ((0.0, 1.0, 0.5), "mu must be positive, got 0.0"),
-        ((1.0, 1.0, 1.0), "eccentricity must not be 1: a parabola has no semi-major axis"),
-        ((1.0, 1.0, 1.5), "a hyperbola semi_major_axis < 0 and eccentricity > 1, got 1.0 and 1.5"),
-        ((1.0, -1.0, 0.5), "an ellipse has semi_major_axis > 0"),
-        ((1.0, 0.0, 0.5), "semi_major_axis must not be 0"),
-        ((1.0, 1.0, -0.1), "eccentricity must be ≥ 0, got -0.1"),
-        ((1.0, np.nan, 0.1), "semi_major_axis must be finite"),
-        ((1.0, [1.0, 2.0], 0.1), "semi_major_axis must have shape"),
-    ],
-)
-def test_what_is_no_orbit_is_refused(elements, message):
-    with pytest.raises(ValueError, match=message):
-        li.orbits.kepler(*elements)
-
-
 NO_ORBITS = [
     (1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -0.1), (1.0, -1.0, -1.5), (1.0, -1.0, 0.5), (1.0, 1.0, 2.0),
     (1.0, 0.0, 0.5), (1.0, 0.0, 2.0), (0.0, 1.0, 0.5), (-1.0, 1.0, 0.5), (-1.0, -1.0, 2.0), (1.0, 1.0, np.nan),
@@ -176,17 +157,6 @@ def test_traced_elements_of_no_orbit_give_nan_and_do_not_touch_their_neighbors()
             assert np.isnan(slopes[:-2, :2, 3]).all()
         for good in (values, forward, reverse, mean_motion):
             assert np.isfinite(good[-2:]).all()
-
-
-def test_numbers_are_refused_although_another_element_is_traced():
-    for elements, message in [
-        ((0.0, None, 0.5), "mu must be positive"),
-        ((1.0, 0.0, None), "semi_major_axis must not be 0"),
-        ((1.0, None, 1.0), "eccentricity must not be 1"),
-        ((1.0, None, -0.5), "eccentricity must be ≥ 0"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            jax.eval_shape(lambda x: orbits.kepler(*(x if y is None else y for y in elements)), 1.0)  # noqa: B023
 
 
 @pytest.mark.long
@@ -219,14 +189,3 @@ def test_graded_times_are_shorter_near_the_center(t0, t1):
     s = sizes * (38340.0 / r + 0.15)
     assert s.std() / abs(s.mean()) < 2e-3
     assert abs(sizes).max() / abs(sizes).min() > 5
-
-
-def test_bad_gradings_are_refused():
-    for arguments, message in [
-        ((0.0, 0.0, 8), "t0 and t1 must be finite and differ"),
-        ((0.0, np.nan, 8), "t0 and t1 must be finite and differ"),
-        ((0.0, 1.0, 0), "n must be an integer ≥ 1"),
-        ((0.0, 1.0, 8), "c must be positive and finite"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            orbits.graded_times(FLYBY, *arguments, c=0.0 if message.startswith("c ") else 0.15)

@@ -211,8 +211,6 @@ def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
     assert np.isfinite(after.q).all()
     with pytest.raises(ValueError, match=r"the chart is singular.*or sphere_midpoint"):
         li.schemes.sphere_chart(bob, AXIS).check(State(jnp.array(AXIS), jnp.zeros(3)), 0.1)
-    with pytest.raises(ValueError, match="axis must be a unit vector"):
-        li.schemes.sphere_chart(bob, [0.0, 0.0, 2.0])
 
 
 @pytest.mark.long
@@ -312,26 +310,3 @@ def test_the_pendulum_in_float32_stays_in_float32():
         assert trajectory.state.q.dtype == trajectory.state.p.dtype == trajectory.info.residual.dtype == jnp.float32
         assert trajectory.info.converged[:51].all()
         assert np.abs(energy[:51]).max() < 2e-5
-
-
-@pytest.mark.long
-def test_bad_arguments_of_the_pendulum_raise_errors():
-    bob = BOBS["linear"]
-    for make, message in (
-        (lambda: li.systems.pendulum(-1.0, 1.0), "mass must be positive"),
-        (lambda: li.systems.pendulum(1.0, 1.0, [0, 0, 2]), "axis must be a unit vector"),
-        (lambda: li.systems.pendulum([1.0], 1.0), "mass must have shape"),
-        (lambda: li.systems.pendulum(1.0, lambda s: None), "gravity must be a function of γ·q with a real scalar"),
-        (lambda: bob.state([1.0, 0], velocity=[0, 0, 1]), "direction must have shape"),
-        (lambda: bob.state([1.0, 0, 0], velocity=[0, 0, jnp.nan]), "velocity must be finite"),
-        (lambda: li.schemes.top_energy_momentum(bob), "rigid bodies in a potential with an axis"),
-        (lambda: li.schemes.sphere_midpoint(bob, iterations=0), "iterations must be an integer"),
-        (lambda: bob.state([1.0, 1, 0], velocity=[0, 0, 1]), "direction must be a unit vector"),
-        (lambda: bob.state([1.0, 0, 0], velocity=[1, 0, 1]), "orthogonal to q"),
-        (lambda: bob.state([1.0, 0, 0]), "exactly one of velocity, momentum; got none"),
-        (lambda: bob.check(State(jnp.array([1.0, 0, 0]), jnp.array([1.0, 0, 0]))), "made|make it"),
-        (lambda: li.schemes.sphere_midpoint(li.systems.rigid_body([1.0, 2, 3])), "pendulums"),
-        (lambda: li.schemes.sphere_midpoint(bob).check(jax.tree.map(jnp.asarray, start()), 50.0), "does not converge"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            make()

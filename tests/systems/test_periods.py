@@ -172,19 +172,6 @@ def test_the_derivative_of_a_state_by_its_periods_is_inverse_to_theirs():
 
 
 @pytest.mark.long
-def test_periods_that_no_motion_has_are_refused():
-    body = systems.rigid_body(APOPHIS)
-    with pytest.raises(
-        ValueError, match=r"rotation/precession must be above 6\.\d+, that of a small wobble, in the short"
-    ):
-        body.state_from_periods(precession=10.0, rotation=20.0, long_axis=False)
-    with pytest.raises(ValueError, match="has no long-axis mode"):
-        systems.rigid_body([1.0, 1.0, 2.0]).state_from_periods(precession=1.0, rotation=20.0, long_axis=True)
-    with pytest.raises(ValueError, match="long_axis must be True"):
-        body.state_from_periods(precession=1.0, rotation=20.0, long_axis="long")  # pyright: ignore
-
-
-@pytest.mark.long
 def test_the_periods_of_a_run_are_those_of_each_state():
     """Constant in free motion; of a body with torques they are those of the moment."""
     body = systems.rigid_body(APOPHIS)

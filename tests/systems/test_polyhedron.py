@@ -329,30 +329,6 @@ def test_single_precision():
     np.testing.assert_allclose(P.force(x), exact, rtol=0, atol=2e-5 * float(jnp.abs(exact).max()))
 
 
-def test_wrong_arguments_of_a_polyhedron_raise_errors():
-    P, one = cube(), jnp.eye(3)[:2] + 1
-    for make, sentence in (
-        (lambda: potentials.polyhedron(1.0, shapes.box([1.0, 1.0, 1.0], mass=1.0)), "this one has none"),
-        (lambda: potentials.polyhedron(1.0, (CUBE, FACES)), "density must be given"),
-        (lambda: potentials.polyhedron(1.0, (CUBE, FACES[1:]), 1.0), "surface must be closed"),
-        (lambda: P.value([1.0, 2.0]), r"x must be points \(…, 3\)"),
-        (lambda: li.systems.rigid_bodies([1.4, 1.0], one, P), "density times volume, 1.5, got 1.4"),
-        (lambda: li.systems.rigid_bodies([1.5], one[:1], P), "two bodies or more"),
-    ):
-        with pytest.raises(ValueError, match=sentence):
-            make()
-    with pytest.raises(TypeError, match=r"systems\.rigid_bodies"):
-        P(one, one)
-
-
-def test_mutual_gravity_refuses_bodies_within_another_s_enclosing_sphere():
-    """At the start, with a sentence that names the cure."""
-    long = shapes.ellipsoid([2.0, 1.0, 1.0], mass=1.0)
-    bodies = li.systems.rigid_bodies([1.0, 0.1], [[1.0, 1, 1]] * 2, potentials.mutual_gravity(1.0, [long, 0.1]))
-    with pytest.raises(ValueError, match=r"inside the enclosing sphere of another.*potentials\.polyhedron"):
-        bodies.state([[0, 0, 0], [0.0, 1.9, 0]])
-
-
 @pytest.mark.long
 def test_a_step_into_another_s_enclosing_sphere_is_flagged():
     long = shapes.ellipsoid([2.0, 1.0, 1.0], mass=1.0)

@@ -1,0 +1,598 @@
+"""Calls with bad arguments, room by room, and the sentence of their errors: what was given, allowed, to be done.
+
+`tests/schemes/test_capabilities.py` has every scheme with every system that it does not accept. Errors of commands
+and files, and those of a run, are in the tests of these.
+"""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import groups, maps, orbits, potentials, schemes, shapes, systems, tides, torques
+from lieint_jax.schemes import additive, compose, gauss, group_midpoint, nystrom, splitting
+from lieint_jax.systems import damped_body, gyrostat, potential_top, rigid_bodies, torqued_body
+
+J, ONE, EYE, E3 = np.array([1.0, 2.0, 2.7]), np.array([1.0, 0, 0, 0]), np.eye(3), [0.0, 0, 1]
+BODY, OTHER = systems.rigid_body([1.0, 2.0, 3.0]), systems.rigid_body([1.0, 2.0, 2.6])
+TOP = systems.heavy_top(J, [0.3, -0.2, 1.0])
+FIELD_TOP = potential_top(J, lambda R: R[0, 0], None)
+WELLS = systems.driven_top(J, lambda R, t: jnp.cos(t) * R[0, 0], None)
+SPIN = [0.1, 0.2, 1.0]
+
+
+def field(t):
+    return jnp.stack([jnp.sin(t), 0.4 * jnp.ones_like(t), jnp.cos(2 * t)])
+
+
+def spin(t, q, omega):
+    return 0.1 * omega
+
+
+def rows(call, message, *values):
+    """One row for each value of an argument."""
+    return [(lambda value=value: call(value), message) for value in values]
+
+
+SUN, PLATE = np.array([0.0, 0.6, 0.8]), ([0.6, 0.0, 0.8], [0.3, -0.2, 0.9])
+DAMPER = torques.kane_damper(0.2, 0.1)
+WHEELS = torques.wheels([[1.0, 0, 0], [0, 1.0, 0], [0.6, 0, 0.8]], [0.05, 0.04, 0.06])
+LAWS = [
+    (lambda: torqued_body(J, lambda t, q, w: q), r"numbers of shape \(3,\), got shape \(4,\)"),
+    (lambda: torqued_body(J, lambda t, q, w: 0.0), r"of shape \(3,\), got shape \(\)"),
+    (lambda: torqued_body(J, lambda t, q, w: 1j * w), r"real numbers .* dtype complex128"),
+    (lambda: torqued_body(J, lambda t, q, w: list(w)), r"must return an array of real numbers"),
+    (lambda: torqued_body(J, lambda t, q, w: None), r"must return an array of real numbers"),
+    (lambda: torqued_body(J, E3), r"torque must be a function of \(t, q, omega\)"),
+    (lambda: torqued_body(J, lambda t, q: q[1:]), "torque fails as a function of t .* positional"),
+    (lambda: torqued_body(J, lambda t, q, w: w @ q), "torque fails as a function of t"),
+    (lambda: torqued_body(J, spin, "inertial"), '"body" or "space", got .inertial.'),
+    (lambda: torqued_body(J, torques.viscous(0.1), "space"), 'must be "body", the axes of Viscous, got .space.'),
+    (lambda: torqued_body([1.0, 0.0, 1.0], spin), "inertia must be positive definite"),
+    *rows(torques.viscous, "damping must not be negative", -0.1, [0.1, -0.1, 0.2]),
+    (lambda: torques.viscous(np.diag(J) + np.eye(3, k=1)), "damping must be symmetric"),
+    (lambda: torques.viscous([0.1, 0.2]), r"damping must have shape \(\) or \(3,\) or \(3, 3\)"),
+    (lambda: torques.viscous(np.nan), "damping must be finite"),
+    (lambda: torques.pd_trace(-1.0, 0.2), "gain must not be negative, got -1"),
+    (lambda: torques.pd_quaternion(1.0, -0.2), "damping must not be negative, got -0.2"),
+    (lambda: torques.pd_quaternion(1.0, 0.2, [1.0, 1.0, 0, 0]), "target must be a unit quaternion"),
+    (lambda: torques.bdot(-1.0, field), "gain must not be negative"),
+    (lambda: torques.bdot(1.0, [0.0, 1.0]), r"field must have shape \(3,\), got \(2,\)"),
+    (lambda: torques.kane_damper(0.0, 0.1), "inertia must be positive, got 0"),
+    (lambda: torques.kane_damper(0.1, -0.1), "damping must not be negative"),
+    (lambda: torques.thruster(E3, 2.0, 1.0), "must not stop before it starts, got start = 2"),
+    (lambda: torques.thruster([0, 1.0], 1.0, 2.0), r"torque must have shape \(3,\)"),
+    (lambda: torques.solar_plate(1.0, [0, 0, 2.0], PLATE[1], SUN), "normal must be a unit vector"),
+    (lambda: torques.solar_plate(1.0, *PLATE, [0, 1.0, 1.0]), "sun must be a unit vector"),
+    (lambda: torques.solar_plate(1.0, *PLATE, SUN, specular=0.7, diffuse=0.5), "must be at most 1"),
+    (lambda: torques.solar_plate(-1.0, *PLATE, SUN), "force must not be negative"),
+    (lambda: damped_body(J, -0.1), "friction must not be negative, got -0.1: it would give energy"),
+    (lambda: damped_body(J, [0.1, 0.1]), r"friction must have shape \(\)"),
+    (lambda: schemes.torqued_midpoint(torqued_body(J, spin), 1.0), "kappa"),
+    (lambda: schemes.torqued_midpoint(torqued_body(J, spin), iterations=0), "iterations must be an integer ≥ 1"),
+    (lambda: DAMPER + torques.kane_damper(0.1, 0.1), "the same key .damper. .* give one of them"),
+    (lambda: torques.total([3.0]), "torque must be a function of"),
+    (lambda: torques.wheels([[1.0, 1.0, 0]], 0.1), "axes must be unit vectors"),
+    (lambda: torques.wheels([1.0, 0, 0], 0.1), r"axes must have shape \(m, 3\)"),
+    (lambda: torques.wheels(WHEELS.axes, [0.1, 0.2]), r"inertias must have shape \(\) or \(3,\)"),
+    (lambda: torques.wheels(WHEELS.axes, -0.1), "inertias must be positive"),
+    (lambda: torques.wheels(WHEELS.axes, 0.1, lambda t, q, w, h: w[:2]), r"motor must be a function of t, q"),
+    (lambda: torques.wheels(WHEELS.axes, 0.1, lambda t, q, w, h: w @ h @ q), "motor must be a function .* it fails"),
+    (lambda: torques.saturated(WHEELS, 0.1), "give wheels a max_torque"),
+    (lambda: torques.saturated(torques.viscous(0.1), 0.0), "limit must be positive"),
+    (lambda: torques.dipole(E3, lambda t: t), "field must be a function of the time t"),
+    (lambda: torques.bdot(1.0, lambda t: {}["b"]), "field must be a function .* fails: KeyError"),
+    (lambda: torques.gravity_gradient(lambda t: 1 / 0, J, 1.0), "fails: ZeroDivisionError"),
+    (lambda: torques.gravity_gradient(lambda t: (field(t), field(t)), J), "this orbit has no mu"),
+    (lambda: torques.potential(lambda G, t: G, field), "V must be a function of Gamma"),
+    (lambda: torques.body_inertia([0.05, 1, 1.0], [[1.0, 0, 0]], 0.06), "inertia must be positive"),
+    *rows(
+        lambda x: torques.eddy_current(x, field), "tensor must not be negative", -0.1, [1, -1, 2], np.diag([1, 1, -1])
+    ),
+    (lambda: torques.eddy_current(np.triu(np.ones((3, 3))), field), "tensor must be symmetric"),
+    (lambda: torques.eddy_current(0.1, [1.0, 0.0]), "field must have shape"),
+    (lambda: torques.sampled(WHEELS, 0.1), r"Wheels has State\.extra"),
+    (lambda: torques.sampled(torques.viscous(0.1), 0.0), "period must be"),
+]
+
+
+def circle(t):
+    c, s = jnp.cos(t), jnp.sin(t)
+    return jnp.stack([c, s, 0 * t]), jnp.stack([-s, c, 0 * t])
+
+
+AIR, BOX = orbits.atmosphere(circle, 0.3, 0.1, 0.1, radius=0.8, rate=0.06), torques.box_plates([1.0, 0.5, 0.4])
+AXES, FACE = torques.wheel_pyramid(), [[0.0, 0, 1]]
+SATELLITES = [
+    (lambda: torqued_body(J, torques.unloading(AXES, 0.1, field, 0.2)), "reads State.extra.*add the law with that"),
+    (lambda: torques.aerodynamic(lambda t: t, *BOX), "air must be a function of the time t"),
+    (lambda: torques.aerodynamic(AIR, 1.0, E3, E3), r"arms must have shape \(m, 3\)"),
+    (lambda: torques.aerodynamic(AIR, 1.0, [[0.0, 1, 1]], FACE), "normals must be unit vectors"),
+    (lambda: torques.aerodynamic(AIR, -1.0, FACE, FACE), "areas must not be negative"),
+    (lambda: torques.solar_plates(*BOX, SUN, specular=0.9, diffuse=0.2), "must be at most 1"),
+    (lambda: torques.solar_plates(*BOX, SUN, light=lambda t: SUN), "light must be a function"),
+    (lambda: torques.allocation([[1.0, 0, 0], [0, 1.0, 0]]), "axes must span all directions"),
+    (lambda: torques.wheel_pyramid(wheels=2), "wheels must be an integer ≥ 3"),
+    (lambda: torques.wheel_motor(AXES, WHEELS), "control law must not have an internal state"),
+    (lambda: torques.pointing(lambda t: SUN, 1.0, 1.0), "frame must be a function of the time t"),
+    (lambda: torques.pointing([2.0, 0, 0, 0], 1.0, 1.0), "frame must be a unit quaternion"),
+    (lambda: torques.sliding_mode(orbits.lvlh(circle), J, 1.0, 1.0, layer=0.0), "layer must be positive"),
+]
+LOW, FLYBY = orbits.kepler(orbits.EARTH_GM, 6878.137, 0.001, 0.9), orbits.kepler(398600.4418, -28400.0, 2.35)
+DAY = 2460676.5
+
+
+def traced(*elements):
+    """A Kepler orbit of these elements, and of one that is traced."""
+    jax.eval_shape(lambda x: orbits.kepler(*(x if y is None else y for y in elements)), 1.0)
+
+
+ORBITS = [
+    (lambda: orbits.from_state(0.0, [1.0, 0, 0], [0, 1.0, 0]), "mu must be positive"),
+    (lambda: orbits.from_state(1.0, [0.0, 0, 0], [0, 1.0, 0]), "position must not be that of the center"),
+    (lambda: orbits.from_state(1.0, [1.0, 0, 0], [2.0, 0, 0]), "must not be a line through the center"),
+    (lambda: orbits.from_state(1.0, [1.0, 0, 0], [0, 2**0.5, 0]), "the orbit is a parabola"),
+    (lambda: orbits.table([0.0, 1, 1], EYE, EYE), "times must increase.*1 and 2"),
+    (lambda: orbits.table([0.0], EYE[:1], EYE[:1]), "with n ≥ 2"),
+    (lambda: orbits.table([0.0, 1], EYE, EYE[:2]), "positions must have shape"),
+    (lambda: orbits.secular_j2(orbits.EARTH_GM, 6700.0, 0.1, 1.0), "the periapsis is below the ground"),
+    (lambda: orbits.secular_j2(orbits.EARTH_GM, -9e3, 1.1, 1.0), "secular rates are those of an ellipse"),
+    (lambda: orbits.earth_field(orbits.kepler(1.0, 1.0, 0.1), DAY), "the orbit is below the ground"),
+    (lambda: orbits.earth_field(orbits.kepler(orbits.EARTH_GM * 1e9, 7e6, 0.0), DAY), "radius 6371.2 in the orbit's"),
+    (lambda: orbits.earth_field(LOW, orbits.julian_date(1950, 1, 1)), "IGRF-14 from 2000 to 2030"),
+    (lambda: orbits.earth_field(LOW, "1999-12-31"), "IGRF-14 from 2000 to 2030, got the date 1999-12-31"),
+    (lambda: orbits.earth_field(LOW, "March"), "a date must be as in"),
+    (lambda: orbits.earth_field(LOW, DAY, degree=14), "degree must be at most 13, the last one of IGRF, got 14"),
+    (lambda: orbits.earth_field(LOW, DAY, degree=0), "degree must be an integer ≥ 1"),
+    (lambda: orbits.earth_field(LOW, DAY, [0.1, 0.2, 0.9], degree=2), "degree must be at most 1 with the coefficients"),
+    (lambda: orbits.julian_date(2024, 2, 30), "must be a day of the calendar"),
+    (lambda: orbits.atmosphere(LOW, -1.0, 60.0, 500.0), "density must be positive"),
+    (lambda: orbits.eclipse(LOW, [1.0, 0, 0], shadow="sphere"), "shadow must be"),
+    (
+        lambda: orbits.eclipse(LOW, [2.0, 0, 0], shadow="cylindrical"),
+        r"sun must be a unit vector, got \[2\. 0\. 0\.\] of l",
+    ),
+    (lambda: orbits.lvlh(lambda t: t), "orbit must be a function of the time t"),
+    (lambda: orbits.vector_table([0.0, 1.0], np.zeros((2, 3))), "at least 3 entries"),
+    (lambda: orbits.kepler(0.0, 1.0, 0.5), "mu must be positive, got 0.0"),
+    (lambda: orbits.kepler(1.0, 1.0, 1.0), "eccentricity must not be 1: a parabola has no semi-major axis"),
+    (lambda: orbits.kepler(1.0, 1.0, 1.5), "a hyperbola semi_major_axis < 0 and eccentricity > 1, got 1.0 and 1.5"),
+    (lambda: orbits.kepler(1.0, -1.0, 0.5), "an ellipse has semi_major_axis > 0"),
+    (lambda: orbits.kepler(1.0, 0.0, 0.5), "semi_major_axis must not be 0"),
+    (lambda: orbits.kepler(1.0, 1.0, -0.1), "eccentricity must be ≥ 0, got -0.1"),
+    (lambda: orbits.kepler(1.0, np.nan, 0.1), "semi_major_axis must be finite"),
+    (lambda: orbits.kepler(1.0, [1.0, 2.0], 0.1), "semi_major_axis must have shape"),
+    (lambda: traced(0.0, None, 0.5), "mu must be positive"),
+    (lambda: traced(1.0, 0.0, None), "semi_major_axis must not be 0"),
+    (lambda: traced(1.0, None, 1.0), "eccentricity must not be 1"),
+    (lambda: traced(1.0, None, -0.5), "eccentricity must be ≥ 0"),
+    *rows(lambda t: orbits.graded_times(FLYBY, 0.0, t, 8), "t0 and t1 must be finite and differ", 0.0, np.nan),
+    (lambda: orbits.graded_times(FLYBY, 0.0, 1.0, 0), "n must be an integer ≥ 1"),
+    (lambda: orbits.graded_times(FLYBY, 0.0, 1.0, 8, c=0.0), "c must be positive and finite"),
+]
+
+LUMPS = [[[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], [[0.1, 0, 0]]]
+WEIGHTS = [[1.0, 1.0, 1.0], [1.0]]
+MASSES = potentials.point_masses(2.0, WEIGHTS, LUMPS)
+FIELD = potentials.uniform_field([0.3, -0.2, -1.0], [1.0, 2.0, 1.0])
+CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+FACES = [[a, b, c] for q in QUADS for a, b, c in (q[:3], (q[0], *q[2:]))]
+SOLID = potentials.polyhedron(2.0, (CUBE, FACES), 1.5)
+BOX_SHAPE, NEEDLE = shapes.box([1, 2, 1], mass=1.0), shapes.ellipsoid([2.0, 1.0, 1.0], mass=1.0)
+PAIR = np.zeros((1, 2, 3))
+
+
+def closed_in():
+    """A body within the sphere around an ellipsoid."""
+    bodies = rigid_bodies([1.0, 0.1], [[1.0, 1, 1]] * 2, potentials.mutual_gravity(1.0, [NEEDLE, 0.1]))
+    bodies.state([[0, 0, 0], [0.0, 1.9, 0]])
+
+
+def two_cubes(offset, inward=False):
+    """A cube with edges of 5, and one of 1 whose faces may be turned inward."""
+    second = np.array([face[::-1] for face in FACES] if inward else FACES) + 8
+    shapes.mesh(np.concatenate([5 * CUBE, np.add(CUBE, offset)]), [*FACES, *second], density=1.0)
+
+
+POTENTIALS = [
+    (lambda: potentials.point_masses(1.0, [1.0, -1.0]), "masses must be ≥ 0"),
+    (lambda: potentials.point_masses(1.0, 1.0), "masses must have an entry for each body"),
+    (lambda: potentials.point_masses(1.0, [1.0, 1.0], softening=-1.0), "softening must be a length ≥ 0"),
+    (lambda: potentials.point_masses(1.0, WEIGHTS, LUMPS[:1]), "masses and points must have the same number"),
+    (lambda: potentials.lennard_jones([1.0, 1.0], [0.0, 1.0]), "sizes must be > 0"),
+    (lambda: potentials.sites(np.zeros((2, 3)), [1.0], [1.0], [1.0]), r"points must have shape \(N, n, 3\)"),
+    (lambda: potentials.sites(np.zeros((2, 1, 3)), [0.0], [0.0], [1.0]), "there is no force"),
+    (lambda: potentials.springs([[0, 0]], PAIR, 1.0), "a spring must join two bodies"),
+    (lambda: potentials.springs([[0, 1]], PAIR, -1.0), "stiffness must be ≥ 0"),
+    (lambda: potentials.springs([0, 1], PAIR, 1.0), "bodies must be pairs"),
+    (
+        lambda: potentials.springs([[0, 3]], PAIR, 1.0)(EYE, np.stack([EYE] * 3)),
+        "springs join the bodies .* there are 3",
+    ),
+    (lambda: potentials.uniform_field([0.0, 0, 0], [1.0]), "field must not be 0"),
+    (lambda: potentials.outer_field(1.0, [1.0]), "phi must be a function"),
+    (lambda: potentials.outer_field(jnp.sum, [1.0], conserved=[1.0]), "conserved must be rows"),
+    (lambda: potentials.ellipsoid_sphere(1.0, [1.0, 1.0], [1.0, 0.0, 1.0]), "semi_axes must be positive"),
+    (lambda: potentials.water("SPC"), "model must be one of 'TIP4P', 'TIP4P/2005', got 'SPC'"),
+    (lambda: (potentials.maccullagh(1.0, [1.0], [[1.0, 1, 1]]) + FIELD).count, "the same number of bodies"),
+    (lambda: rigid_bodies([1.0] * 3, np.ones((3, 3)), MASSES), "potential is for 2 bodies, but there are 3 masses"),
+    (lambda: potentials.molecule([1.0, 1.0], [[0, 0, 0], E3]), "must not lie on one line"),
+    (lambda: potentials.molecule([1.0, -1.0], [[0, 0, 0], E3]), "masses must be finite and ≥ 0"),
+    (lambda: potentials.molecule([1.0], [[0, 0]]), r"points \(n, 3\) are needed"),
+    (lambda: potentials.molecule(J, EYE, J, J), "sizes must be positive where wells are"),
+    (lambda: potentials.polyhedron(1.0, BOX_SHAPE), "this one has none"),
+    (lambda: potentials.polyhedron(1.0, (CUBE, FACES)), "density must be given"),
+    (lambda: potentials.polyhedron(1.0, (CUBE, FACES[1:]), 1.0), "surface must be closed"),
+    (lambda: SOLID.value([1.0, 2.0]), r"x must be points \(…, 3\)"),
+    (lambda: rigid_bodies([1.4, 1.0], EYE[:2] + 1, SOLID), "density times volume, 1.5, got 1.4"),
+    (lambda: rigid_bodies([1.5], EYE[:1] + 1, SOLID), "two bodies or more"),
+    (lambda: potentials.mutual_gravity(1.0, [1.0, 2.0], 5), "order must be 2, 3 or 4, got 5"),
+    (lambda: potentials.mutual_gravity(1.0, [1.0], 2), "two or more shapes or masses"),
+    (lambda: potentials.mutual_gravity(1.0, [1.0, -2.0], 2), r"mass of shapes\[1\] must be positive"),
+    (lambda: potentials.mutual_gravity(1.0, [1.0, "stone"], 2), r"shapes\[1\], if it is not a shape"),
+    (closed_in, r"inside the enclosing sphere of another.*potentials\.polyhedron"),
+    *rows(lambda r: systems.self_gravity(1.0, 1.0, r), "radius must be (positive|finite)", -1.0, 0.0, np.nan),
+]
+SHAPES = [
+    (lambda: shapes.mesh(CUBE, FACES[:-1], mass=1.0), "the surface must be closed, but 3 edges"),
+    (lambda: shapes.mesh(CUBE, [FACES[0][::-1], *FACES[1:]], mass=1.0), "all faces must be oriented alike"),
+    (lambda: shapes.mesh(CUBE * [1, 1, 0], FACES, mass=1.0), "must enclose a volume"),
+    (lambda: shapes.mesh(CUBE, [[0, 1, 9]], mass=1.0), "faces must be indices from 0 to 7"),
+    (lambda: shapes.mesh(CUBE, [[0, 1, 1]], mass=1.0), "three distinct vertices"),
+    (lambda: shapes.mesh(CUBE, FACES), "give exactly one of mass, density"),
+    (
+        lambda: two_cubes([7, 0, 0], True),
+        r"face 12 \(12 faces around \[7\.5 .*volume -1\) is oriented unlike .* face 0",
+    ),
+    (
+        lambda: two_cubes([2, 2, 2]),
+        r"face 12 \(12 .* \[2\.5 .*volume 1\) lies inside another part and is oriented like",
+    ),
+    (lambda: two_cubes([4.5, 0, 0], True), "is oriented unlike the part with face 0 and lies in no other part"),
+    (lambda: shapes.box([1, 2, -1], mass=1.0), "edges must be positive"),
+    (lambda: shapes.sites([1.0, -1.0], [[0, 0, 0], [1, 0, 0]]), "total mass must be positive"),
+    (lambda: BOX_SHAPE.moments(5), "order must be an integer from 0 to 4"),
+    (lambda: shapes.box([1, 2, 1], mass=0.0), "mass must not be 0"),
+    (lambda: shapes.body(mass=0.0, inertia=[1, 1, 1]), "mass must be positive"),
+    (lambda: shapes.body(mass=1.0, inertia=[1, 1, 0]), "inertia must be positive definite"),
+    (lambda: shapes.body(mass=1.0, inertia=EYE, center=[0, np.nan, 0]), "center must be finite"),
+]
+
+M, JS, V = [1.0, 0.1], np.ones((2, 3)), potentials.maccullagh(1.0, [1.0, 0.1], np.ones((2, 3)))
+X = np.array([[0.0, 0, 0], [3.0, 0, 0]])
+BODIES = rigid_bodies(M, JS, V)
+THREE = rigid_bodies([1.0] * 3, np.ones((3, 3)), potentials.point_masses(1.0, [1.0] * 3))
+
+
+def dissipation(law):
+    return rigid_bodies(M, JS, potentials.point_masses(1.0, M), law)
+
+
+def gains(r, v, omega_i, omega_j):
+    return 0.1 * v, -0.1 * jnp.cross(r, v), jnp.zeros(3)
+
+
+def pushed(forces):
+    return rigid_bodies(M, JS, potentials.point_masses(1.0, M), forces=forces)
+
+
+REST = pushed(lambda t, x, R, v, w: (0 * x, 0 * x))
+MANY_BODIES = [
+    (lambda: rigid_bodies([1.0, -0.1], JS, V), "masses must be positive"),
+    (lambda: rigid_bodies(1.0, JS, V), r"masses must have shape \(N,\)"),
+    (
+        lambda: rigid_bodies(M, EYE, V),
+        r"inertias must have shape \(2, 3\) or \(2, 3, 3\), as many as masses; got \(3, 3\)",
+    ),
+    (lambda: rigid_bodies(M, -JS, V), "positive"),
+    (lambda: rigid_bodies(M, JS, 1.0), "potential must be a function"),
+    (lambda: BODIES.state(X[:1]), r"positions must have shape \(2, 3\)"),
+    (lambda: BODIES.state(0 * X), "bodies 0 and 1 are at the same position"),
+    (lambda: BODIES.state(X, attitudes=np.ones((2, 4))), r"attitudes\[0\] must be a unit quaternion"),
+    (lambda: BODIES.state(X, attitudes=np.ones((2, 5))), "attitudes must have shape"),
+    (lambda: BODIES.state(X, velocities=X * np.nan), "velocities must be finite"),
+    (lambda: rigid_bodies(M, JS, lambda x, R: x[0]), r"got shape \(3,\) and dtype float64"),
+    (lambda: rigid_bodies(M, JS, lambda x, R: None), "a real scalar as its value, got None"),
+    (lambda: rigid_bodies(M, JS, lambda x, R: 0), "got shape .* and dtype int64"),
+    (lambda: rigid_bodies(M, JS, lambda x, R: 1j * x[0, 0]), "got shape .* and dtype complex128"),
+    (lambda: rigid_bodies(M, JS, lambda x, R: np.sum(np.asarray(x))), "which JAX can trace, .* fails: .*traced array"),
+    (lambda: rigid_bodies(M, JS, lambda x: x[0, 0]), "it fails: .*takes 1 positional argument but 2 were given"),
+    (lambda: rigid_bodies(M, JS, lambda x, R: {}[0]), "it fails: KeyError: 0"),
+    (lambda: rigid_bodies(M, JS, lambda x, R: jnp.log(-x[1, 0])).state(X), "potential must be finite at the start"),
+    (lambda: dissipation(3.0), "law of pairs"),
+    (lambda: dissipation(tides.constant_lag(1.0, [1.0] * 3, [1.0] * 3, 0.1, 0.1)), "3 bodies.*2 mass"),
+    (lambda: dissipation(lambda r, v, a, b: (v[:2], v, v)), "dissipation must be a function"),
+    (lambda: dissipation(lambda r, v, a, b: (-v, 0 * v, 0 * v)), "angular momentum"),
+    (lambda: dissipation(lambda r, v, a, b: (0 * v, a - b, b - a)), "must not add energy"),
+    (lambda: dissipation(gains), r"must not add energy.*Check its sign, or give forces .* as forces="),
+    (lambda: tides.constant_lag(1.0, M, M, M, -1.0), "lags must be ≥ 0"),
+    (lambda: tides.constant_lag(1.0, M, [0.0, 1.0], M, 1.0), "radii must be positive"),
+    (lambda: tides.constant_q(1.0, M, M, M, Q=[5.0, 0.0], threshold=1.0), "Q must be positive"),
+    (lambda: tides.constant_q(1.0, M, M, M, Q=5.0, threshold=0.0), "threshold must be positive"),
+    (lambda: tides.constant_lag(1.0, [1.0], [1.0], 0.1, 1.0), "N ≥ 2"),
+    (
+        lambda: pushed(lambda t, x, R, v, w: x),
+        r"the forces that forces returns must be .* of shape \(2, 3\) .*got shape \(3,\)",
+    ),
+    (lambda: pushed(lambda t, x, R, v, w: (x, x[0])), r"the torques that forces returns must be .* got shape \(3,\)"),
+    (lambda: pushed(lambda t, x, R, v, w: (x, x, x)), "too many values"),
+    (lambda: pushed(lambda t: t), "takes 1 positional argument"),
+    (lambda: pushed(3), "the forces that forces returns must be a function"),
+    (lambda: REST.check(REST.state(X)._replace(t=None, work=None)), "its state needs the time"),
+    (lambda: REST.check(REST.state(X)._replace(work=np.zeros(2))), r"state\.work must have shape \(\)"),
+]
+
+MATERIAL = systems.neo_hookean(20.0, 6.0)
+ELASTIC, VISCOUS = (systems.pseudo_rigid_body([2.0, 1.5, 1.0], MATERIAL, *more) for more in ((), (0.5,)))
+BALL, EMBEDDED = systems.incompressible_body(np.full(3, 0.2), MATERIAL), systems.embedded_body([1.0, 2.0, 3.0])
+BOB = systems.pendulum(1.5, 1.0, [0.48, 0.6, 0.64])
+SE2 = groups.special_euclidean(2)
+GYROSTAT, SPIN_UP = gyrostat(J, E3), systems.driven_gyrostat(J, lambda t: jnp.stack([t, t, t]))
+CONING = systems.kinematics(groups.so3, lambda t: jnp.stack([jnp.cos(t), jnp.sin(t), 0 * t]))
+ORBIT = orbits.kepler(1.0, 1.0, 0.1)
+SATELLITE = systems.gravity_gradient(J, ORBIT)
+MOVING = SATELLITE.state(angular_velocity=SPIN, work=0.0)
+PERIODS, APOPHIS = {"precession": 1.0, "rotation": 20.0}, systems.rigid_body([0.61, 0.965, 1.0])
+SYSTEMS = [
+    *rows(systems.rigid_body, "positive definite", [1.0, 2, -3], [[1.0, 2, 0], [2, 1, 0], [0, 0, 1]], [0.0, 1.0, 1.0]),
+    (lambda: systems.rigid_body([[1.0, 0.1, 0], [0, 1, 0], [0, 0, 1]]), "symmetric"),
+    *rows(systems.rigid_body, "finite", [1.0, np.nan, 1.0], [1.0, np.inf, 1.0]),
+    *rows(systems.rigid_body, r"shape \(3,\) or \(3, 3\)", [1.0, 2.0], 3.0, np.ones((2, 3))),
+    *rows(systems.rigid_body, "real numbers", ["one", "two", "three"], [1j, 1, 1], None, [[1, 2], [3]]),
+    *rows(lambda q: BODY.state(q, angular_velocity=SPIN), "unit quaternion", [1.0, 0, 0, 2e-2], 0 * ONE, 1.0002 * ONE),
+    *rows(lambda q: BODY.state(q, angular_velocity=SPIN), "orthogonal", EYE * 1.001, np.ones((3, 3))),
+    (lambda: BODY.state(np.diag([1.0, 1, -1]), angular_velocity=SPIN), "reflection"),
+    *rows(lambda q: BODY.state(q, angular_velocity=SPIN), "finite", np.nan * ONE, np.full((3, 3), np.inf)),
+    *rows(
+        lambda q: BODY.state(q, angular_velocity=SPIN),
+        r"quaternion \(w, x, y, z\), shape \(4,\), or a rotation matrix \(3, 3\)",
+        [1.0, 0, 0],
+        np.eye(4),
+    ),
+    (lambda: BODY.state(ONE, angular_velocity=10**400), "real numbers"),
+    (lambda: BODY.state(ONE, angular_velocity=[1e308, 1e308, 1e308]), "spatial momentum must be finite"),
+    (lambda: BODY.state(ONE), "exactly one of angular_velocity"),
+    (lambda: BODY.state(ONE, angular_velocity=SPIN, body_momentum=SPIN), "exactly one of angular_velocity"),
+    (lambda: BODY.state(ONE, angular_velocity=JS), r"angular_velocity must have shape \(3,\).*jax.vmap"),
+    (lambda: EMBEDDED.check(li.State(-jnp.eye(3), jnp.ones(3))), "positive determinant"),
+    (lambda: potential_top(J, jnp.sum, [0.0, 0.0, 0.0]), "axis must not be zero"),
+    (lambda: potential_top(J, 3.0), "potential must be a function of Γ"),
+    (lambda: potential_top(J, lambda G: G), r"function of Γ.* with a real scalar as its value, got shape \(3,\)"),
+    (
+        lambda: potential_top(J, lambda R: R[0] @ jnp.ones(4), None),
+        "function of the rotation matrix .* it fails: .*dot_general requires",
+    ),
+    (lambda: systems.heavy_top(J, [1.0, 2.0]), "weight"),
+    (lambda: gyrostat(J, [0.0, 1.0]), r"rotor must have shape \(3,\), got \(2,\)"),
+    (lambda: gyrostat(J, [0.0, np.nan, 1.0]), "rotor must be finite"),
+    (lambda: GYROSTAT.state(ONE), "exactly one of angular_velocity, body_momentum, spatial_momentum"),
+    *rows(lambda x: systems.driven_gyrostat(J, x), r"function of the time t with values \(3,\)", "on", np.zeros(3)),
+    (
+        lambda: systems.driven_gyrostat(J, lambda t: jnp.stack([t, t])),
+        r"of shape \(3,\) as its value, got shape \(2,\)",
+    ),
+    (
+        lambda: systems.driven_gyrostat(J, lambda: jnp.zeros(3)),
+        r"motor must be a function of the time t.* it fails: .*positional argument",
+    ),
+    (lambda: SPIN_UP.state(ONE, angular_velocity=SPIN, work=[0.0]), r"work must have shape \(\)"),
+    (lambda: SPIN_UP.state(ONE, angular_velocity=SPIN, rotor=[0, np.inf, 0]), "rotor must be finite"),
+    (lambda: systems.inertia_in_time(J), r"inertia must be a function of the time t.*systems.rigid_body"),
+    (
+        lambda: systems.inertia_in_time(lambda t: jnp.ones(2) * t),
+        r"with an array of real numbers of shape \(3,\) as its value, got shape \(2,\)",
+    ),
+    (
+        lambda: systems.inertia_in_time(lambda t: [float(t)] * 3),
+        "inertia must be a function of the time t, which JAX can trace",
+    ),
+    (lambda: torqued_body(lambda t: jnp.ones(3), spin), r"a function of time: systems\.inertia_in_time"),
+    (lambda: SATELLITE.energy(li.State(MOVING.q, MOVING.p)), "needs the time: make it with system.state"),
+    (lambda: SATELLITE.state(angular_velocity=SPIN, t=[0.0, 1]), "t must have shape ()"),
+    (lambda: SATELLITE.state(angular_velocity=SPIN, work="much"), "work must be an array of real numbers"),
+    (lambda: systems.gravity_gradient(J, ORBIT, mu=-1.0), "mu must be positive, got -1"),
+    (lambda: systems.gravity_gradient(J, lambda t: (t, t)), "the orbit has no attribute mu: give mu"),
+    (lambda: systems.gravity_gradient(J, lambda t: (t, t), 1.0), r"each of shape \(3,\), got shapes"),
+    (lambda: systems.gravity_gradient(J, 7.0), "orbit must be a function"),
+    (lambda: systems.driven_top(J, lambda Gamma: Gamma[0]), r"function of \(Γ, t\).*it fails"),
+    (lambda: systems.driven_top(J, lambda Gamma, t: Gamma), "a real scalar as its value, got shape"),
+    (
+        lambda: systems.driven_top(J, lambda Gamma, t: t, lambda t: t),
+        r"axis .* shape \(3,\) as its value, got shape \(\)",
+    ),
+    (lambda: systems.driven_top(J, lambda Gamma, t: t, [0, 0, 0]), "axis must not be zero"),
+    (lambda: systems.driven_top(J, 3.0), "potential must be a function of"),
+    *rows(lambda top: top.Gamma(MOVING), "has no axis γ", FIELD_TOP, WELLS),
+    (lambda: systems.pendulum(-1.0, 1.0), "mass must be positive"),
+    (lambda: systems.pendulum(1.0, 1.0, [0, 0, 2]), "axis must be a unit vector"),
+    (lambda: systems.pendulum([1.0], 1.0), "mass must have shape"),
+    (lambda: systems.pendulum(1.0, lambda s: None), "gravity must be a function of γ·q with a real scalar"),
+    (lambda: BOB.state([1.0, 0], velocity=[0, 0, 1]), "direction must have shape"),
+    (lambda: BOB.state([1.0, 0, 0], velocity=[0, 0, jnp.nan]), "velocity must be finite"),
+    (lambda: BOB.state([1.0, 1, 0], velocity=[0, 0, 1]), "direction must be a unit vector"),
+    (lambda: BOB.state([1.0, 0, 0], velocity=[1, 0, 1]), "orthogonal to q"),
+    (lambda: BOB.state([1.0, 0, 0]), "exactly one of velocity, momentum; got none"),
+    (lambda: BOB.check(li.State(jnp.array([1.0, 0, 0]), jnp.array([1.0, 0, 0]))), "made|make it"),
+    (lambda: systems.pseudo_rigid_body([1.0, -1, 1], MATERIAL), "positive definite"),
+    (lambda: systems.pseudo_rigid_body([1.0, 1], MATERIAL), "inertia must have shape"),
+    (lambda: systems.pseudo_rigid_body(np.ones((3, 3)), MATERIAL), "positive definite"),
+    (lambda: systems.pseudo_rigid_body([[1, 0, 0], [0, 1, -1], [0, 1, 1]], MATERIAL), "symmetric"),
+    (lambda: systems.pseudo_rigid_body([1.0, 1, 1], 3.0), "a callable W"),
+    (lambda: systems.pseudo_rigid_body([1.0, 1, 1], lambda C: C), "with a real scalar as its value"),
+    (lambda: systems.pseudo_rigid_body(np.full(3, 2.0), MATERIAL, -1.0), "viscosity must be ≥ 0"),
+    (lambda: systems.mooney_rivlin(-1.0, 1.0), "lam must be positive"),
+    (lambda: systems.neo_hookean(1.0, 0.0), "mu must be positive"),
+    *rows(lambda F: ELASTIC.state(F, momentum=EYE), "det deformation", -EYE, 0 * EYE),
+    (lambda: ELASTIC.state(np.eye(2), momentum=EYE), "deformation must have"),
+    (lambda: ELASTIC.state(EYE), "exactly one of"),
+    (lambda: ELASTIC.state(EYE, momentum=[1.0]), "shape"),
+    (lambda: ELASTIC.check(li.State(-jnp.eye(3), jnp.eye(3))), "det state.q"),
+    (lambda: BALL.state(2 * EYE, angular_velocity=E3), "det deformation must be 1 to 1e-06, got 8; divide"),
+    (lambda: systems.group_potential(SE2, [1.0, 1, 1], 3.0), "function of q"),
+    (lambda: systems.group_potential(SE2, [1.0, 1, 1], lambda q: q), "scalar"),
+    (lambda: systems.group_potential(SE2, [1.0, 1, 1], jnp.sum, [1.0, 2.0]), "symmetry must have shape"),
+    (lambda: systems.euler(groups.so3, J, "both"), "invariance must be 'left' or 'right', got 'both'"),
+    (lambda: systems.euler(groups.so3, J, "right").state(), "exactly one of velocity, body_momentum, spatial_momentum"),
+    (lambda: systems.kinematics(groups.so3, np.ones(3)), "rate must be a function of t"),
+    (lambda: systems.kinematics(groups.so3, lambda t: t), r"rate must be a function of t, .*shape \(3,\)"),
+    (lambda: systems.kinematics(groups.so3, CONING.rate, "world"), "frame must be 'body' or 'space'"),
+    (lambda: systems.sampled_rate([0, 1], JS, "means"), "kind must be 'interpolate' or 'mean'"),
+    (lambda: systems.sampled_rate([0, 1, 2], JS, "mean"), r"\(n, d\) for n \+ 1 times, n ≥ 3"),
+    (lambda: systems.sampled_rate([0, 1, 2], JS), r"\(n, d\) for n times, got \(2, 3\) for 3"),
+    (lambda: systems.sampled_rate([0, 2, 1], EYE), r"times must increase, got 2\.0 before 1\.0"),
+    (
+        lambda: CONING.state(np.ones(4)),
+        r"q must be a unit quaternion \(w, x, y, z\), the scalar part first: its norm is 2, allowed is 1",
+    ),
+    (lambda: CONING.state(t=None), "t must be a number"),
+]
+
+SKEWED = schemes.so3_alpha(EMBEDDED, 0.3)
+DENSE, THERMOSTAT = schemes.exact(OTHER), schemes.langevin(TOP, 1.0, [0.5, 0.7, 1.0])
+CONTROLLED = schemes.reversible_control(splitting(TOP), lambda z: 1 + z.p[0] ** 2)
+LEFT = systems.euler(groups.so3, J)
+SL3 = systems.euler(groups.special_linear(3), np.ones(8))
+
+
+def checked(step, dt, **replaced):
+    """A step whose starting state has other parts."""
+    step.check(MOVING._replace(**replaced), dt)
+
+
+SCHEMES = [
+    (lambda: additive(ELASTIC, "magic"), "symplectic, energy, energy_momentum, average"),
+    (lambda: additive(ELASTIC, "symplectic", 1.5), r"in \[0, 1\]"),
+    (lambda: additive(ELASTIC, "average", 0.3), "alpha = 1/2 only"),
+    (lambda: additive(ELASTIC, "average", 0.5, 0), "iterations must be an integer"),
+    (lambda: additive(ELASTIC, "average")(ELASTIC.state(EYE, momentum=EYE), "0.1"), "dt must be a real number"),
+    (lambda: additive(VISCOUS, "symplectic"), "the rule 'average'"),
+    (
+        lambda: li.integrate(additive(VISCOUS), VISCOUS.state(EYE, momentum=EYE)._replace(work=JS), 0.1, 1),
+        r"state\.work must have shape \(\)",
+    ),
+    (lambda: additive(BALL), "incompressible_body with the rule 'incompressible'.* got .* with 'average'"),
+    (lambda: additive(ELASTIC, "incompressible"), "got PseudoRigidBody with 'incompressible'"),
+    (lambda: additive(BALL, "incompressible", 0.3), "alpha = 1/2 only"),
+    (lambda: splitting(ELASTIC, additive(ELASTIC)), "the drift of an elastic body is a straight line"),
+    (
+        lambda: li.diagnostics.modified_energy(splitting(ELASTIC), ELASTIC.state(momentum=0 * EYE), 0.01),
+        "modified energy .* except of elastic bodies",
+    ),
+    *rows(lambda x: schemes.so3_alpha(EMBEDDED, x), "alpha must", -0.1, 1.5, np.nan, [0.5, 0.5], "half"),
+    (lambda: li.integrate(SKEWED, BODY.state(angular_velocity=SPIN), 0.1, 1), r"shape \(3, 3\)"),
+    (lambda: schemes.group_alpha(LEFT, 1.2), r"alpha must be in \[0, 1\], got 1.2"),
+    (lambda: schemes.so3_midpoint(BODY, 1.0), "callable"),
+    *rows(lambda k: schemes.so3_midpoint(BODY, iterations=k), "iterations must be an integer ≥ 1", 0, -1, 2.5),
+    *rows(lambda k: schemes.preprocessed(BODY, 4, k), "iterations must be an integer ≥ 1", 0, -1, 2.5),
+    *rows(lambda k: schemes.calibrated(BODY, k), "iterations must be an integer ≥ 1", 0, -1, 2.5),
+    (lambda: schemes.sphere_midpoint(BOB, iterations=0), "iterations must be an integer"),
+    (lambda: schemes.sphere_chart(BOB, [0.0, 0.0, 2.0]), "axis must be a unit vector"),
+    (lambda: schemes.preprocessed(BODY, 12), "order must be 4, 6, 8 or 10, got 12"),
+    (lambda: compose(SKEWED, 4), "symmetric step of order 2, got 'so3_alpha"),
+    (lambda: compose(compose(schemes.so3_midpoint(BODY), 4), 4), "symmetric step of order 2"),
+    (lambda: compose("step", 4), "symmetric step of order 2"),
+    (lambda: compose(THERMOSTAT, 4), "symmetric step"),
+    (lambda: compose(schemes.so3_midpoint(BODY), 5), "order must be one of 4, 6, 8, 10, got 5"),
+    (lambda: compose(schemes.so3_midpoint(BODY), 4, "kahan_li_6"), "triple_jump, suzuki, commuting_4"),
+    (
+        lambda: compose(schemes.so3_midpoint(BODY, maps.kappa_cayley), 4, "commuting_4"),
+        "method must be one of triple_jump, suzuki for so3_midpoint",
+    ),
+    (lambda: splitting(TOP, "drift"), "drift must be a symmetric step"),
+    (lambda: splitting(TOP, CONTROLLED), "drift must be a symmetric step"),
+    (lambda: splitting(GYROSTAT, "exact"), r"symmetric step of system\.free"),
+    *rows(schemes.top_energy_momentum, "without an axis; use splitting", FIELD_TOP, WELLS),
+    (lambda: gauss(TOP, 0), "stages"),
+    (lambda: gauss(TOP, sweeps=0), "sweeps"),
+    (lambda: schemes.extrapolate(TOP, 5), "order must be an even number from 4 to 20"),
+    (lambda: schemes.extrapolate(1.0), "extrapolate integrates systems"),
+    (lambda: schemes.extrapolate(torqued_body(J, torques.sampled(torques.viscous(0.1), 0.1))), "use torqued_midpoint"),
+    (lambda: nystrom(BODIES, 5), "order must be 4 or 6, got 5"),
+    (
+        lambda: nystrom(TOP, 6, schemes.so3_midpoint(TOP.free)),
+        r"be of order 6 or more, such as exact\(system.free\), got so3",
+    ),
+    (lambda: nystrom(TOP, 6, schemes.exact), "drift must be a symmetric step"),
+    (lambda: nystrom(TOP, 6, DENSE), "nystrom with exact"),
+    (lambda: schemes.kepler_splitting(BODIES, 6), r"order must be 2, \(8, 4\), \(8, 6, 4\), got 6"),
+    (lambda: schemes.kepler_splitting(THREE, 2), "is for two bodies, got 3"),
+    (lambda: schemes.kepler_splitting(rigid_bodies(M, JS, lambda x, R: 0.0 * x[0, 0])), "the potential has no G"),
+    (
+        lambda: schemes.kepler_splitting(BODIES, drift=schemes.so3_midpoint(BODY)),
+        r"drift must be exact\(system.free\) or prepro",
+    ),
+    (
+        lambda: schemes.kepler_splitting(BODIES, drift=schemes.exact(rigid_bodies([2.0, 2.0], 2 * JS, V).free)),
+        "kepler_splitting with free_flight: the drift must be a step of system.free",
+    ),
+    (lambda: schemes.langevin(TOP, 0.0, 1.0), "temperature must be positive"),
+    (lambda: schemes.langevin(TOP, 1.0, -1.0), "friction must be ≥ 0"),
+    (lambda: schemes.langevin(TOP, 1.0, np.ones(6)), "friction must have shape"),
+    (lambda: schemes.langevin(systems.rigid_body(np.diag(J)), 1.0, [0.5, 0.7, 1.0]), "principal moments, or one rate"),
+    (lambda: THERMOSTAT(TOP.state(angular_velocity=SPIN), 0.1), "needs a key"),
+    (lambda: THERMOSTAT.start(TOP.state(angular_velocity=SPIN), key=0.5), "key must be jax.random.key"),
+    (lambda: schemes.magnus(CONING, 8), "order must be 2, 4 or 6, got 8"),
+    (lambda: schemes.magnus(CONING, 6, commutators=False), "commutators=False is of order 4, got order 6"),
+    (lambda: li.run(schemes.magnus(CONING), li.State(jnp.array(ONE), np.zeros(0)), 0.1, 1), "state needs the time"),
+    *rows(lambda energy: schemes.log_hamiltonian(TOP, energy), "energy", np.nan, [1.0, 2.0], "low"),
+    (lambda: schemes.reversible_control(CONTROLLED, lambda z: z.p[0]), "apply compose to its result"),
+    (lambda: schemes.reversible_control(additive, lambda z: z.p[0]), "a symmetric step"),
+    (lambda: CONTROLLED(TOP.state(angular_velocity=SPIN)._replace(t=0.0), 0.1), "step density"),
+    (lambda: group_midpoint(LEFT, 3), "a map"),
+    (lambda: splitting(SATELLITE)(MOVING._replace(t=None, work=None), 0.1), "driven, so its state needs the time"),
+    (lambda: splitting(SATELLITE)(MOVING._replace(t=None), 0.1), "a state that counts work needs a time"),
+    (lambda: splitting(SATELLITE)(MOVING._replace(extra=3.0), 0.1), "state.extra must be a dict of arrays"),
+    (lambda: checked(splitting(SATELLITE), 0.1, t=np.nan), "state.t must be finite"),
+    (lambda: checked(splitting(SATELLITE), 0.1, work=np.inf), "state.work must be finite"),
+]
+LONG = [
+    (
+        lambda: APOPHIS.state_from_periods(precession=10.0, rotation=20.0, long_axis=False),
+        r"rotation/precession must be above 6\.\d+, that of a small wobble, in the short",
+    ),
+    (lambda: systems.rigid_body([1, 1, 2]).state_from_periods(**PERIODS, long_axis=True), "has no long-axis mode"),
+    (
+        lambda: schemes.sphere_midpoint(BOB).check(BOB.state([1.0, 0, 0], velocity=[0, 0, 1.0]), 50.0),
+        "does not converge",
+    ),
+    (lambda: APOPHIS.state_from_periods(**PERIODS, long_axis="long"), "long_axis must be True"),
+    (lambda: group_midpoint(SL3, maps.cayley), "Cayley map does not land in SL"),
+    (lambda: group_midpoint(SL3, maps.arcsine), "one pair of nonzero eigenvalues"),
+    (lambda: group_midpoint(LEFT, lambda g, x: g.exp(2 * x)), "must be the identity"),
+    (lambda: group_midpoint(LEFT, lambda g, x: g.exp(x) * (1 + jnp.sum(x * x))), r"τ\(Θ\) must lie in so3; "),
+]
+ROOMS = {
+    "torques": LAWS,
+    "satellites": SATELLITES,
+    "orbits": ORBITS,
+    "potentials": POTENTIALS,
+    "shapes": SHAPES,
+    "bodies": MANY_BODIES,
+    "systems": SYSTEMS,
+    "schemes": SCHEMES,
+}
+ROWS = [pytest.param(*row, id=f"{room}-{k}") for room, table in ROOMS.items() for k, row in enumerate(table)]
+ROWS += [pytest.param(*row, id=f"long-{k}", marks=pytest.mark.long) for k, row in enumerate(LONG)]
+
+
+@pytest.mark.parametrize(("call", "sentence"), ROWS)
+def test_bad_arguments_are_refused_in_a_sentence(call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("error", "call", "sentence"),
+    [
+        (TypeError, lambda: FIELD + 1.0, "a potential is added to potentials"),
+        (TypeError, lambda: SOLID(EYE, EYE), r"systems\.rigid_bodies"),
+        (ZeroDivisionError, lambda: systems.gravity_gradient(J, lambda t: 1 / 0, 1.0), None),
+    ],
+)
+def test_errors_of_other_types(error, call, sentence):
+    with pytest.raises(error, match=sentence):
+        call()
