@@ -35,7 +35,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics.equation import FixedPointEquation
+from lieint_jax._numerics.equation import ChainEquation, FixedPointEquation
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
@@ -61,10 +61,12 @@ class BodiesEnergyMomentum(Step):
     Attributes:
         system: bodies in a potential, with dissipation and given forces or without.
         iterations: the most iterations of a step in float64.
+        solver: "fixed_point" or "newton".
     """
 
     system: AbstractRigidBodies | AbstractDissipativeBodies
     iterations: int = static()
+    solver: str = static(default="fixed_point")
     order: float = static(default=2)
     symmetric: bool = static(default=True)
 
@@ -75,7 +77,10 @@ class BodiesEnergyMomentum(Step):
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
         most = _iterations_at_precision(self.iterations, state.p.dtype)
-        ends, info = equation.solve(equation.guess(), most, 2, most)
+        if self.solver == "newton":
+            ends, info = _Chain(equation).ends(most)
+        else:
+            ends, info = equation.solve(equation.guess(), most, 2, most)
         force, power = equation.force(ends), equation.applied(ends)[1]
         entered = equation.mutual(ends)[1]
         good = jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
@@ -84,14 +89,18 @@ class BodiesEnergyMomentum(Step):
         return end, info._replace(converged=info.converged & good)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
+        given = f"{self.name} does not converge at dt = {dt}: bodies turn, or pass one another, too fast for steps of "
+        if self.solver == "newton":
+            return f"{given}this size, or a rod bends too much in a step or buckles in it. Use a smaller dt"
+        stiff = ', or solver="newton" if they are stiff' if _allows_newton(self.system) else ""
         return (
-            f"{self.name} does not converge at dt = {dt}: bodies turn, or pass one another, too fast for steps of this "
-            f"size, or lose their energy too fast. Use a smaller dt, or more iterations than {self.iterations}"
+            f"{given}this size, or lose their energy too fast. Use a smaller dt, or more iterations than "
+            f"{self.iterations}{stiff}"
         )
 
 
 def bodies_energy_momentum(
-    system: AbstractRigidBodies | AbstractDissipativeBodies, iterations: int = 50
+    system: AbstractRigidBodies | AbstractDissipativeBodies, iterations: int = 50, solver: str | None = None
 ) -> BodiesEnergyMomentum:
     """The energy–momentum scheme for N rigid bodies in a potential of their relative positions and attitudes.
 
@@ -104,8 +113,14 @@ def bodies_energy_momentum(
     | the symplectic form | no: defect O(Δt³) per step |
 
     The scheme is of second order and time-symmetric. Its relative phase error is (Δt Ω)²/12, large for fast spins: use
-    it for exact conservation, and `splitting`, `nystrom` or `kepler_splitting` for accuracy. A step is solved by
-    fixed-point iteration on the forces, each iteration with one Newton correction of every body's rotation.
+    it for exact conservation, and `splitting`, `nystrom` or `kepler_splitting` for accuracy.
+
+    | solver | a step is solved by | converges |
+    |---|---|---|
+    | "fixed_point" | iterations on the forces, each with one Newton correction of every body's rotation | for Δt Ω < 1 |
+    | "newton" | Newton's method with a block-tridiagonal matrix, 6 × 6 blocks, for chains such as rods | for stiff rods too |
+
+    Here Ω is the highest frequency of the potential. The cost of both is proportional to the number of elements.
 
     Args:
         system: `systems.rigid_bodies(...)`. A plain function as its potential is evaluated at the positions and
@@ -114,21 +129,45 @@ def bodies_energy_momentum(
             needs more reports `converged=False`. The default requires each iteration to halve the error on average. A
             larger number accepts slower convergence, which may end at another solution of the equations than the one
             that begins at Δt = 0.
+        solver: "fixed_point" or "newton"; None selects "newton" if the potential, or a term of it, is that of a chain
+            (`Potential.chain`). Newton's matrix contains the forces between neighbors; all others must be weak.
 
     Raises:
         ValueError: the system is not of bodies in a potential, the potential is not invariant under rigid motions of
-            all bodies together, or iterations is not a positive int.
+            all bodies together, iterations is not a positive int, solver is unknown, or "newton" is requested for more
+            than two bodies that are no chain.
 
-    Source: this package; the discrete gradient's place in it, Gonzalez 1996, J. Nonlinear Sci. 6.
+    Source: this package; the discrete gradient's place in it, Gonzalez 1996, J. Nonlinear Sci. 6; chords with a test of
+    contraction, Deuflhard 2011, Newton Methods for Nonlinear Problems, 2.1.
     """
     PROPERTIES.check(system)
     _check_invariants(system)
-    return BodiesEnergyMomentum(system, _checks.count("iterations", iterations, 1))
+    if solver is None:
+        solver = "newton" if any(_is_chain(term) for term in _terms(system)) else "fixed_point"
+    elif _checks.choice("solver", solver, ("fixed_point", "newton")) == "newton" and not _allows_newton(system):
+        raise ValueError(
+            'solver="newton" is for chains, in which each body acts on the one before and the one after it '
+            f"(such as potentials.rod), and for two bodies; this potential is {system.potential!r}. Use "
+            'solver="fixed_point"'
+        )
+    return BodiesEnergyMomentum(system, _checks.count("iterations", iterations, 1), solver)
+
+
+def _terms(system: AbstractRigidBodies | AbstractDissipativeBodies) -> tuple[Callable[[Array, Array], Array], ...]:
+    return getattr(system.potential, "terms", (system.potential,))
+
+
+def _is_chain(potential: Callable[[Array, Array], Array]) -> bool:
+    return getattr(potential, "chain", False)
+
+
+def _allows_newton(system: AbstractRigidBodies | AbstractDissipativeBodies) -> bool:
+    return system.masses.shape[0] <= 2 or any(_is_chain(term) for term in _terms(system))
 
 
 def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -> None:
     """Raise ValueError if a potential is not one of relative poses, and has no invariants by which it is defined."""
-    for term in getattr(system.potential, "terms", (system.potential,)):
+    for term in _terms(system):
         if type(term).__call__ is Potential.__call__ or not concrete(term):
             continue
         space, dtype = system.phase_space, system.masses.dtype
@@ -229,6 +268,44 @@ class _Equation(FixedPointEquation[_Ends]):
         return _Ends(
             self.dt / bodies.masses[:, None] * p[:, :3], jax.vmap(half_rotation)(bodies.inertias, q[:, 3:], p[:, 3:])
         )
+
+
+@dataclass(frozen=True)
+class _Chain(ChainEquation):
+    """The equations of one step for Newton's method, of the unknowns (Δx, y) of each body, (N, 6)."""
+
+    equation: _Equation
+
+    @property
+    def is_exact(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        system = self.equation.system
+        chain = isinstance(system, AbstractRigidBodies) and all(_is_chain(term) for term in _terms(system))
+        return chain or system.masses.shape[0] <= 2
+
+    def ends(self, most: int) -> tuple[_Ends, StepInfo]:
+        """The ends of the step, and the report.
+
+        Positions x are rounded to eps |x|, so rotations of neighbors at a distance r are known to eps |x|/r.
+        """
+        guess, x = jnp.concatenate(self.equation.guess(), axis=1), self.equation.state.q[:, :3]
+        unit = jnp.maximum(jnp.max(jnp.abs(x)) / self._distance, 1)
+        first = jnp.maximum(lax.stop_gradient(self.length(guess)), 0.5)
+        ends, info = self.solve(guess, first, unit, most)
+        return _Ends(ends[:, :3], ends[:, 3:]), info
+
+    def residual(self, x: Array) -> Array:
+        return jnp.concatenate(self.equation.residual(_Ends(x[:, :3], x[:, 3:])), axis=1)
+
+    def length(self, step: Array) -> Array:
+        """The largest rotation in rad, or displacement over the distance of neighbors."""
+        moved, turned = (jnp.max(jnp.abs(part)) for part in (step[:, :3], step[:, 3:]))
+        return jnp.maximum(moved / self._distance, turned)
+
+    @property
+    def _distance(self) -> Array:
+        """That of neighbors in the mean."""
+        apart = jnp.diff(self.equation.state.q[:, :3], axis=0)
+        return lax.stop_gradient(jnp.sqrt(jnp.mean(jnp.sum(apart * apart, axis=1))))
 
 
 def _iterations_at_precision(iterations: int, dtype: DTypeLike) -> int:
