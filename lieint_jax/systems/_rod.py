@@ -53,7 +53,7 @@ class Section(NamedTuple):
     bending: ArrayLike
 
 
-def circular_section(radius: ArrayLike, young: ArrayLike, density: ArrayLike, poisson: ArrayLike = 0.3) -> Section:
+def circular_section(radius: ArrayLike, young: ArrayLike, density: ArrayLike, *, poisson: ArrayLike = 0.3) -> Section:
     """The section of a solid circular rod.
 
     Args:
@@ -280,7 +280,7 @@ def rod(
     stretching = _along("section.stretching", section.stretching, n, (3,))
     bending = _along("section.bending", section.bending, n, (3,))
     curvature = _checks.real_array("natural_curvature", natural_curvature, (), (3,), (n, 3))
-    internal = potentials.rod(ell, stretching, bending, curvature, energy)
+    internal = potentials.rod(ell, stretching, bending, curvature, energy=energy)
     first, last = (_end(k, end) for k, end in enumerate(_pair(ends)))
     whole = _natural_shape(internal, _first_pose(pose, first))
     first, last = (whole[k] if isinstance(end, str) else end for k, end in ((0, first), (-1, last)))
