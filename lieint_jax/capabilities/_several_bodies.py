@@ -105,7 +105,7 @@ class AbstractDissipativeBodies(AbstractManyBodies):
 
     noun = "bodies with dissipation or given forces (systems.rigid_bodies)"
     potential: Callable[[Array, Array], Array]
-    dissipation: Callable[..., PyTree] | None
+    dissipation: Callable[..., PyTree] | ChainLaw | None
     forces: Callable[..., PyTree] | None
 
     @property

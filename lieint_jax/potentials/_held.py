@@ -60,15 +60,15 @@ class Held(Potential):
         """The projector (6, 6) to the conserved part of (P, L): 0, as forces and torques act on the given bodies."""
         return jnp.zeros((6, 6))
 
-    def at(self, t: Array | None) -> Held:
+    def at(self, t: Any) -> Held:
         """The same with the poses at the time t, constant."""
         first, last = (end(t) if callable(end) else end for end in (self.first, self.last))
         return dataclasses.replace(self, first=first, last=last)
 
-    def poses(self, t: Array | None) -> tuple[Array, Array]:
+    def poses(self, t: Any) -> tuple[Array, Array]:
         """The positions (h, 3) and rotations (h, 3, 3) of the given bodies at the time t."""
         given = self.at(t)
-        q = jnp.stack([end for end in (given.first, given.last) if end is not None])
+        q = jnp.stack([jnp.asarray(end) for end in (given.first, given.last) if end is not None])
         return q[:, :3], jax.vmap(so3.to_matrix)(q[:, 3:])
 
     def joined(self, moving: Array, given: Array) -> Array:

@@ -136,7 +136,7 @@ def is_driven(potential: Callable[[Array, Array], Array]) -> bool:
 
 def at_time(potential: Callable[[Array, Array], Array], t: Array | None) -> Callable[[Array, Array], Array]:
     """A potential with the poses that are given functions of time at their values at t; others are unchanged."""
-    return potential.at(t) if is_driven(potential) else potential
+    return potential.at(t) if is_driven(potential) else potential  # pyright: ignore
 
 
 def given_poses(potential: Callable[[Array, Array], Array], state: State, late: ArrayLike = 0.0) -> tuple[Array, ...]:

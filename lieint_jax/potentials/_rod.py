@@ -130,6 +130,7 @@ def rod(
     stretching: ArrayLike,
     bending: ArrayLike,
     natural_curvature: ArrayLike = 0.0,
+    *,
     energy: str = "fourth",
 ) -> Rod:
     """The stored energy of a rod of N rigid cross sections, each bound to the next by an element.

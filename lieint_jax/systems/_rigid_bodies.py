@@ -213,7 +213,7 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
     masses: Array
     inertias: Array
     potential: Callable[[Array, Array], Array]
-    dissipation: Callable[..., PyTree] | None
+    dissipation: Callable[..., PyTree] | ChainLaw | None
     forces: Callable[..., PyTree] | None = None
     _clock = 0.0
 

@@ -53,7 +53,7 @@ class Section(NamedTuple):
     bending: ArrayLike
 
 
-def circular_section(radius: ArrayLike, young: ArrayLike, density: ArrayLike, poisson: ArrayLike = 0.3) -> Section:
+def circular_section(radius: ArrayLike, young: ArrayLike, density: ArrayLike, *, poisson: ArrayLike = 0.3) -> Section:
     """The section of a solid circular rod.
 
     Args:
@@ -185,7 +185,7 @@ class KelvinVoigt(ChainLaw):
         """The forces and torques (N, 6), and their power, which is −Σ of viscosity times rate² if no end is driven."""
         spun = jnp.cross(omega[:, :, None], R, axis=1)
         driven = potentials.is_driven(self.rod)
-        given, moving = jax.jvp(self.rod.poses, (t,), (jnp.ones_like(t),)) if driven else ((), ())
+        given, moving = jax.jvp(self.rod.poses, (t,), (1 + 0 * t,)) if driven else ((), ())  # pyright: ignore
         _, (stretched, bent, opened) = jax.jvp(self.rod.invariants, (x, R, *given), (v, spun, *moving))
         stress = self.strain * stretched, self.bend * bent, jnp.zeros_like(opened)
         along_x, along_R = jax.vjp(lambda x, R: self.rod.invariants(x, R, *given), x, R)[1](stress)
@@ -279,7 +279,8 @@ def rod(
     mass, inertia = _along("section.mass", section.mass, n, ()), _along("section.inertia", section.inertia, n, (2,))
     stretching = _along("section.stretching", section.stretching, n, (3,))
     bending = _along("section.bending", section.bending, n, (3,))
-    internal = potentials.rod(ell, stretching, bending, natural_curvature, energy)
+    curvature = _checks.real_array("natural_curvature", natural_curvature, (), (3,), (n, 3))
+    internal = potentials.rod(ell, stretching, bending, curvature, energy=energy)
     first, last = (_end(k, end) for k, end in enumerate(_pair(ends)))
     whole = _natural_shape(internal, _first_pose(pose, first))
     first, last = (whole[k] if isinstance(end, str) else end for k, end in ((0, first), (-1, last)))
@@ -290,7 +291,7 @@ def rod(
     potential, held = internal, partial(_held, first=first, last=last)
     if gravity is not None:
         weights = jnp.zeros(n + 1).at[moving].set(m)
-        potential = internal + potentials.uniform_field(gravity, weights)
+        potential = internal + potentials.uniform_field(_checks.real_array("gravity", gravity, (3,)), weights)
     law = _damping(held(internal), damping)
     given = None if loads is None and forces is None else _loads(loads or {}, forces, moving, n)
     made: Any = rigid_bodies(m, J, held(potential), law, forces=given)  # pyright: ignore
@@ -338,7 +339,7 @@ def _first_pose(pose: ArrayLike | None, first: Any) -> Array:
         return jnp.concatenate([x[:3], _checks.unit_quaternion("pose", x[3:], (4,))])
     if first is None or isinstance(first, str):
         return jnp.array(_START)
-    return first(jnp.zeros(())) if callable(first) else first
+    return jnp.asarray(first(jnp.zeros(())) if callable(first) else first)
 
 
 @partial(compiled, once=True)

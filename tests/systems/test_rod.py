@@ -174,7 +174,7 @@ def test_arguments_that_are_no_rod_are_refused(message):
         potentials.rod(**({"lengths": [1.0, 1.0], **STIFF} | REFUSED[message]))
 
 
-ROUND = systems.circular_section(0.1, 2e3, 5.0, 0.25)
+ROUND = systems.circular_section(0.1, 2e3, 5.0, poisson=0.25)
 BAD = {
     "elements must be an integer": {"elements": 0},
     r"ends must be a pair": {"ends": "clamped"},
@@ -184,7 +184,7 @@ BAD = {
     r"loads\[-1\] must be a function of the time": {"loads": {-1: lambda t: jnp.zeros(3)}},
     "damping must not be negative": {"damping": -0.1},
     r"section.mass must have shape \(\) or \(3,\)": {"section": ROUND._replace(mass=[1.0, 2.0])},
-    "poisson must be": {"section": lambda: systems.circular_section(0.1, 1.0, 1.0, 0.6)},
+    "poisson must be": {"section": lambda: systems.circular_section(0.1, 1.0, 1.0, poisson=0.6)},
 }
 
 
@@ -217,7 +217,7 @@ def test_sections_have_the_numbers_of_textbooks():
     np.testing.assert_allclose(ROUND.mass, 5 * np.pi * 0.01)
     np.testing.assert_allclose(ROUND.bending, [2e3 * np.pi * 1e-4 / 4] * 2 + [G * np.pi * 1e-4 / 2])
     np.testing.assert_allclose(ROUND.stretching, [G * np.pi * 0.01 * 7.5 / 8.5] * 2 + [2e3 * np.pi * 0.01])
-    square, strip = (systems.rectangular_section(w, h, 2e3, 5.0, 0.25) for w, h in ((0.1, 0.1), (2.0, 0.02)))
+    square, strip = (systems.rectangular_section(w, h, 2e3, 5.0, poisson=0.25) for w, h in ((0.1, 0.1), (2.0, 0.02)))
     np.testing.assert_allclose(square.bending[2], G * 0.140577e-4, rtol=2e-6)
     np.testing.assert_allclose(strip.bending[2], G * 2.0 * 0.02**3 / 3 * (1 - 0.63025 * 0.01), rtol=1e-6)
     np.testing.assert_allclose(strip.bending[:2], [2e3 * 2.0 * 0.02**3 / 12, 2e3 * 8.0 * 0.02 / 12])
