@@ -41,7 +41,7 @@ def algorithm_903_top() -> Case:
 
     def compute() -> dict[str, np.ndarray]:
         pull = np.array([9.558630354723854e-05, 0.00048777318247201465, -0.0008677214881719239])  # in space
-        size = np.linalg.norm(pull)
+        size = float(np.linalg.norm(pull))
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*triangle inequality")
             top = systems.heavy_top([1.0, 1.0126869887825154, 3.3062374224730378], [0, 0, size], axis=pull / size)
