@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 @cache
 def numbers() -> dict[str, dict]:
     """The entries of `numbers.toml`, which describes them."""
-    return tomllib.loads(resources.files(__package__).joinpath("numbers.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(Path(__file__).with_name("numbers.toml").read_text(encoding="utf-8"))
 
 
 class Comparison(NamedTuple):

@@ -6,6 +6,7 @@ from functools import cache
 
 import jax
 import numpy as np
+from jax import Array
 
 from lieint_jax import schemes, systems
 from lieint_jax.app.published._case import Case
@@ -18,19 +19,19 @@ _SCHEME = "gauss(top, 8), Δt = 0.001 s"
 
 
 @cache
-def _states() -> tuple[np.ndarray, np.ndarray]:
+def _states() -> tuple[Array, Array]:
     """Quaternions and angular velocities in the body for 2 s, every 0.01 s."""
     top = systems.heavy_top([15.234375, 0.46875, 15.234375], _WEIGHT * _ARM)
     start = top.state(angular_velocity=[0.0, 150.0, -4.61538])
     run = integrate(schemes.gauss(top, 8), start, 0.001, 2000, save_every=10)
-    return np.asarray(run.state.q), np.asarray(jax.vmap(top.free.angular_velocity)(run.state))
+    return run.state.q, jax.vmap(top.free.angular_velocity)(run.state)
 
 
 def kynema_heavy_top() -> Case:
     """A test of kynema, whose reference has an error of 1e-6."""
 
     def compute() -> dict[str, np.ndarray]:
-        q = _states()[0][-1]
+        q = np.asarray(_states()[0][-1])
         return {"displacement of the center at 2 s, m": np.asarray(so3.Ad(q, _ARM)) - _ARM, "quaternion at 2 s": q}
 
     return Case.of("kynema_heavy_top", _SCHEME, compute)
