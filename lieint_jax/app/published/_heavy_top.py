@@ -31,8 +31,11 @@ def kynema_heavy_top() -> Case:
     """A test of kynema, whose reference has an error of 1e-6."""
 
     def compute() -> dict[str, np.ndarray]:
-        q = np.asarray(_states()[0][-1])
-        return {"displacement of the center at 2 s, m": np.asarray(so3.Ad(q, _ARM)) - _ARM, "quaternion at 2 s": q}
+        q = _states()[0][-1]
+        return {
+            "displacement of the center at 2 s, m": np.asarray(so3.Ad(q, _ARM)) - _ARM,
+            "quaternion at 2 s": np.asarray(q),
+        }
 
     return Case.of("kynema_heavy_top", _SCHEME, compute)
 
