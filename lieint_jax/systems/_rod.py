@@ -70,7 +70,7 @@ def circular_section(radius: ArrayLike, young: ArrayLike, density: ArrayLike, *,
 
 
 def rectangular_section(
-    width: ArrayLike, height: ArrayLike, young: ArrayLike, density: ArrayLike, poisson: ArrayLike = 0.3
+    width: ArrayLike, height: ArrayLike, young: ArrayLike, density: ArrayLike, *, poisson: ArrayLike = 0.3
 ) -> Section:
     """The section of a solid rectangular rod.
 
