@@ -56,6 +56,8 @@ _BLOCK = 2**26  # bytes of states that `map` reads from disk at once
 class Run(Generic[Saved, Reduced]):
     """The states, or a summary of them, that a step made of initial states.
 
+    To a type checker it is `Run[Trajectory, None]`, reduced `Run[None, Summary]` or `Run[None, MemberSummary]`.
+
     In memory a run is a pytree, which can be passed to a function under jit. The arrays of a run on disk are read where
     they are indexed, and it is no pytree: `load` brings it to memory.
 
