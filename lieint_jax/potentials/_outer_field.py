@@ -34,7 +34,7 @@ class UniformField(Potential):
     field: Array
     weights: Array
     moments: Array
-    chain = True
+    chain = True  # it acts on each body alone
 
     @property
     def count(self) -> int:
