@@ -237,34 +237,6 @@ def test_ten_million_steps_need_no_more_memory_than_a_thousand():
         assert 0 < memory(measure, 10**7) <= memory(measure, 1000) + 256
 
 
-BAD = [
-    (dict(num_steps=0), "num_steps must be an integer ≥ 1"),
-    (dict(every=3), "not a multiple"),
-    (dict(exponents=7), "got exponents = 7"),
-    (dict(exponents=0), "exponents must be an integer ≥ 1"),
-    (dict(vectors=jnp.eye(5)), "from 1 to 6 tangent vectors"),
-    (dict(vectors=jnp.ones((6, 2))), "linearly independent"),
-    (dict(exponents=1, vectors=jnp.eye(6)), "not both"),
-    (dict(batches=0), "batches must be an integer ≥ 1"),
-    (dict(dt=3.0), "does not converge"),
-    (dict(step=schemes.reversible_control(REGULAR["free"][0], lambda _: 1.0)), "a step of a fictitious time"),
-]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("change", "message"), BAD, ids=[message for _, message in BAD])
-def test_bad_arguments_are_refused(change, message):
-    step, state = REGULAR["free"]
-    with pytest.raises(ValueError, match=message):
-        diagnostics.lyapunov(**(dict(step=step, state=state, dt=0.05, num_steps=100) | change))
-
-
-def test_a_bad_vector_of_megno_is_refused():
-    step, state = REGULAR["free"]
-    with pytest.raises(ValueError, match="vector must have shape"):
-        diagnostics.megno(step, state, 0.05, 100, vector=jnp.ones(5))
-
-
 def crossing(R, J, t, E):
     """The times at which the axis E of a top comes down through the horizon, by DOP853's own events, from (Λ, Ω)."""
 
