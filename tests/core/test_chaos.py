@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid import examples_of
+from paper import hat
 from scipy.integrate import solve_ivp
 
 from lieint_jax import diagnostics, orbits, schemes, systems
@@ -25,10 +26,6 @@ REGULAR = {
         LAGRANGE.state(so3.exp(jnp.array([0.7, 0.0, 0.0])), angular_velocity=[0.3, 0.2, 1.5]),
     ),
 }
-
-
-def hat(v):
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 def by_variational_equations(J, gradient, state, t, omega):

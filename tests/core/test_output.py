@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import last
 
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
@@ -16,10 +17,6 @@ STATE = TOP.state(angular_velocity=[0.3, 0.5, 0.8])
 SPLITTING = schemes.splitting(TOP)
 OUTPUTS = np.array([0.0, 0.07, 0.07, 0.3, 0.44, 1.0])
 GRADED = 2 * np.sinh(np.linspace(0, 1.2, 13)) / np.sinh(1.2)
-
-
-def last(path):
-    return jax.tree.map(lambda x: x[-1], path.state)
 
 
 @pytest.mark.long
