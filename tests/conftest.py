@@ -69,6 +69,11 @@ def pytest_runtest_setup(item):
 
 
 @pytest.fixture
+def fresh_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
 def small_chunks(monkeypatch):
     """Commits after every 4 saves, so that a short run has many."""
     from internals import commit_every

@@ -19,10 +19,7 @@ from lieint_jax.app.command import cli, files
 from lieint_jax.app.scenarios import _binary_motion, _report, _runs, binary
 from lieint_jax.app.scenarios._keys import Published
 
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("fresh_folder")
 
 
 def changed(name, **tables):

@@ -19,10 +19,7 @@ from lieint_jax.app.command import info as info_command
 from lieint_jax.app.scenarios import rigid_body
 from lieint_jax.types import State, StepInfo, Trajectory
 
-
-@pytest.fixture(autouse=True)
-def in_a_fresh_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("fresh_folder")
 
 
 def book(**changes):

@@ -22,10 +22,7 @@ from lieint_jax.groups import so3
 
 AU, SUN = 149597870.7, 1.32712440018e11  # km, km³/s²
 
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("fresh_folder")
 
 
 @cache

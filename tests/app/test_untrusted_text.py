@@ -27,10 +27,7 @@ BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 CONTROL = [chr(c) for c in range(sys.maxunicode + 1) if unicodedata.category(chr(c)) in ("Cc", "Cf", "Zl", "Zp")]
 WORST = "\x1b]0;owned\x07\x1b[2J\u202egnp.txt\n\rlieint: all is well\u2028\x9b31m"
 
-
-@pytest.fixture(autouse=True)
-def in_a_fresh_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("fresh_folder")
 
 
 def texts(seed, surrogates=False):

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid import examples_of
+from paper import hat
 from scipy.integrate import solve_ivp
 
 from lieint_jax import diagnostics, orbits, schemes, systems
@@ -25,10 +26,6 @@ REGULAR = {
         LAGRANGE.state(so3.exp(jnp.array([0.7, 0.0, 0.0])), angular_velocity=[0.3, 0.2, 1.5]),
     ),
 }
-
-
-def hat(v):
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 def by_variational_equations(J, gradient, state, t, omega):
@@ -235,34 +232,6 @@ def test_ten_million_steps_need_no_more_memory_than_a_thousand():
 
     for measure in (diagnostics.lyapunov, diagnostics.megno):
         assert 0 < memory(measure, 10**7) <= memory(measure, 1000) + 256
-
-
-BAD = [
-    (dict(num_steps=0), "num_steps must be an integer ≥ 1"),
-    (dict(every=3), "not a multiple"),
-    (dict(exponents=7), "got exponents = 7"),
-    (dict(exponents=0), "exponents must be an integer ≥ 1"),
-    (dict(vectors=jnp.eye(5)), "from 1 to 6 tangent vectors"),
-    (dict(vectors=jnp.ones((6, 2))), "linearly independent"),
-    (dict(exponents=1, vectors=jnp.eye(6)), "not both"),
-    (dict(batches=0), "batches must be an integer ≥ 1"),
-    (dict(dt=3.0), "does not converge"),
-    (dict(step=schemes.reversible_control(REGULAR["free"][0], lambda _: 1.0)), "a step of a fictitious time"),
-]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("change", "message"), BAD, ids=[message for _, message in BAD])
-def test_bad_arguments_are_refused(change, message):
-    step, state = REGULAR["free"]
-    with pytest.raises(ValueError, match=message):
-        diagnostics.lyapunov(**(dict(step=step, state=state, dt=0.05, num_steps=100) | change))
-
-
-def test_a_bad_vector_of_megno_is_refused():
-    step, state = REGULAR["free"]
-    with pytest.raises(ValueError, match="vector must have shape"):
-        diagnostics.megno(step, state, 0.05, 100, vector=jnp.ones(5))
 
 
 def crossing(R, J, t, E):

@@ -93,12 +93,6 @@ def test_poisson_error_by_recursion_and_by_product_of_jacobians(name):
     assert worst < 4e-14 if step.kappa.name == "symplectic" else worst > 1e-3  # floor 9e-15
 
 
-def test_poisson_error_with_an_unknown_method_raises_an_error():
-    step, state, dt = next(iter(GRID.values()))
-    with pytest.raises(ValueError, match="recursion, product"):
-        diagnostics.poisson_error(step, state, dt, 1, method="magic")
-
-
 def test_flow_converges_and_preserves_what_it_should():
     """The reference: self-consistent to round-off and on the invariants, which it does not know of."""
     coarse, fine = (flow(BODY, STATE, 10.0, n) for n in (20, 40))
@@ -243,8 +237,6 @@ def test_diagnostics_past_the_branch_raise_errors():
     ):
         with pytest.raises(ValueError, match="does not converge"):
             measure(step, STATE, 2.0)
-    with pytest.raises(ValueError, match="num_steps must be an integer"):
-        diagnostics.poisson_error(step, STATE, 0.1, 2.5)
 
 
 def test_delay_lists_values_at_equal_distances():

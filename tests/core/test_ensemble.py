@@ -100,30 +100,6 @@ def test_a_failure_of_the_first_step_is_an_error():
         ensemble.run(STEP, states(4), 3.0, 10, progress=False)
 
 
-def test_bad_batches_are_refused():
-    good = states(3)
-    for bad, message in (
-        (State(good.q[0], good.p[0]), "leading member axis"),
-        (State(good.q[:2], good.p), "leading member axis"),
-        (
-            State(good.q.at[1, 0].set(jnp.nan), good.p),
-            r"states\.q must be finite, and is not finite for 1 member\(s\): 1",
-        ),
-        (State(good.q.at[2].multiply(1.01), good.p), r"off the configuration space.*1 member\(s\): 2"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            ensemble.run(STEP, bad, 0.1, 10, progress=False)
-    for options, message in (
-        (dict(num_steps=10, save_every=3), "not a multiple"),
-        (dict(num_steps=10, save_every=0), "save_every must be an integer ≥ 1"),
-        (dict(num_steps="10"), "num_steps must be an integer"),
-        (dict(num_steps=10, step_axis=1), "step_axis must be None"),
-        (dict(num_steps=10, dt="fast"), "dt must be a real number"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            ensemble.run(STEP, good, **{"dt": 0.1, "progress": False} | options)
-
-
 def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch):
     ensemble.run(STEP, states(2), 0.1, 200)
     assert capfd.readouterr() == ("", "")

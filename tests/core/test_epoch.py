@@ -65,12 +65,6 @@ def test_a_store_is_resumed_with_its_own_epoch_only(tmp_path):
             li.run(STEP, ONE, 0.5, 6, epoch=other, store=store, resume=True, **QUIET)
 
 
-def test_what_is_no_epoch_is_refused():
-    for bad, what in (("noon", "must be as in"), (5.0, "year below 1"), ("2024-03-01 EST", "scale of a date")):
-        with pytest.raises(ValueError, match=what):
-            li.run(STEP, ONE, 0.5, 6, epoch=bad, **QUIET)
-
-
 def test_xarray_and_pandas_have_the_dates():
     run = li.run(STEP, ONE, 0.5, 4, epoch=START, **QUIET)
     dates = np.datetime64("2026-03-01T12:00:00.250", "ns") + np.timedelta64(500, "ms") * np.arange(5)

@@ -192,21 +192,3 @@ def test_late_on_a_clock_the_time_is_right_to_its_rounding():
     found = jax.jit(jax.vmap(lambda T: li.event(SPINNING, start, 0.5, lambda z: z.t - T, max_steps=10)))(times)
     assert found.found.all()
     np.testing.assert_allclose(found.t, times, rtol=0, atol=4e-9)
-
-
-def test_bad_input_is_refused_in_a_sentence():
-    find = functools.partial(li.event, SPLITTING, STATE, 0.05)
-    cases = [
-        ((lambda z: z.p, 10), r"condition must have a real scalar value, got shape \(3,\)"),
-        ((lambda z: z.p[0] > 0, 10), "condition must have a real scalar value"),
-        ((lambda z: jnp.sqrt(-1 - z.p[0] ** 2), 10), "condition must be finite at the start, got nan"),
-        ((7.0, 10), "condition must be a function of the state"),
-        ((level, 0), "max_steps must be an integer ≥ 1, got 0"),
-    ]
-    for arguments, message in cases:
-        with pytest.raises(ValueError, match=message):
-            find(arguments[0], max_steps=arguments[1])
-    with pytest.raises(ValueError, match="direction must be"):
-        find(level, max_steps=10, direction=2)
-    with pytest.raises(ValueError, match="count must be an integer ≥ 1"):
-        find(level, max_steps=10, count=0)

@@ -457,27 +457,6 @@ def test_covariance_does_not_depend_on_the_bound():
     np.testing.assert_allclose(li.fitting.covariance(residuals, plain.params), plain.covariance, rtol=1e-12)
 
 
-def test_bad_arguments_of_fit_raise_errors():
-    with pytest.raises(ValueError, match="leading axis of starts"):
-        li.fit(rosenbrock, {"a": jnp.zeros(2), "b": jnp.zeros(3)}, starts=True)
-    with pytest.raises(ValueError, match="prefix of the parameter tree"):
-        li.fit(residuals, TRUTH, bounds={"a": li.fitting.positive})
-    with pytest.raises(ValueError, match="optimizer must be"):
-        li.fit(rosenbrock, jnp.zeros(2), "newton")
-    with pytest.raises(ValueError, match="must be a scalar"):
-        li.fit(residuals, TRUTH, "lbfgs")
-    with pytest.raises(ValueError, match="a tree of Bound objects"):
-        li.fit(residuals, TRUTH, bounds="positive")
-    for empty in ({}, [], jnp.zeros(0)):
-        for starts in (False, True):
-            with pytest.raises(ValueError, match="params holds no numbers"):
-                li.fit(residuals, empty, starts=starts)
-    with pytest.raises(ValueError, match="the loss returned no residuals"):
-        li.fit(lambda p: p[:0], jnp.ones(2))
-    with pytest.raises(ValueError, match="the loss returned no residuals"):
-        li.fit(lambda p, data: data, jnp.ones((2, 1)), starts=True, data=jnp.ones((2, 0)))
-
-
 @pytest.mark.long
 def test_observations_at_irregular_times_are_fitted_as_first_written():
     """`observe` has its own reverse mode and no forward mode: fit takes it; so does `covariance`."""

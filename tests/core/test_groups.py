@@ -282,25 +282,6 @@ def test_building_a_group_again_is_the_same_group_and_hits_the_same_cache():
     assert groups.special_linear(2) != groups.special_orthogonal(3)
 
 
-def test_a_bad_basis_is_refused_with_the_faulty_matrix():
-    a, b, c = np.zeros((3, 3, 3))
-    a[0, 1] = b[1, 0] = c[2, 2] = 1
-    with pytest.raises(ValueError, match=r"bracket of basis\[0\] and basis\[1\] leaves the span"):
-        groups.matrix([a, b, c])
-    with pytest.raises(ValueError, match=r"basis\[2\] is a combination of the matrices before it"):
-        groups.matrix([a, c, a + 2 * c])
-    with pytest.raises(ValueError, match=r"basis\[1\] is zero"):
-        groups.matrix([a, 0 * a])
-    with pytest.raises(ValueError, match="square matrices"):
-        groups.matrix(np.ones((2, 3)))
-    with pytest.raises(ValueError, match="finite"):
-        groups.matrix([a * np.nan])
-    with pytest.raises(ValueError, match="must be even"):
-        groups.symplectic(3)
-    with pytest.raises(ValueError, match="two matrix groups"):
-        groups.product(groups.so3, groups.affine(1))
-
-
 @pytest.mark.long
 def test_custom_groups_are_made_from_a_basis():
     """Complex matrices too: the unit quaternions from Pauli matrices are SU(2)."""

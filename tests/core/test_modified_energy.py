@@ -11,7 +11,6 @@ import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
 from lieint_jax.diagnostics import _modified_energy
 from lieint_jax.groups import so3
-from lieint_jax.types import State
 
 J = [1.0, 1.7, 2.2]
 TOP = systems.potential_top(J, lambda G: 0.6 * G[0] + 0.5 * jnp.sin(G[1]) + 0.4 * G[2] ** 2 * G[0])
@@ -145,16 +144,3 @@ def test_the_modified_energy_of_two_bodies_has_its_order():
     step = schemes.splitting(bodies)
     coarse, fine = (variation(step, state, dt, 4) for dt in (0.1, 0.05))
     assert np.log2(coarse / fine) == pytest.approx(4, abs=0.2)
-
-
-@pytest.mark.parametrize(
-    ("step", "order", "message"),
-    [
-        (STEPS["top, midpoint"][0], 6, "must be exact to order 6"),
-        (STEPS["top"][0], 8, "order must be 4"),
-        (schemes.so3_midpoint(TOP.free), 4, "the modified energy is known for"),
-    ],
-)
-def test_steps_and_orders_without_modified_energy_raise_errors(step, order, message):
-    with pytest.raises(ValueError, match=message):
-        diagnostics.modified_energy(step, State(START.q, START.p), 0.1, order)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import last
 
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
@@ -16,10 +17,6 @@ STATE = TOP.state(angular_velocity=[0.3, 0.5, 0.8])
 SPLITTING = schemes.splitting(TOP)
 OUTPUTS = np.array([0.0, 0.07, 0.07, 0.3, 0.44, 1.0])
 GRADED = 2 * np.sinh(np.linspace(0, 1.2, 13)) / np.sinh(1.2)
-
-
-def last(path):
-    return jax.tree.map(lambda x: x[-1], path.state)
 
 
 @pytest.mark.long
@@ -133,31 +130,3 @@ def test_traced_times_outside_the_run_are_flagged():
     assert seen.info.converged.tolist() == [True, False, True, False, False, False, True]
     middle = li.integrate(SPLITTING, STATE, 0.1, 5, save_every=5)
     assert distance(jax.tree.map(lambda x: x[2], seen.state), last(middle)) < 1e-15
-
-
-def test_unordered_times_are_refused():
-    run = functools.partial(li.integrate, SPLITTING, STATE)
-    cases = [
-        (dict(save_at=[0.2, 0.1]), r"save_at must be in the order of the run, from 0.0 to 1.0"),
-        (dict(save_at=[-0.1, 0.1]), r"save_at must lie in the run, from 0.0 to 1.0"),
-        (dict(save_at=[0.1, 1.1]), "save_at must lie in the run"),
-        (dict(save_at=[0.1, np.nan]), "save_at must be finite"),
-        (dict(save_at=0.1), r"save_at must have shape \(m,\)"),
-        (dict(save_at=[0.1], save_every=2), "give save_every or save_at, not both"),
-        (dict(times=[0.0, 0.1]), "give dt and num_steps, or times, not both"),
-    ]
-    for options, message in cases:
-        with pytest.raises(ValueError, match=message):
-            run(0.1, 10, **options)
-    for times, message in [
-        ([0.0, 0.1, 0.1], r"must increase, or decrease, from one to the next.*at 1"),
-        ([0.0, 0.2, 0.1], "must increase, or decrease"),
-        ([0.0, np.inf], "times must be finite"),
-        ([[0.0]], r"times must have shape \(N\+1,\)"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            run(times=times)
-    with pytest.raises(ValueError, match="give dt and num_steps, or times"):
-        run(0.1)
-    with pytest.raises(ValueError, match=r"times must begin at the time of the state, 3.0, got 0.0"):
-        li.integrate(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), times=GRADED)

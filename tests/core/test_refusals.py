@@ -4,6 +4,7 @@
 and files, and those of a run, are in the tests of these.
 """
 
+import functools
 import itertools
 
 import jax
@@ -549,7 +550,209 @@ SCHEMES = [
     (lambda: checked(splitting(SATELLITE), 0.1, t=np.nan), "state.t must be finite"),
     (lambda: checked(splitting(SATELLITE), 0.1, work=np.inf), "state.work must be finite"),
 ]
+STEP, STATE = schemes.so3_midpoint(BODY), BODY.state(angular_velocity=SPIN)
+KICKED, STILL = splitting(TOP), TOP.state(angular_velocity=SPIN)
+MANY = jax.tree.map(lambda x: np.stack([x] * 3), STATE)
+GRADED = [0.0, 0.1, 0.3, 0.6]
+REVERSIBLE = li.adjoints.ReversibleAdjoint()
+SAME = (lambda c, x: (c, x), 0.0)  # of a scan
+
+
+def integrate(*arguments, step=STEP, state=STATE, **options):
+    return li.integrate(step, state, *arguments, **options)
+
+
+def ensemble(states=MANY, num_steps=10, dt=0.1, **options):
+    return li.ensemble.run(STEP, states, dt, num_steps, progress=False, **options)
+
+
+def event(condition=lambda z: z.p[0], max_steps=10, **options):
+    return li.event(KICKED, STILL, 0.05, condition, max_steps=max_steps, **options)
+
+
+def lyapunov(step=STEP, dt=0.05, num_steps=100, **options):
+    return li.diagnostics.lyapunov(step, STATE, dt, num_steps, **options)
+
+
+def transition(step=KICKED, **options):
+    return li.transition(step, STILL, 0.1, 60, **options)
+
+
+def fit(loss=lambda p: p - 1, guess=np.ones(2), *optimizer, **options):  # noqa: B008
+    return li.fit(loss, guess, *optimizer, **options)
+
+
+def changed(part, factor, member=2):
+    """The states of three members, one of which has another attitude or momentum."""
+    return MANY._replace(**{part: getattr(MANY, part) * np.where(np.arange(3) == member, factor, 1.0)[:, None]})
+
+
+def observed_at_traced_times():
+    jax.eval_shape(lambda t: li.observe(STEP, STATE, 0.1, t, derivative="checkpoint"), jnp.ones(2))
+
+
+RUNS = [
+    (lambda: integrate(0.1, 10, save_every=3), "not a multiple of save_every = 3; use 9 or 12 steps"),
+    (lambda: integrate(0.1, -1), "num_steps must be an integer ≥ 0, got -1"),
+    *rows(lambda n: integrate(0.1, n), "num_steps must be an integer", 10.0, True),
+    (lambda: integrate(0.1, 10, save_every=0), "save_every must be an integer ≥ 1, got 0"),
+    *rows(lambda state: integrate(0.1, 2, state=state), "state must be a State", (STATE.q, STATE.p), None, STATE.q),
+    (
+        lambda: integrate(0.1, 9, state=STATE._replace(q=STATE.q * 1.001)),
+        r"state\.q must be a unit quat.*1\.001",
+    ),
+    (lambda: integrate(0.1, 9, state=STATE._replace(p=STATE.p[:2])), r"state\.p must have shape \(3,\)"),
+    (lambda: integrate(0.1, 9, state=STATE._replace(p=STATE.p * np.nan)), r"state\.p must be finite"),
+    (lambda: integrate(0.1, 10, save_at=[0.2, 0.1]), "save_at must be in the order of the run, from 0.0 to 1.0"),
+    (lambda: integrate(0.1, 10, save_at=[-0.1, 0.1]), "save_at must lie in the run, from 0.0 to 1.0"),
+    (lambda: integrate(0.1, 10, save_at=[0.1, 1.1]), "save_at must lie in the run"),
+    (lambda: integrate(0.1, 10, save_at=[0.1, np.nan]), "save_at must be finite"),
+    (lambda: integrate(0.1, 10, save_at=0.1), r"save_at must have shape \(m,\)"),
+    (lambda: integrate(0.1, 10, save_at=[0.1], save_every=2), "give save_every or save_at, not both"),
+    (lambda: integrate(0.1, 10, times=[0.0, 0.1]), "give dt and num_steps, or times, not both"),
+    (lambda: integrate(times=[0.0, 0.1, 0.1]), "must increase, or decrease, from one to the next.*at 1"),
+    (lambda: integrate(times=[0.0, 0.2, 0.1]), "must increase, or decrease"),
+    (lambda: integrate(times=[0.0, np.inf]), "times must be finite"),
+    (lambda: integrate(times=[[0.0]]), r"times must have shape \(N\+1,\)"),
+    (lambda: integrate(0.1), "give dt and num_steps, or times"),
+    (
+        lambda: integrate(times=GRADED, state=STATE._replace(t=jnp.array(3.0))),
+        "at the time of the state, 3.0, got 0.0",
+    ),
+    (lambda: integrate(0.05, 12, save_at=[0.1], adjoint=REVERSIBLE), "with adjoint=ReversibleAdjoint.*li.observe"),
+    (lambda: integrate(times=GRADED, adjoint=REVERSIBLE), "steps of one size.*RecursiveCheckpointAdjoint"),
+    (lambda: integrate(0.05, 12, adjoint="reversible"), "adjoint must be None.*got 'reversible'"),
+    (lambda: li.adjoints.RecursiveCheckpointAdjoint(0), "levels must be"),
+    (
+        lambda: integrate(0.1, 9, step=SKEWED, state=EMBEDDED.state(angular_velocity=SPIN), adjoint=REVERSIBLE),
+        "is not symmetric.*RecursiveCheckpointAdjoint",
+    ),
+    (lambda: li.reversible(SKEWED, EMBEDDED.state(angular_velocity=SPIN), 0.1, 4), "not symmetric.*checkpoint"),
+    (lambda: li.reversible(STEP, STATE, 0.05, 4, derivative="scan"), "must be one of reversible, checkpoint"),
+    (lambda: li.reversible(STEP, STATE, 0.05, 5, save_every=2), "multiple of save_every"),
+    (lambda: li.observe(STEP, STATE, 0.05, 1.0), "shape"),
+    (observed_at_traced_times, 'derivative="checkpoint" needs concrete times, dt and state'),
+    *rows(ensemble, "leading member axis", STATE, MANY._replace(q=MANY.q[:2])),
+    (lambda: ensemble(changed("q", np.nan, 1)), r"states\.q must be finite, and is not finite for 1 member\(s\): 1"),
+    (lambda: ensemble(changed("q", 1.01)), r"off the configuration space.*1 member\(s\): 2"),
+    (lambda: ensemble(save_every=3), "not a multiple"),
+    (lambda: ensemble(save_every=0), "save_every must be an integer ≥ 1"),
+    (lambda: ensemble(num_steps="10"), "num_steps must be an integer"),
+    (lambda: ensemble(step_axis=1), "step_axis must be None"),
+    (lambda: ensemble(dt="fast"), "dt must be a real number"),
+    (lambda: li.run(STEP, STATE, 0.5, 6, epoch="noon", progress=False), "must be as in"),
+    (lambda: li.run(STEP, STATE, 0.5, 6, epoch=5.0, progress=False), "year below 1"),
+    (lambda: li.run(STEP, STATE, 0.5, 6, epoch="2024-03-01 EST", progress=False), "scale of a date"),
+    (lambda: event(lambda z: z.p), r"condition must have a real scalar value, got shape \(3,\)"),
+    (lambda: event(lambda z: z.p[0] > 0), "condition must have a real scalar value"),
+    (lambda: event(lambda z: jnp.sqrt(-1 - z.p[0] ** 2)), "condition must be finite at the start, got nan"),
+    (lambda: event(7.0), "condition must be a function of the state"),
+    (lambda: event(max_steps=0), "max_steps must be an integer ≥ 1, got 0"),
+    (lambda: event(direction=2), "direction must be"),
+    (lambda: event(count=0), "count must be an integer ≥ 1"),
+    (lambda: transition(parameters="mass"), r"holds no number named 'mass'; it has system\.inertia"),
+    (lambda: transition(parameters={"inertia": jnp.ones(3)}), "parameters must be names of numbers of the step"),
+    (lambda: transition(lambda p: p), "a function of parameters needs their values"),
+    (lambda: transition(save_every=7), "not a multiple of save_every"),
+    (
+        lambda: li.transition(DAMPED, DAMPED.system.state(angular_velocity=SPIN), 0.1, 5, parameters="inertia"),
+        r"'inertia' stands for different numbers: system\.inertia, system\.torque",
+    ),
+    (lambda: li.scan(*SAME, None), r"one number of steps.*got length=None and xs of shapes \[\]"),
+    (lambda: li.scan(*SAME, (np.ones(3), np.ones(4))), r"one number of steps.* xs of shapes \[\(3,\), \(4,\)\]"),
+    (lambda: li.scan(*SAME, 1.0), r"one number of steps.* xs of shapes \[\(\)\]"),
+    (lambda: li.scan(*SAME, np.ones(3), 4), "one number of steps.*got length=4"),
+    (lambda: li.scan(lambda c, x: c, 0.0, np.ones(3)), r"a step must return \(carry, y\), got .*Tracer"),
+    (lambda: li.scan(lambda c, x: ((c, c), x), 0.0, np.ones(3)), "a carry of the structure that it was given"),
+    (
+        lambda: li.scan(lambda c, x: ([c[0] * x], x), [np.ones(2, "f4")], np.ones(3)),
+        r"carry\[0\] was float32 .*; a step returned float64",
+    ),
+    (lambda: li.scan(*SAME, length=10, every=3), "every must divide the number of steps, 10, got 3"),
+]
+DAMPED = schemes.torqued_midpoint(torqued_body(J, torques.viscous(0.1) + torques.kane_damper(0.2, 0.1)))
+BASIS = np.zeros((3, 3, 3))
+BASIS[0, 0, 1] = BASIS[1, 1, 0] = BASIS[2, 2, 2] = 1
+TRUTH = {"a": jnp.array(2.0), "k": jnp.array(0.7)}
+FLOW = systems.euler(SE2, np.ones(3))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def twisted(group, theta):
+    return group.exp(theta + 0.1 * jnp.cross(theta, jnp.roll(theta, 1)) * theta[0])
+
+
+def decay(p):
+    return p["a"] * np.ones(3) - p["k"]
+
+
+OTHERS = [
+    (lambda: lyapunov(num_steps=0), "num_steps must be an integer ≥ 1"),
+    (lambda: lyapunov(every=3), "not a multiple"),
+    (lambda: lyapunov(exponents=7), "got exponents = 7"),
+    (lambda: lyapunov(exponents=0), "exponents must be an integer ≥ 1"),
+    (lambda: lyapunov(vectors=jnp.eye(5)), "from 1 to 6 tangent vectors"),
+    (lambda: lyapunov(vectors=jnp.ones((6, 2))), "linearly independent"),
+    (lambda: lyapunov(exponents=1, vectors=jnp.eye(6)), "not both"),
+    (lambda: lyapunov(batches=0), "batches must be an integer ≥ 1"),
+    (lambda: lyapunov(schemes.reversible_control(STEP, lambda _: 1.0)), "a step of a fictitious time"),
+    (lambda: li.diagnostics.megno(STEP, STATE, 0.05, 100, vector=jnp.ones(5)), "vector must have shape"),
+    (lambda: li.diagnostics.poisson_error(STEP, STATE, 0.1, 1, method="magic"), "recursion, product"),
+    (lambda: li.diagnostics.poisson_error(STEP, STATE, 0.1, 2.5), "num_steps must be an integer"),
+    (lambda: li.diagnostics.modified_energy(KICKED, STILL, 0.1, 8), "order must be 4"),
+    (
+        lambda: li.diagnostics.modified_energy(splitting(TOP, schemes.so3_midpoint(TOP.free)), STILL, 0.1, 6),
+        "must be exact to order 6",
+    ),
+    (lambda: li.diagnostics.modified_energy(STEP, STATE, 0.1, 4), "the modified energy is known for"),
+    (lambda: fit(guess={"a": jnp.zeros(2), "b": jnp.zeros(3)}, starts=True), "leading axis of starts"),
+    (lambda: fit(decay, TRUTH, bounds={"a": li.fitting.positive}), "prefix of the parameter tree"),
+    (lambda: fit(jnp.sum, np.ones(2), "newton"), "optimizer must be"),
+    (lambda: fit(decay, TRUTH, "lbfgs"), "must be a scalar"),
+    (lambda: fit(decay, TRUTH, bounds="positive"), "a tree of Bound objects"),
+    *rows(lambda empty: fit(guess=empty), "params holds no numbers", {}, [], jnp.zeros(0)),
+    *rows(lambda empty: fit(guess=empty, starts=True), "params holds no numbers", {}, [], jnp.zeros(0)),
+    (lambda: fit(lambda p: p[:0]), "the loss returned no residuals"),
+    (
+        lambda: fit(lambda p, data: data, jnp.ones((2, 1)), starts=True, data=jnp.ones((2, 0))),
+        "the loss returned no residuals",
+    ),
+    (lambda: li.fitting.interval(2.0, 1.0), "an interval needs low < high, got 2.0 and 1.0"),
+    (lambda: fit(bounds=li.fitting.interval(-1.0, 0.0), starts=True), "inside their bounds"),
+    (lambda: groups.matrix(BASIS), r"bracket of basis\[0\] and basis\[1\] leaves the span"),
+    (lambda: groups.matrix(BASIS[[0, 2, 0]] + [0 * EYE, 0 * EYE, BASIS[2]]), r"basis\[2\] is a combination of"),
+    (lambda: groups.matrix(BASIS[:2] * [[[1]], [[0]]]), r"basis\[1\] is zero"),
+    (lambda: groups.matrix(np.ones((2, 3))), "square matrices"),
+    (lambda: groups.matrix(BASIS * np.nan), "finite"),
+    (lambda: groups.matrix([[["a"]]]), "basis must hold numbers, got dtype <U1"),
+    (lambda: groups.symplectic(3), "must be even"),
+    (lambda: groups.product(groups.so3, groups.affine(1)), "two matrix groups"),
+    *rows(
+        lambda x: groups.so3.from_euler(jnp.zeros(3), x),
+        "sequence must be three axes of which neighbors differ",
+        *("ZZX", "ZXX", "Zxz", "abc", "zx", 3),
+    ),
+    (lambda: FLOW.check(li.State(np.eye(2), np.zeros(3))), r"state\.q must have shape \(3, 3\), got \(2, 2\)"),
+    (lambda: FLOW.check(li.State(2 * EYE, np.zeros(3))), r"state\.q is off the group by .*group\.exp"),
+    (lambda: systems.kirchhoff((1.0, 2.0, -1.0)), "semi_axes must be three positive lengths"),
+    (lambda: systems.manakov([1.0, 2.0, 3.0]), "at least four positive numbers, .*for n = 3 see rigid_body"),
+    (lambda: li.elliptic.F(jnp.zeros(2), jnp.zeros(3)), "must have shapes that broadcast"),
+    (lambda: li.elliptic.K(1j), "m must hold real numbers"),
+    (lambda: li.attitude.to_mrp([ONE, [1.0, 0, 0, 0.03]]), r"q\[1\] must be a unit quaternion .*1\.0004"),
+    (lambda: li.attitude.from_scalar_last([np.nan, 0, 0, 1]), "q must be finite"),
+    (lambda: li.attitude.from_scalar_last([1.0, 0, 0]), r"q must have shape \(…, 4\), got \(3,\)"),
+    (lambda: li.attitude.from_mrp([1.0, 2.0]), r"sigma must have shape \(…, 3\)"),
+    (lambda: li.attitude.from_matrix([EYE, -EYE]), "got a reflection"),
+    (lambda: li.attitude.from_matrix(EYE * 1.01), "must be orthogonal"),
+    (lambda: li.attitude.to_matrix(ONE, frame="body"), "frame must be .*got 'body'"),
+    (lambda: li.attitude.from_euler("XXZ", [0.1, 0.2, 0.3]), "of which neighbors differ"),
+    (lambda: li.attitude.to_euler("zyX", ONE), "of which neighbors differ"),
+]
 LONG = [
+    (lambda: lyapunov(dt=30.0), "does not converge"),
+    (lambda: group_midpoint(LEFT, twisted), r"Ad_τ\(Θ\) Θ = Θ must hold .*maps\.Tau"),
+    (lambda: li.observe(STEP, STATE, -0.05, np.array([0.3, 1.0])), "side of the start"),
+    (lambda: li.observe(STEP, STATE, 0.0, np.array([0.3, 1.0])), "dt must not be 0"),
     (
         lambda: APOPHIS.state_from_periods(precession=10.0, rotation=20.0, long_axis=False),
         r"rotation/precession must be above 6\.\d+, that of a small wobble, in the short",
@@ -574,6 +777,8 @@ ROOMS = {
     "bodies": MANY_BODIES,
     "systems": SYSTEMS,
     "schemes": SCHEMES,
+    "runs": RUNS,
+    "others": OTHERS,
 }
 ROWS = [pytest.param(*row, id=f"{room}-{k}") for room, table in ROOMS.items() for k, row in enumerate(table)]
 ROWS += [pytest.param(*row, id=f"long-{k}", marks=pytest.mark.long) for k, row in enumerate(LONG)]
@@ -589,6 +794,7 @@ def test_bad_arguments_are_refused_in_a_sentence(call, sentence):
     ("error", "call", "sentence"),
     [
         (TypeError, lambda: FIELD + 1.0, "a potential is added to potentials"),
+        (TypeError, lambda: li.elliptic.E(0.1, 0.2, 0.3), r"E\(m\) or E\(phi, m\)"),
         (TypeError, lambda: SOLID(EYE, EYE), r"systems\.rigid_bodies"),
         (ZeroDivisionError, lambda: systems.gravity_gradient(J, lambda t: 1 / 0, 1.0), None),
     ],

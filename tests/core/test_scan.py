@@ -302,31 +302,6 @@ def test_keys_and_prints_go_through_xla(capfd):
     assert capfd.readouterr().out.count("drawn") == 6
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((lambda c, x: (c, x), 0.0, None), r"one number of steps.*got length=None and xs of shapes \[\]"),
-        (
-            (lambda c, x: (c, x), 0.0, (np.ones(3), np.ones(4))),
-            r"one number of steps.* xs of shapes \[\(3,\), \(4,\)\]",
-        ),
-        ((lambda c, x: (c, x), 0.0, 1.0), r"one number of steps.* xs of shapes \[\(\)\]"),
-        ((lambda c, x: (c, x), 0.0, np.ones(3), 4), r"one number of steps.*got length=4"),
-        ((lambda c, x: c, 0.0, np.ones(3)), r"a step must return \(carry, y\), got .*Tracer"),
-        ((lambda c, x: ((c, c), x), 0.0, np.ones(3)), "a carry of the structure that it was given"),
-        (
-            (lambda c, x: ([c[0] * x], x), [np.ones(2, "f4")], np.ones(3)),
-            r"carry\[0\] was float32 .*; a step returned float64",
-        ),
-    ],
-)
-def test_wrong_arguments_are_named(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        li.scan(*arguments)
-    with pytest.raises(ValueError, match="every must divide the number of steps, 10, got 3"):
-        li.scan(lambda c, x: (c, x), 0.0, length=10, every=3)
-
-
 def counted(z, count, r=0.9, rows=1, most=None):
     """A pendulum for `count` steps, a number that the loop reads when it runs; and its angles, if there are rows."""
 

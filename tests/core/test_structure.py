@@ -12,6 +12,7 @@ import jax
 import pytest
 import stubs
 from grid import examples, schemes, steps, systems
+from repeated import once
 
 import lieint_jax as li
 from lieint_jax import _discover, maps
@@ -265,9 +266,6 @@ def test_every_module_has_examples_and_is_exported(package):
 def test_type_checkers_see_the_names_of_a_room(room):
     """`python tests/lib/stubs.py` writes them."""
     assert stubs.path(room).read_text(encoding="utf-8") == stubs.stub(room)
-
-
-once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
 LARGE = ("euler.manakov", "group_potential.bottom_heavy", "rigid_bodies")  # steps that compile for long

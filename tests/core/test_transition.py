@@ -178,25 +178,3 @@ def test_transition_can_be_vmapped_and_keeps_its_dtype():
     small = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (step, SPINNING))
     found = li.transition(*small, DT, 10, parameters="inertia")
     assert found.matrix.dtype == found.by_parameters["inertia"].dtype == jnp.float32
-
-
-@pytest.mark.parametrize(
-    ("arguments", "options", "message"),
-    [
-        ((TOP,), {"parameters": "mass"}, r"holds no number named 'mass'; it has system\.inertia"),
-        ((TOP,), {"parameters": {"inertia": jnp.ones(3)}}, "parameters must be names of numbers of the step"),
-        ((lambda p: p,), {}, "a function of parameters needs their values"),
-        ((TOP,), {"save_every": 7}, "not a multiple of save_every"),
-    ],
-)
-def test_bad_arguments_are_explained(arguments, options, message):
-    first = li.schemes.splitting(TOP) if arguments[0] is TOP else arguments[0]
-    with pytest.raises(ValueError, match=message):
-        li.transition(first, SPINNING, DT, STEPS, **options)
-
-
-def test_a_name_of_different_numbers_is_refused():
-    body, state, _ = EXAMPLES["torqued_body.damper"]
-    step = li.schemes.torqued_midpoint(body)
-    with pytest.raises(ValueError, match=r"'inertia' stands for different numbers: system\.inertia, system\.torque"):
-        li.transition(step, state, DT, 5, parameters="inertia")

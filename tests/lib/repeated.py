@@ -1,9 +1,20 @@
-"""A step taken many times, in one program for any number of times."""
+"""A step taken once or many times, in one program for any number of times; the states of a run."""
 
 import jax
 import jax.numpy as jnp
 
 from lieint_jax.types import StepInfo
+
+once = jax.jit(lambda step, state, dt: step(state, dt))
+
+
+def state_after(path, n):
+    """The state of a run at its n-th save."""
+    return jax.tree.map(lambda x: x[n], path.state)
+
+
+def last(path):
+    return state_after(path, -1)
 
 
 @jax.jit

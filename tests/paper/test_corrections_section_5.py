@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paper import skew
 
 import lieint_jax as li
 from lieint_jax import _discover, groups, maps
@@ -53,10 +54,6 @@ class General(Step):
     def advance(self, state, dt):
         after, (info, _) = self.report(state, dt)
         return after, info
-
-
-def skew(M):
-    return (M - M.T) / 2
 
 
 @functools.cache

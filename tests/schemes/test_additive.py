@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from paper import hat, rot
+from repeated import once
 from scipy.linalg import eigh
 from scipy.optimize import root
 
@@ -29,9 +30,6 @@ OMEGA = np.block([[np.zeros((9, 9)), np.eye(9)], [-np.eye(9), np.zeros((9, 9))]]
 
 def additive(body, rule="average", **options):
     return li.schemes.additive(body, rule, **options)
-
-
-once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
 def run(step, state, dt, num_steps):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from free_bodies import Q, moving, turned, with_momentum
 from linearized import there_and_back
+from repeated import once
 
 import lieint_jax as li
 from lieint_jax import diagnostics, ensemble
@@ -167,7 +168,6 @@ def test_an_ensemble_prepares_every_member():
 
 
 prepared = jax.jit(lambda step, state, dt: step.prepare(state, dt))
-once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
 @pytest.mark.long

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from linearized import there_and_back
+from paper import skew
 from scipy.linalg import expm
 
 import lieint_jax as li
@@ -149,10 +150,6 @@ def attitudes(step, motion):
 
 
 # Formulas of Sections 5.2 and 5.3 ------------------------------------------------------------------------------------
-
-
-def skew(M):
-    return (M - M.T) / 2
 
 
 @functools.cache

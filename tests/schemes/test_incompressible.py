@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import once
 
 import lieint_jax as li
 from lieint_jax import _discover
@@ -19,11 +20,6 @@ STEP = li.schemes.additive(BODY, "incompressible")
 QUICK = {"xla_llvm_disable_expensive_passes": True}
 number = st.floats(-1, 1, width=64)
 matrices = st.lists(number, min_size=9, max_size=9).map(lambda x: np.reshape(x, (3, 3)))
-
-
-@jax.jit
-def _once(step, state, dt):
-    return step(state, dt)
 
 
 @jax.jit
@@ -69,7 +65,7 @@ def test_the_volume_of_stretched_bodies_is_conserved_to_the_rounding_of_det_F():
 @pytest.mark.long
 def test_without_the_pressure_the_volume_changes():
     free = BODY.compressible
-    after, info = _once(li.schemes.additive(free), STATE, DT)
+    after, info = once(li.schemes.additive(free), STATE, DT)
     assert info.converged
     assert abs(free.phase_space.defect(after)) == 0
     assert abs(np.linalg.det(after.q) - 1) > 1e-4
@@ -78,7 +74,7 @@ def test_without_the_pressure_the_volume_changes():
 @pytest.mark.long
 def test_the_step_is_the_one_that_its_equations_have():
     """U E = Δt P_{n+½} and P₁ − P₀ = −Δt F_{n+½}(S̄ − pS̄₃): what S̄ leaves of the second is along S̄₃, by numpy."""
-    after, info = _once(STEP, STATE, DT)
+    after, info = once(STEP, STATE, DT)
     assert info.converged
     (F0, P0), (F1, P1) = (map(np.asarray, z[:2]) for z in (STATE, after))
     np.testing.assert_allclose((F1 - F0) * 2.0, DT * (P0 + P1) / 2, rtol=0, atol=4e-16)
@@ -114,7 +110,7 @@ def test_second_order_reversible_and_the_hidden_constraint():
         rates.append(rate)
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
     assert np.log2(rates[0] / rates[1]) == pytest.approx(2, abs=0.1)
-    back = _once(STEP, _once(STEP, STATE, DT)[0], -DT)[0]
+    back = once(STEP, once(STEP, STATE, DT)[0], -DT)[0]
     np.testing.assert_allclose(back.q, STATE.q, rtol=0, atol=4e-15)
     assert np.abs(BODY.volume_rate(STATE)) < 1e-15
 
@@ -165,11 +161,11 @@ def test_the_certificate_shows_energy_momentum_and_volume_conserved():
 @pytest.mark.long
 def test_float32_and_a_step_of_no_time():
     single = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (STEP, STATE))
-    after, info = _once(*single, np.float32(DT))
+    after, info = once(*single, np.float32(DT))
     assert info.converged
     assert after.q.dtype == np.float32
-    np.testing.assert_allclose(after.q, _once(STEP, STATE, DT)[0].q, rtol=0, atol=2e-6)
-    still, info = _once(STEP, STATE, 0.0)
+    np.testing.assert_allclose(after.q, once(STEP, STATE, DT)[0].q, rtol=0, atol=2e-6)
+    still, info = once(STEP, STATE, 0.0)
     assert info.converged
     np.testing.assert_allclose(still.p, STATE.p, rtol=0, atol=1e-15)
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import once
 
 import lieint_jax as li
 from lieint_jax import schemes, systems, torques, types
@@ -118,9 +119,6 @@ def test_steps_that_could_pass_over_a_sample_are_refused(dt, t):
     assert not once(step, state, dt)[1].converged
     with pytest.raises(ValueError, match=r"sampled samples at multiples of 0\.1, .* give a dt > 0 that divides 0\.1"):
         li.run(step, state, dt, 4)
-
-
-once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
 @pytest.mark.long

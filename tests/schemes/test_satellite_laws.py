@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import last
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
@@ -58,10 +59,6 @@ def start(law, **options):
 def run(step, state, num_steps, dt=0.05):
     path = li.integrate(step, state, dt, num_steps)
     return path, jax.vmap(step.system.energy)(path.state)
-
-
-def last(path):
-    return jax.tree.map(lambda x: x[-1], path.state)
 
 
 @pytest.fixture(scope="module")

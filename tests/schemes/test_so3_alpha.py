@@ -8,6 +8,7 @@ import numpy as np
 import paper
 import pytest
 from paper import ONE, hat
+from repeated import once
 
 import lieint_jax as li
 from lieint_jax.diagnostics import symplectic_defect
@@ -19,11 +20,6 @@ BODY = li.systems.embedded_body([1.0, 2.0, 3.0])
 STATE = BODY.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.3, 1.0])
 number = st.floats(-1, 1, width=64)
 vectors = st.tuples(number, number, number).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
-
-
-@jax.jit
-def _once(step, state, dt):
-    return step(state, dt)
 
 
 @jax.jit
@@ -54,7 +50,7 @@ def test_result_01_and_2_27_momentum_and_energy_for_every_alpha(alpha, axis, Ome
 def test_the_equations_2_17_hold_as_they_stand(alpha, kappa):
     """Both lines, with Θ from (2.28), at round-off; and Λ_{n+1} by (2.20), not by the printed (2.21)."""
     dt, J = 0.4, np.diag([1.0, 2.0, 3.0])
-    after, info = _once(li.schemes.so3_alpha(BODY, alpha, kappa), STATE, dt)
+    after, info = once(li.schemes.so3_alpha(BODY, alpha, kappa), STATE, dt)
     assert info.converged
     Q0, Q1 = np.asarray(STATE.q), np.asarray(after.q)
     Pi0, Pi1 = (np.asarray(BODY.body_momentum(z)) for z in (STATE, after))
@@ -79,7 +75,7 @@ def test_alpha_one_half_is_so3_midpoint(kappa):
     here, there = STATE, state
     step, midpoint = li.schemes.so3_alpha(BODY, 0.5, kappa), li.schemes.so3_midpoint(body, kappa)
     for _ in range(20):
-        here, there = _once(step, here, 0.3)[0], _once(midpoint, there, 0.3)[0]
+        here, there = once(step, here, 0.3)[0], once(midpoint, there, 0.3)[0]
     np.testing.assert_allclose(here.q, so3.to_matrix(there.q), rtol=0, atol=8e-15)  # floor 2e-15
 
 
@@ -93,7 +89,7 @@ def test_the_alpha_family_conserves_energy_but_leaves_the_group(alpha):
     assert found.energy < 8e-15  # floor 2e-15
     assert found.momentum == 0
     assert found.order == pytest.approx(step.order, abs=0.06)
-    length = [float(jnp.linalg.norm(BODY.body_momentum(z))) for z in (STATE, _once(step, STATE, 0.05)[0])]
+    length = [float(jnp.linalg.norm(BODY.body_momentum(z))) for z in (STATE, once(step, STATE, 0.05)[0])]
     if alpha == 0.5:
         assert max(found.constraint, found.reversibility, abs(length[1] - length[0])) < 8e-15
     else:
@@ -105,9 +101,9 @@ def test_the_alpha_family_conserves_energy_but_leaves_the_group(alpha):
 def test_alpha_is_undone_by_one_less_alpha():
     """Interchanging n and n + 1 in (2.17) and the sign of Δt gives the member 1 − α."""
     forth, back = (li.schemes.so3_alpha(BODY, alpha, kappa_exponential) for alpha in (0.2, 0.8))
-    z = _once(back, _once(forth, STATE, 0.3)[0], -0.3)[0]
+    z = once(back, once(forth, STATE, 0.3)[0], -0.3)[0]
     np.testing.assert_allclose(z.q, STATE.q, rtol=0, atol=4e-15)  # floor 5e-16
-    assert np.abs(_once(forth, _once(forth, STATE, 0.3)[0], -0.3)[0].q - STATE.q).max() > 1e-2
+    assert np.abs(once(forth, once(forth, STATE, 0.3)[0], -0.3)[0].q - STATE.q).max() > 1e-2
 
 
 @pytest.mark.long
@@ -134,9 +130,9 @@ def test_a_stretched_attitude_is_flagged():
     """Once Λ has stretched by 1e10 or so, Π = Λ⁻¹π has no digits left that could be relied on."""
     step = li.schemes.so3_alpha(BODY, 0.0)
     stretched = li.State(STATE.q * jnp.array([1.0, 1e5, 1e5]), STATE.p)
-    assert _once(step, stretched, 1e-3)[1].converged
+    assert once(step, stretched, 1e-3)[1].converged
     worn = li.State(STATE.q * jnp.array([1.0, 1e11, 1e11]), STATE.p)
-    assert not _once(step, worn, 1e-3)[1].converged
+    assert not once(step, worn, 1e-3)[1].converged
 
 
 @jax.jit
@@ -162,8 +158,8 @@ def test_derivatives_by_alpha_and_dt_agree_with_differences():
 def test_so3_alpha_in_float32_has_its_accuracy():
     body = li.systems.embedded_body(np.array([1, 2, 3], np.float32))
     state = jax.tree.map(lambda x: x.astype(np.float32), STATE)
-    after, info = _once(li.schemes.so3_alpha(body, np.float32(0.3)), state, np.float32(0.2))
+    after, info = once(li.schemes.so3_alpha(body, np.float32(0.3)), state, np.float32(0.2))
     assert info.converged
     assert after.q.dtype == np.float32
-    exact = _once(li.schemes.so3_alpha(BODY, 0.3), STATE, 0.2)[0]
+    exact = once(li.schemes.so3_alpha(BODY, 0.3), STATE, 0.2)[0]
     np.testing.assert_allclose(after.q, exact.q, rtol=0, atol=1e-6)

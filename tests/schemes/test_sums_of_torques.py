@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import last
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
@@ -245,10 +246,6 @@ def test_the_rates_at_a_limit_of_momentum_conserve_the_momentum_of_body_and_whee
     np.testing.assert_allclose(rate.extra["wheels"], wanted.at[0].set(0), rtol=0, atol=1e-16)
     moving = rate._replace(t=jnp.ones_like(state.t))
     np.testing.assert_allclose(jax.jvp(body.momentum, (state,), (moving,))[1], 0, rtol=0, atol=1e-16)
-
-
-def last(path):
-    return jax.tree.map(lambda x: x[-1], path.state)
 
 
 def rhs(body, template):

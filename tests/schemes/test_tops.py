@@ -9,6 +9,7 @@ import numpy as np
 import paper
 import pytest
 from grid import examples_of
+from repeated import state_after
 
 import lieint_jax as li
 from lieint_jax import diagnostics
@@ -87,10 +88,6 @@ def _run(step, state, dt, num_steps, save_every):
 def run(step, state, dt, num_steps=1000, save_every=1):
     """The trajectory, H₀, and the errors of energy, momentum and constraint; one program serves every dt."""
     return jax.device_get(_run(step, state, dt, num_steps, save_every))
-
-
-def state_after(trajectory, n):
-    return jax.tree.map(lambda x: x[n], trajectory.state)
 
 
 def own_and_shared(name, *others):

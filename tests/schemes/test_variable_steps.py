@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import once
 from scipy.integrate import solve_ivp
 from small_steps import Rests
 
@@ -34,7 +35,6 @@ LOG = schemes.log_hamiltonian(TOP, H)
 CONTROLLED = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.0))
 BOTH = {"log_hamiltonian": (LOG, 0.04), "reversible_control": (CONTROLLED, 0.04)}
 both = pytest.mark.parametrize(("step", "dt"), BOTH.values(), ids=BOTH)
-one = jax.jit(lambda step, state, dt: step(state, dt))
 composed = functools.cache(lambda step: schemes.compose(step, 4))
 
 
@@ -101,7 +101,7 @@ def test_the_order_is_that_of_the_states_at_their_own_times(step, dt, order):
 def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():
     """A drift that rests leaves Δt = ½h/(K₀ + B) + ½h/(K₁ + B), K before and after the kick hF/(−V)."""
     step, start = schemes.LogHamiltonian(TOP, LOG.energy, Rests(TOP.free)), START._replace(t=jnp.array(0.7))
-    end, info = one(step, start, 0.04)
+    end, info = once(step, start, 0.04)
     speeds = [float(TOP.free.energy(z)) - H for z in (start, end)]
     assert info.converged
     assert float(end.t) == pytest.approx(0.7 + 0.02 / speeds[0] + 0.02 / speeds[1], rel=1e-15)
@@ -112,7 +112,7 @@ def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():
 def test_the_density_is_kicked_by_half_of_dt_before_and_after_the_step():
     """For σ = eᵗ, G = −1 at every state, and the base step is dt over the density between the kicks."""
     step = schemes.reversible_control(Rests(systems.rigid_body(J)), lambda z: jnp.exp(z.t))
-    end, _ = one(step, START._replace(t=jnp.array(0.2), extra={"rho": jnp.array(0.9)}), 0.1)
+    end, _ = once(step, START._replace(t=jnp.array(0.2), extra={"rho": jnp.array(0.9)}), 0.1)
     assert float(end.extra["rho"]) == pytest.approx(0.8, rel=1e-15)
     assert float(end.t) == pytest.approx(0.2 + 0.1 / 0.85, rel=1e-15)
 

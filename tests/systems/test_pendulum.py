@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import state_after
 from scipy.optimize import root
 
 import lieint_jax as li
@@ -45,10 +46,6 @@ def _run(step, state, dt):
 def run(step, state, dt=0.1):
     """1000 steps, and the series of their errors: one program for all bobs, states and step sizes."""
     return jax.device_get(_run(step, jax.tree.map(np.asarray, state), dt))
-
-
-def state_after(trajectory, n):
-    return jax.tree.map(lambda x: x[n], trajectory.state)
 
 
 _defect = jax.jit(symplectic_defect)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from repeated import once
 
 import lieint_jax as li
 from lieint_jax import groups
@@ -16,7 +17,6 @@ CATALOGUE = {
     "Aff(1)": (groups.affine(1), [1.0, 2.0], [0.4, 0.7]),
 }
 NAMES = [pytest.param(name, marks=[pytest.mark.long] * (name != "SE(2)")) for name in CATALOGUE]
-_once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
 def system_and_state(name, turn=0.4):
@@ -39,7 +39,7 @@ def test_energy_and_body_momentum_are_conserved_and_the_order_is_two(name):
     assert found.momentum < 6e-14  # floor 1e-14: Π is no variable of the state, so its rounding errors add up
     assert found.order == pytest.approx(2, abs=0.03)  # against the flow of the vector field
     assert found.reversibility < 4e-15
-    after = _once(step, state, 0.1)[0]
+    after = once(step, state, 0.1)[0]
     assert np.abs(after.p - state.p).max() > 1e-3  # π is not conserved
 
 
@@ -69,7 +69,7 @@ def test_a_step_follows_the_vector_field():
     """By the central difference of two steps: a step of −Δt would keep Π and the energy too."""
     system, state = system_and_state("Aff(1)")
     step, h = li.schemes.group_midpoint(system), 1e-3
-    ahead, behind = (_once(step, state, dt)[0] for dt in (h, -h))
+    ahead, behind = (once(step, state, dt)[0] for dt in (h, -h))
     field = system.vector_field(state)
     for a, b, rate in zip(ahead[:2], behind[:2], field[:2], strict=True):
         np.testing.assert_allclose((a - b) / (2 * h), rate, rtol=0, atol=1e-5)
@@ -90,7 +90,7 @@ def test_inversion_maps_a_right_invariant_flow_to_a_left_invariant_one(name):
     for a, b in zip(jax.jit(image)(moved)[:2], reflected[:2], strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-14)
     step, other = li.schemes.group_midpoint(system), li.schemes.group_midpoint(mirror)
-    for a, b in zip(jax.jit(image)(_once(step, state, 0.3)[0])[:2], _once(other, there, 0.3)[0][:2], strict=True):
+    for a, b in zip(jax.jit(image)(once(step, state, 0.3)[0])[:2], once(other, there, 0.3)[0][:2], strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=8e-15)
 
 
