@@ -123,7 +123,7 @@ def _solve(levels: tuple[_Level, ...], last: Array, b: Array) -> Array:
 
 
 def _eliminated(B: Array, right: Array) -> tuple[Array, Array]:
-    """B⁻¹ times right, for blocks (m, k, k) and (m, k, r), by Gauss and Jordan; and whether all pivots were positive."""
+    """B⁻¹ times right, for blocks (m, k, k) and (m, k, r), by Gauss and Jordan; whether all pivots were positive."""
     k = B.shape[1]
 
     def eliminate(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -117,8 +117,8 @@ def bodies_energy_momentum(
 
     | solver | a step is solved by | converges |
     |---|---|---|
-    | "fixed_point" | iterations on the forces, each with one Newton correction of every body's rotation | for Δt Ω < 1 |
-    | "newton" | Newton's method with a block-tridiagonal matrix, 6 × 6 blocks, for chains such as rods | for stiff rods too |
+    | "fixed_point" | iterations on the forces, with a Newton correction of each body's rotation | for Δt Ω < 1 |
+    | "newton" | Newton's method with a block-tridiagonal matrix, for chains such as rods | for stiff rods too |
 
     Here Ω is the highest frequency of the potential. The cost of both is proportional to the number of elements.
 
