@@ -60,7 +60,11 @@ def drifts(system, path):
     sizes = np.abs(p[:, :, :3]).sum(1).max(), np.abs(np.cross(x, p[:, :, :3]) + p[:, :, 3:]).sum(1).max()
     moved = momenta - momenta[0]
     eps = np.finfo(p.dtype).eps
-    return (H / H[0] - 1) / eps, np.abs(moved[:, :3]).max() / sizes[0] / eps, np.abs(moved[:, 3:]).max() / sizes[1] / eps
+    return (
+        (H / H[0] - 1) / eps,
+        np.abs(moved[:, :3]).max() / sizes[0] / eps,
+        np.abs(moved[:, 3:]).max() / sizes[1] / eps,
+    )
 
 
 def test_both_solvers_agree_on_a_soft_rod():
