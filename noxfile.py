@@ -11,6 +11,7 @@ nox.options.default_venv_backend = "uv"
 nox.options.error_on_missing_interpreters = False
 nox.options.sessions = ["tests", "lowest", "lint", "docs", "build"]
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
+NIGHTLY = "https://us-python.pkg.dev/ml-oss-artifacts-published/jax/simple/"  # of JAX
 
 
 @nox.session(python=PYTHONS)
@@ -25,6 +26,21 @@ def lowest(session):
     """README's tests, with the lowest versions that pyproject.toml promises."""
     session.install("-e", ".[test]", "--resolution", "lowest-direct")
     session.run("pytest", *session.posargs)
+
+
+@nox.session(python="3.13")
+def prerelease(session):
+    """README's tests with JAX's nightly release. A warning of a deprecation fails here before it becomes an error."""
+    session.install("-e", ".[test]")
+    session.install("--upgrade", "--prerelease=allow", "--index", NIGHTLY, "jax", "jaxlib")
+    session.run("pytest", *session.posargs)
+
+
+@nox.session(python="3.13")
+def audit(session):
+    """Known vulnerabilities of what `pip install .` installs."""
+    session.install(".", "pip-audit")
+    session.run("pip-audit")
 
 
 @nox.session(python="3.11")
@@ -59,7 +75,7 @@ def mutate(session):
 
 @nox.session(python="3.11")
 def build(session):
-    """The sdist and the wheel, each installed in an environment of its own and tried there, away from the sources."""
+    """The sdist and the wheel, installed and tried away from the sources; tests and site from the unpacked sdist."""
     folder = session.create_tmp()
     session.run("uv", "build", "--out-dir", folder, external=True)
     python = f"{session.virtualenv.bin}/python"
@@ -69,3 +85,7 @@ def build(session):
             session.run("uv", "pip", "install", "--python", python, "--reinstall-package", "lieint_jax", archive)
             session.run("lieint", "check", "rigid_body", "--scheme", "exact", "--steps", "100")
             session.run("lieint", "run", "toutatis", "--members", "3", "--steps", "1600", "--out", f"{archive}.npz")
+        session.run("tar", "xzf", str(next(Path().glob("*.tar.gz"))), "--strip-components=1", external=True)
+        session.install(".[test,docs]")
+        session.run("pytest", "-n", "0", "tests/app/test_readme.py", "tests/app/test_release.py")
+        session.run("mkdocs", "build", "--strict", "-f", "docs/mkdocs.yml")

@@ -19,6 +19,7 @@ A system and a scheme make a step; a step and states make a run.
 | `schemes` | the integrators: `help(li.schemes)` lists which one fits which system |
 | `run`, `open` | runs that you keep, of one body or of many, over cores, devices and processes, in memory or on disk |
 | `integrate`, `event`, `interpolate` | inside jit, vmap, grad: trajectories, and when a condition changes its sign |
+| `submit` | a run in parts on a cluster: Dask, SLURM, MPI, any executor |
 | `ensemble` | older names of `run` and `open`; `over_members`, processes, parts of a run |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
@@ -72,7 +73,7 @@ from lieint_jax.adjoints import observe, reversible, transition
 from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
-from lieint_jax.runs import Event, Run, event, integrate, interpolate, run
+from lieint_jax.runs import Event, Run, event, integrate, interpolate, run, submit
 from lieint_jax.runs import open_run as open  # noqa: A004
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
@@ -118,6 +119,7 @@ __all__ = [
     "schemes",
     "shapes",
     "static",
+    "submit",
     "systems",
     "tides",
     "torques",

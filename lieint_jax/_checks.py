@@ -38,6 +38,7 @@ class RotationLike(Protocol):
 
 Attitude = ArrayLike | Sequence[Any] | RotationLike
 UNIT_TOLERANCE = 1e-6
+_GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")  # the control groups of Linux
 PRINTED = 1e-4  # how far from unit length quaternions of four digits are
 _on_host: contextvars.ContextVar[bool] = contextvars.ContextVar("_on_host", default=False)
 _LARGEST_COUNT = 2**53  # beyond, counts are not exact as floating-point numbers
@@ -277,12 +278,33 @@ def memory_of_machine() -> float:
         bytes_ = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, OSError, ValueError):  # a system without sysconf, or without these names
         return math.inf
-    for limit in ("memory.max", "memory/memory.limit_in_bytes"):  # of control groups, versions 2 and 1
-        try:
-            bytes_ = min(bytes_, float(Path("/sys/fs/cgroup", limit).read_text()))
-        except (OSError, ValueError):  # no such file, or "max"
-            continue
+    for limit in limits_of_groups("memory", "memory.max", "memory.limit_in_bytes"):
+        bytes_ = min(bytes_, *limit)
     return bytes_
+
+
+def limits_of_groups(controller: str, unified: str, *files: str) -> Iterator[list[float]]:
+    """The numbers that limit this process in its control groups of Linux and in all groups around them.
+
+    Args:
+        controller: the kind of limit, as in "cpu".
+        unified: the file with the numbers in version 2.
+        files: the files in version 1, one for each number.
+    """
+    try:
+        groups = [line.split(":", 2) for line in _OWN_GROUPS.read_text().splitlines()]
+    except OSError:  # another system
+        return
+    for _, controllers, place in groups:
+        if controllers and controller not in controllers.split(","):
+            continue
+        top, names = (_GROUPS / controller, files) if controllers else (_GROUPS, (unified,))
+        own = top / place.lstrip("/")
+        for folder in (own, *(x for x in own.parents if x.is_relative_to(top))):
+            try:
+                yield [float(x) for name in names for x in (folder / name).read_text().split()]
+            except (OSError, ValueError):  # no such file, as where a container sees the path outside of it; or "max"
+                continue
 
 
 def entry_size(state: object, members: int = 1) -> int:

@@ -107,11 +107,14 @@ def attitude(inertia: Inertia, q: Quaternion, p: Vector3, t: ArrayLike) -> tuple
     J, Pi = vectors.symmetric(inertia), so3.Ad_star(q, p)
     scale, G, e, rest = _units(inertia, Pi)
     (w, *v), accuracy = _increment(scale * inertia, e, G * t)
-    v = (where(rest, x, y) for x, y in zip(J.solve(Pi) * t / 2, v, strict=True))  # 0, with its derivative in π
-    increment = materialized((where(rest, 1, w), *v))
+    v = Vector(where(rest, x, y) for x, y in zip(J.solve(Pi) * t / 2, v, strict=True))  # 0, with its derivative in π
+    w, square = where(rest, 1, w), dot(v, v)
+    n, d = jnp.sqrt(w * w + square), so3.defect(q) / 2
+    less = where(w > 0, -square / (n * (n + jnp.abs(w))), w / n - 1)  # w/n − 1 without cancellation
+    increment = materialized((less - d * w / n, *((1 - d) / n * v)))  # with |q| corrected, as in `cayley_increment`
     turned = lax.stop_gradient(vectors.max_abs(Pi) * J.inverse_trace * jnp.abs(t))
     length, condition = (where(rest, 0, x) for x in accuracy)
-    return so3.normalize(jnp.stack(materialized(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
+    return q + so3.multiply(q, increment), Accuracy(length, turned + condition)
 
 
 def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Array]:
@@ -343,40 +346,48 @@ def _labeled_increment(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector
     er, em, eo = e
     m = _motion(b, e, tau)
     rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
-    r = 1 / (m.cn * m.cn + m.S * m.S * b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo))
-    moved = materialized(
+    k = b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo)
+    common, together = b.rm * b.mo * em * em, m.cn + m.dn
+    middle = jnp.abs(m.excess) * m.cn / where(together == 0, 1, together) - k
+    # e(τ) − e, free of cancellation: q_r − D = S²(common − f_o/(1 + q_r)), and so on
+    r = m.S / (m.cn * m.cn + m.S * m.S * k)
+    change = materialized(
         (
-            r * (er * m.q_r + m.S * m.q_o * rate[0]),
-            r * (em * m.cn * m.dn + m.S * rate[1]),
-            r * (eo * m.q_o + m.S * m.q_r * rate[2]),
+            r * (er * m.S * (common - m.f_o / (1 + m.q_r)) + m.q_o * rate[0]),
+            r * (em * m.S * middle + rate[1]),
+            r * (eo * m.S * (common - m.f_r / (1 + m.q_o)) + m.q_r * rate[2]),
         )
     )
-    fr, fm, fo = materialized(_on_polhode(b, m.R, Vector(moved)))
+    change = Vector(materialized(_on_polhode(b, m.R, e, Vector(change))))
+    fr, fm, fo = f = e + change
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
+    length = jnp.abs(dot(f, f) - 1)
     odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
-    fr, fm, fo = where(m.about_r, 1, odd) * fr, odd * fm, where(m.about_r, odd, 1) * fo
     sign = where(m.about_r, odd, 1)
-    azimuth = jnp.arctan2(sign * (em * fo - eo * fm), sign * (em * fm + eo * fo))
+    signs = (where(m.about_r, 1, odd), odd, sign)
+    change = Vector(s * x + (s - 1) * y for s, x, y in zip(signs, change, e, strict=True))
+    _, fm, fo = e + change
+    azimuth = jnp.arctan2(sign * (em * change[2] - eo * change[1]), sign * (em * fm + eo * fo))
     azimuth = azimuth - where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
-    f = Vector((fr, fm, fo))
-    w, v = _rotation_between(e, f, *materialized((jnp.cos(twist), jnp.sin(twist))))
-    length = jnp.abs(dot(f, f) - 1)
+    w, v = _rotation_between(e, change, *materialized((jnp.cos(twist), jnp.sin(twist))))
     return w, v, Accuracy(*lax.stop_gradient((length, m.condition)))
 
 
-def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
-    """f without its rounding errors in |f|² = 1 and R: those of S, cn, dn are the same at every step, and add up.
+def _on_polhode(b: _Labels, R: Array, e: Vector, change: Vector) -> Vector:
+    """f − e without its rounding errors in |f|² and R: those of S, cn, dn are the same at every step, and add up.
 
     Where the gradient of R along the sphere vanishes, an error of f does not change R, and R is not corrected.
     """
-    at, b, R = lax.stop_gradient((f, b, R))
-    long = (dot(at, at) - 1) / 2
-    x, y, z = at = at - long * at
+    e, given, b, R = lax.stop_gradient((e, change, b, R))
+    f = e + given
+    squares = Vector(d * (x + y) for d, x, y in zip(given, e, f, strict=True))  # f² − e², component by component
+    long = sum(squares) / 2
+    x, y, z = f - long * f
     g = Vector((2 * (b.ro - R) * x, 2 * (b.mo - R) * y, -2 * R * z))
     floor = where(b.ro == 0, 1, b.ro * b.ro / 4)
-    off = (b.ro * x * x + b.mo * y * y - R) / jnp.maximum(dot(g, g), floor)
-    return f - long * at - off * g
+    off = (b.ro * squares[0] + b.mo * squares[1] - 2 * long * R) / jnp.maximum(dot(g, g), floor)
+    return change - long * f - off * g
 
 
 def _ascending_clock(J: VectorLike, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
@@ -405,6 +416,9 @@ class _Motion(NamedTuple):
     S: Array
     cn: Array
     dn: Array
+    f_r: Array
+    f_o: Array
+    excess: Array
     halves: Array
     turn: Array
     condition: Array
@@ -443,7 +457,7 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     X = S**3 * part + where(nearer, 0, 2 * halves * quarter / (f_far * frequency))
     lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
     condition = jnp.abs(halves) * where(halves == 0, 0, lever / where(halves == 0, 1, jnp.abs(excess)))
-    return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X, condition)
+    return _Motion(about_r, R, nu, S, cn, dn, f_r, f_o, excess, halves, b.b_o * tau + b.ro * nu * X, condition)
 
 
 def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: Array) -> tuple[Array, Array]:
@@ -458,14 +472,18 @@ def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: 
     return part, quarter
 
 
-def _rotation_between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
-    """(r → e)(rotation about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
+def _rotation_between(e: Vector, change: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
+    """(r → e)(rotation about r by 2 arctan2(s, c))(e + change → r), times a positive number: scalar and vector part.
+
+    Their rounding errors are proportional to the change and to s, so that those of small steps are small.
+    """
+    f = e + change
     a, b = 1 + e[0], 1 + f[0]
-    t = (c * b, s * b, c * f[2] + s * f[1], s * f[2] - c * f[1])
-    return a * t[0] + e[2] * t[2] - e[1] * t[3], Vector(
+    across, along = e[2] * change[1] - e[1] * change[2], e[1] * f[1] + e[2] * f[2]
+    return c * (a * b + along) + s * across, Vector(
         (
-            a * t[1] - e[2] * t[3] - e[1] * t[2],
-            a * t[2] - e[2] * t[0] + e[1] * t[1],
-            a * t[3] + e[1] * t[0] + e[2] * t[1],
+            s * (a * b - along) + c * across,
+            s * (a * f[1] + b * e[1]) + c * (a * change[2] - e[2] * change[0]),
+            s * (a * f[2] + b * e[2]) + c * (e[1] * change[0] - a * change[1]),
         )
     )

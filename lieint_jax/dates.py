@@ -18,7 +18,7 @@ import datetime
 import math
 import re
 from fractions import Fraction
-from typing import Any
+from typing import Protocol, SupportsFloat, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,7 +123,20 @@ class Epoch:
         return f"{self.iso()} {self.scale}"
 
 
-def epoch(date: Any, scale: str | None = None) -> Epoch:
+@runtime_checkable
+class _AstropyTime(Protocol):
+    @property
+    def jd1(self) -> SupportsFloat: ...
+    @property
+    def jd2(self) -> SupportsFloat: ...
+    @property
+    def scale(self) -> str: ...
+
+
+DateLike = str | float | datetime.datetime | Epoch | _AstropyTime
+
+
+def epoch(date: DateLike, scale: str | None = None) -> Epoch:
     """The epoch of a date.
 
     Args:
@@ -141,7 +154,7 @@ def epoch(date: Any, scale: str | None = None) -> Epoch:
     """
     if isinstance(date, Epoch):
         return date
-    if hasattr(date, "jd1") and hasattr(date, "scale"):  # an astropy Time: two numbers of days, to keep its digits
+    if isinstance(date, _AstropyTime):  # two numbers of days, to keep its digits
         days = Fraction(float(date.jd1)) + Fraction(float(date.jd2)) - _JULIAN
         day = math.floor(days)
         return Epoch(day, Fraction(round((days - day) * _DAY * 10**12), 10**12), _scale(str(date.scale)))
@@ -156,7 +169,7 @@ def epoch(date: Any, scale: str | None = None) -> Epoch:
     return Epoch(math.floor(days), (days - math.floor(days)) * _DAY, _scale(scale or "UTC"))
 
 
-def text_of(date: Any) -> str:
+def text_of(date: DateLike | None) -> str:
     """The text of a date, to a picosecond; "" of None."""
     if date is None:
         return ""

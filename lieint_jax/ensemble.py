@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from jax.sharding import Mesh
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax._deprecated import old_calls
 from lieint_jax.runs import (

@@ -4,11 +4,12 @@ Each package is used as its documentation recommends, in its fastest way. diffra
 (quaternion and spatial momentum, so momentum is exact there too; 25 % faster than the same with jnp.cross), vmapped,
 with dt0 = dt and constant steps; with time counted in steps, so that dt0 = 1, it runs 10 % faster. Adaptive, it takes
 its PIDController with rtol = atol and finds its first step; a batch then takes as many steps as its worst body. MuJoCo
-has contacts and constraints switched off, one thread, many states a call; its rollout keeps every state. scipy takes
-one body at a time, with Euler's equations in plain floats, which is faster there than numpy. astrojax steps with a
-time that the bodies share, so that its position function is called once for all. Its own composition of the torque and
-the motion of the quaternion is not used: in 0.8 the torque reads a quaternion as the inverse of the rotation that the
-motion does, so that the two together are no satellite. Here the torque gets the conjugate.
+has contacts and constraints switched off, one thread, many states a call; its rollout keeps every state. 4.0's Batch
+keeps the last alone, and runs at the same rate. scipy takes one body at a time, with Euler's equations in plain floats,
+which is faster there than numpy. astrojax steps with a time that the bodies share, so that its position function is
+called once for all. Its own composition of the torque and the motion of the quaternion is not used: in 0.8 the torque
+reads a quaternion as the inverse of the rotation that the motion does, so that the two together are no satellite. Here
+the torque gets the conjugate.
 """
 
 from __future__ import annotations

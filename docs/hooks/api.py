@@ -1,11 +1,16 @@
 """API pages list a room's functions before its classes: `::: functions of NAME` and `::: classes of NAME` on a page.
 
-Both stand for the public names: those of `__all__`, else what the module defines.
+Both stand for the public names: those of `__all__`, else what the module defines. After the build, objects.inv, by
+which sites of other projects link to this one (intersphinx), must have every public name.
 """
 
 import importlib
 import inspect
 import re
+import zlib
+from pathlib import Path
+
+from mkdocs.exceptions import PluginError
 
 DIRECTIVE = re.compile(r"^::: (functions|classes) of (\S+)$", re.M)
 INTRODUCTION = """::: {}
@@ -45,3 +50,14 @@ def _public(room):
     own = [x for x, value in vars(room).items() if getattr(value, "__module__", None) == room.__name__]
     names = [x for x in getattr(room, "__all__", own) if not x.startswith("_") and x != "examples"]
     return [x for x in names if inspect.isclass(getattr(room, x)) or inspect.isfunction(getattr(room, x))]
+
+
+def on_post_build(config):
+    """Raise an error if a public name is not in objects.inv."""
+    inventory = (Path(config.site_dir) / "objects.inv").read_bytes().split(b"\n", 4)[4]  # after four lines of comments
+    listed = {line.split(" ")[0] for line in zlib.decompress(inventory).decode().splitlines()}
+    face = importlib.import_module("lieint_jax")
+    rooms = {f"lieint_jax.{x}": getattr(face, x) for x in face.__all__ if inspect.ismodule(getattr(face, x))}
+    wanted = {f"{name}.{x}" for name, room in {"lieint_jax": face, **rooms}.items() for x in _public(room)}
+    if missing := sorted(wanted - listed):
+        raise PluginError(f"objects.inv lacks {', '.join(missing)}")

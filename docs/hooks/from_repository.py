@@ -42,6 +42,8 @@ def on_files(files, config):
     pages = {
         "changelog.md": _text("CHANGELOG.md"),
         "contributing.md": _text("CONTRIBUTING.md"),
+        "maintaining.md": _text("docs/maintaining.md"),
+        "tests.md": _text("tests/README.md"),
         "benchmarks/index.md": _text("benchmarks/RESULTS.md"),
         "corrections.md": _corrections(),
         "paper.md": _paper(),

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 
-from lieint_jax._numerics import newton
+from lieint_jax._numerics import block_tridiagonal, newton
+from lieint_jax._numerics.block_tridiagonal import BlockTridiagonal
 from lieint_jax.types import StepInfo
 
 _CONVERGED = 32  # eps: the largest last change of an iteration that converged
@@ -82,6 +83,56 @@ class FixedPointEquation(abc.ABC, Generic[_Unknown]):
         x, change = newton.implicit_root(self.residual, guess, solve, tangent_solve)
         change = lax.stop_gradient(change)
         return x, StepInfo(change, change <= _CONVERGED * float(jnp.finfo(change.dtype).eps))
+
+
+class ChainEquation(abc.ABC):
+    """F(x) = 0 for the unknowns x (n, k) of a chain, each link of which acts only on those next to it.
+
+    It is solved by Newton's method with block-tridiagonal matrices. Forces between distant links are left out of these:
+    the iteration still ends at a root, if they are weak.
+
+    Attributes:
+        is_exact: whether no such forces exist.
+    """
+
+    is_exact: bool
+
+    @abc.abstractmethod
+    def residual(self, x: Array, /) -> Array:
+        """F(x), (n, k)."""
+
+    @abc.abstractmethod
+    def length(self, step: Array, /) -> Array:
+        """The length of a correction, in numbers of order 1."""
+
+    def solve(self, guess: Array, first: Array, unit: Array, most: int) -> tuple[Array, StepInfo]:
+        """The root near a guess, and the report: what is missing, and whether it is round-off.
+
+        Args:
+            guess: the first iterate.
+            first: the length that the first correction may have.
+            unit: the length of a rounding error of x, over eps.
+            most: the most corrections.
+        """
+        (n, k), dtype = guess.shape, guess.dtype
+        eps = float(jnp.finfo(dtype).eps)
+        unit = lax.stop_gradient(unit)
+
+        def factored(x: Array) -> block_tridiagonal.FactoredChain:
+            linear = lambda v: jax.jvp(self.residual, (x,), (v,))[1]  # noqa: E731
+            return block_tridiagonal.factored(BlockTridiagonal.of(linear, n, k, dtype))
+
+        def solve(_: _Linear[Array], x: Array) -> tuple[Array, Array]:
+            return newton.repeated_chords(self.residual, factored, self.length, x, first, eps * unit, most)
+
+        def tangent_solve(linear: _Linear[Array], b: Array) -> Array:
+            K = BlockTridiagonal.of(linear, n, k, dtype)
+            inverses = block_tridiagonal.factored(K).solve, block_tridiagonal.factored(K.T).solve
+            return _refined(linear, b, inverses, 1 if self.is_exact else most)
+
+        x, missing = newton.implicit_root(self.residual, guess, solve, tangent_solve)
+        missing = lax.stop_gradient(missing) / unit
+        return x, StepInfo(missing, missing <= _CONVERGED * eps)
 
 
 def _refined(

@@ -22,7 +22,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +37,8 @@ from lieint_jax.types.shapes import PyTree
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
 _FEW = 4  # corrections of which every solve that comes to round-off is steady
 _CHORD = 0.25  # the ratio of the lengths of two such corrections that the theorem for them grants
+_ENOUGH = 0.01  # units of rounding: a larger remainder would have the same sign in each step, and energy a slope
+_MORE = 6  # corrections that cost as much as a new matrix of `repeated_chords` and the first correction by it
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _Unknown = TypeVar("_Unknown")  # an array, or a tuple or list of its components
 _Report = TypeVar("_Report")
@@ -239,6 +241,91 @@ def chords(
     traced_once = jax.jit(residual)  # its equations are many, and used five times
     x, (F, growth) = implicit_root(traced_once, guess, solve, _tangent_solve)
     return x, F, _steady(growth)
+
+
+class _Chord(NamedTuple):
+    """A state of `repeated_chords`: x, its last two corrections, the monitor, their number, if the matrix is new."""
+
+    x: Any
+    change: Array
+    before: Array
+    monitor: ContractionMonitor
+    n: Array
+    new: Array
+
+    @property
+    def ratio(self) -> Array:
+        return self.change / jnp.where(self.before > 0, self.before, 1)
+
+    @property
+    def missing(self) -> Array:
+        """The length of all corrections to come, as these two predict it; at most that of the last."""
+        return self.change * jnp.where(self.n < 2, 1, jnp.minimum(2 * self.ratio, 1))
+
+
+class _Factored(Protocol):
+    """A matrix, factored: whether its pivots are positive, and its solutions."""
+
+    @property
+    def positive(self) -> Array: ...
+    @property
+    def solve(self) -> Callable[[Any], Any]: ...
+
+
+def repeated_chords(
+    residual: Callable[[_Unknown], _Unknown],
+    factored: Callable[[_Unknown], _Factored],
+    length: Callable[[_Unknown], Array],
+    x: _Unknown,
+    first: Array,
+    unit: Array,
+    most: int,
+) -> tuple[_Unknown, Array]:
+    """The root of `residual` near x by Newton's method that uses a matrix as long as it serves.
+
+    For many unknowns, where a matrix costs as much as several corrections. It is computed again when six more
+    corrections would not do, by the ratio of the last two. The iteration ends when what is missing is a
+    hundredth of a unit of rounding, or when a correction below 2¹⁶ units is more than half as long as the one before.
+
+    Args:
+        residual: x ↦ F(x), as in `root`.
+        factored: x ↦ F'(x), factored.
+        length: of a correction.
+        x: the first iterate.
+        first: the length that a steady solve may give its first correction.
+        unit: the length of a unit of rounding.
+        most: the most corrections.
+
+    Returns:
+        The last iterate; and the length of what is missing there, infinite if the solve was not steady or a pivot was
+        not positive.
+    """
+
+    def is_unfinished(c: _Chord) -> Array:
+        stalled = (c.change <= _STALLED * unit) & (c.ratio > 0.5)
+        return (c.n < most) & (c.missing > _ENOUGH * unit) & ~stalled & (c.monitor.growth < jnp.inf)
+
+    def serves(c: _Chord) -> Array:
+        enough = (c.change * c.ratio**_MORE <= _ENOUGH * unit) | (c.change <= _STALLED * unit)
+        return c.new | is_unfinished(c) & enough
+
+    def with_matrix(c: _Chord) -> _Chord:
+        K = factored(c.x)
+
+        def correct(c: _Chord) -> _Chord:
+            step = K.solve(residual(c.x))
+            change = lax.stop_gradient(length(step))
+            monitor = c.monitor.update(change)
+            x = jax.tree.map(jnp.subtract, c.x, step)
+            return _Chord(x, change, c.change, monitor, c.n + 1, jnp.zeros((), bool))
+
+        good = c.monitor._replace(growth=jnp.where(K.positive, c.monitor.growth, jnp.inf))
+        return lax.while_loop(serves, correct, c._replace(monitor=good, new=jnp.ones((), bool)))
+
+    far = jnp.full_like(unit, jnp.finfo(unit.dtype).max)
+    start = _Chord(x, far, far, ContractionMonitor.start(first), jnp.zeros((), int), jnp.zeros((), bool))
+    end = lax.while_loop(is_unfinished, with_matrix, start)
+    return end.x, jnp.where(_steady(end.monitor.growth), end.missing, jnp.inf)
 
 
 def quadratic(x: PyTree, step: PyTree) -> Array:

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -26,7 +27,7 @@ def observe(
     step: Step,
     state: State,
     dt: ArrayLike,
-    times: ArrayLike,
+    times: npt.ArrayLike,
     *,
     derivative: Derivative = "reversible",
     tolerance: float | None = None,

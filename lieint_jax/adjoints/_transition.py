@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
@@ -73,7 +74,7 @@ class Transition:
     matrix: Array
     by_parameters: PyTree
 
-    def covariance(self, initial: ArrayLike, parameter_covariance: ArrayLike | None = None) -> Array:
+    def covariance(self, initial: npt.ArrayLike, parameter_covariance: npt.ArrayLike | None = None) -> Array:
         """The linear covariance Φ P₀ Φᵀ + S P_p Sᵀ of the state, (…, 2d, 2d).
 
         Args:
@@ -92,11 +93,11 @@ class Transition:
 
     def ellipse(
         self,
-        initial: ArrayLike,
+        initial: npt.ArrayLike,
         coordinates: Sequence[int] = (0, 1),
         sigmas: float = 1.0,
         *,
-        parameter_covariance: ArrayLike | None = None,
+        parameter_covariance: npt.ArrayLike | None = None,
     ) -> Ellipse:
         """The error ellipse, or ellipsoid, of some coordinates of `covariance`.
 
@@ -133,7 +134,7 @@ def _propagate_covariance(A: Array, P: Array) -> Array:
     return A @ P @ jnp.swapaxes(A, -1, -2)
 
 
-def _covariance(name: str, given: ArrayLike, dim: int) -> Array:
+def _covariance(name: str, given: npt.ArrayLike, dim: int) -> Array:
     """A symmetric matrix (…, dim, dim)."""
     P = _checks.real_array(name, given)
     if P.shape[-2:] != (dim, dim):

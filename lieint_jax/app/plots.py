@@ -62,11 +62,7 @@ def figure(
 ) -> tuple[Figure, np.ndarray]:
     """Make a figure and its array of axes, (rows, columns), without pyplot, so that no window system is needed.
 
-    Args:
-        columns: number of columns of panels.
-        rows: number of rows of panels.
-        size: width and height of a panel in inches; by default those of the style.
-        axes: further keyword arguments of `Figure.subplots`.
+    `size` is that of a panel in inches, by default that of the style; `axes` are options of `Figure.subplots`.
     """
     width, height = size or _LOOK["figure.figsize"]
     fig = Figure(figsize=(width * columns, height * rows), layout="constrained")
@@ -80,12 +76,7 @@ def letter_panels(axes: np.ndarray, titles: Sequence[str]) -> None:
 
 
 def save(fig: Figure, path: Path) -> list[Path]:
-    """Write a figure as PNG and as PDF, and return the paths of both files.
-
-    Args:
-        fig: the figure.
-        path: path of the PNG; the PDF is written next to it.
-    """
+    """Write a figure as PNG at `path`, and as PDF next to it, and return the paths of both files."""
     with style():
         for _ in range(_LAYOUTS):
             fig.draw_without_rendering()
@@ -190,14 +181,8 @@ def log_error(
     A logarithmic axis has no zero: exact zeros are left out, and a curve that is zero throughout appears only in the
     legend, as "exactly 0".
 
-    Args:
-        ax: the axes.
-        t: times (n,).
-        curves: errors (n,) by label, at most eight.
-        ylabel: name of the errors.
-        time_unit: unit of t.
-        size: magnitude of the quantity whose errors these are; 1 for relative errors.
-        of: symbol of `size`, such as "|H₀|".
+    `curves` are at most eight errors (n,) by label, of a quantity of the magnitude `size`, 1 for relative errors, whose
+    symbol is `of`, such as "|H₀|".
     """
     epsilon = size * float(np.finfo(np.result_type(*curves.values(), np.float32)).eps)
     errors = {f"{label}: exactly 0" if not np.any(y) else label: abs(np.asarray(y)) for label, y in curves.items()}
@@ -224,12 +209,7 @@ def amplified_round_off(ax: Axes, t: np.ndarray, linearizations: np.ndarray, of:
 
     An error made at a time s has grown by ‖L(t) L(s)⁻¹‖ at t; the line is ε times the largest growth, over `_STARTS`
     times s. It grows like t for a stable motion, and exponentially about an unstable one, such as a middle axis.
-
-    Args:
-        ax: the axes, as `log_error` returns them.
-        t: times (n,).
-        linearizations: L(t), of the motion from its start to these times, (n, k, k).
-        of: symbol of the quantity whose errors are drawn.
+    `linearizations` are L(t), of the motion from its start to the times, (n, k, k); `of` is as in `log_error`.
     """
     growth = np.ones(len(t))
     for s in np.unique(np.linspace(0, len(t) - 1, _STARTS).astype(int)):
@@ -296,9 +276,8 @@ def _outline(direction: np.ndarray) -> np.ndarray:
 
 def unit_vectors(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
     """Unit vectors (n, 3) with the longitudes and latitudes (n,), in radians."""
-    return np.stack(
-        [np.cos(longitude) * np.cos(latitude), np.sin(longitude) * np.cos(latitude), np.sin(latitude)], axis=-1
-    )
+    c = np.cos(latitude)
+    return np.stack([c * np.cos(longitude), c * np.sin(longitude), np.sin(latitude)], axis=-1)
 
 
 def points(ax: Any, x: np.ndarray, y: np.ndarray, label: str, color: str = INK, **look: Any) -> Any:
@@ -393,10 +372,7 @@ def _view_direction(ax: SpatialAxes) -> np.ndarray:
 def delay_plot(ax: SpatialAxes, points: np.ndarray, symbol: str = "x") -> SpatialAxes:
     """Plot the points (x_n, x_{n+N}, x_{n+2N}) of a series, (n, 3), relative to the middle of their range, as dots.
 
-    Args:
-        ax: axes in three dimensions.
-        points: as `diagnostics.delay` returns them.
-        symbol: the symbol of x, in TeX.
+    They are those of `diagnostics.delay`; `symbol` is that of x, in TeX.
     """
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     power = int(np.floor(np.log10(np.ptp(points) / 2 or 1.0)))

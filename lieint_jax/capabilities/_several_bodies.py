@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 from collections.abc import Callable
 
 import jax
@@ -15,7 +16,7 @@ from lieint_jax.capabilities._forces import AbstractForcedSystem
 from lieint_jax.capabilities._one_body import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
-from lieint_jax.types import PhaseSpace, State, autodiff_gradient, pair_forces
+from lieint_jax.types import ChainLaw, PhaseSpace, State, autodiff_gradient, clock, pair_forces
 from lieint_jax.types.shapes import Inertia, PoseMomenta, Poses, Positions, PyTree, Rotations, Scalar, Time
 from lieint_jax.types.vectors import symmetric
 
@@ -98,13 +99,13 @@ class AbstractDissipativeBodies(AbstractManyBodies):
 
     Attributes:
         masses, inertias, potential: as in `AbstractRigidBodies`.
-        dissipation: a `PairLaw`, or a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), or None.
+        dissipation: a `PairLaw`, a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `ChainLaw`, or None.
         forces: a function (t, x, Λ, v, ω) ↦ (forces (N, 3), torques (N, 3)), or None; a system with it has a time.
     """
 
     noun = "bodies with dissipation or given forces (systems.rigid_bodies)"
     potential: Callable[[Array, Array], Array]
-    dissipation: Callable[..., PyTree] | None
+    dissipation: Callable[..., PyTree] | ChainLaw | None
     forces: Callable[..., PyTree] | None
 
     @property
@@ -112,11 +113,17 @@ class AbstractDissipativeBodies(AbstractManyBodies):
     def conservative(self) -> AbstractRigidBodies:
         """The same bodies without dissipation and given forces."""
 
+    def at(self, t: Time | None) -> AbstractRigidBodies:
+        """The conservative bodies in the potential as it is at the time t."""
+        return dataclasses.replace(self.conservative, potential=potentials.at_time(self.potential, t))  # pyright: ignore
+
     @equation
     def applied_force(self, t: Time | None, q: Poses, v: Positions, omega: Positions) -> tuple[PoseMomenta, Scalar]:
         """The forces and torques of dissipation and of `forces`, (N, 6), and their power; all in space."""
         force, power = jnp.zeros((q.shape[0], 6), q.dtype), jnp.zeros((), q.dtype)
-        if self.dissipation is not None:
+        if isinstance(self.dissipation, ChainLaw):
+            force, power = self.dissipation.act(t, q[:, :3], rotations(q), v, omega)
+        elif self.dissipation is not None:
             force, lost = pair_forces(self.dissipation, q[:, :3], v, omega)
             power = -lost
         if self.forces is not None:
@@ -130,7 +137,9 @@ class AbstractDissipativeBodies(AbstractManyBodies):
         """The motion with all forces and torques, and the rate of the work."""
         omega = jax.vmap(so3.Ad)(state.q[:, 3:], self.angular_velocities(state))
         v = state.p[:, :3] / self.masses[:, None]
-        moving, (force, power) = self.conservative.vector_field(state), self.applied_force(state.t, state.q, v, omega)
+        moving, (force, power) = self.at(state.t).vector_field(state), self.applied_force(state.t, state.q, v, omega)
+        if potentials.is_driven(self.potential):
+            power += jax.jvp(lambda t: self.at(t).energy(state), (clock(state),), (jnp.ones_like(power),))[1]
         return moving._replace(p=moving.p + force, work=power)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, overload
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,9 @@ from lieint_jax.diagnostics._symplectic import dimensionless_defect
 from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, start_time
+
+if TYPE_CHECKING:
+    from lieint_jax.schemes import Langevin
 
 _SPAN = 8  # the number of steps of size dt over which the order is measured
 
@@ -114,6 +117,10 @@ class Certificate(NamedTuple):
         return f"broken {law}"
 
 
+@overload
+def certify(step: Langevin, state: State, dt: float, num_steps: int) -> ThermalCertificate: ...  # pyright: ignore[reportOverlappingOverload]
+@overload
+def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate: ...
 def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate | ThermalCertificate:
     """Measure what `step` conserves from `state`: energy, momentum, form, order, reversibility.
 

@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -76,7 +77,7 @@ def lyapunov(
     *,
     exponents: int | None = None,
     every: int = 1,
-    vectors: ArrayLike | None = None,
+    vectors: npt.ArrayLike | None = None,
     batches: int = 64,
 ) -> Lyapunov:
     """The Lyapunov exponents of a run, the largest first in the limit, by QR decompositions of its tangent flow.
@@ -202,7 +203,7 @@ def standard_error(series: Array) -> Array:
 
 
 @old_calls()
-def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: ArrayLike | None = None) -> Megno:
+def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: npt.ArrayLike | None = None) -> Megno:
     """MEGNO of a run, which distinguishes chaotic from regular motion in a shorter run than Lyapunov exponents do.
 
     The memory is constant. Use jax.vmap for many states, or `li.ensemble.over_members` to use all cores.

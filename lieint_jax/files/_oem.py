@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -59,7 +61,7 @@ def write_oem(
     frame: str | None = None,
     center: str | None = None,
     object: str | None = None,  # noqa: A002
-    times: ArrayLike | None = None,
+    times: npt.ArrayLike | None = None,
     body: int | None = None,
     about: int | None = None,
     unit_length: float = 1.0,
@@ -84,7 +86,9 @@ def write_oem(
         ValueError: epoch, frame, center or object are known from nowhere, or the positions are.
     """
     given = {"epoch": epoch, "frame": frame, "center": center, "object": object}
-    known = {name: getattr(orbit, name, None) if value is None else value for name, value in given.items()}
+    known: dict[str, Any] = {
+        name: getattr(orbit, name, None) if value is None else value for name, value in given.items()
+    }
     if missing := [f"{name}=" for name, value in known.items() if value is None]:
         raise ValueError(f"give {', '.join(missing)}, which this orbit does not have")
     t, r, v = (np.asarray(x, float) for x in _states(orbit, times, body, about))
@@ -100,7 +104,7 @@ def write_oem(
 
 
 def _states(
-    orbit: Orbit | Run, times: ArrayLike | None, body: int | None, about: int | None
+    orbit: Orbit | Run, times: npt.ArrayLike | None, body: int | None, about: int | None
 ) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
     """Times, positions and velocities."""
     if isinstance(orbit, Run):

@@ -10,7 +10,7 @@ import dataclasses
 import warnings
 from collections.abc import Callable, Hashable
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, TypeVar, Unpack, overload
 
 import jax
 import jax.numpy as jnp
@@ -18,13 +18,14 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.fitting import _bounds
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
 from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
-from lieint_jax.fitting._outcome import End, Fit, number_names, outcome, parameter_names
+from lieint_jax.fitting._outcome import End, Fit, Params, number_names, outcome, parameter_names
 from lieint_jax.fitting._scipy import Look
 from lieint_jax.fitting._scipy import least_squares as by_scipy
 from lieint_jax.fitting._search import (
@@ -48,9 +49,45 @@ if TYPE_CHECKING:
 
 LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton", "scipy")
 _MOST_KEPT = 16  # compiled fits
+_Key = TypeVar("_Key", bound=Hashable)
 _Flat = tuple[Any, tuple[Hashable, ...]]  # the structure and the leaves of a tree
 
 
+class _Options(TypedDict, total=False):
+    """The arguments of `fit` on which the type of its result does not depend."""
+
+    bounds: PyTree
+    iterations: int
+    tolerance: float
+    target: float | None
+    standardized: bool
+    starts: bool
+    data: PyTree
+    mesh: Mesh | None
+    progress: bool
+
+
+@overload
+def fit(
+    loss: Callable[..., PyTree],
+    params: ArrayLike,
+    optimizer: str | GradientTransformation = ...,
+    **options: Unpack[_Options],
+) -> Fit[Array]: ...
+@overload
+def fit(
+    loss: Callable[..., PyTree],
+    params: dict[_Key, ArrayLike],
+    optimizer: str | GradientTransformation = ...,
+    **options: Unpack[_Options],
+) -> Fit[dict[_Key, Array]]: ...
+@overload
+def fit(
+    loss: Callable[..., PyTree],
+    params: Params,
+    optimizer: str | GradientTransformation = ...,
+    **options: Unpack[_Options],
+) -> Fit[Params]: ...
 def fit(
     loss: Callable[..., PyTree],
     params: PyTree,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from lieint_jax.fitting._search import GOOD, NOWHERE, REASONS, RUNNING, STUCK
 from lieint_jax.types.shapes import PyTree
 
+Params = TypeVar("Params")  # a tree of arrays
 _Numbers = PyTree  # arrays of JAX at the end of a search, of numpy in its report
 _RARE = 4.75  # standard deviations of a normal distribution that one of a million values is above
 _MOST_ROWS, _MOST_COLUMNS = 20, 6  # of the starts and parameters that a table shows
@@ -24,7 +25,7 @@ _TRY = {
 }
 
 
-class MultiStartResult(NamedTuple):
+class MultiStartResult(NamedTuple, Generic[Params]):
     """The results of all starts of a fit, `fit.starts`, in the order of the guesses. Its `repr` is a table, best first.
 
     Attributes:
@@ -40,7 +41,7 @@ class MultiStartResult(NamedTuple):
             measured for the best start alone.
     """
 
-    params: PyTree
+    params: Params
     loss: np.ndarray
     success: np.ndarray
     at_bound: np.ndarray
@@ -51,7 +52,7 @@ class MultiStartResult(NamedTuple):
     messages: tuple[str, ...] = ()
 
     @property
-    def standard_errors(self) -> PyTree:
+    def standard_errors(self) -> Params:
         """Square roots of the variances, in the structure of `params`; NaN without success."""
         if self.covariance is None:
             raise ValueError(_NO_COVARIANCE)
@@ -77,7 +78,7 @@ class MultiStartResult(NamedTuple):
         return "\n".join([*lines, *[f"… and {left} more"] * (left > 0)])
 
 
-class Fit(NamedTuple):
+class Fit(NamedTuple, Generic[Params]):
     """The result of `fit`. With many starts, the best of them; `starts` holds all.
 
     Attributes:
@@ -100,7 +101,7 @@ class Fit(NamedTuple):
             bound; None if the fit is not by least squares.
     """
 
-    params: PyTree
+    params: Params
     loss: float
     stopped: str
     success: bool
@@ -109,7 +110,7 @@ class Fit(NamedTuple):
     failures: int
     history: np.ndarray
     covariance: np.ndarray | None
-    starts: MultiStartResult | None
+    starts: MultiStartResult[Params] | None
     message: str = ""
     degrees_of_freedom: int | None = None
 
@@ -121,7 +122,7 @@ class Fit(NamedTuple):
         return 2 * self.loss
 
     @property
-    def standard_errors(self) -> PyTree:
+    def standard_errors(self) -> Params:
         """Square roots of the variances, in the structure of the parameters."""
         if self.covariance is None:
             raise ValueError(_NO_COVARIANCE)

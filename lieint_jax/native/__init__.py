@@ -11,7 +11,7 @@ GPU Triton compiles the whole loop as one kernel (`_kernel`).
 
 from lieint_jax.native._explain import Explanation, LoopReport, explain, loops_of
 from lieint_jax.native._march import Loop, hoisted, march
-from lieint_jax.native._march_code import LoopCode, computed_by, engine_name, machine_code
+from lieint_jax.native._march_code import LoopCode, computed_by, engine_name, machine_code, warn_once
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._scan import engine, scan
 from lieint_jax.native._traced import make_once
@@ -33,4 +33,5 @@ __all__ = [
     "march",
     "scan",
     "unsupported_if_it_fails",
+    "warn_once",
 ]

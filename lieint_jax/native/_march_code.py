@@ -33,6 +33,7 @@ _EXPECTED = (
     "chosen by li.engine or LIEINT_ENGINE",
     "no steps or no members",
 )  # reasons for XLA of which the log says nothing
+NO_COMPILER = "llvmlite, the compiler of machine code, is not installed (pip install llvmlite)"
 ENGINES = ("native", "xla")
 _KERNEL = "kernel"  # on a GPU the one for "native", too; on a CPU it is interpreted, for tests
 chosen_engine = jax.make_user_context(None)  # one of these, or None; JAX traces again where it differs
@@ -55,7 +56,10 @@ class LoopCode:
     engine = ENGINES[0]
 
     def __init__(self, body: _Body, kinds: AnyArrays, examples: AnyArrays):
-        from lieint_jax.native import _machine
+        try:
+            from lieint_jax.native import _machine
+        except (ImportError, OSError) as error:  # missing, or a library that this machine cannot load
+            raise ImportError(NO_COMPILER) from error
         from lieint_jax.native._pieces import modules
 
         begin = time.perf_counter()
@@ -136,7 +140,7 @@ def _compiled(*arguments: AnyArray, loop: Loop, platform: str) -> list[AnyArray]
     found = machine_code(loop, platform)
     if isinstance(found, str):
         if found not in _EXPECTED:
-            _say_once(found)
+            warn_once("a loop", found)
         return by_xla(*arguments, loop=loop)
     if isinstance(found, KernelCode):
         return found.call(arguments, loop, interpret=platform == "cpu")
@@ -158,9 +162,14 @@ def computed_by(engine: str, threads: int) -> Iterator[None]:
         yield
 
 
+def warn_once(what: str, reason: str) -> None:
+    """Let the log name once why XLA runs it; without llvmlite once for everything."""
+    _log_once("every loop" if reason == NO_COMPILER else what, reason)
+
+
 @functools.cache
-def _say_once(reason: str) -> None:
-    _log.warning("XLA runs a loop, which is slower than machine code: %s", reason)
+def _log_once(what: str, reason: str) -> None:
+    _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
 
 
 def _lowering(function: Callable[..., list[AnyArray]]) -> Callable[..., Any]:

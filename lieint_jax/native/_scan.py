@@ -4,25 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import jax
 import numpy as np
 
 from lieint_jax.native import _march_derivatives, _march_members  # noqa: F401  # the rules of the primitive
-from lieint_jax.native._march import Tree, march
+from lieint_jax.native._march import march
 from lieint_jax.native._march_code import ENGINES, chosen_engine
+
+_Carry = TypeVar("_Carry")
+_X = TypeVar("_X")
+_Y = TypeVar("_Y")
 
 
 def scan(
-    f: Callable[[Any, Any], tuple[Any, Any]],
-    init: Tree,
-    xs: Tree = None,
+    f: Callable[[_Carry, _X], tuple[_Carry, _Y]],
+    init: _Carry,
+    xs: _X | None = None,
     length: int | None = None,
     *,
     every: int = 1,
     reverse: bool = False,
-) -> tuple[Tree, Tree]:
+) -> tuple[_Carry, _Y]:
     """`jax.lax.scan` in machine code: small steps, and above all their gradients, run faster.
 
     Under `jax.vmap` the members are the lanes of the processor's vectors. A step that XLA fuses into one operation on

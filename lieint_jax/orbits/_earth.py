@@ -56,7 +56,7 @@ def days_since_j2000(date: ArrayLike | Epoch | str, universal: bool = True) -> A
     """
     if isinstance(date, np.ndarray | np.generic | Array | list | tuple) and not isinstance(date, float):
         return jnp.asarray(date) - J2000
-    found = epoch(date)
+    found = epoch(date)  # pyright: ignore[reportArgumentType]  # which refuses what is no date
     return (found if found.scale == "UT1" or not universal else found.to("UTC")).julian_date - J2000
 
 

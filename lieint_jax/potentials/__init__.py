@@ -7,7 +7,7 @@
 | `ellipsoid_sphere`, `point_masses` | gravity: of an ellipsoid and a sphere, of mascons |
 | `point_charges`, `lennard_jones`, `sites` | molecules: charges, dispersion, both |
 | `molecule`, `water` | a rigid molecule of sites, with its principal axes; TIP4P water |
-| `rod` | the stored energy of a chain of cross sections |
+| `rod`, `held` | the stored energy of a chain of cross sections; its ends clamped or driven |
 | `springs`, `uniform_field`, `outer_field` | springs between bodies; fields from outside, uniform or any |
 
 Any function of positions and rotations is a potential too; autodiff then computes forces and torques. `symmetry` gives

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
@@ -34,6 +34,7 @@ class UniformField(Potential):
     field: Array
     weights: Array
     moments: Array
+    chain = True  # it acts on each body alone
 
     @property
     def count(self) -> int:

@@ -8,12 +8,23 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
-from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types import State, callable_pytree, clock, pytree
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
-__all__ = ["Potential", "SumPotential", "count", "invariant_form", "symmetry", "torques"]
+__all__ = [
+    "Potential",
+    "SumPotential",
+    "at_time",
+    "count",
+    "given_poses",
+    "invariant_form",
+    "is_driven",
+    "symmetry",
+    "torques",
+]
 
 _APART = 1e-6  # above this |ΔI|²/|I|² the quadrature is corrected so that D·ΔI = ΔV exactly
 
@@ -30,6 +41,7 @@ class Potential:
     """
 
     chain = False  # whether each body acts only on the one before and the one after it
+    driven = False  # whether it has poses that are given functions of time, `poses(t)`, and `at(t)` with those constant
 
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return self.value(self.invariants(x, R))  # pyright: ignore[reportAttributeAccessIssue]
@@ -115,6 +127,21 @@ def count(potential: Callable[[Array, Array], Array]) -> int | None:
 def symmetry(potential: Callable[[Array, Array], Array]) -> Array | None:
     """The projector to the part of (P, L) that a potential or a plain function conserves; None if all is conserved."""
     return getattr(potential, "symmetry", None)
+
+
+def is_driven(potential: Callable[[Array, Array], Array]) -> bool:
+    """Whether a potential or a plain function has poses that are given functions of time."""
+    return getattr(potential, "driven", False)
+
+
+def at_time(potential: Callable[[Array, Array], Array], t: Array | None) -> Callable[[Array, Array], Array]:
+    """A potential with the poses that are given functions of time at their values at t; others are unchanged."""
+    return potential.at(t) if is_driven(potential) else potential  # pyright: ignore
+
+
+def given_poses(potential: Callable[[Array, Array], Array], state: State, late: ArrayLike = 0.0) -> tuple[Array, ...]:
+    """The further arguments of `invariants`: given poses a time `late` after that of a state, or none."""
+    return potential.poses(clock(state) + late) if is_driven(potential) else ()  # pyright: ignore
 
 
 def torques(R: Rotations, along_R: Rotations) -> Positions:

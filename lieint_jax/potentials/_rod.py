@@ -14,27 +14,35 @@ diagonal A = ½ tr(C_κ) − C_κ,
     directors   V_b = (1/2ℓ) s·C_κs                       = ½ℓ κ·C_κκ (1 − θ²/3 + …)
     fourth      V_b = (1/ℓ)[(4/3) A·o − (1/6) s·C_κs]     = ½ℓ κ·C_κκ (1 − θ⁴/90 + …)
 
-Both are quadratic in Γ, s and o, so their discrete gradient is the gradient at the mean.
+Both are quadratic in Γ, s and o, so their discrete gradient is the gradient at the mean. About one axis V_b is convex
+up to cos θ = 1 − ½√6, θ = 103°, and up to 45° for the directors. About any axis, as a function of the rotation vector,
+it is convex up to 102° and 45° for stiffnesses within a factor of 2, by its Hessian, and less far for others. V is NaN
+where an element turns further than about one axis: Σo = 2(1 − cos θ).
 """
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
+from jax import Array, lax
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.groups import so3, special_euclidean
+from lieint_jax._numerics.power_series import stumpff
+from lieint_jax._xla import compiled
+from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import pytree, static
-from lieint_jax.types.shapes import Positions, Rotations, Scalar
+from lieint_jax.types import pytree, static, vectors
+from lieint_jax.types.shapes import Poses, Positions, Rotations, Scalar
 
 __all__ = ["Rod", "rod"]
 
 _OTHERS = ((1, 2), (2, 0), (0, 1))
 _ENERGIES = {"fourth": (4 / 3, -1 / 3), "directors": (0.0, 1.0)}  # the factors of A·o/ℓ and of s·C_κs/2ℓ
+_FARTHEST = {"fourth": 6**0.5, "directors": 2 - 2**0.5}  # Σo where V_b ceases to be convex
 
 
 @pytree
@@ -57,6 +65,10 @@ class Rod(Potential):
     half_turn: Array
     energy: str = static(default="fourth")
     chain = True
+    domain = (
+        "potentials.rod has no value where an element turns by more than 103° from its natural shape (45° with the "
+        "energy of directors), beyond which its energy is not convex: use more elements"
+    )
 
     @property
     def count(self) -> int:
@@ -74,7 +86,7 @@ class Rod(Potential):
         strain, s, o = invariants
         opened, squared = _ENERGIES[self.energy]
         stretched = jnp.sum(self.stretching * (strain - self.natural_strain) ** 2, axis=1)
-        bent = jnp.sum(2 * opened * self._opposite * o + squared * self.bending * s**2, axis=1)
+        bent = jnp.sum(2 * opened * self._opposite * o + squared * self.bending * s**2 + self._outside(o), axis=1)
         return jnp.sum(self.lengths * stretched + bent / self.lengths) / 2
 
     def discrete_gradient(
@@ -82,10 +94,30 @@ class Rod(Potential):
     ) -> tuple[Array, Array, Array]:
         """D with D·(end − start) = V(end) − V(start): the gradient at the mean, as V is quadratic."""
         strain, s, _ = ((a + b) / 2 for a, b in zip(start, end, strict=True))
+        opposite = self._opposite + self._outside(start[2]) + self._outside(end[2])
         opened, squared = _ENERGIES[self.energy]
         lengths = self.lengths[:, None]
         along_strain = lengths * self.stretching * (strain - self.natural_strain)
-        return along_strain, squared * self.bending * s / lengths, opened * self._opposite / lengths
+        return along_strain, squared * self.bending * s / lengths, opened * opposite / lengths
+
+    def _outside(self, o: Array) -> Array:
+        """NaN for elements whose energy is not convex, otherwise 0, (N − 1, 1)."""
+        return jnp.where(jnp.sum(o, axis=1, keepdims=True) < _FARTHEST[self.energy], 0.0, jnp.nan).astype(o.dtype)
+
+    def natural_shape(self, first: Array) -> Poses:
+        """The poses (N, 7) of the sections in the natural shape, where V = 0, from that of the first, (7,)."""
+        whole = _product(self.half_turn, self.half_turn)
+        mean = (jnp.eye(3, dtype=whole.dtype) + whole) / 2  # of the directors, in the first section
+        chord = jax.vmap(lambda d, strain: jnp.stack(vectors.matrix(d.T).solve(strain)))(mean, self.natural_strain)
+
+        def following(pose: Array, element: tuple[Array, Array]) -> tuple[Array, Array]:
+            x, q = pose[:3], pose[3:]
+            turned = so3.normalize(so3.multiply(q, element[1]))
+            pose = jnp.concatenate([x + so3.Ad(q, element[0]), turned])
+            return pose, pose
+
+        steps = self.lengths[:, None] * chord, jax.vmap(so3.from_matrix)(whole)
+        return jnp.concatenate([first[None], lax.scan(following, first, steps)[1]])
 
     @property
     def _opposite(self) -> Array:
@@ -98,6 +130,7 @@ def rod(
     stretching: ArrayLike,
     bending: ArrayLike,
     natural_curvature: ArrayLike = 0.0,
+    *,
     energy: str = "fourth",
 ) -> Rod:
     """The stored energy of a rod of N rigid cross sections, each bound to the next by an element.
@@ -134,16 +167,21 @@ def rod(
     if energy not in _ENERGIES:
         raise ValueError(f"energy must be one of {', '.join(_ENERGIES)}, got {energy!r}")
     curvature = jnp.broadcast_to(_checks.real_array("natural_curvature", natural_curvature, (), (3,), rows), rows)
-    strain, half = jax.vmap(_natural)(ell, curvature)
+    strain, half = _natural(ell, curvature)
     return Rod(ell, along, turning, strain, half, energy)
 
 
-def _natural(length: Array, curvature: Array) -> tuple[Array, Array]:
-    """Γ₀ and H of an element with this curvature along its whole length."""
-    twist = jnp.concatenate([length * curvature, jnp.array([0, 0, 1], curvature.dtype)])
-    pose = special_euclidean(3).exp(twist)  # of the second section, in the first, in units of the length
-    chord, turned = pose[:3, 3], pose[:3, :3]
-    return (chord + jnp.sum(turned * chord[:, None], axis=0)) / 2, so3.to_matrix(so3.exp(twist[:3] / 2))
+@partial(compiled, once=True)
+def _natural(lengths: Array, curvature: Array) -> tuple[Array, Array]:
+    """Γ₀ and H of elements with a curvature along their whole lengths.
+
+    In the axes of the middle, with θ = ℓκ₀, Γ₀ = sinc |θ| e₃ + (1 − sinc |θ|) θ₃θ/|θ|²: the product of the mean of the
+    directors, which is cos ½|θ| across θ, with the chord, sinc ½|θ| across θ; both are 1 along θ.
+    """
+    turn = lengths[:, None] * curvature
+    _, sinc, _, g = stumpff(jnp.sum(turn**2, axis=1, keepdims=True))
+    strain = g * turn[:, 2:] * turn + sinc * jnp.array([[0, 0, 1.0]], turn.dtype)
+    return strain, jax.vmap(so3.to_matrix)(jax.vmap(so3.exp)(turn / 2))
 
 
 def _product(A: Array, B: Array) -> Array:

@@ -46,6 +46,7 @@ from lieint_jax.runs._over_members import over_members
 from lieint_jax.runs._part_of_task import part_of_task, part_of_text
 from lieint_jax.runs._results import compute, untransformed
 from lieint_jax.runs._run import Run
+from lieint_jax.runs._submit import Executor, submit
 
 __all__ = [
     "MOST_TO_OUTPUTS",
@@ -53,6 +54,7 @@ __all__ = [
     "Body",
     "Clock",
     "Event",
+    "Executor",
     "GridClock",
     "MakeStates",
     "Progress",
@@ -99,6 +101,7 @@ __all__ = [
     "step_at_node",
     "steps",
     "store",
+    "submit",
     "trajectory",
     "uniform_clock",
     "untransformed",

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -138,7 +139,7 @@ def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) 
 
 
 def clock_of(
-    step: Step, state: State, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+    step: Step, state: State, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: npt.ArrayLike | None
 ) -> tuple[Clock, int]:
     """The clock of a run from a state, and the number of steps."""
     if times is None:
@@ -195,7 +196,9 @@ def more_times(step: Step, state: State, size: ArrayLike) -> str:
     return ""
 
 
-def outputs(save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, num_steps: int, dtype: Any) -> Array:
+def outputs(
+    save_at: npt.ArrayLike, clock: UniformClock | RoundedClock | GridClock, num_steps: int, dtype: Any
+) -> Array:
     """The output times; ValueError if concrete ones are out of order or outside the run."""
     wanted = _checks.real_array("save_at", save_at).astype(dtype)
     if wanted.ndim != 1:

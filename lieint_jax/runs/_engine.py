@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import logging
 from collections.abc import Callable, Sequence
 
@@ -12,7 +11,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax import native
-from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails
+from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._clock import UniformClock
 from lieint_jax.runs._comparison import difference, few_members
@@ -38,15 +37,10 @@ def engine_of(job: Job, mesh: Mesh, threads: int) -> Engine:
         _log.info("%s runs %s: it computes every operation of the step", what, job.step.name)
         return engine
     if on_cpu:
-        _warn_once("ensembles" if "llvmlite" in reason else job.step.name, reason)
+        warn_once(job.step.name, reason)
     else:
         _log.info("XLA runs %s: %s", job.step.name, reason)
     return Engine(job, "xla", threads)
-
-
-@functools.cache
-def _warn_once(what: str, reason: str) -> None:
-    _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
 
 
 class Engine:

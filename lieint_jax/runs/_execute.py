@@ -46,7 +46,7 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
         result = output.result(carry)
-    _warn_of_failures(_layout.gather(layout, carry.failed), job.first_member)
+    warn_of_failures(_layout.gather(layout, carry.failed), job.first_member)
     return result
 
 
@@ -118,7 +118,8 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
         raise ValueError(f"the first step fails for {list_members(bad + first)}. Member {bad[0] + first}: {advice}")
 
 
-def _warn_of_failures(failed: np.ndarray, first: int) -> None:
+def warn_of_failures(failed: np.ndarray, first: int) -> None:
+    """Warn of members, from number `first` on, that did not converge at a step."""
     bad = np.flatnonzero(failed >= 0)
     if bad.size:
         bad = bad[np.argsort(failed[bad], kind="stable")]

@@ -8,6 +8,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -44,8 +45,8 @@ def integrate(
     num_steps: int | None = None,
     *,
     save_every: int = 1,
-    times: ArrayLike | None = None,
-    save_at: ArrayLike | None = None,
+    times: npt.ArrayLike | None = None,
+    save_at: npt.ArrayLike | None = None,
     adjoint: Adjoint | None = None,
 ) -> Trajectory:
     """The trajectory of `num_steps` steps of size `dt`, or of steps from one of the `times` to the next.

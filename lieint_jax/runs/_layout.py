@@ -8,6 +8,7 @@ last member, so that each has equally many.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from collections.abc import Callable
 from functools import cache, partial
@@ -17,6 +18,8 @@ import jax
 import numpy as np
 from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from lieint_jax import _checks
 
 _T = TypeVar("_T")
 Tree = Any  # a tree of arrays
@@ -72,9 +75,18 @@ def checked_mesh(mesh: Mesh | None) -> Mesh:
 
 
 def count_cores() -> int:
-    """The number of cores that this process may use."""
+    """The number of cores that this process may use, at least 1.
+
+    The least of those on which it may run, of the CPU quota of its control group (1 for half a CPU), and of
+    SLURM_CPUS_PER_TASK and OMP_NUM_THREADS, by which SLURM, Dask, Ray and joblib give each worker its share.
+    """
     affinity = getattr(os, "sched_getaffinity", None)  # not on every system
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
+    limits = [float(len(affinity(0)) if affinity else os.cpu_count() or 1)]
+    for quota in _checks.limits_of_groups("cpu", "cpu.max", "cpu.cfs_quota_us", "cpu.cfs_period_us"):
+        limits += [quota[0] / quota[1]] if quota[0] > 0 else []
+    shares = (os.environ.get(name, "").split(",")[0] for name in ("SLURM_CPUS_PER_TASK", "OMP_NUM_THREADS"))
+    limits += [float(share) for share in shares if share.isdecimal() and int(share)]
+    return math.ceil(min(limits))
 
 
 def want_devices(count: int | None) -> None:

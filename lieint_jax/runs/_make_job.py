@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.native import make_once
@@ -138,7 +138,7 @@ def _make_clock(
     states: State,
     t0: _layout.Numbers | None,
     dtype: np.dtype,
-    dt: ArrayLike | None,
+    dt: jax.typing.ArrayLike | None,
     num_steps: int | None,
     times: ArrayLike | None,
 ) -> tuple[UniformClock | RoundedClock | GridClock, int]:

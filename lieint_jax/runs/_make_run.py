@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, TypedDict, Unpack, overload
 
 from jax.sharding import Mesh
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
-from lieint_jax.dates import text_of
+from lieint_jax.dates import DateLike, text_of
+from lieint_jax.runs._job import MemberSummary, Summary
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs._member_axis import check_own_steps, is_batch, with_member_axis
@@ -18,9 +19,62 @@ from lieint_jax.runs._run import Run, computed_run, stored_run
 from lieint_jax.runs.store._reading import open_with_step
 from lieint_jax.runs.store._storage import address
 from lieint_jax.runs.store._store_options import StoreOptions
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, Trajectory
+
+_AnyRun = Run[Trajectory | None, Summary | MemberSummary | None]
 
 
+class _Options(TypedDict, total=False):
+    """The arguments of `run` on which the type of its result does not depend."""
+
+    save_every: int | None
+    own_step: bool
+    mesh: Mesh | None
+    store: str | Path | StoreOptions | None
+    progress: bool
+    resume: bool
+    times: ArrayLike | None
+    save_at: ArrayLike | None
+    part: tuple[int, int] | Literal["auto"] | None
+    members: int | None
+    threads: int | None
+    same_bits: bool
+    epoch: DateLike | None
+
+
+@overload
+def run(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    reduce: None = ...,
+    **options: Unpack[_Options],
+) -> Run[Trajectory, None]: ...
+@overload
+def run(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    reduce: Reduction | Literal["energy"],
+    per: None = ...,
+    **options: Unpack[_Options],
+) -> Run[None, Summary]: ...
+@overload
+def run(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    reduce: Reduction | Literal["energy"],
+    per: Literal["member"],
+    first: Reduction | None = ...,
+    **options: Unpack[_Options],
+) -> Run[None, MemberSummary]: ...
 @untransformed("li.run")
 def run(
     step: Step,
@@ -42,8 +96,9 @@ def run(
     part: tuple[int, int] | Literal["auto"] | None = None,
     members: int | None = None,
     threads: int | None = None,
-    epoch: Any = None,
-) -> Run:
+    same_bits: bool = True,
+    epoch: DateLike | None = None,
+) -> _AnyRun:
     """Run a step from initial states, of one body or of many, in memory or into a store that can be resumed.
 
     On a CPU the loop is machine code for vectors of members, in one thread per core (`lieint_jax.native`). Steps that
@@ -57,24 +112,22 @@ def run(
         step: a scheme's step; with `own_step=True` its leaves carry the member axis too (one inertia per member).
         states: the initial state of one body; or those of a batch, whose arrays have a leading member axis, so one axis
             more. A time t of shape () is shared by all members, and so is one of shape (members,) whose values are
-            equal: then what depends on it alone, such as the position on an orbit, is computed once per step. `work` of
-            shape () is that of every member. Or a function of member numbers (m,), which returns the states of these
-            members: then a part makes only its own. It is called for consecutive numbers, up to 65 536 at once, must
-            return the same for the same numbers in every process, and shares a time only by one of shape ().
+            equal: what depends on it alone, such as the position on an orbit, is computed once per step. `work` of
+            shape () is that of every member. Or a function of member numbers (m,), which returns their states: then a
+            part makes only its own. It is called for up to 65 536 consecutive numbers, must return the same for the
+            same numbers in every process, and shares a time only by one of shape ().
         dt: step size, the same for all members.
         num_steps: number of steps, a multiple of `save_every`.
         save_every: number of steps between saved states; None saves the last state only.
         own_step: each member has a step of its own, made by `jax.vmap`.
         reduce: a quantity, "energy" (minus the work, where states have it) or a function (step, state) ↦ scalar.
-            Intermediate states are not saved; the result has instead, for each save interval, the least, greatest and
-            mean change of the quantity over all steps and members; with save_every=None, of the whole run. All three
-            are NaN where the quantity was NaN.
+            No states are saved but, for each save interval (all steps with save_every=None), the least, greatest and
+            mean change of the quantity over all steps and members; NaN where the quantity was NaN.
         per: "member" reduces each member over all steps, the start included: `run.summary` has the least, greatest,
             mean and last value (not change) of the quantity for each.
         first: with `per="member"`, a condition (step, state) ↦ flag: `run.summary.first` is the first time at which it
             is true, NaN if never.
-        mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all. Machine code uses as many threads
-            as the mesh has devices of this process, by default one per core.
+        mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all.
         store: a folder NAME.zarr, a URL (s3://, gs://, az:// or memory://BUCKET/NAME.zarr), or `StoreOptions`, to which
             results are written during the run; memory then holds two rows of chunks of them: see `peak_memory`.
             Credentials for a URL are those in the environment.
@@ -86,12 +139,13 @@ def run(
             different times. The run ends at the last of them.
         part: (k, n) integrates part k = 0 … n − 1 of the members only, as one of n processes that need not run at the
             same time or communicate. Each writes its own part of `store`; it continues this part, if the store
-            has it, and starts it otherwise. "auto" is the number of this task in an array of tasks: see
-            `part_of_task`. In machine code all parts have the bits of one process.
+            has it, and starts it otherwise. "auto" is the number of this task in an array: see `part_of_task`. In
+            machine code all parts have the bits of one process.
         members: the number of members, where `states` is a function.
-        threads: the number of threads of machine code.
-        epoch: the date of t = 0 as in `li.dates.epoch`, such as "2026-03-01T12:00:00 UTC"; it changes no number of the
-            run, whose `epoch` it is.
+        threads: the number of threads of machine code; by default that of devices in `mesh`, or `ensemble.count_cores`.
+        same_bits: refuse to continue a store on another kind of processor or with another JAX, whose last bits may
+            differ; False accepts it. Each part records those that have computed it.
+        epoch: the date of t = 0 as in `li.dates.epoch`, such as "2026-03-01T12:00:00 UTC"; it changes no number.
 
     Returns:
         A `Run`. Its t is t₀ + nΔt, where t₀ is the shared time of the members, or 0; times since the start, if members
@@ -110,9 +164,8 @@ def run(
         processes.LostProcess: another process of this run is gone.
 
     Warns:
-        RuntimeWarning: a store that cannot be resumed, since the step refers to something that cannot be compared;
-            members that fail to converge later, with the first such step of each; a time of the states
-            so large that neighboring floating-point numbers differ by more than dt/10⁶.
+        RuntimeWarning: a step that refers to something that cannot be compared, so that the store cannot be resumed;
+            members that fail to converge later; times so large that their floating-point numbers are dt/10⁶ apart.
     """
     if own_step:
         check_own_steps(step, members if callable(states) else len(states.p))
@@ -138,13 +191,14 @@ def run(
         part=part,
         members=members,
         threads=threads,
+        same_bits=same_bits,
         batch=batch,
         epoch=text_of(epoch),
     )
     return computed_run(computed, batch)
 
 
-def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> Run:
+def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> _AnyRun:
     """The run in a store, as `run` has written it or is writing it. Its arrays are read when they are indexed.
 
     Args:

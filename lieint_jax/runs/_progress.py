@@ -24,12 +24,12 @@ class Bar:
     It is on stderr, if that is a terminal, or below the cell of a notebook, where a run takes more than a second.
     """
 
-    def __init__(self, shown: bool, num_steps: int, count: int, done: int) -> None:
+    def __init__(self, shown: bool, num_steps: int, count: int, done: int, unit: str = " body-steps") -> None:
         self._count, self._worst, self._delayed = count, 0.0, _in_notebook()
         self._bar = _tqdm()(
             total=num_steps * count,
             initial=done * count,
-            unit=" body-steps",
+            unit=unit,
             unit_scale=True,
             disable=not (shown and self.is_visible()),
             leave=False,

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax.errors import ConcretizationTypeError, TracerArrayConversionError
 from jax.sharding import Mesh
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.runs import _layout, _loop, processes
@@ -99,6 +99,7 @@ def compute(
     threads: int | None = None,
     per: Literal["member"] | None = None,
     first: Reduction | None = None,
+    same_bits: bool = True,
     batch: bool = True,
     earlier: Saves | None = None,
     epoch: str = "",
@@ -106,7 +107,7 @@ def compute(
     """The results of a run; arguments as in `ensemble.run`.
 
     Args:
-        threads, per, first: as in `li.run`.
+        threads, per, first, same_bits: as in `li.run`.
         epoch: the text of an epoch, or "".
         batch: whether it is of a batch, not of one body; states have the member axis in either case.
         earlier: the saves in memory of a run that this one continues.
@@ -153,7 +154,17 @@ def compute(
             assert saves is not None
             return Results(job, engine.name, saves)
         stored = run_into_store(
-            job, engine.name, whole, mesh, options, split, k, in_parts or remote, resume or part is not None, integrate
+            job,
+            engine.name,
+            whole,
+            mesh,
+            options,
+            split,
+            k,
+            in_parts or remote,
+            resume or part is not None,
+            same_bits,
+            integrate,
         )
     return Results(job, engine.name, Saves(stored.found, stored.failed), stored, str(options.path))
 
@@ -170,7 +181,7 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
     try:
         hidden = StoreOptions(unfinished, options.attributes)
         split, feed = split_into_parts(job, 1, False), partial(_feed, job, saves)
-        run_into_store(job, engine, job, _layout.checked_mesh(None), hidden, split, 0, False, False, feed)
+        run_into_store(job, engine, job, _layout.checked_mesh(None), hidden, split, 0, False, False, True, feed)
         os.rename(unfinished, path)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)

@@ -7,19 +7,20 @@ import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, dates
+from lieint_jax._free_body import Periods
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._facts import Facts, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
-from lieint_jax.runs._job import MemberSummary, Saves
+from lieint_jax.runs._job import MemberSummary, Saves, Summary
 from lieint_jax.runs._make_job import checked_job
 from lieint_jax.runs._member_axis import is_batch, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._results import Results, compute, write
@@ -39,14 +40,23 @@ from lieint_jax.types import (
     static,
 )
 
-Tree = Any  # a tree of arrays
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from scipy.spatial.transform import Rotation
+    from xarray import Dataset
+
+Saved = TypeVar("Saved", bound=Trajectory | None, covariant=True)
+Reduced = TypeVar("Reduced", bound=Summary | MemberSummary | None, covariant=True)
+_T = TypeVar("_T")  # a tree of arrays
 _SECONDS = {"1": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "day": 86400.0}  # of units of time
 _BLOCK = 2**26  # bytes of states that `map` reads from disk at once
 
 
 @pytree
-class Run:
+class Run(Generic[Saved, Reduced]):
     """The states, or a summary of them, that a step made of initial states.
+
+    To a type checker it is `Run[Trajectory, None]`, reduced `Run[None, Summary]` or `Run[None, MemberSummary]`.
 
     In memory a run is a pytree, which can be passed to a function under jit. The arrays of a run on disk are read where
     they are indexed, and it is no pytree: `load` brings it to memory.
@@ -67,8 +77,8 @@ class Run:
 
     step: Step
     start: State | None
-    trajectory: Any
-    summary: Any
+    trajectory: Saved
+    summary: Reduced
     failed: Array
     reduction: Any
     condition: Any
@@ -76,7 +86,9 @@ class Run:
     facts: Facts = static()
 
     @staticmethod
-    def of(step: Step, trajectory: Trajectory, own_step: bool = False, epoch: Any = None) -> Run:
+    def of(
+        step: Step, trajectory: Trajectory, own_step: bool = False, epoch: dates.DateLike | None = None
+    ) -> Run[Trajectory, None]:
         """The run of states that are known already, such as those of `integrate` inside of jit.
 
         It can be asked everything but to be extended or saved, as its step sizes are not known.
@@ -99,7 +111,8 @@ class Run:
     @property
     def t(self) -> Array:
         """The times (times,) of the saves."""
-        return (self.summary if self.trajectory is None else self.trajectory).t
+        found: Any = self.summary if self.trajectory is None else self.trajectory
+        return found.t
 
     @property
     def state(self) -> State:
@@ -161,7 +174,7 @@ class Run:
     def _in_memory(self) -> Trajectory:
         return jax.tree.map(np.asarray, self._saved)
 
-    def member(self, k: int) -> Run:
+    def member(self, k: int) -> Run[Trajectory, None]:
         """The run of member k, as one of one body."""
         if self.members is None:
             raise ValueError("the run is of one body and has no members")
@@ -172,12 +185,12 @@ class Run:
         facts = self.facts._replace(batch=False, own_step=False, source="")
         return Run(step, None, found, None, self.failed[k], None, None, self.times, facts)
 
-    def load(self) -> Run:
+    def load(self) -> Run[Saved, Reduced]:
         """The run with its arrays in memory, so that it can be passed to functions under jit."""
         arrays = {name: jax.tree.map(np.asarray, x) for name, x in vars(self).items() if name != "facts"}
         return Run(**arrays, facts=self.facts._replace(source=""))
 
-    def map(self, function: Callable[[Step, State], Tree]) -> Tree:
+    def map(self, function: Callable[[Step, State], _T]) -> _T:
         """The values of function(step, state) for one saved state of one member, along the run.
 
         Of a run on disk as much is read at once as fits into 64 MiB.
@@ -199,7 +212,7 @@ class Run:
         size = sum(x.dtype.itemsize * math.prod(x.shape[1:]) for x in jax.tree.leaves(saved))
         rows = max(1, _BLOCK // max(size, 1))
 
-        def block(k: int) -> Tree:
+        def block(k: int) -> _T:
             return map_states(numbers, self.step, jax.tree.map(lambda x: np.asarray(x[k : k + rows]), saved))
 
         return jax.tree.map(lambda *x: np.concatenate(x), *map(block, range(0, len(self.t), rows)))
@@ -235,7 +248,7 @@ class Run:
         """The distance of q from the configuration space, (times,) or (times, members)."""
         return self.map(_defect)
 
-    def periods(self) -> Any:
+    def periods(self) -> Periods:
         """The mean periods of precession and rotation of a tumbling body at each save: `body.periods`.
 
         Raises:
@@ -245,11 +258,11 @@ class Run:
             raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {self.system!r}")
         return self.map(_periods)
 
-    def rotations(self) -> Any:
+    def rotations(self) -> Rotation:
         """The attitudes, body to space, as `scipy.spatial.transform.Rotation`: see `Trajectory.rotations`."""
         return labeled.rotations(self._saved)
 
-    def to_xarray(self, units: Mapping[str, str] | None = None) -> Any:
+    def to_xarray(self, units: Mapping[str, str] | None = None) -> Dataset:
         """The run as an `xarray.Dataset` with energy, momentum map and angular velocity: see `Trajectory.to_xarray`.
 
         With an epoch it has a coordinate `date` along time, for which t is taken in seconds.
@@ -262,7 +275,7 @@ class Run:
         about = {"long_name": "date", "scale": self.epoch.scale}
         return found.assign_coords(date=(dims[: when.ndim], when, about))
 
-    def to_dataframe(self) -> Any:
+    def to_dataframe(self) -> DataFrame:
         """The run as a `pandas.DataFrame`: a row for each time and member, a column for each component.
 
         The columns are time, date (with an epoch, for which t is taken in seconds), member (of a batch), q_w, …,
@@ -287,7 +300,7 @@ class Run:
         shared = own is None or bool(np.all(own == t.reshape(-1, *[1] * (np.ndim(own) - 1))))
         return start.datetimes(unit * (t if shared else np.asarray(own)))
 
-    def extend(self, num_steps: int, progress: bool = True) -> Run:
+    def extend(self, num_steps: int, progress: bool = True) -> Run[Saved, Reduced]:
         """The run with `num_steps` further steps, bit for bit the run of all these steps.
 
         Raises:
@@ -302,7 +315,7 @@ class Run:
         options: dict[str, Any] = self._options | {"num_steps": facts.num_steps + more}
         return computed_run(compute(self.step, start, **options, progress=progress, earlier=saves), facts.batch)
 
-    def save(self, path: str | Path | StoreOptions) -> Run:
+    def save(self, path: str | Path | StoreOptions) -> Run[Saved, Reduced]:
         """Write a run in memory to a new folder NAME.zarr, all of it or nothing, and return the run there.
 
         Raises:
@@ -359,10 +372,10 @@ class StoredRun(Run):
 
 
 @lru_cache(16)
-def _compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., Tree]:
+def _compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., Any]:
     """A function of step and state of this structure, compiled for all states of a run."""
 
-    def map_states(numbers: list[Array], step: Step, states: State) -> Tree:
+    def map_states(numbers: list[Array], step: Step, states: State) -> Any:
         function: Any = jax.tree.unflatten(structure, numbers)
         if batch:
             function = jax.vmap(function, (0 if own_step else None, 0))

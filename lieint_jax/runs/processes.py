@@ -24,6 +24,10 @@ class LostProcess(RuntimeError):  # noqa: N818
     """Another process of the run has ended or cannot be reached."""
 
 
+class PermanentError(ValueError):
+    """A part of a run fails however often it is started: an argument is wrong, or the first step of a member fails."""
+
+
 def initialize(coordinator: str | None = None, count: int | None = None, index: int | None = None) -> None:
     """Connect the processes of this run, which SLURM, Open MPI or the user started.
 

@@ -19,6 +19,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -242,7 +243,7 @@ def _checked_key(key: Any) -> Array:
     return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
-def langevin(system: Any, temperature: ArrayLike, friction: ArrayLike, metropolis: bool = False) -> Langevin:
+def langevin(system: Any, temperature: ArrayLike, friction: npt.ArrayLike, metropolis: bool = False) -> Langevin:
     """Langevin dynamics (BAOAB, or Metropolized): bodies in a heat bath, with an exact account of the heat.
 
     | | |

@@ -18,5 +18,6 @@ from lieint_jax.systems._potential_top import *
 from lieint_jax.systems._pseudo_rigid_body import *
 from lieint_jax.systems._rigid_bodies import *
 from lieint_jax.systems._rigid_body import *
+from lieint_jax.systems._rod import *
 from lieint_jax.systems._self_gravity import *
 from lieint_jax.systems._torqued_body import *

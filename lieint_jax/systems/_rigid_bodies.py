@@ -29,6 +29,7 @@ from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_counts, timed
 from lieint_jax.types import (
+    ChainLaw,
     PairLaw,
     State,
     callable_pytree,
@@ -205,14 +206,14 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
 
     Attributes:
         masses, inertias, potential: as in `RigidBodies`.
-        dissipation: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `PairLaw` or a function; or None.
+        dissipation: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `PairLaw` or a function; a `ChainLaw`; or None.
         forces: (t, x, Λ, v, ω) ↦ (forces, torques), or None.
     """
 
     masses: Array
     inertias: Array
     potential: Callable[[Array, Array], Array]
-    dissipation: Callable[..., PyTree] | None
+    dissipation: Callable[..., PyTree] | ChainLaw | None
     forces: Callable[..., PyTree] | None = None
     _clock = 0.0
 
@@ -231,13 +232,13 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
 
     def energy(self, state: State) -> Array:
         """The kinetic energy plus V; energy less `state.work` is conserved, and dissipation alone decreases it."""
-        return self.conservative.energy(state)
+        return self.at(state.t).energy(state)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
-        self.conservative.check(state)
-        if self.forces is not None:
+        if self.forces is not None or potentials.is_driven(self.potential):
             clock(state)
+        self.at(state.t).check(state)
 
 
 @partial(compiled, once=True)
@@ -374,10 +375,11 @@ def rigid_bodies(
     if isinstance(potential, potentials.Potential):
         potential = potential.with_bodies(m, J)
     made = RigidBodies(m, J, callable_pytree(potential))
-    _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
-    if dissipation is None and forces is None:
+    still = RigidBodies(m, J, potentials.at_time(made.potential, jnp.zeros((), m.dtype)))
+    _checks.function("potential", still.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
+    if dissipation is None and forces is None and not potentials.is_driven(potential):
         return made
-    law = None if dissipation is None else _pair_law(dissipation, m)
+    law = dissipation if dissipation is None or isinstance(dissipation, ChainLaw) else _pair_law(dissipation, m)
     given = None if forces is None else _checked_forces(forces, m)
     return DissipativeBodies(m, J, made.potential, law, given)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax.types._catalogue import Catalogue
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
-from lieint_jax.types._pair_law import PairLaw, pair_forces
+from lieint_jax.types._pair_law import ChainLaw, PairLaw, pair_forces
 from lieint_jax.types._potentials import (
     PotentialWithGradient,
     StoredEnergy,
@@ -28,6 +28,7 @@ from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, ins
 __all__ = [
     "AnalyticGroup",
     "Catalogue",
+    "ChainLaw",
     "Function",
     "Group",
     "Law",

@@ -1,4 +1,4 @@
-"""Dissipative laws of two bodies, and the forces by which they act on N bodies."""
+"""Dissipative laws of two bodies and of chains, and the forces by which they act on N bodies."""
 
 from __future__ import annotations
 
@@ -38,6 +38,15 @@ class PairLaw(abc.ABC):
     def loss(self, r: Array, v: Array, omega_i: Array, omega_j: Array) -> Array:
         """The power that is dissipated, ≥ 0; a law may override it by a sum of squares."""
         return -power(self(r, v, omega_i, omega_j), v, omega_i, omega_j)
+
+
+class ChainLaw(abc.ABC):
+    """A dissipative law in which each body acts only on the one before and the one after it, for all bodies at once."""
+
+    @abc.abstractmethod
+    def act(self, t: Array | None, x: Array, R: Array, v: Array, omega: Array) -> tuple[Array, Array]:
+        """The forces and torques (N, 6) at positions, rotations, velocities and angular velocities in space, and
+        their power, ≤ 0 unless bodies are driven."""
 
 
 def power(action: Action, v: Array, omega_i: Array, omega_j: Array) -> Array:

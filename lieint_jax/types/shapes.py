@@ -3,7 +3,7 @@
 They are the shapes for one body at one instant. Inside `jax.vmap` the arrays have these shapes too. Equal letters are
 equal sizes: the arguments `Poses` and `Masses` of one function have the same number of rows, N.
 
-A type checker sees the types of jaxtyping. The package does not import jaxtyping: at run time each name is a
+A type checker sees arrays; the package needs no jaxtyping. At run time each name is a
 `typing.Annotated[Array, "Float", shape]`, which the tests convert to the type of jaxtyping to check every call.
 """
 
@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 from jax import Array
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, PyTree
+    from typing import Annotated as Bool
+    from typing import Annotated as Float
 else:
 
     class _Shaped:
@@ -30,7 +31,8 @@ else:
     class Bool(_Shaped):
         """An array of truth values."""
 
-    PyTree = Any  # a tree whose leaves are arrays, such as the parameters of a fit
+
+PyTree: TypeAlias = Any  # a tree whose leaves are arrays, such as the parameters of a fit
 
 Scalar: TypeAlias = Float[Array, ""]
 Time: TypeAlias = Float[Array, ""]

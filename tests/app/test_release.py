@@ -52,3 +52,28 @@ def test_the_changelog_lists_everything_deprecated():
         for names in re.findall(r"_renamed\(\s*__name__,\s*(\{.*?\})", source, re.S):
             for name in ast.literal_eval(names):
                 assert f"{name}`" in section, name
+
+
+def test_all_addresses_of_the_project_name_one_owner():
+    """OWNER until a person fills it in, once: see docs/maintaining.md."""
+    sources = ["pyproject.toml", "CITATION.cff", "docs/mkdocs.yml", "docs/maintaining.md", "docs/conda/recipe.yaml"]
+    named = {
+        name: set(re.findall(r"github\.com/([\w-]+)/lieint_jax|([\w-]+)\.github\.io", text(name))) for name in sources
+    }
+    owners = {name: {"".join(found) for found in pairs} for name, pairs in named.items()}
+    assert len(set().union(*owners.values())) == 1, owners
+    assert all(owners.values()), owners
+
+
+def test_links_of_the_long_description_are_absolute_and_lead_to_files():
+    """PyPI shows the README without the files next to it, so the build writes addresses for its links."""
+    build = tomllib.loads(text("pyproject.toml"))["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]
+    shown = text("README.md")
+    for rule in build["substitutions"]:
+        shown = re.sub(rule["pattern"], rule["replacement"], shown)
+    links = re.findall(r"\]\(([^)#]+)", shown)
+    assert len(links) > 15
+    for link in links:
+        kind, path = re.fullmatch(re.escape(PROJECT["urls"]["Source"]) + r"/(blob|raw)/HEAD/(.*)", link).groups()
+        assert (ROOT / path).exists(), path
+        assert (kind == "raw") == (Path(path).suffix in (".gif", ".png")), path

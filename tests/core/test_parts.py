@@ -302,7 +302,7 @@ def test_two_processes_do_not_write_one_part_of_a_folder(tmp_path):
     run(tmp_path / "run.zarr", (0, 2))
     with (
         _disk.Disk(tmp_path / "run.zarr").lock("parts/0"),
-        pytest.raises(ValueError, match=r"another run is writing to .*parts.0"),
+        pytest.raises(BlockingIOError, match=r"another run is writing to .*parts.0"),
     ):
         run(tmp_path / "run.zarr", (0, 2))
 

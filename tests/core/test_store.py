@@ -532,7 +532,7 @@ def test_an_error_of_one_process_ends_all(monkeypatch):
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     run(tmp_path / "run.zarr")
     lock = archives.open_storage(tmp_path / "run.zarr").lock("parts/0")
-    with lock, pytest.raises(ValueError, match="another run is writing"):
+    with lock, pytest.raises(BlockingIOError, match="another run is writing"):
         run(tmp_path / "run.zarr", resume=True)
 
 

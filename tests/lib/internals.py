@@ -66,7 +66,7 @@ def compare_machine_code(compares):
 
 def forget_fallbacks():
     """Let the log name again why XLA runs a loop in place of machine code."""
-    _march_code._say_once.cache_clear()
+    _march_code._log_once.cache_clear()
 
 
 def share_short_calls(monkeypatch):
@@ -119,6 +119,18 @@ def refuse_to_integrate(monkeypatch, error):
 def interrupt_after_the_first_call(monkeypatch):
     """Let a run be interrupted as if by Ctrl-C."""
     monkeypatch.setattr(_execute.CallLength, "measure", lambda *_: True)
+
+
+def another_machine(monkeypatch, device, jaxlib):
+    """Let runs be on another kind of processor and by another jaxlib."""
+    monkeypatch.setattr(_identity, "device", lambda: device)
+    monkeypatch.setattr(_identity, "version", lambda _: jaxlib)
+
+
+def control_groups(monkeypatch, top, own):
+    """Let `top` be the folder of the control groups, and `own` the file of those of this process."""
+    monkeypatch.setattr(_checks, "_GROUPS", top)
+    monkeypatch.setattr(_checks, "_OWN_GROUPS", own)
 
 
 def another_version(monkeypatch, **versions):

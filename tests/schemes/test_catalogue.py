@@ -33,8 +33,8 @@ def test_every_scheme_has_an_entry_with_a_source():
 
 
 def test_a_scheme_of_ones_own_is_one_file(tmp_path, monkeypatch):
-    """That which CONTRIBUTING.md prints: the file, and nothing else, puts it into the room and its catalogue."""
-    page = (Path(li.__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    """That which docs/maintaining.md prints: the file, and nothing else, puts it into the room and its catalogue."""
+    page = (Path(li.__file__).parents[1] / "docs" / "maintaining.md").read_text(encoding="utf-8")
     code = re.search(r"```python\n(.*?)```", page, re.DOTALL)[1]
     (tmp_path / "_sphere_verlet.py").write_text(code, encoding="utf-8")
     monkeypatch.setattr(li.schemes, "__path__", [*li.schemes.__path__, str(tmp_path)])

@@ -2,12 +2,13 @@
 
 import itertools
 import operator
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
-import mpmath
 import numpy as np
 import pytest
+import taylor
 from free_bodies import Q, moving, rows, turned, with_momentum
 
 from lieint_jax import diagnostics
@@ -37,43 +38,30 @@ def difference(a, b):
     return float(np.max(np.abs(np.asarray(a) - np.asarray(b))))
 
 
-BITS = 180  # of fixed-point numbers: 54 digits
+def reference(J, state, t):
+    """The attitude at t in 50 digits, for principal moments J."""
+    q = [Fraction(float(x)) for x in state.q]
+    size = taylor.sqrt(sum(x * x for x in q))
+    q = [x / size for x in q]
+    J = [Fraction(float(x)) for x in J]
+    p = [Fraction(float(x)) for x in state.p]
+    Omega = [sum(map(operator.mul, p, row)) / j for row, j in zip(rows(*q), J, strict=True)]
+    speed = np.linalg.norm(state.p) / min(J)
 
+    def rate(y):
+        w, a, b, c, x, y, z = y
+        return (
+            (a * x + b * y + c * z) / -2,
+            (w * x + b * z - c * y) / 2,
+            (w * y + c * x - a * z) / 2,
+            (w * z + a * y - b * x) / 2,
+            y * z * ((J[1] - J[2]) / J[0]),
+            z * x * ((J[2] - J[0]) / J[1]),
+            x * y * ((J[0] - J[1]) / J[2]),
+        )
 
-def fixed(x):
-    return int(mpmath.floor(mpmath.mpf(x) * 2**BITS))
-
-
-def dot(a, b):
-    return sum(map(operator.mul, a, b)) >> BITS
-
-
-def reference(J, state, t, order=48):
-    """The attitude at t at 50 digits: Taylor series of Π̇ = Π × Ω and q̇ = ½qΩ, for principal moments J."""
-    with mpmath.workdps(60):
-        J, q, p = ([mpmath.mpf(float(x)) for x in v] for v in (J, state.q, state.p))
-        q = [x / mpmath.sqrt(mpmath.fdot(q, q)) for x in q]
-        Omega = [fixed(mpmath.fdot(row, p) / j) for row, j in zip(rows(*q), J, strict=True)]
-        k = [fixed((J[(i + 1) % 3] - J[(i + 2) % 3]) / J[i]) for i in range(3)]
-        steps = int(mpmath.ceil(abs(t) * mpmath.sqrt(mpmath.fdot(p, p)) / min(J) / 0.7))
-        h = fixed(mpmath.mpf(float(t)) / steps)
-        q = [fixed(x) for x in q]
-    for _ in range(steps):
-        W, Z = [[x] for x in Omega], [[x] for x in q]
-        for n in range(order):
-            x, y, z = reverse = [w[::-1] for w in W]
-            a, b, c, d = Z
-            new_W = [k[i] * dot(W[(i + 1) % 3], reverse[(i + 2) % 3]) >> BITS for i in range(3)]
-            new_Z = [
-                -dot(b, x) - dot(c, y) - dot(d, z),
-                dot(a, x) + dot(c, z) - dot(d, y),
-                dot(a, y) - dot(b, z) + dot(d, x),
-                dot(a, z) + dot(b, y) - dot(c, x),
-            ]
-            for series, value in zip(W + Z, new_W + [v >> 1 for v in new_Z], strict=True):
-                series.append((value * h >> BITS) // (n + 1))
-        Omega, q = [sum(w) for w in W], [sum(c) for c in Z]
-    return np.array([x / 2**BITS for x in q])
+    _, end = taylor.solve(rate if t > 0 else lambda y: [-x for x in rate(y)], q + Omega, [0, abs(t)], 0.7 / speed, 48)
+    return np.array(end[:4], float)
 
 
 @pytest.mark.slow
@@ -90,6 +78,17 @@ def reference(J, state, t, order=48):
 def test_exact_steps_over_long_times_agree_with_50_digits(moments, Omega, t):
     J, state = setting(moments, Omega)
     assert difference(solve(J, state, t).q, reference(J, state, t)) < 1e-13  # floor 2e-14
+
+
+@pytest.mark.parametrize("moments", [[1, 2, 3], [1, 1.0127, 3.3062]])
+def test_rounding_errors_of_short_exact_steps_are_proportional_to_the_step(moments):
+    """From q = 1, where the vector part is the change. Observed: 2e-16 of it; as a difference of numbers near 1 it
+    would have an error of 5e-17 at every t, 5e-13 of it here."""
+    J, state = setting(moments, [0.4, 0.2, 0.9])
+    state = state._replace(q=np.array([1.0, 0, 0, 0]))
+    for t in (1e-4, -3e-3):
+        expected = reference(J, state, t)[1:]
+        assert difference(solve(J, state, t).q[1:], expected) < 1e-15 * np.abs(expected).max()
 
 
 @pytest.mark.long

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import reference_numbers
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize
 from scipy.special import elliprd, elliprf
@@ -234,12 +235,9 @@ def test_the_energy_momentum_scheme_refuses_a_potential_that_it_would_change():
             schemes.bodies_energy_momentum(systems.rigid_bodies(m, J, V))
 
 
-@pytest.mark.parametrize(
-    ("model", "to_m", "dipole", "size", "well"),
-    [("TIP4P", 0.15, 2.177, 3.1536, 0.6485), ("TIP4P/2005", 0.1546, 2.305, 3.1589, 0.7749)],
-)
-def test_water_has_the_published_geometry_and_dipole(model, to_m, dipole, size, well):
-    """Distances in Å, the dipole in D, ε in kJ/mol: Tables I and II of Abascal & Vega 2005."""
+@pytest.mark.parametrize("model", reference_numbers.numbers("water"))
+def test_water_has_the_published_geometry_and_dipole(model):
+    to_m, dipole, size, well = reference_numbers.numbers("water")[model]
     molecule = potentials.water(model)
     oxygen, *hydrogens, m = 10 * molecule.points
     for hydrogen in hydrogens:
@@ -270,7 +268,7 @@ def test_a_molecule_built_from_its_sites_has_its_moments_in_any_axes():
 
 @pytest.mark.long
 def test_the_tip4p_dimer_has_the_published_energy():
-    """Its energy least by minimization: −26.04 kJ/mol are published (Jorgensen 1983), found are −26.09."""
+    """Its energy least by minimization, −26.09 kJ/mol."""
     V = WATER.potential(2)
 
     def energy(z):
@@ -283,7 +281,7 @@ def test_the_tip4p_dimer_has_the_published_energy():
         minimize(lambda z: tuple(map(np.asarray, slope(jnp.asarray(z)))), start + k * 0.3, jac=True, method="BFGS").fun
         for k in range(4)
     ]
-    assert min(found) == pytest.approx(-26.04, rel=3e-3)
+    assert min(found) == pytest.approx(reference_numbers.numbers("tip4p_dimer")["energy, kJ/mol"], rel=3e-3)
 
 
 def water_errors(num_steps, every):

@@ -23,17 +23,11 @@ _DISTINCT = 0.02  # difference of moments of inertia, relative to their sum, tha
 
 
 class BodyShape(NamedTuple):
-    """The shape of a body in the axes of its inertia.
+    """The shape of a body in the axes of its inertia."""
 
-    Attributes:
-        name: of its file.
-        solid: its surface.
-        shape: its moments, at some density.
-    """
-
-    name: str
-    solid: Solid
-    shape: shapes.Shape
+    name: str  # of its file
+    solid: Solid  # its surface
+    shape: shapes.Shape  # its moments, at some density
 
     def centered(self) -> Solid:
         """The surface with the center of mass at the origin."""

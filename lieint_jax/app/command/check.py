@@ -17,6 +17,7 @@ from lieint_jax import _discover, schemes, systems
 from lieint_jax.app.command import check_groups
 from lieint_jax.app.command.compilation import use_program_cache
 from lieint_jax.app.printer import show
+from lieint_jax.app.published import cases
 from lieint_jax.diagnostics import certify
 from lieint_jax.runs import count_cores
 
@@ -29,22 +30,14 @@ _QUICK: dict[str, str | bool] = {
 
 
 class _Task(NamedTuple):
-    """The examples of one module of systems by the steps of one module of schemes: they share compiled programs.
+    """The examples of one module of systems by the steps of one module of schemes: they share compiled programs."""
 
-    Attributes:
-        system, scheme: names of the modules.
-        example: the name of the only example to check; all examples if empty.
-        wanted: text that the names of the steps must contain.
-        brief: check only the first example that the scheme accepts.
-        num_steps: the length of a run in steps.
-    """
-
-    system: str
-    scheme: str
-    example: str
-    wanted: str
-    brief: bool
-    num_steps: int
+    system: str  # the name of a module of systems
+    scheme: str  # that of a module of schemes
+    example: str  # the name of the only example to check; all examples if empty
+    wanted: str  # text that the names of the steps must contain
+    brief: bool  # check only the first example that the scheme accepts
+    num_steps: int  # the length of a run in steps
 
 
 class _TaskResult(NamedTuple):
@@ -178,3 +171,13 @@ def _xla_has_flag(name: str, value: str | bool) -> bool:
     except jax.errors.JaxRuntimeError:
         return False
     return True
+
+
+def check_published() -> None:
+    """Run every case, and print its source, the scheme, and the largest difference in each quantity."""
+    for case in cases():
+        show(f"{case.code}\n  source     {case.source}\n  scheme     {case.scheme}")
+        for found in case.compare():
+            digits = f", printed to {found.digits:.0e}" if found.digits else ""
+            show(f"  {found.quantity:<42} differs by {found.difference:.1e}{digits}")
+        show(f"  limited by {case.limit}\n")

@@ -86,20 +86,14 @@ def example(group: MatrixGroup, seed: int = 0) -> tuple[Euler, State]:
 
 
 class Conservation(NamedTuple):
-    """Errors of the conserved quantities on one group with one map, the largest over several random metrics.
+    """Errors of the conserved quantities on one group with one map, the largest over several random metrics."""
 
-    Attributes:
-        energy: largest |H − H₀|/H₀: over 1000 steps of 0.1 where Ad_q is bounded; else over 100 steps of 0.05,
-            divided by max(1, ‖Ad_q‖²).
-        momentum: largest change of π; 0 if it is conserved bit for bit.
-        form: largest symplectic defect of a step of 0.05.
-        converged: whether every step of these runs converged.
-    """
-
+    # largest |H − H₀|/H₀: over 1000 steps of 0.1 where Ad_q is bounded; else over 100 steps of 0.05, divided by
+    # max(1, ‖Ad_q‖²)
     energy: float
-    momentum: float
-    form: float
-    converged: bool
+    momentum: float  # largest change of π; 0 if it is conserved bit for bit
+    form: float  # largest symplectic defect of a step of 0.05
+    converged: bool  # whether every step of these runs converged
 
 
 def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Conservation:

@@ -173,16 +173,12 @@ def _add_run(commands: _Commands) -> None:
     run.set_defaults(command=_run, writes=True)
     add = run.add_argument
     add("scenario", metavar="SCENARIO", help="a shipped scenario (lieint list shows them) or a .toml file")
-    about = (
-        "file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the run, "
-    )
-    add("--out", type=_address, metavar="PATH", help=f"{about}which may be s3://BUCKET/NAME.zarr (gs://, az://)")
+    about = "file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the "
+    add("--out", type=_address, metavar="PATH", help=f"{about}run, which may be s3://BUCKET/NAME.zarr (gs://, az://)")
     about = "another value of a key, such as dt=0.1 or bodies.1.mass_kg=2e9 (KEY= removes it); may be repeated"
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=about)
-    about = (
-        "write the run for other software too: .aem or .oem (CCSDS, the nominal member), .csv or .nc; may be repeated"
-    )
-    add("--export", type=Path, action="append", default=[], metavar="FILE", help=about)
+    about = "write the run for other software too: .aem or .oem (CCSDS, the nominal member), .csv or .nc; may be "
+    add("--export", type=Path, action="append", default=[], metavar="FILE", help=f"{about}repeated")
     add("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     add("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
     add("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one per line")
@@ -190,11 +186,14 @@ def _add_run(commands: _Commands) -> None:
     add("--no-certificate", action="store_true", help="do not measure what the scheme conserves")
     add("--no-pictures", action="store_true", help="draw no pictures; lieint plot PATH draws them later")
     add("--devices", type=_positive, metavar="N", help="number of devices (default: all; CPU: one per core)")
-    about = (
-        "run only part K = 0 ... N-1 of the members, as one of N independent processes that fill one NAME.zarr; auto: "
-    )
-    more = "K and N of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)"
+    about = "run only part K = 0 ... N-1 of the members, as one of N independent processes that fill one NAME.zarr; "
+    more = "auto: K and N of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)"
     add("--part", metavar="K/N", help=about + more)
+    add("--parts", type=_positive, metavar="N", help="run N parts as tasks of a cluster, by --dask or --slurm")
+    add("--dask", metavar="ADDRESS", help="with --parts: the Dask scheduler, such as tcp://HOST:8786")
+    about = 'with --parts: write and submit an array of jobs with these options, as in --slurm="--time=4:00:00"'
+    add("--slurm", metavar="OPTIONS", help=about)
+    add("--any-machine", action="store_true", help="continue on another processor or JAX, whose last bits may differ")
     add("--distributed", action="store_true", help="run as one of the processes that srun or mpirun start")
     add("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
     add("--processes", type=_positive, metavar="N", help="… the number of processes")
@@ -254,10 +253,9 @@ def _add_others(commands: _Commands) -> None:
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
     study.set_defaults(command=_study, writes=True)
     study.add_argument("name", metavar="NAME", help="a study that lieint list shows, or your own file NAME.py")
+    about = "folder to write to (default: here)"
     for writer in (figure, study):
-        writer.add_argument(
-            "--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)"
-        )
+        writer.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=about)
     study.add_argument("--quick", action="store_true", help="run a small version of the study")
     schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="A schema.")
     schema.set_defaults(command=_schema)
@@ -284,13 +282,17 @@ def _positive(text: str) -> int:
 
 def _run(options: argparse.Namespace) -> None:
     from lieint_jax import ensemble
+    from lieint_jax.app.command import cluster, run
     from lieint_jax.app.command import list as listing
-    from lieint_jax.app.command import run
     from lieint_jax.runs import processes
 
     group = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in group):
         raise ValueError("--coordinator, --processes and --process require --distributed")
+    cluster.check(options)
+    if options.slurm is not None:
+        cluster.slurm(options)
+        return
     part = None
     if options.part is not None:
         if options.distributed:
@@ -302,29 +304,18 @@ def _run(options: argparse.Namespace) -> None:
     if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
     if options.distributed:
-        with _report_waiting(f"waiting for the processes of this run{_describe_coordinator(options)} to connect"):
+        where = f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
+        with _report_waiting(f"waiting for the processes of this run{where} to connect"):
             processes.initialize(*group)
+    same = ("out", "members", "steps", "devices", "resume", "save_at", "parts")
+    given: dict[str, Any] = {name: getattr(options, name) for name in same}
+    given |= {"certificate": not options.no_certificate, "pictures": not options.no_pictures, "given": options.set}
+    given |= {"part": part, "exports": options.export, "same_bits": not options.any_machine}
     try:
-        run.run(
-            options.scenario,
-            options.out,
-            options.members,
-            options.steps,
-            options.devices,
-            options.resume,
-            options.save_at,
-            given=options.set,
-            certificate=not options.no_certificate,
-            pictures=not options.no_pictures,
-            part=part,
-            exports=options.export,
-        )
+        with contextlib.nullcontext() if options.dask is None else cluster.dask(options.dask) as executor:
+            run.run(options.scenario, **given, executor=executor)
     except processes.LostProcess as error:
         processes.leave(f"lieint: {error}")
-
-
-def _describe_coordinator(options: argparse.Namespace) -> str:
-    return f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
 
 
 @contextlib.contextmanager
@@ -378,13 +369,13 @@ def _schema(_: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    from lieint_jax.app.command import check, check_published
+    from lieint_jax.app.command import check
     from lieint_jax.app.command import list as listing
 
     if options.published:
         if options.system or options.scheme or options.steps or options.all:
             raise ValueError("--published has its own cases: type lieint check --published without other arguments")
-        check_published.check()
+        check.check_published()
         return
     if options.all and options.system:
         raise ValueError(f"--all checks every system: type lieint check --all, or lieint check {options.system}")

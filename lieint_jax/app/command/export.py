@@ -38,7 +38,7 @@ def write_all(paths: Sequence[Path], run: Run, scenario: Kind) -> None:
 
 
 def _write_attitudes(path: Path, run: Run, scenario: Kind) -> None:
-    files.write_aem(path, _nominal(run), body=_body(run), **_facts(scenario))
+    files.write_aem(path, run.member(0), body=_body(run), **_facts(scenario))
 
 
 def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
@@ -46,7 +46,7 @@ def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
     if (orbit := scenario.given_orbit()) is not None:
         files.write_oem(path, orbit, times=run.t, center="EARTH", **facts)
     else:
-        files.write_oem(path, _nominal(run), body=_body(run), about=0, center="PRIMARY", **facts)
+        files.write_oem(path, run.member(0), body=_body(run), about=0, center="PRIMARY", **facts)
 
 
 def _write_dataset(path: Path, run: Run, scenario: Kind) -> None:
@@ -59,10 +59,6 @@ def _write_dataset(path: Path, run: Run, scenario: Kind) -> None:
 def _facts(scenario: Kind) -> dict[str, Any]:
     name = scenario.title.split(",")[0]
     return {"epoch": scenario.date_of_zero(), "object": name, "unit_time": SECONDS[scenario.time_unit]}
-
-
-def _nominal(run: Run) -> Run:
-    return run if run.members is None else run.member(0)
 
 
 def _body(run: Run) -> int | None:

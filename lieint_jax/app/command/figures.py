@@ -130,29 +130,17 @@ def showtop(out: Path) -> str:
 
 
 class Panel(NamedTuple):
-    """One panel of Figures 3 to 5: a delay plot of the energy, or of the displacement ‖F − 1‖².
+    """One panel of Figures 3 to 5: a delay plot of the energy, or of the displacement ‖F − 1‖²."""
 
-    Attributes:
-        name: number of the figure and letter of the panel in the paper.
-        dt: time step.
-        lag: N of the delay plot.
-        Phi: P₀ = π̂F₀ with π = (0, 0, Phi).
-        printed: the variation, max − min, printed in the caption.
-        displacement: whether the displacement is plotted, not the energy.
-        F33: None for F₀ = 1; else F₀ = ((1.01, 0.01, 0), (0.01, 1.01, 0), (0, 0, F33)).
-        steps: the number of steps, at most STEPS.
-        note: a remark for the table.
-    """
-
-    name: str
-    dt: float
-    lag: int
-    Phi: float
-    printed: float
-    displacement: bool = False
-    F33: float | None = None
-    steps: int = STEPS
-    note: str = ""
+    name: str  # number of the figure and letter of the panel in the paper
+    dt: float  # time step
+    lag: int  # N of the delay plot
+    Phi: float  # P₀ = π̂F₀ with π = (0, 0, Phi)
+    printed: float  # the variation, max − min, printed in the caption
+    displacement: bool = False  # whether the displacement is plotted, not the energy
+    F33: float | None = None  # None for F₀ = 1; else F₀ = ((1.01, 0.01, 0), (0.01, 1.01, 0), (0, 0, F33))
+    steps: int = STEPS  # the number of steps, at most STEPS
+    note: str = ""  # a remark for the table
 
 
 _UNSTABLE = "1500 steps; later, growing rounding errors break the symmetry of this motion"
@@ -224,9 +212,8 @@ def _delay_figure(number: int, out: Path) -> str:
         verdict = "yes" if run.converged else "NO"
         lines.append(f"  {panel.name:<4} {variation:>9.3g} {panel.printed:>9.3g}   {verdict:<4} {panel.note}".rstrip())
     shown = " or ".join(dict.fromkeys("d = ‖F − 1‖²" if panel.displacement else "energy H" for panel in PANELS[number]))
-    fig.suptitle(
-        f"Delay plots of the midpoint rule: {shown} at the steps n, n + N and n + 2N, less the middle of its range"
-    )
+    at = "at the steps n, n + N and n + 2N, less the middle of its range"
+    fig.suptitle(f"Delay plots of the midpoint rule: {shown} {at}")
     plots.save(fig, out / f"figure-{number}.png")
     return "\n".join(lines)
 

@@ -89,16 +89,9 @@ def save(
     if "t" in arrays:
         t = np.asarray(arrays.pop("t"))
         arrays[archives.TIME] = t[:, :1] if (t == t[:, :1]).all() else t
+    arrays |= own | trajectory.info._asdict() | {"metadata": np.array(json.dumps(metadata))}
     with path.open("xb") as file:
-        np.savez(
-            file,
-            t=trajectory.t,
-            **arrays,
-            **own,
-            residual=trajectory.info.residual,
-            converged=trajectory.info.converged,
-            metadata=np.array(json.dumps(metadata)),
-        )
+        np.savez(file, allow_pickle=False, t=trajectory.t, **arrays)
 
 
 def load(path: Address, thorough: bool | None = None) -> tuple[Any, dict[str, Any]]:

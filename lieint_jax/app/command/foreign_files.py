@@ -16,18 +16,12 @@ _COLUMNS = 20  # the most that are listed
 
 
 class Format(NamedTuple):
-    """A format of files of other software.
+    """A format of files of other software."""
 
-    Attributes:
-        what: it holds, in words.
-        contents: the lines that describe a file.
-        reader: the call that reads it in Python, with {} for the file.
-        key: the key of a scenario that may be such a file, with further keys of its table and the kinds that have it.
-    """
-
-    what: str
-    contents: Callable[[Path], list[str]]
-    reader: str
+    what: str  # it holds, in words
+    contents: Callable[[Path], list[str]]  # the lines that describe a file
+    reader: str  # the call that reads it in Python, with {} for the file
+    # the key of a scenario that may be such a file, with further keys of its table and the kinds that have it
     key: tuple[str, str, str] | None = None
 
 
@@ -111,28 +105,20 @@ def _robot(path: Path) -> list[str]:
     return ["masses, centers and inertias of its links"]
 
 
-_ORBIT = ("orbit", "", "driven or satellite")
+_ORBIT, _LINK = ("orbit", "", "driven or satellite"), ("shape", ', link = "…"', "rigid_body")
+_SHAPE = ("shape", ", density = 1.0", "rigid_body, heavy_top, driven, satellite or bodies")
+_LOG = ("observation", ', time = "…"', "rigid_body")
 FORMATS = {
     "OEM": Format("an orbit, CCSDS OEM", _orbit(files.read_oem), "read_oem({})", _ORBIT),
     "AEM": Format("attitudes, CCSDS AEM", _attitudes, "read_aem({})"),
     "TLE": Format("mean elements of SGP4, TLE", _elements(files.read_tle), "read_tle({})", _ORBIT),
     "OMM": Format("mean elements of SGP4, CCSDS OMM", _elements(files.read_omm), "read_omm({})", _ORBIT),
     "Horizons": Format("an orbit of JPL Horizons", _orbit(files.read_horizons), "read_horizons({})", _ORBIT),
-    "shape": Format(
-        "a surface of triangles",
-        _surface,
-        "read_shape({}, density=…)",
-        ("shape", ", density = 1.0", "rigid_body, heavy_top, driven, satellite or bodies"),
-    ),
-    "URDF": Format("a robot, URDF", _robot, "read_urdf_inertia({}, link)", ("shape", ', link = "…"', "rigid_body")),
-    "MJCF": Format("a robot, MJCF", _robot, "read_mjcf_inertia({}, body)", ("shape", ', link = "…"', "rigid_body")),
+    "shape": Format("a surface of triangles", _surface, "read_shape({}, density=…)", _SHAPE),
+    "URDF": Format("a robot, URDF", _robot, "read_urdf_inertia({}, link)", _LINK),
+    "MJCF": Format("a robot, MJCF", _robot, "read_mjcf_inertia({}, body)", _LINK),
     "PDB": Format("molecules, PDB", _molecules, "read_molecules({})"),
     "xyz": Format("a molecule, xyz", _molecules, "read_molecules({})"),
     "light curves": Format("light curves", _curves, "read_light_curves({})"),
-    "table": Format(
-        "a table of text",
-        _table,
-        "read_csv_log({}, time=…, rates=[…])",
-        ("observation", ', time = "…"', "rigid_body"),
-    ),
+    "table": Format("a table of text", _table, "read_csv_log({}, time=…, rates=[…])", _LOG),
 }

@@ -22,6 +22,7 @@ from lieint_jax.runs.store import Address, UnreadableError, check_system, system
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
 _SHOWN = 2**28  # largest number of bytes that are read from a store to draw it
+_LINE = 400  # largest number of characters of a line with the numbers of parts
 _TIMES, _BLOCK = 17, 8192  # number of saved times at which energies are computed, and of members at once
 
 
@@ -123,11 +124,8 @@ def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
         system = scenarios.build_first(scenario, run.state.p.shape[1]).system
         title, own_system = _checks.printable(scenario.title), scenario.has_own_steps()
     elif "run" in metadata:
-        system, title, own_system = (
-            system_from_store(path, metadata),
-            _title(path, metadata),
-            metadata["run"]["step_axis"] == 0,
-        )
+        system, title = system_from_store(path, metadata), _title(path, metadata)
+        own_system = metadata["run"]["step_axis"] == 0
     else:
         raise ValueError(f"{path} holds neither a scenario nor the parameters of its system")
     if isinstance(run, Trajectory):
@@ -169,8 +167,7 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
 
 def _origin(path: Address, run: Any, metadata: dict[str, Any]) -> list[str]:
     """Lines with the scheme, the system and the size of a run, its progress, and the versions of the software."""
-    progress = metadata.get("progress")
-    if not progress:
+    if not (progress := metadata.get("progress")):
         if "lieint_jax" not in metadata:
             raise UnreadableError(f"{path} is no file of results that lieint wrote: its metadata has no lieint_jax")
         version = _checks.printable(metadata["lieint_jax"])
@@ -190,8 +187,21 @@ def _origin(path: Address, run: Any, metadata: dict[str, Any]) -> list[str]:
         f"  {scheme} · {system}, {metadata['members']} member(s), {planned} steps {sizes}",
         f"  {state}: {len(_times(run))} of {entries} entries",
         f"  written by {versions} on {device}, {how}",
+        *_machines(metadata),
         *_parts(metadata),
     ]
+
+
+def _machines(metadata: dict[str, Any]) -> list[str]:
+    """A line for each kind of machine that has computed parts of a store, where there are several."""
+    found: dict[str, list[int]] = {}
+    for part, machine in metadata.get("machines", ()):
+        versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
+        found.setdefault(
+            _checks.printable(f"{machine['device']}, {machine.get('engine', 'xla')}, {versions}"), []
+        ).append(part)
+    lines = (f"  part {', '.join(map(str, parts))} on {machine}" for machine, parts in found.items())
+    return [_checks.printable(line, _LINE) for line in lines] if len(found) > 1 else []
 
 
 def _parts(metadata: dict[str, Any]) -> list[str]:
@@ -199,10 +209,8 @@ def _parts(metadata: dict[str, Any]) -> list[str]:
     if "parts" not in metadata:
         return []
     missing = metadata["missing"]
-    return [
-        f"  {metadata['parts'] - len(missing)} of {metadata['parts']} part(s) complete",
-        *(f"  {x}" for x in missing),
-    ]
+    complete = f"  {metadata['parts'] - len(missing)} of {metadata['parts']} part(s) complete"
+    return [complete, *(f"  {x}" for x in missing)]
 
 
 def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
@@ -218,10 +226,8 @@ def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
         reached = series["first"][~np.isnan(series["first"])]
         when = f", from t = {reached.min():.6g} to {reached.max():.6g}" if reached.size else ""
         lines.append(f"  the condition became true for {reached.size} of {len(series['first'])} member(s){when}")
-    return [
-        *lines,
-        f"  largest residual {series['residual'].max():.2g}; unconverged members {series['unconverged'].max()}",
-    ]
+    residual, failed = series["residual"].max(), series["unconverged"].max()
+    return [*lines, f"  largest residual {residual:.2g}; unconverged members {failed}"]
 
 
 def _conservation(stored: StoredRun) -> list[str]:

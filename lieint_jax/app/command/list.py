@@ -16,19 +16,12 @@ _LONG = 10.0  # seconds: commands that need longer print their expected time bef
 
 
 class Cost(NamedTuple):
-    """The cost of a command at its default size, as measured by `benchmarks/commands.py` on two cores.
+    """The cost of a command at its default size, as measured by `benchmarks/commands.py` on two cores."""
 
-    Attributes:
-        first: seconds of the first run, most of them for compilation.
-        again: seconds of later runs, whose programs are cached.
-        memory: gigabytes of memory.
-        disk: megabytes of results and pictures.
-    """
-
-    first: float
-    again: float
-    memory: float
-    disk: float
+    first: float  # seconds of the first run, most of them for compilation
+    again: float  # seconds of later runs, whose programs are cached
+    memory: float  # gigabytes of memory
+    disk: float  # megabytes of results and pictures
 
 
 @cache

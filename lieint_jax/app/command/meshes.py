@@ -17,17 +17,11 @@ Face = tuple[int, ...]
 
 
 class Solid(NamedTuple):
-    """The surface of a body, in body axes.
+    """The surface of a body, in body axes."""
 
-    Attributes:
-        corners: (n, 3).
-        faces: the corners of each flat, convex face, by index.
-        colors: of the faces.
-    """
-
-    corners: np.ndarray
-    faces: tuple[Face, ...]
-    colors: tuple[str, ...]
+    corners: np.ndarray  # (n, 3)
+    faces: tuple[Face, ...]  # the corners of each flat, convex face, by index
+    colors: tuple[str, ...]  # of the faces
 
     def scaled_by(self, factor: float) -> Solid:
         """The same shape, scaled by a factor."""

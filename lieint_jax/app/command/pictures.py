@@ -25,21 +25,13 @@ _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the
 
 
 class StoredRun(NamedTuple):
-    """A run with its system.
+    """A run with its system."""
 
-    Attributes:
-        title: the title of its pictures.
-        time_unit: the unit of its times.
-        system: the system; its leaves have the member axis first if `own_system`.
-        run: a `Trajectory`, whose arrays may be on disk, or the arrays of a run with `reduce` by name.
-        own_system: whether each member has a system of its own.
-    """
-
-    title: str
-    time_unit: str
-    system: Any
-    run: Any
-    own_system: bool
+    title: str  # the title of its pictures
+    time_unit: str  # the unit of its times
+    system: Any  # the system; its leaves have the member axis first if `own_system`
+    run: Any  # a `Trajectory`, whose arrays may be on disk, or the arrays of a run with `reduce` by name
+    own_system: bool  # whether each member has a system of its own
 
     def select(self, times: np.ndarray, members: slice) -> StoredRun:
         """The saved states of these members at these times (indices), read into memory."""
@@ -61,8 +53,8 @@ def drawing_functions(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figu
     """The functions that draw a run, by the suffix of their file names."""
     if not isinstance(stored.run, Trajectory):
         return {"change": draw_change}
-    kinds = {"invariants": draw_invariants, "motion": draw_motion}
-    return kinds | ({"works": draw_works} if "works" in (stored.run.state.extra or {}) else {})
+    works = {"works": draw_works} if "works" in (stored.run.state.extra or {}) else {}
+    return {"invariants": draw_invariants, "motion": draw_motion} | works
 
 
 @plots.style()
@@ -122,10 +114,8 @@ def _draw_body(stored: StoredRun) -> Figure:
         joined = bool(angles.max() <= interpolation.MAX_ROTATION)
         if joined and angles.max() > _CHORD:
             parts = min(int(np.ceil(angles.max() / _CHORD)), max(1, POINTS // len(angles)))
-            t = np.asarray(run.t)
-            run = interpolation.interpolate_at(
-                system, run, np.interp(np.arange(len(angles) * parts + 1) / parts, np.arange(len(t)), t)
-            )
+            places = np.arange(len(angles) * parts + 1) / parts
+            run = interpolation.interpolate_at(system, run, np.interp(places, np.arange(len(run.t)), run.t))
     axis, name = _drawn_axis(system, run)
     return _draw_direction(axis_in_space(np.asarray(run.state.q), axis), name, joined)
 

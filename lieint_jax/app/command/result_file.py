@@ -123,9 +123,8 @@ def _decode(value: Any, arrays: dict[str, np.ndarray], own: ModuleType | None) -
     if "type" in value:
         found: Any = _find_class(value["type"], own)
         renamed: dict[str, str] = _RENAMED_FIELDS.get(f"{found.__module__.rpartition('.')[2]}:{found.__qualname__}", {})
-        return found(
-            **{renamed.get(str(name), str(name)): _decode(x, arrays, own) for name, x in value["fields"].items()}
-        )
+        fields = {str(name): _decode(x, arrays, own) for name, x in value["fields"].items()}
+        return found(**{renamed.get(name, name): x for name, x in fields.items()})
     [(kind, inner)] = value.items()
     if kind == "array":
         return arrays[inner]

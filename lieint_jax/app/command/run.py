@@ -38,6 +38,9 @@ def run(
     pictures: bool = True,
     part: tuple[int, int] | None = None,
     exports: Sequence[Path] = (),
+    parts: int | None = None,
+    executor: runs.Executor | None = None,
+    same_bits: bool = True,
 ) -> None:
     """Integrate a scenario and write the results; for an .npz, also print the report.
 
@@ -52,9 +55,9 @@ def run(
         pictures: draw the run, if an .npz is written.
         part: (k, n), one of n independent processes that write one NAME.zarr.
         exports: further files of the run, in formats of others: see `export`.
+        parts, executor, same_bits: as in `li.submit`, for the parts of one NAME.zarr.
     """
-    if part is not None:
-        resume = True  # a part always continues what it finds
+    resume = resume or part is not None or parts is not None  # a part always continues what it finds
     times = save_at and files.read_numbers(save_at)
     scenario = settings.load(name, given, members=members, steps=steps, save_at=times)
     for path in exports:
@@ -68,7 +71,8 @@ def run(
         out = file if resume else files.unused_path(file, lambda path: files.pictures(path, drawings))
     out = files.check_writable(out, drawings, resume)
     makes_own = not scenario.has_own_steps()  # a part makes the states of its own members only
-    _check_size(scenario, out, part[1] if part is not None and makes_own else 1)
+    count = parts or (1 if part is None else part[1])
+    _check_size(scenario, out, count if makes_own else 1)
     leader = jax.process_index() == 0
     mesh = ensemble.first_devices(devices)
     if makes_own:
@@ -82,23 +86,27 @@ def run(
             scenarios.shapes_of_states(scenario) if makes_own else states,
             _entries(scenario),
             store=out if out.suffix == ".zarr" else None,
-            part=part,
+            part=part if parts is None else (0, parts),
             save_every=scenario.save_every,
         )
         if needed > _NOTED:
             show(f"  about {_checks.spoken_size(needed)} of memory")
     options = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
+    options |= {"own_step": not makes_own, "members": scenario.members if makes_own else None}
     options["epoch"] = scenario.date_of_zero()
-    options["own_step"] = not makes_own
-    options["members"] = scenario.members if makes_own else None
-    integrate = partial(runs.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **options)
+    options["same_bits"] = same_bits
+    if executor is None:
+        integrate = partial(runs.run, mesh=mesh, resume=resume, part=part)
+    else:
+        integrate = partial(runs.submit, parts=count, executor=executor)
+    integrate = partial(integrate, step, states, **scenario.clock(), **options)
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
         try:
             run = integrate(store=ensemble.StoreOptions(out, description, scenario.time_unit))
             show_time("the run")
         except KeyboardInterrupt as stop:
-            again = "the same command" if part else "the same command with --resume"
+            again = "the same command" if part or parts else "the same command with --resume"
             raise KeyboardInterrupt(f"{stop}: {again}" if stop.args else "") from None
         if part is not None and part[1] > 1:
             show(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
@@ -154,10 +162,7 @@ def _entries(scenario: Kind) -> int:
 def _check_size(scenario: Kind, out: Address, parts: int) -> None:
     """Raise ValueError, before the members are built, if a large run exceeds the memory of this machine.
 
-    Args:
-        scenario: the run.
-        out: where results are written.
-        parts: the number of parts of which this process makes one.
+    Of `parts` of the run, this process makes one.
     """
     entries, members = _entries(scenario), -(-scenario.members // parts)
     if members * entries < _LARGE:

@@ -32,37 +32,21 @@ Span = tuple[float | None, float | None]
 
 
 class Scene(NamedTuple):
-    """A scene of `bodies` bodies in `frames` frames, in one unit of length.
+    """A scene of `bodies` bodies in `frames` frames, in one unit of length."""
 
-    Attributes:
-        title: the title of the run.
-        notes: descriptions of what is shown.
-        time_unit: the unit of t.
-        t: the times of the frames, (frames,).
-        solids: the surface of each body.
-        rotations: rotation matrices, body to space, (frames, bodies, 3, 3).
-        centers: the centers of the bodies, (frames, bodies, 3).
-        momenta: the ends of the spatial angular momenta, drawn from the centers, (frames, bodies, 3).
-        paths: the paths of the ends of the axes, (points, bodies, 3); point k·`fine` belongs to frame k.
-        fine: the number of points of a path from frame to frame.
-        middle: the center of the scene, (3,).
-        reach: half the side of a cube about the center that contains the scene.
-        needed: the number of frames that would show the requested span smoothly.
-    """
-
-    title: str
-    notes: tuple[str, ...]
-    time_unit: str
-    t: np.ndarray
-    solids: tuple[Solid, ...]
-    rotations: np.ndarray
-    centers: np.ndarray
-    momenta: np.ndarray
-    paths: np.ndarray
-    fine: int
-    middle: np.ndarray
-    reach: float
-    needed: int
+    title: str  # the title of the run
+    notes: tuple[str, ...]  # descriptions of what is shown
+    time_unit: str  # the unit of t
+    t: np.ndarray  # the times of the frames, (frames,)
+    solids: tuple[Solid, ...]  # the surface of each body
+    rotations: np.ndarray  # rotation matrices, body to space, (frames, bodies, 3, 3)
+    centers: np.ndarray  # the centers of the bodies, (frames, bodies, 3)
+    momenta: np.ndarray  # the ends of the spatial angular momenta, drawn from the centers, (frames, bodies, 3)
+    paths: np.ndarray  # the paths of the ends of the axes, (points, bodies, 3); point k·`fine` belongs to frame k
+    fine: int  # the number of points of a path from frame to frame
+    middle: np.ndarray  # the center of the scene, (3,)
+    reach: float  # half the side of a cube about the center that contains the scene
+    needed: int  # the number of frames that would show the requested span smoothly
 
     def corners(self, frame: int, body: int) -> np.ndarray:
         """The corners of a body in space, (n, 3)."""

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+@cache
+def numbers() -> dict[str, dict]:
+    """The entries of `numbers.toml`, which describes them."""
+    return tomllib.loads(Path(__file__).with_name("numbers.toml").read_text(encoding="utf-8"))
 
 
 class Comparison(NamedTuple):
@@ -51,6 +60,20 @@ class Case:
     limit: str
     compute: Callable[[], Mapping[str, ArrayLike]]
     digits: float = 0.0
+
+    @classmethod
+    def of(cls, name: str, scheme: str, compute: Callable[[], Mapping[str, ArrayLike]]) -> Case:
+        """The case of this name in `numbers.toml`."""
+        entry = numbers()[name]
+        return cls(
+            entry["code"],
+            entry["source"],
+            scheme,
+            entry["numbers"],
+            entry["limit"],
+            compute,
+            entry.get("digits", 0.0),
+        )
 
     def compare(self) -> list[Comparison]:
         """Compute all quantities, and compare each with the published numbers."""

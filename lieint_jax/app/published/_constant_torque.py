@@ -20,13 +20,5 @@ def basilisk_constant_torque() -> Case:
         end = integrate(step, start, 0.05, 12000, save_every=12000)
         return {"MRP at 600 s": np.asarray(attitude.to_mrp(end.state.q[-1]))}
 
-    return Case(
-        code="Basilisk, constant torque on a spacecraft, 10 min",
-        source="AVSLab/basilisk, src/simulation/dynamics/extForceTorque/_UnitTest/test_extForceTorqueIntegrated.py "
-        "@babdff7",
-        scheme="compose(torqued_midpoint(body), 6) with torques.thruster, Δt = 0.05 s",
-        published={"MRP at 600 s": (0.491025978, -0.421586707, 0.361459503)},
-        limit="the other code's steps: RK4 on its parameters, 0.1 s",
-        compute=compute,
-        digits=5e-10,
-    )
+    scheme = "compose(torqued_midpoint(body), 6) with torques.thruster, Δt = 0.05 s"
+    return Case.of("basilisk_constant_torque", scheme, compute)

@@ -1,4 +1,4 @@
-"""Free rigid bodies, as computed by NASA, Basilisk and kynema."""
+"""Free rigid bodies, as computed by NASA, Basilisk, kynema and van Zon & Schofield."""
 
 from __future__ import annotations
 
@@ -9,38 +9,41 @@ from lieint_jax import attitude, systems
 from lieint_jax._checks import Attitude
 from lieint_jax.app.published._case import Case
 
-_RATES = {  # °/s at the times
-    2: (-1.75081532854, 23.6495577599, 28.0713200449),
-    10: (-2.41890222177, -23.5525695195, 28.12859263),
-    20: (-5.42273467991, 22.7159305765, 28.6082817473),
-    30: (12.6183907757, -17.3974747619, 31.1195888868),
-}
+_SCHEME = "rigid_body(…).solution, the closed form"
 _SPACECRAFT, _SPIN = [500.0, 200.0, 300.0], [0.5, -0.4, 0.7]  # kg m², rad/s
 
 
 def tumbling_brick() -> Case:
     """NASA's check case of a tumbling brick without damping."""
+    times = (2, 10, 20, 30)
 
     def compute() -> dict[str, np.ndarray]:
         body = systems.rigid_body([0.00189422, 0.006211019, 0.007194665])  # slug ft²
         start = body.state(angular_velocity=np.deg2rad([10.0, 20.0, 30.0]))
-        ends = jax.vmap(lambda t: body.angular_velocity(body.solution(start, t)))(np.array(list(_RATES), float))
-        return {f"rates at {t} s, °/s": np.rad2deg(end) for t, end in zip(_RATES, np.asarray(ends), strict=True)}
+        ends = jax.vmap(lambda t: body.angular_velocity(body.solution(start, t)))(np.array(times, float))
+        return {f"rates at {t} s, °/s": np.rad2deg(end) for t, end in zip(times, np.asarray(ends), strict=True)}
 
-    return Case(
-        code="NASA, tumbling brick (NESC atmospheric check case 2)",
-        source="nasa/simupy-flight, NESC_data/Atmospheric_checkcases/Atmos_02_TumblingBrickNoDamping/"
-        "Atmos_02_sim_04.csv @70754e6; NASA/TM-2015-218675",
-        scheme="rigid_body(…).solution, the closed form",
-        published={f"rates at {t} s, °/s": rate for t, rate in _RATES.items()},
-        limit="the other code's steps: NASA's simulations 01 and 04 differ by 1e-9, others by up to 3e-3",
-        compute=compute,
-    )
+    return Case.of("tumbling_brick", _SCHEME, compute)
+
+
+def van_zon_schofield() -> Case:
+    """Their program's closed form; the times are sums of its steps of 1/60 s, to the last bit."""
+    times = (1.0000000000000013, 4.999999999999988, 9.983333333333409)
+
+    def compute() -> dict[str, np.ndarray]:
+        body = systems.rigid_body([10.0, 20.0, 26.0])
+        start = body.state(angular_velocity=[1.0, 15.0, 1.0])
+        ends = [body.solution(start, t) for t in times]
+        rates = [np.asarray(body.angular_velocity(end)) for end in ends]
+        matrix = {f"attitude matrix, space to body, at {times[1]} s": np.asarray(body.rotation_matrix(ends[1])).T}
+        return matrix | {f"rates at {t} s, rad/s": rate for t, rate in zip(times, rates, strict=True)}
+
+    return Case.of("van_zon_schofield", _SCHEME, compute)
 
 
 def basilisk_free_body() -> Case:
     """Basilisk's test of a free spacecraft."""
-    return _basilisk("Basilisk, free spacecraft", (0.373034285, -0.00239564413, 0.208570797))
+    return _basilisk("basilisk_free", (1.0, 0.0, 0.0, 0.0))
 
 
 def basilisk_momentum_frame() -> Case:
@@ -49,26 +52,16 @@ def basilisk_momentum_frame() -> Case:
     third /= np.linalg.norm(third)
     second = np.array([-third[1] / third[0], 1.0, 0.0])
     second /= np.linalg.norm(second)
-    to_space = np.array([np.cross(second, third), second, third])
-    name = "Basilisk, free spacecraft in the frame of its momentum"
-    return _basilisk(name, (0.572693314, 0.510734375, -0.307377611), to_space)
+    return _basilisk("basilisk_momentum_frame", np.array([np.cross(second, third), second, third]))
 
 
-def _basilisk(code: str, published: tuple[float, ...], start: Attitude = (1.0, 0.0, 0.0, 0.0)) -> Case:
+def _basilisk(name: str, start: Attitude) -> Case:
     def compute() -> dict[str, np.ndarray]:
         body = systems.rigid_body(_SPACECRAFT)
         end = body.solution(body.state(start, angular_velocity=_SPIN), 10.0)
         return {"MRP at 10 s": np.asarray(attitude.to_mrp(end.q))}
 
-    return Case(
-        code=code,
-        source="AVSLab/basilisk, src/simulation/dynamics/spacecraft/_UnitTest/test_spacecraft.py @babdff7",
-        scheme="rigid_body(…).solution, the closed form",
-        published={"MRP at 10 s": published},
-        limit="nine printed digits",
-        compute=compute,
-        digits=5e-10,
-    )
+    return Case.of(name, _SCHEME, compute)
 
 
 def kynema_precession() -> Case:
@@ -80,13 +73,4 @@ def kynema_precession() -> Case:
         q = np.asarray(end.q)
         return {"quaternion at 5 s": q if q[0] < 0 else -q}
 
-    return Case(
-        code="kynema, precession of a free symmetric body",
-        source="kynema/kynema, tests/regression_tests/regression/test_precession.cpp @d3b403d",
-        scheme="rigid_body(…).solution, the closed form",
-        published={
-            "quaternion at 5 s": (-0.63053045128590757, 0.60556039120583116, -0.30157681970585326, -0.38049886257377241)
-        },
-        limit="the other code's start: its generalized-α method begins with zero acceleration, an error of order 1",
-        compute=compute,
-    )
+    return Case.of("kynema_precession", _SCHEME, compute)

@@ -175,12 +175,9 @@ def _own_kind(path: Path, chosen: str, name: str) -> type[Kind]:
 
 
 def from_results(table: dict[str, Any], name: str, own_kind: str = "") -> Any:
-    """The scenario in a file of results; keys of version 0.1, which have no units, are renamed.
+    """The scenario of the keys in a file of results; those of version 0.1, which have no units, are renamed.
 
-    Args:
-        table: its keys.
-        name: the file.
-        own_kind: the kind, FILE.py:CLASS, if it is a user's: a file of results must not choose what is imported.
+    `own_kind` is its kind, FILE.py:CLASS, if it is a user's: a file of results must not choose what is imported.
     """
 
     def renamed(tree: Any) -> Any:
@@ -223,7 +220,7 @@ def table(name: str) -> dict[str, Any]:
     return archives.read_toml(path, name)
 
 
-def _keys(model: Any, path: list[str]) -> list[str]:
+def _allowed_keys(model: Any, path: list[str]) -> list[str]:
     """The keys of the table at `path` in a model; none if there are several kinds of such tables."""
     for part in path:
         model = _model_of(model, part)
@@ -272,7 +269,7 @@ def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
         problem["type"], _checks.printable(problem["msg"], _MESSAGE)
     )
     if problem["type"] == "extra_forbidden":
-        allowed = _keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])
+        allowed = _allowed_keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])
         near = " or ".join(_nearest(str(problem["loc"][-1]), allowed))
         message += f"; did you mean {near}?" if near else ""
         message += f"; allowed: {', '.join(allowed)}" if allowed else ""

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 from pydantic import model_validator
 
 from lieint_jax import _checks, maps
@@ -98,9 +99,10 @@ def direction(longitude: Any, latitude: Any) -> Array:
     return jnp.stack([c * jnp.cos(longitude), c * jnp.sin(longitude), jnp.sin(latitude)], axis=-1)
 
 
-def longitude_latitude(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Longitudes in [0, 360) and latitudes of unit vectors (n, 3), in degrees."""
-    return np.rad2deg(np.arctan2(unit[:, 1], unit[:, 0])) % 360, np.rad2deg(np.arcsin(np.clip(unit[:, 2], -1, 1)))
+def longitude_latitude(p: ArrayLike) -> Array:
+    """Longitude in [0, 360) and latitude of vectors (…, 3), in degrees, (…, 2)."""
+    x, y, z = jnp.moveaxis(jnp.asarray(p), -1, 0)
+    return jnp.rad2deg(jnp.stack([jnp.arctan2(y, x) % (2 * jnp.pi), jnp.arctan2(z, jnp.hypot(x, y))], axis=-1))
 
 
 def inertia_matrix(body: Any) -> np.ndarray:
@@ -112,9 +114,7 @@ def inertia_matrix(body: Any) -> np.ndarray:
 def is_long_axis_mode(moments: np.ndarray, Pi: np.ndarray) -> bool:
     """Whether a free body tumbles about its axis of least inertia, |Π|² < 2H J₂, or about that of greatest (Poinsot).
 
-    Args:
-        moments: principal moments (3,), ascending.
-        Pi: Π in the principal axes, (3,).
+    Its principal moments (3,) are ascending, and Π (3,) is in the principal axes.
     """
     return bool((Pi**2).sum() < (Pi**2 / moments).sum() * moments[1])
 

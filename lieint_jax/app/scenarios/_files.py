@@ -103,6 +103,13 @@ class Ephemeris(Table):
         return EphemerisOrbit(found.times, found.entries, jnp.asarray(self.mu))
 
 
+def given_motion(orbit: Any, ephemeris: Ephemeris | None, first: float, last: float) -> Any:
+    """The orbit of the one of two keys that is given; ValueError if both or none are, or unless it covers a run."""
+    if (orbit is None) == (ephemeris is None):
+        raise ValueError("give either orbit or ephemeris")
+    return orbit.motion() if ephemeris is None else ephemeris.motion(first, last)
+
+
 class OrbitFile(FromFile):
     """The orbit of a file: OEM, TLE, OMM, or a vector table of Horizons. Its epoch is t = 0, unless you give one."""
 
@@ -178,19 +185,12 @@ class ObservationFile(FromFile):
         assert log.attitudes is not None
         assert log.rates is not None
         rows = zip(log.times.tolist(), log.attitudes.tolist(), (log.rates * unit).tolist(), strict=True)
-        source = self.source or path.name
-        return {
-            "observation": [
-                {
-                    "label": f"{path.name}, {k}",
-                    "t": t / unit,
-                    "quaternion": q,
-                    "angular_velocity_rad": rate,
-                    "source": source,
-                }
-                for k, (t, q, rate) in enumerate(rows, 1)
-            ]
-        }
+        source = {"source": self.source or path.name}
+        found = [
+            {"label": f"{path.name}, {k}", "t": t / unit, "quaternion": q, "angular_velocity_rad": rate, **source}
+            for k, (t, q, rate) in enumerate(rows, 1)
+        ]
+        return {"observation": found}
 
 
 def _seconds(keys: dict[str, Any]) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from pydantic import BeforeValidator, Field, field_validator, model_validator
@@ -18,6 +19,7 @@ from lieint_jax.groups import so3
 
 _OBLIQUITY = np.deg2rad(23.4392911)  # of the ecliptic at J2000, IAU 1976
 
+_Period = Literal["precession_period_h", "rotation_period_h", "lightcurve_period_h"]
 Mode = Literal["short_axis", "long_axis"]
 Frame = Literal["ecliptic", "equator"]
 
@@ -191,14 +193,7 @@ class Phases(Table):
 class Known(Published):
     """A published number, in the unit of the quantity's name."""
 
-    quantity: Literal[
-        "perigee_distance_km",
-        "perigee_time_utc_h",
-        "precession_period_h",
-        "rotation_period_h",
-        "lightcurve_period_h",
-        "energy_ratio",
-    ]
+    quantity: Literal["perigee_distance_km", "perigee_time_utc_h", _Period, "energy_ratio"]
     """Which quantity it is."""
 
 
@@ -275,6 +270,11 @@ class FlybyKeys(Kind):
         """The boundaries of the steps, graded along the orbit."""
         hours = self.hours if hours is None else hours
         return orbits.graded_times(GivenOrbit(self.orbit.elements()), -hours, hours, steps or self.steps)
+
+    def every_second_phase(self, grid: Any) -> Any:
+        """Every second value of both phases of a tree of values at all of them."""
+        n, m = self.map.precession_phases, self.map.rotation_phases
+        return jax.tree.map(lambda x: x.reshape(n, m)[::2, ::2].ravel(), grid)
 
     def clock(self) -> dict[str, Any]:
         return {"times": self.times()}

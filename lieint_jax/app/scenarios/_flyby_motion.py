@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.typing import ArrayLike
 
 from lieint_jax import _free_body, orbits, systems
 from lieint_jax._numerics import elliptic
@@ -32,46 +31,29 @@ _MARGIN = 1e-12  # fraction of a mode's range of energies that is excluded at ei
 class Spin(NamedTuple):
     """A tumbling state before the passage; arrays of one shape.
 
-    Attributes:
-        least, middle: principal moments over the greatest, about the body's x and y axes.
-        precession: P_φ, the mean period of the long axis x about the angular momentum, in h.
-        rotation: P_ψ, the period of the angular momentum in the body, in h.
-        longitude, latitude: of the angular momentum.
-        phi: at the perigee, the angle about the angular momentum from the line Earth–body to the long axis x.
-        psi: at the perigee, 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x.
-
     Both phases are those of the torque-free motion.
     """
 
-    least: Numbers
-    middle: Numbers
-    precession: Numbers
-    rotation: Numbers
-    longitude: Numbers
-    latitude: Numbers
-    phi: Numbers
-    psi: Numbers
+    least: Numbers  # the principal moment about the body's x axis, over the greatest
+    middle: Numbers  # that about its y axis, over the greatest
+    precession: Numbers  # P_φ, the mean period of the long axis x about the angular momentum, in h
+    rotation: Numbers  # P_ψ, the period of the angular momentum in the body, in h
+    longitude: Numbers  # of the angular momentum
+    latitude: Numbers  # of the angular momentum
+    phi: Numbers  # at the perigee, the angle about the angular momentum from the line Earth–body to the long axis x
+    psi: Numbers  # at the perigee, 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x
 
 
 class Outcome(NamedTuple):
-    """The invariants of a tumbling state, before or after a passage.
+    """The invariants of a tumbling state, before or after a passage."""
 
-    Attributes:
-        precession, rotation: P_φ and P_ψ, in h.
-        long_axis: whether it is a long-axis mode.
-        momentum: |π|.
-        rate: 2H/|π|, the effective spin rate.
-        excitation: 2H J₃/|π|², the energy over that of the principal-axis state of least energy.
-        pole: the direction of π, (3,).
-    """
-
-    precession: Numbers
-    rotation: Numbers
-    long_axis: Numbers
-    momentum: Numbers
-    rate: Numbers
-    excitation: Numbers
-    pole: Numbers
+    precession: Numbers  # P_φ, in h
+    rotation: Numbers  # P_ψ, in h
+    long_axis: Numbers  # whether it is a long-axis mode
+    momentum: Numbers  # |π|
+    rate: Numbers  # 2H/|π|, the effective spin rate
+    excitation: Numbers  # 2H J₃/|π|², the energy over that of the principal-axis state of least energy
+    pole: Numbers  # the direction of π, (3,)
 
 
 @pytree
@@ -185,13 +167,10 @@ def orbit_of(elements: Numbers) -> orbits.Kepler:
     return orbits.kepler(**dict(zip(names, elements, strict=False)))
 
 
-def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: ArrayLike) -> Passage:
-    """The passages of many members, in steps between the times (N + 1,), on all devices."""
-    return _passages(order, long_axis)(spins, elements, times)
-
-
 @cache
-def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
+def passages(order: int, long_axis: bool) -> Callable[..., Passage]:
+    """The function (spins, elements of the orbit, times (N + 1,) of steps) ↦ passages of many members."""
+
     def passage(spin: Spin, elements: Array, times: Array) -> Passage:
         start = step_and_state(spin, orbit_of(elements), times[0], order, long_axis)
         return _integrate_passage(moments(spin), *start, times)
@@ -211,19 +190,14 @@ def _integrate_passage(J: Array, step: Step, state: State, times: Array) -> Pass
     return Passage(outcome(J, state), outcome(J, last), last.q, jnp.all(run.info.converged))
 
 
-def slopes(
-    elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: ArrayLike
-) -> dict[str, np.ndarray]:
-    """Derivatives of (P_φ, P_ψ, 2H/|π|, angle of the pole) after many passages, each (members, 4).
+@cache
+def slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]:
+    """As `passages`, ↦ derivatives of (P_φ, P_ψ, 2H/|π|, angle of the pole) after passages, each (members, 4).
 
     They are those by each part of `Spin`, by its name, and by the distance of the "perigee" at constant energy of the
     orbit, in forward mode through all steps.
     """
-    return _slopes(order, long_axis)(spins, elements, times)
 
-
-@cache
-def _slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]:
     def spin_after(spin: Spin, perigee: Array, elements: Array, times: Array) -> Array:
         mu, a, _, *others = elements
         orbit = orbit_of((mu, a, 1 - perigee / a, *others))

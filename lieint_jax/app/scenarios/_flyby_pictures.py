@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.patheffects import withStroke
 
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import longitude_latitude
@@ -24,23 +26,12 @@ def draw_map(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
     found = study(scenario, run)
     x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
     shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
-    before = found.mapped.before
+    P_phi, P_psi = found.mapped.before.precession[0], found.mapped.before.rotation[0]
+    contours, shown = (18, 20, 24, 28, 32, 36, 40), np.clip(after.rotation, None, _LONGEST)
     panels = (
         ("effective spin rate $2H/|L|$ over that before", x.rate, "PuOr_r", (0.5, 0.75, 1, 1.25, 1.5, 2), True),
-        (
-            f"precession period $P_\\phi$ (h); before {before.precession[0]:.2f}",
-            after.precession,
-            "viridis",
-            (18, 20, 24, 28, 32, 36, 40),
-            False,
-        ),
-        (
-            f"rotation period $P_\\psi$ (h); before {before.rotation[0]:.0f}",
-            np.clip(after.rotation, None, _LONGEST),
-            "cividis",
-            (),
-            False,
-        ),
+        (f"precession period $P_\\phi$ (h); before {P_phi:.2f}", after.precession, "viridis", contours, False),
+        (f"rotation period $P_\\psi$ (h); before {P_psi:.0f}", shown, "cividis", (), False),
         ("rotation of the pole (°)", x.pole_angle, "magma", (5, 10, 15, 20, 25, 30), False),
     )
     for ax, (title, values, colors, levels, is_ratio) in zip(axes, panels, strict=True):
@@ -56,8 +47,6 @@ def draw_map(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
 
 def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: str, levels: Any, is_ratio: bool) -> None:
     """Plot a map over φ and ψ, both to 360°: its second half is the first, with ψ + 180° and φ + `same_deg`."""
-    from matplotlib.patheffects import withStroke
-
     n, m = values.shape
 
     def full_circle(x: np.ndarray) -> np.ndarray:
@@ -67,8 +56,6 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
     phi, psi = np.linspace(0, 360, n + 1), np.linspace(0, 360, 2 * m + 1)
     options: dict[str, Any] = {"cmap": colors, "shading": "gouraud", "rasterized": True}
     if is_ratio:
-        from matplotlib.colors import LogNorm
-
         most = max(abs(np.log(values)).max(), np.log(1.2))
         options["norm"] = LogNorm(np.exp(-most), np.exp(most))
     image = ax.pcolormesh(phi, psi, full_circle(values), **options)
@@ -125,10 +112,10 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     """Plot the poles on the sky about the nearer pole of the ecliptic."""
     side = np.sign(before.pole[0, 2]) or 1.0
     for outcome, color, label in ((before, plots.GREEN, "before"), (after, plots.WINE, "after")):
-        longitude, latitude = longitude_latitude(outcome.pole)
+        longitude, latitude = np.asarray(longitude_latitude(outcome.pole)).T
         ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=color, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=color, label=label)
-    far = np.concatenate([90 - side * longitude_latitude(x.pole)[1] for x in (before, after)])
+    far = 90 - side * np.asarray(longitude_latitude(np.concatenate([before.pole, after.pole])))[:, 1]
     ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))
     ax.set_rlabel_position(22.5)
     ax.tick_params(labelsize="x-small")
@@ -152,22 +139,13 @@ def draw_sensitivity(scenario: FlybyKeys, axes: np.ndarray, run: Run) -> None:
         "latitude": "pole's latitude",
     }
     sizes = {name: sigma for name, (_, _, sigma) in unknowns(scenario).items() if sigma > 0}
-    for ax, k, label in (
-        (axes[0], 0, "change of $P_\\phi$ after the passage (h)"),
-        (axes[1], 1, "change of $P_\\psi$ after the passage (h)"),
-    ):
+    look: dict[str, Any] = {"orientation": "horizontal", "whis": (5, 95), "showfliers": False}
+    look |= {"medianprops": {"color": plots.RED}, "tick_labels": [names[name] for name in names if name in sizes]}
+    for k, (ax, period) in enumerate(zip(axes, ("$P_\\phi$", "$P_\\psi$"), strict=True)):
         changes = [abs(found.slopes[name][:, k]) * sizes[name] for name in names if name in sizes]
-        ax.boxplot(
-            [x[x > 0] for x in changes],  # a logarithmic axis has no zero
-            orientation="horizontal",
-            whis=(5, 95),
-            showfliers=False,
-            medianprops={"color": plots.RED},
-            tick_labels=[text for name, text in names.items() if name in sizes],
-        )
+        ax.boxplot([x[x > 0] for x in changes], **look)  # a logarithmic axis has no zero
         ax.invert_yaxis()
-        ax.set_xscale("log")
-        ax.set_xlabel(label)
+        ax.set(xscale="log", xlabel=f"change of {period} after the passage (h)")
     axes[1].set_yticklabels([])
     axes[0].figure.suptitle(
         f"{scenario.title}: effect of one standard deviation of each unknown\n"

@@ -15,6 +15,7 @@ from lieint_jax.app.scenarios._body import direction, longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import FlybyKeys, SpinValues, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
 from lieint_jax.app.scenarios._kind import for_last_run
+from lieint_jax.app.scenarios._runs import angles
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.types import State, vectors
@@ -73,28 +74,18 @@ def _along_great_circle(longitude: Array, latitude: Array, east: Array, north: A
 
 
 class Study(NamedTuple):
-    """The contents of the report and the pictures.
+    """The contents of the report and the pictures."""
 
-    Attributes:
-        before, after: the spins of the members.
-        grid: the spins of the map, φ slowest.
-        mapped: the passages of the map.
-        slopes: derivatives at every second value of both phases, by name, as `_flyby_motion.slopes` returns them.
-        step_error: the largest angle between final attitudes by the steps of the run and by steps half as long.
-        arcs: passages of the first members, by the length of the arc in h.
-        variants: passages under other assumptions, by their labels.
-        failed: the number of these passages with a step that did not converge.
-    """
-
-    before: Outcome
-    after: Outcome
-    grid: Spin
-    mapped: Passage
+    before: Outcome  # the spins of the members before the passage
+    after: Outcome  # those after it
+    grid: Spin  # the spins of the map, φ slowest
+    mapped: Passage  # the passages of the map
+    # derivatives at every second value of both phases, by name, as `_flyby_motion.slopes` returns them
     slopes: dict[str, np.ndarray]
-    step_error: float
-    arcs: dict[float, Passage]
-    variants: dict[str, Passage]
-    failed: int
+    step_error: float  # the largest angle between final attitudes by the steps of the run and by steps half as long
+    arcs: dict[float, Passage]  # passages of the first members, by the length of the arc in h
+    variants: dict[str, Passage]  # passages under other assumptions, by their labels
+    failed: int  # the number of these passages with a step that did not converge
 
 
 @for_last_run
@@ -108,28 +99,27 @@ def study(scenario: FlybyKeys, run: Run) -> Study:
     before, after = (jax.tree.map(np.asarray, outcomes(J, State(z.q, z.p))) for z in ends)
     grid, first = phases(scenario), _first_members(scenario, CHECKED)
     orbit, long_axis = scenario.orbit.elements(), scenario.spin.long_axis
-    passages = partial(motion.passages, orbit, scenario.order, long_axis)
+    passages, slopes = motion.passages(scenario.order, long_axis), motion.slopes(_SLOPE_ORDER, long_axis)
     count = 3 + len(scenario.arcs_hours) + len(scenario.variant)
     with tqdm(total=count, unit=" passages", disable=None, leave=False) as bar:
 
-        def advance_bar(x: Any) -> Any:
+        def counted(function: Any, spins: Spin, *times: Any) -> Any:
+            made = function(spins, orbit, scenario.times(*times))
             bar.update()
-            return x
+            return made
 
-        mapped = advance_bar(passages(grid, scenario.times()))
-        fine = advance_bar(passages(first, scenario.times(steps=2 * scenario.steps)))
-        arcs = {
-            hours: advance_bar(passages(first, scenario.times(hours, 2 * scenario.steps)))
-            for hours in scenario.arcs_hours
-        }
-        variants = {x.label: advance_bar(_passages_of_variant(scenario, x, len(grid.phi))) for x in scenario.variant}
-        slopes = advance_bar(
-            motion.slopes(orbit, _SLOPE_ORDER, long_axis, every_second_phase(scenario, grid), scenario.times())
-        )
+        mapped = counted(passages, grid)
+        fine = counted(passages, first, None, 2 * scenario.steps)
+        arcs = {hours: counted(passages, first, hours, 2 * scenario.steps) for hours in scenario.arcs_hours}
+        variants = {}
+        for variant in scenario.variant:
+            variants[variant.label] = _passages_of_variant(scenario, variant, len(grid.phi))
+            bar.update()
+        by_unknown = counted(slopes, scenario.every_second_phase(grid))
     count = min(CHECKED, run.state.q.shape[1])
     step_error = float(np.max(_angles(fine.q[:count], run.state.q[-1, :count])))
     failed = sum(int((~x.converged).sum()) for x in (mapped, fine, *arcs.values(), *variants.values()))
-    return Study(before, after, grid, mapped, slopes, step_error, arcs, variants, failed)
+    return Study(before, after, grid, mapped, by_unknown, step_error, arcs, variants, failed)
 
 
 _angles = jax.jit(jax.vmap(so3.angle))
@@ -144,12 +134,6 @@ def phases(scenario: FlybyKeys) -> Spin:
     return Spin(*map(jnp.asarray, (*same, phi.ravel(), psi.ravel())))
 
 
-def every_second_phase(scenario: FlybyKeys, grid: Any) -> Any:
-    """Every second value of both phases."""
-    n, m = scenario.map.precession_phases, scenario.map.rotation_phases
-    return jax.tree.map(lambda x: x.reshape(n, m)[::2, ::2].ravel(), grid)
-
-
 def _first_members(scenario: FlybyKeys, count: int) -> Spin:
     """The first `count` members, drawn by the compiled program that draws all members of the run."""
     at_least = scenario.model_copy(update={"members": max(count, scenario.members)})
@@ -161,42 +145,31 @@ def _passages_of_variant(scenario: FlybyKeys, variant: Variant, count: int) -> P
     spin = scenario.spin.with_changes(variant)
     orbit = scenario.orbit.model_copy(update={"frame": variant.frame or scenario.orbit.frame})
     spins = _first_members(scenario.model_copy(update={"spin": spin}), count)
-    return motion.passages(orbit.elements(), scenario.order, spin.long_axis, spins, scenario.times())
+    return motion.passages(scenario.order, spin.long_axis)(spins, orbit.elements(), scenario.times())
 
 
 class SpinChange(NamedTuple):
-    """The changes of the members' spins by a passage.
+    """The changes of the members' spins by a passage."""
 
-    Attributes:
-        momentum, rate: |π| and 2H/|π| after, over those before.
-        pole_angle: the angle between the poles before and after, in degrees.
-        longitude: the change of the pole's longitude, in degrees.
-        latitude: the change of the pole's distance from the ecliptic, in degrees.
-        same_mode: whether the mode is the same.
-    """
-
-    momentum: np.ndarray
-    rate: np.ndarray
-    pole_angle: np.ndarray
-    longitude: np.ndarray
-    latitude: np.ndarray
-    same_mode: np.ndarray
+    momentum: np.ndarray  # |π| after, over that before
+    rate: np.ndarray  # 2H/|π| after, over that before
+    pole_angle: np.ndarray  # the angle between the poles before and after, in degrees
+    longitude: np.ndarray  # the change of the pole's longitude, in degrees
+    latitude: np.ndarray  # the change of the pole's distance from the ecliptic, in degrees
+    same_mode: np.ndarray  # whether the mode is the same
 
 
 def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
     """The changes of the members."""
-    longitudes, latitudes = zip(*(longitude_latitude(x.pole) for x in (before, after)), strict=True)
+    longitudes, latitudes = np.asarray(longitude_latitude(np.stack([before.pole, after.pole]))).transpose(2, 0, 1)
     return SpinChange(
         after.momentum / before.momentum,
         after.rate / before.rate,
-        np.rad2deg(pole_angles(before.pole, after.pole)),
+        np.rad2deg(angles(before.pole, after.pole)),
         (longitudes[1] - longitudes[0] + 180) % 360 - 180,
         abs(latitudes[1]) - abs(latitudes[0]),
         after.long_axis == before.long_axis,
     )
-
-
-pole_angles = jax.jit(jax.vmap(vectors.angle))
 
 
 def unknowns(scenario: FlybyKeys) -> dict[str, tuple[str, float, float]]:

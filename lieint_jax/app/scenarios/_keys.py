@@ -133,15 +133,10 @@ class GivenRate(Rate):
 
 
 class Stated(NamedTuple):
-    """How the report names a standard deviation; the annotation of a key of `[spread]`.
+    """How the report names a standard deviation; the annotation of a key of `[spread]`."""
 
-    Attributes:
-        name: the quantity.
-        unit: its unit, unless the key's name ends in it.
-    """
-
-    name: str
-    unit: str = ""
+    name: str  # the quantity
+    unit: str = ""  # its unit, unless the key's name ends in it
 
 
 _UNITS = {"_rad": "rad", "_deg": "°", "_mm_s": "mm/s", "_m_s": "m/s", "_m": "m", "_percent": "%"}

@@ -155,9 +155,8 @@ class Kind(Table):
     def _check_published(self) -> Self:
         keys = {mark[1] for f in _methods(type(self)) if (mark := vars(f).get("quantity")) is not None}
         if keys and (unknown := set(self._published()) - keys):
-            raise ValueError(
-                f"published.{min(unknown)}: no quantity has this key; {' or '.join(sorted(keys - {''}))} has"
-            )
+            known = " or ".join(sorted(keys - {""}))
+            raise ValueError(f"published.{min(unknown)}: no quantity has this key; {known} has")
         return self
 
     def own_numbers(self) -> dict[_spread.Path, _spread.GivenSpread]:
@@ -286,24 +285,23 @@ class Kind(Table):
         """The functions that draw a run, by the suffix of their file names."""
         return {f.__name__.removeprefix("draw_"): f for f in _methods(cls) if f.__name__.startswith("draw_")}
 
-    def drawn(self, step: Step, state: State, fine: int = 1, steps: int | None = None, longest: int = LONGEST) -> Run:
-        """A run of one body for a picture, in steps `fine` times as small, saved at the points to draw."""
+    def drawn(
+        self, one: Run, fine: int = 1, steps: int | None = None, longest: int = LONGEST, step: Step | None = None
+    ) -> Run:
+        """A run of one body again for a picture, in steps `fine` times as small, saved at the points to draw."""
         count = fine * (self.steps if steps is None else steps)
-        return drawn_run(step, state, self.dt / fine, count, longest)
+        return drawn_run(step or one.step, nominal_state(one), self.dt / fine, count, longest)
 
     def changes(
         self, run: Run, steps: Iterable[Step], longest: int = LONGEST
     ) -> tuple[np.ndarray, dict[str, dict[str, np.ndarray]]]:
-        """Times, and the relative changes of what is conserved, by the names of steps and quantities, from one state.
+        """Times, and the relative changes of what is conserved, by the names of steps and quantities.
 
-        Args:
-            run: a run of one body, whose first state is the initial one.
-            steps: the steps to compare.
-            longest: the largest number of steps.
+        They are those of at most `longest` of each of the `steps`, from the first state of a run of one body.
         """
         found, t = {}, np.zeros(0)
         for step in steps:
-            long = as_batch(self.drawn(step, nominal_state(run), longest=longest))
+            long = as_batch(self.drawn(run, longest=longest, step=step))
             t = np.asarray(long.t)
             found[step.name] = {x.name: x.change()[:, 0] for x in self.conserved(long)}
         return t, found

@@ -11,50 +11,38 @@ import numpy as np
 from jax import Array
 from pydantic import model_validator
 
+from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._files import BodyFile
-from lieint_jax.app.scenarios._keys import (
-    AttitudeSpread,
-    GivenRate,
-    Moments,
-    NonNegative,
-    PositiveFloat,
-    PositiveTriple,
-    RateSpread,
-    Stated,
-    Table,
-    Triple,
-    array,
-)
 from lieint_jax.app.scenarios._spread import INERTIA, draw_members, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step
 
 
-class BodySpread(RateSpread, AttitudeSpread):
+class BodySpread(keys.RateSpread, keys.AttitudeSpread):
     """Standard deviations of the members' bodies about the nominal one."""
 
-    mass_percent: NonNegative = 0.0
+    mass_percent: keys.NonNegative = 0.0
     """Relative standard deviation of the mass, at fixed size and shape."""
-    axes_percent: Annotated[NonNegative, Stated("semi-axes", "%")] = 0.0
+    axes_percent: Annotated[keys.NonNegative, keys.Stated("semi-axes", "%")] = 0.0
     """Relative standard deviation of each semi-axis of the equivalent ellipsoid, at fixed mass."""
 
 
-class ExtendedBody(GivenRate):
+class ExtendedBody(keys.GivenRate):
     """The keys of a body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity."""
 
-    mass_kg: PositiveFloat | None = None
+    mass_kg: keys.PositiveFloat | None = None
     """In kg."""
-    moments_kg_m2: Annotated[Moments, INERTIA] | None = None
+    moments_kg_m2: Annotated[keys.Moments, INERTIA] | None = None
     """Principal moments about the center of mass, in kg m²."""
-    semi_axes_m: PositiveTriple | None = None
+    semi_axes_m: keys.PositiveTriple | None = None
     """Semi-axes of an ellipsoid along the principal axes, in m."""
-    density_kg_m3: PositiveFloat | None = None
+    density_kg_m3: keys.PositiveFloat | None = None
     """The density of the ellipsoid, in kg/m³."""
-    euler_313_deg: Triple = [0.0, 0.0, 0.0]
+    euler_313_deg: keys.Triple = [0.0, 0.0, 0.0]
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
     spread: BodySpread = BodySpread()
 
-    files: ClassVar[Mapping[str, type[Table]]] = {"shape": BodyFile}
+    files: ClassVar[Mapping[str, type[keys.Table]]] = {"shape": BodyFile}
 
     @model_validator(mode="after")
     def _check_body(self) -> Self:
@@ -73,46 +61,32 @@ class ExtendedBody(GivenRate):
             return self.mass_kg
         assert self.semi_axes_m is not None
         assert self.density_kg_m3 is not None
-        return self.density_kg_m3 * 4 / 3 * np.pi * array(self.semi_axes_m).prod()
+        return self.density_kg_m3 * 4 / 3 * np.pi * keys.array(self.semi_axes_m).prod()
 
     def second_moments(self) -> Any:
         """The second moments per mass: those of a homogeneous ellipsoid are the squared semi-axes over 5."""
         if self.semi_axes_m is not None:
-            return array(self.semi_axes_m) ** 2 / 5
-        J = array(self.moments_kg_m2) / self.mass()
+            return keys.array(self.semi_axes_m) ** 2 / 5
+        J = keys.array(self.moments_kg_m2) / self.mass()
         return J.sum() / 2 - J
 
 
 def member_bodies(bodies: Sequence[ExtendedBody], noise: Array) -> tuple[Array, Array, Array, Array]:
     """Masses (n,), principal moments (n, 3), attitudes (n, 4) and angular velocities (n, 3) of a member's bodies.
 
-    Args:
-        bodies: the nominal bodies.
-        noise: standard normal deviates of mass, semi-axes, attitude and angular velocity, (n, 4 or more, 3).
+    `noise` are standard normal deviates of mass, semi-axes, attitude and angular velocity, (n, 4 or more, 3).
     """
-    members = [
-        (*_mass_and_moments(body, x[0], x[1]), _attitude(body, x[2]), _angular_velocity(body, x[3]))
-        for body, x in zip(bodies, noise, strict=True)
-    ]
-    m, J, q, Omega = (jnp.stack(x) for x in zip(*members, strict=True))
+    m, J, q, Omega = map(jnp.stack, zip(*map(_member_body, bodies, noise), strict=True))
     return m, J, q, Omega
 
 
-def _mass_and_moments(body: ExtendedBody, for_mass: Array, for_axes: Array) -> tuple[Array, Array]:
-    """The mass and the principal moments of a member's body, for its deviates of mass and semi-axes."""
-    mass = body.mass() * (1 + body.spread.mass_percent / 100 * for_mass[0])
-    E = body.second_moments() * (1 + body.spread.axes_percent / 100 * for_axes) ** 2
-    return mass, mass * (jnp.sum(E) - E)
-
-
-def _attitude(body: ExtendedBody, noise: Array) -> Array:
-    """The attitude of a member's body, for its deviates."""
-    return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * noise), body.attitude())
-
-
-def _angular_velocity(body: ExtendedBody, noise: Array) -> Array:
-    """The angular velocity of a member's body, for its deviates."""
-    return jnp.asarray(body.rate()) + body.spread.rate() * noise
+def _member_body(body: ExtendedBody, noise: Array) -> tuple[Array, Array, Array, Array]:
+    """The mass, the principal moments, the attitude and the angular velocity of one of a member's bodies."""
+    spread, (for_mass, for_axes, for_attitude, for_rate, *_) = body.spread, noise
+    mass = body.mass() * (1 + spread.mass_percent / 100 * for_mass[0])
+    E = body.second_moments() * (1 + spread.axes_percent / 100 * for_axes) ** 2
+    q = so3.multiply(so3.exp(jnp.deg2rad(spread.attitude_deg) * for_attitude), body.attitude())
+    return mass, mass * (jnp.sum(E) - E), q, jnp.asarray(body.rate()) + spread.rate() * for_rate
 
 
 def build_members(
@@ -120,10 +94,7 @@ def build_members(
 ) -> tuple[Step, State]:
     """The steps and the initial states of all members; a member is the same in ensembles of every size.
 
-    Args:
-        scenario: the scenario.
-        member: the step and the state of a member, from its scenario and its standard normal deviates.
-        shape: the shape of a member's deviates; those of the first member are 0.
+    `member` makes those of one, from its scenario and its standard normal deviates of this shape, 0 of the first.
     """
 
     def build_member(k: Array, own: Any) -> tuple[Step, State]:

@@ -72,16 +72,9 @@ def draw_balance(
     unit: str = "",
     time_unit: str = "",
 ) -> None:
-    """Plot the work of each law on the first member, and the relative change of energy less all work.
+    """Plot the work of each law on the first member, and the relative change of energy less all work, in two panels.
 
-    Args:
-        axes: two panels.
-        t: times (times,).
-        energy: (times, members), in `unit`.
-        works: of each law, (times, members, laws), in `unit`.
-        names: of the laws.
-        unit: of energy.
-        time_unit: of t.
+    The energy is (times, members), the works are (times, members, laws), all in `unit`.
     """
     left, right = axes
     left.plot(t, energy[:, 0] - energy[0, 0], color=plots.GRAY, lw=3.5, label="change of energy")
@@ -91,9 +84,8 @@ def draw_balance(
     balance = energy - works.sum(axis=-1)
     change = abs(balance - balance[0]) / np.where(largest > 0, largest, 1)
     curves = {"worst member": change.max(axis=1), "median": np.median(change, axis=1)}
-    plots.log_error(
-        right, t, curves if change.shape[1] > 1 else {"": change[:, 0]}, "H − ΣW, relative change", time_unit
-    )
+    curves = curves if change.shape[1] > 1 else {"": change[:, 0]}
+    plots.log_error(right, t, curves, "H − ΣW, relative change", time_unit)
     right.set_title("energy less the work of all laws")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import timeit
 from functools import partial
 from typing import Any
 
@@ -51,10 +51,4 @@ def cost(step: Step, state: State, dt: float) -> float:
 
     states = jax.tree.map(lambda x: jnp.tile(x, (_BODIES, 1)), state)
     jax.block_until_ready(run(states))
-    return min(_seconds(run, states) for _ in range(_ROUNDS)) / _STEPS
-
-
-def _seconds(run: Any, states: State) -> float:
-    start = time.perf_counter()
-    jax.block_until_ready(run(states))
-    return time.perf_counter() - start
+    return min(timeit.repeat(lambda: jax.block_until_ready(run(states)), repeat=_ROUNDS, number=1)) / _STEPS

@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
+from jax.tree_util import Partial
 
 from lieint_jax import ensemble
 from lieint_jax.runs import Run, integrate
-from lieint_jax.types import State, Step, Trajectory, pytree, static
+from lieint_jax.types import State, Step, Trajectory, vectors
 from lieint_jax.types.shapes import PyTree
 
 Numbers: TypeAlias = Any  # a number of one member, or an array of the numbers of all, of JAX or of numpy
@@ -21,16 +22,7 @@ Numbers: TypeAlias = Any  # a number of one member, or an array of the numbers o
 LONGEST, POINTS = 200_000, 4_000  # largest numbers of steps of a drawn run and of points of a curve
 
 length: Callable[[Any], np.ndarray] = partial(np.linalg.norm, axis=-1)
-
-
-@pytree
-class _OfSystem:
-    """A function of system and state as one of step and state."""
-
-    function: Callable[[Any, State], Any] = static()
-
-    def __call__(self, step: Step, state: State) -> Any:
-        return self.function(step.system, state)
+angles = jax.jit(jnp.vectorize(vectors.angle, signature="(n),(n)->()"))  # between vectors (…, 3), in radians
 
 
 def series(function: Callable[[Any, State], Any], run: Run) -> Any:
@@ -38,7 +30,11 @@ def series(function: Callable[[Any, State], Any], run: Run) -> Any:
 
     A function that is not a closure is compiled once.
     """
-    return jax.tree.map(np.asarray, run.map(_OfSystem(function)))
+    return jax.tree.map(np.asarray, run.map(Partial(_value, function)))
+
+
+def _value(function: Callable[[Any, State], Any], step: Step, state: State) -> Any:
+    return function(step.system, state)
 
 
 def nominal_state(run: Run, time: int = 0, member: int = 0) -> State:
@@ -66,11 +62,6 @@ def as_batch(run: Run) -> Run:
 def map_on_local_devices(function: Callable[..., Any], axes: PyTree) -> Callable[..., Any]:
     """Map a function of one member over many, on the devices of this process: only the first process reports."""
     return ensemble.over_members(function, axes, Mesh(np.array(jax.local_devices()), ("members",)))
-
-
-def angles_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The angles between vectors (…, 3), in degrees, accurate for small ones too."""
-    return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
 def standard_deviation(x: np.ndarray) -> np.ndarray:

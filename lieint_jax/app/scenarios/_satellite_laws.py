@@ -170,21 +170,13 @@ def _call(function: Constant, method: str, t: Any) -> Any:
 
 
 class Surroundings(NamedTuple):
-    """Functions of time along the orbit, the same for all members.
+    """Functions of time along the orbit, the same for all members."""
 
-    Attributes:
-        orbit: position and velocity, m and m/s.
-        mu: the gravitational parameter, m³/s².
-        field: the Earth's magnetic field in space, T.
-        frame: the local vertical, local horizontal frame: z down, x forward.
-        air: density and relative velocity of the air, or None.
-    """
-
-    orbit: Any
-    mu: float
-    field: Any
-    frame: Frame
-    air: Any
+    orbit: Any  # position and velocity, m and m/s
+    mu: float  # the gravitational parameter, m³/s²
+    field: Any  # the Earth's magnetic field in space, T
+    frame: Frame  # the local vertical, local horizontal frame: z down, x forward
+    air: Any  # density and relative velocity of the air, or None
 
 
 def surroundings(motion: Any, date: str, drag: Drag | None) -> Surroundings:

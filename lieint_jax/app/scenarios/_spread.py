@@ -39,33 +39,21 @@ _TRIES = 16  # draws of a number until a file could have it
 
 
 class DeviationLaw(NamedTuple):
-    """How a member's value follows from the nominal one; the annotation of a key in a model.
+    """How a member's value follows from the nominal one; the annotation of a key in a model."""
 
-    Attributes:
-        value: the values (members, …) for a nominal value and deviations.
-        allows: whether a system may have these values (members, …), for a nominal value.
-        basis: the quantities that deviate, in words, unless they are the number itself.
-        by_axis: whether there is one deviation for each of three axes, not for each component.
-    """
-
-    value: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    allows: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    basis: str = ""
-    by_axis: bool = False
+    value: Callable[[np.ndarray, np.ndarray], np.ndarray]  # the values (members, …) for a nominal value and deviations
+    # whether a system may have these values (members, …), for a nominal value; None: it may have all
+    allows: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    basis: str = ""  # the quantities that deviate, in words, unless they are the number itself
+    by_axis: bool = False  # whether there is one deviation for each of three axes, not for each component
 
 
 class Number(NamedTuple):
-    """A number of a scenario, or a list of them.
+    """A number of a scenario, or a list of them."""
 
-    Attributes:
-        value: the nominal value.
-        law: how members deviate from it.
-        limits: the limits of every component, `annotated_types` of its key.
-    """
-
-    value: np.ndarray
-    law: DeviationLaw
-    limits: tuple[Any, ...]
+    value: np.ndarray  # the nominal value
+    law: DeviationLaw  # how members deviate from it
+    limits: tuple[Any, ...]  # the limits of every component, `annotated_types` of its key
 
     def shape(self) -> tuple[int, ...]:
         """The shape of the deviations."""
@@ -74,8 +62,8 @@ class Number(NamedTuple):
     def allows(self, x: np.ndarray) -> np.ndarray:
         """Whether values (members, …) are within the limits."""
         inside = [_TESTS[type(limit)](x, limit) for limit in self.limits]
-        components = tuple(range(1, x.ndim))
-        return np.all(np.array([*inside, np.isfinite(x)]), axis=0).all(axis=components) & self.law.allows(self.value, x)
+        good = _holds_for_all(np.all([*inside, np.isfinite(x)], axis=0))
+        return good & self.law.allows(self.value, x) if self.law.allows else good
 
 
 _TESTS: dict[type, Callable[[np.ndarray, Any], np.ndarray]] = {
@@ -86,8 +74,9 @@ _TESTS: dict[type, Callable[[np.ndarray, Any], np.ndarray]] = {
 }
 
 
-def _allow_all(value: np.ndarray, x: np.ndarray) -> np.ndarray:
-    return np.ones(len(x), bool)
+def _holds_for_all(good: np.ndarray) -> np.ndarray:
+    """Whether something holds for all components of each member, (members, …)."""
+    return np.all(good.reshape(len(good), -1), axis=1)
 
 
 def _is_positive_definite(value: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -122,11 +111,6 @@ def _deviate_direction(value: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     return found / np.linalg.norm(found, axis=-1, keepdims=True)
 
 
-def _is_same_side(limit: float, value: np.ndarray, x: np.ndarray) -> np.ndarray:
-    components = tuple(range(1, x.ndim))
-    return (np.sign(x - limit) == np.sign(value - limit)).all(axis=components)
-
-
 def _along_axes(function: Callable[..., Any]) -> DeviationLaw:
     """Deviations of the logarithms of the second moments of mass: see the page on covariance."""
     mapped = partial(_apply_along_axes, jax.jit(jax.vmap(function, (None, 0))))
@@ -135,15 +119,15 @@ def _along_axes(function: Callable[..., Any]) -> DeviationLaw:
     )
 
 
-ADDITIVE = DeviationLaw(np.add, _allow_all)
+ADDITIVE = DeviationLaw(np.add)
 INERTIA, SECOND_MOMENTS = _along_axes(stretch_inertia), _along_axes(_scale_second_moments)
-DIRECTION = DeviationLaw(_deviate_direction, _allow_all, "of each component, before normalization")
+DIRECTION = DeviationLaw(_deviate_direction, basis="of each component, before normalization")
 POSITIVE_DETERMINANT = DeviationLaw(np.add, lambda _, x: np.linalg.det(x) > 0)
 
 
 def same_side_of(limit: float) -> DeviationLaw:
     """Values of members stay on the side of the limit on which the nominal value is, above, below or equal."""
-    return DeviationLaw(np.add, partial(_is_same_side, limit))
+    return DeviationLaw(np.add, lambda value, x: _holds_for_all(np.sign(x - limit) == np.sign(value - limit)))
 
 
 def numbers(table: BaseModel, path: Path = ()) -> dict[Path, Number]:
@@ -198,28 +182,18 @@ def _annotations(annotation: Any) -> Iterator[Any]:
 
 
 class GivenSpread(NamedTuple):
-    """The spread of a number in a file.
+    """The spread of a number in a file."""
 
-    Attributes:
-        number: the number.
-        sigma: the standard deviations, in the shape of the number's deviations.
-        words: the spread as text for the report.
-    """
-
-    number: Number
-    sigma: np.ndarray
-    words: str
+    number: Number  # the number
+    sigma: np.ndarray  # the standard deviations, in the shape of the number's deviations
+    words: str  # the spread as text for the report
 
 
 def requested_spreads(scenario: Any, fixed: Mapping[str, str]) -> dict[Path, GivenSpread]:
     """The spreads of numbers that a scenario gives, by the paths of the numbers, without those that are 0.
 
-    Args:
-        scenario: the scenario; its table `spread` may contain them.
-        fixed: patterns of paths of numbers that have no spread, with the reasons.
-
-    Raises:
-        ValueError: no such number, or no standard deviation.
+    `fixed` are patterns of paths of numbers that have no spread, with the reasons. ValueError: no such number, or no
+    standard deviation.
     """
     table: Any = getattr(scenario, _SPREAD, None)
     entries = dict(_entries(getattr(table, "model_extra", None) or {}))
@@ -227,7 +201,11 @@ def requested_spreads(scenario: Any, fixed: Mapping[str, str]) -> dict[Path, Giv
         return {}
     known, declared = numbers(scenario), type(table).model_fields
     own = dict.fromkeys(declared, "[spread] has a key for it, without %")
-    reasons = {path: _reason_without_spread(path, {**own, **fixed}) for path in known}
+    patterns = {**own, **fixed}
+    reasons = {
+        path: next((why for pattern, why in patterns.items() if fnmatchcase(".".join(path), pattern)), None)
+        for path in known
+    }
     found: dict[Path, GivenSpread] = {}
     for path, value in entries.items():
         percent = path not in known and path[-1].endswith(_PERCENT)
@@ -235,7 +213,7 @@ def requested_spreads(scenario: Any, fixed: Mapping[str, str]) -> dict[Path, Giv
         if key not in known or reasons[key] is not None:
             raise ValueError(_refusal(path, key, reasons, declared))
         if key in found:
-            raise ValueError(f"spread: give {_join(key)} or {_join(key)}{_PERCENT}, not both")
+            raise ValueError(f"spread: give {'.'.join(key)} or {'.'.join(key)}{_PERCENT}, not both")
         found[key] = _parse_spread(path, value, known[key], percent)
     return {path: spread for path, spread in found.items() if spread.sigma.any()}
 
@@ -250,11 +228,11 @@ def _entries(table: Mapping[str, Any], path: Path = ()) -> Iterator[tuple[Path, 
 
 
 def _parse_spread(path: Path, value: ArrayLike, number: Number, percent: bool) -> GivenSpread:
-    key = _join((_SPREAD, *path))
+    key = ".".join((_SPREAD, *path))
     sigma = _standard_deviations(key, value, number.shape())
     unit, basis = (" %" if percent else ""), (f" {number.law.basis}" if number.law.basis else "")
     shown = ", ".join(f"{x:.3g}" for x in np.ravel(value))
-    words = f"{_join(path).removesuffix(_PERCENT)} {shown if np.ndim(value) == 0 else f'({shown})'}{unit}{basis}"
+    words = f"{'.'.join(path).removesuffix(_PERCENT)} {shown if np.ndim(value) == 0 else f'({shown})'}{unit}{basis}"
     if percent:
         sigma = sigma / 100 * (1.0 if number.law.by_axis else abs(number.value))
     return GivenSpread(number, sigma, words)
@@ -278,25 +256,16 @@ def _flatten(value: object) -> list[Any]:
     return [x for part in value for x in _flatten(part)] if isinstance(value, list) else [value]
 
 
-def _reason_without_spread(path: Path, fixed: Mapping[str, str]) -> str | None:
-    """Why a number must not have a spread; None if it may."""
-    return next((reason for pattern, reason in fixed.items() if fnmatchcase(_join(path), pattern)), None)
-
-
 def _refusal(path: Path, key: Path, reasons: Mapping[Path, str | None], declared: Mapping[str, Any]) -> str:
     """The message for an entry that must not have a spread: the reason, and the allowed entries."""
-    name = _join((_SPREAD, *path))
-    possible = [*declared, *(_join(other) for other, reason in reasons.items() if reason is None)]
+    name = ".".join((_SPREAD, *path))
+    possible = [*declared, *(".".join(other) for other, reason in reasons.items() if reason is None)]
     allowed = f"these can be spread: {', '.join(possible)}"
     if key in reasons:
         return f"{name}: {reasons[key]}; {allowed}"
-    near = difflib.get_close_matches(_join(key), possible, 1)
+    near = difflib.get_close_matches(".".join(key), possible, 1)
     meant = f"did you mean {near[0]}? " if near else ""
     return f"{name}: no number of this scenario: {meant}{allowed}"
-
-
-def _join(path: Path) -> str:
-    return ".".join(path)
 
 
 def draw_members(scenario: Any) -> dict[Path, np.ndarray]:
@@ -313,7 +282,7 @@ def draw_members(scenario: Any) -> dict[Path, np.ndarray]:
 
 def _draw_number(scenario: Any, path: Path, spread: GivenSpread) -> np.ndarray:
     number, key = spread.number, jax.random.key(scenario.seed)
-    name = np.uint32(zlib.crc32(_join(path).encode()))
+    name = np.uint32(zlib.crc32(".".join(path).encode()))
     found, remaining = np.repeat(number.value[None], scenario.members, axis=0), np.arange(scenario.members) > 0
     for attempt in range(_TRIES):
         noise = np.asarray(_normal(key, name, attempt, scenario.members, number.shape()), float)
@@ -324,7 +293,7 @@ def _draw_number(scenario: Any, path: Path, spread: GivenSpread) -> np.ndarray:
         if not remaining.any():
             return found
     raise ValueError(
-        f"spread.{_join(path)}: {remaining.sum()} of {scenario.members} members found no value that the scenario "
+        f"spread.{'.'.join(path)}: {remaining.sum()} of {scenario.members} members found no value that the scenario "
         f"allows within {_TRIES} draws about {number.value.tolist()}: give a smaller one"
     )
 
@@ -358,11 +327,9 @@ def _with_parts(value: Any, parts: Mapping[Path, Numbers]) -> Any:
 
 
 def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
-    """The step and the members' states; where numbers have a spread, the leaves of the step have the member axis.
+    """The step and the members' states, for deviates with the member axis.
 
-    Args:
-        scenario: the scenario, a `Kind`.
-        noise: the deviates of the members' initial states, with the member axis.
+    Where numbers have a spread, the leaves of the step have the member axis too.
     """
     nominal, own = scenario.make_step(), draw_members(scenario)
     if not own:
@@ -382,9 +349,14 @@ def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
                 "make_system and start, or set traced = False to make the members one by one"
             ) from error
     else:
-        each = [member(*_select_member((own, noise), m)) for m in range(scenario.members)]
+        count = range(scenario.members)
+        each = [member(_numbers_of(own, m), jax.tree.map(lambda x, m=m: x[m], noise)) for m in count]
         members = jax.tree.map(lambda *x: jnp.stack(x), *each)
-    step, states = with_exact_first(members, (nominal, scenario.start(nominal.system, nominal_member(noise))))
+    leaves, structure = jax.tree.flatten(members)
+    # without a spread, since a compiled program rounds differently
+    first = jax.tree.leaves((nominal, scenario.start(nominal.system, nominal_member(noise))))
+    exact = [jnp.asarray(x).at[0].set(x0) for x, x0 in zip(leaves, first, strict=True)]
+    step, states = jax.tree.unflatten(structure, exact)
     return step, _with_shared_time(states)
 
 
@@ -393,17 +365,9 @@ def _with_shared_time(states: State) -> State:
     return states if states.t is None else states._replace(t=states.t[0])
 
 
-def _select_member(tree: tuple[dict[Path, np.ndarray], Any], m: int) -> tuple[dict[Path, Numbers], Any]:
-    own, noise = tree
-    return {path: x[m].tolist() for path, x in own.items()}, jax.tree.map(lambda x: x[m], noise)
-
-
-def with_exact_first(members: tuple[Step, State], first: tuple[Step, State]) -> tuple[Step, State]:
-    """Replace the first member by `first`, computed without a spread: a compiled program rounds differently."""
-    leaves, structure = jax.tree.flatten(members)
-    known = jax.tree.leaves(first)
-    exact = [jnp.asarray(x).at[0].set(x0) for x, x0 in zip(leaves, known, strict=True)]
-    return jax.tree.unflatten(structure, exact)
+def _numbers_of(own: dict[Path, np.ndarray], m: int) -> dict[Path, Numbers]:
+    """The numbers of member m."""
+    return {path: x[m].tolist() for path, x in own.items()}
 
 
 def member_values(scenario: Any, *path: str) -> np.ndarray:
@@ -418,4 +382,4 @@ def member_scenarios(scenario: Any) -> Iterator[Any]:
     declared = {name: getattr(scenario.spread, name) for name in type(scenario.spread).model_fields}
     plain = scenario.model_copy(update={"members": 1, _SPREAD: type(scenario.spread).model_construct(**declared)})
     for m in range(scenario.members):
-        yield with_numbers(plain, {path: x[m].tolist() for path, x in own.items()})
+        yield with_numbers(plain, _numbers_of(own, m))

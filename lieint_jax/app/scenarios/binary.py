@@ -23,15 +23,7 @@ from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, pict
 from lieint_jax.app.scenarios._multibody import ExtendedBody, build_members, member_bodies
 from lieint_jax.app.scenarios._pictures import draw_errors
 from lieint_jax.app.scenarios._report import Conserved, Quantity, citation
-from lieint_jax.app.scenarios._runs import (
-    as_batch,
-    drawn_steps,
-    length,
-    nominal_state,
-    nominal_system,
-    series,
-    standard_deviation,
-)
+from lieint_jax.app.scenarios._runs import as_batch, drawn_steps, length, nominal_state, series, standard_deviation
 from lieint_jax.groups import so3
 from lieint_jax.measure import RelativeMotion, mean_rate
 from lieint_jax.runs import Run
@@ -43,6 +35,8 @@ _SHOWN = {_ENERGY: "H", _MOMENTUM: "L"}  # in the picture of errors
 _BRIEF, _FINE = 4, 4  # orbits in the picture of energies; steps of pictures per step of the scenario
 _MAX_DRAWN = 100  # members whose range is drawn
 _UPRIGHT = 30  # degrees; a secondary of larger obliquity counts as tumbling
+_PARTS = {"orbit": "orbit of two points", "spin_1": "primary's spin", "spin_2": "secondary's spin"}  # of the energy
+_PARTS |= {"shape": "potential of their shapes, V + G m₁m₂/r"}
 _DEG_D = np.rad2deg(DAY)  # of rad/s
 _LONG = 8  # length of the spectrum's run, over that of the scenario
 
@@ -261,11 +255,11 @@ class Binary(Kind):
     def draw_spectrum(self, axes: np.ndarray, run: Run) -> None:
         """Plot the spectrum of the nominal secondary's libration over a longer run, and its expected frequencies."""
         one, ax = run.member(0), axes[0]
-        long = as_batch(self.drawn(one.step, nominal_state(one), steps=_LONG * self.steps))
+        long = as_batch(self.drawn(one, steps=_LONG * self.steps))
         t, found = np.asarray(long.t), measure.relative_motion(long)
         f, amplitude = measure.spectrum(t, np.rad2deg(found.libration[:, 0]))
         orbital = float(mean_rate(t, found.longitude)[0]) / (2 * np.pi)
-        A, B, C = (float(x) for x in nominal_system(one).inertias[1])
+        A, B, C = (float(x) for x in one.system.inertias[1])  # pyright: ignore[reportAttributeAccessIssue]
         anomalistic = 1 / float(measure.apsides(found).anomalistic_period[0])
         shown = (f > 0) & (f < 3 * orbital)
         ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
@@ -285,22 +279,16 @@ class Binary(Kind):
         one = run.member(0)
         orbital_period = float(measure.apsides(self.motion(run)).period[0])
         steps = min(self.steps, round(_BRIEF * orbital_period / abs(self.dt)))
-        brief = self.drawn(one.step, nominal_state(one), _FINE, steps)  # the primary rotates once in few steps
+        brief = self.drawn(one, _FINE, steps)  # the primary rotates once in few steps
         parts = measure.pair_energies(brief)
-        size = abs(parts.orbit[0])
-        names = {
-            "orbit": "orbit",
-            "spin_1": "primary's spin",
-            "spin_2": "secondary's spin",
-            "shape": "shapes, V + Gm₁m₂/r",
-        }
+        size, names = abs(parts.orbit[0]), _PARTS | {"orbit": "orbit", "shape": "shapes, V + Gm₁m₂/r"}
         curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
         plots.series(left, np.asarray(brief.t) / DAY, curves, "change over |energy of the orbit|", "d")
         left.margins(y=0.25)
         left.legend(loc="upper center", ncols=2)
         left.set_title(f"exchange of energy, nominal member, {_BRIEF} orbits")
         compared = dict.fromkeys((self.scheme, "kepler_splitting", "bodies_energy_momentum"))
-        both = [self.step_by(name, nominal_system(one)) for name in compared]
+        both = [self.step_by(name, one.system) for name in compared]  # pyright: ignore[reportArgumentType]
         draw_errors(right, self, one, both, _SHOWN, "relative change", DAY, "d")
         right.set_ylim(top=1e3 * right.get_ylim()[1])  # room for the legend
         right.legend(loc="upper center", ncols=2)
@@ -312,10 +300,8 @@ def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Arr
     if orbit.speed_m_s is not None:
         return jnp.asarray(orbit.speed_m_s)
     m, origin = bodies.masses, jnp.zeros(3)
-    force = bodies.force(jnp.stack([jnp.concatenate([x, q]) for x, q in zip((origin, d), attitudes, strict=True)]))[
-        1, 0
-    ]
-    return jnp.sqrt(-force * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
+    places = jnp.stack([jnp.concatenate([x, q]) for x, q in zip((origin, d), attitudes, strict=True)])
+    return jnp.sqrt(-bodies.force(places)[1, 0] * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
 
 
 def _hours(t: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -335,8 +321,7 @@ def _exchange(run: Run) -> list[str]:
     size = abs(parts.orbit[0, 0])
     heads = f"{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|"
     lines = [f"\n  {'energy exchanged, greatest − least (J)':<54}{heads}"]
-    names = {"orbit": "orbit of two points", "spin_1": "primary's spin", "spin_2": "secondary's spin"}
-    for key, name in (names | {"shape": "potential of their shapes, V + G m₁m₂/r"}).items():
+    for key, name in _PARTS.items():
         swing = np.ptp(getattr(parts, key), axis=0)
         spread = float(standard_deviation(swing))
         lines.append(f"  {name:<54}{swing[0]:>11.3g}{spread:>12.2g}   {swing[0] / size:.3g}")
@@ -344,18 +329,10 @@ def _exchange(run: Run) -> list[str]:
 
 
 class Impact(NamedTuple):
-    """The change of speed that follows from the published change of the period; periods in h, speeds in mm/s.
+    """The change of speed that follows from the published change of the period; periods in h, speeds in mm/s."""
 
-    Attributes:
-        period_unchanged: the period of the nominal state without the scenario's change of speed.
-        change: the change of speed from the published period before to that after, by the whole model.
-        slope: the derivative of the period by the speed half-way, h/(mm/s).
-        kepler: the change of speed for two points.
-        kepler_slope: the derivative for two points, h/(mm/s).
-    """
-
-    period_unchanged: float
-    change: float
-    slope: float
-    kepler: float
-    kepler_slope: float
+    period_unchanged: float  # the period of the nominal state without the scenario's change of speed
+    change: float  # the change of speed from the published period before to that after, by the whole model
+    slope: float  # the derivative of the period by the speed half-way, h/(mm/s)
+    kepler: float  # the change of speed for two points
+    kepler_slope: float  # the derivative for two points, h/(mm/s)

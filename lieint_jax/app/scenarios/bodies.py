@@ -18,21 +18,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import measure, potentials, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._keys import (
-    DAY,
-    HOUR,
-    TINY,
-    NonNegative,
-    NumberSpread,
-    PositiveFloat,
-    Published,
-    Quaternion,
-    Table,
-    Text,
-    Triple,
-    array,
-    checked,
-)
+from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, positive, step_of
 from lieint_jax.app.scenarios._multibody import BodySpread, ExtendedBody, build_members, member_bodies
 from lieint_jax.app.scenarios._pictures import draw_changes
@@ -50,9 +36,9 @@ _MAX_SHOWN = 8  # bodies and pairs in a picture and in the report's periods
 class Spread(BodySpread):
     """Standard deviations of the members' bodies about the nominal one."""
 
-    position_m: NonNegative = 0.0
+    position_m: keys.NonNegative = 0.0
     """Standard deviation of each component of the position, in m."""
-    velocity_m_s: NonNegative = 0.0
+    velocity_m_s: keys.NonNegative = 0.0
     """Standard deviation of each component of the velocity, in m/s."""
 
 
@@ -67,16 +53,16 @@ def _check_name(value: str) -> None:
 class Body(ExtendedBody):
     """One body. Its angular velocity is in its own axes."""
 
-    name: Annotated[Text, Field(min_length=1, max_length=100), checked(_check_name)]
+    name: Annotated[keys.Text, Field(min_length=1, max_length=100), keys.checked(_check_name)]
     """The name of the body, in reports, in pictures and in `between`."""
-    position_m: Triple
+    position_m: keys.Triple
     """The position of the center of mass, in m."""
-    velocity_m_s: Triple
+    velocity_m_s: keys.Triple
     """The velocity of the center of mass, in m/s."""
-    quaternion: Quaternion | None = None
+    quaternion: keys.Quaternion | None = None
     """Attitude (w, x, y, z), body to space, of unit length, instead of euler_313_deg."""
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
-    published: dict[PublishedKey, Published] = {}
+    published: dict[PublishedKey, keys.Published] = {}
     """Orbital period about the first body and rotation period in hours, precession of the apsides in degrees a day."""
 
     @model_validator(mode="after")
@@ -98,7 +84,7 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 _GRAVITY = ("point_masses", "maccullagh")
 
 
-class Term(Table):
+class Term(keys.Table):
     """A potential by its kind; several are added.
 
     `point_masses` is gravity between the centers, `maccullagh` gravity to second order of size over distance, which
@@ -106,19 +92,19 @@ class Term(Table):
     """
 
     kind: Literal["point_masses", "maccullagh", "spring", "uniform_field"]
-    G: PositiveFloat | None = None
+    G: keys.PositiveFloat | None = None
     """The constant of gravity, in m³ kg⁻¹ s⁻²; by default 6.67430e-11."""
-    softening_m: NonNegative | None = None
+    softening_m: keys.NonNegative | None = None
     """For point_masses: the length ε of −G m₁m₂/√(r² + ε²), in m; by default 0."""
     between: Annotated[list[str], Field(min_length=2, max_length=2)] | None = None
     """For a spring: the names of its two bodies."""
-    points_m: Annotated[list[Triple], Field(min_length=2, max_length=2)] | None = None
+    points_m: Annotated[list[keys.Triple], Field(min_length=2, max_length=2)] | None = None
     """For a spring: its ends, each in the axes of its body from the center of mass, in m."""
-    stiffness_n_m: NonNegative | None = None
+    stiffness_n_m: keys.NonNegative | None = None
     """For a spring: its stiffness, in N/m."""
-    length_m: NonNegative | None = None
+    length_m: keys.NonNegative | None = None
     """For a spring: the length at which it is slack, in m; by default 0."""
-    field_m_s2: Triple | None = None
+    field_m_s2: keys.Triple | None = None
     """For uniform_field: the acceleration of every mass, in m/s²."""
 
     @model_validator(mode="after")
@@ -159,7 +145,7 @@ class Bodies(Kind):
     """The bodies, one table each."""
     potential: Annotated[list[Term], Field(min_length=1)]
     """The potentials that act on the bodies, one table each; they are added."""
-    spread: NumberSpread = NumberSpread()
+    spread: keys.NumberSpread = keys.NumberSpread()
     """Standard deviations of numbers by their paths, such as `potential.1.G` or `bodies.NAME.position_m`."""
 
     unit_km = 1e-3
@@ -247,15 +233,12 @@ class Bodies(Kind):
         terms: list[Potential] = []
         for term in self.potential:
             if term.kind == "point_masses":
-                terms.append(
-                    potentials.point_masses(
-                        term.gravity(), m, softening=0.0 if term.softening_m is None else term.softening_m
-                    )
-                )
+                softening = 0.0 if term.softening_m is None else term.softening_m
+                terms.append(potentials.point_masses(term.gravity(), m, softening=softening))
             elif term.kind == "maccullagh":
                 terms.append(potentials.maccullagh(term.gravity(), m, J))
             elif term.kind == "uniform_field":
-                terms.append(potentials.uniform_field(array(term.field_m_s2), m))
+                terms.append(potentials.uniform_field(keys.array(term.field_m_s2), m))
         springs = [term for term in self.potential if term.kind == "spring"]
         return reduce(operator.add, terms + ([_springs(self.names(), springs)] if springs else []))
 
@@ -280,13 +263,11 @@ class Bodies(Kind):
 
     def quantities(self, run: Run) -> list[Quantity]:
         """Distances and periods of orbits and rotations, with published values."""
-        rows = _distances(self.names(), self.distances(run))
-        if self._in_orbit():
-            for k in range(1, min(len(self.bodies), _MAX_SHOWN)):
-                rows += self._orbit(k, run)
-        rates = measure.rotation_rates(run).mean(axis=0)
+        rows, rates = _distances(self.names(), self.distances(run)), measure.rotation_rates(run).mean(axis=0)
+        for k in range(1, min(len(self.bodies), _MAX_SHOWN) if self._in_orbit() else 0):
+            rows += self._orbit(k, run)
         for k, body in enumerate(self.bodies[:_MAX_SHOWN]):
-            hours = 2 * np.pi / np.maximum(rates[..., k], TINY) / HOUR
+            hours = 2 * np.pi / np.maximum(rates[..., k], keys.TINY) / keys.HOUR
             name = f"{body.name}: rotation period, mean rate (h)"
             rows.append(_row(name, hours, body.published.get("rotation_period_h")))
         return rows
@@ -295,9 +276,9 @@ class Bodies(Kind):
         """The orbit of body k about the first: nan for less than one revolution, or without lines to measure."""
         first, body, found = self.bodies[0], self.bodies[k], measure.apsides(measure.relative_motion(run, 0, k))
         name, known = f"{body.name} about {first.name}: period (h)", body.published
-        apsides = np.rad2deg(found.precession_rate) * DAY
+        apsides = np.rad2deg(found.precession_rate) * keys.DAY
         return [
-            _row(name, found.period / HOUR, known.get("orbital_period_h")),
+            _row(name, found.period / keys.HOUR, known.get("orbital_period_h")),
             _row("  eccentricity: amplitude of the distance over its mean", found.eccentricity),
             _row("  precession of the line of apsides (°/d)", apsides, known.get("apsidal_precession_deg_d")),
         ]
@@ -306,7 +287,7 @@ class Bodies(Kind):
         """How periods are measured, and which momenta a field does not conserve."""
         lines = []
         if self._in_orbit():
-            days = abs(run.t[-1] - run.t[0]) / DAY
+            days = abs(run.t[-1] - run.t[0]) / keys.DAY
             lines.append(f"  periods: mean rates of longitudes about L over {days:.4g} d, by least squares")
         if any(term.kind == "uniform_field" for term in self.potential):
             lines.append("  conserved in a field: P across the field and L about it only")
@@ -340,9 +321,9 @@ class Bodies(Kind):
 def _springs(names: list[str], springs: list[Term]) -> Springs:
     return potentials.springs(
         [[names.index(name) for name in term.between or []] for term in springs],
-        array([term.points_m for term in springs]),
-        array([term.stiffness_n_m for term in springs]),
-        array([0.0 if term.length_m is None else term.length_m for term in springs]),
+        keys.array([term.points_m for term in springs]),
+        keys.array([term.stiffness_n_m for term in springs]),
+        keys.array([0.0 if term.length_m is None else term.length_m for term in springs]),
     )
 
 
@@ -353,25 +334,25 @@ def _invariants(system: RigidBodies, state: State) -> tuple[Array, ...]:
     return system.kinetic_energy(state), system.energy(state), system.momentum(state), each
 
 
-def _row(name: str, values: np.ndarray, published: Published | None = None) -> Quantity:
+def _row(name: str, values: np.ndarray, published: keys.Published | None = None) -> Quantity:
     """A quantity of the report; a body at rest has an infinite period."""
     return Quantity(name, np.where(values < 1e300, values, np.inf), ".6g", published=published)
 
 
 def _distances(names: list[str], distances: np.ndarray) -> list[Quantity]:
     """The least and the greatest distance of each pair, or of all pairs if they are many."""
-    if distances.shape[-1] > _MAX_PAIRS:
-        return [
-            _row("all pairs: least distance (m)", distances.min(axis=(0, 2))),
-            _row("  greatest (m)", distances.max(axis=(0, 2))),
-        ]
+    pairs = {
+        f"{names[i]}–{names[j]}": distances[..., k]
+        for k, (i, j) in enumerate(zip(*np.triu_indices(len(names), 1), strict=True))
+    }
+    if len(pairs) > _MAX_PAIRS:
+        pairs = {"all pairs": np.moveaxis(distances, -1, 0).reshape(-1, distances.shape[1])}
     rows = []
-    for k, (i, j) in enumerate(zip(*np.triu_indices(len(names), 1), strict=True)):
-        rows.append(_row(f"{names[i]}–{names[j]}: least distance (m)", distances[..., k].min(axis=0)))
-        rows.append(_row("  greatest (m)", distances[..., k].max(axis=0)))
+    for pair, x in pairs.items():
+        rows += [_row(f"{pair}: least distance (m)", x.min(axis=0)), _row("  greatest (m)", x.max(axis=0))]
     return rows
 
 
 def _clock(span: float) -> tuple[str, float]:
     """The unit of the time axis for a run of a length in seconds, and its size in seconds."""
-    return next(((unit, size) for unit, size in (("d", DAY), ("h", HOUR)) if span > 2 * size), ("s", 1.0))
+    return next(((unit, size) for unit, size in (("d", keys.DAY), ("h", keys.HOUR)) if span > 2 * size), ("s", 1.0))

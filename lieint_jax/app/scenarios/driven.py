@@ -14,12 +14,12 @@ from lieint_jax import measure, orbits, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._body import TopKind, inertia_matrix
-from lieint_jax.app.scenarios._files import Ephemeris, EphemerisOrbit, OrbitFile
+from lieint_jax.app.scenarios._files import Ephemeris, EphemerisOrbit, OrbitFile, given_motion
 from lieint_jax.app.scenarios._keys import PositiveFloat, Table, radians
 from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_on_sphere
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._runs import nominal_system, series
 from lieint_jax.app.scenarios._spread import same_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
@@ -56,14 +56,9 @@ class Orbit(Table):
 
     def motion(self) -> Kepler:
         inclination, node, periapsis = radians([self.inclination_deg, self.node_deg, self.periapsis_deg])
+        angles = {"inclination": inclination, "node": node, "periapsis": periapsis}
         return orbits.kepler(
-            self.mu,
-            self.semi_major_axis,
-            self.eccentricity,
-            inclination,
-            node=node,
-            periapsis=periapsis,
-            periapsis_time=self.periapsis_time,
+            self.mu, self.semi_major_axis, self.eccentricity, **angles, periapsis_time=self.periapsis_time
         )
 
 
@@ -115,12 +110,8 @@ class Driven(TopKind):
 
     def motion(self) -> Kepler | EphemerisOrbit:
         """The orbit, a function of time."""
-        if self.orbit is not None and self.ephemeris is None:
-            return self.orbit.motion()
-        if self.ephemeris is None or self.orbit is not None:
-            raise ValueError("give either orbit or ephemeris")
         assert self.dt is not None
-        return self.ephemeris.motion(self.state.t, self.state.t + self.dt * self.steps)
+        return given_motion(self.orbit, self.ephemeris, self.state.t, self.state.t + self.dt * self.steps)
 
     def make_system(self) -> GravityGradient:
         return systems.gravity_gradient(self.inertia, self.motion())
@@ -175,10 +166,9 @@ class Driven(TopKind):
     def draw_pointing(self, axes: np.ndarray, run: Run) -> None:
         """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from stability."""
         one = run.member(0)
-        body = nominal_system(one)
-        found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
+        found = _principal(nominal_system(one)) or {"some": (np.eye(3)[0], "vertical", 0)}
         which, (axis, stable, k) = next(iter(found.items()))
-        long = self.drawn(one.step, nominal_state(one))
+        long = self.drawn(one)
         path, ends = series(_in_axes_of_orbit, long) @ axis, series(_in_axes_of_orbit, run)[-1] @ axis
         pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
         t, unit = self._clock(long.t)

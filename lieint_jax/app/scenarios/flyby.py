@@ -18,18 +18,10 @@ from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._flyby_keys import FlybyKeys
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
-from lieint_jax.app.scenarios._flyby_study import (
-    CHECKED,
-    Study,
-    change_of_spin,
-    every_second_phase,
-    members,
-    pole_angles,
-    study,
-    unknowns,
-)
+from lieint_jax.app.scenarios._flyby_study import CHECKED, Study, change_of_spin, members, study, unknowns
 from lieint_jax.app.scenarios._keys import HOUR
 from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
+from lieint_jax.app.scenarios._runs import angles
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step
 
@@ -70,10 +62,9 @@ def facts(scenario: FlybyKeys, before: Outcome) -> list[Quantity]:
     """Quantities of the orbit and of the members before the passage, with published values."""
     position, velocity = (np.asarray(x) for x in GivenOrbit(scenario.orbit.elements())(jnp.zeros(())))
     date, a = scenario.orbit.date(0), scenario.orbit.elements()[1]
-    at_infinity, light = (
-        float(np.sqrt(-scenario.orbit.gm_km3_s2 / a)),
-        1 / (1 / before.precession - 1 / before.rotation),
-    )
+    at_infinity = float(np.sqrt(-scenario.orbit.gm_km3_s2 / a))
+    light = 1 / (1 / before.precession - 1 / before.rotation)
+    hours = date.hour + date.minute / 60 + date.second / HOUR
 
     def quantity(name: str, values: np.ndarray | float, key: str = "") -> Quantity:
         published = [known for known in scenario.published if known.quantity == key]
@@ -83,9 +74,7 @@ def facts(scenario: FlybyKeys, before: Outcome) -> list[Quantity]:
         quantity("distance at the perigee (km)", float(np.linalg.norm(position)), "perigee_distance_km"),
         quantity("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
         quantity("speed far away (km/s)", at_infinity),
-        quantity(
-            "time of the perigee (h, UTC)", date.hour + date.minute / 60 + date.second / HOUR, "perigee_time_utc_h"
-        ),
+        quantity("time of the perigee (h, UTC)", hours, "perigee_time_utc_h"),
         quantity("precession period P_φ (h)", before.precession, "precession_period_h"),
         quantity("rotation period P_ψ (h)", before.rotation, "rotation_period_h"),
         quantity("1/(1/P_φ − 1/P_ψ), strongest in light curves (h)", light, "lightcurve_period_h"),
@@ -187,7 +176,7 @@ def _sensitivity(scenario: FlybyKeys, found: Study) -> list[str]:
         "\n  sensitivities over the map, by forward differentiation of the whole passage: median and largest",
         f"  {'by':<28}{'dP_φ (h)':>18}{'dP_ψ (h)':>22}{'d ln(spin rate)':>22}{'d pole (°)':>20}",
     ]
-    rate = every_second_phase(scenario, found.mapped.after.rate)
+    rate = scenario.every_second_phase(found.mapped.after.rate)
     for name, (unit, size, _) in unknowns(scenario).items():
         x = abs(found.slopes[name]) * size
         scaled = (x[:, 0], x[:, 1], x[:, 2] / rate, np.rad2deg(x[:, 3]))
@@ -213,7 +202,7 @@ def _errors(scenario: FlybyKeys, found: Study) -> list[str]:
             abs(x.precession - best.precession),
             100 * abs(x.rotation / best.rotation - 1),
             100 * abs(x.rate / best.rate - 1),
-            np.rad2deg(pole_angles(x.pole, best.pole)),
+            np.rad2deg(angles(x.pole, best.pole)),
         )
         lines.append(f"  {f'± {hours:g} h':<34}" + "".join(f"{np.median(v):>11.2g}{v.max():>9.2g}" for v in parts))
     return lines

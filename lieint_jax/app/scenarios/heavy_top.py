@@ -90,7 +90,7 @@ class HeavyTop(TopKind):
         top, rate, steps = nominal_system(one), measure.nutation(one).precession_rate, self.steps
         if np.isfinite(rate) and rate:
             steps = min(steps, int(2 * np.pi / abs(rate * self.dt)) + 1)
-        long = self.drawn(one.step, nominal_state(one), steps=steps)
+        long = self.drawn(one, steps=steps)
         path, ends = (axis_in_space(q, _unit(_weight(top))) for q in (long.state.q, run.state.q[-1]))
         closed = closed_form(top, nominal_state(one))
         bounds = [] if closed is None else np.rad2deg(closed.inclination)

@@ -11,15 +11,7 @@ import numpy as np
 from lieint_jax import maps, measure, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._keys import (
-    TINY,
-    GivenRate,
-    NonNegative,
-    NumberSpread,
-    PositiveTriple,
-    RateSpread,
-    Triple,
-)
+from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, picture, positive, quantity
 from lieint_jax.app.scenarios._pictures import draw_errors, draw_members
 from lieint_jax.app.scenarios._report import Conserved
@@ -30,26 +22,26 @@ from lieint_jax.systems import Euler
 from lieint_jax.types import State
 
 
-class InitialState(GivenRate):
+class InitialState(keys.GivenRate):
     """The nominal state: at the origin, with axes along those of space, and velocities in the body."""
 
-    velocity: Triple
+    velocity: keys.Triple
     """In body axes, in the unit of semi_axes per time_unit."""
 
 
-class Spread(RateSpread, NumberSpread):
+class Spread(keys.RateSpread, keys.NumberSpread):
     """Standard deviations of the members about the nominal state, and of numbers of the scenario by their paths."""
 
-    velocity: NonNegative = 0.0
+    velocity: keys.NonNegative = 0.0
     """Standard deviation of each component, in the unit of semi_axes per time_unit."""
 
 
 class Kirchhoff(Kind):
     """The keys of a scenario of this kind."""
 
-    semi_axes: PositiveTriple
+    semi_axes: keys.PositiveTriple
     """The semi-axes of the ellipsoid, in a unit of length."""
-    center_of_mass: Triple = [0.0, 0.0, 0.0]
+    center_of_mass: keys.Triple = [0.0, 0.0, 0.0]
     """In body axes from the center of the ellipsoid, in the same unit."""
     scheme: Literal["group_midpoint"] = "group_midpoint"
     map: Literal["exponential", "cayley"] = "exponential"
@@ -91,7 +83,7 @@ class Kirchhoff(Kind):
     def speed(self, run: Run) -> np.ndarray:
         x, P = run.state.q[..., :3, 3], run.state.p[0, :, 3:]
         distance = np.einsum("mi,mi->m", x[-1] - x[0], P)
-        return distance / np.maximum(length(P), TINY) / (run.t[-1] - run.t[0])
+        return distance / np.maximum(length(P), keys.TINY) / (run.t[-1] - run.t[0])
 
     @quantity("third axis strays by (°)")
     def largest_tilt(self, run: Run) -> np.ndarray:
@@ -123,7 +115,7 @@ class Kirchhoff(Kind):
         left, right = axes
         last = f"member {self.members - 1}" if self.members > 1 else "nominal member"
         members = {"nominal member": run.member(0), last: run.member(-1)}
-        paths = {name: self.drawn(one.step, nominal_state(one)).state.q for name, one in members.items()}
+        paths = {name: self.drawn(one).state.q for name, one in members.items()}
         for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
             left.plot(*q[:, :3, 3].T, color=color, lw=0.8, label=name)
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2)
@@ -142,9 +134,8 @@ class Kirchhoff(Kind):
         one = run.member(-1)
         steps = one.step, RungeKutta(one.system)
         draw_errors(axes[0], self, one, steps, {"energy": ""}, "energy error, relative")
-        draw_members(
-            axes[1], np.asarray(run.t), np.rad2deg(measure.tilt(run)), "third axis strays by (°)", self.time_unit
-        )
+        t, tilts = np.asarray(run.t), np.rad2deg(measure.tilt(run))
+        draw_members(axes[1], t, tilts, "third axis strays by (°)", self.time_unit)
 
 
 def spin_needed(body: Euler) -> float | None:

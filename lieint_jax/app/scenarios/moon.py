@@ -19,17 +19,7 @@ from pydantic import Field, model_validator
 
 from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._keys import (
-    Direction,
-    Moments,
-    NonNegative,
-    PositiveFloat,
-    PositiveInt,
-    Table,
-    Text,
-    Triple,
-    checked,
-)
+from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture
 from lieint_jax.app.scenarios._report import paragraphs
 from lieint_jax.app.scenarios._runs import map_on_local_devices, standard_deviation
@@ -45,56 +35,57 @@ _MAJORITY = 0.95  # share of chaotic members above which a state is chaotic; bel
 _COLORS = plots.COLORS[1:]  # of regular motions
 _ROUND_OFF = 1e-9  # an angle closer to π is 0
 _IN_PLANE, _OUT_OF_PLANE = (2, 5), (0, 1, 3, 4)  # coordinates (δθ, δπ), which do not mix along a planar motion
+_IN_AND_OUT = "in the plane", "out of the plane: attitude unstable if > 0"
 
 Eccentricity = Annotated[float, Field(ge=0, lt=1)]
 
 
-class Sample(Table):
+class Sample(keys.Table):
     """The number of chaotic motions that are integrated, and their length."""
 
-    starts: PositiveInt
+    starts: keys.PositiveInt
     """The number of motions, those of the section's chaotic members."""
-    orbits: PositiveInt
+    orbits: keys.PositiveInt
     """The length of each motion."""
 
 
-class Observed(Table):
+class Observed(keys.Table):
     """An observed rotation state, and the assumed principal axes."""
 
     date: str
     """The date of the observation."""
     reading: str
     """A short name of the assumption on the principal axes."""
-    inertia: Moments
+    inertia: keys.Moments
     """Principal moments about the axes a, b, c."""
     eccentricity: Eccentricity
     """The eccentricity of the orbit at that date."""
     mean_anomaly_deg: float
     """The mean anomaly at that date, in degrees."""
-    euler_313_deg: Triple
+    euler_313_deg: keys.Triple
     """Attitude R_z(α) R_x(β) R_z(γ), axes a, b, c to space, in degrees; in space x is toward pericenter, z normal."""
-    spin_axis: Direction
+    spin_axis: keys.Direction
     """The direction of the angular velocity, components along a, b, c; of any length."""
-    spin_rate: PositiveFloat
+    spin_rate: keys.PositiveFloat
     """The size of the angular velocity, in mean motions."""
     source: str
     """A key of the table sources."""
 
 
-class Ensemble(Table):
+class Ensemble(keys.Table):
     """Members about each observed state, an assumption on its errors."""
 
-    members: PositiveInt
+    members: keys.PositiveInt
     """The number of members of each; the first is the state itself."""
-    orbits: PositiveInt
+    orbits: keys.PositiveInt
     """The length of a run."""
-    steps_per_orbit: PositiveInt
+    steps_per_orbit: keys.PositiveInt
     """The period over the step size: fast spin needs more steps than planar motions."""
-    attitude_deg: NonNegative = 0.0
+    attitude_deg: keys.NonNegative = 0.0
     """Standard deviation of a rotation about each axis of space, in degrees."""
-    spin_axis_deg: NonNegative = 0.0
+    spin_axis_deg: keys.NonNegative = 0.0
     """Standard deviation of the spin axis in the body, about each of two axes, in degrees."""
-    spin_rate: NonNegative = 0.0
+    spin_rate: keys.NonNegative = 0.0
     """Standard deviation of the spin rate, in mean motions."""
 
 
@@ -108,31 +99,31 @@ class Moon(Kind):
 
     dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """Follows from steps_per_orbit; files of results have it."""
-    period: PositiveFloat
+    period: keys.PositiveFloat
     """The period of the orbit, in period_unit: for times in reports."""
     period_unit: str = "d"
     """The name of that unit."""
-    inertia: Annotated[Moments, checked(_check_in_order)]
+    inertia: Annotated[keys.Moments, keys.checked(_check_in_order)]
     """Principal moments of the planar motions, the axes of the least and the greatest first and last."""
     eccentricity: Eccentricity
     """The eccentricity of the orbit of the planar motions."""
-    steps_per_orbit: PositiveInt
+    steps_per_orbit: keys.PositiveInt
     """The period over the step size; a state is saved at every pericenter."""
-    angles: PositiveInt
+    angles: keys.PositiveInt
     """The number of starts with one rate: θ = 0 … π; members is a multiple of it."""
-    greatest_rate: PositiveFloat
+    greatest_rate: keys.PositiveFloat
     """Starts have rates θ̇ = 0 … greatest_rate, in mean motions."""
     planar: Sample
     """The sample of the planar exponents."""
     spatial: Sample
     """The sample of the exponents of motions in space: the same starts, tilted by tilt_deg."""
-    tilt_deg: PositiveFloat = 5.0
+    tilt_deg: keys.PositiveFloat = 5.0
     """In degrees."""
     around: Ensemble
     """About the observed states."""
     observed: list[Observed] = []
     """Observed states."""
-    notes: list[Text] = []
+    notes: list[keys.Text] = []
     """Paragraphs of the report below the observed states: the assumptions."""
 
     no_spread: ClassVar[str] = (
@@ -179,7 +170,7 @@ class Moon(Kind):
 
     @for_last_run
     def chaos(self, run: Run) -> Chaos:
-        """The exponents of a self."""
+        """The exponents of a run."""
         starts = State(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]), jnp.asarray(run.t[0]))
         planes = np.zeros((6, 2))
         planes[_IN_PLANE, 0] = planes[_OUT_OF_PLANE, 1] = 1
@@ -242,14 +233,12 @@ class Moon(Kind):
             f"  {'chaotic':<58}{_percent(chaotic):>8}",
             f"  {'of the regular ones, attitude unstable':<58}{_percent(unstable[~chaotic]):>8}",
         ]
-        for name, values, sample in (
-            (("in the plane", "out of the plane: attitude unstable if > 0"), found.planar, self.planar),
-            (("1st", "2nd", "3rd", "4th", "5th", "6th"), found.spatial, self.spatial),
-        ):
+        tables: dict[str, Any] = {
+            "planar motions in the chaotic zone": (found.planar, self.planar, _IN_AND_OUT),
+            "motions in space from there": (found.spatial, self.spatial, ("1st", "2nd", "3rd", "4th", "5th", "6th")),
+        }
+        for space, (values, sample, name) in tables.items():
             if len(values):
-                space = (
-                    "planar motions in the chaotic zone" if values is found.planar else "motions in space from there"
-                )
                 title = f"{space}, {len(values)} starts × {sample.orbits} orbits"
                 lines.append(f"\n  {title:<68}{'mean ± error':>10}{'spread':>9}{'e-folding':>12}")
                 lines += [
@@ -305,8 +294,7 @@ class Moon(Kind):
         for ax in axes:
             ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, self.greatest_rate))
             ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
-        title = f"{self.title}: {self.members} planar motions, {self.orbits} orbits each"
-        left.figure.suptitle(title)
+        left.figure.suptitle(f"{self.title}: {self.members} planar motions, {self.orbits} orbits each")
 
     def _rows(self, x: np.ndarray) -> np.ndarray:
         """Values of the members as a grid, a row for each rate; its last column repeats the first: θ has period π."""
@@ -352,23 +340,14 @@ def _states(body: GravityGradient, q: Array, Omega: Array, t: float) -> State:
 
 
 class Chaos(NamedTuple):
-    """The exponents of a scenario's motions, in n.
+    """The exponents of a scenario's motions, in n."""
 
-    Attributes:
-        section: the exponents of the members, in the plane and out of it, (members, 2).
-        planar: the same for longer planar motions in the chaotic zone, (starts, 2).
-        spatial: the spectrum of motions in space from these starts, (starts, 6).
-        observed: the largest exponents of the members about each observed state, (states, members).
-        errors: the standard errors of `observed`.
-        failed: the number of these runs with a step that did not converge.
-    """
-
-    section: np.ndarray
-    planar: np.ndarray
-    spatial: np.ndarray
-    observed: np.ndarray
-    errors: np.ndarray
-    failed: int
+    section: np.ndarray  # the exponents of the members, in the plane and out of it, (members, 2)
+    planar: np.ndarray  # the same for longer planar motions in the chaotic zone, (starts, 2)
+    spatial: np.ndarray  # the spectrum of motions in space from these starts, (starts, 6)
+    observed: np.ndarray  # the largest exponents of the members about each observed state, (states, members)
+    errors: np.ndarray  # the standard errors of `observed`
+    failed: int  # the number of these runs with a step that did not converge
 
 
 def _select_evenly(states: State, among: np.ndarray, count: int) -> State:

@@ -117,7 +117,7 @@ class SphericalPendulum(Kind):
         period, steps = measure.nutation(one).period, self.steps
         if np.isfinite(period):
             steps = min(steps, int(12 * period / abs(self.dt)) + 1)
-        long = self.drawn(one.step, nominal_state(one), _FINE, steps)
+        long = self.drawn(one, _FINE, steps)
         bounds = self._bounds(one)
         look: Any = {"unit": self.time_unit, "pole_label": "γ, down", "bounds": bounds[np.isfinite(bounds)]}
         path, ends, pole = (np.asarray(x) for x in (long.state.q, run.state.q[-1], nominal_system(one).axis))

@@ -8,46 +8,33 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from pydantic import Field, model_validator
 
 from lieint_jax import _checks, diagnostics, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._keys import (
-    NonNegative,
-    NumberSpread,
-    PositiveFloat,
-    PositiveInt,
-    Published,
-    Rate,
-    RateSpread,
-    Stated,
-    Table,
-    Triple,
-    checked,
-)
+from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture, positive, step_of
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
-from lieint_jax.app.scenarios._runs import length, nominal_state, series
+from lieint_jax.app.scenarios._runs import length, series
 from lieint_jax.app.scenarios._spread import POSITIVE_DETERMINANT, SECOND_MOMENTS
 from lieint_jax.runs import Run
 from lieint_jax.systems import PseudoRigidBody
-from lieint_jax.types import State, Step
+from lieint_jax.types import State
 from lieint_jax.types.shapes import PyTree
 
 _LONGEST = 4_000  # largest number of drawn steps, which are all saved, since a delay plot needs each
 
-Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
+Matrix = Annotated[list[keys.Triple], Field(min_length=3, max_length=3)]
 
 
-class Material(Table):
+class Material(keys.Table):
     """A law of stored energy and its Lamé constants."""
 
     law: Literal["mooney_rivlin", "neo_hookean", "saint_venant_kirchhoff"] = "mooney_rivlin"
-    lam: PositiveFloat
+    lam: keys.PositiveFloat
     """Lamé's λ times the body's volume: an energy."""
-    mu: PositiveFloat
+    mu: keys.PositiveFloat
     """Lamé's μ times the body's volume: an energy."""
 
 
@@ -56,10 +43,10 @@ def _check_determinant(matrix: list[list[float]]) -> None:
         raise ValueError("must have a positive determinant")
 
 
-class InitialState(Rate):
+class InitialState(keys.Rate):
     """The nominal state: F, and one of angular velocity in space, velocity and momentum."""
 
-    deformation: Annotated[Matrix, POSITIVE_DETERMINANT, checked(_check_determinant)] = np.eye(3).tolist()
+    deformation: Annotated[Matrix, POSITIVE_DETERMINANT, keys.checked(_check_determinant)] = np.eye(3).tolist()
     """F, 3 × 3, without unit; by default undeformed, axes along those of space."""
     velocity: Matrix | None = None
     """The time derivative of F, per time_unit."""
@@ -77,29 +64,29 @@ class InitialState(Rate):
         return {key: value for key, value in given.items() if value is not None}
 
 
-class Spread(RateSpread, NumberSpread):
+class Spread(keys.RateSpread, keys.NumberSpread):
     """Standard deviations of the members about the nominal state, to which an angular velocity is added, and of
     numbers of the scenario by their paths."""
 
-    deformation: Annotated[NonNegative, Stated("F")] = 0.0
+    deformation: Annotated[keys.NonNegative, keys.Stated("F")] = 0.0
     """Standard deviation of each entry of F, without unit."""
 
 
 class PseudoRigid(Kind):
     """The keys of a scenario of this kind."""
 
-    inertia: Annotated[list[Any], SECOND_MOMENTS, checked(partial(_checks.positive_definite, "inertia"))]
+    inertia: Annotated[list[Any], SECOND_MOMENTS, keys.checked(partial(_checks.positive_definite, "inertia"))]
     """E, the second moments of mass, principal (3) or a tensor in body axes (3 × 3)."""
     material: Material
     scheme: Literal["additive"] = "additive"
     rule: Literal["average", "symplectic", "energy", "energy_momentum"] = "average"
     alpha: Annotated[float, Field(ge=0, le=1)] = 0.5
     """α of the symplectic rule."""
-    lag: PositiveInt = 3
+    lag: keys.PositiveInt = 3
     """The delay of the delay plots, in steps."""
     state: InitialState
     spread: Spread = Spread()
-    published: dict[Literal["midpoint_energy_variation"], Published] = {}
+    published: dict[Literal["midpoint_energy_variation"], keys.Published] = {}
 
     fixed: ClassVar[dict[str, str]] = Kind.fixed | {"alpha": "it is a number of the scheme"}
 
@@ -120,35 +107,22 @@ class PseudoRigid(Kind):
 
     def deviates(self, indices: np.ndarray) -> PyTree:
         """Those of F and of the added angular velocity, (m, 3, 3) and (m, 3)."""
-        shapes, keys = ((self.members, 3, 3), (self.members, 3)), jax.random.split(jax.random.key(self.seed))
+        shapes, seeds = ((self.members, 3, 3), (self.members, 3)), jax.random.split(jax.random.key(self.seed))
         sizes = self.spread.deformation, self.spread.rate()
         noise = [
-            x * random_bits.normal_rows(k, shape, indices) for x, k, shape in zip(sizes, keys, shapes, strict=True)
+            x * random_bits.normal_rows(k, shape, indices) for x, k, shape in zip(sizes, seeds, shapes, strict=True)
         ]
         return tuple(jnp.where((indices == 0).reshape(-1, *[1] * (x.ndim - 1)), 0.0, x) for x in noise)
 
-    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
-        """The step and the batch of initial states, the nominal one first, and exact: F⁻¹F rounds."""
-        step, states = super().build(indices)
-        first = jnp.asarray(self.indices(indices) == 0)
-        start = self._nominal(jax.tree.map(lambda x: x[0], step.system) if self.own_numbers() else step.system)
-
-        def exact(x: Array, x0: Array) -> Array:
-            return jnp.where(first.reshape(-1, *[1] * x0.ndim), x0, x)
-
-        return step, jax.tree.map(exact, states, start)
-
-    def _nominal(self, body: Any) -> State:
-        """The nominal state of a scenario."""
-        motion = {name: jnp.asarray(x) for name, x in self.state.motion().items()}
-        return body.state(jnp.asarray(self.state.deformation), **motion)
-
     def start(self, system: Any, noise: PyTree) -> State:
-        dF, spin = noise
-        start = self._nominal(system)
-        F, V = start.q + dF, system.velocity(start)
+        motion = {name: jnp.asarray(x) for name, x in self.state.motion().items()}
+        start = system.state(jnp.asarray(self.state.deformation), **motion)
+        (dF, spin), V = noise, system.velocity(start)
+        F = start.q + dF
         rotating = system.state(F, angular_velocity=spin)
-        return rotating._replace(p=rotating.p + system.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
+        moved = State(F, rotating.p + system.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
+        is_nominal = ~jnp.any(dF) & ~jnp.any(spin)  # whose state is exact, whereas F⁻¹F rounds
+        return jax.tree.map(lambda x, x0: jnp.where(is_nominal, x0, x), moved, start)
 
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy and momentum, relative to the member's initial |H| and |Φ|."""
@@ -178,7 +152,7 @@ class PseudoRigid(Kind):
         rules = [(f"the rule {self.rule!r}", one.step), (MIDPOINT, step_of(one.system, "additive", 2, "symplectic"))]
         if (self.rule, self.alpha) == ("symplectic", 0.5):
             rules = [(MIDPOINT, one.step)]
-        made = {name: self.drawn(step, nominal_state(one), steps=steps) for name, step in rules}
+        made = {name: self.drawn(one, steps=steps, step=step) for name, step in rules}
         energy = {name: series(PseudoRigidBody.energy, long) for name, long in made.items()}
         own = next(iter(made.values()))
         displacement = np.sum((np.asarray(own.state.q) - np.eye(3)) ** 2, axis=(1, 2))

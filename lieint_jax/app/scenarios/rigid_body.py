@@ -14,18 +14,12 @@ from pydantic import model_validator
 
 from lieint_jax import diagnostics, maps, measure, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._body import (
-    BodyKind,
-    InitialState,
-    axis_in_space,
-    inertia_matrix,
-    is_long_axis_mode,
-)
+from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._files import ObservationFile
 from lieint_jax.app.scenarios._keys import TINY, Published, Table, Text
 from lieint_jax.app.scenarios._kind import check_order, picture
 from lieint_jax.app.scenarios._report import Quantity
-from lieint_jax.app.scenarios._runs import angles_deg, drawn_steps, length, nominal_state, nominal_system, series
+from lieint_jax.app.scenarios._runs import angles, drawn_steps, length, nominal_state, nominal_system, series
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBody
@@ -37,7 +31,7 @@ _SUBSCRIPTS = "₁₂₃"
 _AMPLIFIED = 1e-11  # a larger Poisson error of an exact scheme is round-off that the motion amplifies
 
 
-class Observation(InitialState):
+class Observation(_body.InitialState):
     """An observed attitude and angular velocity at time t, with its source."""
 
     label: Text
@@ -48,27 +42,18 @@ class Observation(InitialState):
 
 
 class Prediction(NamedTuple):
-    """The prediction of an observation; angles in degrees.
-
-    Attributes:
-        observation: the observation.
-        euler_313_deg: the predicted attitude, (3,).
-        angular_velocity_deg: the predicted angular velocity in the body, (3,).
-        misfit_deg: the angle between the predicted and the observed attitude.
-        spread_deg: the root mean square angle of the members about the nominal one.
-        integrator_error_deg: the angle between the nominal attitude and that of `diagnostics.flow`, which is accurate
-            to round-off.
-    """
+    """The prediction of an observation; angles in degrees."""
 
     observation: Observation
-    euler_313_deg: np.ndarray
-    angular_velocity_deg: np.ndarray
-    misfit_deg: float
-    spread_deg: float
+    euler_313_deg: np.ndarray  # the predicted attitude, (3,)
+    angular_velocity_deg: np.ndarray  # the predicted angular velocity in the body, (3,)
+    misfit_deg: float  # the angle between the predicted and the observed attitude
+    spread_deg: float  # the root mean square angle of the members about the nominal one
+    # the angle between the nominal attitude and that of `diagnostics.flow`, which is accurate to round-off
     integrator_error_deg: float
 
 
-class FreeBody(BodyKind):
+class FreeBody(_body.BodyKind):
     """The keys of a scenario of this kind."""
 
     scheme: Literal["so3_midpoint", "so3_explicit", "preprocessed", "calibrated", "exact", "gauss", "extrapolate"] = (
@@ -84,7 +69,7 @@ class FreeBody(BodyKind):
     ] = {}
     observation: list[Observation] = []
 
-    files: ClassVar[Mapping[str, type[Table]]] = {**BodyKind.files, "observation": ObservationFile}
+    files: ClassVar[Mapping[str, type[Table]]] = {**_body.BodyKind.files, "observation": ObservationFile}
 
     @model_validator(mode="after")
     def _check_scheme(self) -> Self:
@@ -126,20 +111,19 @@ class FreeBody(BodyKind):
             "momentum_latitude_deg": "angular momentum latitude (°)",
         }
         angles = np.rad2deg(pole.longitude[0]), np.rad2deg(pole.latitude[0])
-        values, known = (periods.precession, periods.rotation, *angles), {**self.published}
+        values: Any = (periods.precession, periods.rotation, *angles)
+        known: dict[str, Published] = {**self.published}
         return [
-            Quantity(name, x, published=known.get(key), angle=key.endswith("_deg"))  # pyright: ignore[reportArgumentType]
+            Quantity(name, x, published=known.get(key), angle=key.endswith("_deg"))
             for (key, name), x in zip(rows.items(), values, strict=True)
         ]
 
     def remarks(self, run: Run) -> list[str]:
         """The reason for a missing period, and predictions next to observations."""
         one = run.member(0)
-        lines = [self._prediction_lines(found) for found in self.predictions(run)]
-        if np.isnan(measure.periods(one)[:2]).any():
-            missing = "  — no period: the body spins about an axis, or states are saved too rarely (lower save_every)"
-            return [missing, *lines]
-        return lines
+        missing = "  — no period: the body spins about an axis, or states are saved too rarely (lower save_every)"
+        lines = [missing] if np.isnan(measure.periods(one)[:2]).any() else []
+        return lines + [self._prediction_lines(found) for found in self.predictions(run)]
 
     def save_index(self, seen: Observation) -> int:
         """The index of the saved state at the time of an observation."""
@@ -175,12 +159,12 @@ class FreeBody(BodyKind):
             return "(" + ", ".join(f"{x:8.2f}" for x in values) + ")"
 
         lines = [f"\n  {seen.label}: t = {seen.t:g} {self.time_unit}   [{self.source(seen.source)}]"]
-        if seen.euler_313_deg:
-            predicted, observed = triple(found.euler_313_deg), triple(seen.euler_313_deg)
-            lines += [f"    Euler 3-1-3 (°)      predicted {predicted}   observed {observed}"]
-        if seen.angular_velocity_deg:
-            predicted, observed = triple(found.angular_velocity_deg), triple(seen.angular_velocity_deg)
-            lines += [f"    body rate (°/{self.time_unit})      predicted {predicted}   observed {observed}"]
+        for name, predicted, observed in (
+            ("Euler 3-1-3 (°)", found.euler_313_deg, seen.euler_313_deg),
+            (f"body rate (°/{self.time_unit})", found.angular_velocity_deg, seen.angular_velocity_deg),
+        ):
+            if observed:
+                lines.append(f"    {name}      predicted {triple(predicted)}   observed {triple(observed)}")
         lines += [
             f"    angle between attitudes predicted and observed: {found.misfit_deg:.2f}°; members about the nominal "
             f"one: {found.spread_deg:.2f}° rms; the integrator's own error: {found.integrator_error_deg:.2g}°",
@@ -201,8 +185,8 @@ class FreeBody(BodyKind):
         place.remove()
         seen = [s for s in self.observation if 0 <= self.save_index(s) < len(run.t)][:1]
         last = self.save_index(seen[0]) if seen else len(run.t) - 1
-        long = self.drawn(one.step, nominal_state(one), steps=last * self.save_every)
-        path, members = axis_in_space(long.state.q, Z), axis_in_space(run.state.q[last], Z)
+        long = self.drawn(one, steps=last * self.save_every)
+        path, members = _body.axis_in_space(long.state.q, Z), _body.axis_in_space(run.state.q[last], Z)
         pole = np.asarray(run.state.p[0, :1]) / np.linalg.norm(run.state.p[0, 0])
         center = float(30 * np.round(np.rad2deg(np.arctan2(pole[0, 1], pole[0, 0])) / 30))
         ax, span = plots.sky(wide, center), f"to t = {long.t[-1]:.4g} {self.time_unit}"
@@ -210,7 +194,7 @@ class FreeBody(BodyKind):
         label = f"{self.members} members then" if self.members > 1 else "axis z then"
         plots.sky_points(ax, members, label, center, color=plots.INK, zorder=3)
         plots.sky_points(ax, pole, "angular momentum", center, color=plots.GREEN, marker="P", s=45, zorder=3)
-        observed = axis_in_space(seen[0].attitude()[None], Z) if seen else np.zeros((0, 3))
+        observed = _body.axis_in_space(seen[0].attitude()[None], Z) if seen else np.zeros((0, 3))
         if seen:
             plots.sky_points(ax, observed, "observed then", center, color=plots.RED, marker="x", s=60, lw=1.6, zorder=4)
             plots.caption(ax.figure, self._observation_in_words(seen[0], path[-1], members))
@@ -223,12 +207,12 @@ class FreeBody(BodyKind):
 
     def _observation_in_words(self, seen: Observation, nominal_axis: np.ndarray, members: np.ndarray) -> str:
         """The caption of `draw_path`: the source of the cross, and its distance from the predicted axes."""
-        [observed] = axis_in_space(seen.attitude()[None], Z)
-        spread = np.sqrt(np.mean(angles_deg(members, nominal_axis) ** 2))
+        [observed] = _body.axis_in_space(seen.attitude()[None], Z)
+        spread = np.rad2deg(np.sqrt(np.mean(angles(members, nominal_axis) ** 2)))
+        off = np.rad2deg(angles(observed, nominal_axis))
         return (
             f"Cross: axis z of the attitude observed by {seen.label} ({self.source(seen.source)}), "
-            f"{angles_deg(observed, nominal_axis):.1f}° from the nominal prediction; members scatter by {spread:.1f}° "
-            "rms"
+            f"{off:.1f}° from the nominal prediction; members scatter by {spread:.1f}° rms"
         )
 
     @picture(3)
@@ -236,7 +220,7 @@ class FreeBody(BodyKind):
         """Plot the energy and Poisson errors of the nominal member against time."""
         one, (n, every) = run.member(0), drawn_steps(self.steps)
         z, step = nominal_state(one), one.step
-        long = self.drawn(step, z)
+        long = self.drawn(one)
         t, energy = np.asarray(long.t), np.asarray(long.energy_error() / step.system.energy(z))
         poisson = jax.jit(lambda z: jax.vmap(so3.vee)(diagnostics.poisson_error(step, z, self.dt, n)[::every]))
         sigma = length(np.asarray(poisson(z)))
@@ -285,10 +269,10 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
 
 def _draw_polhode(ax: Any, one: Run) -> None:
     """The body momentum of the nominal member, seen along the principal axis that it circles."""
-    moments, axes = np.linalg.eigh(inertia_matrix(one.system))
+    moments, axes = np.linalg.eigh(_body.inertia_matrix(one.system))
     Pi = series(RigidBody.body_momentum, one)
     Pi = Pi @ axes / np.linalg.norm(Pi[0])
-    about = 0 if is_long_axis_mode(moments, Pi[0]) else 2
+    about = 0 if _body.is_long_axis_mode(moments, Pi[0]) else 2
     x, y = (k for k in range(3) if k != about)
     angle = np.linspace(0, 2 * np.pi, 145)
     ax.plot(np.cos(angle), np.sin(angle), color=plots.GRAY, lw=0.8)

@@ -15,26 +15,14 @@ from pydantic import field_validator, model_validator
 from lieint_jax import schemes, systems, torques
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
+from lieint_jax.app.scenarios import _satellite_laws as equipment
 from lieint_jax.app.scenarios._body import BodyKind, inertia_matrix
-from lieint_jax.app.scenarios._files import Ephemeris, SatelliteOrbitFile
+from lieint_jax.app.scenarios._files import Ephemeris, SatelliteOrbitFile, given_motion
 from lieint_jax.app.scenarios._keys import HOUR, NonNegative, PositiveFloat, RotationSpread, Stated, Table, Triple
 from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_balance, draw_members
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import angles_deg, series
-from lieint_jax.app.scenarios._satellite_laws import (
-    Control,
-    Detumbling,
-    Drag,
-    Orbit,
-    Pointing,
-    Rods,
-    Surroundings,
-    Unloading,
-    Wheels,
-    laws,
-    surroundings,
-)
+from lieint_jax.app.scenarios._runs import angles, series
 from lieint_jax.app.scenarios._spread import draw_members as draw_numbers
 from lieint_jax.app.scenarios._spread import stretch_inertia, with_numbers
 from lieint_jax.groups import so3
@@ -69,32 +57,32 @@ class Satellite(BodyKind):
     time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
     date: str | None = None
     """In place of epoch, a day as YYYY-MM-DD, 0 h UT: from one of them follow the Earth's field and rotation."""
-    orbit: Orbit | None = None
+    orbit: equipment.Orbit | None = None
     """Give orbit or ephemeris."""
     ephemeris: Ephemeris | None = None
     """In m and m/s."""
     residual_dipole: Triple = [0.0, 0.0, 0.0]
     """The magnetic moment of the switched-off satellite in body axes, in A m²."""
-    drag: Drag | None = None
-    rods: Rods | None = None
-    wheels: Wheels | None = None
+    drag: equipment.Drag | None = None
+    rods: equipment.Rods | None = None
+    wheels: equipment.Wheels | None = None
     max_dipole: PositiveFloat | None = None
     """The largest dipole of a magnetic torquer along each body axis, in A m²; for detumbling and unloading."""
-    detumbling: Detumbling | None = None
-    pointing: Pointing | None = None
-    unloading: Unloading | None = None
+    detumbling: equipment.Detumbling | None = None
+    pointing: equipment.Pointing | None = None
+    unloading: equipment.Unloading | None = None
     scheme: Literal["torqued_midpoint"] = "torqued_midpoint"
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
 
     files: ClassVar[Mapping[str, type[Table]]] = {**BodyKind.files, "orbit": SatelliteOrbitFile}
     fixed: ClassVar[dict[str, str]] = BodyKind.fixed | {
-        **dict.fromkeys(
-            ("orbit.*", "ephemeris.*", "drag.*density*", "drag.*height*"), "all members share the orbit, field and air"
-        ),
         "*.window": "all members share the phases",
         "wheels.tilt_deg": "momenta of wheels are measured along axes that all members share",
     }
+    fixed |= dict.fromkeys(
+        ("orbit.*", "ephemeris.*", "drag.*density*", "drag.*height*"), "all members share the orbit, field and air"
+    )
 
     @field_validator("date")
     @classmethod
@@ -125,16 +113,10 @@ class Satellite(BodyKind):
         self._driven_inertia(jnp.asarray(inertia_matrix(self)))
         return self
 
-    def environment(self) -> Surroundings:
+    def environment(self) -> equipment.Surroundings:
         """The functions of time along the orbit."""
-        if (self.orbit is None) == (self.ephemeris is None):
-            raise ValueError("give either orbit or ephemeris")
-        if self.orbit is not None:
-            motion: Any = self.orbit.motion()
-        else:
-            assert self.ephemeris is not None
-            motion = self.ephemeris.motion(0.0, self.dt * self.steps)
-        return surroundings(motion, self.date_of_zero(), self.drag)
+        motion = given_motion(self.orbit, self.ephemeris, 0.0, self.dt * self.steps)
+        return equipment.surroundings(motion, self.date_of_zero(), self.drag)
 
     def date_of_zero(self) -> str:
         """The epoch, or the date."""
@@ -142,7 +124,7 @@ class Satellite(BodyKind):
             raise ValueError("give either epoch or date: the Earth's field follows from it")
         return f"{self.date or self.epoch}"
 
-    def controls(self) -> dict[str, Control]:
+    def controls(self) -> dict[str, equipment.Control]:
         """The laws of control in the order in which they begin."""
         given = {name: getattr(self, name) for name in ("detumbling", "pointing", "unloading")}
         return dict(sorted(((k, c) for k, c in given.items() if c is not None), key=lambda pair: pair[1].window))
@@ -173,7 +155,7 @@ class Satellite(BodyKind):
 
         def member(own: Any, locked: Any, dipole: Any, noise: Any) -> tuple[Step, State]:
             of_member = with_numbers(self, own)
-            law = torques.total(laws(of_member, around, locked, dipole))
+            law = torques.total(equipment.laws(of_member, around, locked, dipole))
             body = systems.torqued_body(of_member._driven_inertia(locked), law)
             q, Omega = of_member._pose(around) if own else pose
             return schemes.torqued_midpoint(body), self.state_about(body, noise, q, Omega, works=True)
@@ -181,14 +163,14 @@ class Satellite(BodyKind):
         noise = self.deviates(self.indices(None))
         step, states = jax.jit(jax.vmap(member))(draw_numbers(self), locked, dipoles, noise)
         if self.wheels is not None and self.own_numbers():
-            heavy = int((np.linalg.eigvalsh(np.asarray(step.system.inertia)).min(axis=-1) <= 0).sum())
-            if heavy:
+            least = np.linalg.eigvalsh(np.asarray(step.system.inertia)).min(axis=-1)
+            if heavy := int((least <= 0).sum()):
                 raise ValueError(
                     f"spread: {heavy} members have wheels heavier than the satellite: give smaller spreads"
                 )
         return step, states._replace(t=jnp.zeros((), states.p.dtype))
 
-    def _pose(self, around: Surroundings) -> tuple[Any, Any]:
+    def _pose(self, around: equipment.Surroundings) -> tuple[Any, Any]:
         """The nominal attitude, and the angular velocity in the body."""
         given, frame = self.state, around.frame
         q, Omega = given.attitude(), jnp.asarray(given.rate())
@@ -212,7 +194,7 @@ class Satellite(BodyKind):
         rate, z, h, works, energy = series(measure, run)
         frames = jax.vmap(self.environment().frame)(jnp.asarray(run.t))
         down = np.asarray(jax.vmap(so3.Ad, (0, None))(frames, jnp.array([0.0, 0.0, 1.0])))[:, None]
-        return Course(np.rad2deg(rate), angles_deg(z, down), h, works, energy, labels(run.system))
+        return Course(np.rad2deg(rate), np.rad2deg(angles(z, down)), h, works, energy, labels(run.system))
 
     def conserved(self, run: Run) -> list[Conserved]:
         """The energy less the work of all laws, relative to the largest energy of each member."""
@@ -223,13 +205,12 @@ class Satellite(BodyKind):
     def quantities(self, run: Run) -> list[Quantity]:
         """Rates, angles and momenta at the end, and when the members were captured."""
         c, t = self.course(run), np.asarray(run.t)
+        slow, captured = first_below(t, c.rate, _SLOW), captured_since(t, c.nadir_angle, _CAPTURED)
         found = [
             Quantity("rate at the end (°/s)", c.rate[-1]),
             Quantity("z axis from the nadir at the end (°)", c.nadir_angle[-1]),
-            Quantity(f"first slower than {_SLOW:g} °/s (s)", first_below(t, c.rate, _SLOW), ".0f"),
-            Quantity(
-                f"within {_CAPTURED:g}° of the nadir since (s)", captured_since(t, c.nadir_angle, _CAPTURED), ".0f"
-            ),
+            Quantity(f"first slower than {_SLOW:g} °/s (s)", slow, ".0f"),
+            Quantity(f"within {_CAPTURED:g}° of the nadir since (s)", captured, ".0f"),
         ]
         if self.wheels is not None:
             found += [
@@ -269,17 +250,11 @@ class Satellite(BodyKind):
         lines.append(f"  {'energy, changed by':<28}" + "".join(f"{1e6 * x:>20.4f}" for x in gained))
         if "bdot" in c.names:
             work = c.works[..., c.names.index("bdot")]
-            braked = int(np.sum(np.all(np.diff(work, axis=0) <= 0, axis=0)))
-            lines.append(
-                f"\n  detumbling never raised the energy between two saved times: {braked} of {work.shape[1]} starts"
-            )
+            braked = f"{np.sum(np.all(np.diff(work, axis=0) <= 0, axis=0))} of {work.shape[1]} starts"
+            lines.append(f"\n  detumbling never raised the energy between two saved times: {braked}")
         done = c.nadir_angle[-1] <= _CAPTURED
-        part, error = fraction(done)
-        lines.append(
-            f"  at the end within {_CAPTURED:g}° of the nadir: {done.sum()} of {done.size}, "
-            f"{_percent(part, error)} of all starts"
-        )
-        return lines
+        share = f"{done.sum()} of {done.size}, {_percent(*fraction(done))} of all starts"
+        return [*lines, f"  at the end within {_CAPTURED:g}° of the nadir: {share}"]
 
     def _mark_phases(self, ax: Any, t: np.ndarray, named: bool = True) -> None:
         """Mark the edges of the phases on an axis in hours, with their names above it."""
@@ -319,11 +294,8 @@ class Satellite(BodyKind):
         """Plot when each start became slow, by its initial rate and fate, and how many are slow or captured."""
         left, right = axes
         c, t = self.course(run), np.asarray(run.t)
-        captured, slow = (
-            np.isfinite(captured_since(t, c.nadir_angle, _CAPTURED)),
-            first_below(t, c.rate, _SLOW, interpolate=True),
-        )
-        never = int(np.isnan(slow).sum())
+        slow = first_below(t, c.rate, _SLOW, interpolate=True)
+        captured, never = np.isfinite(captured_since(t, c.nadir_angle, _CAPTURED)), int(np.isnan(slow).sum())
         hours = np.where(np.isnan(slow), t[-1], slow) / HOUR
         for fate, chosen, color in (("captured", captured, plots.BLUE), ("not captured", ~captured, plots.RED)):
             label = f"{fate}: {chosen.sum()} of {chosen.size}"
@@ -331,37 +303,25 @@ class Satellite(BodyKind):
         left.set(xlabel="initial angular velocity (°/s)", ylabel=f"first slower than {_SLOW:g} °/s, at t (h)")
         left.set(xlim=(0, None), ylim=(0, None))
         left.legend(loc="upper left", title=f"never slower: {never}, drawn at the end" if never else None)
-        part, error = fraction(captured)
-        left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: {_percent(part, error)}")
+        left.set_title(f"captured, within {_CAPTURED:g}° of the nadir for good: {_percent(*fraction(captured))}")
 
         curves = {f"slower than {_SLOW:g} °/s": c.rate < _SLOW}
         curves |= {f"z within {limit:g}° of the nadir": c.nadir_angle <= limit for limit in (90.0, _CAPTURED, 1.0)}
-        plots.series(
-            right, t / HOUR, {name: 100 * x.mean(axis=1) for name, x in curves.items()}, "of all starts (%)", "h"
-        )
-        right.set_ylim(0, 102)
+        percent = {name: 100 * x.mean(axis=1) for name, x in curves.items()}
+        plots.series(right, t / HOUR, percent, "of all starts (%)", "h").set_ylim(0, 102)
         right.legend(loc="center right")
         self._mark_phases(right, t)
 
 
 class Course(NamedTuple):
-    """The measured series of a run.
+    """The measured series of a run."""
 
-    Attributes:
-        rate: the size of the angular velocity in space, °/s, (times, members).
-        nadir_angle: the angle of the z axis from the nadir, degrees, (times, members).
-        wheels: the size of the momentum of the wheels, N m s, (times, members); 0 without wheels.
-        works: the work of each law, J, (times, members, laws).
-        energy: the energy, J, (times, members).
-        names: the names of the laws.
-    """
-
-    rate: np.ndarray
-    nadir_angle: np.ndarray
-    wheels: np.ndarray
-    works: np.ndarray
-    energy: np.ndarray
-    names: list[str]
+    rate: np.ndarray  # the size of the angular velocity in space, °/s, (times, members)
+    nadir_angle: np.ndarray  # the angle of the z axis from the nadir, degrees, (times, members)
+    wheels: np.ndarray  # the size of the momentum of the wheels, N m s, (times, members); 0 without wheels
+    works: np.ndarray  # the work of each law, J, (times, members, laws)
+    energy: np.ndarray  # the energy, J, (times, members)
+    names: list[str]  # the names of the laws
 
 
 def _percent(part: float, error: float) -> str:

@@ -82,9 +82,7 @@ class Tides(Kind):
         factors = jnp.asarray(np.exp(self.lag_spread * random * (np.arange(self.members) > 0)))
         own = draw_members(self)
         step = jax.vmap(lambda factor, own: with_numbers(self, own).step_with(factor))(factors, own)
-        if own:
-            return step, jax.vmap(lambda own: with_numbers(self, own).circle())(own)
-        return step, jax.tree.map(lambda x: jnp.repeat(x[None], self.members, axis=0), self.circle())
+        return step, jax.vmap(lambda own: with_numbers(self, own).circle(), axis_size=self.members)(own)
 
     def step_with(self, factor: Array) -> Step:
         """The step with both lags times a factor."""
@@ -162,18 +160,16 @@ class Tides(Kind):
             f"  {name:<54}{x[0]:>16.9g}" + (f" ± {standard_deviation(x):.2g}" if several else "")
             for name, x in rows.items()
         ]
-        locked = zip(
-            ("closed form: both locked at (km)", "with the period (d)"), self.double_synchronous(L[0, 0]), strict=True
-        )
-        lines += [f"  {name:<54}{x:>16.9g}" for name, x in locked]
+        distance, period = self.double_synchronous(L[0, 0])
+        lines += [f"  {'closed form: both locked at (km)':<54}{distance:>16.9g}"]
+        lines += [f"  {'with the period (d)':<54}{period:>16.9g}"]
         names = {
             "recession_cm": "distance grows (cm a year)",
             "distance_km": "locked at (km)",
             "period_d": "period (d)",
         }
         for key, name in names.items():
-            known = getattr(self.published, key, None)
-            if known is not None:
+            if (known := getattr(self.published, key, None)) is not None:
                 error = f" ± {known.error:g}" if known.error else ""
                 remark = f"; {known.remark}" if known.remark else ""
                 text = f"{known.value:>16.9g}{error} ({self.source(known.source)}{remark})"
@@ -215,23 +211,14 @@ class Tides(Kind):
 
 
 class Course(NamedTuple):
-    """The measured series of a run, (times, members) or (times, members, 2).
+    """The measured series of a run, (times, members) or (times, members, 2)."""
 
-    Attributes:
-        distance: the distance of the centers, km.
-        spins: the angular velocities about the normal of the orbit, rad/d.
-        orbital: the angular momentum of the orbit about its normal.
-        lost: the energy lost since the start.
-        balance: the energy plus the energy lost.
-        momentum: the angular momentum of orbit and bodies about the normal of the orbit.
-    """
-
-    distance: np.ndarray
-    spins: np.ndarray
-    orbital: np.ndarray
-    lost: np.ndarray
-    balance: np.ndarray
-    momentum: np.ndarray
+    distance: np.ndarray  # the distance of the centers, km
+    spins: np.ndarray  # the angular velocities about the normal of the orbit, rad/d
+    orbital: np.ndarray  # the angular momentum of the orbit about its normal
+    lost: np.ndarray  # the energy lost since the start
+    balance: np.ndarray  # the energy plus the energy lost
+    momentum: np.ndarray  # the angular momentum of orbit and bodies about the normal of the orbit
 
 
 def _least_loss(lost: np.ndarray) -> float:

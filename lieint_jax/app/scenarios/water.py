@@ -108,8 +108,7 @@ class Water(Kind):
 
     def conserved(self, run: Run) -> list[Conserved]:
         """H relative to the least kinetic energy, P to the largest |p|, L to the largest |x × p|."""
-        functions = RigidBodies.kinetic_energy, RigidBodies.energy, RigidBodies.momentum
-        K, H, PL = (series(f, run) for f in functions)
+        K, H, PL = (series(f, run) for f in (RigidBodies.kinetic_energy, RigidBodies.energy, RigidBodies.momentum))
         x, p = (np.asarray(y)[..., :3] for y in (run.state.q, run.state.p))
         return [
             Conserved("energy H, over the least kinetic energy", H, K.min()),
@@ -162,9 +161,8 @@ class Water(Kind):
         T, t = series(temperature, run), np.asarray(run.t)
         plots.series(middle, t, {f"droplet {m}": T[:, m] for m in range(min(T.shape[1], 6))}, "temperature (K)", "ps")
         found = self.density(run)
-        right.plot(
-            found.r, found.density / found.height, color=plots.INK, lw=1, label=f"first peak at {found.peak:.3f} nm"
-        )
+        label = f"first peak at {found.peak:.3f} nm"
+        right.plot(found.r, found.density / found.height, color=plots.INK, lw=1, label=label)
         if self.published:
             known = self.published.first_peak_nm
             right.axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")

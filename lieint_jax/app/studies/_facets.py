@@ -13,12 +13,15 @@ cosine of ε²/4|x|, about 1e-5. Facets do not shade each other: **self-shadowin
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from pydantic import Field
 
+from lieint_jax.app import scenarios
+from lieint_jax.app.scenarios._keys import Direction, NonNegative, Table
 from lieint_jax.groups import so3
 from lieint_jax.types import pytree
 
@@ -26,19 +29,26 @@ SUN_RADIUS = 0.00465  # rad, from the Earth
 _KEYS = ("area_m2", "diffuse", "specular", "exponent")
 
 
+class Facet(Table):
+    """A row of a table of facets."""
+
+    name: str = ""
+    normal: Direction
+    """Outward, in body axes, of any length."""
+    area_m2: NonNegative
+    diffuse: NonNegative
+    """Lambert's albedo."""
+    specular: NonNegative
+    """The height of the lobe, on the scale of `diffuse`."""
+    exponent: Annotated[float, Field(ge=1)]
+    """The exponent of the lobe's cosine."""
+
+
 @pytree
 class Facets:
-    """A table of facets; a thin panel is two facets, back to back.
+    """A table of facets; a thin panel is two facets, back to back."""
 
-    Attributes:
-        normal: outward unit normals in body axes, (facets, 3).
-        area: m², (facets,).
-        diffuse: Lambert's albedo, (facets,).
-        specular: the height of the lobe, on the scale of `diffuse`, (facets,).
-        exponent: the exponent of the lobe's cosine, (facets,).
-    """
-
-    normal: Array
+    normal: Array  # unit vectors, (facets, 3); the others as in `Facet`, (facets,)
     area: Array
     diffuse: Array
     specular: Array
@@ -46,34 +56,13 @@ class Facets:
 
 
 def facets(rows: list[dict[str, Any]]) -> Facets:
-    """A table of facets from rows with the keys normal, area_m2, diffuse, specular, exponent, and perhaps name.
-
-    Raises:
-        ValueError: there are no rows, a key is missing or unknown, a value is no number, a normal has length 0, a
-            number is negative, or an exponent is below 1.
-    """
+    """A table of facets from rows with the keys of `Facet`; ValueError for none, or for a wrong row."""
     if not rows:
         raise ValueError("a body of facets needs at least one facet")
-    for k, row in enumerate(rows):
-        _check(row, f"facet {row.get('name', k)!r}")
-    normal = np.array([row["normal"] for row in rows], float)
+    found = [scenarios.validate(Facet, row, f"facet {row.get('name', k)!r}") for k, row in enumerate(rows)]
+    normal = np.array([facet.normal for facet in found])
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return Facets(jnp.asarray(normal), *(jnp.array([float(row[key]) for row in rows]) for key in _KEYS))
-
-
-def _check(row: dict[str, Any], which: str) -> None:
-    wrong = (set(row) - {"name"}) ^ {"normal", *_KEYS}
-    if wrong:
-        raise ValueError(f"{which}: the keys of a facet are normal, {', '.join(_KEYS)}; see {', '.join(sorted(wrong))}")
-    try:
-        normal, numbers = np.array(row["normal"], float), np.array([row[key] for key in _KEYS], float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{which}: normal is three numbers, and {', '.join(_KEYS)} are one each") from None
-    if normal.shape != (3,) or not np.isfinite(normal).all() or not normal.any():
-        raise ValueError(f"{which}: normal must be three numbers, not all 0, got {row['normal']}")
-    if not (np.isfinite(numbers).all() and (numbers >= 0).all() and row["exponent"] >= 1):
-        given = dict(zip(_KEYS, numbers.tolist(), strict=True))
-        raise ValueError(f"{which}: no number may be negative or infinite, nor the exponent less than 1, got {given}")
+    return Facets(jnp.asarray(normal), *(jnp.array([getattr(facet, key) for facet in found]) for key in _KEYS))
 
 
 def brightness(body: Facets, q: Array, sun: Array, observer: Array) -> Array:
@@ -87,7 +76,7 @@ def brightness(body: Facets, q: Array, sun: Array, observer: Array) -> Array:
     s, o = so3.Ad_star(q, sun), so3.Ad_star(q, observer)
     between = s + o
     h = between / jnp.sqrt(jnp.sum(between * between))
-    lit, seen, mirrored = (_ramp(_cosine(body.normal, v)) for v in (s, o, h))
+    lit, seen, mirrored = (_ramp(jnp.sum(body.normal * v, axis=1)) for v in (s, o, h))
     lobe = body.specular * mirrored**body.exponent
     return jnp.sum(body.area / jnp.pi * lit * seen * (body.diffuse + lobe))
 
@@ -96,10 +85,6 @@ def _ramp(x: Array) -> Array:
     """A smooth max(0, x), positive everywhere, without cancellation for x < 0."""
     root = jnp.sqrt(x * x + SUN_RADIUS**2)
     return jnp.where(x > 0, (x + root) / 2, SUN_RADIUS**2 / (2 * (root - jnp.minimum(x, 0))))
-
-
-def _cosine(normal: Array, v: Array) -> Array:
-    return normal[:, 0] * v[0] + normal[:, 1] * v[1] + normal[:, 2] * v[2]
 
 
 def magnitude(body: Facets, q: Array, sun: Array, observer: Array) -> Array:
@@ -112,13 +97,9 @@ def axis_rotations() -> np.ndarray:
 
     The first four are those about the axes by 0 or 180°; the others exchange axes.
     """
-    rotations = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            matrix = np.diag(signs)[list(order)]
-            if np.linalg.det(matrix) > 0:
-                rotations.append(matrix)
-    return np.stack(rotations)
+    pairs = itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3))
+    matrices = np.stack([np.diag(signs)[list(order)] for order, signs in pairs])
+    return matrices[np.linalg.det(matrices) > 0]
 
 
 def is_symmetry(body: Facets, rotation: np.ndarray) -> bool:

@@ -2,7 +2,7 @@
 
 A torque-free tumbler has two frequencies, those of precession and of rotation. Its light has all combinations
 j f₁ + k f₂, and does not determine which of the many pairs that generate the same combinations these two are. Source:
-Pravec et al. 2005, Icarus 173, 108; the spectrum: Lomb 1976, Astrophys. Space Sci. 39, 447, with a floating mean.
+Pravec et al. 2005, Icarus 173, 108; the spectrum is that of `li.measure.periodogram`.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ from __future__ import annotations
 import itertools
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
+
+from lieint_jax.measure import periodogram
 
 BAND = (0.01, 0.16)  # 1/min, the range of the pairs of frequencies that are searched
 SPECTRUM = (0.005, 0.35)  # 1/min, the range of the spectrum
@@ -24,17 +23,6 @@ _FINE, _COARSE = 6, 4  # grid points per resolution (1/duration), of the spectru
 _SHOWN, _NUMBERS = 10, 2  # number of peaks and pairs in the result; largest coefficients of another basis
 _RIDGE = 1e-6  # relative, added to the diagonal: some combinations of two frequencies may coincide
 _AT_ONCE = 2000  # pairs of frequencies whose series are fitted together
-
-
-def explained_variance(t: Array, y: Array, frequency: Array) -> Array:
-    """The share of the variance of y, (n,), at times t, (n,), that a mean and a sine explain; differentiable."""
-    phase = 2 * jnp.pi * frequency * t
-    c, s, y = (x - jnp.mean(x) for x in (jnp.cos(phase), jnp.sin(phase), y))
-    cc, ss, cs, yc, ys = (jnp.vdot(a, b) for a, b in ((c, c), (s, s), (c, s), (y, c), (y, s)))
-    return (yc * yc * ss - 2 * yc * ys * cs + ys * ys * cc) / ((cc * ss - cs * cs) * jnp.vdot(y, y))
-
-
-spectrum = jax.jit(jax.vmap(explained_variance, (None, None, 0)))  # at many frequencies, (k,)
 
 
 def combinations(order: int) -> np.ndarray:
@@ -62,11 +50,7 @@ class TwoPeriods(NamedTuple):
 def fit_two_periods(t: np.ndarray, y: np.ndarray, step: float, numbers: np.ndarray, order: int) -> TwoPeriods:
     """Fit Fourier series of `order` in pairs of frequencies, Σ c_jk exp 2πi(j f₁ + k f₂)t with |j|, |k| ≤ order.
 
-    Args:
-        t, y: times and data, (n,).
-        step: the spacing of the frequencies: all combinations are multiples of it, so one table of waves is enough.
-        numbers: the pairs of frequencies as multiples of `step`, (pairs, 2).
-        order: the order of the series.
+    The pairs, (pairs, 2), are given as multiples of `step`: so are all combinations, and one table of waves is enough.
     """
     jk = combinations(order)
     reach = int(2 * order * np.abs(numbers).sum(axis=1).max())
@@ -101,7 +85,7 @@ def peaks(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray, count: int) -> 
     found: list[Peak] = []
     rest, left = y, 1.0
     for _ in range(count):
-        f = float(frequencies[int(np.argmax(spectrum(t, rest, frequencies)))])
+        f = float(frequencies[int(np.argmax(periodogram(t, rest, frequencies=frequencies).power))])
         phase = 2 * np.pi * t[:, None] * np.array([*(p.frequency for p in found), f])
         A = np.concatenate([np.ones((len(t), 1)), np.cos(phase), np.sin(phase)], axis=1)
         rest = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
@@ -169,5 +153,5 @@ def search(t: np.ndarray, y: np.ndarray) -> Search:
     f, g = np.meshgrid(numbers, numbers, indexing="ij")
     separate = g - f > SEPARATION / step
     fits = fit_two_periods(t, y, step, np.stack([f[separate], g[separate]], axis=1), ORDER)
-    best, power = fits.select_best(_SHOWN, SEPARATION), np.asarray(spectrum(t, y, frequencies))
+    best, power = fits.select_best(_SHOWN, SEPARATION), periodogram(t, y, frequencies=frequencies).power
     return Search(frequencies, power, peaks(t, y, frequencies, _SHOWN), best, bases(best.pairs[0], _NUMBERS, BAND))

@@ -37,6 +37,7 @@ UNKNOWNS = {
     "rate": Unknown(("body rate x (°/min)", "body rate y (°/min)", "body rate z (°/min)"), (0.0, 0.0, 0.0)),
 }
 QUANTITIES = ("precession period (min)", "rotation period (min)")
+Guesses = dict[str, np.ndarray]  # parameters of many fits
 STEP = 0.75  # min
 _FINE = 4000
 _AT_ONCE = 10_000  # guesses that are evaluated together
@@ -93,12 +94,7 @@ def problem(facets: Facets, curve: Lightcurve) -> Problem:
 
 
 def fit_magnitudes(
-    guesses: dict[str, np.ndarray],
-    begin: np.ndarray,
-    observed: np.ndarray,
-    facets: Facets,
-    curve: Lightcurve,
-    progress: bool = True,
+    guesses: Guesses, begin: np.ndarray, observed: np.ndarray, facets: Facets, curve: Lightcurve, progress: bool = True
 ) -> Fit:
     """Run many fits at once, to the observed magnitudes, (fits, n), at the exposures of the curve.
 
@@ -108,19 +104,12 @@ def fit_magnitudes(
     return inference.fit_starts(problem(facets, curve), guesses, (begin, observed), **options)
 
 
-def random_guesses(
-    frequencies: np.ndarray, count: int, key: Array
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+def random_guesses(frequencies: np.ndarray, count: int, key: Array) -> tuple[Guesses, np.ndarray, np.ndarray]:
     """Random guesses whose mean precession and rotation frequencies are near given candidates.
 
     The inertia is that of random second moments; the directions of the body momentum and the attitudes are uniform.
     From a pool of such bodies, each candidate uses those with the nearest ratio of the two frequencies, and scales
-    their rates to its frequencies. All candidates have the same number of guesses.
-
-    Args:
-        frequencies: candidates for (precession, rotation) in 1/min, (candidates, 2).
-        count: the number of guesses.
-        key: the key of the random numbers.
+    their rates to its frequencies, (candidates, 2) in 1/min. All candidates have the same number of guesses.
 
     Returns:
         The guesses and their attitudes `begin`, (count, 4), for `fit_magnitudes`; the candidate of each, (count,).
@@ -151,9 +140,7 @@ def _pool(keys: Array) -> tuple[Array, Array, Array]:
     return J, Pi, jax.vmap(frequencies)(J, Pi)
 
 
-def losses(
-    guesses: dict[str, np.ndarray], begin: np.ndarray, facets: Facets, curve: Lightcurve, progress: bool = True
-) -> np.ndarray:
+def losses(guesses: Guesses, begin: np.ndarray, facets: Facets, curve: Lightcurve, progress: bool = True) -> np.ndarray:
     """Half the sum of squares of the errors of each guess, in units of the noise, (guesses,)."""
     from tqdm import tqdm  # imported here, so that the package imports quickly
 
@@ -254,19 +241,11 @@ def estimate(
     fine = np.linspace(0, curve.t[-1], _FINE)
     exact = np.asarray(closed_form(made._replace(body=body, state=state), np.append(curve.t, fine))[1])
     zero = np.mean(curve.magnitude - light)
-    return Estimate(
-        own.x,
-        _parameter_vector(symmetry(truth), begin[chosen]),
-        own.sigmas[:8],
-        symmetry.g,
-        own.derived,
-        own.sigmas[8:],
-        pulls[:, :8],
-        light + zero,
-        fine,
-        exact[len(curve.t) :] + zero,
-        float(np.abs(light - exact[: len(curve.t)]).max() / curve.noise),
-    )
+    image, (of_x, of_periods) = _parameter_vector(symmetry(truth), begin[chosen]), np.split(own.sigmas, [8])
+    seen, fine_light = np.split(exact, [len(curve.t)])
+    integration = float(np.abs(light - seen).max() / curve.noise)
+    compared = own.x, image, of_x, symmetry.g, own.derived, of_periods, pulls[:, :8]
+    return Estimate(*compared, light + zero, fine, fine_light + zero, integration)
 
 
 def _parameter_vector(solution: Solutions, begin: np.ndarray) -> np.ndarray:

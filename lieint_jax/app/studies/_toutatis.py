@@ -12,9 +12,10 @@ import numpy as np
 from jax import Array
 
 from lieint_jax.app import scenarios
+from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios.rigid_body import FreeBody
 from lieint_jax.app.studies._flyby import Flyby
-from lieint_jax.app.studies._tumbling import longitude_latitude, mean_periods, model, rotate, rotation_between
+from lieint_jax.app.studies._tumbling import mean_periods, model, rotate, rotation_between
 from lieint_jax.app.studies.inference import Coverage, Estimate, Params, Problem, Published, StudentT, Unknown
 from lieint_jax.fitting import Fit, inertia_ratios, member_by_member
 from lieint_jax.groups import so3
@@ -68,14 +69,8 @@ def later_fixes() -> tuple[list[str], np.ndarray, np.ndarray]:
 def radar_data() -> dict[str, Array]:
     """The fixes of 1992 for the fit, with times in days from the middle one, and the epoch of the published states."""
     fixes = radar_epochs()
-    middle, q, rate = fixes.t[MIDDLE], fixes.q, fixes.angular_velocity_deg
-    data = {
-        "begin": q[MIDDLE],
-        "epoch": -middle,
-        "q": q[:FITTED],
-        "rate": rate[:FITTED],
-        "t": fixes.t[:FITTED] - middle,
-    }
+    t, q, rate = fixes.t - fixes.t[MIDDLE], fixes.q, fixes.angular_velocity_deg
+    data = {"begin": q[MIDDLE], "epoch": -fixes.t[MIDDLE], "q": q[:FITTED], "rate": rate[:FITTED], "t": t[:FITTED]}
     return {name: jnp.asarray(x) for name, x in data.items()}
 
 
@@ -137,16 +132,8 @@ def problem() -> Problem:
     known = [(p.value, p.error or 0.0, scenario.source(p.source)) for p in scenario.published.values()]
     known += [(period, 0.0, "Hudson & Ostro 1995, Science 270:84") for period in HUDSON_OSTRO]
     published = [Published(QUANTITIES[k % 4], *value) for k, value in enumerate(known)]
-    return Problem(
-        unknowns,
-        errors,
-        data,
-        StudentT((8.0, 8.0), 0.01, 100.0),
-        derived=derived,
-        quantities=QUANTITIES,
-        published=published,
-        simulate=simulate,
-    )
+    options = {"derived": derived, "quantities": QUANTITIES, "published": published, "simulate": simulate}
+    return Problem(unknowns, errors, data, StudentT((8.0, 8.0), 0.01, 100.0), **options)
 
 
 class Prediction(NamedTuple):

@@ -1,4 +1,4 @@
-"""A free tumbling body for fits: its parameters, its mean periods, and the direction of its angular momentum."""
+"""A free tumbling body for fits: its parameters and its mean periods."""
 
 from __future__ import annotations
 
@@ -38,13 +38,6 @@ def mean_periods(body: RigidBody, state: State) -> Array:
     The angular momentum circles an axis of the body, that of least or of greatest moment, in the period of rotation;
     this axis circles the angular momentum in the period of precession. `RigidBody.periods` returns the precession of
     the long axis in both modes; the short axis precesses by one more revolution in each rotation.
-    `scenarios.rigid_body.measured_periods` measures both periods on a trajectory.
     """
     precession, rotation, long_axis = body.periods(state)
     return jnp.stack([jnp.where(long_axis, precession, 1 / (1 / precession + 1 / rotation)), rotation])
-
-
-def longitude_latitude(p: Array) -> Array:
-    """Longitude in [0, 360) and latitude of a vector (..., 3), in degrees, (..., 2)."""
-    x, y, z = p[..., 0], p[..., 1], p[..., 2]
-    return jnp.rad2deg(jnp.stack([jnp.arctan2(y, x) % (2 * jnp.pi), jnp.arctan2(z, jnp.hypot(x, y))], axis=-1))

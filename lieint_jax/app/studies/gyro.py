@@ -93,16 +93,11 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
     each, truth = inference.estimates(PROBLEM, best, data), np.asarray(ravel_pytree(TRUTH)[0])
     assert best.starts is not None
     test = inference.compare(PROBLEM, Estimate.exact(truth), each, best.starts.success)
-    return GyroTrials(
-        best,
-        each.x,
-        truth,
-        each.sigmas,
-        each.covariance.mean(axis=0),
-        _report.shares(test.pulls).within_2 / 100,
-        float((test.mahalanobis_squared <= _report.chi_square_point(8)).mean()),
-        (_EVERY * np.arange(1, _READINGS + 1), np.asarray(data[0]), np.asarray(rates(PROBLEM.unravel(each.x[0]))[0])),
-    )
+    within, inside = _report.shares(test.pulls).within_2 / 100, test.mahalanobis_squared <= _report.chi_square_point(8)
+    fitted = np.asarray(rates(PROBLEM.unravel(each.x[0]))[0])
+    readings = _EVERY * np.arange(1, _READINGS + 1), np.asarray(data[0]), fitted
+    mean = each.covariance.mean(axis=0)
+    return GyroTrials(best, each.x, truth, each.sigmas, mean, within, float(inside.mean()), readings)
 
 
 def text(found: GyroTrials) -> str:
@@ -114,14 +109,13 @@ def text(found: GyroTrials) -> str:
         (name, f"{t:.4f}", *(f"{v:.5f}" for v in values), f"{100 * within:.0f}%")
         for name, t, *values, within in zip(PROBLEM.names, *columns, strict=True)
     ]
-    return "\n".join(
-        [
-            f"A rate gyro on a tumbling body: {len(x)} synthetic trials of {_READINGS} readings, noise {NOISE} rad/s",
-            f"  {int(starts.success.sum())} of {len(x)} fits succeeded; {found.fit.iterations} iterations\n",
-            *_report.table([("", "truth", "mean", "scatter", "reported σ", "within 2σ"), *rows]),
-            f"\n  truth inside the joint 95 % ellipsoid: {100 * found.inside_ellipsoid:.0f} % of the trials",
-        ]
-    )
+    lines = [
+        f"A rate gyro on a tumbling body: {len(x)} synthetic trials of {_READINGS} readings, noise {NOISE} rad/s",
+        f"  {int(starts.success.sum())} of {len(x)} fits succeeded; {found.fit.iterations} iterations\n",
+        *_report.table([("", "truth", "mean", "scatter", "reported σ", "within 2σ"), *rows]),
+    ]
+    inside = f"{100 * found.inside_ellipsoid:.0f} % of the trials"
+    return "\n".join([*lines, f"\n  truth inside the joint 95 % ellipsoid: {inside}"])
 
 
 @plots.style()

@@ -28,19 +28,10 @@ from jax.typing import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lieint_jax import fitting
 from lieint_jax.app import plots
 from lieint_jax.app.studies._report import chi_square_point, coverage_cells, squared_distances, table
-from lieint_jax.fitting import (
-    DEGREES_OF_FREEDOM,
-    Bound,
-    Fit,
-    fit,
-    free,
-    interval,
-    student_t,
-    student_t_curvature,
-    student_t_noise_error,
-)
+from lieint_jax.fitting import DEGREES_OF_FREEDOM, Bound, Fit, fit, free, interval
 from lieint_jax.types.shapes import PyTree
 
 __all__ = [
@@ -51,6 +42,7 @@ __all__ = [
     "Published",
     "StudentT",
     "Unknown",
+    "calibrate_errors",
     "compare",
     "coverage",
     "draw",
@@ -184,7 +176,7 @@ class Problem:
         if not isinstance(self.noise, StudentT):
             return errors / self.noise, converged
         low = self.noise.low
-        return [student_t(e, levels[k], low, freedom) for k, e in enumerate(errors)], converged
+        return [fitting.student_t(e, levels[k], low, freedom) for k, e in enumerate(errors)], converged
 
     def flagged_errors(self, params: Params, data: PyTree) -> tuple[Array, ArrayLike]:
         """The errors, and whether they converged."""
@@ -351,7 +343,7 @@ def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree,
         J, e = _with_jacobian(lambda x: problem.flagged_errors(unravel(x), data)[0], x)
 
         def information(noise: Array) -> Array:
-            curvature = jnp.stack([student_t_curvature(e[k], noise[k], freedom) for k in range(len(e))])
+            curvature = jnp.stack([fitting.student_t_curvature(e[k], noise[k], freedom) for k in range(len(e))])
             return jnp.einsum("knci,kncd,kndj->kij", J, curvature, J)
 
         share, count = information(noise), e.shape[1] * e.shape[2]
@@ -401,13 +393,26 @@ def coverage(problem: Problem, truth: Estimate, sets: int, seed: int, progress: 
     return compare(problem, truth, estimates(problem, found, data), found.starts.success)
 
 
+def calibrate_errors(
+    problem: Problem, estimate: Estimate, sets: int, seed: int, progress: bool = True
+) -> tuple[np.ndarray, Coverage]:
+    """By how much half of 2 `sets` synthetic data sets enlarges the errors, and a test of these by the other half.
+
+    The factors, (2,), are those of the parameters and of the noise levels; none is below 1.
+    """
+    p, levels = len(estimate.x), len(estimate.noise)
+    both = coverage(problem, estimate, 2 * sets, seed, progress)
+    factors = np.maximum(both.select(slice(sets)).scatter(p, levels), 1)
+    return factors, both.select(slice(sets, None)).rescale(factors, p, levels)
+
+
 def compare(problem: Problem, truth: Estimate, each: Estimate, success: np.ndarray) -> Coverage:
     """The coverage of the truth by the estimates of many fits."""
     p, error = len(truth.x), each.x - truth.x
     level = np.zeros((len(error), 0))
     if problem.levels:
         _, n, d = problem.shape
-        level = np.log(each.noise / truth.noise) / student_t_noise_error(n, d)
+        level = np.log(each.noise / truth.noise) / fitting.student_t_noise_error(n, d)
     wrapped = _difference(each.derived, truth.derived, problem.quantities)
     pulls = np.concatenate([error / each.sigmas[:, :p], level, wrapped / each.sigmas[:, p:]], axis=1)
     return Coverage(pulls, squared_distances(error, each.covariance), success)
@@ -513,11 +518,9 @@ def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Infer
         raise ValueError(f"no start of {problem.title!r} can be evaluated: {found.message}")
     best = int(np.nanargmin(found.starts.loss))
     estimate = jax.tree.map(lambda leaf: leaf[0], estimates(problem, found, data, which=[best]))
-    factors, test, forecast, p, levels = np.ones(3), None, None, len(estimate.x), len(estimate.noise)
+    factors, test, forecast = np.ones(3), None, None
     if found.success and np.isfinite(estimate.covariance).all():
-        both = coverage(problem, estimate, 2 * sets, 2, progress)
-        factors[:2] = np.maximum(both.select(slice(sets)).scatter(p, levels), 1)
-        test = both.select(slice(sets, None)).rescale(factors, p, levels)
+        factors[:2], test = calibrate_errors(problem, estimate, sets, 2, progress)
         factors[2] = max(1.0, np.sqrt(found.chi_square / max(found.degrees_of_freedom or 0, 1))) if known else 1.0
         estimate = enlarge_errors(estimate, factors[0] * factors[2])
         if problem.forecast is not None:
@@ -572,15 +575,12 @@ def text(found: Inference) -> str:
     also += f", and by {chi:.3f}, since χ² is above its degrees of freedom" if chi > 1 else ""
     inside, sets = 100 * (c.mahalanobis_squared <= chi_square_point(len(e.x))).mean(), len(c.pulls)
     published = published_lines(found.names, e, found.published)
-    return "\n".join(
-        [
-            *lines,
-            *table([*rows, ("expected of each", "", "", "68%", "95%", "1.00")]),
-            f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {sets} synthetic sets{also}",
-            f"  right: a test by {sets} other sets; the truth is inside the joint 95 % ellipsoid in {inside:.0f} %",
-            *(["\n  published values:", *published] if published else []),
-        ]
-    )
+    lines += [
+        *table([*rows, ("expected of each", "", "", "68%", "95%", "1.00")]),
+        f"  errors: enlarged by {scatter:.3f}, the ratio of scatter to error in {sets} synthetic sets{also}",
+        f"  right: a test by {sets} other sets; the truth is inside the joint 95 % ellipsoid in {inside:.0f} %",
+    ]
+    return "\n".join([*lines, *(["\n  published values:", *published] if published else [])])
 
 
 def _digits(value: float, sigma: float) -> tuple[str, str]:
@@ -628,9 +628,7 @@ def _draw_estimate(ax: Axes, found: Inference) -> None:
         x, size = pull(quantity, e.values[k], e.sigmas[k], value), error / e.sigmas[k]
         mark = "D" if abs(x) < _EDGE else ">" if x > 0 else "<"
         ax.errorbar(np.clip(x, -_EDGE, _EDGE), y[k], xerr=size, fmt=mark, ms=4, color=plots.RED)
-    pairs = (_digits(x, s) for x, s in zip(e.values, e.sigmas, strict=True))
-    ax.set_yticks(
-        y, [f"{name}\n{x} ± {s}" for name, (x, s) in zip(found.names, pairs, strict=True)], fontsize="x-small"
-    )
+    each = ((name, *_digits(x, s)) for name, x, s in zip(found.names, e.values, e.sigmas, strict=True))
+    ax.set_yticks(y, [f"{name}\n{x} ± {s}" for name, x, s in each], fontsize="x-small")
     label = "(from synthetic data, or published − fitted)/σ"
     ax.set(xlabel=label, xlim=(-_EDGE, _EDGE), title="the estimate, and tests of its errors")

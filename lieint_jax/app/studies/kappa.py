@@ -30,11 +30,7 @@ DT = 0.1
 FORMS = {"c₁x + c₂x²": 2, "c₁x + … + c₄x⁴": 4}
 FAST, FASTER = 3.0, 4.5  # largest body rates of the training states, and of the unseen ones
 _TERMS = max(FORMS.values())
-_GIVEN = {
-    "cayley": np.zeros(2 + _TERMS),
-    "exponential": np.eye(2 + _TERMS)[0],
-    "symplectic": np.eye(2 + _TERMS)[1],
-}
+_GIVEN = {"cayley": np.zeros(2 + _TERMS), "exponential": np.eye(2 + _TERMS)[0], "symplectic": np.eye(2 + _TERMS)[1]}
 
 
 def polynomial(c: Array, x: Array) -> Array:
@@ -181,12 +177,8 @@ def text(found: LearnedKappas) -> str:
         "",
         *table(rows),
     ]
-    compared = [
-        ("the training states", "training_defect"),
-        ("unseen, faster states", "test_defect"),
-        ("long runs", "poisson_error"),
-    ]
-    for data, column in compared:
+    compared = {"training_defect": "the training states", "test_defect": "unseen, faster states"}
+    for column, data in (compared | {"poisson_error": "long runs"}).items():
         learned, given = (np.nanmin([getattr(found.rows[k], column) for k in names]) for names in (FORMS, _GIVEN))
         lines.append(f"  {data + ':':<24}the best learned κ has {learned / given:.2f} of the best given κ's error")
     return "\n".join(

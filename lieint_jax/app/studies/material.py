@@ -96,14 +96,12 @@ def text(found: MaterialFit) -> str:
     """The report of the study, as text."""
     numbers = ((TRUTH[key], found.fit.params[key], found.fit.standard_errors[key]) for key in TRUTH)
     rows = [(name, f"{t:.4f}", f"{x:.5f}", f"{e:.5f}") for name, (t, x, e) in zip("λμ", numbers, strict=True)]
-    return "\n".join(
-        [
-            f"λ and μ of an elastic ball from {len(found.times)} observations of its strain, noise {NOISE} a component",
-            f"  {found.fit.outcome}",
-            f"  the gradient in reverse mode, by undoing steps, is {found.gradient_ratio:.1e} of that at the guess\n",
-            *_report.table([("", "truth", "estimate", "± 1 sigma"), *rows]),
-        ]
-    )
+    lines = [
+        f"λ and μ of an elastic ball from {len(found.times)} observations of its strain, noise {NOISE} a component",
+        f"  {found.fit.outcome}",
+        f"  the gradient in reverse mode, by undoing steps, is {found.gradient_ratio:.1e} of that at the guess\n",
+    ]
+    return "\n".join([*lines, *_report.table([("", "truth", "estimate", "± 1 sigma"), *rows])])
 
 
 @plots.style()

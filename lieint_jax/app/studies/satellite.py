@@ -18,19 +18,14 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from lieint_jax.app import plots
+from lieint_jax.app.studies import _period_search as search
 from lieint_jax.app.studies import _report, _satellite_fit, _symmetric_solutions
 from lieint_jax.app.studies._facets import Facets, brightness, facets, magnitude
-from lieint_jax.app.studies._period_search import (
-    HARMONICS,
-    SPECTRUM,
-    coincidence,
-    combinations,
-    find_combination,
-    search,
-)
 from lieint_jax.app.studies._satellite_fit import QUANTITIES, STEP, UNKNOWNS, Ends, SatelliteFit
-from lieint_jax.app.studies._satellite_picture import draw
 from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, closed_form, observe, scene, scene_minima
 from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, changes, classify, solutions
 from lieint_jax.app.studies._tumbling import mean_periods
@@ -47,18 +42,15 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     made = scene()
     session = made.exposures["sessions_min"][0][1]
     curve, synthetic = observe(made, sets)
-    found = search(curve.t, curve.magnitude)
+    found = search.search(curve.t, curve.magnitude)
     first = curve.truncate(session)
-    clock = [time.perf_counter()]
-    guess, begin, candidate = _satellite_fit.random_guesses(
-        found.candidates, guesses, jax.random.key(made.exposures["seed"])
-    )
+    clock, key = [time.perf_counter()], jax.random.key(made.exposures["seed"])
+    guess, begin, candidate = _satellite_fit.random_guesses(found.candidates, guesses, key)
     order = np.argsort(_satellite_fit.losses(guess, begin, made.facets, first, progress))[:starts]
     guess, begin, candidate = jax.tree.map(lambda leaf: leaf[order], (guess, begin, candidate))
     clock.append(time.perf_counter())
-    fits = _satellite_fit.fit_magnitudes(
-        guess, begin, np.tile(first.magnitude, (starts, 1)), made.facets, first, progress
-    )
+    observed = np.tile(first.magnitude, (starts, 1))
+    fits = _satellite_fit.fit_magnitudes(guess, begin, observed, made.facets, first, progress)
     clock.append(time.perf_counter())
     assert fits.starts is not None
     every = changes(made.facets, first.sun, first.observer)
@@ -146,24 +138,22 @@ def _head(found: SatelliteFit) -> list[str]:
 
 def _periods(found: SatelliteFit) -> list[str]:
     s, true, width = found.search, 1 / found.periods, float(1 / found.curve.t[-1])  # width: the resolution, 1/min
-    jk = combinations(HARMONICS)
-    by_chance = [100 * coincidence(part @ true, SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
+    jk = search.combinations(search.HARMONICS)
+    by_chance = [100 * search.coincidence(part @ true, search.SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
     rows = [("1/min", "period (min)", "variance", "j", "k", "off (1/min)")]
-    for p in s.peaks:
-        j, k, off = find_combination(p.frequency, true, HARMONICS, width)
-        rows.append(
-            (f"{p.frequency:.5f}", f"{1 / p.frequency:.2f}", f"{100 * p.share:.1f}%", str(j), str(k), f"{off:.5f}")
-        )
+    for f, share in s.peaks:
+        j, k, off = search.find_combination(f, true, search.HARMONICS, width)
+        rows.append((f"{f:.5f}", f"{1 / f:.2f}", f"{100 * share:.1f}%", str(j), str(k), f"{off:.5f}"))
     lines = [
         "\n  sines in the light, the strongest first, each with the simplest j f_precession + k f_rotation, |j|, |k| ≤ "
-        f"{HARMONICS}",
+        f"{search.HARMONICS}",
         f"  within {width:.4f} per min (by chance {by_chance[0]:.0f} % of all frequencies are as near to one, "
         f"{by_chance[1]:.0f} % to one with even k)",
         *_report.table(rows, "    "),
         "  pairs of frequencies of a double Fourier series of order 2, the best first, with their true combinations",
     ]
     for pair, left in list(zip(s.pairs.pairs, s.pairs.left, strict=True))[:6]:
-        names = [(f, *find_combination(f, true, HARMONICS, width)) for f in pair]
+        names = [(f, *search.find_combination(f, true, search.HARMONICS, width)) for f in pair]
         each = "  and  ".join(f"{f:.5f} = ({j:>2}, {k:>2}) {off:+.5f}" for f, j, k, off in names)
         lines.append(f"    {each}   leaves {100 * left:.1f} % of the variance")
     off = np.abs(s.candidates - true).max(axis=1)
@@ -237,10 +227,7 @@ def _symmetries(found: SatelliteFit) -> list[str]:
 def _estimate(found: SatelliteFit) -> list[str]:
     e, chance = found.estimate, _report.chance_errors(len(found.estimate.errors))
     values = np.append(e.value, e.periods), np.append(e.sigma, e.periods_sigma), np.append(e.truth, found.periods)
-    names = [
-        *(name for unknown in UNKNOWNS.values() for name in unknown.names),
-        *QUANTITIES,
-    ]
+    names = [*(name for unknown in UNKNOWNS.values() for name in unknown.names), *QUANTITIES]
     compared = [
         (name, f"{x:.4f}", f"{s:.4f}", f"{t:.4f}", f"{(x - t) / s:+.2f} σ")
         for name, x, s, t in zip(names, *values, strict=True)
@@ -268,7 +255,7 @@ def _estimate(found: SatelliteFit) -> list[str]:
 
 def _published(found: SatelliteFit) -> list[str]:
     width, true, named = float(1 / found.curve.t[-1]), 1 / found.periods, _named(found)
-    names = [find_combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
+    names = [search.find_combination(p.frequency, true, search.HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]
     best, mirror = named[SPACE[0]], named[SPACE[1]]
     before, after = 2 * (mirror.before - best.before), 2 * (mirror.after - best.after)
@@ -286,3 +273,115 @@ def _published(found: SatelliteFit) -> list[str]:
         "      Optical survey of the tumble rates of retired GEO satellites, AMOS). Here it is "
         f"{found.rate:.2f}°/s, by choice.",
     ]
+
+
+_COLORS = {"as it is": plots.INK, "mirror": plots.RED, "exchange": plots.GREEN, "mirror and exchange": plots.ORANGE}
+_TITLES = (
+    "light before the shadow",
+    "spectrum of all the light",
+    "pairs of frequencies",
+    "ends of the starts, first session",
+    "whole night, from each image of the best end",
+    "estimate less truth",
+)
+_SMALL = {"frameon": False, "fontsize": "x-small", "loc": "upper left"}
+
+
+@plots.style()
+def draw(found: SatelliteFit) -> Figure:
+    """Plot the light and its minima, both searches for periods, the ends of all starts, the images, and the errors."""
+    fig, axes = plots.figure(3, 2)
+    panels = (_draw_light, _draw_spectrum, _draw_pairs, _draw_first_session, _draw_night)
+    for ax, draw_panel in zip(axes.flat, panels, strict=False):
+        draw_panel(ax, found)
+    e = found.estimate
+    _report.draw_pulls(axes[1, 2], e.errors, (e.value - e.truth) / e.sigma)
+    plots.letter_panels(axes, _TITLES)
+    fig.suptitle(f"{found.title}, simulated", fontsize="medium")
+    return fig
+
+
+def _draw_light(ax: Axes, found: SatelliteFit) -> None:
+    e, c = found.estimate, found.curve
+    fine, seen = e.fine_t <= found.session, c.t <= found.session
+    ax.plot(e.fine_t[fine], e.fine_light[fine], color=plots.BLUE, lw=0.8, label="fit")
+    ax.plot(c.t[seen], c.magnitude[seen], ".", color=plots.INK, ms=3, label="exposures")
+    for t in found.minima.t:
+        ax.axvline(t, color=plots.GRAY, lw=0.6, zorder=0, label="true minima" if t == found.minima.t[0] else None)
+    ax.set(xlabel="t (min)", ylabel="magnitude, zero point unknown")
+    ax.set_ylim(e.fine_light.max() + 0.1, e.fine_light.min() - 0.5)
+    ax.legend(ncols=3, **_SMALL)
+
+
+def _draw_spectrum(ax: Axes, found: SatelliteFit) -> None:
+    f, power, true = found.search.frequencies, found.search.power, 1 / found.periods
+    ax.plot(f, 100 * power, color=plots.BLUE, lw=0.8)
+    for value, name in zip(true, "fg", strict=True):
+        ax.axvline(value, color=plots.RED, lw=0.8, ls="--")
+        ax.annotate(f"{name} ", (value, 0.94), xycoords=("data", "axes fraction"), ha="right", fontsize="small")
+    for peak in (p.frequency for p in found.search.peaks[:7]):
+        top = (peak, 100 * power[np.abs(f - peak) < 1.5 * (f[1] - f[0])].max())
+        near_line = np.abs(peak - true).min() < 0.03 * np.ptp(f)  # there the label is drawn to the right of the line
+        place = {"xytext": (3, 2), "ha": "left"} if near_line else {"xytext": (0, 2), "ha": "center"}
+        ax.annotate(_name(found, peak), top, textcoords="offset points", va="bottom", fontsize="xx-small", **place)
+    ax.set(xlabel="frequency (1/min)", ylabel="variance explained (%)", ylim=(0, 115 * power.max()))
+    note = "f, g: true precession, rotation\n(j, k): the simplest jf + kg"
+    ax.text(0.97, 0.95, note, transform=ax.transAxes, ha="right", va="top", fontsize="x-small")
+
+
+def _draw_pairs(ax: Axes, found: SatelliteFit) -> None:
+    pairs, left = found.search.pairs.pairs, 100 * found.search.pairs.left
+    y = np.arange(len(pairs))[::-1]
+    ax.barh(y, left, color=plots.BLUE, height=0.6)
+    for height, pair, value in zip(y, pairs, left, strict=True):
+        names = " and ".join(_name(found, f) for f in pair)
+        ax.text(value + 0.3, height, names, va="center", fontsize="x-small")
+    ax.set(xlabel="variance left by a double series of order 2 (%)", xlim=(0, 1.5 * left.max()))
+    ax.set_yticks(y, [f"{p[0]:.4f}, {p[1]:.4f}" for p in pairs], fontsize="x-small")
+    ax.set_ylabel("frequencies (1/min)")
+
+
+def _name(found: SatelliteFit, frequency: float) -> str:
+    """The combination (j, k) of the true frequencies that a frequency is."""
+    j, k, _ = search.find_combination(frequency, 1 / found.periods, search.HARMONICS, 1 / found.curve.t[-1])
+    return f"({j}, {k})".replace("-", "−")
+
+
+def _split_names(found: SatelliteFit) -> list[tuple[str, str]]:
+    """Of each change the change in space, and the new names of the axes."""
+    parts = (change.name.partition(", axes ") for change in found.changes)
+    return [(space, axes or "xyz") for space, _, axes in parts]
+
+
+def _draw_first_session(ax: Axes, found: SatelliteFit) -> None:
+    order, names = np.argsort(found.first.loss), _split_names(found)
+    chi = 2 * found.first.loss[order] / (found.curve.t <= found.session).sum()
+    change, rank = found.first.change[order], np.arange(1, len(order) + 1)
+    ax.loglog(rank, chi, ".", color=plots.GRAY, ms=3, label=f"elsewhere ({(change < 0).sum()})")
+    for space, color in _COLORS.items():
+        for own, mark in ((True, "o"), (False, "x")):
+            which = np.array([k >= 0 and (names[k][0], names[k][1] == "xyz") == (space, own) for k in change])
+            if which.any():
+                label = f"{space}{'' if own else ', axes exchanged'} ({which.sum()})"
+                ax.loglog(rank[which], chi[which], mark, color=color, ms=4, label=label)
+    ax.set(xlabel="start, by its χ²", ylabel="χ² per exposure")
+    ax.legend(**_SMALL)
+
+
+def _draw_night(ax: Axes, found: SatelliteFit) -> None:
+    excess, names = 2 * (found.images.loss - found.night.loss.min()), _split_names(found)
+    columns = sorted({axes for _, axes in names})
+    for begin, value, end in zip(found.named, excess, found.images.change, strict=True):
+        if begin < 0:  # the best end of the first session is no image of that of the night
+            continue
+        space, axes = names[begin]
+        fill = _COLORS[space] if end >= 0 and names[end] == (space, axes) else "none"
+        x = columns.index(axes) + 0.15 * (list(_COLORS).index(space) - 1.5)
+        ax.plot(x, max(value, 0.5), "o", color=_COLORS[space], mfc=fill, ms=5)
+    for space, color in _COLORS.items():
+        ax.plot([], [], "o", color=color, ms=5, label=space)
+    ax.plot([], [], "o", color=plots.GRAY, mfc="none", ms=5, label="ended elsewhere")
+    ax.set(yscale="log", ylim=(0.3, 3e7), ylabel="χ² above the best (0 drawn at 0.5)")
+    ax.set_xlabel("principal axes, by their new names")
+    ax.set_xticks(range(len(columns)), columns)
+    ax.legend(ncols=2, **_SMALL)

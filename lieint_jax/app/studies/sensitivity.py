@@ -47,18 +47,8 @@ class LyapunovSpectrum(NamedTuple):
 def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: int = 1) -> tuple[Array, Array]:
     """Finite-time Lyapunov exponents at even intervals, by `diagnostics.lyapunov` with a QR decomposition each step.
 
-    Args:
-        step: the step, whose own linearization is used.
-        state: the initial state.
-        dt: step size.
-        num_steps: a multiple of `save_every`.
-        save_every: number of steps between saved values.
-
     Returns:
         Times (n,), and exponents (n, 2d) in units of 1/time, in the order of the frame, descending in the limit.
-
-    Raises:
-        ValueError: `num_steps` is no multiple of `save_every`, or the first step fails.
     """
     num_saves, dim = saves(num_steps, save_every), step.system.phase_space.dim
     found = diagnostics.lyapunov(step, state, dt, num_steps, vectors=np.eye(dim), batches=num_saves)
@@ -100,10 +90,8 @@ def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20,
         return (a, space.perturb(a, unit * delta * (distance / size)), total + jnp.log(size / distance)), None
 
     first = jnp.zeros(space.dim).at[0].set(distance)
-    total = lax.scan(step_once, (state, space.perturb(state, first), jnp.zeros(())), None, length=num_steps // every)[
-        0
-    ][2]
-    return total / (dt * every * (num_steps // every))
+    start, count = (state, space.perturb(state, first), jnp.zeros(())), num_steps // every
+    return lax.scan(step_once, start, None, length=count)[0][2] / (dt * every * count)
 
 
 def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
@@ -125,8 +113,8 @@ def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
     bar = tqdm(parts, unit="part", disable=None if progress else True, leave=False)
     (t, values), short_values, independent, neighbors = (jax.block_until_ready(part()) for part in bar)
     last = np.sort(np.asarray(values[-1]))[::-1]
-    growth = (values[:, 0] * t)[len(t) // 2 - 1 :: len(t) // (2 * _BLOCKS)]
-    rates = np.asarray(jnp.diff(growth) / jnp.diff(t[len(t) // 2 - 1 :: len(t) // (2 * _BLOCKS)]))
+    ends = slice(len(t) // 2 - 1, None, len(t) // (2 * _BLOCKS))
+    rates = np.asarray(jnp.diff((values[:, 0] * t)[ends]) / jnp.diff(t[ends]))
     return LyapunovSpectrum(
         np.asarray(t),
         np.asarray(values),
@@ -145,18 +133,17 @@ def text(found: LyapunovSpectrum) -> str:
     def row(values: np.ndarray) -> str:
         return "(" + ", ".join(f"{x:9.5f}" for x in values) + ")"
 
-    return "\n".join(
-        [
-            "Lyapunov exponents of a chaotic heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1)",
-            f"  to t = 20, order 6:            {row(found.short_run)}",
-            f"  the same by the vector field:  {row(found.variational)}",
-            f"  largest difference             {np.abs(found.short_run - found.variational).max():.1e}",
-            f"  to t = {found.t[-1]:g}, splitting:      {row(found.exponents[-1])}",
-            f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pair_defect:.1e}",
-            f"  largest by two neighbors      {found.two_trajectories:.5f}",
-            "  largest, over the second half  {:.4f} ± {:.4f}, a standard error".format(*found.limit),
-        ]
-    )
+    lines = [
+        "Lyapunov exponents of a chaotic heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1)",
+        f"  to t = 20, order 6:            {row(found.short_run)}",
+        f"  the same by the vector field:  {row(found.variational)}",
+        f"  largest difference             {np.abs(found.short_run - found.variational).max():.1e}",
+        f"  to t = {found.t[-1]:g}, splitting:      {row(found.exponents[-1])}",
+        f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pair_defect:.1e}",
+        f"  largest by two neighbors      {found.two_trajectories:.5f}",
+        "  largest, over the second half  {:.4f} ± {:.4f}, a standard error".format(*found.limit),
+    ]
+    return "\n".join(lines)
 
 
 @plots.style()

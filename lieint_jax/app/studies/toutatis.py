@@ -10,29 +10,19 @@ The covariance is tested on synthetic data sets of the fitted model; the predict
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from lieint_jax.app import scenarios
+from lieint_jax.app import plots, scenarios
 from lieint_jax.app.studies import _flyby, _report, _toutatis, inference
-from lieint_jax.app.studies._toutatis import (
-    FITTED,
-    MIDDLE,
-    QUANTITIES,
-    STATES,
-    Prediction,
-    RadarEpochs,
-    SpinFit,
-    errors,
-    later_fixes,
-    published_params,
-    radar_data,
-    radar_epochs,
-)
-from lieint_jax.app.studies._toutatis_picture import draw
+from lieint_jax.app.studies._toutatis import FITTED, MIDDLE, QUANTITIES, STATES, RadarEpochs, SpinFit, radar_epochs
 from lieint_jax.app.studies._tumbling import model
 from lieint_jax.app.studies.inference import Estimate, Params, Problem
 from lieint_jax.fitting import DEGREES_OF_FREEDOM, student_t_noise_error, student_t_weights
@@ -55,8 +45,9 @@ _TO_2008 = 1516.0  # days from that flyby, 2004-09-29, to the fix of 2008-11-23
 def run(quick: bool = False, progress: bool = True) -> SpinFit:
     """Fit, compare, predict, and test the uncertainty; `quick` uses a fifth of the synthetic sets and members."""
     sets, members = (20, 200) if quick else (100, 1000)
-    problem, data = _toutatis.problem(), radar_data()
-    given = {name: published_params(scenario, data["begin"], -data["epoch"]) for name, scenario in STATES.items()}
+    problem, data = _toutatis.problem(), _toutatis.radar_data()
+    origin = data["begin"], -data["epoch"]
+    given = {name: _toutatis.published_params(scenario, *origin) for name, scenario in STATES.items()}
     # From both published states, from the first with normal errors, and from random states about the second. Their
     # number is that of synthetic sets, so that one compiled program fits both.
     zhao, takahashi = (p | {"noise": problem.levels["noise"]} for p in given.values())
@@ -68,12 +59,10 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     found = inference.fit_starts(problem, guesses, many, freedom, progress)
     states = inference.estimates(problem, found, many, freedom, range(3))
     estimate, normal = (jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in (0, 2))
-    test = inference.coverage(problem, estimate, 2 * sets, 1992, progress)
-    factors = np.maximum(test.select(slice(sets)).scatter(8, 2), 1)  # errors are never reduced
+    factors, test = inference.calibrate_errors(problem, estimate, sets, 1992, progress)
     estimate = inference.enlarge_errors(estimate, factors[0])
-    residuals = {
-        name: np.asarray(errors(p, data)) for name, p in {"fitted": problem.unravel(estimate.x), **given}.items()
-    }
+    compared = {"fitted": problem.unravel(estimate.x), **given}
+    residuals = {name: np.asarray(_toutatis.errors(p, data)) for name, p in compared.items()}
     e, noise = residuals["fitted"], estimate.noise[:, None]
     difference = np.stack([np.asarray(ravel_pytree(p)[0]) - estimate.x for p in given.values()])
     distances = _report.squared_distances(difference, estimate.covariance[None])
@@ -92,14 +81,14 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
         _predict(problem, estimate, given, members),
         _flyby.passage(body, state, _FLYBY_DISTANCE, _flyby.speed_at_infinity(**_ELEMENTS), members),
         factors,
-        test.select(slice(sets, None)).rescale(factors, 8, 2),
+        test,
         scenarios.load("toutatis"),
     )
 
 
-def _predict(problem: Problem, estimate: Estimate, given: dict[str, Params], members: int) -> Prediction:
+def _predict(problem: Problem, estimate: Estimate, given: dict[str, Params], members: int) -> _toutatis.Prediction:
     """Predict the motion of the estimate, of both published states, and of members drawn from the covariance."""
-    fixes, begin, (_, later_t, later_q) = radar_epochs(), problem.data["begin"], later_fixes()
+    fixes, begin, (_, later_t, later_q) = radar_epochs(), problem.data["begin"], _toutatis.later_fixes()
     t = np.append(np.geomspace(1, 8000, 60), later_t - fixes.t[MIDDLE])
 
     def attitudes(params: Params) -> Array:
@@ -116,7 +105,7 @@ def _predict(problem: Problem, estimate: Estimate, given: dict[str, Params], mem
     p = jax.vmap(so3.Ad)(jnp.asarray(fixes.q), body.inertia * rate)
     every = jnp.concatenate([state.q[None], jnp.asarray(fixes.q), jnp.asarray(later_q[-1:])])
     Pi = np.asarray(jax.vmap(so3.Ad_star, (0, None))(every, state.p / jnp.linalg.norm(state.p)))
-    return Prediction(
+    return _toutatis.Prediction(
         t[:-3],
         np.percentile(angles[:, :-3], (5, 50, 95), axis=0),
         np.sqrt((angles[:, :-3] ** 2).mean(axis=0)),
@@ -164,10 +153,7 @@ def _residual_table(found: SpinFit) -> list[str]:
             for (ours, zhao, takahashi), weight, far in zip(sizes, weights, outlier, strict=True)
         )
         rows.append((date, *(cell for kind in cells for cell in kind)))
-    rms = (
-        (f"{ours:.2f} ", "", f"{zhao:.2f}", f"{takahashi:.2f}")
-        for ours, zhao, takahashi in np.sqrt((size**2).mean(-1)).T
-    )
+    rms = ((f"{ours:.2f} ", "", f"{z:.2f}", f"{t:.2f}") for ours, z, t in np.sqrt((size**2).mean(-1)).T)
     rows.append(("rms", *(cell for kind in rms for cell in kind)))
     return [
         f"\n  {'|calculated − observed|':<31}{'attitude (°)':<38}body rate (°/d)",
@@ -202,7 +188,8 @@ def _comparison(found: SpinFit) -> list[str]:
 def _prediction(found: SpinFit) -> list[str]:
     p = found.prediction
     low, high = np.percentile(p.member_fix_angles, (5, 95), axis=0)
-    rows = [("", *later_fixes()[0]), *((name, *(f"{x:.1f}" for x in off)) for name, off in p.fix_angles.items())]
+    rows = [("", *_toutatis.later_fixes()[0])]
+    rows += [(name, *(f"{x:.1f}" for x in off)) for name, off in p.fix_angles.items()]
     rows += [("members, 5 to 95 %", *(f"{a:.0f} to {b:.0f}" for a, b in zip(low, high, strict=True)))]
     rows += [("members farther off", *(f"{100 * share:.0f} %" for share in p.farther_share))]
     pole = p.pole[:FITTED][~found.outlier[1]]
@@ -261,3 +248,90 @@ def _coverage(found: SpinFit) -> list[str]:
         f"{lines[-1]}   ± {chance.within_1:.1f} %, {chance.within_2:.1f} % by chance",
         f"  truth inside the joint 95 % ellipsoid: {inside:.0f} % of the sets",
     ]
+
+
+_MARKS = {"fitted": ("o", plots.INK), "Zhao et al. 2015": ("^", plots.RED), "Takahashi et al. 2013": ("s", plots.BLUE)}
+_DECEMBER = 20.2571  # days from the published epoch, 1992-11-09 17:49:47, to 1992-11-30 00:00
+_TITLES = (
+    "17 radar fixes of 1992: attitudes",
+    "the same: body rates",
+    "torque-free to the fixes of 2004, 2008 and 2012",
+    "mean periods",
+    "direction of the angular momentum",
+    "reported errors in synthetic data",
+)
+
+
+@plots.style()
+def draw(found: SpinFit) -> Figure:
+    """Plot the residuals, the prediction, momentum and periods with published values, and the test of the errors."""
+    fig, axes = plots.figure(3, 2)
+    for kind, (ax, label) in enumerate(zip(axes[0, :2], ("attitude error (°)", "body rate error (°/d)"), strict=True)):
+        _draw_residuals(ax, found, kind, label)
+    _draw_prediction(axes[0, 2], found)
+    _draw_pair(axes[1, 0], found, 0, "precession of the long axis (d)", "rotation about the long axis (d)")
+    axes[1, 0].plot(*_toutatis.HUDSON_OSTRO, "D", color=plots.GRAY, mec=plots.INK, ms=6, label="Hudson & Ostro 1995")
+    _draw_pair(axes[1, 1], found, 2, "ecliptic longitude (°)", "ecliptic latitude (°)")
+    for ax in axes[1, :2]:
+        ax.legend(loc="best")
+    _report.draw_pulls(axes[1, 2], found.coverage.pulls[:, :8])
+    plots.letter_panels(axes, _TITLES)
+    fig.suptitle(found.scenario.title)
+    return fig
+
+
+def _look(name: str) -> tuple[str, Any]:
+    """The marker of a state, and its look."""
+    mark, color = _MARKS[name]
+    return mark, {"color": color, "mfc": color if name == "fitted" else "none", "ms": 5}
+
+
+def _draw_residuals(ax: Axes, found: SpinFit, kind: int, label: str) -> None:
+    """Plot the size of each residual by date, with outliers ringed, and the fitted noise level."""
+    day, outlier = radar_epochs().t[:FITTED] - _DECEMBER, found.outlier[kind]
+    sizes = {name: np.linalg.norm(found.residuals[name][kind], axis=-1) for name in _MARKS}
+    for name, size in sizes.items():
+        mark, look = _look(name)
+        ax.plot(day, size, mark, label=name, **look)
+    ringed = day[outlier], sizes["fitted"][outlier]
+    ax.plot(*ringed, "o", ms=13, mfc="none", mec=plots.INK, mew=1.0, label="outlier of the fit")
+    level = np.sqrt(3) * float(found.estimate.noise[kind])
+    ax.axhline(level, color=plots.INK, lw=0.8, ls="--", label="√3 × fitted noise")
+    top = max(size.max() for size in sizes.values())
+    ax.set(xlabel="December 1992 (UTC)", ylabel=label, ylim=(0, 1.55 * top), xticks=range(3, 19, 3))
+    ax.legend(ncols=2, loc="upper center")
+
+
+def _draw_prediction(ax: Axes, found: SpinFit) -> None:
+    """Plot the spread of the members against time, and the angles of predictions from the later fixes."""
+    p, (dates, t, _) = found.prediction, _toutatis.later_fixes()
+    label = "members about the estimate, 5–95 %"
+    ax.fill_between(p.t, p.spread[0], p.spread[2], color=plots.GRAY, alpha=0.5, lw=0, label=label)
+    ax.plot(p.t, p.rms, color=plots.INK, lw=1.2, label="the same, rms")
+    later = t - radar_epochs().t[MIDDLE]
+    for name, label in zip(_MARKS, ("predictions from the fix, marks as in (a)", None, None), strict=True):
+        mark, look = _look(name)
+        ax.plot(later, p.fix_angles[name], mark, label=label, **look)
+    for day, date, height in zip(later, dates, (190, 204, 218), strict=True):
+        ax.annotate(date[:4], (day, height), ha="center", va="bottom", fontsize="x-small")
+        ax.plot([day, day], [0, height], color=plots.GRAY, lw=0.6, zorder=0)
+    ax.set(xscale="log", xlim=(5, 14000), ylim=(0, 270), yticks=range(0, 181, 30))
+    ax.set(xlabel="days after 1992-12-10", ylabel="angle (°)")
+    ax.legend(loc="upper left")
+
+
+def _draw_pair(ax: Axes, found: SpinFit, first: int, xlabel: str, ylabel: str) -> None:
+    """Plot two derived quantities with their 1σ and 2σ ellipses, and the published states and values."""
+    pair = slice(first, first + 2)
+    center, matrix = found.estimate.derived[pair], found.estimate.derived_covariance[pair, pair]
+    for radius, dashes in ((1, "-"), (2, "--")):
+        ax.plot(*_report.ellipse(center, matrix, radius).T, dashes, color=plots.INK, lw=1)
+    ax.plot(*center, "o", color=plots.INK, ms=5, label="fitted, ellipses of 1σ, 2σ")
+    for name, values in found.published.items():
+        mark, look = _look(name)
+        ax.plot(*values[pair], mark, label=f"state of {name}", **{**look, "ms": 6})
+    x, y = list(found.scenario.published.values())[pair]
+    ax.errorbar(x.value, y.value, y.error, x.error, "x", color=plots.RED, ms=5, lw=1, label="Zhao et al., as published")
+    (x, y), (dx, dy) = center, 2.4 * np.sqrt(np.diagonal(matrix))
+    ax.locator_params(nbins=6)
+    ax.set(xlabel=xlabel, ylabel=ylabel, xlim=(x - dx, x + dx), ylim=(y - dy, y + 2 * dy))

@@ -163,7 +163,7 @@ def _lock_folder(path: Path) -> int:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
-        raise ValueError(f"another run is writing to {path}") from None
+        raise BlockingIOError(f"another run is writing to {path}") from None
     except (ImportError, OSError):  # a system, or a file system, without locks
         pass
     return descriptor

@@ -28,6 +28,7 @@ from lieint_jax.runs.store._root import FORMAT
 from lieint_jax.runs.store._storage import Address
 from lieint_jax.types import State
 
+_MACHINE = ("device", "engine", "compiler_options", "XLA_FLAGS")  # keys of a description, besides the versions
 _NO_DIGEST = "cannot be compared: "  # begins the reason that stands in place of a digest in a description
 _ADVICE = (
     "pass the function's data in a jax.tree_util.Partial, or make it a callable pytree, whose numbers are compared one "
@@ -101,8 +102,17 @@ def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
         )
 
 
-def check_same(path: Address, stored: Table, now: Table) -> None:
-    """Raise ValueError if the run in a store differs from the one described, or cannot be compared with it."""
+def machine_of(described: Table) -> Table:
+    """What a description has of the machine, on which the last bits of a run depend, and the run itself does not."""
+    versions = {name: x for name, x in described["versions"].items() if name != "lieint_jax"}
+    return {key: described.get(key) for key in _MACHINE} | {"versions": versions}
+
+
+def check_same(path: Address, stored: Table, now: Table, same_bits: bool = True) -> None:
+    """Raise ValueError if the run in a store differs from the one described, or cannot be compared with it.
+
+    With `same_bits=False` it may have been computed on another machine.
+    """
     if stored["format"] < FORMAT:
         raise ValueError(
             f"{path} was written by an older version of lieint_jax, whose runs this one cannot continue bit for bit: "
@@ -110,8 +120,15 @@ def check_same(path: Address, stored: Table, now: Table) -> None:
         )
     for key, reason in _not_comparable(now).items():
         raise ValueError(f"{path} cannot be resumed: the {key} {reason}; {_ADVICE}")
-    different = differences(stored["run"], now)
-    if different:
+    run = stored["run"]
+    different = differences(run, now)
+    if different and different == differences(machine_of(run), machine_of(now)):
+        if same_bits:
+            raise ValueError(
+                f"{path} is resumed on another machine, whose last bits may differ: {'; '.join(different)}. Pass "
+                "same_bits=False (--any-machine) to accept this"
+            )
+    elif different:
         raise ValueError(f"{path} holds another run and cannot be resumed by this one: {'; '.join(different)}")
 
 

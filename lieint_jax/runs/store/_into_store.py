@@ -24,7 +24,7 @@ from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split
 from lieint_jax.runs.store._storage import Storage
 from lieint_jax.runs.store._store_options import StoreOptions, check_json, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.runs.store._writer import Writer, join, skeleton
+from lieint_jax.runs.store._writer import Origin, Writer, join, skeleton
 
 
 def run_into_store(
@@ -37,6 +37,7 @@ def run_into_store(
     k: int,
     in_parts: bool,
     resume: bool,
+    same_bits: bool,
     integrate: Callable[[Layout, StoreOutput], object],
 ) -> Stored:
     """Let `integrate` fill part k of a store, from its start or its last commit, and return the results of its members.
@@ -53,6 +54,7 @@ def run_into_store(
         k: which one.
         in_parts: whether other parts, or other processes into the same bucket, may write at the same time.
         resume: continue a store that exists.
+        same_bits: only where it was begun on a machine of the same kind.
         integrate: fills an output.
     """
     storage, leader = open_storage(checked_path(options.path)), jax.process_index() == 0
@@ -70,13 +72,13 @@ def run_into_store(
         if not in_parts:  # whose other parts must be comparable
             _identity.warn_of_no_resume(described)
         exists = not together(lambda: not leader or _is_created(storage, first_files(), in_parts))
-    root = together(lambda: _root_of(storage, described if exists or in_parts else None, split, in_parts))
+    root = together(lambda: _root_of(storage, described if exists or in_parts else None, split, in_parts, same_bits))
     with contextlib.ExitStack() as stack:
         together(lambda: stack.enter_context(storage.lock(root.folder(k), leader)))
         if in_parts:
             join(root, first_files())
-        initial = _identity.digest_of_states(job.initial)
-        writer = together(lambda: stack.enter_context(contextlib.closing(Writer(root, k, initial, leader))))
+        origin = Origin(_identity.digest_of_states(job.initial), _identity.machine_of(described), same_bits)
+        writer = together(lambda: stack.enter_context(contextlib.closing(Writer(root, k, origin, leader))))
         layout = _layout.layout_of(mesh, job.members, root.split.chunk)
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
@@ -92,7 +94,7 @@ def _is_created(storage: Storage, files: dict[str, bytes], in_parts: bool) -> bo
     return created
 
 
-def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: bool) -> Root:
+def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: bool, same_bits: bool) -> Root:
     """The root of a store, if it is that of the run described and in these parts; None: this run has just made it."""
     found = (described_root if described is None or in_parts else check_store)(storage.address)
     attributes = found.attributes if isinstance(found, Root) else found["attributes"]
@@ -104,7 +106,7 @@ def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: 
     if "parts" not in attributes and in_parts:
         raise ValueError(f"{storage.address} was not written in parts; choose another store")
     if described is not None:
-        _identity.check_same(storage.address, attributes, described)
+        _identity.check_same(storage.address, attributes, described, same_bits)
     if count != split.parts:
         raise ValueError(f"{storage.address} is written in {count} part(s), not in {split.parts}")
     assert isinstance(found, Root)

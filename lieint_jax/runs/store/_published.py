@@ -113,8 +113,8 @@ def _as_slice(numbers: np.ndarray) -> Any:
 def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Loaded:
     """The published results of all parts or of one.
 
-    The attributes of a run in parts have "missing" too, a sentence for each part that is missing, damaged or
-    incomplete.
+    The attributes have "machines" too, pairs of a part and what has computed it; those of a run in parts have
+    "missing", a sentence for each part that is missing, damaged or incomplete.
 
     Args:
         root: the root of the store.
@@ -135,7 +135,8 @@ def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Loaded:
         "steps": min(status.progress["steps"] for status in statuses),
         "complete": all(status.progress["complete"] for status in statuses),
     }
-    attributes = root.attributes | {"progress": progress}
+    machines = [(status.number, machine) for status in statuses for machine in status.machines]
+    attributes = root.attributes | {"progress": progress, "machines": machines}
     if root.in_parts:
         attributes["missing"] = [line for line in (status.sentence(root.entries) for status in statuses) if line]
     group: Any = zarr.open_group(root.storage.arrays(), mode="r", use_consolidated=root.in_parts)

@@ -34,7 +34,7 @@ from lieint_jax.runs.store._chunks import (
     part_of_array,
     tail,
 )
-from lieint_jax.runs.store._kinds import PROGRESS_KEYS, check_table
+from lieint_jax.runs.store._kinds import PROGRESS_KEYS, RUN_KEYS, check_table
 from lieint_jax.runs.store._leaves import Table
 from lieint_jax.runs.store._state_file import PartState, UnusablePartError, decode_state
 from lieint_jax.runs.store._storage import Address, Storage
@@ -93,12 +93,14 @@ class PartStatus(NamedTuple):
         members: its members.
         progress: its published progress; that of the start if it is missing or damaged.
         problem: a sentence about a missing or damaged part, else None.
+        machines: those that have computed it.
     """
 
     number: int
     members: range
     progress: Table
     problem: str | None
+    machines: tuple[Table, ...] = ()
 
     def sentence(self, entries: int) -> str | None:
         """A sentence about a part that is not complete, or None. `entries` is the number of entries of the run."""
@@ -183,6 +185,8 @@ class Root:
         if progress["entries"] > self.entries or progress["complete"] != (progress["entries"] == self.entries):
             raise ValueError(f"it has {progress['entries']} of {self.entries} entries, and is not what it says")
         needed = {"residual", "converged", "failed", *self.attributes["leaves"]} - {"t"}  # a time may follow from n
+        for machine in state.machines:
+            check_table("a machine", machine, {key: RUN_KEYS[key] for key in ("device", "engine", "versions")})
         missing = needed - {name.removeprefix(CARRY) for name in state.arrays if name.startswith(CARRY)}
         if missing and not progress["complete"]:
             raise ValueError(f"it has no {min(missing)} of the states from which the run goes on")
@@ -290,7 +294,7 @@ class Root:
         if state is None:
             return PartStatus(k, members, START, "is missing: it was not started, or has published nothing yet")
         lost = next(self.damage_of_part(k, state), None) if thorough else None
-        return PartStatus(k, members, START if lost else state.progress, lost and f"is damaged: {lost}")
+        return PartStatus(k, members, START if lost else state.progress, lost and f"is damaged: {lost}", state.machines)
 
 
 def encode_root(root: Table, metas: Mapping[str, Table]) -> bytes:

@@ -22,17 +22,20 @@ class PartState(NamedTuple):
         progress: its commits, entries along time, steps, and whether it is complete.
         arrays: the checksums of its files, and the carry of an incomplete part by name.
         initial: the digest of the initial states of its members.
+        machines: the processors, versions and engines that have computed it.
     """
 
     progress: Table
     arrays: dict[str, np.ndarray]
     initial: str = ""
+    machines: tuple[Table, ...] = ()
 
     def encode(self, place: Table) -> bytes:
         """The bytes of a state: a line of JSON, the arrays, and a digest; `place` is its part and its run."""
         arrays = {name: np.ascontiguousarray(x) for name, x in sorted(self.arrays.items())}
         shapes = {name: [x.dtype.newbyteorder("<").str, x.shape] for name, x in arrays.items()}
         described = {"initial states": self.initial, "progress": self.progress, "arrays": shapes}
+        described["machines"] = self.machines
         header = json.dumps({**place, **described}, sort_keys=True)
         little = [x.astype(x.dtype.newbyteorder("<"), copy=False) for x in arrays.values()]
         parts = [header.encode(), b"\n", *(x.reshape(-1).view(np.uint8).data for x in little)]
@@ -67,4 +70,4 @@ def decode_state(data: bytes, place: Table) -> PartState:
         size = math.prod(shape) * dtype.itemsize
         arrays[name] = np.frombuffer(content[begin : begin + size], dtype).reshape(shape)
         begin += size
-    return PartState(header["progress"], arrays, header["initial states"])
+    return PartState(header["progress"], arrays, header["initial states"], tuple(header.get("machines", ())))

@@ -49,6 +49,20 @@ class Slab(NamedTuple):
     values: np.ndarray
 
 
+class Origin(NamedTuple):
+    """What a process that writes a part compares with the state of the part, and records in it.
+
+    Attributes:
+        initial: the digest of the initial states of the part's members.
+        machine: the processor, the versions and the engine.
+        same_bits: whether initial states must have the same bits.
+    """
+
+    initial: str = ""
+    machine: Table | None = None
+    same_bits: bool = True
+
+
 class Commit(NamedTuple):
     """An addition to a store.
 
@@ -144,20 +158,26 @@ class Writer:
     Args:
         root: the root of the store.
         k: which part.
-        initial: the digest of the initial states of its members.
+        origin: what is compared and recorded.
         leader: whether this process publishes.
     """
 
-    def __init__(self, root: Root, k: int = 0, initial: str = "", leader: bool = True) -> None:
+    def __init__(self, root: Root, k: int = 0, origin: Origin | None = None, leader: bool = True) -> None:
         self.path = root.storage.address
-        self._root, self._k, self._initial, self._leader = root, k, initial, leader
+        self._root, self._k, self._leader = root, k, leader
+        self._origin = origin or Origin()
         self._members = root.split.part(k)
         self._store = writable_arrays(root.storage)
         self._arrays: dict[str, Any] = {}
         self._pool = ThreadPoolExecutor(REQUESTS) if root.storage.is_remote else None
         self._background = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
         self._writing: Future[None] | None = None
-        self._state = self._found() or PartState(START, {}, initial)
+        state, machine = self._found() or PartState(START, {}, self._origin.initial), self._origin.machine
+        self._state = (
+            state
+            if machine is None or machine in state.machines
+            else state._replace(machines=(*state.machines, machine))
+        )
         if leader:
             root.show(self.progress)
 
@@ -174,7 +194,7 @@ class Writer:
         lost = next(self._root.damage_of_part(self._k, state), None) if self._root.in_parts else None
         if lost:
             raise ValueError(f"{name} is damaged: {lost}. Restore the file from a copy, or {remedy}")
-        if state.initial != self._initial:
+        if state.initial != self._origin.initial and self._origin.same_bits:
             raise ValueError(
                 f"{name} began with other initial states than those given now, and cannot be resumed: the function of "
                 f"states must return the same for the same numbers whenever it is called. R{remedy[1:-5]}new"
@@ -250,7 +270,7 @@ class Writer:
                 earlier = [arrays[ROWS][: commit.row]] if ROWS in arrays else []
                 found = np.concatenate([*earlier, found[None]])
             arrays[name] = found
-        state = PartState(commit.progress, arrays, self._initial)
+        state = self._state._replace(progress=commit.progress, arrays=arrays)
         if self._leader and not self._is_overtaken(commit.progress):
             whole = state._replace(arrays=arrays | {f"{CARRY}{name}": x for name, x in carry.items()})
             self._root.storage.put(self._root.state_file(self._k), whole.encode(self._root.place(self._k)))

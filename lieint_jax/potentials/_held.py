@@ -1,0 +1,152 @@
+"""A chain of bodies whose first or last body has a given pose, constant or a function of time."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax.groups import so3
+from lieint_jax.potentials._potential import Potential, count, invariant_form
+from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types.shapes import Positions, Rotations, Scalar
+
+__all__ = ["Held", "held"]
+
+Pose = Array | Callable[[Array], Array] | None  # (7,), or t ↦ (7,)
+
+
+@pytree
+class Held(Potential):
+    """A potential of bodies of which the first, the last or both have given poses. Made by `held`.
+
+    Attributes:
+        potential: of all bodies.
+        first, last: a pose (7,), a function t ↦ pose (7,), or None for a body that moves.
+    """
+
+    potential: Potential
+    first: Pose = None
+    last: Pose = None
+
+    @property
+    def count(self) -> int | None:
+        every = count(self.potential)
+        return None if every is None else every - sum(end is not None for end in (self.first, self.last))
+
+    @property
+    def chain(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.potential.chain
+
+    @property
+    def driven(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return callable(self.first) or callable(self.last)
+
+    @property
+    def domain(self) -> str:
+        """Where V is defined, in words; "" if everywhere."""
+        terms = getattr(self.potential, "terms", (self.potential,))
+        return ". ".join(filter(None, (getattr(term, "domain", "") for term in terms)))
+
+    @property
+    def symmetry(self) -> Array:
+        """The projector (6, 6) to the conserved part of (P, L): 0, as forces and torques act on the given bodies."""
+        return jnp.zeros((6, 6))
+
+    def at(self, t: Any) -> Held:
+        """The same with the poses at the time t, constant."""
+        first, last = (end(t) if callable(end) else end for end in (self.first, self.last))
+        return dataclasses.replace(self, first=first, last=last)
+
+    def poses(self, t: Any) -> tuple[Array, Array]:
+        """The positions (h, 3) and rotations (h, 3, 3) of the given bodies at the time t."""
+        given = self.at(t)
+        q = jnp.stack([jnp.asarray(end) for end in (given.first, given.last) if end is not None])
+        return q[:, :3], jax.vmap(so3.to_matrix)(q[:, 3:])
+
+    def joined(self, moving: Array, given: Array) -> Array:
+        """Rows of all bodies in their order, from those of the moving and of the given ones."""
+        first = int(self.first is not None)
+        return jnp.concatenate([given[:first], moving, given[first:]])
+
+    def invariants(self, x: Positions, R: Rotations, *given: Array) -> Any:
+        """The invariants of the potential of all bodies, with the given poses at `given` if they are functions of time.
+
+        Raises:
+            ValueError: poses are functions of time, and `given` is missing.
+        """
+        if not given and self.driven:
+            raise ValueError("a body moves in a given way, so the potential depends on time: use potential.at(t)")
+        at, turned = given or self.poses(None)
+        return invariant_form(self.potential).invariants(
+            self.joined(x, at.astype(x.dtype)), self.joined(R, turned.astype(R.dtype))
+        )
+
+    def value(self, invariants: Any) -> Scalar:
+        """V of the invariants."""
+        return invariant_form(self.potential).value(invariants)
+
+    def discrete_gradient(self, start: Any, end: Any) -> Any:
+        """The discrete gradient of the potential of all bodies."""
+        return invariant_form(self.potential).discrete_gradient(start, end)
+
+    def __add__(self, other: Any) -> Any:
+        self._check_constant()
+        return super().__add__(other)
+
+    def __radd__(self, other: Any) -> Any:
+        self._check_constant()
+        return super().__radd__(other)
+
+    def _check_constant(self) -> None:
+        if self.driven:
+            raise ValueError("add potentials of all bodies before ends are held: potentials.held(a + b, …)")
+
+
+def held(
+    potential: Potential,
+    first: ArrayLike | Callable[[Array], Array] | None = None,
+    last: ArrayLike | Callable[[Array], Array] | None = None,
+) -> Held:
+    """The potential of a chain with its first body, its last or both at given poses: clamped or driven ends.
+
+    The given bodies are no bodies of the system: of a potential of N bodies with one end held, N − 1 move. P and L are
+    not conserved. With an end driven, only `schemes.bodies_energy_momentum` integrates the bodies, and `State.work`
+    counts the work of the end.
+
+    Args:
+        potential: of all bodies, one of `lieint_jax.potentials`.
+        first, last: a pose (x, y, z, qw, qx, qy, qz), (7,), with a unit quaternion body to space, or a function t ↦
+            pose, or None for a body that moves.
+
+    Raises:
+        ValueError: no end is given, a pose has a wrong shape or no unit quaternion, or the potential is not one of
+            `lieint_jax.potentials`.
+    """
+    if not isinstance(potential, Potential):
+        raise ValueError(f"potential must be one of lieint_jax.potentials, got {potential!r}")
+    if potential.driven:
+        raise ValueError("the ends of this potential are held already: give both ends in one call of potentials.held")
+    if first is None and last is None:
+        raise ValueError("held needs a pose of the first or the last body, got neither")
+    return Held(potential, _given("first", first), _given("last", last))
+
+
+def _given(name: str, end: Any) -> Pose:
+    """A pose or a motion, checked."""
+    if end is None:
+        return None
+    if callable(end):
+        _checks.function(name, end, "the time", (7,), jax.ShapeDtypeStruct((), jnp.result_type(float)))
+        return callable_pytree(end)
+    pose = _checks.real_array(name, end, (7,))
+    if concrete(pose):
+        _checks.unit_quaternion(name, pose[3:], (4,))
+    return jnp.concatenate([pose[:3], so3.normalize(pose[3:])])

@@ -1,0 +1,154 @@
+"""`li.submit`: the parts of a run as tasks of an executor, whose engine schedules, repeats and scales them."""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import pickle
+import time
+import uuid
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+
+from lieint_jax._checks import count
+from lieint_jax.runs import processes
+from lieint_jax.runs._execute import warn_of_failures
+from lieint_jax.runs._made_states import MakeStates
+from lieint_jax.runs._make_run import run
+from lieint_jax.runs._progress import Bar
+from lieint_jax.runs._results import untransformed
+from lieint_jax.runs._run import Run, stored_run
+from lieint_jax.runs.store._reading import read_run
+from lieint_jax.runs.store._storage import address
+from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.types import State, Step
+
+_PAUSE = 0.05  # seconds between two looks at the tasks
+_OWN = ("mesh", "part", "progress", "resume")  # arguments of `run` that each task has for itself
+
+
+class Executor(Protocol):
+    """What `submit` needs of an executor, such as those of `concurrent.futures`, Dask, mpi4py, loky and submitit."""
+
+    def submit(self, fn: Any, /, *args: Any) -> Any:
+        """The future of a call, with the methods `done`, `result` and `cancel`."""
+
+
+@untransformed("li.submit")
+def submit(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = None,
+    num_steps: int | None = None,
+    *,
+    parts: int,
+    executor: Executor,
+    store: str | Path | StoreOptions,
+    progress: bool = True,
+    **options: Any,
+) -> Run:
+    """Run a step from initial states in parts, each a task of an executor, and wait until all are in one store.
+
+    The results have the bits of `li.run` in one process. The same call again, after whatever has ended the first,
+    computes only what is missing. A worker that stays alive computes one part after another without compiling again, so
+    let there be a few times as many parts as workers. Each starts one thread per core that it may use
+    (`ensemble.count_cores`).
+
+    Args:
+        step, states, dt, num_steps: as in `li.run`. They are sent to the workers with each part, in the precision of
+            this process; where arrays of states are large, let `states` be a function. Functions from a script or a
+            notebook need the package cloudpickle, which comes with Dask, loky and submitit.
+        parts: the number of parts, at most that of members.
+        executor: a `concurrent.futures.Executor`, such as `client.get_executor()` of Dask, or anything with its method
+            `submit`, such as the executors of loky, mpi4py and submitit. Whether it starts a task again is its own
+            matter: `client.get_executor(retries=3)`.
+        store: a folder or URL that all workers reach, as in `li.run`.
+        progress: show a progress bar of parts on stderr, if that is a terminal.
+        options: further arguments of `li.run`, but those of one process: mesh, part, progress, resume.
+
+    Returns:
+        The run of all members, read from the store.
+
+    Raises:
+        TypeError: an argument that `li.run` does not have; the call is inside of jit, vmap, grad or jvp.
+        processes.PermanentError: a part fails for a reason that stays, one of those of the ValueError of `li.run`. The
+            task returns it instead of raising it, so that no engine repeats it; parts that have not begun are canceled.
+        processes.LostProcess: parts whose workers were lost, or which failed for a reason that may pass, such as a full
+            disk, after all others have ended. Call again to compute them.
+
+    Warns:
+        RuntimeWarning: as `li.run`, of members that fail to converge.
+    """
+    parts = count("parts", parts, 1)
+    refused = [name for name in _OWN if name in options]
+    if refused:
+        raise ValueError(f"{refused[0]} is not for a run in parts: each task has its own")
+    if store is None:
+        raise ValueError("the parts of a run need a store that all workers reach: store=PATH.zarr, or a URL")
+    given = {"dt": dt, "num_steps": num_steps, "store": store, **options}
+    inspect.signature(run).bind(step, states, **given)
+    place = address(store.path if isinstance(store, StoreOptions) else store)
+    call = _pickler().dumps((step, states, given, uuid.uuid4().hex))  # the last, as Dask keeps results of equal calls
+    task = partial(_run_part, call, bool(jax.config.jax_enable_x64))  # pyright: ignore[reportAttributeAccessIssue]
+    with getattr(executor, "batch", contextlib.nullcontext)():  # of submitit: the tasks become one array of jobs
+        tasks = {k: executor.submit(task, k, parts) for k in range(parts)}
+    _wait(tasks, progress)
+    found = stored_run(str(place), read_run(place), step)
+    warn_of_failures(np.atleast_1d(found.failed), 0)
+    return found
+
+
+def _run_part(call: bytes, precision: bool, k: int, parts: int) -> str | None:
+    """Compute part k; the message of an error that stays, which an engine would repeat if it were raised."""
+    with jax.enable_x64(precision):
+        try:
+            step, states, options, _ = _call(call)
+            run(step, states, part=(k, parts), progress=False, **options)
+        except (TypeError, ValueError) as error:
+            return str(error)
+    return None
+
+
+@lru_cache(1)
+def _call(call: bytes) -> Any:
+    """The arguments of a run: the same objects for all parts that this process computes, for which code is compiled."""
+    return pickle.loads(call)
+
+
+def _pickler() -> Any:
+    """A module that pickles functions of a script too, if there is one."""
+    try:
+        import cloudpickle
+    except ImportError:
+        return pickle
+    return cloudpickle
+
+
+def _wait(tasks: dict[int, Any], shown: bool) -> None:
+    """Wait until all tasks have ended, and raise the errors of those that failed."""
+    parts, failed = len(tasks), dict[int, Exception]()
+    try:
+        with Bar(shown, parts, 1, 0, unit=" parts") as bar:
+            while tasks:
+                for k in [k for k, task in tasks.items() if task.done()]:
+                    try:
+                        message = tasks.pop(k).result()
+                    except Exception as error:
+                        failed[k], message = error, None
+                    if message is not None:
+                        raise processes.PermanentError(f"part {k} of {parts}: {message}")
+                    bar.update(1)
+                time.sleep(_PAUSE)
+    finally:
+        for task in tasks.values():
+            task.cancel()
+    if failed:
+        k, error = min(failed.items())
+        raise processes.LostProcess(
+            f"{len(failed)} of {parts} part(s) did not finish. Part {k}: {type(error).__name__}: "
+            f"{str(error).partition(chr(10))[0]} What is in the store is kept: the same call computes the rest"
+        ) from error

@@ -1,0 +1,236 @@
+"""The energy–momentum scheme of rods by Newton's method: stiff rods, where iterations on the forces fail."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import potentials, schemes, systems
+from tests.lib.differences import slopes
+
+N = 5
+ELEMENT = 1 / (N - 1)
+MASSES = ELEMENT * np.array([0.5, 1, 1, 1, 0.5])
+STIFF, SOFT = 1e3, 1.0  # of extension; Δt Ω of the fastest vibration is 5.8 and 0.32
+DT = 0.02
+
+
+def rod(extension, bending=1.0, dtype=float, scale=1.0, **more):
+    """A rod of unit length and mass, as thin as a hundredth of its length if it is stiff."""
+    k = jnp.asarray(scale, dtype)
+    potential = potentials.rod(
+        np.full(N - 1, ELEMENT, dtype),
+        extension * k * jnp.asarray([0.35, 0.35, 1.0], dtype),
+        bending * k * jnp.asarray([1.0, 1.0, 0.8], dtype),
+    )
+    moments = MASSES[:, None] * np.array([0.006, 0.006, 0.002])
+    return systems.rigid_bodies(MASSES.astype(dtype), moments.astype(dtype), potential, **more)
+
+
+def bent(system, shift=None, angle=0.5):
+    """A rod bent by an angle, without tension, that turns and vibrates."""
+    s, dtype = np.linspace(0, 1, N), system.masses.dtype
+    half, middle = angle * s / 2, angle * (s[1:] + s[:-1]) / 2
+    q = np.stack([np.cos(half), 0 * s, np.sin(half), 0 * s], axis=1)
+    along = ELEMENT / np.cos(angle * ELEMENT / 2) * np.stack([np.sin(middle), 0 * middle, np.cos(middle)], axis=1)
+    x = np.concatenate([np.zeros((1, 3)), np.cumsum(along, axis=0)])
+    x -= MASSES @ x
+    v = np.cross([0.1, 0.3, 0.2], x) + 0.1 * np.sin(2 * np.pi * s)[:, None] * np.array([0, 1, 0])
+    if shift is not None:
+        v = v + jnp.cos(3.0 * jnp.arange(3 * N)).reshape(N, 3) * shift
+    return system.state(x.astype(dtype), q.astype(dtype), velocities=jnp.asarray(v, dtype))
+
+
+@functools.cache
+def run(solver, steps, every=1):
+    return jax.jit(
+        lambda system, state, dt: li.integrate(
+            schemes.bodies_energy_momentum(system, solver=solver), state, dt, steps, save_every=every
+        )
+    )
+
+
+def drifts(system, path):
+    """The changes of H relative to H, of P to the sum of momenta, and of L to the sum of theirs, in eps."""
+    x, p = np.asarray(path.state.q[:, :, :3]), np.asarray(path.state.p)
+    H, momenta = (np.asarray(jax.vmap(f)(path.state)) for f in (system.energy, system.momentum))
+    sizes = np.abs(p[:, :, :3]).sum(1).max(), np.abs(np.cross(x, p[:, :, :3]) + p[:, :, 3:]).sum(1).max()
+    moved = momenta - momenta[0]
+    eps = np.finfo(p.dtype).eps
+    return (
+        (H / H[0] - 1) / eps,
+        np.abs(moved[:, :3]).max() / sizes[0] / eps,
+        np.abs(moved[:, 3:]).max() / sizes[1] / eps,
+    )
+
+
+def test_both_solvers_agree_on_a_soft_rod():
+    """Over 100 steps. Observed 6e-16."""
+    system = rod(SOFT, 0.01)
+    paths = [run(solver, 100)(system, bent(system), DT) for solver in ("newton", "fixed_point")]
+    assert all(path.info.converged.all() for path in paths)
+    np.testing.assert_allclose(paths[0].state.q, paths[1].state.q, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(paths[0].state.p, paths[1].state.p, rtol=0, atol=1e-14)
+
+
+def test_a_stiff_rod_conserves_all_by_newton_and_fails_by_iterations_on_the_forces():
+    """Over 100 steps. Observed OBS. Rounding of H grows with (ΔtΩ)²."""
+    system = rod(STIFF)
+    state = bent(system)
+    path = run("newton", 100)(system, state, DT)
+    assert path.info.converged.all()
+    assert path.info.residual.max() < 4 * np.finfo(float).eps
+    H, P, L = drifts(system, path)
+    print(np.abs(H).max(), P, L)
+    assert np.abs(H).max() < 500
+    assert P < 10
+    assert L < 40
+    failed = run("fixed_point", 100)(system, state, DT)
+    assert not failed.info.converged.all()
+
+
+@pytest.mark.long
+def test_energy_has_no_slope():
+    """Over 20,000 steps. FLOOR"""
+    system = rod(STIFF)
+    path = run("newton", 20_000, 100)(system, bent(system), DT)
+    assert path.info.converged.all()
+    H, P, L = drifts(system, path)
+    print(H[::20], P, L)
+    assert np.abs(H).max() < 4000
+    assert P < 100
+    assert L < 400
+
+
+def end(d, solver, extension, bending, loop=li.integrate, **more):
+    """The end of ten steps, by the first velocities and the stiffness."""
+    system = rod(extension, bending, scale=1 + d[1], **more)
+    step = schemes.bodies_energy_momentum(system, solver=solver)
+    last = loop(step, bent(system, d[0]), DT, 10, save_every=10).state
+    return jnp.concatenate([last.q[-1], last.p[-1]], axis=1).ravel()
+
+
+AT = jnp.array([0.02, 0.01])
+
+
+def both_modes(*arguments, **more):
+    """The derivative in forward mode, and its product with numbers from the left, in reverse mode."""
+    forward = jax.jit(jax.jacfwd(lambda d: end(d, *arguments, **more)))(AT)
+    weights = jnp.cos(jnp.arange(float(len(forward))))
+    reverse = jax.jit(jax.grad(lambda d: weights @ end(d, *arguments, **more)))(AT)
+    np.testing.assert_allclose(reverse, weights @ forward, rtol=0, atol=1e-13)
+    return forward
+
+
+@pytest.mark.long
+def test_derivatives_through_stiff_steps_are_those_of_differences():
+    """Observed 1.3e-11 of 0.4, by differences; 4e-15 between the modes."""
+    by_value = jax.jit(lambda d: end(d, "newton", STIFF, 1.0))
+    expected = slopes(lambda d: by_value(AT + d), 2, 1e-3)
+    np.testing.assert_allclose(both_modes("newton", STIFF, 1.0), expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.long
+def test_derivatives_are_those_of_the_other_solver():
+    """Observed 6e-17 of 0.25."""
+    found = [both_modes(solver, SOFT, 0.01) for solver in ("newton", "fixed_point")]
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-14)
+
+
+def spring_between_the_ends(t, x, R, v, omega):
+    f = 0.5 * (x[-1] - x[0]) + 0.1 * (v[-1] - v[0])
+    return jnp.zeros_like(x).at[0].set(f).at[-1].set(-f), 0 * x
+
+
+@pytest.mark.long
+def test_forces_between_distant_bodies_are_solved_and_differentiated():
+    """They are no part of Newton's matrix. Work is booked; the other solver agrees, and its derivatives."""
+    system = rod(STIFF, forces=spring_between_the_ends)
+    path = run("newton", 100)(system, bent(system), DT)
+    assert path.info.converged.all()
+    H = np.asarray(jax.vmap(system.energy)(path.state))
+    assert np.abs(np.ptp(path.state.work)) > 1e-3
+    np.testing.assert_allclose(H - path.state.work, H[0], rtol=0, atol=1e-13)
+    found = [both_modes(s, SOFT, 0.01, forces=spring_between_the_ends) for s in ("newton", "fixed_point")]
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.long
+def test_the_reversible_gradient_is_that_of_the_loop():
+    loops = li.integrate, li.reversible
+    found = [jax.jit(jax.grad(lambda d, f=f: end(d, "newton", STIFF, 1.0, f).sum()))(AT) for f in loops]
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-11)
+
+
+@pytest.mark.long
+def test_a_batch_is_its_members():
+    """Members that need different numbers of corrections, in one loop. Observed 0 to 1e-15."""
+    system, turns = rod(STIFF), jnp.array([0.0, 0.02, 2.0])
+    states = jax.vmap(lambda d: bent(system, d))(turns)
+    step = schemes.bodies_energy_momentum(system)
+    ends, info = jax.jit(jax.vmap(step.advance, (0, None)))(states, DT)
+    assert info.converged.all()
+    for i in range(3):
+        one, _ = jax.jit(step.advance)(jax.tree.map(lambda x, i=i: x[i], states), DT)
+        np.testing.assert_allclose(ends.q[i], one.q, rtol=0, atol=1e-14)
+
+
+@pytest.mark.long
+def test_float32():
+    """Over 100 steps. FLOOR32"""
+    system = rod(np.float32(STIFF), dtype=np.float32)
+    path = run("newton", 100)(system, bent(system), np.float32(DT))
+    assert path.state.q.dtype == np.float32
+    assert path.info.converged.all()
+    H, P, L = drifts(system, path)
+    print(np.abs(H).max(), P, L)
+    assert np.abs(H).max() < 400
+    assert P < 10
+    assert L < 40
+
+
+def test_a_step_that_is_too_large_says_so():
+    system = rod(STIFF)
+    step = schemes.bodies_energy_momentum(system)
+    path = run("newton", 100)(system, bent(system), 1.0)
+    assert not path.info.converged.all()
+    assert "Use a smaller dt" in step.advice(bent(system), 1.0)
+    assert 'solver="newton"' in schemes.bodies_energy_momentum(system, solver="fixed_point").advice(bent(system), DT)
+
+
+def test_the_solver_is_chosen_by_the_potential():
+    chain = rod(STIFF)
+    fallen = systems.rigid_bodies(
+        MASSES, np.full((N, 3), 0.1), chain.potential + potentials.uniform_field([0, 0, -9.8], MASSES)
+    )
+    pulled = systems.rigid_bodies(MASSES, np.full((N, 3), 0.1), potentials.point_masses(1.0, MASSES))
+    two = systems.rigid_bodies(MASSES[:2], np.full((2, 3), 0.1), potentials.point_masses(1.0, MASSES[:2]))
+    given = [schemes.bodies_energy_momentum(x).solver for x in (chain, fallen, pulled, two)]
+    assert given == ["newton", "newton", "fixed_point", "fixed_point"]
+    assert schemes.bodies_energy_momentum(two, solver="newton").solver == "newton"
+    with pytest.raises(ValueError, match='Use solver="fixed_point"'):
+        schemes.bodies_energy_momentum(pulled, solver="newton")
+    with pytest.raises(ValueError, match="solver must be 'fixed_point' or 'newton'"):
+        schemes.bodies_energy_momentum(chain, solver="chords")
+
+
+@pytest.mark.long
+def test_two_bodies_of_any_potential_are_a_chain():
+    """Two ellipsoids, by both solvers. Observed 1e-16."""
+    masses, moments = np.array([1.0, 0.4]), np.array([[0.08, 0.10, 0.13], [0.02, 0.03, 0.035]])
+    system = systems.rigid_bodies(masses, moments, potentials.maccullagh(1.0, masses, moments))
+    state = system.state([[-0.6, 0, 0], [1.4, 0, 0]], velocities=[[0, -0.2, 0], [0, 0.6, 0.1]])
+    found = [run(solver, 50)(system, state, 0.05) for solver in ("newton", "fixed_point")]
+    assert all(path.info.converged.all() for path in found)
+    np.testing.assert_allclose(found[0].state.q, found[1].state.q, rtol=0, atol=1e-14)
+
+
+@pytest.mark.long
+def test_explain_names_the_engine():
+    system = rod(STIFF)
+    found = li.explain(lambda s: run("newton", 100)(system, s, DT), bent(system))
+    print(found)
+    assert [loop.engine for loop in found.loops] == ["native"]
