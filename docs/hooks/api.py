@@ -30,8 +30,8 @@ def on_page_markdown(markdown, **_):
 def _members(found):
     kind, name = found.groups()
     room = importlib.import_module(name)
-    called = {getattr(room, x): x for x in _public(room) if x[0].islower()}  # a class with a name that is called
-    chosen = [x for x in _public(room) if x[0].islower() == (kind == "functions")]
+    called = {getattr(room, x): x for x in _public(room) if _is_called(room, x)}  # a class with a name that is called
+    chosen = [x for x in _public(room) if _is_called(room, x) == (kind == "functions")]
     chosen = [x for x in chosen if called.get(getattr(room, x), x) == x]
     members = "\n\n".join(_member(room, x) for x in chosen)
     return INTRODUCTION.format(name) + members if kind == "functions" else members
@@ -43,6 +43,10 @@ def _member(room, name):
         heading = f"    options:\n      heading: {name}\n      toc_label: {name}"
         return f'<a id="{name}"></a>\n\n::: {room.__name__}.{found.__name__}\n{heading}'
     return f'<a id="{name}"></a>\n\n::: {room.__name__}.{name}'
+
+
+def _is_called(room, name):
+    return name[0].islower() or inspect.isfunction(getattr(room, name))  # K, E, … are functions, too
 
 
 def _public(room):
@@ -58,6 +62,10 @@ def on_post_build(config):
     listed = {line.split(" ")[0] for line in zlib.decompress(inventory).decode().splitlines()}
     face = importlib.import_module("lieint_jax")
     rooms = {f"lieint_jax.{x}": getattr(face, x) for x in face.__all__ if inspect.ismodule(getattr(face, x))}
-    wanted = {f"{name}.{x}" for name, room in {"lieint_jax": face, **rooms}.items() for x in _public(room)}
+    wanted = {
+        f"{name}.{getattr(room, x).__name__ if inspect.isclass(getattr(room, x)) else x}"
+        for name, room in {"lieint_jax": face, **rooms}.items()
+        for x in _public(room)
+    }
     if missing := sorted(wanted - listed):
         raise PluginError(f"objects.inv lacks {', '.join(missing)}")

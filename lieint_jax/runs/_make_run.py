@@ -21,8 +21,6 @@ from lieint_jax.runs.store._storage import address
 from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.types import State, Step, Trajectory
 
-_AnyRun = Run[Trajectory | None, Summary | MemberSummary | None]
-
 
 class _Options(TypedDict, total=False):
     """The arguments of `run` on which the type of its result does not depend."""
@@ -98,7 +96,7 @@ def run(
     threads: int | None = None,
     same_bits: bool = True,
     epoch: DateLike | None = None,
-) -> _AnyRun:
+) -> Run:
     """Run a step from initial states, of one body or of many, in memory or into a store that can be resumed.
 
     On a CPU the loop is machine code for vectors of members, in one thread per core (`lieint_jax.native`). Steps that
@@ -198,7 +196,9 @@ def run(
     return computed_run(computed, batch)
 
 
-def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> _AnyRun:
+def open_run(
+    path: str | Path, own: Mapping[str, object] | None = None
+) -> Run[Trajectory | None, Summary | MemberSummary | None]:
     """The run in a store, as `run` has written it or is writing it. Its arrays are read when they are indexed.
 
     Args:
