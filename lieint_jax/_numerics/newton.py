@@ -244,7 +244,7 @@ def chords(
 
 
 class _Chord(NamedTuple):
-    """A state of `repeated_chords`: x, its last two corrections, the monitor, their number; whether its matrix is new."""
+    """A state of `repeated_chords`: x, its last two corrections, their monitor and number; is the matrix new?"""
 
     x: Any
     change: Array
