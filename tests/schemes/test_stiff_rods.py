@@ -179,8 +179,8 @@ def test_a_batch_is_its_members():
 @pytest.mark.long
 def test_float32():
     """Over 100 steps, as in float64."""
-    system = rod(np.float32(STIFF), dtype=np.float32)
-    path = run("newton", 100)(system, bent(system), np.float32(DT))
+    system, state = jax.tree.map(lambda x: x.astype(np.float32), (rod(STIFF), bent(rod(STIFF))))
+    path = run("newton", 100)(system, state, np.float32(DT))
     assert path.state.q.dtype == np.float32
     assert path.info.converged.all()
     H, P, L = drifts(system, path)
