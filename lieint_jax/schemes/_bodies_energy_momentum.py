@@ -120,10 +120,9 @@ def bodies_energy_momentum(
     | "fixed_point" | iterations on the forces, with a Newton correction of each body's rotation | for Δt Ω < 1 |
     | "newton" | Newton's method with a block-tridiagonal matrix, for chains such as rods | for stiff rods too |
 
-    Here Ω is the highest frequency of the potential. The cost of both is proportional to the length of a chain. The
-    limit of Newton's method is how far a rod moves in a step: dt must resolve its bending, not its extension. A step
-    that jumps to another solution, or in which a rod buckles, reports `converged=False`. Rounding of the energy grows
-    as (Δt Ω)² eps.
+    Here Ω is the highest frequency of the potential. The cost of both is proportional to the length of a chain. With
+    "newton" dt must resolve the bending of a rod, not its extension: a step that jumps to another solution, or in which
+    a rod buckles, reports `converged=False`. Rounding of the energy grows as (Δt Ω)² eps.
 
     Args:
         system: `systems.rigid_bodies(...)`. A plain function as its potential is evaluated at the positions and

@@ -77,14 +77,13 @@ def test_both_solvers_agree_on_a_soft_rod():
 
 
 def test_a_stiff_rod_conserves_all_by_newton_and_fails_by_iterations_on_the_forces():
-    """Over 100 steps. Observed OBS. Rounding of H grows with (ΔtΩ)²."""
+    """Over 100 steps. Observed 76, 1.2 and 5 eps. Rounding of H grows with (ΔtΩ)²."""
     system = rod(STIFF)
     state = bent(system)
     path = run("newton", 100)(system, state, DT)
     assert path.info.converged.all()
     assert path.info.residual.max() < 4 * np.finfo(float).eps
     H, P, L = drifts(system, path)
-    print(np.abs(H).max(), P, L)
     assert np.abs(H).max() < 500
     assert P < 10
     assert L < 40
@@ -94,12 +93,11 @@ def test_a_stiff_rod_conserves_all_by_newton_and_fails_by_iterations_on_the_forc
 
 @pytest.mark.long
 def test_energy_has_no_slope():
-    """Over 20,000 steps. FLOOR"""
+    """Over 20,000 steps. Observed 810, 18 and 92 eps, a random walk."""
     system = rod(STIFF)
     path = run("newton", 20_000, 100)(system, bent(system), DT)
     assert path.info.converged.all()
     H, P, L = drifts(system, path)
-    print(H[::20], P, L)
     assert np.abs(H).max() < 4000
     assert P < 100
     assert L < 400
@@ -180,13 +178,12 @@ def test_a_batch_is_its_members():
 
 @pytest.mark.long
 def test_float32():
-    """Over 100 steps. FLOOR32"""
-    system = rod(np.float32(STIFF), dtype=np.float32)
-    path = run("newton", 100)(system, bent(system), np.float32(DT))
+    """Over 100 steps, as in float64."""
+    system, state = jax.tree.map(lambda x: x.astype(np.float32), (rod(STIFF), bent(rod(STIFF))))
+    path = run("newton", 100)(system, state, np.float32(DT))
     assert path.state.q.dtype == np.float32
     assert path.info.converged.all()
     H, P, L = drifts(system, path)
-    print(np.abs(H).max(), P, L)
     assert np.abs(H).max() < 400
     assert P < 10
     assert L < 40
@@ -232,5 +229,4 @@ def test_two_bodies_of_any_potential_are_a_chain():
 def test_explain_names_the_engine():
     system = rod(STIFF)
     found = li.explain(lambda s: run("newton", 100)(system, s, DT), bent(system))
-    print(found)
     assert [loop.engine for loop in found.loops] == ["native"]
