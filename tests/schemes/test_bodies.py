@@ -239,27 +239,6 @@ def test_certificates_do_not_depend_on_units():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("scheme", [schemes.splitting, schemes.bodies_energy_momentum])
-def test_gradients_by_masses_inertias_and_states_agree_with_differences(scheme):
-    def separation(run, masses, inertias, p):
-        bodies = systems.RigidBodies(masses, inertias, potentials.MacCullagh(jnp.asarray(1.0), masses, inertias))
-        x = run(scheme(bodies), START._replace(p=p), 0.1, 20, save_every=20).state.q[-1, :, :3]
-        return jnp.sum((x[1] - x[0]) ** 2)
-
-    at = BINARY.masses, BINARY.inertias, START.p
-    along = tuple(jnp.cos(jnp.arange(x.size)).reshape(x.shape) * x for x in at)
-    scan, undone = (functools.partial(separation, run) for run in (li.integrate, li.reversible))
-    forward = float(jax.jit(lambda *a: jax.jvp(scan, a, along)[1])(*at))
-    for loss in (scan, undone):
-        gradient = jax.jit(jax.grad(loss, (0, 1, 2)))(*at)
-        assert float(sum(map(jnp.vdot, gradient, along))) == pytest.approx(forward, rel=1e-11)
-    value = jax.jit(lambda h: scan(*(x + h * d for x, d in zip(at, along, strict=True))))
-    h = 1e-3
-    slope = (value(-2 * h) - 8 * value(-h) + 8 * value(h) - value(2 * h)) / (12 * h)
-    assert float(slope) == pytest.approx(forward, rel=1e-8)
-
-
-@pytest.mark.long
 def test_an_ensemble_of_binaries_is_the_binaries_one_by_one(tmp_path):
     p = START.p[None] * (1 + 0.01 * jnp.arange(5.0))[:, None, None]
     states = li.State(jnp.broadcast_to(START.q, (5, *START.q.shape)), p)

@@ -190,25 +190,6 @@ def test_in_a_canonical_chart_of_a_group_the_form_is_conserved_and_the_momentum_
 
 
 @pytest.mark.long
-def test_derivatives_forward_reverse_reversible_and_differences():
-    def end(weight, run):
-        top = systems.heavy_top(TOP.inertia, weight)
-        path = run(schemes.gauss(top, 4), STATE._replace(p=STATE.p * weight[2]), 0.1, 10, save_every=10)
-        return jnp.sum(jnp.sin(path.state.q[-1])) + jnp.sum(path.state.p[-1] ** 2)
-
-    weight = jnp.array([0.2, 0.3, 1.0])
-    forward = jax.jit(jax.jacfwd(lambda w: end(w, li.integrate)))(weight)
-    reverse = jax.jit(jax.grad(lambda w: end(w, li.integrate)))(weight)
-    undone = jax.jit(jax.grad(lambda w: end(w, li.reversible)))(weight)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-12)
-    np.testing.assert_allclose(undone, forward, rtol=1e-11)
-    f, h = jax.jit(lambda w: end(w, li.integrate)), 1e-3
-    for k, e in enumerate(jnp.eye(3)):
-        slope = (8 * (f(weight + h * e) - f(weight - h * e)) - f(weight + 2 * h * e) + f(weight - 2 * h * e)) / (12 * h)
-        assert float(forward[k]) == pytest.approx(float(slope), rel=1e-8)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("sweeps", [None, 12])
 def test_a_member_of_an_ensemble_has_an_inertia_and_a_weight_of_its_own(sweeps):
     """Each as by itself."""

@@ -359,45 +359,6 @@ def test_the_axis_of_an_oblate_body_precesses_by_the_mean_torque():
 # Derivatives ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("kind", ["splitting", "top_energy_momentum"])
-def test_derivatives_by_every_number_of_the_satellite_and_its_orbit(kind):
-    """Forward, reverse and reversible against differences, by inertia, orbit elements, state and time."""
-    system, state, _ = example("satellite")
-    state = jax.tree.map(jnp.asarray, state)
-
-    def loss(system, state, derivative=None):
-        step = getattr(schemes, kind)(system)
-        end = (
-            li.integrate(step, state, 0.1, 12, save_every=12)
-            if derivative is None
-            else li.reversible(step, state, 0.1, 12, derivative=derivative)
-        ).state
-        return end.q[-1] @ jnp.arange(1.0, 5) + end.p[-1] @ jnp.arange(3.0) + end.work[-1]
-
-    system = jax.tree.map(jnp.asarray, system)
-    leaves, unravel = jax.flatten_util.ravel_pytree((system, state))
-    direction = jnp.sin(1.0 + jnp.arange(leaves.size))
-
-    @jax.jit
-    def slopes(x):
-        along = jax.jvp(lambda x: loss(*unravel(x)), (x,), (direction,))[1]
-        return along, *(
-            jax.grad(lambda x, how=how: loss(*unravel(x), how))(x) for how in (None, "reversible", "checkpoint")
-        )
-
-    along, reverse, reversible, checkpoint = jax.device_get(slopes(leaves))
-    value = jax.jit(lambda x: loss(*unravel(x)))
-    h = 1e-3
-    f = [value(leaves + k * h * direction) for k in (-2, -1, 1, 2)]
-    assert along == pytest.approx(float(f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * h), rel=1e-7)
-    assert reverse @ direction == pytest.approx(along, rel=1e-13)
-    np.testing.assert_allclose(reversible, reverse, rtol=0, atol=1e-12 * np.abs(reverse).max())
-    np.testing.assert_allclose(checkpoint, reverse, rtol=0, atol=1e-13 * np.abs(reverse).max())
-    elements = jax.tree.leaves(unravel(jnp.asarray(reverse))[0].orbit)
-    assert sum(np.abs(x) > 1e-3 for x in elements) >= 6
-
-
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 

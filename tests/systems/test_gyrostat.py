@@ -405,67 +405,7 @@ def test_with_a_damper_the_rule_is_that_of_the_major_axis():
         assert (nutation_with_a_damper(moments, h, spin) < 1) == stable
 
 
-# Derivatives ----------------------------------------------------------------------------------------------------------
-
-
-N = 4
-
-
-def run_plain(step, state):
-    return li.integrate(step, state, 0.2, N, save_every=N)
-
-
-def run_back(step, state):
-    return li.reversible(step, state, 0.2, N)
-
-
-def of_constant(scheme, run):
-    def loss(J, rotor, delta):
-        gyrostat = systems.Gyrostat(J, rotor)
-        step = {
-            "midpoint": lambda: schemes.SO3Midpoint(gyrostat, kappa_symplectic, 5),
-            "splitting": lambda: schemes.splitting(gyrostat),
-        }[scheme]()
-        end = jax.tree.map(lambda x: x[-1], run(step, gyrostat.phase_space.perturb(STATE, delta)).state)
-        return end.q[1] + 2 * end.q[3] * end.p[0] + gyrostat.energy(end)
-
-    return loss
-
-
-def of_driven(_, run):
-    def loss(J, momentum, delta):
-        driven = systems.DrivenGyrostat(J, systems.SpinUpMotor(momentum, jnp.array(4.0)))
-        start = driven.phase_space.perturb(START._replace(t=jnp.array(0.7)), delta[:6])
-        start = start._replace(extra={"rotor": H_R + delta[6:]})
-        step = schemes.SO3Midpoint(driven, kappa_cayley, 5)
-        end = jax.tree.map(lambda x: x[-1], run(step, start).state)
-        return end.q[1] + end.q[3] * end.extra["rotor"][0] + 3 * end.work
-
-    return loss
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("scheme", ["midpoint", "driven", "splitting"])
-def test_derivatives_forward_reverse_by_reversal_and_by_differences(scheme):
-    """In the inertia, the rotor or the motor, the state and the rotor's initial momentum."""
-    driven = scheme == "driven"
-    make = of_driven if driven else of_constant
-    at = np.concatenate([J, MOTOR.momentum if driven else H_R, np.zeros(9 if driven else 6)])
-
-    def loss(run):
-        return lambda x: make(scheme, run)(x[:3], x[3:6], x[6:])
-
-    value = jax.jit(lambda batch: jax.lax.map(loss(run_plain), batch))
-    forward = jax.jit(jax.jacfwd(loss(run_plain)))(at)
-    for run in (run_plain, run_back):
-        np.testing.assert_allclose(jax.jit(jax.grad(loss(run)))(at), forward, rtol=0, atol=2e-14)  # floor 2e-15
-    h, e = 1e-3, np.eye(len(at))
-    v = np.asarray(value(np.concatenate([at + k * h * e for k in (-2, -1, 1, 2)]))).reshape(4, -1)
-    np.testing.assert_allclose((v[0] - 8 * v[1] + 8 * v[2] - v[3]) / (12 * h), forward, rtol=0, atol=2e-10)
-    assert np.abs(forward[:6]).min() > 1e-4
-
-
-# Single precision, bad input, other schemes ---------------------------------------------------------------------------
+# Single precision, advice ---------------------------------------------------------------------------------------------
 
 
 def single(tree):

@@ -134,20 +134,6 @@ def test_it_is_symplectic_reversible_and_composes():
     assert step.symmetric
 
 
-@pytest.mark.long
-def test_gradients_by_a_parameter_of_the_inertia():
-    def final(rate):
-        law = jax.tree_util.Partial(lambda c, t: jnp.array([1.0, 2.0, 2.7]) + c * t * jnp.array([1.0, 0.5, 0.8]), rate)
-        body = inertia_in_time(law)
-        z = end_of(schemes.so3_midpoint(body), body.state(angular_velocity=OMEGA, work=0.0), 0.05, 20)
-        return z.q @ jnp.array([0.1, 0.7, -0.3, 0.4]) + z.work
-
-    slope, h = float(jax.jit(jax.grad(final))(0.2)), 1e-4
-    final = jax.jit(final)
-    assert abs(slope) > 0.01
-    assert abs((final(0.2 + h) - final(0.2 - h)) / (2 * h) - slope) < 1e-7 * abs(slope) + 1e-9
-
-
 def test_it_runs_in_machine_code():
     step, state = steps_of(example("booms")[0])
     assert li.explain(lambda z: li.integrate(step, z, 0.05, 10), state).engines == {"native"}

@@ -281,24 +281,6 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("normalized", [False, True])
-def test_gradients_through_a_step_of_the_pendulum_agree_with_differences(normalized):
-    """By the implicit function, with respect to m, mG, γ (leaves of the step) and Δt: against differences, by a jvp."""
-
-    def end(x):
-        bob = jax.tree.unflatten(jax.tree.structure(li.systems.pendulum(1.0, 1.0)), [x[0], x[1], x[2:5]])
-        return li.schemes.sphere_midpoint(bob, normalized, iterations=4)(start(), x[5])[0][:2]
-
-    x, direction, h = np.array([1.5, 2.0, *AXIS, 0.1]), np.array([0.3, -0.5, 0.2, 0.7, 0.1, 0.2]), 1e-4
-    both = jax.jit(lambda x: jax.jvp(end, (x,), (direction,)))
-    _, slope = both(x)
-    (ahead, _), (behind, _) = jax.device_get([both(x + h * direction), both(x - h * direction)])
-    for ours, a, b in zip(slope, ahead, behind, strict=True):
-        np.testing.assert_allclose(ours, (a - b) / (2 * h), rtol=0, atol=1e-7)
-        assert np.abs(ours).max() > 1e-2
-
-
-@pytest.mark.long
 def test_the_pendulum_in_float32_stays_in_float32():
     with jax.enable_x64(False):
         bob = li.systems.pendulum(1.5, 2.0)
