@@ -18,6 +18,8 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import DTypeLike
 
+from lieint_jax._numerics.small_linalg import Factored
+
 
 class BlockTridiagonal(NamedTuple):
     """The blocks of a matrix: those at (i, i − 1), (i, i) and (i, i + 1), each (n, k, k); two of them are zero."""
@@ -49,25 +51,6 @@ class BlockTridiagonal(NamedTuple):
         return BlockTridiagonal(jnp.roll(upper, 1, 0), diagonal, jnp.roll(lower, -1, 0))
 
 
-class FactoredChain(NamedTuple):
-    """The factors of a block-tridiagonal matrix.
-
-    Attributes:
-        levels: of each level of the reduction the blocks by which the remaining links act on the eliminated ones and
-            these on them.
-        last: the inverse of the block of the last link.
-        positive: whether all pivots were positive, as for a matrix whose symmetric part is positive definite.
-    """
-
-    levels: tuple[_Level, ...]
-    last: Array
-    positive: Array
-
-    def solve(self, b: Array) -> Array:
-        """x with K x = b, both (n, k)."""
-        return _solve(self.levels, self.last, b)
-
-
 class _Level(NamedTuple):
     """One level of the reduction, with B the blocks of the m eliminated links.
 
@@ -84,8 +67,8 @@ class _Level(NamedTuple):
     upper: Array
 
 
-def factored(K: BlockTridiagonal) -> FactoredChain:
-    """The factors of K."""
+def factored(K: BlockTridiagonal) -> Factored:
+    """K, factored."""
     levels, positive = [], jnp.ones((), bool)
     while K.diagonal.shape[0] > 1:
         lower, diagonal, upper = K
@@ -107,10 +90,11 @@ def factored(K: BlockTridiagonal) -> FactoredChain:
         )
     k = K.diagonal.shape[1]
     last, good = _eliminated(K.diagonal, jnp.eye(k, dtype=K.diagonal.dtype)[None])
-    return FactoredChain(tuple(levels), last, positive & good)
+    return Factored(partial(_solve, tuple(levels), last), positive & good)
 
 
 def _solve(levels: tuple[_Level, ...], last: Array, b: Array) -> Array:
+    """K⁻¹b, (n, k), by the levels of the reduction and the inverse of the block of the last link."""
     if not levels:
         return _times(last, b)
     level, even = levels[0], b[::2]

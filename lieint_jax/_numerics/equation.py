@@ -16,6 +16,7 @@ from jax.flatten_util import ravel_pytree
 
 from lieint_jax._numerics import block_tridiagonal, newton
 from lieint_jax._numerics.block_tridiagonal import BlockTridiagonal
+from lieint_jax._numerics.small_linalg import Factored
 from lieint_jax.types import StepInfo
 
 _CONVERGED = 32  # eps: the largest last change of an iteration that converged
@@ -118,7 +119,7 @@ class ChainEquation(abc.ABC):
         eps = float(jnp.finfo(dtype).eps)
         unit = lax.stop_gradient(unit)
 
-        def factored(x: Array) -> block_tridiagonal.FactoredChain:
+        def factored(x: Array) -> Factored:
             linear = lambda v: jax.jvp(self.residual, (x,), (v,))[1]  # noqa: E731
             return block_tridiagonal.factored(BlockTridiagonal.of(linear, n, k, dtype))
 

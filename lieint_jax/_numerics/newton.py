@@ -22,7 +22,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -263,18 +263,9 @@ class _Chord(NamedTuple):
         return self.change * jnp.where(self.n < 2, 1, jnp.minimum(2 * self.ratio, 1))
 
 
-class _Factored(Protocol):
-    """A matrix, factored: whether its pivots are positive, and its solutions."""
-
-    @property
-    def positive(self) -> Array: ...
-    @property
-    def solve(self) -> Callable[[Any], Any]: ...
-
-
 def repeated_chords(
     residual: Callable[[_Unknown], _Unknown],
-    factored: Callable[[_Unknown], _Factored],
+    factored: Callable[[_Unknown], la.Factored],
     length: Callable[[_Unknown], Array],
     x: _Unknown,
     first: Array,

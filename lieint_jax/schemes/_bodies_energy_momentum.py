@@ -120,7 +120,10 @@ def bodies_energy_momentum(
     | "fixed_point" | iterations on the forces, with a Newton correction of each body's rotation | for Δt Ω < 1 |
     | "newton" | Newton's method with a block-tridiagonal matrix, for chains such as rods | for stiff rods too |
 
-    Here Ω is the highest frequency of the potential. The cost of both is proportional to the number of elements.
+    Here Ω is the highest frequency of the potential. The cost of both is proportional to the length of a chain. The
+    limit of Newton's method is how far a rod moves in a step: dt must resolve its bending, not its extension. A step
+    that jumps to another solution, or in which a rod buckles, reports `converged=False`. Rounding of the energy grows
+    as (Δt Ω)² eps.
 
     Args:
         system: `systems.rigid_bodies(...)`. A plain function as its potential is evaluated at the positions and
@@ -249,7 +252,7 @@ class _Equation(FixedPointEquation[_Ends]):
     def _rotation_equation(self, J: Array, q: Array, spin: Array, tau: Array, y: Array) -> tuple[Array, Array]:
         """Jy + y × Jy − a − (T − y × T) with a = ½ΔtΠ, T = ¼Δt²Λᵀτ̄, all over tr J; and its derivative by y."""
         S, r = unit_trace(J)
-        c = 0.5 * r * self.dt  # one rounded factor of a and T: with two of them energy drifts, by 0.04 ulp per step
+        c = 0.5 * r * self.dt  # one factor for a and T: two would be rounded apart, and energy drift by 0.04 ulp a step
         Jy, T = S @ y, vector(so3.Ad_star(q, c * (self.dt / 2 * tau)))
         a = vector(so3.Ad_star(q, c * spin))
         F = Jy + cross(y, Jy) - (a + (T - cross(y, T)))
