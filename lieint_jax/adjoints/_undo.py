@@ -48,7 +48,7 @@ def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: 
     apart = hoisted(lambda a, b: distance(a, b, space), state, state)
     run, arrays = _Undoable(whole[0], stage[0], apart[0], gammas, tolerance), (whole[1], stage[1], apart[1])
     later, info = _run(run, arrays, state, dt, lax.stop_gradient(clock), counts)
-    if later.t is not None and state.t is not None:
+    if later.t is not None and state.t is not None and not step.own_time:
         # times that members of a batch share have a derivative of their own: JAX 0.12 refuses it from a custom_vjp
         slope = (state.t - lax.stop_gradient(state.t)) + jnp.cumsum(counts) * (dt - lax.stop_gradient(dt))
         later = later._replace(t=lax.stop_gradient(later.t) + slope)

@@ -201,37 +201,6 @@ def test_the_energy_momentum_scheme_conserves_its_invariants_at_any_steps():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", BOTH)
-def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
-    """With respect to the momentum, the strength of the potential or the exponent of σ, and dt."""
-
-    def make_step(number):
-        if name == "reversible_control":
-            return schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, number))
-        return schemes.log_hamiltonian(systems.potential_top(J, coulomb, number * jnp.array([0.0, 0.0, NEAR])))
-
-    def loss(x, by):
-        step = make_step(x[3])
-        start = step.start(START._replace(p=START.p + x[:3]))
-        run = (
-            li.reversible(step, start, x[4], 40, save_every=20)
-            if by == "reversal"
-            else li.integrate(step, start, x[4], 40, save_every=20)
-        )
-        return jnp.sum(jnp.sin(run.state.q + run.state.t[:, None])) + run.state.p[-1, 0]
-
-    x = jnp.array([0.0, 0.0, 0.0, 1.0, 0.1])
-    forward = jax.jit(jax.jacfwd(functools.partial(loss, by="loop")))(x)
-    for by in ("loop", "reversal"):
-        found = jax.jit(jax.grad(functools.partial(loss, by=by)))(x)
-        np.testing.assert_allclose(found, forward, rtol=1e-9, atol=1e-10)
-    value = jax.jit(jax.vmap(functools.partial(loss, by="loop")))
-    h = jnp.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-4])
-    f = [value(x + k * jnp.diag(h)) for k in (-2, -1, 1, 2)]
-    np.testing.assert_allclose((f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * h), forward, rtol=1e-6, atol=1e-7)
-
-
-@pytest.mark.long
 @both
 def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
     """The same as one by one, in memory and in a store."""
