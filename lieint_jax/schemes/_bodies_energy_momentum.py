@@ -122,7 +122,7 @@ def bodies_energy_momentum(
 
     Here Ω is the highest frequency of the potential. The cost of both is proportional to the length of a chain. With
     "newton" dt must resolve the bending of a rod, not its extension: a step that jumps to another solution, or in which
-    a rod buckles, reports `converged=False`. Rounding of the energy grows as (Δt Ω)² eps.
+    a rod buckles, reports `converged=False`. Rounding of the energy grows with Δt Ω.
 
     Args:
         system: `systems.rigid_bodies(...)`. A plain function as its potential is evaluated at the positions and
