@@ -24,8 +24,8 @@ LONG = {  # expensive pages, which run in shards
     "faq.md",
     "install.md",
     "why.md",
-    *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential", "rates", "shape")),
-    *(f"howto/{x}.md" for x in ("sampling", "satellite", "scheme", "system", "tides", "torque")),
+    *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential", "rates", "rods")),
+    *(f"howto/{x}.md" for x in ("sampling", "satellite", "scheme", "shape", "system", "tides", "torque")),
     *(f"howto/{x}.md" for x in ("covariance", "equilibria", "kalman", "optimal_control")),
     "tutorials/own_flyby.md",
 }

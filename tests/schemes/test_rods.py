@@ -47,6 +47,7 @@ def shaken():
     return rod, start, li.integrate(schemes.bodies_energy_momentum(rod), start, 0.01, 1000)
 
 
+@pytest.mark.long
 def test_the_work_of_a_driven_end_of_loads_and_of_damping_is_counted():
     """Observed 1.4e-15, where the work varies by 1.4."""
     rod, _, path = shaken()

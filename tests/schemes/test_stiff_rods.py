@@ -67,6 +67,7 @@ def drifts(system, path):
     )
 
 
+@pytest.mark.long
 def test_both_solvers_agree_on_a_soft_rod():
     """Over 100 steps. Observed 6e-16."""
     system = rod(SOFT, 0.01)

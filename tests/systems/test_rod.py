@@ -295,7 +295,7 @@ def timoshenko(EI, GA, mass, inertia, count):
     return [brentq(clamped, grid[i], grid[i + 1]) for i in np.flatnonzero(np.diff(signs))[:count]]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("n", [16, 32])
 def test_the_frequencies_of_a_cantilever_are_those_of_timoshenko(n):
     """To O(ℓ²): the first three about both axes are off by 0.076/n² to 0.303/n², the lowest by 0.261/n²."""
