@@ -32,7 +32,19 @@ INERTIA, DT, END, WATCHED, BATCH = (1.0, 2.0, 3.0), 0.05, 10.0, 16, 1000
 KAPPAS = (kappa_symplectic, kappa_cayley, kappa_exponential)
 DTYPES = ("float64", "float32")
 WIDE = ", wide vectors"
-_PACKAGES = ("jax", "numpy", "diffrax", "mujoco", "scipy", "heyoka", "astrojax", "jax_md", "rebound", "reboundx")
+_PACKAGES = (
+    "jax",
+    "numpy",
+    "diffrax",
+    "mujoco",
+    "scipy",
+    "heyoka",
+    "astrojax",
+    "jax_md",
+    "rebound",
+    "reboundx",
+    "pyelastica",
+)
 _LEVELS = (4, 8)  # steps per unit of time of the two references by `by_flow`
 
 

@@ -18,6 +18,7 @@ TITLES = {
     "satellite": "Satellites with five laws",
     "attitude": "The attitude of a tumbling stage",
     "bodies": "Several bodies",
+    "rods": "Rods",
     "thermostat": "Free bodies in a heat bath",
     "tides": "Angular momentum under tides",
     "se3": "SE(3)",

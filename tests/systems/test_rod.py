@@ -95,6 +95,22 @@ def test_the_energy_is_invariant_and_its_discrete_gradient_exact(energy):
     np.testing.assert_allclose(moved, at_start, rtol=1e-13)
 
 
+def test_a_rod_made_inside_jit_is_undamped_unless_its_damping_is_traced():
+    """So `splitting` and `nystrom` integrate it, and gradients by its stiffness need no detour."""
+
+    def kind(bending, *damping):
+        made = systems.rod(
+            1.0, 2, systems.Section(1.0, (0.1, 0.1), STIFF["stretching"], bending), damping=damping or 0.0
+        )
+        kinds.append(type(made))
+        return made.masses
+
+    kinds = []
+    jax.eval_shape(kind, jnp.ones(3))
+    jax.eval_shape(kind, jnp.ones(3), *jnp.zeros(6))
+    assert kinds == [systems.ElasticRod, systems.DissipativeRod]
+
+
 @jax.jit
 def bending_energy(V, R):
     return V.value((V.natural_strain, *V.invariants(jnp.zeros((2, 3)), R)[1:]))
