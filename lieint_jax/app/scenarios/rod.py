@@ -89,8 +89,8 @@ class Rod(Kind):
     """The first and the last end: "free", or "clamped" in the natural shape."""
     gravity: keys.Triple | None = None
     """The acceleration of gravity, in length / time_unit²; by default none."""
-    damping: keys.NonNegative = 0.0
-    """The retardation time of a Kelvin–Voigt material, in time_unit."""
+    damping: keys.PositiveFloat | None = None
+    """The retardation time of a Kelvin–Voigt material, in time_unit; by default none."""
     loads: list[Load] = []
     """Forces and moments on sections, at most one load for each."""
     scheme: Literal["bodies_energy_momentum"] = "bodies_energy_momentum"
@@ -129,7 +129,7 @@ class Rod(Kind):
             ends=(first, last),
             pose=keys.array([*self.position, *self.quaternion]),
             gravity=None if self.gravity is None else keys.array(self.gravity),
-            damping=self.damping,
+            damping=0.0 if self.damping is None else self.damping,
             loads=loads or None,
         )
 
@@ -174,12 +174,13 @@ class Rod(Kind):
         x, t = np.asarray(run.member(0).state.q)[shown, :, :3], np.asarray(run.t)[shown]
         i, j = sorted(np.argsort(np.ptp(x, axis=(0, 1)))[1:])
         for line, when, color in zip(x, t, matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(t))), strict=True):
-            label = f"t = {when:.4g} {self.time_unit}" if when in (t[0], t[-1]) else None
+            label = f"t = {when:.4g}" if when in (t[0], t[-1]) else None
             axes[0].plot(line[:, i], line[:, j], color=color, marker=".", ms=3, lw=1.2, label=label)
             axes[1].plot(*line.T, color=color, lw=1.2)
-        axes[0].set(xlabel="xyz"[i], ylabel="xyz"[j], aspect="equal", title="the nominal rod at equal intervals of time")
-        axes[0].legend()
+        axes[0].set(xlabel="xyz"[i], ylabel="xyz"[j], aspect="equal", title="the nominal rod, at equal intervals")
+        axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.15), ncols=2)
         plots.cube(axes[1]).set(xlabel="x", ylabel="y", zlabel="z", title="the same in space")
+        axes[1].set_aspect("equal")
 
     @picture(2)
     def draw_energy(self, axes: np.ndarray, run: Run) -> None:
