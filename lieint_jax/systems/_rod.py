@@ -360,7 +360,7 @@ def _held(potential: potentials.Potential, first: Any, last: Any) -> Any:
 
 def _damping(internal: Any, damping: ArrayLike) -> KelvinVoigt | None:
     tau = _checks.not_negative("damping", damping, (), (6,))
-    if concrete(damping) and not np.any(np.asarray(damping)):  # the given one: inside jit tau is traced
+    if concrete(damping) and not np.any(np.asarray(damping)):  # as given: inside jit tau is traced
         return None
     chain = internal if isinstance(internal, potentials.Rod) else internal.potential
     tau, ell = jnp.broadcast_to(tau, 6), chain.lengths[:, None]

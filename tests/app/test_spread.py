@@ -35,6 +35,8 @@ KINDS = {  # a scenario of each kind with a spread of numbers, and the paths of 
     "cubesat": "state.angular_velocity_deg max_dipole drag.box_m drag.center_m drag.coefficient "
     "rods.axes rods.saturation rods.slope rods.coercivity detumbling.gain wheels.inertia_kg_m2 wheels.max_torque "
     "wheels.max_momentum pointing.frequency pointing.damping_ratio unloading.gain",
+    "spaghetti": "length section.mass section.inertia section.stretching section.bending natural_curvature position "
+    "loads.1.force loads.1.moment",
     "water": "settling.spacing_nm settling.temperature_kelvin",
 }
 KINDS = {name: tuple(paths.split()) for name, paths in KINDS.items()}

@@ -361,3 +361,7 @@ def test_the_directors_along_a_static_rod_move_as_a_top_in_time():
 @jax.jit
 def forces(system, q):
     return system.force(q)
+
+
+def test_a_rod_without_damping_is_of_the_same_kind_inside_jit():
+    assert isinstance(jax.eval_shape(lambda x: systems.rod(x, 2, ROUND), 1.0), systems.ElasticRod)

@@ -17,6 +17,7 @@ from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.scenarios._body import spin_axis
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
+from lieint_jax.systems import DissipativeRod, ElasticRod
 from lieint_jax.types import Trajectory
 
 _MAX_ROTATION = np.deg2rad(15)  # largest rotation of a body between frames, if states can be interpolated
@@ -26,6 +27,7 @@ _MOST_POINTS = 20_000  # of a path
 _TILTED = 10.0  # degrees between the principal axes of a body and of its shape, above which a warning is given
 _MIN_SIZE = 0.06  # smallest size of the largest body, over that of the scene: smaller bodies are drawn larger
 _TIP, _ARROW = 1.2, 1.5  # lengths of axes and momentum vectors, over the size of their body
+_ELEMENT = (0.5, 0.25, 0.9)  # sides of the box that shows an element of a rod, over its length
 _SYSTEMS_OF_BODIES = (AbstractFreeBodies, AbstractRigidBodies, AbstractDissipativeBodies)
 
 Span = tuple[float | None, float | None]
@@ -206,6 +208,10 @@ def _bodies(
     masses = [None] if single else np.asarray(system.masses)
     axes = np.stack([spin_axis(J, R.T @ p) for J, R, p in zip(inertias, rotations, spins, strict=True)])
     solids = [shape.centered() for shape in shapes]
+    if isinstance(system, ElasticRod | DissipativeRod):  # sections, whose inertia may be that of far larger bodies
+        apart = np.linalg.norm(np.diff(np.asarray(system.natural)[:, :3], axis=0), axis=1).mean()
+        solids += [meshes.box(apart * np.array(_ELEMENT))] * (len(inertias) - len(shapes))
+        return tuple(solids), axes, 1.0
     solids += [meshes.of_inertia(J, m) for J, m in zip(inertias, masses, strict=True)][len(shapes) :]
     size, extent = max(solid.size() for solid in solids), np.ptp(x, axis=(0, 1)).max() / 2
     factor = 1 / size if single else max(1.0, _MIN_SIZE * extent / size)
