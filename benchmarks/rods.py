@@ -1,20 +1,22 @@
 """A soft rod in free flight: what does an error of its tip cost, next to PyElastica, and 1000 rods, and a gradient?
 
 A straight circular rod (L = 1 m, radius 2.5 cm, E = 1 MPa, 1000 kg/m³) starts with the velocities of a bending motion
-and of a rotation across it, and flies for 1 s: 1.4 periods of its lowest vibration, in which its ends come together
-to a quarter of its length. Shear, extension, bending, torsion and inertia have PyElastica's coefficients (GA·27/28,
-G = E/3). The models differ where the rod stretches: PyElastica's section becomes thinner. So each code is compared with
-itself: "of time", with the same chain of elements at much smaller steps; "of all", with its own motion extrapolated
-from 64 and 128 elements (the distance of these two limits is given). Errors are the largest distance, in m, of one end
-at ten times. PyElastica measures its energy and angular momentum (`compute_…_energy`, Σ m x × v + Qᵀ Jω/e).
+and of a rotation across it, and flies for 1 s, 1.4 periods of its lowest vibration. Shear, extension, bending, torsion
+and inertia have PyElastica's coefficients (GA·27/28, G = E/3). The models differ where the rod stretches: PyElastica's
+section becomes thinner. So each code is compared with itself: "of time", with the same chain of elements at much
+smaller steps; "of all", with its own motion extrapolated from 64 and 128 elements (the distance of these two limits is
+given). Errors are the largest distance, in m, of one end at ten times. PyElastica measures its energy
+(`compute_…_energy`); its angular momentum is Σ m x × v + Qᵀ Jω/e.
 
     python benchmarks/rods.py [--quick] [--out DIR]
 
-Called in turn in one process on one core; the least of the CPU times counts, without compilation.
+Called in turn in one process on one core; the least of the CPU times counts. Compilation is not part of them, but of
+the first calls, once for all step sizes; `nystrom` and PyElastica's functions are compiled before, for the references.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
@@ -52,13 +54,19 @@ def measured(coarse: int, fine: int, limit: tuple[int, int], members: int, round
         exact[n, "PyElastica"] = their_reference(n)
         for name in ("PositionVerlet", "PEFRL"):
             calls[n, f"PyElastica, {name}", steps_of(n, name)] = Elastica(n, [YOUNG], name, steps_of(n, name)).path
+    first = {}
+    for key, call in calls.items():
+        start = time.process_time()
+        call()
+        first[key] = time.process_time() - start
     seconds = command.least_cpu_times(calls, rounds)  # pyright: ignore[reportArgumentType]
     rows = []
     for (n, name, steps), call in calls.items():
         path, code = call(), name.split(",")[0]
         errors = [largest(path["tip"], x) for x in (exact[n, code], ends[code != "ours"])]
         drifts = [np.abs(path[x] - path[x][0]).max() / np.linalg.norm(path[x][0]) for x in ("energy", "momentum")]
-        rows.append([n, name, steps, *map(float, (*errors, *drifts)), 1e3 * seconds[n, name, steps]])  # pyright: ignore
+        key = n, name, steps
+        rows.append([*key, *map(float, (*errors, *drifts)), first[key], 1e3 * seconds[key]])  # pyright: ignore
     return {
         "rows": rows,
         "limits_apart": largest(*ends),
@@ -182,16 +190,16 @@ def our_reference(n: int) -> np.ndarray:
 class Elastica:
     """Rods of PyElastica in one simulator, whose block steps all of them; `path` starts again with every call."""
 
-    def __init__(self, n: int, youngs: Sequence[float], stepper: str, steps: int) -> None:
-        import elastica
+    def __init__(self, n: int, youngs: Any, stepper: str, steps: int) -> None:
+        import elastica.timestepper.symplectic_steppers as steppers
+        from elastica.modules.base_system import BaseSystemCollection
+        from elastica.rod.cosserat_rod import CosseratRod
 
-        self.steps, self.stepper = steps, getattr(elastica, stepper)()
-        self.simulator = elastica.BaseSystemCollection()
+        self.steps, self.stepper = steps, getattr(steppers, stepper)()
+        self.simulator = BaseSystemCollection()
         axis, normal, self.rods = np.array([0.0, 0, 1]), np.array([1.0, 0, 0]), []
         for young in youngs:
-            rod = elastica.CosseratRod.straight_rod(
-                n, np.zeros(3), axis, normal, 1.0, RADIUS, DENSITY, youngs_modulus=young
-            )
+            rod = CosseratRod.straight_rod(n, np.zeros(3), axis, normal, 1.0, RADIUS, DENSITY, youngs_modulus=young)
             rod.velocity_collection[:] = velocities(np.linspace(0, 1, n + 1))[0].T
             rod.omega_collection[:] = velocities((np.arange(n) + 0.5) / n)[1].T
             self.simulator.append(rod)
@@ -217,7 +225,7 @@ class Elastica:
 
         def observe() -> None:
             for block in self.simulator.final_systems():
-                block.compute_internal_forces_and_torques(0.0)  # the strains at this time
+                block.compute_internal_forces_and_torques(np.float64(0))  # the strains at this time
             tips.append(rod.position_collection[:, -1].copy())
             parts = ("translational", "rotational", "bending", "shear")
             energies.append(sum(getattr(rod, f"compute_{part}_energy")() for part in parts))
@@ -251,11 +259,14 @@ def many(n: int, members: int) -> list[list[Any]]:
     for name in ("splitting", "nystrom, order 4"):
         steps, count = jax.vmap(partial(our_step, n, name))(youngs), steps_of(n, name)
         options: dict[str, Any] = {"save_every": None, "own_step": True, "progress": False}
-        calls[f"ours, {name}, {count} steps"] = partial(li.run, steps, states, 1 / count, count, **options)
-    for name in ("PositionVerlet", "PEFRL"):
-        count = steps_of(n, name)
-        calls[f"PyElastica, {name}, {count} steps, in one block"] = Elastica(n, youngs, name, count).run
-        calls[f"PyElastica, {name}, {count} steps, one after another"] = Elastica(n, youngs[:1], name, count).run
+        calls[f"ours, {n} elements, {name}, {count} steps"] = partial(
+            li.run, steps, states, 1 / count, count, **options
+        )
+    for m in (n, n * 3 // 2):
+        count = steps_of(m, "PositionVerlet")
+        label = f"PyElastica, {m} elements, PositionVerlet, {count} steps"
+        calls[f"{label}, in one block"] = Elastica(m, youngs, "PositionVerlet", count).run
+        calls[f"{label}, one after another"] = Elastica(m, youngs[:1], "PositionVerlet", count).run
     seconds = command.least_cpu_times(calls, 1)
     return [[name, x * (members if name.endswith("another") else 1)] for name, x in seconds.items()]
 
@@ -276,7 +287,7 @@ def gradients(n: int) -> dict[str, float]:
     value = jax.jit(mean)
     found = {"forward": jax.jit(jax.jacfwd(mean)), "reverse": jax.jit(jax.grad(mean))}
     seconds = command.least_cpu_times({"run": partial(value, 0.0)} | {k: partial(f, 0.0) for k, f in found.items()}, 1)
-    h = 2e-3
+    h = 1e-4  # the phase of the fastest vibration changes by 0.1 rad
     first, second, third = ((value(k * h) - value(-k * h)) / (2 * k * h) for k in (1, 2, 3))
     differences = float(1.5 * first - 0.6 * second + 0.1 * third)  # of sixth order in h
     return {k: float(f(0.0)) for k, f in found.items()} | {
@@ -288,10 +299,10 @@ def gradients(n: int) -> dict[str, float]:
 def sections(result: dict[str, Any]) -> list[str]:
     from lib import report
 
-    one = [[str(r[0]), r[1], str(r[2]), *(f"{x:.2g}" for x in r[3:])] for r in result["rows"]]
-    equal = [[str(r[0]), r[1], str(r[2]), *(f"{x:.2g}" for x in r[3:])] for r in result["equal_error"]]
+    one = [[r[1], str(r[0]), str(r[2]), *(f"{x:.2g}" for x in r[3:])] for r in result["rows"]]
+    equal = [[r[1], str(r[0]), str(r[2]), *(f"{x:.2g}" for x in r[3:])] for r in result["equal_error"]]
     ours = min(x for name, x in result["many"] if name.startswith("ours"))
-    head = ["elements", "", "steps", "tip: error of time, m", "of all, m", "drift of H", "of L", "ms"]
+    head = ["", "elements", "steps", "tip: error of time, m", "of all, m", "drift of H", "of L", "first call, s", "ms"]
     g = result["gradients"]
     return [
         report.machine(result),
@@ -300,7 +311,7 @@ def sections(result: dict[str, Any]) -> list[str]:
         report.table(head, one),
         f"The limits of both codes in space are up to {result['limits_apart']:.2g} m apart: their models differ.",
         "PyElastica's time for the same error of all, interpolated between its rows (blank: beyond these)",
-        report.table(["elements", "", "steps", "of all, m", "ms", "PyElastica, ms", "÷ ours"], equal),
+        report.table(["", "elements", "steps", "of all, m", "ms", "PyElastica, ms", "÷ ours"], equal),
         "Many rods of different stiffness, on one core (one after another: one rod, times their number)",
         report.table(["", "s", "÷ ours"], [[name, f"{x:.3g}", f"{x / ours:.2g}"] for name, x in result["many"]]),
         "The derivative of the tip's mean distance from the middle by ln E (`nystrom`, order 4), less that by "
