@@ -189,9 +189,8 @@ def _check(name: str, function: Any) -> None:
 
 
 def _deploying(folded: Array, change: Array, t: Time) -> Vector3:
-    """Moments that change smoothly from t = 0 to 4, for the examples."""
-    s = jnp.clip(t / 4, 0, 1)
-    return folded + s * s * (3 - 2 * s) * change
+    """Moments that change smoothly about t = 2, for the examples."""
+    return folded + (1 + jnp.tanh(t - 2)) / 2 * change
 
 
 PROPERTIES = SystemProperties(
