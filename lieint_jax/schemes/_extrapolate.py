@@ -159,7 +159,7 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    if any(law.samples for law in getattr(system, "laws", ())):
+    if any(law.held for law in getattr(system, "laws", ())):
         raise ValueError(
             "extrapolate integrates vector fields, and a sampled law changes its torque in jumps: use torqued_midpoint"
         )

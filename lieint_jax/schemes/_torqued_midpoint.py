@@ -70,12 +70,6 @@ from lieint_jax.types.vectors import (
 __all__ = ["DampedMidpoint", "TorquedMidpoint", "torqued_midpoint"]
 
 
-def _inner(state: State, law: Law) -> Array | None:
-    """The internal state of a law, or the one that it reads; None if there is none."""
-    key = law.key or law.reads
-    return None if key is None else (state.extra or {})[key]
-
-
 @pytree
 class TorquedMidpoint(Step):
     """The step made by `torqued_midpoint` for a body with a torque.
@@ -125,7 +119,7 @@ class TorquedMidpoint(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not self.system.sampled(state, jnp.asarray(dt))[1]:
-            return next(law.refusal(clock(state), dt) for law in self.system.laws if law.samples)
+            return next(law.refusal(clock(state), dt) for law in self.system.laws if law.held)
         dtype = state.p.dtype
         number, q, vector = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((), (4,), (3,)))
         for name, law in zip(labels(self.system), self.system.laws, strict=True):
@@ -336,8 +330,9 @@ class _Equation(ImplicitEquation[Vector]):
         """The equation of a step from a state."""
         J, r = unit_trace(system.inertia)
         Pi = vector(r * so3.Ad_star(state.q, state.p))
-        inner = tuple(_inner(state, law) for law in system.laws)
-        return cls(kappa, system.laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
+        inner = tuple(system.inner(state, law) for law in system.laws)
+        laws = tuple(system.holding(state, law) for law in system.laws)
+        return cls(kappa, laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
 
     @property
     def a(self) -> Vector:
