@@ -87,7 +87,7 @@ class Wheels(Table):
     max_momentum: PositiveFloat
     """The largest momentum of each wheel, in N m s."""
     period: PositiveFloat | None = None
-    """From one sample of the motors' digital controller to the next, in time_unit; dt divides it. By default no delay."""
+    """From one sample of the motors' digital controller to the next, in time_unit; dt divides it. Default: no delay."""
 
     def axes(self) -> Array:
         return torques.wheel_pyramid(np.deg2rad(self.tilt_deg), self.number)
