@@ -21,7 +21,7 @@ from lieint_jax import maps
 from lieint_jax.types import time_derivative
 
 TABLE = """
-preprocessed(s, 4)                                    | rigid_body.full_tensor       | 3.2 | 8   | 4
+preprocessed(s, 4)                                    | rigid_body.asymmetric        | 3.2 | 8   | 4
 compose(splitting(s), 4)                              | pseudo_rigid_body.ball       | 0.1 | 16  | 4
 magnus(s, 2)                                          | kinematics.coning            | 5   | 20  | 2
 magnus(s, 4)                                          | kinematics.coning            | 5   | 20  | 4
