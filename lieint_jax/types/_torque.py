@@ -231,7 +231,7 @@ def as_law(law: Any, frame: str = "body") -> Law:
     return Function(callable_pytree(law), getattr(law, "frame", frame))
 
 
-@old_calls()
+@old_calls
 def instant(
     law: Law, t: Array, q: Array, Omega: Array, *, omega: Array, inner: PyTree, q_half: Any
 ) -> tuple[Array, PyTree]:

@@ -90,9 +90,9 @@ state = show("state", body.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0])
 show("another state", body.state([0.8, 0.6, 0, 0], angular_velocity=(0, 0.1, 1)))
 show("run", li.integrate(step, state, 0.05, 1000))
 show("longer run", li.integrate(step, state, 0.04, 2000))
-show("save_every", li.integrate(step, state, 0.04, 2000, 10))
-show("longer, save_every", li.integrate(step, state, 0.04, 3000, 10))
-show("another save_every", li.integrate(step, state, 0.04, 3000, 30))
+show("save_every", li.integrate(step, state, 0.04, 2000, save_every=10))
+show("longer, save_every", li.integrate(step, state, 0.04, 3000, save_every=10))
+show("another save_every", li.integrate(step, state, 0.04, 3000, save_every=30))
 show("certificate", li.diagnostics.certify(step, state, 0.05, 1000))
 """
 MOST = {  # programs: a run also tries its first step; any save_every > 1 has one; a certificate has four measurements

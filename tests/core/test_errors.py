@@ -35,6 +35,7 @@ def spread_of_toutatis(**keys):
 
 SENTENCES = [
     (lambda: scenarios.parse({}, "mine.toml"), r"mine\.toml: system: key missing"),
+    (lambda: scenarios.parse({"system": "rigid_body"}, "a"), "a: title, dt, steps, inertia, state: keys missing$"),
     (lambda: spread_of_toutatis(angular_velocity_degr=1.0), "spread.angular_velocity_degr: .*angular_velocity_deg"),
     (
         lambda: scenarios.load(

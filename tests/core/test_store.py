@@ -835,7 +835,8 @@ states = jax.vmap(lambda J, w: li.systems.rigid_body(J).state(angular_velocity=w
 steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
 for count in (1, 3, 8):
     mesh = ensemble.first_devices(count)
-    kept = [ensemble.run(steps, states, 0.1, 400, 100, 0, reduce=how, mesh=mesh) for how in (None, "energy")]
+    options = dict(save_every=100, step_axis=0, mesh=mesh)
+    kept = [ensemble.run(steps, states, 0.1, 400, reduce=how, **options) for how in (None, "energy")]
     times = jax.numpy.linspace(0, 20, 101) ** 1.2
     kept += [ensemble.run(steps, states, step_axis=0, times=times, save_at=[0.3, 5, 5.01, 30], mesh=mesh)]
     print(*(hashlib.sha256(b"".join(x.tobytes() for x in jax.tree.leaves(k))).hexdigest() for k in kept))

@@ -10,7 +10,6 @@ import pytest
 from grid import examples_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
-from two_bodies import reference
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, potentials, schemes, systems
@@ -20,7 +19,6 @@ from lieint_jax.groups import so3
 EXAMPLES = {k: x for k, x in examples_of("rigid_bodies").items() if isinstance(x[0], AbstractRigidBodies)}
 BINARY, START, DT = EXAMPLES["binary"]
 SPLITTING = schemes.splitting(BINARY)
-KEEPING = schemes.bodies_energy_momentum(BINARY)
 
 
 def errors(step, state, dt, num_steps, every):
@@ -145,21 +143,6 @@ def test_splitting_of_bodies_is_symplectic(name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("step", [SPLITTING, KEEPING], ids=["splitting", "energy–momentum"])
-def test_the_error_is_of_second_order_against_dop853(step):
-    """Half an orbit; observed orders 2.0."""
-    x, R = reference(BINARY, START, 16.0)
-    found = []
-    for n in (320, 640):
-        q = li.integrate(step, START, 16.0 / n, n, save_every=n).state.q[-1]
-        turned = jax.vmap(so3.to_matrix)(q[:, 3:])
-        found.append([float(np.abs(q[:, :3] - x).max()), float(np.abs(turned - R).max())])
-    coarse, fine = np.array(found)
-    np.testing.assert_allclose(np.log2(coarse / fine), 2, rtol=0, atol=0.1)
-    assert (fine < [2e-3, 5e-2]).all()
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_energy_momentum_scheme_conserves_energy_and_both_momenta(name):
     """Observed over 10 000 steps: H 9e-15 and 2e-15, P 0 and 3e-15, L 1e-14 and 3e-15."""
@@ -280,19 +263,12 @@ KEPLER = {method: schemes.kepler_splitting(BINARY, method) for method in (2, (8,
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("step", "dt", "order"),
-    [
-        (NYSTROM[4], 0.4, 4),
-        (NYSTROM[6], 0.4, 6),
-        (KEPLER[2], 0.4, 2),
-        (KEPLER[8, 4], 0.4, 4),
-        (KEPLER[8, 6, 4], 0.8, 4),
-    ],
+    ("step", "dt"),
+    [(NYSTROM[4], 0.4), (NYSTROM[6], 0.4), (KEPLER[2], 0.4), (KEPLER[8, 4], 0.4), (KEPLER[8, 6, 4], 0.8)],
     ids=lambda x: getattr(x, "name", None),
 )
-def test_splittings_of_high_order_have_their_order_and_conserve_momenta_and_form(step, dt, order):
-    """Observed orders 4.03, 6.01, 2.01, 4.00, 4.0; P 0, L 2e-14 at most over 5000 steps."""
-    assert diagnostics.order(step, START, dt) == pytest.approx(order, abs=0.15)
+def test_splittings_of_high_order_conserve_momenta_and_form(step, dt):
+    """P 0, L 2e-14 at most over 5000 steps."""
     assert diagnostics.reversibility(step, START, dt) < 2e-15
     _, P, L = errors(step, START, 0.2, 5000, 100)
     assert P < 1e-15

@@ -117,38 +117,8 @@ def _measured(step, dt):
     return run, [abs(error(BODY, run)).max() for error in errors], first
 
 
-def rate(errors):
-    return np.log2(errors[0] / errors[1])
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("order", [4, 6, 8, 10])
-def test_commuting_compositions_have_their_order(order):
-    step = compose(SYMPLECTIC, order)
-    runs = {n: np.asarray(_measured(step, 3.2 / n)[0].state.q) for n in (4, 8)}
-    errors = [np.abs(q[n] - exact(3.2)).max() for n, q in runs.items()]
-    assert rate(errors) == pytest.approx(order, abs=0.35)
-    assert errors[1] > 1e-12  # above the floor, so that the rate means something
-
-
 def errors_at(t, step, counts):
     return [float(np.abs(after(step, STATE, t / n, n)[0].q - exact(t)).max()) for n in counts]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("order", "method"),
-    [(4, "triple_jump"), (4, "suzuki"), (6, "yoshida_6"), (6, "kahan_li_6"), (8, "suzuki_umeno_8"), (8, "kahan_li_8")],
-)
-def test_published_orders_on_steps_that_do_not_commute(order, method):
-    assert rate(errors_at(3.2, compose(CAYLEY, order, method), (8, 16))) == pytest.approx(order, abs=0.3)
-
-
-@pytest.mark.long
-def test_published_order_10_on_steps_that_do_not_commute():
-    errors = errors_at(6.4, compose(CAYLEY, 10), (7, 14))
-    assert rate(errors) == pytest.approx(10, abs=0.3)  # 9.84
-    assert errors[1] > 3e-13  # 1e-12, above the floor of 3e-15
 
 
 @pytest.mark.long

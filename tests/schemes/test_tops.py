@@ -14,7 +14,6 @@ from repeated import state_after
 import lieint_jax as li
 from lieint_jax import diagnostics
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
-from lieint_jax.diagnostics.tangent import distance as _distance
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes import compose, exact, splitting, top_energy_momentum
@@ -58,7 +57,6 @@ TOPS = {"linear": li.systems.heavy_top(FULL, [0.5, 0.4, 1.0], AXIS)} | {
     name: li.systems.potential_top(FULL, potential, AXIS) for name, potential in POTENTIALS.items()
 }
 ATTITUDE = np.array([0.3, 0.8, -0.4, 0.5]) / np.sqrt(1.14)
-distance = jax.jit(_distance)
 flow = jax.jit(diagnostics.flow, static_argnums=3)
 linearization = jax.jit(diagnostics.linearization)
 defect = jax.jit(diagnostics.symplectic_defect)
@@ -134,15 +132,9 @@ def test_result_07_holds_for_a_custom_kappa():
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
-def test_steps_of_tops_are_of_second_order_and_reversible(name, kappas):
-    top = TOPS[name]
-    state = start(top)
-    end = flow(top, state, 3.2, 32)
-    for step in (top_energy_momentum(top, kappas["cayley"]), splitting(top)):
-        errors = [float(distance(state_after(run(step, state, 3.2 / n)[0], n), end)) for n in (64, 128)]
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
-        there = state_after(run(step, state, 0.1)[0], 1)
-        assert float(distance(state_after(run(step, there, -0.1)[0], 1), state)) < 1e-15
+def test_a_step_back_undoes_a_step(name, kappas):
+    for step in (top_energy_momentum(TOPS[name], kappas["cayley"]), splitting(TOPS[name])):
+        assert diagnostics.reversibility(step, start(TOPS[name]), 0.1) < 1e-15
 
 
 @pytest.mark.long
@@ -214,17 +206,12 @@ def test_splitting_has_no_drift_of_energy_where_the_top_is_chaotic():
 
 
 @pytest.mark.long
-def test_compositions_raise_the_order_and_conserve_what_the_base_conserves():
+def test_compositions_conserve_what_the_base_conserves():
     top = TOPS["linear"]
-    state = start(top)
-    end = flow(top, state, 3.2, 32)
     for base in (top_energy_momentum(top), splitting(top)):
         step = compose(base, 4)
         assert step.method == "suzuki"  # steps of tops do not commute
-        runs = {n: run(step, state, 3.2 / n, 32) for n in (16, 32)}
-        errors = [float(distance(state_after(trajectory, n), end)) for n, (trajectory, *_) in runs.items()]
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.15)
-        _, _, (energy, momentum, _) = runs[32]
+        _, _, (energy, momentum, _) = run(step, start(top), 0.1, 32)
         assert (np.abs(energy).max() < 3e-14) == (base.name != splitting(top).name)
         assert np.abs(momentum).max() < 5e-15
 

@@ -248,33 +248,6 @@ def test_the_reference_flow_agrees_with_another_package():
     assert system.energy(ours) - ours.work == pytest.approx(float(system.energy(state)), rel=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "order"),
-    [
-        pytest.param("satellite", "splitting", 2, marks=pytest.mark.long),
-        pytest.param("satellite", "top_energy_momentum", 2, marks=pytest.mark.long),
-        *(
-            pytest.param(name, kind, order, marks=pytest.mark.long)
-            for name in ("satellite", "flyby")
-            for kind in ("splitting", "top_energy_momentum")
-            for order in (2, 4, 6)
-            if (name, order) != ("satellite", 2)
-        ),
-        pytest.param("moving_axis", "top_energy_momentum", 4, marks=pytest.mark.long),
-        pytest.param("two_wells", "splitting", 4, marks=pytest.mark.long),
-        pytest.param("pulsating", "splitting", 4, marks=pytest.mark.long),
-    ],
-)
-def test_orders_in_attitude_momentum_and_work(name, kind, order):
-    system, state, _ = example(name)
-    step = getattr(schemes, kind)(system)
-    step = step if order == 2 else schemes.compose(step, order)
-    exact = flow(system, state, 2.0, 40)
-    errors = [error(jax.tree.map(lambda x: x[-1], run(step, state, 2.0 / n, n)[0].state), exact) for n in (20, 40)]
-    assert errors[1] > 1e-13
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
-
-
 # What is known of satellites ------------------------------------------------------------------------------------------
 
 

@@ -154,14 +154,6 @@ def test_the_default_splitting_conserves_momentum_and_the_energy_of_a_nearby_ham
     assert errors[0] < 2e-3
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("order", [4, 6])
-def test_compositions_raise_the_order(order):
-    for base in (schemes.splitting(GYROSTAT), schemes.so3_midpoint(GYROSTAT)):
-        found = li.diagnostics.order(schemes.compose(base, order), STATE, 0.2)
-        assert found == pytest.approx(order, abs=0.2)
-
-
 def test_a_gyrostat_splitting_accepts_other_drifts_of_the_same_body_only():
     assert schemes.splitting(GYROSTAT, schemes.so3_explicit(GYROSTAT.free)).name == "splitting[so3_explicit]"
     with pytest.raises(ValueError, match=r"splitting with exact: the drift must be a step of system\.free"):
@@ -184,20 +176,6 @@ def dop853(J, z, t, motor=None, rtol=1e-13):
 
     start = np.concatenate([z.q, to_body(z.q, z.p), rotor, [0.0]])
     return scipy.integrate.solve_ivp(f, (0, t), start, "DOP853", rtol=rtol, atol=1e-13).y[:, -1]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("scheme", ["cayley", "symplectic", "splitting"])
-def test_gyrostat_schemes_are_of_second_order_against_another_package(scheme):
-    step = {
-        "cayley": schemes.so3_midpoint(GYROSTAT, kappa_cayley),
-        "symplectic": schemes.so3_midpoint(GYROSTAT),
-        "splitting": schemes.splitting(GYROSTAT),
-    }[scheme]
-    q = dop853(J, STATE, 10.0)[:4]
-    errors = [float(angle(after(step, STATE, 10 / n, n)[0].q, q)) for n in (200, 400, 800)]
-    np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 2, rtol=0, atol=0.02)
-    assert errors[0] < 1e-2
 
 
 def spin_up(t):

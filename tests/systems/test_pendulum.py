@@ -225,13 +225,9 @@ def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
 
 
 @pytest.mark.long
-def test_second_order_against_the_flow_and_reversible():
-    bob = BOBS["cubic"]
-    exact = jax.device_get(jax.jit(lambda z: flow(bob, z, 0.8, 16))(start()))
+def test_a_step_back_undoes_a_step():
     for normalized in (False, True):
-        step = li.schemes.sphere_midpoint(bob, normalized)
-        errors = [np.abs(state_after(run(step, start(), 0.8 / n)[0], n).q - exact.q).max() for n in (16, 32)]
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.03)
+        step = li.schemes.sphere_midpoint(BOBS["cubic"], normalized)
         there = state_after(run(step, start(), 0.1)[0], 1)
         np.testing.assert_allclose(state_after(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
 
