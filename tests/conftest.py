@@ -74,6 +74,23 @@ def fresh_folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def lieint(capsys):
+    """Calls the command: what it prints, or by `lieint.refuse` its error message, of a call that ends with 2."""
+    from lieint_jax.app.command import cli
+
+    def end(code, arguments):
+        capsys.readouterr()
+        assert cli.main([str(x) for x in arguments]) == code
+        return capsys.readouterr()
+
+    def called(*arguments):
+        return end(0, arguments).out
+
+    called.refuse = lambda *arguments: end(2, arguments).err
+    return called
+
+
+@pytest.fixture
 def small_chunks(monkeypatch):
     """Commits after every 4 saves, so that a short run has many."""
     from internals import commit_every

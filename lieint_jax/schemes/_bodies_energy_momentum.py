@@ -56,13 +56,7 @@ class _Ends(NamedTuple):
 
 @pytree
 class BodiesEnergyMomentum(Step):
-    """The step made by `bodies_energy_momentum`.
-
-    Attributes:
-        system: bodies in a potential, with dissipation and given forces or without.
-        iterations: the most iterations of a step in float64.
-        solver: "fixed_point" or "newton".
-    """
+    """The step made by `bodies_energy_momentum`."""
 
     system: AbstractRigidBodies | AbstractDissipativeBodies
     iterations: int = static()
@@ -337,8 +331,6 @@ PROPERTIES = SchemeProperties(
     name="bodies_energy_momentum",
     systems="several bodies, with dissipation or given forces too",
     conserves=("energy", "energy less work", "momentum"),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
     aliases=("energy–momentum method",),
     source="Lewis & Simo 1994, Results 1 to 3, for several bodies: this package",

@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import kirchhoff
 from lieint_jax.systems import kirchhoff as ellipsoid
 
 
 @pytest.mark.long
-def test_kirchhoff_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
+def test_kirchhoff_runs_from_the_command_line(tmp_path, monkeypatch, lieint):
     """The nominal member, a steady motion, stays as it is; energy and Casimirs at round-off, momentum bit for bit."""
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["run", "kirchhoff", "--members", "3", "--steps", "400"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "kirchhoff", "--members", "3", "--steps", "400")
     assert "3 of 3 members converged" in out
     found = {
         name: float(x) for name, x in re.findall(r"^  (energy|spatial momentum π|Π·P|\|P\|²) +(\S+)   \w", out, re.M)

@@ -9,19 +9,17 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import water
 from lieint_jax.types import State, StepInfo, Trajectory
 
 
 @pytest.mark.long
-def test_water_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
+def test_water_runs_from_the_command_line(tmp_path, monkeypatch, lieint):
     """The first peak of one droplet of 8 scatters by 0.005 nm, too much for its bound; of 8 droplets by 0.002."""
     monkeypatch.chdir(tmp_path)
     table = Path(scenarios.__file__).with_name("water.toml").read_text(encoding="utf-8")
     Path("small.toml").write_text(table.replace("molecules = 64", "molecules = 8"), encoding="utf-8")
-    assert cli.main(["run", "small.toml", "--steps", "400", "--members", "8"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "small.toml", "--steps", "400", "--members", "8")
     assert "8 of 8 members converged" in out
     found = {
         name: float(x)
