@@ -77,7 +77,9 @@ class BodiesEnergyMomentum(Step):
             ends, info = equation.solve(equation.guess(), most, 2, most)
         force, power = equation.force(ends), equation.applied(ends)[1]
         entered = equation.mutual(ends)[1]
-        good = jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
+        good = jnp.all(jnp.isfinite(force)) & jnp.all(
+            jax.vmap(lambda J: symmetric(J).well_conditioned)(self.system.inertias)
+        )
         work = None if state.work is None else state.work + equation.dt * power + entered
         end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
         return end, info._replace(converged=info.converged & good)
@@ -321,10 +323,6 @@ def _relative(step: _Ends, ends: _Ends) -> Array:
 def _parts(q: Array) -> tuple[Array, Array]:
     """Positions and rotations of configurations (N, 7)."""
     return q[:, :3], jax.vmap(so3.to_matrix)(q[:, 3:])
-
-
-def _well_conditioned(J: Array) -> Array:
-    return symmetric(J).well_conditioned
 
 
 PROPERTIES = SchemeProperties(

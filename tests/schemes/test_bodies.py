@@ -1,6 +1,5 @@
 """Several rigid bodies: the system, gravity to second order, splitting, and the energy–momentum scheme."""
 
-import functools
 from types import SimpleNamespace
 
 import jax
@@ -225,17 +224,6 @@ def test_certificates_do_not_depend_on_units():
     assert other.order == pytest.approx(one.order, abs=1e-6)
     assert other.reversibility < 2e-15
     assert other.energy == pytest.approx(one.energy, rel=1e-6)
-
-
-@pytest.mark.long
-def test_an_ensemble_of_binaries_is_the_binaries_one_by_one(tmp_path):
-    p = START.p[None] * (1 + 0.01 * jnp.arange(5.0))[:, None, None]
-    states = li.State(jnp.broadcast_to(START.q, (5, *START.q.shape)), p)
-    run = functools.partial(li.ensemble.run, SPLITTING, states, DT, 40, save_every=10, progress=False)
-    memory, stored = run(), run(store=tmp_path / "run.zarr")
-    np.testing.assert_array_equal(memory.state.q, stored.state.q[...])
-    alone = li.integrate(SPLITTING, li.State(START.q, p[3]), DT, 40, save_every=10)
-    np.testing.assert_allclose(memory.state.q[:, 3], alone.state.q, rtol=0, atol=3e-15)
 
 
 @pytest.mark.long

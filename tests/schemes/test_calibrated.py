@@ -11,7 +11,7 @@ from linearized import there_and_back
 from repeated import once
 
 import lieint_jax as li
-from lieint_jax import diagnostics, ensemble
+from lieint_jax import diagnostics
 from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.groups import so3
 from lieint_jax.schemes import calibrated, preprocessed
@@ -128,16 +128,6 @@ def test_derivatives_of_calibrated_steps_are_those_of_the_exact_flow(J):
     found, true = both_derivatives(np.array(J, float), *(np.array(x, float) for x in zip(*cases, strict=True)))
     assert found.shape == (14, 4, 7)
     assert np.abs(np.asarray(found) - true).max() < 3e-15  # floor 3e-16
-
-
-@pytest.mark.long
-def test_an_ensemble_prepares_every_member():
-    body = RigidBody(J123)
-    states = jax.vmap(state_with)(momenta(20) * jnp.linspace(0.1, 1, 20)[:, None])
-    run = ensemble.run(calibrated(body), states, 0.5, 80, progress=False)
-    assert run.info.converged.all()
-    true = jax.vmap(body.solution, (0, None))(states, 40.0)
-    assert np.asarray(jax.vmap(so3.angle)(run.state.q[-1], true.q)).max() < 1e-12
 
 
 prepared = jax.jit(lambda step, state, dt: step.prepare(state, dt))

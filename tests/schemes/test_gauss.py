@@ -187,22 +187,6 @@ def test_in_a_canonical_chart_of_a_group_the_form_is_conserved_and_the_momentum_
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("sweeps", [None, 12])
-def test_a_member_of_an_ensemble_has_an_inertia_and_a_weight_of_its_own(sweeps):
-    """Each as by itself."""
-    inertias = jnp.array([1.0, 2.0, 2.6]) * (1 + 0.1 * jnp.cos(jnp.arange(3.0)))[:, None]
-    weights = jnp.array([[0.1, 0.2, 0.5], [0.0, 0.0, 1.0], [0.3, 0.0, 0.0]])
-    steps = jax.vmap(lambda J, w: schemes.gauss(systems.heavy_top(J, w), 4, sweeps))(inertias, weights)
-    states = jax.vmap(lambda w: TOP.state(angular_velocity=w))(jnp.eye(3))
-    run = li.ensemble.run(steps, states, 0.1, 5, step_axis=0, progress=False)
-    for k in range(3):
-        own, start = jax.tree.map(lambda x, k=k: x[k], (steps, states))
-        path = li.integrate(own, start, 0.1, 5, save_every=5)
-        for one, other in zip(jax.tree.leaves(run.state), jax.tree.leaves(path.state), strict=True):
-            np.testing.assert_allclose(one[-1, k], other[-1], rtol=0, atol=2e-15)
-
-
-@pytest.mark.long
 def test_too_few_sweeps_and_too_long_steps_are_flagged():
     step = schemes.gauss(TOP, sweeps=4)
     few, info = jax.jit(step)(STATE, 0.25)

@@ -283,17 +283,6 @@ def test_compositions_are_balanced_too():
 
 
 @pytest.mark.long
-def test_machine_code_and_xla_agree_and_run_back():
-    """After 500 steps, in which rounding differs."""
-    step, state = case()
-    states = jax.tree.map(lambda x: jnp.stack([x, x, x]), state)._replace(t=state.t)
-    found = li.ensemble.run(step, states, 0.05, 500, progress=False)
-    path = li.integrate(step, state, 0.05, 500, save_every=500)
-    for name in ("q", "p", "work"):
-        np.testing.assert_allclose(getattr(found.state, name)[-1, 1], getattr(path.state, name)[-1], rtol=0, atol=2e-13)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("law", [LAW, LAW_Q], ids=["constant_lag", "constant_q"])
 def test_derivatives_forward_reverse_and_by_differences_agree(law):
     """Of the path and the loss, in every number of the bodies and the tides."""
