@@ -74,8 +74,11 @@ def fresh_folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def lieint(capsys):
-    """Calls the command: what it prints, or by `lieint.refuse` its error message, of a call that ends with 2."""
+def lieint(capsys, fresh_folder):
+    """Calls the command in a fresh folder: what it prints.
+
+    `lieint.refuse` gives the error message of a call that ends with 2; `lieint.drew` asserts that files are pictures.
+    """
     from lieint_jax.app.command import cli
 
     def end(code, arguments):
@@ -86,6 +89,10 @@ def lieint(capsys):
     def called(*arguments):
         return end(0, arguments).out
 
+    def drew(*names):
+        assert all(Path(name).read_bytes().startswith(b"\x89PNG") for name in names)
+
+    called.drew = drew
     called.refuse = lambda *arguments: end(2, arguments).err
     return called
 

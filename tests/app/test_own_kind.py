@@ -33,7 +33,7 @@ def test_the_kind_of_the_page_runs_by_the_command(folder, lieint):
     assert re.search(r"energy, relative +\S+   bounded, not conserved", out)
     assert "a top sleeps if it spins faster than 4 rad/s" in out
     assert "3 of 3 members converged" in out
-    assert Path("top-tilt.png").read_bytes().startswith(b"\x89PNG")
+    lieint.drew("top-tilt.png")
     with np.load("top.npz") as stored:
         assert stored["q"].shape == (101, 3, 4)
     assert "does not choose what is imported: give --kind FILE.py:CLASS" in lieint.refuse("plot", "top.npz", "--force")

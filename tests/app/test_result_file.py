@@ -113,7 +113,6 @@ def test_other_files_are_not_mistaken_for_studies(tmp_path):
 @pytest.mark.parametrize("name", study.studies_by_name())
 def test_plot_redoes_a_study_from_its_file(name, tmp_path, monkeypatch, lieint):
     """The report in the same words and the picture pixel by pixel; a second run replaces neither."""
-    monkeypatch.chdir(tmp_path)
     report = lieint("study", name, "--quick").partition("\nwritten:")[0]
     first = (tmp_path / f"study-{name}.png").read_bytes()
     assert "--force" in lieint.refuse("plot", f"study-{name}.npz")

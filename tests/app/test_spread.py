@@ -311,8 +311,7 @@ def test_members_of_uncertain_inertia_scatter_as_the_derivatives_predict():
 
 
 @pytest.mark.long
-def test_the_command_line_draws_and_stores_the_members_own_numbers(tmp_path, monkeypatch, lieint):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_line_draws_and_stores_the_members_own_numbers(lieint):
     text = scenarios.resources.files("lieint_jax.app.scenarios").joinpath("driven.toml").read_text(encoding="utf-8")
     spread = "[spread]\ninertia_percent = 1.0\norbit.eccentricity = 0.001"
     Path("my.toml").write_text(text.replace("[spread]", spread), encoding="utf-8")

@@ -72,9 +72,8 @@ TRUTH = (0.02, -0.01, 0.015, 0.6, 0.8, 0.5, 0.3, 0.4)  # of the page's data: bia
 
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the error of the steps moves")
-def test_the_study_of_the_page_finds_the_truth_within_its_errors(tmp_path, monkeypatch, capsys, lieint):
+def test_the_study_of_the_page_finds_the_truth_within_its_errors(capsys, lieint):
     """By the command, from the page's CSV. With large steps it warns of them; `lieint plot` needs no mine.py."""
-    monkeypatch.chdir(tmp_path)
     make, mine = (code for _, code in blocks(PAGE.read_text(encoding="utf-8"), "python"))
     exec(compile(make, "make", "exec"), {})
     better = "li.schemes.preprocessed(body, 6)"
@@ -231,8 +230,7 @@ def draw(answer):
 """
 
 
-def test_a_file_with_functions_is_a_study_and_its_results_choose_no_file(tmp_path, monkeypatch, lieint):
-    monkeypatch.chdir(tmp_path)
+def test_a_file_with_functions_is_a_study_and_its_results_choose_no_file(tmp_path, lieint):
     Path("mine.py").write_text(FUNCTIONS, encoding="utf-8")
     assert "the answer is 42" in lieint("study", "mine.py", "--quick")
     assert "--study" in lieint.refuse("plot", "study-mine.npz", "--force")
@@ -256,8 +254,7 @@ def test_a_file_with_functions_is_a_study_and_its_results_choose_no_file(tmp_pat
         ("x = 1\n\ny = (", "mine.py, line 3: SyntaxError"),
     ],
 )
-def test_a_file_that_is_no_study_is_refused_in_a_sentence(content, words, tmp_path, monkeypatch, lieint):
-    monkeypatch.chdir(tmp_path)
+def test_a_file_that_is_no_study_is_refused_in_a_sentence(content, words, tmp_path, lieint):
     if content is not None:
         Path("mine.py").write_text(content, encoding="utf-8")
     assert words in lieint.refuse("study", "mine.py")

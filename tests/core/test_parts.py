@@ -483,8 +483,7 @@ def test_the_part_of_a_task_follows_the_variables_of_its_scheduler():
 
 
 @pytest.mark.long
-def test_the_command_line_runs_parts(tmp_path, monkeypatch, capsys, lieint):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_line_runs_parts(monkeypatch, capsys, lieint):
     Path("book.toml").write_text(scenario_files.book(members="members = 10"))
     command = ["run", "book.toml", "--out", "run.zarr", "--part"]
     assert "part 1 of 2 is complete in run.zarr" in lieint(*command, "1/2")

@@ -786,8 +786,7 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
 
 
 @pytest.mark.long
-def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, lieint):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_line_writes_resumes_and_shows(tmp_path, lieint):
     (tmp_path / "book.toml").write_text(scenario_files.book(steps="steps = 2000", members="members = 100"))
     arguments = ["run", "book.toml", "--out", "run.zarr", "--members", "3"]
     assert "3 of 3 members converged at every step" in lieint(*arguments, "--devices", "1")
@@ -810,8 +809,7 @@ def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, lieint
 
 
 @pytest.mark.long
-def test_the_command_line_draws_what_is_in_a_store(tmp_path, monkeypatch, lieint):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_line_draws_what_is_in_a_store(tmp_path, lieint):
     (tmp_path / "book.toml").write_text(scenario_files.book(steps="steps = 2000", members="members = 100"))
     assert cli.main(["run", "book.toml", "--out", "run.zarr", "--members", "3"]) == 0
     assert "precession period" in lieint("plot", "run.zarr")
