@@ -56,13 +56,7 @@ class _Ends(NamedTuple):
 
 @pytree
 class BodiesEnergyMomentum(Step):
-    """The step made by `bodies_energy_momentum`.
-
-    Attributes:
-        system: bodies in a potential, with dissipation and given forces or without.
-        iterations: the most iterations of a step in float64.
-        solver: "fixed_point" or "newton".
-    """
+    """The step made by `bodies_energy_momentum`."""
 
     system: AbstractRigidBodies | AbstractDissipativeBodies
     iterations: int = static()
@@ -83,7 +77,9 @@ class BodiesEnergyMomentum(Step):
             ends, info = equation.solve(equation.guess(), most, 2, most)
         force, power = equation.force(ends), equation.applied(ends)[1]
         entered = equation.mutual(ends)[1]
-        good = jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
+        good = jnp.all(jnp.isfinite(force)) & jnp.all(
+            jax.vmap(lambda J: symmetric(J).well_conditioned)(self.system.inertias)
+        )
         work = None if state.work is None else state.work + equation.dt * power + entered
         end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
         return end, info._replace(converged=info.converged & good)
@@ -329,16 +325,10 @@ def _parts(q: Array) -> tuple[Array, Array]:
     return q[:, :3], jax.vmap(so3.to_matrix)(q[:, 3:])
 
 
-def _well_conditioned(J: Array) -> Array:
-    return symmetric(J).well_conditioned
-
-
 PROPERTIES = SchemeProperties(
     name="bodies_energy_momentum",
     systems="several bodies, with dissipation or given forces too",
     conserves=("energy", "energy less work", "momentum"),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
     aliases=("energy–momentum method",),
     source="Lewis & Simo 1994, Results 1 to 3, for several bodies: this package",

@@ -47,10 +47,7 @@ class Extrapolated(Step):
     """The step made by `extrapolate`.
 
     Attributes:
-        system: any system.
-        order: even.
         form: the name of the chart in which it integrates.
-        increments: whether sub-steps add up increments, not unknowns.
     """
 
     system: System

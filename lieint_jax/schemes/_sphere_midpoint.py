@@ -29,13 +29,7 @@ _TURN = 2.5  # radians; no step of a midpoint rule turns by 180°, and near that
 
 @pytree
 class SphereMidpoint(Step):
-    """The step made by `sphere_midpoint`.
-
-    Attributes:
-        system: a pendulum.
-        normalized: whether r lies on the sphere.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `sphere_midpoint`."""
 
     system: AbstractSphereSystem
     normalized: bool = static()
@@ -117,8 +111,6 @@ PROPERTIES = SchemeProperties(
     name="sphere_midpoint",
     systems="the spherical pendulum",
     conserves=("momentum", "energy (plain)", "form (normalized)"),
-    order=2,
-    symmetric=True,
     limit="less than 180° a step",
     aliases=("midpoint rule on T*S²",),
     source="Lewis & Simo 1994, (1.6)",

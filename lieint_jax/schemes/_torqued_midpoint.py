@@ -72,13 +72,7 @@ __all__ = ["DampedMidpoint", "TorquedMidpoint", "torqued_midpoint"]
 
 @pytree
 class TorquedMidpoint(Step):
-    """The step made by `torqued_midpoint` for a body with a torque.
-
-    Attributes:
-        system: a rigid body with a torque, also one whose inertia changes in time.
-        kappa: the scaling κ.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `torqued_midpoint` for a body with a torque."""
 
     system: AbstractTorquedBody | AbstractTorquedBodyInTime
     kappa: Kappa
@@ -135,13 +129,7 @@ class TorquedMidpoint(Step):
 
 @pytree
 class DampedMidpoint(Step):
-    """The step made by `torqued_midpoint` for a body with internal friction.
-
-    Attributes:
-        system: a rigid body with internal friction.
-        kappa: the scaling κ.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `torqued_midpoint` for a body with internal friction."""
 
     system: AbstractDampedBody
     kappa: Kappa
@@ -249,8 +237,6 @@ PROPERTIES = SchemeProperties(
     name="torqued_midpoint",
     systems="bodies with torques, also with J(t), or internal friction",
     conserves=("energy less work",),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("energy–momentum midpoint rule",),
     source="Lewis & Simo 1994, Results 1 to 3, with torques: this package",

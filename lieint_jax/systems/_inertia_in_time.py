@@ -92,12 +92,7 @@ class _InTime(AbstractBodyInTime):
 
 @pytree
 class InertiaInTime(_InTime, AbstractFreeBodyInTime):
-    """H = ½ Π·J(t)⁻¹Π: Λ̇ = ΛΩ̂, π̇ = 0. Made by `inertia_in_time`.
-
-    Attributes:
-        inertia: J, a function of time with values (3,) or (3, 3).
-        rate: J̇, or None: then by JAX.
-    """
+    """H = ½ Π·J(t)⁻¹Π: Λ̇ = ΛΩ̂, π̇ = 0. Made by `inertia_in_time`."""
 
     inertia: _Inertia
     rate: _Inertia | None
@@ -108,12 +103,7 @@ class InertiaInTime(_InTime, AbstractFreeBodyInTime):
 
 @pytree
 class TorquedInertiaInTime(_InTime, AbstractTorquedBodyInTime):
-    """H = ½ Π·J(t)⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `inertia_in_time` with a torque.
-
-    Attributes:
-        inertia, rate: as in `InertiaInTime`.
-        torque: a law of torque, or the sum of several.
-    """
+    """H = ½ Π·J(t)⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `inertia_in_time` with a torque."""
 
     inertia: _Inertia
     rate: _Inertia | None

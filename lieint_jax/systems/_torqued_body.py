@@ -28,12 +28,7 @@ __all__ = ["TorquedBody", "torqued_body"]
 
 @pytree
 class TorquedBody(TimedBody, AbstractTorquedBody):
-    """H = ½ Π·J⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `torqued_body`.
-
-    Attributes:
-        inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
-        torque: a law of torque, or the sum of several.
-    """
+    """H = ½ Π·J⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `torqued_body`."""
 
     inertia: Array
     torque: Law

@@ -10,8 +10,6 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics
-from lieint_jax.diagnostics.tangent import value_and_jacobian
-from lieint_jax.groups import so3
 from lieint_jax.types import State, Step, StepInfo, pytree
 
 BODIES = jax.jit(_discover.modules_with("examples", li.systems)["rigid_body"].examples)()
@@ -39,37 +37,6 @@ class Euler(Step):
     def advance(self, state, dt):
         rate = self.system.vector_field(state)
         return State(state.q + dt * rate.q, state.p + dt * rate.p), StepInfo(jnp.zeros(()), jnp.ones((), bool))
-
-
-@jax.jit
-def _linearized(step, state, dt):
-    """The state after a step, and its `linearization`, which comes with it."""
-    end, _, L = value_and_jacobian(step.system.phase_space, lambda z: step(z, dt), state)
-    return end, L
-
-
-_perturbed = jax.jit(BODY.phase_space.perturb)
-
-
-@jax.jit
-def _turn(a, b):
-    """The rotation from b to a, in space."""
-    return so3.log(so3.multiply(a, so3.inverse(b)))
-
-
-@pytest.mark.paper("3: (3.1), (3.2)", "symplectic maps", "diagnostics/_symplectic.py")
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "name", [name for name in GRID if "full_tensor-" in name and "-exact" not in name and "-cal" not in name]
-)
-def test_linearized_steps_agree_with_differences(name):
-    step, state, dt = GRID[name]
-    (_, L), h = _linearized(step, state, dt), 1e-5
-    columns = []
-    for e in np.eye(6):
-        ahead, behind = (_linearized(step, _perturbed(state, s * h * e), dt)[0] for s in (1, -1))
-        columns.append(np.concatenate([_turn(ahead.q, behind.q), np.asarray(ahead.p) - behind.p]) / (2 * h))
-    np.testing.assert_allclose(L, np.stack(columns, axis=1), rtol=0, atol=1e-9)
 
 
 @jax.jit

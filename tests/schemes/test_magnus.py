@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+import slopes
 from grid import examples_of
 from scipy.spatial.transform import Rotation
 
@@ -246,24 +247,7 @@ def test_means_of_parabolas_are_the_means_given():
 def test_derivatives_by_the_parameters_of_the_rate(name):
     """Forward, reverse by undoing steps, and differences of fourth order."""
     system, state, dt = EXAMPLES[name]
-
-    @jax.jit
-    def end(x):
-        moved = systems.kinematics(
-            system.group, jax.tree_util.Partial(system.rate.func, system.rate.args[0] + x), system.frame
-        )
-        return jnp.sum(li.reversible(made(moved), state, dt, 20).state.q[-1] * jnp.arange(4.0))
-
-    def forward(x):
-        moved = systems.kinematics(
-            system.group, jax.tree_util.Partial(system.rate.func, system.rate.args[0] + x), system.frame
-        )
-        return jnp.sum(li.integrate(made(moved), state, dt, 20).state.q[-1] * jnp.arange(4.0))
-
-    slope, h = jax.jit(jax.grad(end))(0.0), 1e-3
-    differences = (8 * (end(h) - end(-h)) - end(2 * h) + end(-2 * h)) / (12 * h)
-    assert slope == pytest.approx(float(jax.jit(jax.jacfwd(forward))(0.0)), rel=1e-12)
-    assert slope == pytest.approx(float(differences), rel=1e-8)
+    slopes.assert_agree(made(system), state, dt)
 
 
 @pytest.mark.long

@@ -141,23 +141,6 @@ def test_the_canonical_defect_is_that_of_the_literature():
 
 
 @pytest.mark.long
-def test_preprocessed_steps_have_derivatives_and_vmap():
-    J = BODIES["principal"].inertia
-    state = moving(J)
-
-    def end(J, dt):
-        return preprocessed(RigidBody(J), 6)(state, dt)[0].q[1]
-
-    by_J, by_dt = jax.jit(jax.grad(end, argnums=(0, 1)))(J, 0.3)
-    h = 1e-6
-    changes = h * np.array([*np.eye(4), *-np.eye(4)])
-    ends = jax.jit(jax.vmap(end))(np.asarray(J) + changes[:, :3], 0.3 + changes[:, 3])
-    assert ends.shape == (8,)
-    for slope, plus, minus in zip([*by_J, by_dt], ends[:4], ends[4:], strict=True):
-        assert slope == pytest.approx(float(plus - minus) / (2 * h), rel=1e-7)
-
-
-@pytest.mark.long
 def test_a_step_that_is_too_large_is_refused():
     body = BODIES["principal"]
     with pytest.raises(ValueError, match=r"preprocessed\[4\]: the series .* do not hold at dt = 3.0"):

@@ -329,9 +329,6 @@ def test_the_axis_of_an_oblate_body_precesses_by_the_mean_torque():
     assert turned(satellite, state) / (20 * np.pi) == pytest.approx(rate, rel=2e-3)
 
 
-# Derivatives ----------------------------------------------------------------------------------------------------------
-
-
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 
@@ -346,19 +343,6 @@ def test_a_time_too_large_for_its_type_warns():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         li.integrate(step, state, 0.05, 2)
-
-
-@pytest.mark.long
-def test_driven_bodies_in_float32_stay_in_float32():
-    with jax.enable_x64(False):
-        satellite = systems.gravity_gradient(np.float32(J), li.orbits.kepler(*np.float32([1.0, 1.0, 0.1])))
-        state = satellite.state(angular_velocity=np.float32([0.2, 0.3, 1.0]), work=0.0)
-        step = schemes.top_energy_momentum(satellite)
-        with pytest.warns(RuntimeWarning, match="or use float64"):
-            path = li.integrate(step, state, 0.05, 200)
-        assert {x.dtype for x in jax.tree.leaves(path.state)} == {np.dtype("float32")}
-        assert path.info.converged.all()
-        assert np.abs(diagnostics.energy_error(satellite, path)).max() < 2e-5
 
 
 def test_another_orbit_of_the_same_kind_has_the_same_tree_structure():

@@ -274,14 +274,3 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
     form = [[q @ (np.cross(dq[i], dp[j]) + np.cross(dp[i], dq[j])) for j in range(4)] for i in range(4)]
     np.testing.assert_allclose(form, omega, rtol=0, atol=2e-15)
     np.testing.assert_allclose(omega.T @ field, slope, rtol=0, atol=1e-14)  # ω(X_H, ·) = dH
-
-
-@pytest.mark.long
-def test_the_pendulum_in_float32_stays_in_float32():
-    with jax.enable_x64(False):
-        bob = li.systems.pendulum(1.5, 2.0)
-        state = bob.state([0.6, 0.0, -0.8], velocity=[0.0, 0.7, 0.0])
-        trajectory, (energy, *_) = run(li.schemes.sphere_midpoint(bob, True), state)
-        assert trajectory.state.q.dtype == trajectory.state.p.dtype == trajectory.info.residual.dtype == jnp.float32
-        assert trajectory.info.converged[:51].all()
-        assert np.abs(energy[:51]).max() < 2e-5
