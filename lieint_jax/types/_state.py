@@ -105,11 +105,11 @@ class Trajectory(NamedTuple):
                 axes) where the system has one.
             units: units by name of a variable or of the coordinate time, such as {"time": "d"}; by default none.
             system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading
-                axis of the leaves (`own_step=True` of `li.run`); "auto" infers it from the shapes.
+                axis of the leaves (`own_step=True` of `li.run`); with "auto" as in `diagnostics.energy_error`.
 
         Raises:
-            ValueError: `units` names no variable; the shapes contradict `system_axis`, or are ambiguous; the axes of
-                the run are (member, time).
+            ValueError: `units` names no variable; the shapes contradict `system_axis`; the axes of the run are (member,
+                time).
             ImportError: xarray is not installed.
         """
         return labeled.dataset(self, system, units or {}, system_axis)
@@ -127,7 +127,7 @@ class Trajectory(NamedTuple):
             `Periods`, arrays of shape (n+1,), or (n+1, members).
 
         Raises:
-            ValueError: the system has no periods; the shapes contradict `system_axis`, or are ambiguous.
+            ValueError: the system has no periods; the shapes contradict `system_axis`.
         """
         if not hasattr(body, "periods"):
             raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
