@@ -87,7 +87,12 @@ class Run(Generic[Saved, Reduced]):
 
     @staticmethod
     def of(
-        step: Step, trajectory: Trajectory, own_step: bool = False, epoch: dates.DateLike | None = None
+        step: Step,
+        trajectory: Trajectory,
+        own_step: bool = False,
+        epoch: dates.DateLike | None = None,
+        *,
+        time_unit: str = "1",
     ) -> Run[Trajectory, None]:
         """The run of states that are known already, such as those of `integrate` inside of jit.
 
@@ -98,6 +103,7 @@ class Run(Generic[Saved, Reduced]):
             trajectory: the saved states, (times, …), or (times, members, …) of a batch.
             own_step: whether each member has a step of its own.
             epoch: the date of t = 0, as in `li.run`.
+            time_unit: the unit of t, such as "d".
 
         Raises:
             ValueError: states of another shape than the step's system needs.
@@ -105,7 +111,8 @@ class Run(Generic[Saved, Reduced]):
         batch = is_batch(step, jax.tree.map(lambda x: x[0], trajectory.state), own_step)
         good = jnp.asarray(trajectory.info.converged)
         failed = jnp.where(good.all(axis=0), -1, jnp.argmin(good, axis=0) - 1)
-        facts = Facts(batch, own_step, None, len(trajectory.t) - 1, None, "", (), epoch=dates.text_of(epoch))
+        facts = Facts(batch, own_step, None, len(trajectory.t) - 1, None, "", ())
+        facts = facts._replace(epoch=dates.text_of(epoch), time_unit=time_unit)
         return Run(step, None, trajectory, None, failed, None, None, None, facts)
 
     @property
