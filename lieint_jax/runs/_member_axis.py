@@ -25,7 +25,7 @@ def member_of(found: Any, k: int) -> Any:
 def _of_members(summary: Summary | MemberSummary) -> dict[str, Tree]:
     """The fields of a summary that have a member axis."""
     names = ("state", "failed", *(Change._fields if isinstance(summary, MemberSummary) else ()))
-    return {name: getattr(summary, name) for name in names}
+    return {name: x for name, x in summary._asdict().items() if name in names}
 
 
 def with_member_axis(tree: Tree, axis: int = 0) -> Tree:

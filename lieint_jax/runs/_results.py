@@ -196,7 +196,7 @@ def _feed(job: Job, saves: Saves, layout: Layout, output: StoreOutput) -> None:
         states = jax.tree.map(lambda x: x[0], rows[1])
         change = None
     else:
-        rows = {name: getattr(found, name) for name in first_entry(job)}
+        rows = {name: found._asdict()[name] for name in first_entry(job)}
         states = job.without_time(found.state)
         change = found.change if isinstance(found, MemberSummary) else job.first_change(saves.failed, None)
     carry = _loop.start(states, change)

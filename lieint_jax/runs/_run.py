@@ -258,8 +258,6 @@ class Run(Generic[Saved, Reduced]):
         Raises:
             ValueError: the system has no periods.
         """
-        if not hasattr(self.system, "periods"):
-            raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {self.system!r}")
         return self.map(_values.periods)
 
     def rotations(self) -> Rotation:

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 from jax import Array
 
-from lieint_jax.types import State, Step, energy_less_work
+from lieint_jax.types import State, Step, energy_less_work, periods_of
 
 
 @lru_cache(16)
@@ -38,7 +38,7 @@ def defect(step: Step, state: State) -> Array:
 
 
 def periods(step: Any, state: State) -> Any:
-    return step.system.periods(state)
+    return periods_of(step.system, state)
 
 
 def from_start(series: Array) -> Array:

@@ -129,9 +129,7 @@ class Trajectory(NamedTuple):
         Raises:
             ValueError: the system has no periods; the shapes contradict `system_axis`.
         """
-        if not hasattr(body, "periods"):
-            raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
-        return map_over_run(lambda own, z: own.periods(z), body, self, system_axis)
+        return map_over_run(periods_of, body, self, system_axis)
 
     def rotations(self) -> Any:
         """The attitudes, body to space, as `scipy.spatial.transform.Rotation` of shape (n+1, …).
@@ -144,6 +142,13 @@ class Trajectory(NamedTuple):
             ValueError: q does not hold quaternions.
         """
         return labeled.rotations(self)
+
+
+def periods_of(body: Any, state: State) -> Any:
+    """`body.periods(state)`; ValueError if the system has none."""
+    if not hasattr(body, "periods"):
+        raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
+    return body.periods(state)
 
 
 def counts_work(state: State) -> bool:

@@ -282,7 +282,7 @@ class Binary(Kind):
         brief = self.drawn(one, _FINE, steps)  # the primary rotates once in few steps
         parts = measure.pair_energies(brief)
         size, names = abs(parts.orbit[0]), _PARTS | {"orbit": "orbit", "shape": "shapes, V + Gm₁m₂/r"}
-        curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
+        curves = {names[key]: (x - x[0]) / size for key, x in parts._asdict().items() if key in names}
         plots.series(left, np.asarray(brief.t) / DAY, curves, "change over |energy of the orbit|", "d")
         left.margins(y=0.25)
         left.legend(loc="upper center", ncols=2)
@@ -322,7 +322,7 @@ def _exchange(run: Run) -> list[str]:
     heads = f"{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|"
     lines = [f"\n  {'energy exchanged, greatest − least (J)':<54}{heads}"]
     for key, name in _PARTS.items():
-        swing = np.ptp(getattr(parts, key), axis=0)
+        swing = np.ptp(parts._asdict()[key], axis=0)
         spread = float(standard_deviation(swing))
         lines.append(f"  {name:<54}{swing[0]:>11.3g}{spread:>12.2g}   {swing[0] / size:.3g}")
     return lines

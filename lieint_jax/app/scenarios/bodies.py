@@ -110,7 +110,7 @@ class Term(keys.Table):
     @model_validator(mode="after")
     def _check_keys(self) -> Self:
         required, optional = _KEYS[self.kind]
-        given = [name for name in type(self).model_fields if name != "kind" and getattr(self, name) is not None]
+        given = [name for name, value in self if name != "kind" and value is not None]
         for name in given:
             if name not in (*required, *optional):
                 allowed = ", ".join((*required, *optional))
