@@ -330,17 +330,18 @@ def _with_parts(value: Any, parts: Mapping[Path, Numbers]) -> Any:
 def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
     """The step and the members' states, for deviates with the member axis.
 
-    Where numbers have a spread, the leaves of the step have the member axis too.
+    Where numbers have a spread, or each member has its own step, the leaves of the step have the member axis too.
     """
-    nominal, own = scenario.make_step(), draw_members(scenario)
-    if not own:
-        return nominal, _with_shared_time(jax.vmap(partial(scenario.start, nominal.system))(noise))
+    own = draw_members(scenario)
 
     def member(numbers: Mapping[Path, Numbers], noise: PyTree) -> tuple[Step, State]:
-        of_member = with_numbers(scenario, numbers)
-        step = of_member.make_step()
-        return step, of_member.start(step.system, noise)
+        return with_numbers(scenario, numbers).member(noise)
 
+    if scenario.own_step:
+        return jax.jit(jax.vmap(member))(own, noise)
+    nominal = scenario.make_step()
+    if not own:
+        return nominal, _with_shared_time(jax.vmap(partial(scenario.start, nominal.system))(noise))
     if scenario.traced:
         try:
             members = jax.jit(jax.vmap(member))(own, noise)
