@@ -2,7 +2,9 @@
 
     python benchmarks/entered.py
 
-Each call is made in a process of its own, the first time and again. Counted by `sys.setprofile`.
+Each call is made in a process of its own, the first time and again. Counted by `sys.setprofile`; bodies of classes, of
+modules that the first call imports, are no functions. `python benchmarks/entered.py "CALL"` lists the functions of the
+first call by file, such as those of "li.run(step, many, 0.05, 40, progress=False)".
 """
 
 import subprocess
@@ -10,7 +12,7 @@ import sys
 from pathlib import Path
 
 SETUP = """
-import sys, tempfile, threading
+import contextlib, inspect, io, os, sys, tempfile, threading
 from pathlib import Path
 import jax
 import lieint_jax as li
@@ -23,7 +25,8 @@ folder = tempfile.TemporaryDirectory()
 root, entered, names = str(Path(li.__file__).parent), set(), iter("ab")
 def watch(frame, event, _):
     code = frame.f_code
-    if event == "call" and code.co_filename.startswith(root) and not code.co_name.startswith("<"):
+    function = code.co_flags & inspect.CO_OPTIMIZED and not code.co_name.startswith("<")
+    if event == "call" and function and code.co_filename.startswith(root):
         entered.add((code.co_filename, code.co_qualname))
 def count(call):
     entered.clear()
@@ -33,22 +36,38 @@ def count(call):
     sys.setprofile(None)
     threading.setprofile(None)
     print(len({file for file, _ in entered}), len(entered))
+def command(*arguments):
+    from lieint_jax.app.command import cli
+    os.chdir(folder.name)
+    with contextlib.redirect_stdout(io.StringIO()):
+        cli.main(arguments)
 """
 CALLS = {
     "`integrate`": "li.integrate(step, one, 0.05, 40)",
     "`run` in memory": "li.run(step, many, 0.05, 40, progress=False)",
     "`run` into a store": "li.run(step, many, 0.05, 40, progress=False, store=f'{folder.name}/{next(names)}.zarr')",
+    "`lieint run toutatis`": "command('run', 'toutatis', '--members', '3', '--steps', '4800')",
 }
+
+
+def output(*lines: str) -> list[str]:
+    """What these lines print in a process of their own."""
+    code = "\n".join([SETUP, *lines])
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.splitlines()
 
 
 def counts(call: str) -> list[list[int]]:
     """The numbers of files and of functions that a call enters, the first time and again."""
-    code = f"{SETUP}\ncount(lambda: {call})\ncount(lambda: {call})"
-    text = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    return [list(map(int, line.split())) for line in text.splitlines()]
+    return [list(map(int, line.split())) for line in output(*[f"count(lambda: {call})"] * 2)]
 
 
 if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        print(
+            *output(f"count(lambda: {sys.argv[1]})", "for f, n in sorted(entered): print(f[len(root) + 1:], n)"),
+            sep="\n",
+        )
+        raise SystemExit
     print(f"Of {len(list((Path(__file__).parents[1] / 'lieint_jax').rglob('*.py')))} files:\n")
     print("| call | files, first | functions, first | files, again | functions, again |\n|---|---|---|---|---|")
     for name, call in CALLS.items():

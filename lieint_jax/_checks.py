@@ -58,6 +58,11 @@ def printable(value: object, most: int = 200, keep: str = "") -> str:
     return "".join(c if c.isprintable() or c in keep or unicodedata.category(c) == "Zs" else _escape(c) for c in cut)
 
 
+def name_of(function: object) -> str:
+    """The name of a function, or else of its class."""
+    return getattr(function, "__name__", type(function).__name__)
+
+
 class _Short(reprlib.Repr):
     """`repr` of the first items of long or nested values."""
 

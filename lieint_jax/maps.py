@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._checks import at_once, concrete
+from lieint_jax._checks import at_once, concrete, name_of
 from lieint_jax._numerics import power_series
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.select import where
@@ -77,7 +77,7 @@ def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
         return kappa
     if not callable(kappa):
         raise ValueError(f"kappa must be a callable of x = |Θ̄|², such as maps.kappa_symplectic, got {kappa!r}")
-    name = getattr(kappa, "__name__", type(kappa).__name__)
+    name = name_of(kappa)
     made = Kappa(callable_pytree(kappa), name=name)
     with at_once():  # concrete inside jit too, unless κ closes over a tracer
         at_zero = made(jnp.zeros(())) if concrete(made) else 1.0
@@ -333,7 +333,7 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
         return tau
     if not callable(tau):
         raise ValueError(f"tau must be a map (group, theta) ↦ group element, such as maps.exponential, got {tau!r}")
-    name = getattr(tau, "__name__", type(tau).__name__)
+    name = name_of(tau)
     if tau is arcsine:
         with at_once():
             arcsine_forms(group)

@@ -20,13 +20,14 @@ def energy_error(
         system: a run, and nothing else; or the system of a trajectory.
         trajectory: a trajectory of one body, or of a batch with the axes (time, member) of `li.run`.
         system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading axis
-            of the leaves (`own_step=True` of `li.run`); "auto" infers it from the shapes.
+            of the leaves (`own_step=True` of `li.run`). With "auto" it is None if the arrays have the shapes of one
+            system; a square one must then be a tensor, symmetric and positive definite. A run needs no axis.
 
     Returns:
         Shape (n+1,), or (n+1, members).
 
     Raises:
-        ValueError: the shapes contradict `system_axis`, or are ambiguous; the axes are (member, time).
+        ValueError: the shapes contradict `system_axis`; the axes are (member, time).
     """
     if isinstance(system, Run):
         return system.energy_error()

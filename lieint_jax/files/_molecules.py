@@ -125,9 +125,12 @@ def read_molecule(path: str | Path, *, masses: Mapping[str, float] | None = None
     found = read_molecules(path, masses=masses, scale=scale)
     if _ending(path) == ".xyz" and len(found) > 1:
         raise ValueError(f"{path} has {len(found)} frames: read_molecules returns a molecule of each")
-    names, elements = (tuple(x for each in found for x in getattr(each, key)) for key in ("names", "elements"))
-    positions, weights = (np.concatenate([getattr(each, key) for each in found]) for key in ("positions", "masses"))
-    return Atoms(names, elements, positions, weights)
+    return Atoms(
+        sum((each.names for each in found), ()),
+        sum((each.elements for each in found), ()),
+        np.concatenate([each.positions for each in found]),
+        np.concatenate([each.masses for each in found]),
+    )
 
 
 def read_molecules(path: str | Path, *, masses: Mapping[str, float] | None = None, scale: float = 1.0) -> list[Atoms]:

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.groups import so3
-from lieint_jax.potentials._potential import Potential, count, invariant_form
+from lieint_jax.potentials._potential import Potential, count, domain, invariant_form
 from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
@@ -50,10 +50,8 @@ class Held(Potential):
         return callable(self.first) or callable(self.last)
 
     @property
-    def domain(self) -> str:
-        """Where V is defined, in words; "" if everywhere."""
-        terms = getattr(self.potential, "terms", (self.potential,))
-        return ". ".join(filter(None, (getattr(term, "domain", "") for term in terms)))
+    def domain(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return domain(self.potential)
 
     @property
     def symmetry(self) -> Array:

@@ -19,8 +19,10 @@ __all__ = [
     "SumPotential",
     "at_time",
     "count",
+    "domain",
     "given_poses",
     "invariant_form",
+    "is_chain",
     "is_driven",
     "symmetry",
     "torques",
@@ -41,6 +43,7 @@ class Potential:
     """
 
     chain = False  # whether each body acts only on the one before and the one after it
+    domain = ""  # where V is defined, in words; "" if everywhere
     driven = False  # whether it has poses that are given functions of time, `poses(t)`, and `at(t)` with those constant
 
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
@@ -93,7 +96,11 @@ class SumPotential(Potential):
 
     @property
     def chain(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return all(getattr(term, "chain", False) for term in self.terms)
+        return all(map(is_chain, self.terms))
+
+    @property
+    def domain(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return ". ".join(filter(None, map(domain, self.terms)))
 
     @property
     def symmetry(self) -> Array | None:
@@ -127,6 +134,16 @@ def count(potential: Callable[[Array, Array], Array]) -> int | None:
 def symmetry(potential: Callable[[Array, Array], Array]) -> Array | None:
     """The projector to the part of (P, L) that a potential or a plain function conserves; None if all is conserved."""
     return getattr(potential, "symmetry", None)
+
+
+def is_chain(potential: Callable[[Array, Array], Array]) -> bool:
+    """Whether by a potential or a plain function each body acts only on the one before and the one after it."""
+    return getattr(potential, "chain", False)
+
+
+def domain(potential: Callable[[Array, Array], Array]) -> str:
+    """Where a potential or a plain function is defined, in words; "" if everywhere."""
+    return getattr(potential, "domain", "")
 
 
 def is_driven(potential: Callable[[Array, Array], Array]) -> bool:

@@ -15,10 +15,12 @@ from lieint_jax.runs._clock import (
     UniformClock,
     at_time,
     clock_of,
+    intervals,
     more_times,
     outputs,
     refuse_far_times,
     refuse_times,
+    saves,
     uniform_clock,
 )
 from lieint_jax.runs._driver import (
@@ -34,7 +36,7 @@ from lieint_jax.runs._driver import (
 )
 from lieint_jax.runs._event import Event, event, events
 from lieint_jax.runs._halved import halved_steps, splits
-from lieint_jax.runs._integrate import integrate, intervals, join_start, of_any_length, rows_for, saves, trajectory
+from lieint_jax.runs._integrate import integrate, join_start, of_any_length, rows_for, trajectory
 from lieint_jax.runs._interpolate import interpolate
 from lieint_jax.runs._job import Summary
 from lieint_jax.runs._layout import count_cores, first_devices, want_devices

@@ -1,4 +1,4 @@
-"""The times of the steps of a run: steps of one size, steps between given times, or times that the step chooses."""
+"""The times of the steps of a run: steps of one size, between given times, or as the step chooses; and of its saves."""
 
 from __future__ import annotations
 
@@ -173,6 +173,21 @@ def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | Rounded
         return StateClock(dt)
     t0 = _checks.as_array(0.0, dt.dtype) if state.t is None else state.t
     return RoundedClock.of_size(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
+
+
+def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
+    """The number of steps between saved states (None: all steps) and of saved states after the initial one."""
+    num_steps = _checks.count("num_steps", num_steps, 0)
+    save_every = max(num_steps, 1) if save_every is None else _checks.count("save_every", save_every, 1)
+    return save_every, saves(num_steps, save_every)
+
+
+def saves(num_steps: int, save_every: int) -> int:
+    """The number of saved states after the initial one; ValueError if `save_every` does not divide `num_steps`."""
+    if num_steps % save_every:
+        near = _checks.nearest_multiples(num_steps, save_every)
+        raise ValueError(f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; use {near} steps")
+    return num_steps // save_every
 
 
 def halved(clock: Clock) -> Clock:

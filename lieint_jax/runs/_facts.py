@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
+from lieint_jax import dates
 from lieint_jax._checks import concrete
-from lieint_jax.runs._job import MemberSummary, list_members
-from lieint_jax.runs.store._leaves import leaves_by_name
+from lieint_jax._version import __version__
+from lieint_jax.runs._job import Job, MemberSummary, list_members
+from lieint_jax.runs.store._leaves import Table, leaves_by_name
+from lieint_jax.types import Trajectory
+
+_SECONDS = {"1": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "day": 86400.0}  # of units of time
 
 
 class Facts(NamedTuple):
@@ -39,6 +46,53 @@ class Facts(NamedTuple):
     source: str = ""
     epoch: str = ""
     time_unit: str = "1"
+
+    @classmethod
+    def of_job(cls, job: Job, engine: str) -> Facts:
+        """Those of a run in memory that this engine has computed."""
+        return cls(
+            batch=job.batch,
+            own_step=job.step_axis == 0,
+            dt=job.dt,
+            num_steps=job.planned_steps,
+            save_every=job.save_every,
+            engine=engine,
+            versions=tuple(package_versions().items()),
+            epoch=job.epoch,
+        )
+
+    @classmethod
+    def of_store(cls, path: str, attributes: Table) -> Facts:
+        """Those of the run in the store at `path`, from its attributes."""
+        described = attributes["run"]
+        return cls(
+            batch=attributes.get("batch", True),
+            own_step=described["step_axis"] == 0,
+            dt=attributes["dt"],
+            num_steps=described.get("num_steps", attributes["num_steps"]),
+            save_every=attributes["save_every"],
+            engine=described.get("engine", "xla"),
+            versions=tuple(described["versions"].items()),
+            complete=attributes["progress"]["complete"],
+            source=path,
+            epoch=described.get("epoch") or "",
+            time_unit=attributes.get("time_unit", "1"),
+        )
+
+
+def dates_of(facts: Facts, start: dates.Epoch, saved: Trajectory) -> np.ndarray:
+    """The dates of the saves, (times,), or (times, members) of members that have their own times."""
+    unit = _SECONDS.get(facts.time_unit)
+    if unit is None:
+        raise ValueError(f"dates need the time in seconds, minutes, hours or days, got {facts.time_unit!r}")
+    t, own = np.asarray(saved.t), saved.state.t
+    shared = own is None or bool(np.all(own == t.reshape(-1, *[1] * (np.ndim(own) - 1))))
+    return start.datetimes(unit * (t if shared else np.asarray(own)))
+
+
+def package_versions() -> dict[str, str]:
+    """The versions of the packages that compute a run, by name."""
+    return {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")}
 
 
 def lines(run: Any) -> dict[str, str]:

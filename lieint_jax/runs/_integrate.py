@@ -25,6 +25,7 @@ from lieint_jax.runs._clock import (
     outputs,
     refuse_far_times,
     refuse_times,
+    saves,
 )
 from lieint_jax.runs._driver import prepared, saved_states
 from lieint_jax.runs._halved import splits
@@ -216,18 +217,3 @@ def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> 
     times = states.t if states.t is not None else t
     assert times is not None  # a state or a clock has the time
     return Trajectory(times, states, info)
-
-
-def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
-    """The number of steps between saved states (None: all steps) and of saved states after the initial one."""
-    num_steps = _checks.count("num_steps", num_steps, 0)
-    save_every = max(num_steps, 1) if save_every is None else _checks.count("save_every", save_every, 1)
-    return save_every, saves(num_steps, save_every)
-
-
-def saves(num_steps: int, save_every: int) -> int:
-    """The number of saved states after the initial one; ValueError if `save_every` does not divide `num_steps`."""
-    if num_steps % save_every:
-        near = _checks.nearest_multiples(num_steps, save_every)
-        raise ValueError(f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; use {near} steps")
-    return num_steps // save_every

@@ -235,29 +235,21 @@ class Job(NamedTuple):
     def member(self, m: int) -> tuple[Step, State]:
         """The step and the initial state of one member."""
         step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[m], self.step)
-        return step, self.member_state(m)
-
-    def member_state(self, m: int) -> State:
-        """The initial state of one member."""
         state = jax.tree.map(lambda leaf: np.asarray(leaf)[m], self.states)
         if self.t0 is not None:
             state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
-        return state
+        return step, state
 
     @property
     def members(self) -> int:
         """The number of members."""
         return self.states.p.shape[0]
 
-    def buffer_rows(self, across: int) -> int:
-        """The number of saves per call of the loop and per chunk of a store with `across` members to a chunk."""
-        return self._rows_of_call(across, False)
+    def buffer_rows(self, across: int, remote: bool = False) -> int:
+        """The number of saves per call of the loop and per chunk of a store with `across` members to a chunk.
 
-    def bucket_rows(self, across: int) -> int:
-        """The same of a store in object storage, where a chunk is an object and each of them a request."""
-        return self._rows_of_call(across, True)
-
-    def _rows_of_call(self, across: int, remote: bool) -> int:
+        If `remote`, a chunk is an object in object storage, and each of them a request.
+        """
         interval = max(self.num_steps // max(self.num_saves, 1), 1)
         return rows_of_call(across, self.members, self.row_bytes, interval, self.num_saves + 1, remote)
 

@@ -18,6 +18,7 @@ import jax
 import numpy as np
 from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 
@@ -205,18 +206,13 @@ def count_processes(mesh: Mesh) -> int:
     return len({device.process_index for device in mesh.devices.flat})
 
 
-def gather_row(mesh: Mesh, row: np.ndarray) -> np.ndarray:
-    """The row of each process, (processes, values), on every process."""
-    count = count_processes(mesh)
+def all_gather(mesh: Mesh, row: ArrayLike) -> np.ndarray:
+    """The row of values of each process, (processes, values), on every process."""
+    count, mine = count_processes(mesh), np.asarray(row)[None]
     if count == 1:
-        return row[None]
+        return mine
     devices = mesh.size // count
-    return _all_gather_rows(mesh, np.tile(row, (devices, 1)))[::devices]
-
-
-def all_gather(mesh: Mesh, *values: float) -> np.ndarray:
-    """The values of each process, (processes, values), on every process."""
-    return gather_row(mesh, np.array(values, float))
+    return _all_gather_rows(mesh, np.tile(mine, (devices, 1)))[::devices]
 
 
 def fail_together(mesh: Mesh, action: Callable[[], _T]) -> _T:
@@ -226,7 +222,7 @@ def fail_together(mesh: Mesh, action: Callable[[], _T]) -> _T:
         result = action()
     except (ValueError, OSError) as failure:
         error = failure
-    failed = np.flatnonzero(all_gather(mesh, error is not None))
+    failed = np.flatnonzero(all_gather(mesh, [error is not None]))
     if error is not None:
         raise error
     if failed.size:
@@ -236,18 +232,18 @@ def fail_together(mesh: Mesh, action: Callable[[], _T]) -> _T:
 
 def all_reduce_max(mesh: Mesh, *values: float) -> tuple[float, ...]:
     """The maximum of each value over all processes (all-reduce), so that they decide alike."""
-    return tuple(all_gather(mesh, *values).max(axis=0).tolist())
+    return tuple(all_gather(mesh, np.array(values, float)).max(axis=0).tolist())
 
 
 def barrier(mesh: Mesh) -> None:
     """Wait until every process has called this."""
-    all_gather(mesh, 0.0)
+    all_gather(mesh, [0.0])
 
 
 def worst_energy_error(layout: Layout, H0: Numbers, H: Numbers, failed: Numbers) -> tuple[float, int]:
     """max|H − H₀| / max|H₀| over all members, and the number of members that have failed."""
     H0_, H_, failed_ = (local_part(layout, x) for x in (H0, H, failed))
     change, size = (np.max(np.abs(x), initial=0.0) for x in (H_ - H0_, H0_))
-    found = all_gather(layout.mesh, float(change), float(size), float(np.sum(failed_ >= 0)))
+    found = all_gather(layout.mesh, [float(change), float(size), float(np.sum(failed_ >= 0))])
     change, size = found[:, :2].max(axis=0)
     return float(change / size if size else change), int(found[:, 2].sum())

@@ -16,8 +16,16 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.native import make_once
 from lieint_jax.runs import _layout
-from lieint_jax.runs._clock import GridClock, RoundedClock, StateClock, UniformClock, clock_of, outputs, refuse_times
-from lieint_jax.runs._integrate import intervals
+from lieint_jax.runs._clock import (
+    GridClock,
+    RoundedClock,
+    StateClock,
+    UniformClock,
+    clock_of,
+    intervals,
+    outputs,
+    refuse_times,
+)
 from lieint_jax.runs._job import Job, chunk_members, list_members
 from lieint_jax.runs._loop import Reduction, energy
 from lieint_jax.runs._made_states import MadeStates, MakeStates
@@ -31,6 +39,33 @@ _ENTRY, _SERIES = 2 * 8, 5 * 8  # bytes of an entry's time and node, and of its 
 _SCALARS = ("t", "work")  # the leaves of states that are scalars for each member, or one scalar for all
 
 
+def is_batch(step: Step, states: State, own_step: bool) -> bool:
+    """Whether states have one axis more than the phase space of the step's system needs."""
+    step, states = checked_step(step), promoted(step, states)[1]
+    if own_step:
+        step = jax.tree.map(lambda x: x[0], step)
+    own = step.system.phase_space.origin
+    axes = {name: np.ndim(getattr(states, name)) - np.ndim(getattr(own, name)) for name in ("q", "p")}
+    if axes["q"] != axes["p"] or axes["q"] not in (0, 1):
+        q, p, needed = np.shape(states.q), np.shape(states.p), (np.shape(own.q), np.shape(own.p))
+        raise ValueError(
+            f"states of {type(step.system).__name__} have q of shape {needed[0]} and p of shape {needed[1]}, those of "
+            f"a batch one leading axis more; got q {q} and p {p}"
+        )
+    return axes["q"] == 1
+
+
+def check_own_steps(step: Step, members: int | None) -> None:
+    """Raise ValueError unless all leaves of a step have a leading axis of so many members."""
+    shapes = [np.shape(x) for x in jax.tree.leaves(checked_step(step))]
+    if any(shape[:1] != (members,) for shape in shapes):
+        given = ", ".join(map(str, dict.fromkeys(shapes)))
+        raise ValueError(
+            f"own_step=True needs a step for each of {members} members, made by jax.vmap, so that every leaf has a "
+            f"leading member axis; got leaves of shapes {given}"
+        )
+
+
 def make_jobs(
     make_job: partial[Job],
     step: Step,
@@ -38,20 +73,19 @@ def make_jobs(
     made: MadeStates | None,
     part: tuple[int, int] | None,
     remote: bool,
-) -> tuple[Job, Job, Split]:
-    """The job of all members, that of this process, and how members are split into parts."""
+) -> tuple[Job, Job]:
+    """The job of all members, and that of this process: of one of the parts, if it has any."""
     if made is None:
         whole = make_job(step, states)
     elif part is not None:
         whole = _describe_whole(make_job, step, made)
     else:
         whole = _make_members(make_job, step, made, range(made.members))
-    split = split_into_parts(whole, 1 if part is None else part[1], remote)
     if part is None:
-        return whole, whole, split
-    own = split.part(part[0])
+        return whole, whole
+    own = split_into_parts(whole, part[1], remote).part(part[0])
     job = whole.restricted(own) if made is None else _make_members(make_job, step, made, own)._replace(part=own)
-    return whole, job, split
+    return whole, job
 
 
 def split_into_parts(job: Job, count: int, remote: bool) -> Split:
@@ -100,8 +134,11 @@ def checked_job(
     reduction, condition = _function(energy if reduce == "energy" else reduce), _function(first)
     clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)
     if save_at is None:
-        _check_size(states, intervals(planned_steps, save_every)[1] + 1, reduction, store)
-        entries = _entries_by_count(clock, planned_steps, save_every, dtype)
+        interval, num_saves = intervals(planned_steps, save_every)
+        _check_size(states, num_saves + 1, reduction, store)
+        nodes = interval * np.arange(num_saves + 1)
+        times = clock.time(nodes if isinstance(clock, GridClock) else nodes.astype(dtype))
+        entries = np.asarray(times), nodes, None, interval
     else:
         refuse_times(step, "save_at")
         if save_every is not None or reduce is not None:
@@ -112,7 +149,6 @@ def checked_job(
     job = Job(step, states, t0, size, clock, planned_steps, *entries, step_axis, reduction)
     job = job._replace(per_member=per is not None, condition=condition, batch=batch, epoch=epoch)
     _check_job(job, first_member)
-    _check_reduction(job)
     _checks.time_resolution(t0, job.first_dt, planned_steps)
     return job
 
@@ -153,23 +189,10 @@ def _make_clock(
     return jax.tree.map(np.asarray, clock), planned_steps
 
 
-_Entries = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]  # times, nodes, rests, save_every of a `Job`
-
-
-def _entries_by_count(
-    clock: UniformClock | RoundedClock | GridClock, planned_steps: int, save_every: int | None, dtype: np.dtype
-) -> _Entries:
-    """The entries after every `save_every` steps."""
-    interval, num_saves = intervals(planned_steps, save_every)
-    nodes = interval * np.arange(num_saves + 1)
-    times = clock.time(nodes if isinstance(clock, GridClock) else nodes.astype(dtype))
-    return np.asarray(times), nodes, None, interval
-
-
 def _entries_at_times(
     save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, planned_steps: int, dtype: np.dtype
-) -> _Entries:
-    """The entries at given times, that of the start first."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, None]:
+    """The entries at given times, that of the start first: times, nodes, rests and save_every of a `Job`."""
     wanted = outputs(save_at, clock, planned_steps, dtype)
     times = np.concatenate([[clock.time(0)], wanted])
     nodes = np.asarray(jax.vmap(lambda t: clock.node(t, planned_steps))(times))
@@ -224,19 +247,15 @@ def _check_job(job: Job, first: int) -> None:
             f"{list_members(bad + first)} (worst defect {defect.max():.3g}); make states with system.state(...)"
         )
     step.system.check(state)  # the shapes, and the time of a driven system, are the same for all members
+    if job.reduction is not None:
+        make_once(_check_result, job.reduction, (), (step, state))
+    if job.condition is not None:
+        make_once(_check_condition, job.condition, (), (step, state))
 
 
 @jax.jit
 def _defects(phase_space: PhaseSpace, states: State) -> Array:
     return jax.vmap(phase_space.defect)(states)
-
-
-def _check_reduction(job: Job) -> None:
-    """Raise ValueError unless the reduced quantity is a real scalar function of a step and a state."""
-    if job.reduction is not None:
-        make_once(_check_result, job.reduction, (), job.member(0))
-    if job.condition is not None:
-        make_once(_check_condition, job.condition, (), job.member(0))
 
 
 def _value(name: str, function: Reduction, arguments: tuple[Step, State]) -> object:
@@ -253,12 +272,14 @@ def _value(name: str, function: Reduction, arguments: tuple[Step, State]) -> obj
 
 
 def _check_condition(condition: Reduction, _: tuple[()], arguments: tuple[Step, State]) -> None:
+    """Raise ValueError unless the condition is a flag, a function of a step and a state."""
     value: Any = _value("first", condition, arguments)
     if np.shape(value) != () or jnp.result_type(value).kind != "b":
         raise ValueError(f"first must return True or False for a step and a state, got {value!r}")
 
 
 def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, State]) -> None:
+    """Raise ValueError unless the reduced quantity is a real scalar function of a step and a state."""
     value: Any = _value("reduce", reduction, arguments)
     array = isinstance(value, Array | np.ndarray | np.generic)
     if not ((array or isinstance(value, float)) and _is_real_scalar(value)):

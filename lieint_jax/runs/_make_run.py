@@ -13,7 +13,8 @@ from lieint_jax.dates import DateLike, text_of
 from lieint_jax.runs._job import MemberSummary, Summary
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates
-from lieint_jax.runs._member_axis import check_own_steps, is_batch, with_member_axis
+from lieint_jax.runs._make_job import check_own_steps, is_batch
+from lieint_jax.runs._member_axis import with_member_axis
 from lieint_jax.runs._results import compute, untransformed
 from lieint_jax.runs._run import Run, computed_run, stored_run
 from lieint_jax.runs.store._reading import open_with_step
@@ -193,7 +194,7 @@ def run(
         batch=batch,
         epoch=text_of(epoch),
     )
-    return computed_run(computed, batch)
+    return computed_run(computed)
 
 
 def open_run(

@@ -48,7 +48,7 @@ class MemoryOutput:
             info = StepInfo(np.full(failed.shape, found.residual[-1]), failed < 0)  # pyright: ignore
         elif isinstance(found, Summary):
             last, change = found.state, self._job.first_change(failed, None)
-            self._series.append({name: np.asarray(getattr(found, name)) for name in _SERIES})
+            self._series.append({name: np.asarray(x) for name, x in found._asdict().items() if name in _SERIES})
         else:
             states = self._job.without_time(found.state)
             last = jax.tree.map(lambda x: x[-1], states)

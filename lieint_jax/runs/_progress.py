@@ -25,17 +25,19 @@ class Bar:
     """
 
     def __init__(self, shown: bool, num_steps: int, count: int, done: int, unit: str = " body-steps") -> None:
-        self._count, self._worst, self._delayed = count, 0.0, _in_notebook()
-        self._bar = _tqdm()(
-            total=num_steps * count,
-            initial=done * count,
-            unit=unit,
-            unit_scale=True,
-            disable=not (shown and self.is_visible()),
-            leave=False,
-            dynamic_ncols=True,
-            delay=1 if self._delayed else 0,
-        )
+        self._count, self._worst = count, 0.0
+        self._bar = None
+        if shown and self.is_visible():
+            self._delayed = _in_notebook()
+            self._bar = _tqdm()(
+                total=num_steps * count,
+                initial=done * count,
+                unit=unit,
+                unit_scale=True,
+                leave=False,
+                dynamic_ncols=True,
+                delay=1 if self._delayed else 0,
+            )
 
     @staticmethod
     def is_visible() -> bool:
@@ -44,18 +46,22 @@ class Bar:
 
     def update(self, steps: int) -> None:
         """Advance the bar by `steps` steps of all members."""
-        self._bar.update(steps * self._count)
+        if self._bar is not None:
+            self._bar.update(steps * self._count)
 
     def show(self, energy: float, unconverged: int) -> None:
         """Show the worst energy error so far, `energy` being the latest, and the number of members that failed."""
         self._worst = energy if energy != energy else max(self._worst, energy)
-        self._bar.set_postfix_str(f"energy {self._worst:.1e}, unconverged {unconverged}", refresh=not self._delayed)
+        if self._bar is not None:
+            shown = f"energy {self._worst:.1e}, unconverged {unconverged}"
+            self._bar.set_postfix_str(shown, refresh=not self._delayed)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.close()
+        if self._bar is not None:
+            self._bar.close()
 
 
 def _in_notebook() -> bool:

@@ -23,7 +23,7 @@ from lieint_jax.runs._job import Job, MemberSummary, Saves, first_entry
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates, made_states
-from lieint_jax.runs._make_job import checked_job, make_jobs, split_into_parts
+from lieint_jax.runs._make_job import checked_job, make_jobs
 from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._part_of_task import checked_part, part_of_task
 from lieint_jax.runs.store import _identity
@@ -139,7 +139,7 @@ def compute(
         epoch=epoch,
     )
     with _checks.on_host():
-        whole, job, split = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
+        whole, job = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
     engine = engine_of(job, mesh, threads or _layout.count_cores())
 
     def integrate(layout: Layout, output: MemoryOutput | StoreOutput) -> object:
@@ -159,7 +159,7 @@ def compute(
             whole,
             mesh,
             options,
-            split,
+            count if in_parts else 1,
             k,
             in_parts or remote,
             resume or part is not None,
@@ -180,8 +180,8 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
     try:
         hidden = StoreOptions(unfinished, options.attributes)
-        split, feed = split_into_parts(job, 1, False), partial(_feed, job, saves)
-        run_into_store(job, engine, job, _layout.checked_mesh(None), hidden, split, 0, False, False, True, feed)
+        feed = partial(_feed, job, saves)
+        run_into_store(job, engine, job, _layout.checked_mesh(None), hidden, 1, 0, False, False, True, feed)
         os.rename(unfinished, path)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -196,7 +196,7 @@ def _feed(job: Job, saves: Saves, layout: Layout, output: StoreOutput) -> None:
         states = jax.tree.map(lambda x: x[0], rows[1])
         change = None
     else:
-        rows = {name: getattr(found, name) for name in first_entry(job)}
+        rows = {name: found._asdict()[name] for name in first_entry(job)}
         states = job.without_time(found.state)
         change = found.change if isinstance(found, MemberSummary) else job.first_change(saves.failed, None)
     carry = _loop.start(states, change)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -17,14 +16,14 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, dates
 from lieint_jax._free_body import Periods
+from lieint_jax.runs import _values
 from lieint_jax.runs._clock import GridClock
-from lieint_jax.runs._facts import Facts, lines
+from lieint_jax.runs._facts import Facts, dates_of, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
 from lieint_jax.runs._job import MemberSummary, Saves, Summary
-from lieint_jax.runs._make_job import checked_job
-from lieint_jax.runs._member_axis import is_batch, member_of, saves_of_batch, with_member_axis
+from lieint_jax.runs._make_job import checked_job, is_batch
+from lieint_jax.runs._member_axis import member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._results import Results, compute, write
-from lieint_jax.runs.store._identity import package_versions
 from lieint_jax.runs.store._reading import Stored
 from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.types import (
@@ -34,7 +33,6 @@ from lieint_jax.types import (
     System,
     Trajectory,
     callable_pytree,
-    energy_less_work,
     labeled,
     pytree,
     static,
@@ -48,7 +46,6 @@ if TYPE_CHECKING:
 Saved = TypeVar("Saved", bound=Trajectory | None, covariant=True)
 Reduced = TypeVar("Reduced", bound=Summary | MemberSummary | None, covariant=True)
 _T = TypeVar("_T")  # a tree of arrays
-_SECONDS = {"1": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "day": 86400.0}  # of units of time
 _BLOCK = 2**26  # bytes of states that `map` reads from disk at once
 
 
@@ -87,7 +84,12 @@ class Run(Generic[Saved, Reduced]):
 
     @staticmethod
     def of(
-        step: Step, trajectory: Trajectory, own_step: bool = False, epoch: dates.DateLike | None = None
+        step: Step,
+        trajectory: Trajectory,
+        own_step: bool = False,
+        epoch: dates.DateLike | None = None,
+        *,
+        time_unit: str = "1",
     ) -> Run[Trajectory, None]:
         """The run of states that are known already, such as those of `integrate` inside of jit.
 
@@ -98,6 +100,7 @@ class Run(Generic[Saved, Reduced]):
             trajectory: the saved states, (times, …), or (times, members, …) of a batch.
             own_step: whether each member has a step of its own.
             epoch: the date of t = 0, as in `li.run`.
+            time_unit: the unit of t, such as "d".
 
         Raises:
             ValueError: states of another shape than the step's system needs.
@@ -105,7 +108,8 @@ class Run(Generic[Saved, Reduced]):
         batch = is_batch(step, jax.tree.map(lambda x: x[0], trajectory.state), own_step)
         good = jnp.asarray(trajectory.info.converged)
         failed = jnp.where(good.all(axis=0), -1, jnp.argmin(good, axis=0) - 1)
-        facts = Facts(batch, own_step, None, len(trajectory.t) - 1, None, "", (), epoch=dates.text_of(epoch))
+        facts = Facts(batch, own_step, None, len(trajectory.t) - 1, None, "", ())
+        facts = facts._replace(epoch=dates.text_of(epoch), time_unit=time_unit)
         return Run(step, None, trajectory, None, failed, None, None, None, facts)
 
     @property
@@ -206,7 +210,7 @@ class Run(Generic[Saved, Reduced]):
         saved = self._saved.state
         whole = callable_pytree(function)
         numbers, structure = jax.tree.flatten(whole)
-        map_states = _compile_map(structure, self.facts.batch, self.own_step)
+        map_states = _values.compile_map(structure, self.facts.batch, self.own_step)
         if not self.facts.source:
             return map_states(numbers, self.step, saved)
         size = sum(x.dtype.itemsize * math.prod(x.shape[1:]) for x in jax.tree.leaves(saved))
@@ -238,15 +242,15 @@ class Run(Generic[Saved, Reduced]):
 
     def energy_error(self) -> Array:
         """H − W less its first value, (times,) or (times, members); W is the work, where the states count it."""
-        return _from_start(self.map(_energy))
+        return _values.from_start(self.map(_values.energy))
 
     def momentum_error(self) -> Array:
         """The momentum map less its first value, (times, k) or (times, members, k)."""
-        return _from_start(self.map(_momentum))
+        return _values.from_start(self.map(_values.momentum))
 
     def constraint_error(self) -> Array:
         """The distance of q from the configuration space, (times,) or (times, members)."""
-        return self.map(_defect)
+        return self.map(_values.defect)
 
     def periods(self) -> Periods:
         """The mean periods of precession and rotation of a tumbling body at each save: `body.periods`.
@@ -254,9 +258,7 @@ class Run(Generic[Saved, Reduced]):
         Raises:
             ValueError: the system has no periods.
         """
-        if not hasattr(self.system, "periods"):
-            raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {self.system!r}")
-        return self.map(_periods)
+        return self.map(_values.periods)
 
     def rotations(self) -> Rotation:
         """The attitudes, body to space, as `scipy.spatial.transform.Rotation`: see `Trajectory.rotations`."""
@@ -271,7 +273,7 @@ class Run(Generic[Saved, Reduced]):
         found = labeled.dataset(saved, self.system, units or {}, 0 if self.own_step else None)
         if self.epoch is None:
             return found
-        when = self._dates(self.epoch, saved)
+        when = dates_of(self.facts, self.epoch, saved)
         about = {"long_name": "date", "scale": self.epoch.scale}
         return found.assign_coords(date=(dims[: when.ndim], when, about))
 
@@ -287,18 +289,9 @@ class Run(Generic[Saved, Reduced]):
         saved = self._in_memory
         found = labeled.frame(saved, self.system, 0 if self.own_step else None)
         if self.epoch is not None:
-            when, shape = self._dates(self.epoch, saved), np.shape(saved.info.residual)
+            when, shape = dates_of(self.facts, self.epoch, saved), np.shape(saved.info.residual)
             found.insert(1, "date", np.broadcast_to(when.reshape(len(when), -1), (*shape, 1)[:2]).ravel())
         return found
-
-    def _dates(self, start: dates.Epoch, saved: Trajectory) -> np.ndarray:
-        """The dates of the saves, (times,), or (times, members) of members that have their own times."""
-        unit = _SECONDS.get(self.facts.time_unit)
-        if unit is None:
-            raise ValueError(f"dates need the time in seconds, minutes, hours or days, got {self.facts.time_unit!r}")
-        t, own = np.asarray(saved.t), saved.state.t
-        shared = own is None or bool(np.all(own == t.reshape(-1, *[1] * (np.ndim(own) - 1))))
-        return start.datetimes(unit * (t if shared else np.asarray(own)))
 
     def extend(self, num_steps: int, progress: bool = True) -> Run[Saved, Reduced]:
         """The run with `num_steps` further steps, bit for bit the run of all these steps.
@@ -313,7 +306,7 @@ class Run(Generic[Saved, Reduced]):
             raise ValueError("a run at given times cannot be extended: start another one from its last state")
         start, saves = self._start_and_saves()
         options: dict[str, Any] = self._options | {"num_steps": facts.num_steps + more}
-        return computed_run(compute(self.step, start, **options, progress=progress, earlier=saves), facts.batch)
+        return computed_run(compute(self.step, start, **options, progress=progress, earlier=saves))
 
     def save(self, path: str | Path | StoreOptions) -> Run[Saved, Reduced]:
         """Write a run in memory to a new folder NAME.zarr, all of it or nothing, and return the run there.
@@ -352,9 +345,9 @@ class Run(Generic[Saved, Reduced]):
             "save_every": None if of_members else facts.save_every,
             "save_at": self.t[1:] if facts.save_every is None else None,
             "per": "member" if of_members else None,
-            "first": _plain(self.condition),
+            "first": _values.plain(self.condition),
             "step_axis": 0 if facts.own_step else None,
-            "reduce": _plain(self.reduction),
+            "reduce": _values.plain(self.reduction),
             "batch": facts.batch,
             "epoch": facts.epoch,
         }
@@ -371,54 +364,12 @@ class StoredRun(Run):
     """A run whose arrays are read from disk. It is no pytree, so that no transformation reads them all unasked."""
 
 
-@lru_cache(16)
-def _compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., Any]:
-    """A function of step and state of this structure, compiled for all states of a run."""
-
-    def map_states(numbers: list[Array], step: Step, states: State) -> Any:
-        function: Any = jax.tree.unflatten(structure, numbers)
-        if batch:
-            function = jax.vmap(function, (0 if own_step else None, 0))
-        return jax.vmap(function, (None, 0))(step, states)
-
-    return jax.jit(map_states)
-
-
-def _energy(step: Step, state: State) -> Array:
-    return energy_less_work(step.system, state)
-
-
-def _momentum(step: Step, state: State) -> Array:
-    return step.system.momentum(state)
-
-
-def _defect(step: Step, state: State) -> Array:
-    return step.system.phase_space.defect(state)
-
-
-def _periods(step: Any, state: State) -> Any:
-    return step.system.periods(state)
-
-
-def _from_start(series: Array) -> Array:
-    return series - series[:1]
-
-
-def computed_run(computed: Results, batch: bool) -> Run:
+def computed_run(computed: Results) -> Run:
     """The run of these results."""
     job = computed.job
     if computed.stored is not None:
         return stored_run(computed.path, computed.stored, job.step)
-    facts = Facts(
-        batch=batch,
-        own_step=job.step_axis == 0,
-        dt=job.dt,
-        num_steps=job.planned_steps,
-        save_every=job.save_every,
-        engine=computed.engine,
-        versions=tuple(package_versions().items()),
-        epoch=job.epoch,
-    )
+    facts = Facts.of_job(job, computed.engine)
     start = job.initial if job.reduction is not None else None
     times = job.clock.times if isinstance(job.clock, GridClock) else None
     functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
@@ -428,22 +379,7 @@ def computed_run(computed: Results, batch: bool) -> Run:
 def stored_run(path: str, stored: Stored, step: Step) -> Run:
     """The run in a store; that of one body is read at once."""
     found, failed, attributes = stored
-    described = attributes["run"]
-    batch = attributes.get("batch", True)
-    facts = Facts(
-        batch=batch,
-        own_step=described["step_axis"] == 0,
-        dt=attributes["dt"],
-        num_steps=described.get("num_steps", attributes["num_steps"]),
-        save_every=attributes["save_every"],
-        engine=described.get("engine", "xla"),
-        versions=tuple(described["versions"].items()),
-        complete=attributes["progress"]["complete"],
-        source=path,
-        epoch=described.get("epoch") or "",
-        time_unit=attributes.get("time_unit", "1"),
-    )
-    return _make_run(step, None, Saves(found, failed), [None, None], None, facts)
+    return _make_run(step, None, Saves(found, failed), [None, None], None, Facts.of_store(path, attributes))
 
 
 def _make_run(step: Step, start: State | None, saves: Saves, functions: list[Any], times: Any, facts: Facts) -> Run:
@@ -457,9 +393,3 @@ def _make_run(step: Step, start: State | None, saves: Saves, functions: list[Any
     shown = (found, None) if states else (None, found)
     kind: Any = StoredRun if facts.source else Run
     return kind(step, start, *shown, failed, reduction, condition, times, facts)
-
-
-def _plain(function: Any) -> Any:
-    """A function as it was given, without the pytree that has no leaves."""
-    partial = isinstance(function, jax.tree_util.Partial) and not (function.args or function.keywords)
-    return function.func if partial else function

@@ -39,7 +39,7 @@ from lieint_jax._numerics.equation import ChainEquation, FixedPointEquation
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
-from lieint_jax.potentials import Potential, given_poses, invariant_form, torques
+from lieint_jax.potentials import Potential, given_poses, invariant_form, is_chain, torques
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
@@ -142,7 +142,7 @@ def bodies_energy_momentum(
     PROPERTIES.check(system)
     _check_invariants(system)
     if solver is None:
-        solver = "newton" if _is_chain(system) else "fixed_point"
+        solver = "newton" if is_chain(system.potential) else "fixed_point"
     elif _checks.choice("solver", solver, ("fixed_point", "newton")) == "newton" and not _allows_newton(system):
         raise ValueError(
             'solver="newton" is for chains, in which each body acts on the one before and the one after it '
@@ -152,12 +152,8 @@ def bodies_energy_momentum(
     return BodiesEnergyMomentum(system, _checks.count("iterations", iterations, 1), solver)
 
 
-def _is_chain(system: AbstractRigidBodies | AbstractDissipativeBodies) -> bool:
-    return getattr(system.potential, "chain", False)
-
-
 def _allows_newton(system: AbstractRigidBodies | AbstractDissipativeBodies) -> bool:
-    return system.masses.shape[0] <= 2 or _is_chain(system)
+    return system.masses.shape[0] <= 2 or is_chain(system.potential)
 
 
 def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -> None:

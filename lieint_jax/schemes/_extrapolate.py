@@ -28,7 +28,7 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes.charts._chart import PlainState
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
 from lieint_jax.schemes.charts.several_bodies import SEVERAL_BODIES
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, laws_of, pytree, static
 from lieint_jax.types.shapes import PyTree
 
 __all__ = ["Extrapolated", "extrapolate"]
@@ -156,7 +156,7 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    if any(law.held for law in getattr(system, "laws", ())):
+    if any(law.held for law in laws_of(system)):
         raise ValueError(
             "extrapolate integrates vector fields, and a sampled law changes its torque in jumps: use torqued_midpoint"
         )

@@ -22,11 +22,11 @@ from lieint_jax.types._potentials import (
     gradient,
 )
 from lieint_jax.types._pytree import Partitioned, argument, callable_pytree, pytree, static
-from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
+from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work, periods_of
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
 from lieint_jax.types._system import System, energy_less_work, time_derivative
 from lieint_jax.types._tangents import push_forward
-from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, labels, parts, total
+from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, labels, laws_of, parts, total
 
 __all__ = [
     "AnalyticGroup",
@@ -62,8 +62,10 @@ __all__ = [
     "gradient",
     "instant",
     "labels",
+    "laws_of",
     "pair_forces",
     "parts",
+    "periods_of",
     "promoted",
     "push_forward",
     "pytree",

@@ -9,6 +9,8 @@ from typing import Any, TypeVar, dataclass_transform
 import jax
 import numpy as np
 
+from lieint_jax._checks import name_of
+
 _T = TypeVar("_T")
 
 
@@ -128,7 +130,7 @@ class Partitioned:
 
     @property
     def __name__(self) -> str:
-        return getattr(self.whole, "__name__", type(self.whole).__name__)
+        return name_of(self.whole)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # of copies in the making, and of protocols that the other does not have

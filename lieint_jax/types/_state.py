@@ -105,11 +105,11 @@ class Trajectory(NamedTuple):
                 axes) where the system has one.
             units: units by name of a variable or of the coordinate time, such as {"time": "d"}; by default none.
             system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading
-                axis of the leaves (`own_step=True` of `li.run`); "auto" infers it from the shapes.
+                axis of the leaves (`own_step=True` of `li.run`); with "auto" as in `diagnostics.energy_error`.
 
         Raises:
-            ValueError: `units` names no variable; the shapes contradict `system_axis`, or are ambiguous; the axes of
-                the run are (member, time).
+            ValueError: `units` names no variable; the shapes contradict `system_axis`; the axes of the run are (member,
+                time).
             ImportError: xarray is not installed.
         """
         return labeled.dataset(self, system, units or {}, system_axis)
@@ -127,11 +127,9 @@ class Trajectory(NamedTuple):
             `Periods`, arrays of shape (n+1,), or (n+1, members).
 
         Raises:
-            ValueError: the system has no periods; the shapes contradict `system_axis`, or are ambiguous.
+            ValueError: the system has no periods; the shapes contradict `system_axis`.
         """
-        if not hasattr(body, "periods"):
-            raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
-        return map_over_run(lambda own, z: own.periods(z), body, self, system_axis)
+        return map_over_run(periods_of, body, self, system_axis)
 
     def rotations(self) -> Any:
         """The attitudes, body to space, as `scipy.spatial.transform.Rotation` of shape (n+1, …).
@@ -144,6 +142,13 @@ class Trajectory(NamedTuple):
             ValueError: q does not hold quaternions.
         """
         return labeled.rotations(self)
+
+
+def periods_of(body: Any, state: State) -> Any:
+    """`body.periods(state)`; ValueError if the system has none."""
+    if not hasattr(body, "periods"):
+        raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
+    return body.periods(state)
 
 
 def counts_work(state: State) -> bool:

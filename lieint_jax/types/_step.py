@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import at_once, concrete, real_array, step_size
+from lieint_jax._checks import at_once, concrete, name_of, real_array, step_size
 from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
 from lieint_jax.native import scan
@@ -309,7 +309,7 @@ def promoted(step: _T, state: State) -> tuple[_T, State, np.dtype]:
         named = state.extra.items()
         found["extra"] = {name: real_array(f'state.extra["{name}"]', x, finite=False) for name, x in named}
     leaves = jax.tree.leaves(step)
-    if functions := [getattr(x, "__name__", "function") for x in leaves if callable(x)]:
+    if functions := [name_of(x) for x in leaves if callable(x)]:
         raise ValueError(f"a step must hold a function as a pytree: give jax.tree_util.Partial({functions[0]})")
     numbers = [real_array("a number of the step", x, finite=False) for x in leaves if _is_real(x)]
     dtype = jax.dtypes.canonicalize_dtype(jnp.result_type(*jax.tree.leaves(found), *numbers))

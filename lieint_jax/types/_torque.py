@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import name_of
 from lieint_jax._deprecated import old_calls
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types.shapes import PyTree
@@ -169,7 +170,7 @@ class Function(Law):
         function = self.function
         while isinstance(function, functools.partial):  # such as a `jax.tree_util.Partial`
             function = function.func
-        name = getattr(function, "__name__", type(function).__name__)
+        name = name_of(function)
         return "function" if name == "<lambda>" else name
 
     def mean(self, rotation: Rotation, inner: Array | None) -> tuple[Array, Array | None]:
@@ -208,9 +209,14 @@ def total(laws: Any) -> Total:
     return Total(flat)
 
 
+def laws_of(system: Any) -> tuple[Law, ...]:
+    """The laws of torque of a system, none if it is not one of a torqued body."""
+    return getattr(system, "laws", ())
+
+
 def labels(system: Any) -> list[str]:
     """The labels of the laws of a system, numbered where several are equal; an empty list if it has no laws."""
-    names = [law.label for law in getattr(system, "laws", ())]
+    names = [law.label for law in laws_of(system)]
     counted = [names[: k + 1].count(name) for k, name in enumerate(names)]
     return [name if count == 1 else f"{name}_{count}" for name, count in zip(names, counted, strict=True)]
 

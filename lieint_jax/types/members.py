@@ -8,7 +8,7 @@ from typing import Literal, Protocol, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from lieint_jax.types.shapes import PyTree
 
@@ -55,16 +55,26 @@ def map_over_run(
         return jax.vmap(lambda z: function(system, z))(states)
     one, members = _member_shapes(states, 2), np.shape(run.info.residual)[1]
     axis = member_axis(system, one, members, system_axis)
-    if axis is None:
+
+    def of_all(states: PyTree) -> Array:
         return jax.vmap(jax.vmap(lambda z: function(system, z)))(states)
-    return jax.vmap(jax.vmap(function), (None, 0))(system, states)
+
+    def of_each(states: PyTree) -> Array:
+        return jax.vmap(jax.vmap(function), (None, 0))(system, states)
+
+    if axis == "values":
+        return lax.cond(_has_tensors(system), of_all, of_each, states)
+    return of_all(states) if axis is None else of_each(states)
 
 
-def member_axis(system: PyTree, one: PyTree, members: int, given: Axis, name: str = "system_axis") -> int | None:
+def member_axis(
+    system: PyTree, one: PyTree, members: int, given: Axis, name: str = "system_axis"
+) -> Literal["values"] | int | None:
     """0 if there is one system per member, on the leading axis of all leaves of `system`; None if all share one.
 
-    Shapes alone can be ambiguous: for three members, an inertia (3, 3) is one tensor for all, or the principal moments
-    of each.
+    With "auto" a system of all members is one whose arrays have the shapes of one system, any other has a member axis.
+    Where they have the shapes of both, the result is "values": for three members, an inertia (3, 3) is one tensor if it
+    is symmetric and positive definite (see `_has_tensors`), or else the principal moments of each.
 
     Args:
         system: the system of all members, or the stacked systems of each.
@@ -74,7 +84,7 @@ def member_axis(system: PyTree, one: PyTree, members: int, given: Axis, name: st
         name: the name of the argument, for messages.
 
     Raises:
-        ValueError: the shapes contradict `given`; with "auto", the shapes fit both.
+        ValueError: the shapes contradict `given`.
     """
     if isinstance(given, bool) or given not in (0, None, "auto"):
         raise ValueError(f'{name} must be None (one system for all), 0 (one per member) or "auto", got {given!r}')
@@ -96,11 +106,17 @@ def member_axis(system: PyTree, one: PyTree, members: int, given: Axis, name: st
     if given is None and own and not shared:
         raise ValueError(f"there is one system per member ({told}): give {_words(name)}")
     if given == "auto" and own and shared:
-        raise ValueError(
-            f"the shapes fit one system for all members and one per member ({told}): give {name}=None "
-            f"for one system, {name}=0 for one per member"
-        )
+        return "values"
     return 0 if own and not shared else None
+
+
+def _has_tensors(system: PyTree) -> Array:
+    """Whether all square leaves of a system are tensors, symmetric and positive definite."""
+    leaves = map(jnp.asarray, jax.tree.leaves(system))
+    square = [x for x in leaves if x.ndim == 2 and x.shape[0] == x.shape[1]]
+    symmetric = [jnp.allclose(x, x.T, rtol=1e-6, atol=1e-6 * jnp.abs(x).max()) for x in square]
+    positive = [jnp.isfinite(jnp.linalg.cholesky(x)).all() for x in square]
+    return jnp.asarray([*symmetric, *positive], bool).all()
 
 
 def _words(name: str) -> str:

@@ -15,7 +15,6 @@ from PIL import Image
 import lieint_jax as li
 from lieint_jax.app import plots
 from lieint_jax.app.command import body_shapes, cli, meshes, pictures, scene
-from lieint_jax.app.command.pictures import StoredRun
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -33,11 +32,11 @@ def store(tmp_path_factory):
 
 
 def stored(system, q, p, t, work=None):
-    """A run of one member, as `scene.scene_of` accepts it; of a system that counts its work, with that."""
-    state = li.State(*(jnp.asarray(x)[:, None] for x in (q, p)))
-    state = state if work is None else state._replace(t=jnp.asarray(t)[:, None], work=jnp.asarray(work)[:, None])
-    info = li.StepInfo(jnp.zeros((len(t), 1)), jnp.ones((len(t), 1), bool))
-    return StoredRun("a body", "s", system, li.Trajectory(t, state, info), False)
+    """A run of one body, as `scene.scene_of` accepts it; of a system that counts its work, with that."""
+    state = li.State(jnp.asarray(q), jnp.asarray(p))
+    state = state if work is None else state._replace(t=jnp.asarray(t), work=jnp.asarray(work))
+    info = li.StepInfo(jnp.zeros(len(t)), jnp.ones(len(t), bool))
+    return li.Run.of(li.schemes.extrapolate(system), li.Trajectory(t, state, info), time_unit="s")
 
 
 def animate(path, arguments=()):
@@ -47,8 +46,8 @@ def animate(path, arguments=()):
 @pytest.mark.long
 def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
     """Saved every 0.1, interpolated every 0.05: the steps in between are met to 2e-7."""
-    run, system = li.ensemble.open(store)
-    found = scene.scene_of(StoredRun("a body", "s", system, run, False), 1, 81)
+    run = li.open(store)
+    found = scene.scene_of(run.member(1), "a body", 81)
     np.testing.assert_allclose(found.t, DT * np.arange(81), rtol=0, atol=1e-12)
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 1]), run.state)
     every = all_steps(STEP, start, DT, 80, save_every=1)
@@ -96,7 +95,7 @@ def test_sparsely_saved_states_are_shown_without_interpolation():
     """At 2.8 rad between saved states the frames are saved states, and a note says so."""
     t = 2.8 * np.arange(6.0)
     q = np.stack([np.cos(t / 2), 0 * t, 0 * t, np.sin(t / 2)], axis=1)
-    found = scene.scene_of(stored(BODY, q, np.tile([0.0, 0.0, 3.0], (6, 1)), t), 0, 4)
+    found = scene.scene_of(stored(BODY, q, np.tile([0.0, 0.0, 3.0], (6, 1)), t), "a body", 4)
     np.testing.assert_array_equal(found.t, t[:4])
     np.testing.assert_allclose(found.rotations[:, 0, 0, 0], np.cos(t[:4]), rtol=0, atol=1e-14)
     assert "up to 160° of rotation: the frames are the first 4 saved states; save more often" in found.notes[-1]
@@ -112,16 +111,16 @@ def uniform(t, rate=1.0):
 @pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
 def test_a_span_begins_and_ends_at_the_requested_times(sign):
     run = uniform(sign * np.linspace(0, 8, 9))
-    found = scene.scene_of(run, 0, 41, (sign * 2.3, sign * 4.7))
+    found = scene.scene_of(run, "a body", 41, (sign * 2.3, sign * 4.7))
     np.testing.assert_allclose(found.t, sign * np.linspace(2.3, 4.7, 41), rtol=0, atol=1e-14)
     np.testing.assert_allclose(found.rotations[:, 0, 0, 0], np.cos(found.t), rtol=0, atol=1e-12)
     assert not any("first" in note for note in found.notes)
     assert found.needed < 41
-    short = scene.scene_of(run, 0, 5, (sign * 2.0, None))  # 6 rad at 15° a frame
+    short = scene.scene_of(run, "a body", 5, (sign * 2.0, None))  # 6 rad at 15° a frame
     np.testing.assert_allclose(short.t[[0, -1]], [sign * 2, sign * (2 + np.pi / 3)], rtol=0, atol=1e-12)
     assert short.needed == 24
     assert "the first 1.047 of 6 s" in short.notes
-    fast = scene.scene_of(run, 0, 5, (0.0, sign * 8.0))  # with an end it is all shown, in frames of 115°
+    fast = scene.scene_of(run, "a body", 5, (0.0, sign * 8.0))  # with an end it is all shown, in frames of 115°
     np.testing.assert_allclose(fast.t, sign * np.linspace(0, 8, 5), rtol=0, atol=1e-14)
     np.testing.assert_allclose(fast.rotations[:, 0, 0, 0], np.cos(fast.t), rtol=0, atol=1e-12)
     assert "up to 115° of rotation from frame to frame, which may seem backward" in fast.notes
@@ -129,17 +128,17 @@ def test_a_span_begins_and_ends_at_the_requested_times(sign):
     assert chord <= np.deg2rad(15) / 4 * 1.01  # the path is as fine as that of a slow film
     for span in ((-1.0, None), (3.0, 3.0), (3.0, 9.0), (4.0, 3.0)):
         with pytest.raises(ValueError, match=r"--from and --to must lie in the run, from -?0 to -?8 s"):
-            scene.scene_of(run, 0, 5, tuple(x if x is None else sign * x for x in span))
+            scene.scene_of(run, "a body", 5, tuple(x if x is None else sign * x for x in span))
 
 
 def test_a_span_of_sparsely_saved_states_shows_the_saved_states():
-    found = scene.scene_of(uniform(2.8 * np.arange(6.0)), 0, 9, (2.0, 9.0))
+    found = scene.scene_of(uniform(2.8 * np.arange(6.0)), "a body", 9, (2.0, 9.0))
     np.testing.assert_array_equal(found.t, 2.8 * np.arange(1.0, 4.0))
-    whole = scene.scene_of(uniform(2.8 * np.arange(9.0)), 0, 3, (None, 2.8 * 8))
+    whole = scene.scene_of(uniform(2.8 * np.arange(9.0)), "a body", 3, (None, 2.8 * 8))
     np.testing.assert_array_equal(whole.t, 2.8 * np.array([0.0, 3.0, 6.0]))
     assert "the frames are the saved states, one of 3;" in whole.notes[-1]
     with pytest.raises(ValueError, match="fewer than two states are saved from t = 3 to 4"):
-        scene.scene_of(uniform(2.8 * np.arange(6.0)), 0, 9, (3.0, 4.0))
+        scene.scene_of(uniform(2.8 * np.arange(6.0)), "a body", 9, (3.0, 4.0))
 
 
 @pytest.mark.long
@@ -149,10 +148,9 @@ def test_a_path_is_drawn_between_saved_states_and_ends_are_marked():
     for gap, joined in ((1.0, True), (2.8, False)):
         t = gap * np.arange(9.0)
         run = uniform(t)
-        q = np.asarray(jax.vmap(li.groups.so3.multiply, (0, None))(run.run.state.q[:, 0], jnp.asarray(tilted)))
-        fig = pictures.draw_motion(
-            stored(li.systems.rigid_body([1.0, 1.0, 1.0]), q, np.tile([0.0, 0.0, 1.0], (9, 1)), t)
-        )
+        q = np.asarray(jax.vmap(li.groups.so3.multiply, (0, None))(run.state.q, jnp.asarray(tilted)))
+        turning = stored(li.systems.rigid_body([1.0, 1.0, 1.0]), q, np.tile([0.0, 0.0, 1.0], (9, 1)), t)
+        fig = pictures.draw_motion(turning, "a body")
         [ax] = fig.axes
         assert [text.get_text() for text in ax.get_legend().get_texts()] == ["start", "end"]
         [seen] = [line for line in ax.lines if line.get_color() == plots.BLUE and line.get_alpha() == 0.9]
@@ -261,7 +259,7 @@ def test_a_system_without_rigid_bodies_is_refused_with_the_possible_systems():
     bob = li.systems.pendulum(1.0, 9.81, [0.0, 0.0, 1.0])
     run = stored(bob, np.tile([0.0, 0.0, 1.0], (3, 1)), np.zeros((3, 3)), np.arange(3.0))
     with pytest.raises(ValueError, match=r"^Pendulum has no rigid bodies. Rigid bodies, gyrostats, tops"):
-        scene.scene_of(run, 0, 5)
+        scene.scene_of(run, "a body", 5)
 
 
 @pytest.mark.long
@@ -269,7 +267,7 @@ def test_a_top_stands_on_its_tip_and_precesses_about_the_vertical():
     top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, 20.0])
     start = top.state(li.groups.so3.exp(jnp.array([0.3, 0.0, 0.0])), angular_velocity=[0.0, 0.0, 50.0])
     run = all_steps(li.schemes.splitting(top), start, 0.01, 1000, save_every=5)
-    found = scene.scene_of(stored(top, run.state.q, run.state.p, run.t), 0, 60)
+    found = scene.scene_of(stored(top, run.state.q, run.state.p, run.t), "a body", 60)
     corners = np.stack([found.corners(k, 0) for k in range(60)])
     np.testing.assert_array_equal(corners[:, 0], 0)
     assert corners[..., 2].min() > -1e-12  # it does not fall below the table
@@ -286,7 +284,7 @@ def test_two_bodies_are_drawn_at_their_centers(dissipative):
     state = bodies.state([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], angular_velocities=[[0.0, 0.1, 1.0], [0.5, 0.0, 0.3]])
     run = all_steps(li.schemes.bodies_energy_momentum(bodies), state, 0.05, 40, save_every=2)
     assert (run.state.work is not None) is dissipative
-    found = scene.scene_of(stored(bodies, run.state.q, run.state.p, run.t, run.state.work), 0, 21)
+    found = scene.scene_of(stored(bodies, run.state.q, run.state.p, run.t, run.state.work), "a body", 21)
     assert len(found.solids) == 2
     np.testing.assert_allclose(found.centers, run.state.q[:, :, :3], rtol=0, atol=1e-12)
     turns = jax.jit(jax.vmap(jax.vmap(li.groups.so3.to_matrix)))(run.state.q[:, :, 3:])
@@ -337,12 +335,12 @@ def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
     np.testing.assert_allclose(found.centered().corners.min(axis=0), low - center, rtol=0, atol=1e-12)
     t = np.linspace(0, 1, 5)
     with pytest.warns(UserWarning, match=r"the principal axes of handle\.toml differ by 90° from those of the body"):
-        drawn = scene.scene_of(uniform(t), 0, 5, shapes=[found])
+        drawn = scene.scene_of(uniform(t), "a body", 5, shapes=[found])
     np.testing.assert_allclose(
         drawn.corners(0, 0) * found.centered().size(), found.centered().corners, atol=1e-12, rtol=0
     )
     with pytest.raises(ValueError, match="--shape is given 2 times, but the run has 1 bodies"):
-        scene.scene_of(uniform(t), 0, 5, shapes=[found, found])
+        scene.scene_of(uniform(t), "a body", 5, shapes=[found, found])
 
 
 @pytest.mark.long

@@ -40,6 +40,23 @@ def test_the_kind_of_the_page_runs_by_the_command(folder, lieint):
     assert "a top sleeps if it spins faster" in lieint("plot", "top.npz", "--force", "--kind", "top.py:SleepingTop")
 
 
+def test_a_store_of_an_own_kind_opens_without_it(folder, capsys):
+    """Its system is in the store, and nothing is imported; a sentence names the kind, also where its file has moved."""
+    options = ["--no-certificate", "--set", "steps=40", "--out", "top.zarr"]
+    assert cli.main(["run", "top.toml", *options]) == 0
+    assert cli.main(["info", "top.zarr"]) == 0
+    assert "largest change of energy" in capsys.readouterr().out
+    Path("top.py").write_text("raise AssertionError", encoding="utf-8")
+    for gone in (False, True):
+        if gone:
+            Path("top.py").unlink()
+        assert cli.main(["plot", "top.zarr", "--force"]) == 0
+        out = capsys.readouterr().out
+        assert "--kind top.py:SleepingTop draws and reports as its own kind does" in out
+        assert ("(top.py:SleepingTop is not here: give the place of its file)" in out) is gone
+        assert "written: top-invariants.png, top-invariants.pdf, top-motion.png" in out
+
+
 def test_a_slow_top_falls_and_a_fast_one_sleeps(folder):
     """At 0.975 and 1.5 of the spin that it needs: 2√(J₁ weight)/J₃ = 4 rad/s."""
     greatest = {}
@@ -175,3 +192,18 @@ def test_a_spread_is_named_by_its_keys():
 def test_the_face_has_what_it_lists():
     assert all(hasattr(kind, name) for name in kind.__all__)
     assert sorted(kind.__all__) == kind.__all__
+
+
+def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, capsys):
+    """Its class is not imported, and its step cannot be rebuilt; energies need the system only."""
+    import lieint_jax as li
+
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    found = li.schemes.so3_explicit(body)
+    Own = li.pytree(type("Own", (type(found),), {"__module__": __name__, "__annotations__": {}}))
+    state = body.state(angular_velocity=[0.1, 0.2, 1.0])
+    li.run(Own(**vars(found)), state, 0.1, 8, progress=False, store=tmp_path / "own.zarr")
+    assert cli.main(["info", str(tmp_path / "own.zarr")]) == 0
+    assert "largest change of energy" in capsys.readouterr().out
+    with pytest.raises(ValueError, match=r"test_own_kind\.Own"):
+        li.open(tmp_path / "own.zarr")

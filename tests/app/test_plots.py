@@ -227,7 +227,7 @@ def test_round_off_that_a_motion_amplifies_is_a_line_of_its_own():
 
 def alone(step, start):
     """A run of an ensemble of one."""
-    return li.ensemble.run(step, jax.tree.map(lambda x: x[None], start), 0.05, 40, save_every=1, progress=False)
+    return li.run(step, jax.tree.map(lambda x: x[None], start), 0.05, 40, progress=False)
 
 
 @pytest.mark.long
@@ -236,7 +236,7 @@ def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, nam
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=spin)
     run = alone(li.schemes.so3_explicit(body), start)
-    fig = pictures.draw_motion(pictures.StoredRun("a body", "s", body, run, False))
+    fig = pictures.draw_motion(run, "a body")
     assert fig.axes[0].get_title().startswith(f"{name} of the first member")
     [near] = [line for line in fig.axes[0].get_lines() if line.get_label() == "start"]
     axis = np.sign(spin[int(np.argmax(np.abs(spin)))]) * np.eye(3)[int(np.argmax(np.abs(spin)))]
@@ -265,20 +265,18 @@ def test_a_run_that_counts_works_has_a_picture_of_them():
     body = li.systems.torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1) + li.torques.pd_trace(0.4, 0.1))
     start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=[1.0, -2.0, 0.5], works=True)
     run = alone(li.schemes.torqued_midpoint(body), start)
-    stored = pictures.StoredRun("a body", "s", body, run, False)
-    kinds = pictures.drawing_functions(stored)
+    kinds = pictures.drawing_functions(run.state)
     assert set(kinds) == {"invariants", "motion", "works"}
-    left, right = kinds["works"](stored).axes
+    left, right = kinds["works"](run, "a body").axes
     drawn = {line.get_label(): line.get_ydata() for line in left.get_lines()}
     assert list(drawn) == ["change of energy", "viscous", "pd trace"]
     np.testing.assert_allclose(drawn["viscous"], run.state.extra["works"][:, 0, 0])
     np.testing.assert_allclose(drawn["change of energy"], drawn["viscous"] + drawn["pd trace"], rtol=0, atol=1e-14)
     assert max(np.max(line.get_ydata()) for line in right.get_lines()) < 1e-14
-    errors = pictures.draw_invariants(stored).axes[0]
+    errors = pictures.draw_invariants(run, "a body").axes[0]
     assert errors.get_ylabel() == "error of energy less work, relative"
     assert max(np.max(line.get_ydata()) for line in errors.get_lines()) < 1e-14
-    without = run._replace(state=run.state._replace(extra=None))
-    assert set(pictures.drawing_functions(stored._replace(run=without))) == {"invariants", "motion"}
+    assert set(pictures.drawing_functions(run.state._replace(extra=None))) == {"invariants", "motion"}
 
 
 def apart(labels):

@@ -335,6 +335,8 @@ NO_NUMBERS = {
     "potentials.at_time": "a potential",
     "potentials.given_poses": "the values of a function",
     "potentials.invariant_form": "functions",
+    "potentials.domain": "a text",
+    "potentials.is_chain": "a flag",
     "potentials.is_driven": "a flag",
     "potentials.molecule": "numbers outside of jit only",
     "potentials.symmetry": "axes that are known without numbers",

@@ -88,6 +88,42 @@ def test_parts_in_any_order_are_one_process(place, reduce):
     assert before == {name: storage.read(name) for name in storage.sizes()}
 
 
+def open_while_it_is_created(url, monkeypatch):
+    """A run into a bucket that is opened before every file: what was said, and what could be read, in their order."""
+    seen = []
+
+    def look(name):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                seen.append(int(np.isfinite(li.open(url).state.q[:]).all(axis=(1, 2)).sum()))
+            except ValueError as error:
+                seen.append(str(error))
+
+    with monkeypatch.context() as patch:
+        internals.before_puts(patch, look)
+        return seen, run(url)
+
+
+def check_that_creation_is_no_damage(url, monkeypatch):
+    seen, whole = open_while_it_is_created(url, monkeypatch)
+    creating = next(k for k, x in enumerate(seen) if not isinstance(x, str))
+    assert creating > 5
+    assert all("has no results yet" in x and "is being created" in x for x in seen[:creating]), seen
+    entries = seen[creating:]
+    assert entries == sorted(entries)
+    assert (entries[0], entries[-1]) == (0, 12)  # the last is seen before its commit
+    assert_same(ensemble.open(url)[0], whole)
+    archives.open_storage(url).stage("q/zarr.json", b"{}")
+    with pytest.raises(ValueError, match=r"is damaged: q/zarr\.json is missing or altered"):
+        li.open(url)
+
+
+@needs_obstore
+def test_a_bucket_that_is_opened_while_it_is_created_is_not_called_damaged(tmp_path, monkeypatch):
+    check_that_creation_is_no_damage(f"memory://tests{tmp_path}/run.zarr", monkeypatch)
+
+
 @needs_obstore
 @pytest.mark.parametrize("options", [{"reduce": "energy", "save_every": 5}, {"reduce": "energy", "per": "member"}])
 def test_a_reduced_run_into_a_bucket_is_the_one_in_memory(options, tmp_path):
@@ -597,6 +633,12 @@ def test_a_run_on_s3_is_that_in_memory_and_holds_no_credentials(proxy, capsys):
     for secret in (SECRET, KEY):
         assert secret not in shown
         assert not any(secret.encode() in storage.read(name) for name in storage.sizes())
+
+
+@needs_moto
+@pytest.mark.long
+def test_a_store_on_s3_that_is_opened_while_it_is_created_is_not_called_damaged(proxy, monkeypatch):
+    check_that_creation_is_no_damage("s3://bucket/young/run.zarr", monkeypatch)
 
 
 @needs_moto

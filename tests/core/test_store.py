@@ -514,17 +514,17 @@ def test_processes_that_are_about_to_do_different_runs_all_say_so(monkeypatch):
     monkeypatch.setattr(_layout, "count_processes", lambda mesh: 2)
     for other, sentence in (({}, None), ({"members": 39, "dt": 0.2}, "members, dt"), ({"store": None}, "store")):
         rows: list = []
-        monkeypatch.setattr(_layout, "gather_row", lambda mesh, row, rows=rows: rows.append(row) or np.array([row] * 2))
+        monkeypatch.setattr(_layout, "all_gather", lambda mesh, row, rows=rows: rows.append(row) or np.array([row] * 2))
         _identity.check_processes(None, mine)
         _identity.check_processes(None, mine | other)
-        monkeypatch.setattr(_layout, "gather_row", lambda mesh, row, rows=rows: np.array(rows))
+        monkeypatch.setattr(_layout, "all_gather", lambda mesh, row, rows=rows: np.array(rows))
         for process in (mine, mine | other) if sentence else ():
             with pytest.raises(ValueError, match=f"different runs: they differ in {sentence}. Nothing was integrated"):
                 _identity.check_processes(None, process)
 
 
 def test_an_error_of_one_process_ends_all(monkeypatch):
-    monkeypatch.setattr(_layout, "all_gather", lambda mesh, failed: np.array([[True], [failed]]))
+    monkeypatch.setattr(_layout, "all_gather", lambda mesh, failed: np.array([[True], failed]))
     with pytest.raises(ValueError, match="process 0 of this run has failed; see its own error message"):
         _layout.fail_together(None, lambda: 1)
 

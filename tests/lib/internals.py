@@ -76,8 +76,7 @@ def share_short_calls(monkeypatch):
 
 def commit_every(monkeypatch, rows, in_bucket=None):
     """Let runs commit after every `rows` saves, on disks and in buckets, so that a short run has many commits."""
-    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: rows)
-    monkeypatch.setattr(_job.Job, "bucket_rows", lambda self, across: in_bucket or rows)
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across, remote=False: (remote and in_bucket) or rows)
 
 
 def make_states_of(monkeypatch, members):

@@ -58,10 +58,13 @@ def animate(
         raise ValueError(f"{path} holds a run with `reduce`, which stores no states: there is nothing to animate")
     if len(run.t) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to animate yet")
-    stored, found = info.stored_run(path, run, metadata), [body_shapes.read(file) for file in shapes]
-    scene = scene_of(stored, member, max(2, round((seconds or _SECONDS) * fps)), span, found)
+    if not 0 <= member < run.state.p.shape[1]:
+        raise ValueError(f"the run has members 0 to {run.state.p.shape[1] - 1}, got --member {member}")
+    title, select = info.title_and_states(path, run, metadata)
+    one, found = select(members=slice(member, member + 1)).member(0), [body_shapes.read(file) for file in shapes]
+    scene = scene_of(one, title, max(2, round((seconds or _SECONDS) * fps)), span, found)
     if seconds is None and span[1] is not None and scene.needed > len(scene.t):
-        scene = scene_of(stored, member, min(scene.needed, round(_LONGEST * fps)), span, found)
+        scene = scene_of(one, title, min(scene.needed, round(_LONGEST * fps)), span, found)
     show(f"{scene.title}, member {member}: {scene.clock(0)} … {scene.clock(-1)}, {len(scene.t)} frames")
     show(*(f"  {note}" for note in scene.notes))
     if scene.needed > len(scene.t):

@@ -308,7 +308,7 @@ def _run(options: argparse.Namespace) -> None:
         with _report_waiting(f"waiting for the processes of this run{where} to connect"):
             processes.initialize(*group)
     same = ("out", "members", "steps", "devices", "resume", "save_at", "parts")
-    given: dict[str, Any] = {name: getattr(options, name) for name in same}
+    given: dict[str, Any] = {name: vars(options)[name] for name in same}
     given |= {"certificate": not options.no_certificate, "pictures": not options.no_pictures, "given": options.set}
     given |= {"part": part, "exports": options.export, "same_bits": not options.any_machine}
     try:

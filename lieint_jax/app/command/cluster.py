@@ -17,7 +17,7 @@ from lieint_jax.app.printer import show
 
 def check(options: argparse.Namespace) -> None:
     """Raise ValueError unless the options of a run in parts fit together, and its scenario is right."""
-    engines = [f"--{name}" for name in ("dask", "slurm") if getattr(options, name) is not None]
+    engines = [f"--{name}" for name in ("dask", "slurm") if vars(options)[name] is not None]
     if options.parts is None and engines:
         raise ValueError(f"{engines[0]} runs a scenario in parts: give their number too, as in --parts 8")
     if options.parts is not None and len(engines) != 1:
@@ -52,7 +52,7 @@ def slurm(options: argparse.Namespace) -> None:
     """Write a script with one task for each part, and submit it."""
     words = ["run", options.scenario, "--out", str(options.out), "--part", "auto"]
     for name in ("members", "steps", "save_at"):
-        value = getattr(options, name)
+        value = vars(options)[name]
         words += [] if value is None else [f"--{name.replace('_', '-')}", str(value)]
     words += [f"--set={pair}" for pair in options.set] + ["--any-machine"] * options.any_machine
     script = Path(options.out.name).with_suffix(".sbatch")

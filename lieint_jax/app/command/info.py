@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import _checks
 from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
-from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.printer import readable, show, show_written
 from lieint_jax.app.scenarios._kind import Kind
-from lieint_jax.app.scenarios._runs import POINTS
+from lieint_jax.app.scenarios._runs import POINTS, series
 from lieint_jax.runs import Run
-from lieint_jax.runs.store import Address, UnreadableError, check_system, system_from_store
+from lieint_jax.runs.store import Address, UnreadableError, check_system, step_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
 _SHOWN = 2**28  # largest number of bytes that are read from a store to draw it
@@ -41,11 +41,17 @@ def plot(path: Address, out: Path | None = None, force: bool = False, own_kind: 
     if len(_times(run)) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
     plain = files.path_in_folder(path, out)
-    scenario = _scenario(path, metadata, own_kind)
+    kind = _table(metadata).get("system")
+    unknown = "description" in metadata and not (own_kind or kind is None or kind in scenarios.kind_names())
+    scenario = None if unknown else _scenario(path, metadata, own_kind)
     if scenario and scenario.save_at is None and isinstance(run, Trajectory):
         drawn = _plot_scenario(scenario, run, path, plain, force)
     else:
-        drawn = _plot_any(stored_run(path, run, metadata), contents(path, run, metadata), plain, force)
+        drawn = _plot_any(path, run, metadata, plain, force)
+    if unknown:  # a file of results does not choose what is imported
+        kind = _checks.printable(kind)
+        gone = "" if Path(kind.partition(":")[0]).is_file() else f" ({kind} is not here: give the place of its file)"
+        show(f"  --kind {kind} draws and reports as its own kind does{gone}")
     show_written(*drawn)
 
 
@@ -67,14 +73,17 @@ def _plot_scenario(scenario: Kind, run: Trajectory, path: Address, plain: Path, 
     return drawn
 
 
-def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Path]:
-    kinds = pictures.drawing_functions(stored)
+def _plot_any(path: Address, run: Any, metadata: dict[str, Any], plain: Path, force: bool) -> list[Path]:
+    if not isinstance(run, Trajectory):
+        kinds: dict[str, Callable[..., Any]] = {"change": pictures.draw_change}
+        arguments = run, _title(path, metadata), _time_unit(metadata)
+    else:
+        kinds, (title, select) = pictures.drawing_functions(run.state), title_and_states(path, run, metadata)
+        times = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), POINTS)).astype(int))
+        arguments = select(times, slice(_count_drawn(run))), title
     files.check_replaceable(files.pictures(plain, kinds), force)
-    show(text)
-    if isinstance(stored.run, Trajectory):
-        times = np.unique(np.linspace(0, len(stored.run.t) - 1, min(len(stored.run.t), POINTS)).astype(int))
-        stored = stored.select(times, slice(_count_drawn(stored.run)))
-    return draw(plain, kinds, stored)
+    show(contents(path, run, metadata))
+    return draw(plain, kinds, *arguments)
 
 
 def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -> list[Path]:
@@ -113,24 +122,31 @@ def _title(path: Address, metadata: dict[str, Any]) -> str:
     return f"{re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', metadata['system']).capitalize()}, {path.name}"
 
 
-def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
-    """A run with its system, which is read from the store or built by its scenario.
+def title_and_states(path: Address, run: Trajectory, metadata: dict[str, Any]) -> tuple[str, Callable[..., Run]]:
+    """The title of a run, and select(times, members), its saves of these indices as a `Run` in memory.
 
     Raises:
-        ValueError: the results hold neither.
+        ValueError: the results hold neither a step nor a scenario that has one.
     """
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
-        system = scenarios.build_first(scenario, run.state.p.shape[1]).system
-        title, own_system = _checks.printable(scenario.title), scenario.has_own_steps()
+        step, own_step = scenarios.build_first(scenario, run.state.p.shape[1]), scenario.has_own_steps()
+        title = _checks.printable(scenario.title)
     elif "run" in metadata:
-        system, title = system_from_store(path, metadata), _title(path, metadata)
-        own_system = metadata["run"]["step_axis"] == 0
+        step, own_step = step_from_store(path, metadata), metadata["run"]["step_axis"] == 0
+        title = _title(path, metadata)
     else:
         raise ValueError(f"{path} holds neither a scenario nor the parameters of its system")
-    if isinstance(run, Trajectory):
-        check_system(path, system, run, own_system)
-    return StoredRun(title, _time_unit(metadata), system, run, own_system)
+    check_system(path, step.system, run, own_step)
+
+    def select(times: np.ndarray | None = None, members: slice = slice(None)) -> Run:
+        chosen = range(len(run.t)) if times is None else times
+        state, info = jax.tree.map(lambda x: np.stack([x[k, members] for k in chosen]), (run.state, run.info))
+        own = jax.tree.map(lambda x: x[members], step) if own_step else step
+        saved = Trajectory(jnp.asarray(np.asarray(run.t)[chosen]), state, info)
+        return Run.of(own, saved, own_step, time_unit=_time_unit(metadata) or "1")
+
+    return title, select
 
 
 def _time_unit(metadata: dict[str, Any]) -> str:
@@ -157,7 +173,7 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
         lines.append("  energies are not computed: the run is incomplete")
     elif len(t) > 1:
         try:
-            lines += _conservation(stored_run(path, run, metadata))
+            lines += _conservation(run, title_and_states(path, run, metadata)[1])
         except UnreadableError:
             raise
         except ValueError as unknown:
@@ -230,15 +246,14 @@ def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
     return [*lines, f"  largest residual {residual:.2g}; unconverged members {failed}"]
 
 
-def _conservation(stored: StoredRun) -> list[str]:
+def _conservation(run: Trajectory, select: Callable[..., Run]) -> list[str]:
     """Two lines: the largest change of energy (less work, if counted) at `_TIMES` saves, and the converged members."""
-    run = stored.run
     count = run.state.p.shape[1]
     times = np.unique(np.linspace(0, len(run.t) - 1, _TIMES).astype(int))
     worst = size = failed = 0.0
     for first in range(0, count, _BLOCK):
         part = slice(first, first + _BLOCK)
-        H = stored.select(times, part).series(energy_less_work)
+        H = series(energy_less_work, select(times, part))
         worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
         failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
     what = "energy" if run.state.work is None else "energy less work"

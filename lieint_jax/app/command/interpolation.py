@@ -15,11 +15,6 @@ from lieint_jax.types import Trajectory
 MAX_ROTATION = 2.6  # rad between saved states: interpolation then has an error of 0.3° (tumbling bodies)
 
 
-def member(run: Trajectory, k: int) -> Trajectory:
-    """The trajectory of one member, read into memory."""
-    return Trajectory(jnp.asarray(run.t), *jax.tree.map(lambda x: np.asarray(x[:, k]), (run.state, run.info)))
-
-
 def rotation_angles(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Estimated angles of rotation between saved states, of the fastest body and of a top's axis, (saves − 1,), rad."""
     rates = system.angular_velocities if hasattr(system, "angular_velocities") else system.angular_velocity

@@ -2,67 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.command import interpolation
 from lieint_jax.app.scenarios import _pictures
 from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
-from lieint_jax.app.scenarios._runs import POINTS
+from lieint_jax.app.scenarios._runs import POINTS, series
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Trajectory, counts_work, energy_less_work, labels
-from lieint_jax.types.members import map_over_run
+from lieint_jax.runs import Run
+from lieint_jax.types import State, System, Trajectory, counts_work, energy_less_work, labels
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the next, where `POINTS` allows it
 
 
-class StoredRun(NamedTuple):
-    """A run with its system."""
-
-    title: str  # the title of its pictures
-    time_unit: str  # the unit of its times
-    system: Any  # the system; its leaves have the member axis first if `own_system`
-    run: Any  # a `Trajectory`, whose arrays may be on disk, or the arrays of a run with `reduce` by name
-    own_system: bool  # whether each member has a system of its own
-
-    def select(self, times: np.ndarray, members: slice) -> StoredRun:
-        """The saved states of these members at these times (indices), read into memory."""
-        state, info = jax.tree.map(lambda x: np.stack([x[k, members] for k in times]), (self.run.state, self.run.info))
-        system = jax.tree.map(lambda x: x[members], self.system) if self.own_system else self.system
-        return self._replace(system=system, run=Trajectory(self.run.t[times], state, info))
-
-    def system_of(self, member: int) -> Any:
-        """The system of one member."""
-        return jax.tree.map(lambda x: x[member], self.system) if self.own_system else self.system
-
-    def series(self, function: Callable[[Any, State], Array]) -> np.ndarray:
-        """The values of a function of system and state, (times, members, …)."""
-        measure = partial(map_over_run, function, system_axis=0 if self.own_system else None)
-        return np.asarray(jax.jit(measure)(self.system, self.run))
-
-
-def drawing_functions(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
-    """The functions that draw a run, by the suffix of their file names."""
-    if not isinstance(stored.run, Trajectory):
-        return {"change": draw_change}
-    works = {"works": draw_works} if "works" in (stored.run.state.extra or {}) else {}
+def drawing_functions(states: State) -> dict[str, Callable[[Run, str], Figure]]:
+    """The functions that draw a run of a batch with these states under a title, by the suffix of their file names."""
+    works = {"works": draw_works} if "works" in (states.extra or {}) else {}
     return {"invariants": draw_invariants, "motion": draw_motion} | works
 
 
 @plots.style()
-def draw_invariants(stored: StoredRun) -> Figure:
+def draw_invariants(run: Run, title: str) -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
-    H = stored.series(energy_less_work)
-    Phi = stored.series(lambda system, z: system.momentum(z))
-    what = "error of energy less work" if counts_work(stored.run.state) else "energy error"
+    H, Phi = series(energy_less_work, run), series(_momentum, run)
+    what = "error of energy less work" if counts_work(run.state) else "energy error"
     errors = {f"{what}, relative": abs(H - H[0]) / _nonzero(abs(H[0]))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
@@ -70,44 +40,45 @@ def draw_invariants(stored: StoredRun) -> Figure:
     fig, axes = plots.figure(len(errors))
     for ax, (label, error) in zip(axes[0], errors.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
-        plots.log_error(ax, stored.run.t, curves, label, stored.time_unit)
-    fig.suptitle(stored.title)
+        plots.log_error(ax, np.asarray(run.t), curves, label, unit_of(run))
+    fig.suptitle(title)
     return fig
 
 
 @plots.style()
-def draw_works(stored: StoredRun) -> Figure:
+def draw_works(run: Run, title: str) -> Figure:
     """Plot the work of each law of torque, and what is left of the change of energy without it."""
-    works = np.asarray(stored.run.state.extra["works"])
-    names = labels(stored.system)
+    works = np.asarray((run.state.extra or {})["works"])
+    names = labels(run.system)
     if len(names) != works.shape[-1]:
         names = [f"law {k + 1}" for k in range(works.shape[-1])]
-    H = stored.series(lambda system, z: system.energy(z))
+    H = series(_energy, run)
     fig, axes = plots.figure(2)
-    _pictures.draw_balance(axes[0], stored.run.t, H, works, names, time_unit=stored.time_unit)
-    fig.suptitle(stored.title)
+    _pictures.draw_balance(axes[0], np.asarray(run.t), H, works, names, time_unit=unit_of(run))
+    fig.suptitle(title)
     return fig
 
 
 @plots.style()
-def draw_motion(stored: StoredRun) -> Figure:
+def draw_motion(run: Run, title: str) -> Figure:
     """Plot the motion of the first member: a direction on the sphere, the centers of bodies, or the components of q."""
-    q = np.asarray(stored.run.state.q[:, 0])
+    run = run if run.members is None else run.member(0)
+    q = np.asarray(run.state.q)
     if q.shape[1:] == (4,):
-        fig = _draw_body(stored)
+        fig = _draw_body(run)
     elif q.shape[1:] == (3,):
         fig = _draw_direction(q, "q")
     elif q.shape[2:] == (7,):
         fig = _draw_centers(q[..., :3])
     else:
-        fig = _draw_components(stored, q)
-    fig.suptitle(stored.title)
+        fig = _draw_components(run, q)
+    fig.suptitle(title)
     return fig
 
 
-def _draw_body(stored: StoredRun) -> Figure:
-    """Draw the axis about which the first member's body spins, as a curve if saved states can be interpolated."""
-    system, run = stored.system_of(0), interpolation.member(stored.run, 0)
+def _draw_body(whole: Run) -> Figure:
+    """Draw the axis about which a body spins, as a curve if saved states can be interpolated."""
+    system, run = whole.system, whole.trajectory
     joined = hasattr(system, "angular_velocity")
     if joined:
         angles, _ = interpolation.rotation_angles(system, run)
@@ -161,31 +132,44 @@ def _draw_centers(x: np.ndarray) -> Figure:
 
 
 @plots.style()
-def _draw_components(stored: StoredRun, q: np.ndarray) -> Figure:
+def _draw_components(run: Run, q: np.ndarray) -> Figure:
     """Plot every component of q against time, in one panel per row of a matrix."""
     rows = q.reshape(len(q), -1, q.shape[-1])
     fig, axes = plots.figure(rows.shape[1])
     for i, ax in enumerate(axes[0]):
         names = [f"q{i + 1}{j + 1}" if q.ndim > 2 else f"q{j + 1}" for j in range(q.shape[-1])]
         curves = dict(zip(names, rows[:, i].T, strict=True))
-        plots.series(ax, stored.run.t, curves, "q of the first member", stored.time_unit)
+        plots.series(ax, np.asarray(run.t), curves, "q of the first member", unit_of(run))
     return fig
 
 
 @plots.style()
-def draw_change(stored: StoredRun) -> Figure:
+def draw_change(reduced: Mapping[str, np.ndarray], title: str, time_unit: str) -> Figure:
     """Plot the least, mean and greatest change of the reduced quantity against time, or its values over the members."""
     fig, axes = plots.figure()
-    fig.suptitle(stored.title)
-    if "mean" not in stored.run:
+    fig.suptitle(title)
+    if "mean" not in reduced:
         for name in ("least", "last", "greatest"):
-            axes[0, 0].hist(stored.run[name], histtype="step", label=name)
+            axes[0, 0].hist(reduced[name], histtype="step", label=name)
         axes[0, 0].set(xlabel="quantity of a member, over all steps", ylabel="members")
         axes[0, 0].legend()
         return fig
-    curves = {name: stored.run[name] for name in ("least", "mean", "greatest")}
-    plots.series(axes[0, 0], stored.run["time"], curves, "change since the start, all members", stored.time_unit)
+    curves = {name: reduced[name] for name in ("least", "mean", "greatest")}
+    plots.series(axes[0, 0], reduced["time"], curves, "change since the start, all members", time_unit)
     return fig
+
+
+def unit_of(run: Run) -> str:
+    """The unit of a run's times; empty if there is none."""
+    return "" if run.facts.time_unit == "1" else run.facts.time_unit
+
+
+def _energy(system: System, state: State) -> Scalar:
+    return system.energy(state)
+
+
+def _momentum(system: System, state: State) -> MomentumMap:
+    return system.momentum(state)
 
 
 def _nonzero(x: np.ndarray) -> np.ndarray:

@@ -111,7 +111,7 @@ def _encode(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
         return {"dict": [[key, encode_child(key, inner)] for key, inner in value.items()]}
     if hasattr(value, "_fields"):
         kind = f"{type(value).__module__}:{type(value).__qualname__}"
-        return {"type": kind, "fields": {name: encode_child(name, getattr(value, name)) for name in value._fields}}
+        return {"type": kind, "fields": {name: encode_child(name, x) for name, x in value._asdict().items()}}
     if isinstance(value, tuple | list):
         return {type(value).__name__: [encode_child(k, inner) for k, inner in enumerate(value)]}
     raise TypeError(f"{at} is of type {type(value).__name__}, which cannot be written")

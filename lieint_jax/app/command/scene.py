@@ -13,10 +13,11 @@ import numpy as np
 from lieint_jax.app.command import interpolation, meshes
 from lieint_jax.app.command.body_shapes import BodyShape
 from lieint_jax.app.command.meshes import Solid
-from lieint_jax.app.command.pictures import StoredRun
+from lieint_jax.app.command.pictures import unit_of
 from lieint_jax.app.scenarios._body import spin_axis
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
+from lieint_jax.runs import Run
 from lieint_jax.systems import DissipativeRod, ElasticRod
 from lieint_jax.types import Trajectory
 
@@ -67,35 +68,28 @@ class Scene(NamedTuple):
         return f"t = {self.t[frame]:.4g} {self.time_unit}".rstrip()
 
 
-def scene_of(
-    stored: StoredRun, member: int, frames: int, span: Span = (None, None), shapes: Sequence[BodyShape] = ()
-) -> Scene:
-    """The scene of one member of a run, in at most `frames` frames.
+def scene_of(whole: Run, title: str, frames: int, span: Span = (None, None), shapes: Sequence[BodyShape] = ()) -> Scene:
+    """The scene of a run of one body, or one system of bodies, in at most `frames` frames.
 
     Args:
-        stored: the run.
-        member: the index of the member.
+        whole: the run.
+        title: its title.
         frames: the largest number of frames.
         span: the times of the first and the last frame. Without the last, the scene ends where bodies that rotate by
             15° from frame to frame are when the frames are used up.
         shapes: of the first bodies, in the axes of their inertia; others are the solids that have their inertia.
 
     Raises:
-        ValueError: a system without rigid bodies, no such member, or times outside the run.
+        ValueError: a system without rigid bodies, or times outside the run.
     """
-    if not 0 <= member < stored.run.state.p.shape[1]:
-        raise ValueError(f"the run has members 0 to {stored.run.state.p.shape[1] - 1}, got --member {member}")
-    system = stored.system_of(member)
+    system: Any = whole.system
     is_multibody = isinstance(system, _SYSTEMS_OF_BODIES)
-    shape = stored.run.state.q.shape
-    if not (is_multibody or (shape[2:] == (4,) and hasattr(system, "inertia"))):
+    if not (is_multibody or (whole.state.q.shape[1:] == (4,) and hasattr(system, "inertia"))):
         raise ValueError(
             f"{type(system).__name__} has no rigid bodies. Rigid bodies, gyrostats, tops, satellites and "
             "systems of bodies can be animated; `lieint plot` draws this run"
         )
-    run, fine, notes, needed = _drawable_span(
-        system, interpolation.member(stored.run, member), frames, stored.time_unit, span
-    )
+    run, fine, notes, needed = _drawable_span(system, whole.trajectory, frames, unit_of(whole), span)
     q, p = np.asarray(run.state.q), np.asarray(run.state.p)
     x, attitudes, spins = np.zeros((len(q), 1, 3)), q[:, None], p[:, None]
     if is_multibody:
@@ -113,9 +107,9 @@ def scene_of(
     each = ", each to its own scale" if len(solids) > 1 else ""
     notes = (f"blue: the axis and the path of its end; dark orange: the angular momentum{each}", *notes)
     return Scene(
-        title=stored.title,
+        title=title,
         notes=notes,
-        time_unit=stored.time_unit,
+        time_unit=unit_of(whole),
         t=np.asarray(run.t)[::fine],
         solids=solids,
         rotations=rotations[::fine],

@@ -105,7 +105,7 @@ def _with_files(model: Any, table: dict[str, Any], name: str, place: str = "") -
     found = {}
     for key, value in table.items():
         inner = _model_of(model, key)
-        if isinstance(value, dict) and "file" in value and key in getattr(model, "files", {}):
+        if isinstance(value, dict) and "file" in value and key in model.files:
             where = f"{name}: {place}{key}"
             chosen = validate(model.files[key], value, where)
             try:
@@ -226,7 +226,7 @@ def _allowed_keys(model: Any, path: list[str]) -> list[str]:
         model = _model_of(model, part)
         if model is None:
             return []
-    return list(dict.fromkeys([*model.model_fields, *getattr(model, "files", {})]))
+    return list(dict.fromkeys([*model.model_fields, *model.files]))
 
 
 def _model_of(model: Any, key: str) -> Any:

@@ -122,6 +122,10 @@ class SpinValues(Table):
     momentum_latitude_deg: Measured | None = None
     """The ecliptic latitude of the angular momentum, in degrees."""
 
+    def measured(self) -> dict[str, Any]:
+        """The values by their keys."""
+        return {name: x for name, x in self if name in SpinValues.model_fields}
+
 
 class Tumbling(SpinValues):
     """The tumbling before the passage."""
@@ -155,8 +159,7 @@ class Tumbling(SpinValues):
 
     def with_changes(self, changes: SpinValues) -> Tumbling:
         """The tumbling with the given changes."""
-        given = {name: getattr(changes, name) for name in SpinValues.model_fields}
-        return self.model_copy(update={name: x for name, x in given.items() if x is not None})
+        return self.model_copy(update={name: x for name, x in changes.measured().items() if x is not None})
 
     @property
     def long_axis(self) -> bool:

@@ -12,7 +12,7 @@ from jax import Array
 
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import direction, longitude_latitude
-from lieint_jax.app.scenarios._flyby_keys import FlybyKeys, SpinValues, Variant
+from lieint_jax.app.scenarios._flyby_keys import FlybyKeys, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
 from lieint_jax.app.scenarios._kind import for_last_run
 from lieint_jax.app.scenarios._runs import angles
@@ -31,7 +31,7 @@ def members(scenario: FlybyKeys) -> tuple[Spin, np.ndarray]:
     A member is the same in ensembles of every size.
     """
     spin, seed = scenario.spin, jax.random.key(scenario.seed)
-    known = np.array([[x.value, *x.sides()] for x in (getattr(spin, name) for name in SpinValues.model_fields)])
+    known = np.array([[x.value, *x.sides()] for x in spin.measured().values()])
     known[:, 1:] /= scenario.sigmas
     phases = np.deg2rad([spin.precession_phase_deg, spin.rotation_phase_deg])
     spins, good = _draw_member(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
@@ -127,7 +127,7 @@ _angles = jax.jit(jax.vmap(so3.angle))
 
 def phases(scenario: FlybyKeys) -> Spin:
     """The nominal spin at the phases of the map, φ slowest."""
-    given = [getattr(scenario.spin, name).value for name in SpinValues.model_fields]
+    given = [x.value for x in scenario.spin.measured().values()]
     n, m = scenario.map.precession_phases, scenario.map.rotation_phases
     phi, psi = np.meshgrid(2 * np.pi * np.arange(n) / n, np.pi * np.arange(m) / m, indexing="ij")
     same = [np.full(phi.size, x) for x in (*given[:4], *np.deg2rad(given[4:]))]
@@ -175,7 +175,7 @@ def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
 def unknowns(scenario: FlybyKeys) -> dict[str, tuple[str, float, float]]:
     """By name of `Study.slopes`: the label of the change in the report, its size, and one standard deviation."""
     given, degree = scenario.spin, np.deg2rad(1.0)
-    sigma = {name: sum(getattr(given, name).sides()) / 2 / scenario.sigmas for name in SpinValues.model_fields}
+    sigma = {name: sum(x.sides()) / 2 / scenario.sigmas for name, x in given.measured().items()}
     east = sigma["momentum_longitude_deg"] / np.cos(np.deg2rad(given.momentum_latitude_deg.value))
     return {
         "phi": ("1° of φ", degree, np.pi / np.sqrt(3)),

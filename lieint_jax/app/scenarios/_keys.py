@@ -149,13 +149,14 @@ class Spread(Table):
     def stated(self, time_unit: str, of: str = "") -> dict[str, tuple[float, str]]:
         """Those of the state, with their units, by the names of quantities, each after `of`."""
         found: dict[str, tuple[float, str]] = {}
+        values = dict(self)
         for key, field in type(self).model_fields.items():
             suffix = next((end for end in _UNITS if key.endswith(end)), "")
             unit = _UNITS.get(suffix, "") + (f"/{time_unit}" if key.startswith(_RATE) else "")
             plain = Stated(key.removesuffix(suffix).replace("_", " "), unit)
             name, unit = next((mark for mark in field.metadata if isinstance(mark, Stated)), plain)
-            if getattr(self, key) or f"{of}{name}" not in found:
-                found[f"{of}{name}"] = getattr(self, key), unit
+            if values[key] or f"{of}{name}" not in found:
+                found[f"{of}{name}"] = values[key], unit
         return found
 
 

@@ -69,6 +69,7 @@ class Kind(Table):
     | `make_system()` | the system; numbers that `[spread]` may name can be traced |
     | `start(system, noise)` | a member's initial state, for its standard normal deviates (2, 3), 0 of the nominal one |
     | `make_step()` | the step; by default that of the keys `scheme` and `order`, with the further `options()` |
+    | `member(noise)` | with `own_step`, the step and the state of a member; by default of the methods above |
     | `conserved(run)` | what the motion conserves; by default energy and momentum map |
     | `quantities(run)` | what is measured; by default by the methods marked `quantity` |
     | `remarks(run)` | further lines of the report |
@@ -215,6 +216,11 @@ class Kind(Table):
     def start(self, system: Any, noise: Any) -> State:
         """The initial state of a member."""
         raise NotImplementedError
+
+    def member(self, noise: Any) -> tuple[Step, State]:
+        """The step and the initial state of a member."""
+        step = self.make_step()
+        return step, self.start(step.system, noise)
 
     def indices(self, indices: np.ndarray | None) -> np.ndarray:
         """The numbers of the members that `build` makes; None selects all."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Self
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +13,9 @@ from pydantic import model_validator
 
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._files import BodyFile
-from lieint_jax.app.scenarios._spread import INERTIA, draw_members, with_numbers
+from lieint_jax.app.scenarios._kind import Kind
+from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Step
 
 
 class BodySpread(keys.RateSpread, keys.AttitudeSpread):
@@ -89,16 +89,21 @@ def _member_body(body: ExtendedBody, noise: Array) -> tuple[Array, Array, Array,
     return mass, mass * (jnp.sum(E) - E), q, jnp.asarray(body.rate()) + spread.rate() * for_rate
 
 
-def build_members(
-    scenario: Any, member: Callable[[Any, Array], tuple[Step, State]], shape: tuple[int, ...]
-) -> tuple[Step, State]:
-    """The steps and the initial states of all members; a member is the same in ensembles of every size.
+class MultibodyKind(Kind):
+    """The keys of scenarios of several bodies, of which every member has its own: its `member` makes step and state."""
 
-    `member` makes those of one, from its scenario and its standard normal deviates of this shape, 0 of the first.
-    """
+    time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Seconds; other units are in the names of the keys."""
 
-    def build_member(k: Array, own: Any) -> tuple[Step, State]:
-        noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), shape)
-        return member(with_numbers(scenario, own), jnp.where(k == 0, 0.0, noise))
+    own_step = True
+    unit_km = 1e-3
 
-    return jax.jit(jax.vmap(build_member))(jnp.arange(scenario.members), draw_members(scenario))
+    def noise_shape(self) -> tuple[int, ...]:
+        """The shape of a member's standard normal deviates."""
+        raise NotImplementedError
+
+    def deviates(self, indices: np.ndarray) -> Array:
+        """Those of each member, the same in ensembles of every size, 0 of the nominal one."""
+        key, shape = jax.random.key(self.seed), self.noise_shape()
+        noise = jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(key, k), shape))(jnp.asarray(indices))
+        return noise.at[indices == 0].set(0.0)

@@ -133,8 +133,9 @@ def same_side_of(limit: float) -> DeviationLaw:
 def numbers(table: BaseModel, path: Path = ()) -> dict[Path, Number]:
     """All real numbers of a scenario, by their paths."""
     found: dict[Path, Number] = {}
-    for name, field in type(table).model_fields.items():
-        value, place = getattr(table, name), (*path, name)
+    fields = type(table).model_fields
+    for name, value in table:
+        place = (*path, name)
         if name == _SPREAD:
             continue
         if isinstance(value, BaseModel):
@@ -142,7 +143,7 @@ def numbers(table: BaseModel, path: Path = ()) -> dict[Path, Number]:
         elif isinstance(value, list) and value and isinstance(value[0], BaseModel):
             for label, row in _labeled_rows(value):
                 found |= numbers(row, (*place, label))
-        elif (number := _as_number(value, field)) is not None:
+        elif (number := _as_number(value, fields[name])) is not None:
             found[place] = number
     return found
 
@@ -311,7 +312,7 @@ def with_numbers(table: T, values: Mapping[Path, Numbers]) -> T:
     inner: dict[str, dict[Path, Numbers]] = {}
     for path, value in values.items():
         inner.setdefault(path[0], {})[path[1:]] = value
-    return table.model_copy(update={name: _with_parts(getattr(table, name), parts) for name, parts in inner.items()})
+    return table.model_copy(update={name: _with_parts(dict(table)[name], parts) for name, parts in inner.items()})
 
 
 def _with_parts(value: Any, parts: Mapping[Path, Numbers]) -> Any:
@@ -329,17 +330,18 @@ def _with_parts(value: Any, parts: Mapping[Path, Numbers]) -> Any:
 def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
     """The step and the members' states, for deviates with the member axis.
 
-    Where numbers have a spread, the leaves of the step have the member axis too.
+    Where numbers have a spread, or each member has its own step, the leaves of the step have the member axis too.
     """
-    nominal, own = scenario.make_step(), draw_members(scenario)
-    if not own:
-        return nominal, _with_shared_time(jax.vmap(partial(scenario.start, nominal.system))(noise))
+    own = draw_members(scenario)
 
     def member(numbers: Mapping[Path, Numbers], noise: PyTree) -> tuple[Step, State]:
-        of_member = with_numbers(scenario, numbers)
-        step = of_member.make_step()
-        return step, of_member.start(step.system, noise)
+        return with_numbers(scenario, numbers).member(noise)
 
+    if scenario.own_step:
+        return jax.jit(jax.vmap(member))(own, noise)
+    nominal = scenario.make_step()
+    if not own:
+        return nominal, _with_shared_time(jax.vmap(partial(scenario.start, nominal.system))(noise))
     if scenario.traced:
         try:
             members = jax.jit(jax.vmap(member))(own, noise)
@@ -379,7 +381,7 @@ def member_values(scenario: Any, *path: str) -> np.ndarray:
 def member_scenarios(scenario: Any) -> Iterator[Any]:
     """The scenario of each member alone, with its numbers and without a spread of numbers."""
     own = draw_members(scenario)
-    declared = {name: getattr(scenario.spread, name) for name in type(scenario.spread).model_fields}
+    declared = scenario.spread.model_dump(include=set(type(scenario.spread).model_fields))
     plain = scenario.model_copy(update={"members": 1, _SPREAD: type(scenario.spread).model_construct(**declared)})
     for m in range(scenario.members):
         yield with_numbers(plain, _numbers_of(own, m))

@@ -19,8 +19,8 @@ from lieint_jax import measure, potentials, runs, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _binary_motion
 from lieint_jax.app.scenarios._keys import DAY, HOUR, NonNegative, NumberSpread, PositiveFloat, Published, Table
-from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, step_of
-from lieint_jax.app.scenarios._multibody import ExtendedBody, build_members, member_bodies
+from lieint_jax.app.scenarios._kind import check_order, for_last_run, picture, step_of
+from lieint_jax.app.scenarios._multibody import ExtendedBody, MultibodyKind, member_bodies
 from lieint_jax.app.scenarios._pictures import draw_errors
 from lieint_jax.app.scenarios._report import Conserved, Quantity, citation
 from lieint_jax.app.scenarios._runs import as_batch, drawn_steps, length, nominal_state, series, standard_deviation
@@ -76,11 +76,9 @@ Name = Literal[
 ]
 
 
-class Binary(Kind):
+class Binary(MultibodyKind):
     """The keys of a scenario of this kind."""
 
-    time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
-    """Seconds; other units are in the names of the keys."""
     G: PositiveFloat = 6.67430e-11
     """The constant of gravity, in m³ kg⁻¹ s⁻²."""
     scheme: Scheme = "kepler_splitting"
@@ -93,9 +91,6 @@ class Binary(Kind):
     published: dict[Name, Published] = {}
     """Periods in hours, rates in degrees a day, changes of speed in mm/s, as the names say."""
 
-    own_step = True  # every member has its own system
-    unit_km = 1e-3
-
     @model_validator(mode="after")
     def _check_order(self) -> Self:
         check_order(self.scheme, self.order)
@@ -106,9 +101,8 @@ class Binary(Kind):
         orbit = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
         return orbit | {k: x for name, b in pair.items() for k, x in b.spread.stated("s", f"{name}'s ").items()}
 
-    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
-        """The step, whose leaves have the member axis, and the batch of initial states."""
-        return build_members(self, Binary.member, (1 + 2 * 4, 3))
+    def noise_shape(self) -> tuple[int, ...]:
+        return (1 + 2 * 4, 3)
 
     def member(self, noise: Array) -> tuple[Step, State]:
         """The step and the state of a member, for its deviates."""
@@ -282,7 +276,7 @@ class Binary(Kind):
         brief = self.drawn(one, _FINE, steps)  # the primary rotates once in few steps
         parts = measure.pair_energies(brief)
         size, names = abs(parts.orbit[0]), _PARTS | {"orbit": "orbit", "shape": "shapes, V + Gm₁m₂/r"}
-        curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
+        curves = {names[key]: (x - x[0]) / size for key, x in parts._asdict().items() if key in names}
         plots.series(left, np.asarray(brief.t) / DAY, curves, "change over |energy of the orbit|", "d")
         left.margins(y=0.25)
         left.legend(loc="upper center", ncols=2)
@@ -322,7 +316,7 @@ def _exchange(run: Run) -> list[str]:
     heads = f"{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|"
     lines = [f"\n  {'energy exchanged, greatest − least (J)':<54}{heads}"]
     for key, name in _PARTS.items():
-        swing = np.ptp(getattr(parts, key), axis=0)
+        swing = np.ptp(parts._asdict()[key], axis=0)
         spread = float(standard_deviation(swing))
         lines.append(f"  {name:<54}{swing[0]:>11.3g}{spread:>12.2g}   {swing[0] / size:.3g}")
     return lines

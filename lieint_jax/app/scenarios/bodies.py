@@ -20,7 +20,7 @@ from lieint_jax import measure, potentials, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, positive, step_of
-from lieint_jax.app.scenarios._multibody import BodySpread, ExtendedBody, build_members, member_bodies
+from lieint_jax.app.scenarios._multibody import BodySpread, ExtendedBody, MultibodyKind, member_bodies
 from lieint_jax.app.scenarios._pictures import draw_changes
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runs import length, nominal_system, series
@@ -110,7 +110,7 @@ class Term(keys.Table):
     @model_validator(mode="after")
     def _check_keys(self) -> Self:
         required, optional = _KEYS[self.kind]
-        given = [name for name in type(self).model_fields if name != "kind" and getattr(self, name) is not None]
+        given = [name for name, value in self if name != "kind" and value is not None]
         for name in given:
             if name not in (*required, *optional):
                 allowed = ", ".join((*required, *optional))
@@ -129,11 +129,9 @@ class Term(keys.Table):
         return 6.67430e-11 if self.G is None else self.G
 
 
-class Bodies(Kind):
+class Bodies(MultibodyKind):
     """The keys of a scenario of this kind."""
 
-    time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
-    """Seconds; other units are in the names of the keys."""
     scheme: Literal["nystrom", "splitting", "gauss", "kepler_splitting", "bodies_energy_momentum"] = "nystrom"
     """kepler_splitting is for two bodies that attract each other."""
     order: int | list[int] | None = None
@@ -148,7 +146,6 @@ class Bodies(Kind):
     spread: keys.NumberSpread = keys.NumberSpread()
     """Standard deviations of numbers by their paths, such as `potential.1.G` or `bodies.NAME.position_m`."""
 
-    unit_km = 1e-3
     fixed: ClassVar[dict[str, str]] = Kind.fixed | {
         "bodies.*.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg in [bodies.spread]"
     }
@@ -203,14 +200,11 @@ class Bodies(Kind):
         """The potential of gravity between the bodies, if there is one."""
         return next((term for term in self.potential if term.kind in _GRAVITY), None)
 
-    own_step = True  # every member has its own system
-
     def spreads(self) -> dict[str, tuple[float, str]]:
         return reduce(operator.or_, (body.spread.stated(self.time_unit, f"{body.name}'s ") for body in self.bodies))
 
-    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
-        """The step, whose leaves have the member axis, and the batch of initial states."""
-        return build_members(self, Bodies.member, (len(self.bodies), 6, 3))
+    def noise_shape(self) -> tuple[int, ...]:
+        return (len(self.bodies), 6, 3)
 
     def member(self, noise: Array) -> tuple[Step, State]:
         """The step and the state of a member, for its deviates."""

@@ -95,11 +95,10 @@ class Satellite(BodyKind):
 
     @model_validator(mode="after")
     def _check_equipment(self) -> Self:
-        torquers = [name for name in ("detumbling", "unloading") if getattr(self, name) is not None]
-        if torquers and self.max_dipole is None:
-            raise ValueError(f"{torquers[0]} needs torquers: give max_dipole")
-        for name in ("pointing", "unloading"):
-            if getattr(self, name) is not None and self.wheels is None:
+        for name in self.controls():
+            if name != "pointing" and self.max_dipole is None:
+                raise ValueError(f"{name} needs torquers: give max_dipole")
+            if name != "detumbling" and self.wheels is None:
                 raise ValueError(f"{name} needs wheels: give a table wheels")
         if self.detumbling is not None and self.unloading is not None:
             (a, b), (c, d) = self.detumbling.window, self.unloading.window
@@ -126,7 +125,7 @@ class Satellite(BodyKind):
 
     def controls(self) -> dict[str, equipment.Control]:
         """The laws of control in the order in which they begin."""
-        given = {name: getattr(self, name) for name in ("detumbling", "pointing", "unloading")}
+        given = {"detumbling": self.detumbling, "pointing": self.pointing, "unloading": self.unloading}
         return dict(sorted(((k, c) for k, c in given.items() if c is not None), key=lambda pair: pair[1].window))
 
     own_step = True  # every member has its own inertia and dipole

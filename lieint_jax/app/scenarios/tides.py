@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -16,7 +15,7 @@ from lieint_jax.app import plots
 from lieint_jax.app.scenarios._keys import DAY, NonNegative, NumberSpread, PositiveFloat, Published, Table
 from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._runs import series, standard_deviation
-from lieint_jax.app.scenarios._spread import draw_members, member_values, with_numbers
+from lieint_jax.app.scenarios._spread import member_values
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, energy_less_work
 
@@ -76,13 +75,13 @@ class Tides(Kind):
 
     own_step = True  # every member has its own lags
 
-    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
-        """The steps of the members, each with its own lags, and their states."""
-        random = np.random.default_rng(self.seed).normal(size=self.members)
-        factors = jnp.asarray(np.exp(self.lag_spread * random * (np.arange(self.members) > 0)))
-        own = draw_members(self)
-        step = jax.vmap(lambda factor, own: with_numbers(self, own).step_with(factor))(factors, own)
-        return step, jax.vmap(lambda own: with_numbers(self, own).circle(), axis_size=self.members)(own)
+    def deviates(self, indices: np.ndarray) -> Array:
+        """The factors of the members' lags."""
+        random = np.random.default_rng(self.seed).normal(size=self.members)[indices]
+        return jnp.asarray(np.exp(self.lag_spread * random * (indices > 0)))
+
+    def member(self, noise: Array) -> tuple[Step, State]:
+        return self.step_with(noise), self.circle()
 
     def step_with(self, factor: Array) -> Step:
         """The step with both lags times a factor."""

@@ -103,7 +103,7 @@ def labels(job: Job) -> dict[str, tuple[Column, np.ndarray]]:
     """The coordinates that name the components of the states, such as x, y, z along the dimension "axis"."""
     found: dict[str, tuple[Column, np.ndarray]] = {}
     for name, leaf in leaves_by_name(job.states).items():
-        system = getattr(job.step, "system", None)
+        system = job.step.system
         for dim, labels in labeled.state_axes(store_name(name), leaf.shape[1:], system)[1].items():
             values = np.asarray(labels)
             if values.dtype.kind == "U":

@@ -9,7 +9,6 @@ import platform
 import re
 import warnings
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 
 import jax
@@ -17,9 +16,9 @@ import numpy as np
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
-from lieint_jax._version import __version__
 from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock
+from lieint_jax.runs._facts import package_versions
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._loop import compiler_options
 from lieint_jax.runs.store._digest import NotDigestible, digest, python_of
@@ -76,11 +75,6 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
     return json.loads(json.dumps(described))
 
 
-def package_versions() -> dict[str, str]:
-    """The versions of the packages that compute a run, by name."""
-    return {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")}
-
-
 def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
     """Raise ValueError on every process if the processes are about to start different runs.
 
@@ -93,7 +87,7 @@ def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
         return
     parts = {**described, **options}
     mine = [hashlib.sha256(json.dumps(parts[key], sort_keys=True).encode()).digest()[:8] for key in parts]
-    found = _layout.gather_row(mesh, np.frombuffer(b"".join(mine), np.uint32)).reshape(-1, len(parts), 2)
+    found = _layout.all_gather(mesh, np.frombuffer(b"".join(mine), np.uint32)).reshape(-1, len(parts), 2)
     different = [key for key, same in zip(parts, (found == found[0]).all(axis=(0, 2)), strict=True) if not same]
     if different:
         raise ValueError(

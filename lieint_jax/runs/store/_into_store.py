@@ -13,6 +13,7 @@ from lieint_jax.runs import _layout
 from lieint_jax.runs._dyadic_sum import blocks
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Layout
+from lieint_jax.runs._make_job import split_into_parts
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
 from lieint_jax.runs.store._description import describe
@@ -33,7 +34,7 @@ def run_into_store(
     whole: Job,
     mesh: Mesh,
     options: StoreOptions,
-    split: Split,
+    count: int,
     k: int,
     in_parts: bool,
     resume: bool,
@@ -50,7 +51,7 @@ def run_into_store(
         whole: the job of all members.
         mesh: the devices.
         options: the store.
-        split: the parts.
+        count: the number of parts.
         k: which one.
         in_parts: whether other parts, or other processes into the same bucket, may write at the same time.
         resume: continue a store that exists.
@@ -58,6 +59,7 @@ def run_into_store(
         integrate: fills an output.
     """
     storage, leader = open_storage(checked_path(options.path)), jax.process_index() == 0
+    split = split_into_parts(whole, count, storage.is_remote)
     check_json(options.attributes)
     described = _identity.description(whole, engine, options.attributes.get("scenario"))
     first_files = partial(_skeleton, whole, options, described, split, in_parts, storage.is_remote)
@@ -118,7 +120,7 @@ def _skeleton(
 ) -> dict[str, bytes]:
     """The files that a store begins with; `job` is that of all members."""
     largest = job.restricted(max(map(split.part, range(split.parts)), key=len))
-    rows = (largest.bucket_rows if remote else largest.buffer_rows)(split.chunk)
+    rows = largest.buffer_rows(split.chunk, remote)
     description, numbers = describe(job.step)
     attributes = attributes_of(job, options, described, split.chunk, rows)
     attributes |= {"format": FORMAT, "constants": sorted(numbers), "description": description}

@@ -46,15 +46,22 @@ def check_store(path: Address) -> Root | Table:
     Of a run in parts only the description is checked: `_published.load` checks its parts one by one.
 
     Raises:
-        UnreadableError: not a store of lieint, or its description does not fit its arrays.
+        UnreadableError: not a store of lieint, or one that is being created; its description does not fit its arrays.
         ValueError: a damaged store; the message names the files.
     """
     root = described_root(path)
     with wrap_errors(path):
-        if isinstance(root, Root):
-            lost = list(root.damage_of_root() if root.in_parts else root.damage())
-        else:
+        if not isinstance(root, Root):
             lost = list(_legacy.damage(path, root))  # pyright: ignore[reportArgumentType]
+        elif not root.in_parts:
+            lost = list(root.damage())
+        elif lost := list(root.damage_of_root()):
+            if not root.has_results():  # a bucket gets the root first, and results after all other files
+                raise UnreadableError(
+                    f"{path} has no results yet, and not all of its files: it is being created. Open it again when it "
+                    "has; if its run was stopped, start that again"
+                )
+            lost = list(root.damage_of_root())
     raise_if_damaged(path, lost)
     return root
 

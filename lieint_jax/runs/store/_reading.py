@@ -25,7 +25,7 @@ from lieint_jax.runs.store._published import PublishedArray
 from lieint_jax.runs.store._root import PartStatus, Root, read_root
 from lieint_jax.runs.store._storage import Address, address
 from lieint_jax.runs.store._untrusted import wrap_errors
-from lieint_jax.types import Step, System, Trajectory
+from lieint_jax.types import Step, System, Trajectory, pytree, static
 
 _T = TypeVar("_T")
 
@@ -143,6 +143,28 @@ def read_written(path: Path) -> Stored:
 def system_from_store(path: Address, attributes: Table, own: Mapping[str, object] | None = None) -> System:
     """The system of the run in a store of these attributes."""
     return _from_store(path, attributes, "system", System, own)
+
+
+def step_from_store(path: Address, attributes: Table) -> Step:
+    """The step of the run in a store of these attributes; that of a user's own scheme can only be asked its system."""
+    system = system_from_store(path, attributes)
+    try:
+        return _from_store(path, attributes, "step", Step, None, system)
+    except UnknownNameError:
+        return _StepOfUser(system)
+
+
+@pytree
+class _StepOfUser(Step):
+    """Stands for a step whose class is not in this package."""
+
+    system: System
+    order: float = static(default=1)
+    symmetric: bool = static(default=False)
+
+    @property
+    def name(self) -> str:
+        return "a step of the user's"
 
 
 def _from_store(

@@ -93,7 +93,7 @@ class StoreOutput:
     def _publish_commit(self, carry: Carry, commit: Commit) -> None:
         """Publish a commit that all processes have written."""
         layout = self._layout
-        checksums = _layout.gather_row(layout.mesh, self._writer.checksums(commit)).max(axis=0)
+        checksums = _layout.all_gather(layout.mesh, self._writer.checksums(commit)).max(axis=0)
         arrays = {} if commit.progress["complete"] else _layout.gather(layout, _leaves_of_carry(carry))
         self._writer.publish(commit, checksums, arrays)
 

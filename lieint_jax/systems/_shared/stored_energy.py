@@ -186,7 +186,7 @@ def as_stored_energy(energy: StoredEnergy | Callable[[Array], Array]) -> StoredE
             "stored_energy must be a material such as systems.mooney_rivlin(lam, mu), or a callable W(C) of C = FᵀF, "
             f"shape (3, 3); got {energy!r}"
         )
-    name = getattr(energy, "__name__", type(energy).__name__)
+    name = _checks.name_of(energy)
     made = General(callable_pytree(energy), name)
     _checks.function(f"stored_energy {name}", made, "C = FᵀF (3, 3)", (), jnp.zeros((3, 3)))
     return made
