@@ -19,7 +19,6 @@ from jax.interpreters import mlir
 
 from lieint_jax._xla import unchecked
 from lieint_jax.native._arrays import computed_before
-from lieint_jax.native._handler import handler
 from lieint_jax.native._kernel import KernelCode
 from lieint_jax.native._march import AnyArray, AnyArrays, Deferred, Loop, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
@@ -41,11 +40,11 @@ _chosen_threads = jax.make_user_context(None)  # a number, or None
 
 
 class LoopCode:
-    """The step of a loop as machine code that XLA calls by a name.
+    """The step of a loop as machine code that XLA calls.
 
     Attributes:
         engine: its name.
-        name: of the call.
+        target, kernel: what XLA calls, and with which code.
         length: the number of operations of a step.
         pressure: how many numbers of a step are alive at once.
         lanes: the members of a vector.
@@ -71,9 +70,9 @@ class LoopCode:
             pressure = traced.pressure
             lanes = 1 if body.is_single else _machine.lanes(traced.leaves, pressure)
             texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse)
-            around = handler(len(traced.leaves) - 1, len(results), lanes)  # all but the counter are in memory
             walked = time.perf_counter()
-            self.name = _machine.compile_handler(*texts, around)
+            inputs = len(traced.leaves) - 1  # all but the counter are in memory
+            self.kernel, self.target = _machine.kernel(texts, inputs, len(results), lanes), _machine.TARGET
         self.length, self.pressure, self.lanes = traced.length, pressure, lanes
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
@@ -87,8 +86,9 @@ class LoopCode:
         if loop.every is None:  # the places of the arguments that they are
             sizes |= {"every": -1 - loop.carried, "stored": -2 - loop.carried}
         before = computed_before(self._outside, self._leaves, [None, *arguments], loop.members)
-        call = jax.ffi.ffi_call(self.name, [shape_of(x) for x in shapes])
-        return list(call(*arguments, *before, **{name: np.int64(x) for name, x in sizes.items()}))
+        call = jax.ffi.ffi_call(self.target, [shape_of(x) for x in shapes])
+        numbers = {name: np.int64(x) for name, x in sizes.items()}
+        return list(call(*arguments, *before, kernel=self.kernel.name, **numbers))
 
 
 class _Body(NamedTuple):
@@ -172,7 +172,7 @@ def _log_once(what: str, reason: str) -> None:
     _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
 
 
-def _lowering(function: Callable[..., list[AnyArray]]) -> Callable[..., Any]:
+def _lowering(function: Callable[..., list[AnyArray]], platform: str = "") -> Callable[..., Any]:
     """The rule of a loop that `function` computes; it sees no types of arrays that differ between devices."""
     rule = mlir.lower_fun(function, multiple_results=True)
 
@@ -181,11 +181,15 @@ def _lowering(function: Callable[..., list[AnyArray]]) -> Callable[..., Any]:
         given, found = ([ShapedArray(x.shape, x.dtype) for x in of] for of in types)
         with unchecked(), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "The Pallas Triton backend", DeprecationWarning)
-            return rule(ctx.replace(avals_in=given, avals_out=found), *operands, loop=loop)
+            lowered = rule(ctx.replace(avals_in=given, avals_out=found), *operands, loop=loop)
+        if platform == "cpu" and isinstance(code := machine_code(loop), LoopCode):
+            ctx.module_context.add_keepalive(code.kernel)  # until XLA's program holds it
+        return lowered
 
     return lower
 
 
 mlir.register_lowering(march_p, _lowering(by_xla))
 for _platform in ("cpu", "gpu"):
-    mlir.register_lowering(march_p, _lowering(functools.partial(_compiled, platform=_platform)), platform=_platform)
+    _rule = _lowering(functools.partial(_compiled, platform=_platform), _platform)
+    mlir.register_lowering(march_p, _rule, platform=_platform)
