@@ -105,8 +105,8 @@ class _Undoable(NamedTuple):
         real = jax.tree.map(lambda x: x if jnp.issubdtype(x.dtype, jnp.floating) else None, list(arrays[1]))
         consts = list(arrays[1]), real, dt
 
-        def undo(n: Array, carry: PyTree, _: None, *consts: PyTree) -> tuple[PyTree, None]:
-            return self._undo(*consts, n, carry), None
+        def undo(n: Array, carry: PyTree, _: None, arrays: PyTree, real: PyTree, dt: Array) -> tuple[PyTree, None]:
+            return self._undo(arrays, real, dt, n, carry), None
 
         def interval(carry: PyTree, saved: tuple[State, State, State, Array]) -> tuple[PyTree, Array]:
             lam, sums = carry
