@@ -50,10 +50,8 @@ class Held(Potential):
         return callable(self.first) or callable(self.last)
 
     @property
-    def domain(self) -> str:
-        """Where V is defined, in words; "" if everywhere."""
-        terms = getattr(self.potential, "terms", (self.potential,))
-        return ". ".join(filter(None, (getattr(term, "domain", "") for term in terms)))
+    def domain(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.potential.domain
 
     @property
     def symmetry(self) -> Array:

@@ -42,6 +42,7 @@ class Potential:
 
     chain = False  # whether each body acts only on the one before and the one after it
     driven = False  # whether it has poses that are given functions of time, `poses(t)`, and `at(t)` with those constant
+    domain = ""  # a sentence where V is not defined everywhere
 
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return self.value(self.invariants(x, R))  # pyright: ignore[reportAttributeAccessIssue]
@@ -94,6 +95,10 @@ class SumPotential(Potential):
     @property
     def chain(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return all(getattr(term, "chain", False) for term in self.terms)
+
+    @property
+    def domain(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return ". ".join(filter(None, (getattr(term, "domain", "") for term in self.terms)))
 
     @property
     def symmetry(self) -> Array | None:

@@ -81,10 +81,9 @@ class BodiesEnergyMomentum(Step):
             ends, info = _Chain(equation).ends(most)
         else:
             ends, info = equation.solve(equation.guess(), most, 2, most)
-        force, power = equation.force(ends), equation.applied(ends)[1]
-        entered = equation.mutual(ends)[1]
+        force, work = equation.force_and_work(ends)
         good = jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
-        work = None if state.work is None else state.work + equation.dt * power + entered
+        work = None if state.work is None else state.work + work
         end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
         return end, info._replace(converged=info.converged & good)
 
@@ -202,10 +201,13 @@ class _Equation(FixedPointEquation[_Ends]):
         x, q = self.state.q[:, :3], self.state.q[:, 3:]
         return jnp.concatenate([x + ends.move, jax.vmap(so3.cayley_increment)(q, ends.turn)], axis=1)
 
-    def force(self, ends: _Ends) -> Array:
-        """f̄ and τ̄ of each body, (N, 6)."""
-        force = self.mutual(ends)[0]
-        return force + self.applied(ends)[0] if isinstance(self.system, AbstractDissipativeBodies) else force
+    def force_and_work(self, ends: _Ends) -> tuple[Array, Array]:
+        """f̄ and τ̄ of each body, (N, 6), and the work of dissipation, given forces and given poses."""
+        force, work = self.mutual(ends)
+        if isinstance(self.system, AbstractDissipativeBodies):
+            applied, power = self.applied(ends)
+            force, work = force + applied, work + self.dt * power
+        return force, work
 
     def mutual(self, ends: _Ends) -> tuple[Array, Array]:
         """The part of f̄ and τ̄ of the potential, (N, 6), and the work of the poses that move in it as given."""
@@ -220,8 +222,6 @@ class _Equation(FixedPointEquation[_Ends]):
 
     def applied(self, ends: _Ends) -> tuple[Array, Array]:
         """The part of f̄ and τ̄ of dissipation and given forces, (N, 6), and their power."""
-        if not isinstance(self.system, AbstractDissipativeBodies):
-            return jnp.zeros_like(self.state.p), jnp.zeros_like(self.dt)
         rate, q = 1 / jnp.where(self.dt == 0, 1, self.dt), self.state.q
         between = jax.vmap(so3.normalize)(q[:, 3:] + self.configuration(ends)[:, 3:])
         middle = jnp.concatenate([q[:, :3] + ends.move / 2, between], axis=1)
@@ -243,7 +243,7 @@ class _Equation(FixedPointEquation[_Ends]):
 
     def linearized(self, ends: _Ends) -> tuple[_Ends, Array]:
         """The residual, and the derivative of its rotational part by y without that of the forces, (N, 3, 3)."""
-        force, (q, p) = self.force(ends), self.state[:2]
+        (force, _), (q, p) = self.force_and_work(ends), self.state[:2]
         move = self.dt / self.system.masses[:, None] * (p[:, :3] + self.dt / 2 * force[:, :3])
         F, K = jax.vmap(self._rotation_equation)(self.system.inertias, q[:, 3:], p[:, 3:], force[:, 3:], ends.turn)
         return _Ends(ends.move - move, F), K

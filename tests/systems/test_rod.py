@@ -178,7 +178,7 @@ def test_an_element_that_turns_to_where_its_energy_is_not_convex_is_flagged(ener
 REFUSED = {
     r"lengths must have shape \(N - 1,\)": {"lengths": 1.0},
     "lengths must be positive": {"lengths": [1.0, 0.0]},
-    "stretching must be ≥ 0": {"stretching": (1.0, -1, 1)},
+    "stretching must not be negative": {"stretching": (1.0, -1, 1)},
     r"bending must have shape \(3,\) or \(2, 3\)": {"bending": (1.0, 1)},
     "energy must be one of fourth, directors": {"energy": "cubic"},
 }
@@ -209,6 +209,15 @@ def test_a_rod_that_cannot_be_is_refused(message):
     given = {"length": 1.0, "elements": 3, "section": ROUND} | BAD[message]
     with pytest.raises(ValueError, match=message):
         systems.rod(**given | {"section": given["section"]() if callable(given["section"]) else given["section"]})
+
+
+def test_a_sum_and_a_held_chain_have_the_domains_of_their_terms():
+    V = potentials.rod([1.0], **STIFF)
+    series = potentials.mutual_gravity(1.0, [li.shapes.box([1.0, 2.0, 3.0], mass=1.0)] * 2)
+    both = V + (lambda x, R: x[0, 0]) + series
+    assert both.domain == f"{V.domain}. {series.domain}"
+    assert potentials.held(both, first=[0, 0, 0, 1, 0, 0, 0]).domain == both.domain
+    assert (potentials.springs([[0, 1]], np.zeros((1, 2, 3)), 1.0) + (lambda x, R: x[0, 0])).domain == ""
 
 
 def test_ends_that_are_held_cannot_be_held_again():
