@@ -44,12 +44,6 @@ class BlockTridiagonal(NamedTuple):
         first, last = (jnp.asarray(link == end)[:, None, None] for end in (0, n - 1))
         return cls(jnp.where(first, 0, lower), diagonal, jnp.where(last, 0, upper))
 
-    @property
-    def T(self) -> BlockTridiagonal:
-        """The transposed matrix."""
-        lower, diagonal, upper = (jnp.swapaxes(block, 1, 2) for block in self)
-        return BlockTridiagonal(jnp.roll(upper, 1, 0), diagonal, jnp.roll(lower, -1, 0))
-
 
 class _Level(NamedTuple):
     """One level of the reduction, with B the blocks of the m eliminated links.
