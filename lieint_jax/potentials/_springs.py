@@ -42,7 +42,8 @@ class Springs(Potential):
 
     def value(self, invariants: Array) -> Scalar:
         """V of the squared lengths."""
-        return jnp.sum(self.stiffness * (invariants - 2 * self.lengths * _root(invariants) + self.lengths**2)) / 2
+        stretched = jnp.where(invariants > 0, (_root(invariants) - self.lengths) ** 2, invariants + self.lengths**2)
+        return jnp.sum(self.stiffness * stretched) / 2
 
     def discrete_gradient(self, start: Array, end: Array) -> Array:
         """D with D·(end − start) = V(end) − V(start), in closed form, without cancellation."""

@@ -128,7 +128,7 @@ def test_the_order_in_the_time_step_is_two():
 
 
 def continuous_tip(section, v, degree=24):
-    """x, z and the angle of one end of a free rod after a time of 1, from rest along z with the velocities v(s) along x.
+    """x, z and the angle of one end of a free rod after a time of 1, from a straight one with velocities v(s) along x.
 
     The plane motion of the continuous rod by Legendre polynomials in s: quadrature by Gauss, and time by scipy.
     """
