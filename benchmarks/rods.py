@@ -10,7 +10,7 @@ given). Errors are the largest distance, in m, of one end at ten times. PyElasti
 constant strain on SE(3) (Sonneville, Cardona & Brüls 2014) and our stiffness; H and L are computed from that strain and
 its mass matrix at the start, which is right to 5e-5, as its most accurate run shows.
 
-    python benchmarks/rods.py [--quick] [--out DIR]
+    python benchmarks/rods.py [--quick] [--elements] [--out DIR]
 
 Called in turn in one process on one core; the least of the CPU times counts. Compilation is not part of them, but of
 the first calls, once for all step sizes; `nystrom` and PyElastica's functions are compiled before, for the references.
@@ -30,13 +30,20 @@ from lib import command
 RADIUS, YOUNG, DENSITY, SPEED, SAMPLES = 0.025, 1e6, 1e3, 2.0, 10
 AREA, SECOND = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
 LIMITS = {"splitting": 1.74, "nystrom, order 4": 3.7, "PositionVerlet": 1.5, "PEFRL": 2.2}  # Δt·Ω
+ELEMENTS, RUN_STEPS = (16, 64, 256, 1024), 20
 FIXED, NEWTON = "bodies_energy_momentum, fixed point", "bodies_energy_momentum, newton"
 
 
 def main() -> None:
-    options = command.on_one_core(__doc__)
+    parser = command.parser(__doc__)
+    parser.add_argument("--elements", action="store_true", help="print only the time by the number of elements")
+    options = command.parsed(parser)
+    command.pin()
     from lib import measure, report
 
+    if options.elements:
+        print(elements_table(elements((8, 32) if options.quick else ELEMENTS)))
+        return
     sizes = (8, 16, (16, 32), 20) if options.quick else (16, 32, (64, 128), 1000)
     result = command.under_load(lambda: {"machine": measure.machine(), **measured(*sizes, 1 if options.quick else 3)})
     report.publish("rods", sections(result), result, options.out)
@@ -79,6 +86,7 @@ def measured(coarse: int, fine: int, limit: tuple[int, int], members: int, round
         "equal_error": equal_error(rows),
         "many": many(coarse, members),
         "gradients": gradients(coarse),
+        "elements": elements(ELEMENTS if members == 1000 else (coarse, fine)),
     }
 
 
@@ -358,6 +366,28 @@ def gradients(n: int) -> dict[str, float]:
     }
 
 
+def elements(sizes: Sequence[int], steps: int = RUN_STEPS, rounds: int = 5) -> list[list[Any]]:
+    """Microseconds per element and step, by scheme and number of elements."""
+    import jax
+
+    import lieint_jax as li
+
+    calls: dict[tuple[str, int], Callable[[], Any]] = {}
+    for n in sizes:
+        for name, dt in (("splitting", 1 / steps_of(n, "splitting")), (NEWTON, 1 / 800)):
+            run = jax.jit(lambda step, z, dt: li.integrate(step, z, dt, steps, save_every=steps))
+            calls[name, n] = partial(run, our_step(n, name), our_start(n), dt)
+            assert bool(calls[name, n]().info.converged.all()), (name, n)
+    seconds = command.least_cpu_times(calls, rounds)  # pyright: ignore[reportArgumentType]
+    return [[*key, 1e6 * x / (key[1] * steps)] for key, x in seconds.items()]  # pyright: ignore
+
+
+def elements_table(rows: Sequence[Sequence[Any]]) -> str:
+    from lib import report
+
+    return report.table(["", "elements", "µs per element and step"], [[r[0], str(r[1]), f"{r[2]:.2g}"] for r in rows])
+
+
 def sections(result: dict[str, Any]) -> list[str]:
     from lib import report
 
@@ -378,6 +408,8 @@ def sections(result: dict[str, Any]) -> list[str]:
         report.table(["", "elements", "steps", "of all, m", "ms", "PyElastica, ms", "÷ ours"], equal),
         "Many rods of different stiffness, on one core (one after another: one rod, times their number)",
         report.table(["", "s", "÷ ours"], [[name, f"{x:.3g}", f"{x / ours:.2g}"] for name, x in result["many"]]),
+        f"Time by the number of elements, {RUN_STEPS} steps of one rod",
+        elements_table(result["elements"]),
         "The derivative of the tip's mean distance from the middle by ln E (`nystrom`, order 4), less that by "
         "differences of sixth order, relative. PyElastica has none.",
         report.table(
