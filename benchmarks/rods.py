@@ -29,7 +29,7 @@ from lib import command
 
 RADIUS, YOUNG, DENSITY, SPEED, SAMPLES = 0.025, 1e6, 1e3, 2.0, 10
 AREA, SECOND = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
-LIMITS = {"splitting": 1.74, "nystrom, order 4": 3.7, "PositionVerlet": 1.5, "PEFRL": 2.2}  # Δt·Ω
+LIMITS = {"splitting": 1.74, "nystrom, order 4": 3.7, "PositionVerlet": 1.5, "PEFRL": 2.2, "RK44": 1.5}  # Δt·Ω
 ELEMENTS, RUN_STEPS = (16, 64, 256, 1024), 20
 FIXED, NEWTON = "bodies_energy_momentum, fixed point", "bodies_energy_momentum, newton"
 
@@ -62,7 +62,7 @@ def measured(coarse: int, fine: int, limit: tuple[int, int], members: int, round
                 calls[n, f"ours, {name}", k] = partial(our_path, n, name, k)
         for k in (200, 400, 800):
             calls[n, "Exudyn, TrapezoidalIndex2", k] = partial(exudyn_path, n, "TrapezoidalIndex2", k)
-        calls[n, "Exudyn, RK44", 125 * n] = partial(exudyn_path, n, "RK44", 125 * n)
+        calls[n, "Exudyn, RK44", steps_of(n, "RK44")] = partial(exudyn_path, n, "RK44", steps_of(n, "RK44"))
     for n in sorted({*(m for k in (1, 2, 3, 4) for m in (coarse * k, coarse * k * 3 // 2) if m <= limit[0])}):
         exact[n, "PyElastica"] = their_reference(n)
         for name in ("PositionVerlet", "PEFRL"):
@@ -313,7 +313,7 @@ def exudyn_path(n: int, solver: str, steps: int) -> dict[str, np.ndarray]:
 
 @cache
 def exudyn_reference(n: int) -> np.ndarray:
-    return exudyn_path(n, "RK44", 250 * n)["tip"]
+    return exudyn_path(n, "RK44", 4 * steps_of(n, "RK44"))["tip"]
 
 
 def many(n: int, members: int) -> list[list[Any]]:
