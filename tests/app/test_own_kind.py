@@ -40,18 +40,16 @@ def test_the_kind_of_the_page_runs_by_the_command(folder, lieint):
     assert "a top sleeps if it spins faster" in lieint("plot", "top.npz", "--force", "--kind", "top.py:SleepingTop")
 
 
-def test_a_store_of_an_own_kind_opens_without_it(folder, capsys):
+def test_a_store_of_an_own_kind_opens_without_it(folder, lieint):
     """Its system is in the store, and nothing is imported; a sentence names the kind, also where its file has moved."""
     options = ["--no-certificate", "--set", "steps=40", "--out", "top.zarr"]
-    assert cli.main(["run", "top.toml", *options]) == 0
-    assert cli.main(["info", "top.zarr"]) == 0
-    assert "largest change of energy" in capsys.readouterr().out
+    lieint("run", "top.toml", *options)
+    assert "largest change of energy" in lieint("info", "top.zarr")
     Path("top.py").write_text("raise AssertionError", encoding="utf-8")
     for gone in (False, True):
         if gone:
             Path("top.py").unlink()
-        assert cli.main(["plot", "top.zarr", "--force"]) == 0
-        out = capsys.readouterr().out
+        out = lieint("plot", "top.zarr", "--force")
         assert "--kind top.py:SleepingTop draws and reports as its own kind does" in out
         assert ("(top.py:SleepingTop is not here: give the place of its file)" in out) is gone
         assert "written: top-invariants.png, top-invariants.pdf, top-motion.png" in out
@@ -194,7 +192,7 @@ def test_the_face_has_what_it_lists():
     assert sorted(kind.__all__) == kind.__all__
 
 
-def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, capsys):
+def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, lieint):
     """Its class is not imported, and its step cannot be rebuilt; energies need the system only."""
     import lieint_jax as li
 
@@ -203,7 +201,6 @@ def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, capsys):
     Own = li.pytree(type("Own", (type(found),), {"__module__": __name__, "__annotations__": {}}))
     state = body.state(angular_velocity=[0.1, 0.2, 1.0])
     li.run(Own(**vars(found)), state, 0.1, 8, progress=False, store=tmp_path / "own.zarr")
-    assert cli.main(["info", str(tmp_path / "own.zarr")]) == 0
-    assert "largest change of energy" in capsys.readouterr().out
+    assert "largest change of energy" in lieint("info", tmp_path / "own.zarr")
     with pytest.raises(ValueError, match=r"test_own_kind\.Own"):
         li.open(tmp_path / "own.zarr")
