@@ -62,7 +62,6 @@ def run(
     states: State | MakeStates,
     dt: float | None = None,
     num_steps: int | None = None,
-    *,
     save_every: int | None = None,
     step_axis: int | None = None,
     reduce: Reduction | Literal["energy"] | None = None,

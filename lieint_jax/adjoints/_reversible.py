@@ -19,8 +19,8 @@ def reversible(
     state: State,
     dt: ArrayLike,
     num_steps: int,
-    *,
     save_every: int | None = None,
+    *,
     derivative: Derivative = "reversible",
     tolerance: float | None = None,
 ) -> Trajectory:

@@ -95,7 +95,6 @@ def kepler(
     semi_major_axis: ArrayLike,
     eccentricity: ArrayLike,
     inclination: ArrayLike = 0.0,
-    *,
     node: ArrayLike = 0.0,
     periapsis: ArrayLike = 0.0,
     periapsis_time: ArrayLike = 0.0,

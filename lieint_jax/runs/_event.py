@@ -54,7 +54,6 @@ def event(
     state: State,
     dt: ArrayLike,
     condition: Callable[[State], ArrayLike],
-    *,
     max_steps: int,
     direction: Literal[-1, 0, 1] = 0,
     count: int = 1,
