@@ -26,6 +26,7 @@ TITLES = {
     "engines": "Steps for engines",
     "gradients": "Gradients",
     "one_body": "One body",
+    "loops": "Runs in your own jit",
     "tangent": "Tangent vectors",
     "scan": "Loops of others",
     "ensemble": "Ensembles",

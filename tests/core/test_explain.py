@@ -76,20 +76,50 @@ def end(make, J, w, **options):
     return li.integrate(step, start, 0.05, 12, **({"save_every": 12} | options)).state.p[-1]
 
 
+@li.pytree
+class Heun(li.types.Step):
+    """A user's scheme."""
+
+    system: object
+
+    order, symmetric, name = 2, False, "Heun"
+
+    def advance(self, state, dt):
+        def at(rate, h):
+            return state._replace(q=state.q + h * rate.q, p=state.p + h * rate.p)
+
+        first = self.system.vector_field(state)
+        second = self.system.vector_field(at(first, dt))
+        mean = jax.tree.map(lambda x, y: (x + y) / 2, first, second)
+        return at(mean, dt), li.types.StepInfo(jnp.zeros_like(dt), jnp.asarray(True))
+
+
+def heun(J):
+    return Heun(li.systems.RigidBody(J)), {}
+
+
+def network(J):
+    eqx = pytest.importorskip("equinox")
+    return li.schemes.splitting(li.systems.potential_top(J, eqx.nn.MLP(3, "scalar", 8, 1, key=jax.random.key(0)))), {}
+
+
 RUNS = {"free body": free_body, "heavy top": top, "satellite": satellite, "heavy top, order 6": nystrom}
+USERS = {"scheme": heun, "Equinox potential": network}
 USES = {
     "values": lambda run: jax.vmap(run, (None, 0)),
     "one tangent": lambda run: lambda J, W: jax.jvp(lambda J: jax.vmap(run, (None, 0))(J, W), (J,), (J,))[1],
     "gradient": lambda run: jax.grad(lambda J, W: jax.vmap(run, (None, 0))(J, W).sum()),
 }
 CASES = [
-    pytest.param(name, use, marks=[] if name == "free body" else [pytest.mark.long]) for name in RUNS for use in USES
+    pytest.param(name, use, marks=[] if name == "free body" else [pytest.mark.long])
+    for name in RUNS | USERS
+    for use in USES
 ]
 
 
 @pytest.mark.parametrize(("name", "use"), CASES)
 def test_runs_and_their_derivatives_are_machine_code(name, use):
-    found = li.explain(USES[use](lambda J, w: end(RUNS[name], J, w)), J, W)
+    found = li.explain(USES[use](lambda J, w: end((RUNS | USERS)[name], J, w)), J, W)
     assert found.engines == {"native"}, str(found)
     assert any(loop.reverse for loop in found.loops) == (use == "gradient")
 

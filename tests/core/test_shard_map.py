@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -71,3 +72,39 @@ def test_runs_and_derivatives_pass_the_check_and_are_those_without_shards():
     done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["refused", "refused"]
+
+
+ALL_SCHEMES = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import grid, jax, jax.numpy as jnp, numpy as np
+import lieint_jax as li
+from jax.sharding import Mesh, PartitionSpec as P
+
+jax.config.update("jax_enable_x64", True)
+mesh, seen = Mesh(np.array(jax.devices()), ("m",)), set()
+for module, name, step, state, dt in grid.cases():
+    if module in seen:
+        continue
+    seen.add(module)
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+    for adjoint in (None, li.adjoints.ReversibleAdjoint()) if step.symmetric else (None,):
+        def loss(z):
+            return jnp.sum(li.integrate(step, z, dt, 4, save_every=2, adjoint=adjoint).state.p[-1] ** 2)
+
+        slopes = jax.vmap(jax.value_and_grad(loss, allow_int=True))
+        try:
+            jax.jit(jax.shard_map(slopes, mesh=mesh, in_specs=P("m"), out_specs=P("m"))).trace(states)
+        except Exception as error:
+            print(name, adjoint, error)
+assert seen == grid.schemes()
+"""
+
+
+@pytest.mark.long
+def test_gradients_of_every_scheme_pass_the_check():
+    """The check is made when JAX traces."""
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    command = [sys.executable, "-c", ALL_SCHEMES, str(Path(__file__).parents[1] / "lib")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
