@@ -132,6 +132,7 @@ def test_derivatives_through_stiff_steps_are_those_of_differences():
     np.testing.assert_allclose(both_modes("newton", STIFF, 1.0), expected, rtol=0, atol=1e-10)
 
 
+@pytest.mark.long
 def test_a_reverse_pass_saves_no_factors_of_matrices():
     """Each mode factors the matrix that it needs, so the forward pass of a gradient solves no linear equations."""
     system = rod(STIFF)
