@@ -21,6 +21,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
+from importlib import import_module
 from itertools import pairwise
 from typing import Any
 
@@ -262,11 +263,11 @@ def their_reference(n: int) -> np.ndarray:
 
 def exudyn_path(n: int, solver: str, steps: int) -> dict[str, np.ndarray]:
     """The tip of Exudyn's rod, its energy and angular momentum, the latter two from the start on."""
-    import exudyn
-    from exudyn.itemInterface import NodeRigidBodyRotVecLG, ObjectBeamGeometricallyExact, SensorNode
-    from exudyn.solver import ComputeLinearizedSystem
     from scipy.spatial.transform import Rotation
 
+    names = ("exudyn", "exudyn.itemInterface", "exudyn.solver")
+    modules: list[Any] = [import_module(name) for name in names]  # their stubs lack what C++ defines
+    exudyn, items, solvers = modules
     bodies, section = exudyn.SystemContainer().AddSystem(), exudyn.BeamSection()  # along its first axis, our third
     shear, bend = 27 / 28 * YOUNG / 3 * AREA, YOUNG * SECOND
     stiffness = np.array([YOUNG * AREA, shear, shear, YOUNG / 3 * 2 * SECOND, bend, bend])
@@ -275,16 +276,16 @@ def exudyn_path(n: int, solver: str, steps: int) -> dict[str, np.ndarray]:
     s = np.linspace(0, 1, n + 1)
     starts = np.concatenate([np.roll(x, 1, axis=1) for x in velocities(s)], axis=1)
     nodes = [
-        bodies.AddNode(NodeRigidBodyRotVecLG(referenceCoordinates=[at, 0, 0, 0, 0, 0], initialVelocities=u))
+        bodies.AddNode(items.NodeRigidBodyRotVecLG(referenceCoordinates=[at, 0, 0, 0, 0, 0], initialVelocities=u))
         for at, u in zip(s, starts, strict=True)
     ]
     for pair in pairwise(nodes):
-        bodies.AddObject(ObjectBeamGeometricallyExact(nodeNumbers=list(pair), length=1 / n, sectionData=section))
+        bodies.AddObject(items.ObjectBeamGeometricallyExact(nodeNumbers=list(pair), length=1 / n, sectionData=section))
     kinds = [
         getattr(exudyn.OutputVariableType, x) for x in ("Position", "RotationMatrix", "Velocity", "AngularVelocity")
     ]
     sensors = [
-        [bodies.AddSensor(SensorNode(nodeNumber=k, storeInternal=True, outputVariableType=x)) for k in nodes]
+        [bodies.AddSensor(items.SensorNode(nodeNumber=k, storeInternal=True, outputVariableType=x)) for k in nodes]
         for x in kinds
     ]
     bodies.Assemble()
@@ -293,7 +294,7 @@ def exudyn_path(n: int, solver: str, steps: int) -> dict[str, np.ndarray]:
     settings.timeIntegration.newton.useModifiedNewton = True
     settings.timeIntegration.verboseMode = 0
     settings.solution.file.write, settings.solution.sensors.writePeriod = False, 1 / SAMPLES
-    M = ComputeLinearizedSystem(bodies)[0]
+    M = solvers.ComputeLinearizedSystem(bodies)[0]
     if not bodies.SolveDynamic(settings, solverType=getattr(exudyn.DynamicSolverType, solver)):
         raise RuntimeError(f"Exudyn's {solver} failed with {steps} steps")
     x, R, v, w = (np.stack([bodies.GetSensorStoredData(sensor)[:, 1:] for sensor in row], axis=1) for row in sensors)

@@ -187,7 +187,7 @@ class _Equation(FixedPointEquation[_Ends]):
         """f̄ and τ̄ of each body, (N, 6), and the work of dissipation, given forces and given poses."""
         force, work = self.mutual(ends)
         if isinstance(self.system, AbstractDissipativeBodies):
-            applied, power = self.applied(ends)
+            applied, power = self.applied(self.system, ends)
             force, work = force + applied, work + self.dt * power
         return force, work
 
@@ -202,14 +202,14 @@ class _Equation(FixedPointEquation[_Ends]):
         work = [jnp.sum(a * (end - start)) for a, start, end in zip(along, given0, given1, strict=True)]
         return jnp.concatenate([-along_x, torques(R, along_R)], axis=1), sum(work, jnp.zeros_like(self.dt))
 
-    def applied(self, ends: _Ends) -> tuple[Array, Array]:
+    def applied(self, system: AbstractDissipativeBodies, ends: _Ends) -> tuple[Array, Array]:
         """The part of f̄ and τ̄ of dissipation and given forces, (N, 6), and their power."""
         rate, q = 1 / jnp.where(self.dt == 0, 1, self.dt), self.state.q
         between = jax.vmap(so3.normalize)(q[:, 3:] + self.configuration(ends)[:, 3:])
         middle = jnp.concatenate([q[:, :3] + ends.move / 2, between], axis=1)
         t = None if self.state.t is None else self.state.t + self.dt / 2
         omega = jax.vmap(so3.Ad)(q[:, 3:], 2 * rate * ends.turn)
-        return self.system.applied_force(t, middle, rate * ends.move, omega)
+        return system.applied_force(t, middle, rate * ends.move, omega)
 
     def residual(self, ends: _Ends) -> _Ends:
         return self.linearized(ends)[0]

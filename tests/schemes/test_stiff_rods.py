@@ -132,6 +132,7 @@ def test_derivatives_through_stiff_steps_are_those_of_differences():
     np.testing.assert_allclose(both_modes("newton", STIFF, 1.0), expected, rtol=0, atol=1e-10)
 
 
+@pytest.mark.long
 def test_a_reverse_pass_saves_no_factors_of_matrices():
     """Each mode factors the matrix that it needs, so the forward pass of a gradient solves no linear equations."""
     system = rod(STIFF)
@@ -187,14 +188,14 @@ def test_a_batch_is_its_members():
 
 @pytest.mark.long
 def test_float32():
-    """Over 100 steps, as in float64."""
+    """Over 100 steps. Observed 93, 0.63 and 10.8 eps."""
     system, state = jax.tree.map(lambda x: x.astype(np.float32), (rod(STIFF), bent(rod(STIFF))))
     path = run("newton", 100)(system, state, np.float32(DT))
     assert path.state.q.dtype == np.float32
     assert path.info.converged.all()
     H, P, L = drifts(system, path)
     assert np.abs(H).max() < 400
-    assert P < 10
+    assert P < 3
     assert L < 40
 
 
