@@ -1,4 +1,4 @@
-"""A soft rod in free flight: what does an error of its tip cost, next to PyElastica, and 1000 rods, and a gradient?
+"""A soft rod in free flight: what does an error of its tip cost next to PyElastica and Exudyn, and 1000 rods, and more?
 
 A straight circular rod (L = 1 m, radius 2.5 cm, E = 1 MPa, 1000 kg/m³) starts with the velocities of a bending motion
 and of a rotation across it, and flies for 1 s, 1.4 periods of its lowest vibration. Shear, extension, bending, torsion
@@ -6,9 +6,11 @@ and inertia have PyElastica's coefficients (GA·27/28, G = E/3). The models diff
 section becomes thinner. So each code is compared with itself: "of time", with the same chain of elements at much
 smaller steps; "of all", with its own motion extrapolated from 64 and 128 elements (the distance of these two limits is
 given). Errors are the largest distance, in m, of one end at ten times. PyElastica measures its energy
-(`compute_…_energy`); its angular momentum is Σ m x × v + Qᵀ Jω/e.
+(`compute_…_energy`); its angular momentum is Σ m x × v + Qᵀ Jω/e. Exudyn's geometrically exact beam of two nodes has
+constant strain on SE(3) (Sonneville, Cardona & Brüls 2014) and our stiffness; H and L are computed from that strain and
+its mass matrix at the start, which is right to 5e-5, as its most accurate run shows.
 
-    python benchmarks/rods.py [--quick] [--out DIR]
+    python benchmarks/rods.py [--quick] [--elements] [--out DIR]
 
 Called in turn in one process on one core; the least of the CPU times counts. Compilation is not part of them, but of
 the first calls, once for all step sizes; `nystrom` and PyElastica's functions are compiled before, for the references.
@@ -19,6 +21,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,14 +29,21 @@ from lib import command
 
 RADIUS, YOUNG, DENSITY, SPEED, SAMPLES = 0.025, 1e6, 1e3, 2.0, 10
 AREA, SECOND = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
-LIMITS = {"splitting": 1.74, "nystrom, order 4": 3.7, "PositionVerlet": 1.5, "PEFRL": 2.2}  # Δt·Ω
+LIMITS = {"splitting": 1.74, "nystrom, order 4": 3.7, "PositionVerlet": 1.5, "PEFRL": 2.2, "RK44": 1.5}  # Δt·Ω
+ELEMENTS, RUN_STEPS = (16, 64, 256, 1024), 20
 FIXED, NEWTON = "bodies_energy_momentum, fixed point", "bodies_energy_momentum, newton"
 
 
 def main() -> None:
-    options = command.on_one_core(__doc__)
+    parser = command.parser(__doc__)
+    parser.add_argument("--elements", action="store_true", help="print only the time by the number of elements")
+    options = command.parsed(parser)
+    command.pin()
     from lib import measure, report
 
+    if options.elements:
+        print(elements_table(elements((8, 32) if options.quick else ELEMENTS)))
+        return
     sizes = (8, 16, (16, 32), 20) if options.quick else (16, 32, (64, 128), 1000)
     result = command.under_load(lambda: {"machine": measure.machine(), **measured(*sizes, 1 if options.quick else 3)})
     report.publish("rods", sections(result), result, options.out)
@@ -41,15 +51,18 @@ def main() -> None:
 
 def measured(coarse: int, fine: int, limit: tuple[int, int], members: int, rounds: int) -> dict[str, Any]:
     """The rows of one rod, the distance of the two limits in space, the rows of many rods, and the gradients."""
-    ours, theirs = ({n: code(n) for n in limit} for code in (our_reference, their_reference))
-    ends = [(4 * x[limit[1]] - x[limit[0]]) / 3 for x in (ours, theirs)]
+    references = {"ours": our_reference, "PyElastica": their_reference, "Exudyn": exudyn_reference}
+    ends = {code: (4 * path(limit[1]) - path(limit[0])) / 3 for code, path in references.items()}
     calls: dict[tuple[int, str, int], Callable[[], Any]] = {}
     exact: dict[tuple[int, str], np.ndarray] = {}
     for n in (coarse, fine):
-        exact[n, "ours"], exact[n, "PyElastica"] = our_reference(n), their_reference(n)
+        exact |= {(n, code): path(n) for code, path in references.items()}
         for name, steps in our_steps(n).items():
             for k in steps:
                 calls[n, f"ours, {name}", k] = partial(our_path, n, name, k)
+        for k in (200, 400, 800):
+            calls[n, "Exudyn, TrapezoidalIndex2", k] = partial(exudyn_path, n, "TrapezoidalIndex2", k)
+        calls[n, "Exudyn, RK44", steps_of(n, "RK44")] = partial(exudyn_path, n, "RK44", steps_of(n, "RK44"))
     for n in sorted({*(m for k in (1, 2, 3, 4) for m in (coarse * k, coarse * k * 3 // 2) if m <= limit[0])}):
         exact[n, "PyElastica"] = their_reference(n)
         for name in ("PositionVerlet", "PEFRL"):
@@ -63,16 +76,17 @@ def measured(coarse: int, fine: int, limit: tuple[int, int], members: int, round
     rows = []
     for (n, name, steps), call in calls.items():
         path, code = call(), name.split(",")[0]
-        errors = [largest(path["tip"], x) for x in (exact[n, code], ends[code != "ours"])]
+        errors = [largest(path["tip"], x) for x in (exact[n, code], ends[code])]
         drifts = [np.abs(path[x] - path[x][0]).max() / np.linalg.norm(path[x][0]) for x in ("energy", "momentum")]
         key = n, name, steps
         rows.append([*key, *map(float, (*errors, *drifts)), first[key], 1e3 * seconds[key]])  # pyright: ignore
     return {
         "rows": rows,
-        "limits_apart": largest(*ends),
+        "limits_apart": {code: largest(x, ends["ours"]) for code, x in ends.items() if code != "ours"},
         "equal_error": equal_error(rows),
         "many": many(coarse, members),
         "gradients": gradients(coarse),
+        "elements": elements(ELEMENTS if members == 1000 else (coarse, fine)),
     }
 
 
@@ -246,6 +260,62 @@ def their_reference(n: int) -> np.ndarray:
     return Elastica(n, [YOUNG], "PEFRL", 16 * steps_of(n, "PEFRL")).path()["tip"]
 
 
+def exudyn_path(n: int, solver: str, steps: int) -> dict[str, np.ndarray]:
+    """The tip of Exudyn's rod, its energy and angular momentum, the latter two from the start on."""
+    import exudyn
+    from exudyn.itemInterface import NodeRigidBodyRotVecLG, ObjectBeamGeometricallyExact, SensorNode
+    from exudyn.solver import ComputeLinearizedSystem
+    from scipy.spatial.transform import Rotation
+
+    bodies, section = exudyn.SystemContainer().AddSystem(), exudyn.BeamSection()  # along its first axis, our third
+    shear, bend = 27 / 28 * YOUNG / 3 * AREA, YOUNG * SECOND
+    stiffness = np.array([YOUNG * AREA, shear, shear, YOUNG / 3 * 2 * SECOND, bend, bend])
+    section.massPerLength, section.inertia = DENSITY * AREA, DENSITY * np.diag([2 * SECOND, SECOND, SECOND])
+    section.stiffnessMatrix = np.diag(stiffness)
+    s = np.linspace(0, 1, n + 1)
+    starts = np.concatenate([np.roll(x, 1, axis=1) for x in velocities(s)], axis=1)
+    nodes = [
+        bodies.AddNode(NodeRigidBodyRotVecLG(referenceCoordinates=[at, 0, 0, 0, 0, 0], initialVelocities=u))
+        for at, u in zip(s, starts, strict=True)
+    ]
+    for pair in pairwise(nodes):
+        bodies.AddObject(ObjectBeamGeometricallyExact(nodeNumbers=list(pair), length=1 / n, sectionData=section))
+    kinds = [
+        getattr(exudyn.OutputVariableType, x) for x in ("Position", "RotationMatrix", "Velocity", "AngularVelocity")
+    ]
+    sensors = [
+        [bodies.AddSensor(SensorNode(nodeNumber=k, storeInternal=True, outputVariableType=x)) for k in nodes]
+        for x in kinds
+    ]
+    bodies.Assemble()
+    settings = exudyn.SimulationSettings()
+    settings.timeIntegration.numberOfSteps, settings.timeIntegration.endTime = steps, 1.0
+    settings.timeIntegration.newton.useModifiedNewton = True
+    settings.timeIntegration.verboseMode = 0
+    settings.solution.file.write, settings.solution.sensors.writePeriod = False, 1 / SAMPLES
+    M = ComputeLinearizedSystem(bodies)[0]
+    if not bodies.SolveDynamic(settings, solverType=getattr(exudyn.DynamicSolverType, solver)):
+        raise RuntimeError(f"Exudyn's {solver} failed with {steps} steps")
+    x, R, v, w = (np.stack([bodies.GetSensorStoredData(sensor)[:, 1:] for sensor in row], axis=1) for row in sensors)
+    R = R.reshape(*x.shape, 3)
+    u = np.concatenate([v, np.einsum("tnji,tnj->tni", R, w)], axis=2).reshape(len(x), -1)
+    p = (u @ M).reshape(len(x), -1, 6)
+    turn = Rotation.from_matrix(np.swapaxes(R[:, :-1], 2, 3).reshape(-1, 3, 3) @ R[:, 1:].reshape(-1, 3, 3)).as_rotvec()
+    apart = np.einsum("tnji,tnj->tni", R[:, :-1], np.diff(x, axis=1)).reshape(-1, 3)
+    angle = np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1e-6)
+    twice = np.cross(turn, np.cross(turn, apart))
+    apart += (1 / angle**2 - 1 / (2 * angle * np.tan(angle / 2))) * twice - np.cross(turn, apart) / 2  # log on SE(3)
+    strain = np.concatenate([apart * n - [1, 0, 0], turn * n], axis=1).reshape(len(x), n, 6)
+    energy = np.sum(u * p.reshape(u.shape), axis=1) / 2 + np.sum(stiffness * strain**2, axis=(1, 2)) / (2 * n)
+    momentum = (np.cross(x, p[:, :, :3]) + np.einsum("tnij,tnj->tni", R, p[:, :, 3:])).sum(axis=1)
+    return {"tip": np.roll(x[1:, -1], -1, axis=1), "energy": energy, "momentum": momentum}
+
+
+@cache
+def exudyn_reference(n: int) -> np.ndarray:
+    return exudyn_path(n, "RK44", 4 * steps_of(n, "RK44"))["tip"]
+
+
 def many(n: int, members: int) -> list[list[Any]]:
     """Seconds for rods of different stiffness: ours by `li.run`; PyElastica's in one block, and one after another."""
     import jax
@@ -296,6 +366,28 @@ def gradients(n: int) -> dict[str, float]:
     }
 
 
+def elements(sizes: Sequence[int], steps: int = RUN_STEPS, rounds: int = 5) -> list[list[Any]]:
+    """Microseconds per element and step, by scheme and number of elements."""
+    import jax
+
+    import lieint_jax as li
+
+    calls: dict[tuple[str, int], Callable[[], Any]] = {}
+    for n in sizes:
+        for name, dt in (("splitting", 1 / steps_of(n, "splitting")), (NEWTON, 1 / 800)):
+            run = jax.jit(lambda step, z, dt: li.integrate(step, z, dt, steps, save_every=steps))
+            calls[name, n] = partial(run, our_step(n, name), our_start(n), dt)
+            assert bool(calls[name, n]().info.converged.all()), (name, n)
+    seconds = command.least_cpu_times(calls, rounds)  # pyright: ignore[reportArgumentType]
+    return [[*key, 1e6 * x / (key[1] * steps)] for key, x in seconds.items()]  # pyright: ignore
+
+
+def elements_table(rows: Sequence[Sequence[Any]]) -> str:
+    from lib import report
+
+    return report.table(["", "elements", "µs per element and step"], [[r[0], str(r[1]), f"{r[2]:.2g}"] for r in rows])
+
+
 def sections(result: dict[str, Any]) -> list[str]:
     from lib import report
 
@@ -309,11 +401,15 @@ def sections(result: dict[str, Any]) -> list[str]:
         f"load before and after: {result['load'][0]:.1f}, {result['load'][1]:.1f}",
         "One rod, 1 s. Drifts are the largest at ten times, relative to the start.",
         report.table(head, one),
-        f"The limits of both codes in space are up to {result['limits_apart']:.2g} m apart: their models differ.",
+        "The limits in space are up to "
+        + " and ".join(f"{x:.2g} m ({code})" for code, x in result["limits_apart"].items())
+        + " from ours: the models differ.",
         "PyElastica's time for the same error of all, interpolated between its rows (blank: beyond these)",
         report.table(["", "elements", "steps", "of all, m", "ms", "PyElastica, ms", "÷ ours"], equal),
         "Many rods of different stiffness, on one core (one after another: one rod, times their number)",
         report.table(["", "s", "÷ ours"], [[name, f"{x:.3g}", f"{x / ours:.2g}"] for name, x in result["many"]]),
+        f"Time by the number of elements, {RUN_STEPS} steps of one rod",
+        elements_table(result["elements"]),
         "The derivative of the tip's mean distance from the middle by ln E (`nystrom`, order 4), less that by "
         "differences of sixth order, relative. PyElastica has none.",
         report.table(

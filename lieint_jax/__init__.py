@@ -59,14 +59,12 @@ from lieint_jax import (
     potentials,
     schemes,
     shapes,
-    studies,  # noqa: F401
     systems,
     tides,
     torques,
     types,
 )
 from lieint_jax._cache import cache_programs
-from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax._version import __version__
 from lieint_jax._xla import jit
 from lieint_jax.adjoints import observe, reversible, transition
@@ -126,9 +124,6 @@ __all__ = [
     "transition",
     "types",
 ]
-
-
-__getattr__ = _renamed(__name__, {"plots": "lieint_jax.app:plots", "scenarios": "lieint_jax.app:scenarios"})
 
 
 def __dir__() -> list[str]:

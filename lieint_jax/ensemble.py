@@ -15,7 +15,6 @@ from typing import Any, Literal
 from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
-from lieint_jax._deprecated import old_calls
 from lieint_jax.runs import (
     MakeStates,
     Reduction,
@@ -57,7 +56,6 @@ __all__ = [
 ]
 
 
-@old_calls()
 @untransformed("ensemble.run")
 def run(
     step: Step,

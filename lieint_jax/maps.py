@@ -23,7 +23,6 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import at_once, concrete, name_of
-from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics import power_series
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.select import where
@@ -408,7 +407,6 @@ def symplectic_residual(tau: Map, group: Group, metric: Array, theta: AlgebraVec
     return jnp.max(jnp.abs((M - M.T) / 2 - right)) / jnp.max(jnp.abs(m))
 
 
-@old_calls()
 def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, *, samples: int = 8) -> bool:
     """True if τ conserves the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`.
 

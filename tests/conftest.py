@@ -74,6 +74,30 @@ def fresh_folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def lieint(capsys, fresh_folder):
+    """Calls the command in a fresh folder: what it prints.
+
+    `lieint.refuse` gives the error message of a call that ends with 2; `lieint.drew` asserts that files are pictures.
+    """
+    from lieint_jax.app.command import cli
+
+    def end(code, arguments):
+        capsys.readouterr()
+        assert cli.main([str(x) for x in arguments]) == code
+        return capsys.readouterr()
+
+    def called(*arguments):
+        return end(0, arguments).out
+
+    def drew(*names):
+        assert all(Path(name).read_bytes().startswith(b"\x89PNG") for name in names)
+
+    called.drew = drew
+    called.refuse = lambda *arguments: end(2, arguments).err
+    return called
+
+
+@pytest.fixture
 def small_chunks(monkeypatch):
     """Commits after every 4 saves, so that a short run has many."""
     from internals import commit_every

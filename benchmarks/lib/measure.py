@@ -44,6 +44,7 @@ _PACKAGES = (
     "rebound",
     "reboundx",
     "pyelastica",
+    "exudyn",
 )
 _LEVELS = (4, 8)  # steps per unit of time of the two references by `by_flow`
 

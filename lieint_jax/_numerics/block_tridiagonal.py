@@ -30,25 +30,19 @@ class BlockTridiagonal(NamedTuple):
 
     @classmethod
     def of(cls, linear: Callable[[Array], Array], n: int, k: int, dtype: DTypeLike) -> BlockTridiagonal:
-        """The matrix of a linear function of arrays (n, k), by its values at 3k of them.
+        """The matrix of a linear function of arrays (n, k), by its values at up to 3k of them.
 
         Every third link is moved at once: no link feels two of them. If distant links act on one another too, the
         blocks are only near those of the function.
         """
-        link = np.arange(n)
-        seeds = (link % 3 == np.arange(3)[:, None])[:, None, :, None] * np.eye(k)[:, None, :]  # (3, k, n, k)
-        seeds = jnp.asarray(seeds.reshape(3 * k, n, k), dtype)
+        link, every = np.arange(n), min(n, 3)
+        seeds = (link % every == np.arange(every)[:, None])[:, None, :, None] * np.eye(k)[:, None, :]  # (3, k, n, k)
+        seeds = jnp.asarray(seeds.reshape(every * k, n, k), dtype)
         one_by_one, all_at_once = partial(lax.map, linear), jax.vmap(linear)  # on a CPU 3 times as fast for 128 links
-        moved = lax.platform_dependent(seeds, cpu=one_by_one, default=all_at_once).reshape(3, k, n, k)
-        lower, diagonal, upper = (jnp.swapaxes(moved[(link + s) % 3, :, link], 1, 2) for s in (-1, 0, 1))
+        moved = lax.platform_dependent(seeds, cpu=one_by_one, default=all_at_once).reshape(every, k, n, k)
+        lower, diagonal, upper = (jnp.swapaxes(moved[(link + s) % every, :, link], 1, 2) for s in (-1, 0, 1))
         first, last = (jnp.asarray(link == end)[:, None, None] for end in (0, n - 1))
         return cls(jnp.where(first, 0, lower), diagonal, jnp.where(last, 0, upper))
-
-    @property
-    def T(self) -> BlockTridiagonal:
-        """The transposed matrix."""
-        lower, diagonal, upper = (jnp.swapaxes(block, 1, 2) for block in self)
-        return BlockTridiagonal(jnp.roll(upper, 1, 0), diagonal, jnp.roll(lower, -1, 0))
 
 
 class _Level(NamedTuple):

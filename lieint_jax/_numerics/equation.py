@@ -79,7 +79,8 @@ class FixedPointEquation(abc.ABC, Generic[_Unknown]):
             return self.iterate(x, most, enough)
 
         def tangent_solve(linear: _Linear[_Unknown], b: _Unknown) -> _Unknown:
-            return _refined(linear, b, self.inverses(), refinements)
+            forward, transposed = self.inverses()
+            return _refined(linear, b, lambda _: forward, lambda _: transposed, refinements)
 
         x, change = newton.implicit_root(self.residual, guess, solve, tangent_solve)
         change = lax.stop_gradient(change)
@@ -119,17 +120,18 @@ class ChainEquation(abc.ABC):
         eps = float(jnp.finfo(dtype).eps)
         unit = lax.stop_gradient(unit)
 
-        def factored(x: Array) -> Factored:
-            linear = lambda v: jax.jvp(self.residual, (x,), (v,))[1]  # noqa: E731
+        def factored(linear: _Linear[Array]) -> Factored:
             return block_tridiagonal.factored(BlockTridiagonal.of(linear, n, k, dtype))
 
+        def factored_at(x: Array) -> Factored:
+            return factored(lambda v: jax.jvp(self.residual, (x,), (v,))[1])
+
         def solve(_: _Linear[Array], x: Array) -> tuple[Array, Array]:
-            return newton.repeated_chords(self.residual, factored, self.length, x, first, eps * unit, most)
+            return newton.repeated_chords(self.residual, factored_at, self.length, x, first, eps * unit, most)
 
         def tangent_solve(linear: _Linear[Array], b: Array) -> Array:
-            K = BlockTridiagonal.of(linear, n, k, dtype)
-            inverses = block_tridiagonal.factored(K).solve, block_tridiagonal.factored(K.T).solve
-            return _refined(linear, b, inverses, 1 if self.is_exact else most)
+            inverse = lambda matvec: factored(matvec).solve  # noqa: E731
+            return _refined(linear, b, inverse, inverse, 1 if self.is_exact else most)
 
         x, missing = newton.implicit_root(self.residual, guess, solve, tangent_solve)
         missing = lax.stop_gradient(missing) / unit
@@ -137,20 +139,26 @@ class ChainEquation(abc.ABC):
 
 
 def _refined(
-    linear: _Linear[_Unknown], b: _Unknown, inverses: tuple[_Linear[_Unknown], _Linear[_Unknown]], refinements: int
+    linear: _Linear[_Unknown],
+    b: _Unknown,
+    forward: Callable[[_Linear[_Unknown]], _Linear[_Unknown]],
+    transposed: Callable[[_Linear[_Unknown]], _Linear[_Unknown]],
+    refinements: int,
 ) -> _Unknown:
-    """x with linear(x) = b by refinement with an approximate inverse, and the derivative with that of the transpose."""
+    """x with linear(x) = b by refinement with an approximate inverse, and the derivative with that of the transpose.
+
+    Each inverse is made of its linear function where it is needed: in one of the two modes.
+    """
     flat, parts = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
 
-    def solver(inverse: _Linear[_Unknown]) -> Callable[[Callable[[Array], Array], Array], Array]:
-        def correction(residual: Array) -> Array:
-            return ravel_pytree(inverse(parts(residual)))[0]
+    def flattened(function: _Linear[_Unknown]) -> _Linear[Array]:
+        return lambda v: ravel_pytree(function(parts(v)))[0]
 
-        def solve(matvec: Callable[[Array], Array], b: Array) -> Array:
+    def solver(inverse: Callable[[_Linear[_Unknown]], _Linear[_Unknown]]) -> Callable[[_Linear[Array], Array], Array]:
+        def solve(matvec: _Linear[Array], b: Array) -> Array:
+            correction = flattened(inverse(lambda v: parts(matvec(ravel_pytree(v)[0]))))
             return lax.fori_loop(0, refinements, lambda _, v: v + correction(b - matvec(v)), correction(b))
 
         return solve
 
-    matvec = lambda v: ravel_pytree(linear(parts(v)))[0]  # noqa: E731
-    forward, transposed = map(solver, inverses)
-    return parts(lax.custom_linear_solve(matvec, flat, forward, transposed))
+    return parts(lax.custom_linear_solve(flattened(linear), flat, solver(forward), solver(transposed)))

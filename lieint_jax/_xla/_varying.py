@@ -25,10 +25,14 @@ def differ(tree: Tree) -> bool:
     return _checked is not None and _checked.value and any(map(_axes_of, jax.tree.leaves(tree)))
 
 
-def with_common_axes(arguments: Sequence[Value]) -> list[Value]:
+def with_common_axes(arguments: Tree) -> Tree:
     """The same arrays, all of which may differ where one does."""
-    axes = frozenset().union(*map(_axes_of, arguments))
-    return [lax.pcast(x, tuple(axes - _axes_of(x)), to="varying") if axes - _axes_of(x) else x for x in arguments]
+    axes = frozenset().union(*map(_axes_of, jax.tree.leaves(arguments)))
+
+    def like_others(x: Value) -> Value:
+        return lax.pcast(x, tuple(axes - _axes_of(x)), to="varying") if axes - _axes_of(x) else x
+
+    return jax.tree.map(like_others, arguments)
 
 
 def result_like(given: Sequence[Value], shape: Sequence[int], dtype: Any) -> ShapedArray:

@@ -13,7 +13,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._deprecated import old_calls
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
@@ -22,7 +21,6 @@ from lieint_jax.runs import MOST_TO_OUTPUTS, refuse_far_times, refuse_times, spl
 from lieint_jax.types import State, Step, StepInfo
 
 
-@old_calls()
 def observe(
     step: Step,
     state: State,

@@ -52,7 +52,7 @@ class RecursiveCheckpointAdjoint(Adjoint):
     """What `integrate` does without an adjoint: the backward pass computes the steps between about 2√N states again.
 
     Attributes:
-        levels: of no effect; until 0.4.
+        levels: of no effect; until 0.5.
 
     Source: blocks of equal length; Griewank & Walther 2000 (revolve) has more levels, for less memory.
     """

@@ -6,7 +6,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._deprecated import old_calls
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, check_derivative, checked
 from lieint_jax.adjoints._options import RecursiveCheckpointAdjoint, ReversibleAdjoint
@@ -15,7 +14,6 @@ from lieint_jax.runs import integrate, intervals, steps
 from lieint_jax.types import State, Step, Trajectory
 
 
-@old_calls()
 def reversible(
     step: Step,
     state: State,

@@ -24,9 +24,9 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._xla import compiled
+from lieint_jax import native
+from lieint_jax._xla import compiled, with_common_axes
 from lieint_jax.diagnostics.tangent import distance
-from lieint_jax.native import hoisted
 from lieint_jax.runs import Clock, Progress, counted, march, step_at_node, uniform_clock
 from lieint_jax.schemes import Composition
 from lieint_jax.types import State, Step, StepInfo
@@ -41,13 +41,14 @@ def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: 
     """
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
     clock, ready, space = uniform_clock(step, state, dt), step.prepare(state, dt), step.system.phase_space
-    whole = stage = hoisted(lambda z, h: ready(z, h), state, dt)
+    whole = stage = native.hoisted(lambda z, h: ready(z, h), state, dt)
     gammas = (1.0,)
     if isinstance(ready, Composition):
-        stage, gammas = hoisted(lambda z, h: ready.step(z, h), state, dt), ready.gammas
-    apart = hoisted(lambda a, b: distance(a, b, space), state, state)
+        stage, gammas = native.hoisted(lambda z, h: ready.step(z, h), state, dt), ready.gammas
+    apart = native.hoisted(lambda a, b: distance(a, b, space), state, state)
     run, arrays = _Undoable(whole[0], stage[0], apart[0], gammas, tolerance), (whole[1], stage[1], apart[1])
-    later, info = _run(run, arrays, state, dt, lax.stop_gradient(clock), counts)
+    given = with_common_axes((arrays, state, dt, lax.stop_gradient(clock)))
+    later, info = _run(run, *given, counts)
     if later.t is not None and state.t is not None and not step.own_time:
         # times that members of a batch share have a derivative of their own: JAX 0.12 refuses it from a custom_vjp
         slope = (state.t - lax.stop_gradient(state.t)) + jnp.cumsum(counts) * (dt - lax.stop_gradient(dt))
@@ -102,17 +103,21 @@ class _Undoable(NamedTuple):
     ) -> tuple[State, PyTree]:
         """The cotangents of the state, and of the real arrays of a stage and of dt."""
         real = jax.tree.map(lambda x: x if jnp.issubdtype(x.dtype, jnp.floating) else None, list(arrays[1]))
-        undo = partial(self._undo, arrays[1], real, dt)
+        consts = list(arrays[1]), real, dt
+
+        def undo(n: Array, carry: PyTree, _: None, arrays: PyTree, real: PyTree, dt: Array) -> tuple[PyTree, None]:
+            return self._undo(arrays, real, dt, n, carry), None
 
         def interval(carry: PyTree, saved: tuple[State, State, State, Array]) -> tuple[PyTree, Array]:
             lam, sums = carry
             start, end, seen, count = saved
             lam = jax.tree.map(jnp.add, lam, seen)
-            rebuilt, lam, sums = counted(undo, 0, count * len(self.gammas), (end, lam, sums))
+            substeps = count * len(self.gammas)
+            rebuilt, lam, sums = native.march(undo, (end, lam, sums), None, consts, rows=1, every=substeps)[0]
             return (lam, sums), self.apart(arrays[2], rebuilt, start)
 
         starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
-        zero = jax.tree.map(jnp.zeros_like, (state, (real, dt)))
+        zero, starts = with_common_axes((jax.tree.map(jnp.zeros_like, (state, (real, dt))), starts))
         found, errors = lax.scan(interval, zero, (starts, later, cotangents, counts), reverse=True)
         # added to every result, or XLA may remove the warning
         none = _zero_with_warning(jnp.max(errors, initial=0), self.tolerance)

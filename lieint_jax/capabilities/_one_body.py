@@ -264,10 +264,12 @@ class AbstractTorquedBody(AbstractRotatingBody):
         return parts(self.torque)
 
     def inner(self, state: State, law: Law) -> Array | None:
-        """The internal state of a law, or the one that it reads; ValueError if a state lacks it."""
+        """The internal state of a law, or the one that it reads; None if there is none."""
         key = law.key or law.reads
-        if key is None:
-            return None
+        return None if key is None else self.entry(state, law, key)
+
+    def entry(self, state: State, law: Law, key: str) -> Array:
+        """What a law has in `State.extra` under a key; ValueError if a state lacks it."""
         if state.extra is None or key not in state.extra:
             raise ValueError(
                 f'{type(law).__name__} has an internal state, State.extra["{key}"]: make the state with '
@@ -285,10 +287,15 @@ class AbstractTorquedBody(AbstractRotatingBody):
     def sampled(self, state: State, dt: Array) -> tuple[State, Flag | bool]:
         """The state that a step of dt begins with, after laws have sampled it, and whether they take such a step."""
         now, fits = self.now(state), True
-        for law in (law for law in self.laws if law.samples):
-            held, fit = law.sample(now, dt, jnp.asarray(self.inner(state, law)))
-            state, fits = state._replace(extra=(state.extra or {}) | {str(law.key): held}), fit & fits
+        for law in (law for law in self.laws if law.held):
+            key = str(law.held)
+            held, fit = law.sample(now, dt, self.inner(state, law), self.entry(state, law, key))
+            state, fits = state._replace(extra=(state.extra or {}) | {key: held}), fit & fits
         return state, fits
+
+    def holding(self, state: State, law: Law) -> Law:
+        """A law as it acts between samples: with what it holds, if it is a digital controller."""
+        return law if law.held is None else law.holding(self.entry(state, law, law.held))
 
     @equation
     def instant(self, state: State, law: Law) -> tuple[Vector3, Array | None]:
@@ -296,7 +303,9 @@ class AbstractTorquedBody(AbstractRotatingBody):
         Omega = self.angular_velocity(state)
         omega, inner = so3.Ad(state.q, Omega), self.inner(state, law)
         q_half = partial(so3.cayley_increment, state.q)
-        torque, rate = instant(law, clock(state), state.q, Omega, omega=omega, inner=inner, q_half=q_half)
+        torque, rate = instant(
+            self.holding(state, law), clock(state), state.q, Omega, omega=omega, inner=inner, q_half=q_half
+        )
         return jnp.asarray(torque).astype(state.p.dtype), rate
 
     def power(self, state: State) -> Scalar:

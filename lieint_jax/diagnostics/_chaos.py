@@ -24,7 +24,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
-from lieint_jax._deprecated import old_calls
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics.tangent import orthonormalize, units
 from lieint_jax.runs import Event, counted, events, saves, step_at_node, uniform_clock
@@ -68,7 +67,6 @@ class Megno(NamedTuple):
     info: StepInfo
 
 
-@old_calls()
 def lyapunov(
     step: Step,
     state: State,
@@ -202,7 +200,6 @@ def standard_error(series: Array) -> Array:
     return jnp.sqrt(jnp.max(jnp.stack([variances[0], *corrected]), axis=0))
 
 
-@old_calls()
 def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: npt.ArrayLike | None = None) -> Megno:
     """MEGNO of a run, which distinguishes chaotic from regular motion in a shorter run than Lyapunov exponents do.
 
@@ -254,7 +251,6 @@ def _generic(dim: int) -> np.ndarray:
     return np.linalg.qr(np.random.default_rng(0).normal(size=(dim, dim)))[0]
 
 
-@old_calls()
 def section(
     step: Step,
     states: State,

@@ -10,7 +10,6 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._deprecated import old_calls
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import (
     AbstractDampedBody,
@@ -32,7 +31,6 @@ _OTHERS = (
 )  # than left-invariant systems without potential
 
 
-@old_calls()
 def poisson_error(
     step: Step, state: State, dt: ArrayLike, num_steps: int, *, method: _Method | None = None
 ) -> TimeSeries:

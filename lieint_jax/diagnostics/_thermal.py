@@ -88,7 +88,8 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
     step, state, h = _measure.checked(step, state, dt, most)
     run, free = (_measure.run(x, state, h, num_steps, most) for x in (step, step.free))
     kT, quiet = float(step.temperature), step.deterministic
-    less, alone = (_energies_less_heat(x.system, path) for x, path in ((step, run), (step.free, free)))
+    paths = (step, run), (step.free, free)
+    less, alone = (np.asarray(_energies(x.system, path.state)) - _extra_series(path, "heat") for x, path in paths)
     kinetic = float(np.abs(alone).max()) + float(np.abs(_extra_series(free, "heat")).max())
     sizes = [float(_largest_change(quiet, run.state, x)) for x in (h, h / 2)]
     eps = float(jnp.finfo(h.dtype).eps)
@@ -115,10 +116,6 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
         rejected=float(rejected[-1] - rejected[0]) / max(num_steps, 1),
         converged=bool(run.info.converged.all()),
     )
-
-
-def _energies_less_heat(system: Any, run: Trajectory) -> np.ndarray:
-    return np.asarray(_energies(system, run.state)) - _extra_series(run, "heat")
 
 
 def _extra_series(run: Trajectory, name: str) -> np.ndarray:

@@ -3,7 +3,7 @@
 `fit(residuals, guess, bounds=…)` returns the estimate, its covariance, and whether it is a minimum within the bounds.
 Bounds are `positive`, `interval(low, high)`, `spd`, `inertia`, `principal_inertia`, `inertia_ratios`, and `free`, which
 is no bound. `student_t` converts errors with outliers to residuals, `member_by_member` speeds up a long computation of
-few numbers. All of them are in `li.studies` too.
+few numbers.
 """
 
 from lieint_jax.fitting._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd

@@ -91,17 +91,9 @@ def _moments(a: Array) -> Array:
     return jnp.sum(a) - a
 
 
-def _second_moments(J: Array) -> Array:
-    return jnp.sum(J) / 2 - J
-
-
 def _ratios(y: Array) -> Array:
     """(J₁/J₃, J₂/J₃) of their sum less 1 and their difference: the triangle inequality is y₁ > 0, −1 < y₂ < 1."""
     return (1 + y[0] + jnp.stack([y[1], -y[1]])) / 2
-
-
-def _from_ratios(ratios: Array) -> Array:
-    return jnp.stack([ratios[0] + ratios[1] - 1, ratios[0] - ratios[1]])
 
 
 def _cholesky(y: Array) -> Array:
@@ -121,10 +113,6 @@ def _tensor(y: Array) -> Array:
     return jnp.trace(E) * jnp.eye(3, dtype=E.dtype) - E
 
 
-def _from_tensor(J: Array) -> Array:
-    return _from_cholesky(jnp.trace(J) / 2 * jnp.eye(3, dtype=J.dtype) - J)
-
-
 _DIAGONAL = Box((0.0,) * 3 + (-_INFINITE,) * 3, _INFINITE)  # tuples, so that a fit within it is compiled once
 _EDGE = "; on the edge, as for a plate or a phone, one moment is the sum of the two others: start with it 0.1 % smaller"
 free = Bound("free", _itself, _itself)
@@ -132,17 +120,17 @@ positive = _bound("positive", Chart(_itself, _itself, Box(0, _INFINITE)))
 spd = _bound("spd", Chart(_cholesky, _from_cholesky, _DIAGONAL))  # symmetric positive definite (3, 3)
 principal_inertia = _bound(  # (3,), triangle inequality
     "principal_inertia",
-    Chart(_moments, _second_moments, Box(0, _INFINITE)),
+    Chart(_moments, lambda J: jnp.sum(J) / 2 - J, Box(0, _INFINITE)),
     ": each principal moment must be less than the sum of the two others" + _EDGE,
 )
 inertia_ratios = _bound(  # (2,), to the third moment; triangle inequality
     "inertia_ratios",
-    Chart(_ratios, _from_ratios, Box((0.0, -1.0), (_INFINITE, 1.0))),
+    Chart(_ratios, lambda r: jnp.stack([r[0] + r[1] - 1, r[0] - r[1]]), Box((0.0, -1.0), (_INFINITE, 1.0))),
     ": with (J₁, J₂) over the third moment, J₁ + J₂ > 1 > |J₁ − J₂|, strictly" + _EDGE,
 )
 inertia = _bound(  # (3, 3), positive definite, triangle inequality
     "inertia",
-    Chart(_tensor, _from_tensor, _DIAGONAL),
+    Chart(_tensor, lambda J: _from_cholesky(jnp.trace(J) / 2 * jnp.eye(3, dtype=J.dtype) - J), _DIAGONAL),
     ": each principal moment must be less than the sum of the two others" + _EDGE,
 )
 

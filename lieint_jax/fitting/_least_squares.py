@@ -80,14 +80,15 @@ def least_squares(
         fall = carry.loss - loss
         better = ok & ((fall >= 1e-4 * step.fall) | ~begun)
         grown = jnp.maximum(D, jnp.linalg.norm(J_trial, axis=0))
-        adapted = _fraction(radius, better) if undamped else _radius(radius, better, fall, step)
+        fraction = jnp.where(better, jnp.minimum(1, 2 * radius), radius / 2)  # of the next step of Gauss–Newton
+        adapted = fraction if undamped else _radius(radius, better, fall, step)
         opening = 1 if undamped else _FIRST * jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1))
         radius = jnp.where(begun, adapted, opening)
         r, J, D = where(better, (trial, J_trial, grown), (r, J, D))
         x, loss = where(better, (x, loss), (carry.x, carry.loss))
         newton, ahead = _next_steps(box, undamped, x, r, J, D, radius)
         memory = _Memory(r, J, D, radius, ahead, jnp.linalg.norm(newton.z), jnp.where(begun, begin, loss))
-        small, size = _small(tolerance, x), jnp.linalg.norm(D * x)
+        small, size = jnp.maximum(tolerance, _ROUNDING * jnp.finfo(x.dtype).eps), jnp.linalg.norm(D * x)
         still = begun & ok & (jnp.maximum(jnp.abs(fall), step.fall) <= small * loss)
         arrived = _stop_code(box, x, loss, memory, newton, still, small)
         arrived = jnp.where((arrived == RUNNING) & begun & ok & (length <= small * size), SETTLED, arrived)
@@ -102,15 +103,6 @@ def least_squares(
 
 def _scale(D: Array) -> Array:
     return jnp.where(D > 0, D, 1)
-
-
-def _small(tolerance: float, x: Array) -> Array:
-    return jnp.maximum(tolerance, _ROUNDING * jnp.finfo(x.dtype).eps)
-
-
-def _fraction(fraction: Array, better: Array) -> Array:
-    """The fraction of the next step of Gauss–Newton that is tried."""
-    return jnp.where(better, jnp.minimum(1, 2 * fraction), fraction / 2)
 
 
 def _radius(radius: Array, better: Array, fall: Array, step: Step) -> Array:

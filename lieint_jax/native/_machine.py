@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import hashlib
 import os
 import threading
-from collections.abc import Sequence
+import weakref
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import llvmlite
 import llvmlite.binding as llvm
 
+from lieint_jax.native._handler import handler
 from lieint_jax.native._traced import Leaf
 
 _FEW = 26  # two vectors per number are used if the innermost loop has at most this many live numbers
@@ -40,22 +43,71 @@ def lanes(leaves: Sequence[Leaf], pressure: int) -> int:
     return register_bytes() // max(widths, default=8) * vectors
 
 
-_handlers: dict[str, Any] = {}  # by their names; XLA holds their addresses, and nothing shows when it is done with one
+TARGET = "lieint_march"  # what XLA calls for all kernels
 
 
-def compile_handler(*texts: str) -> str:
-    """The name by which XLA calls the function `handler` of modules that are compiled together; it is never freed."""
-    import jax
+class Kernel:
+    """Machine code that XLA calls by a name, as long as this object or a program of XLA with such a call exists."""
 
-    key = _key(texts)
+    def __init__(self, name: str):
+        self.name = name
+
+
+_kernels: weakref.WeakValueDictionary[str, Kernel] = weakref.WeakValueDictionary()
+_engines: dict[str, Any] = {}  # the code of kernels, by their names
+_places: dict[str, int] = {}  # what the handler knows of a kernel; 100 bytes that are never freed
+
+
+def kernel(texts: Sequence[str], inputs: int, outputs: int, lanes: int) -> Kernel:
+    """The function `run` of modules that are compiled together, which reads and writes so many arrays."""
+    key = _key([*texts, f"; {inputs} {outputs} {lanes}"])
     name = f"lieint_{key[:32]}"
     with _lock:
-        if name not in _handlers:
-            engine = _engine(key, [x for x in texts if x])
-            capsule = jax.ffi.pycapsule(engine.get_function_address("handler"))
-            jax.ffi.register_ffi_target(name, capsule, platform="cpu")
-            _handlers[name] = engine
-        return name
+        registry = _registry()
+        _free_unused(registry)
+        if name not in _engines:
+            engine = _engine(key, [x for x in texts if x], ["run"])
+            if name not in _places:
+                _places[name] = registry.create(name.encode(), inputs, outputs, lanes)
+            registry.open(_places[name], engine.get_function_address("run"))
+            _engines[name] = engine
+        return _kernels.setdefault(name, Kernel(name))
+
+
+def _free_unused(registry: _Registry) -> None:
+    """Free the code that neither Python nor a program of XLA holds."""
+    for name in list(_engines):
+        if name not in _kernels and registry.close(_places[name]):
+            _engines.pop(name).close()
+
+
+class _Registry(NamedTuple):
+    """The functions of `_handler.ll` by which kernels come and go, and its code, which is never freed."""
+
+    create: Callable[..., int]
+    open: Callable[..., None]
+    close: Callable[..., bool]
+    engine: Any
+
+
+@functools.cache
+def _registry() -> _Registry:
+    """The handler, which XLA knows from now on."""
+    import jax
+
+    functions = {
+        "create": (ctypes.c_void_p, ctypes.c_char_p, *[ctypes.c_int64] * 3),
+        "open": (None, ctypes.c_void_p, ctypes.c_void_p),
+        "close": (ctypes.c_bool, ctypes.c_void_p),
+    }
+    stages, text = ["instantiate", "execute"], handler()
+    engine = _engine(_key([text]), [text], [*functions, *stages, "forget"])
+    here = engine.get_function_address
+    found = {x: ctypes.CFUNCTYPE(*types)(here(x)) for x, types in functions.items()}
+    number, deleter = (jax.ffi.pycapsule(engine.get_global_value_address(x)) for x in ("type", "type.information"))
+    jax.ffi.register_ffi_type(TARGET, {"type_id": number, "type_info": deleter}, platform="cpu")
+    jax.ffi.register_ffi_target(TARGET, {x: jax.ffi.pycapsule(here(x)) for x in stages}, platform="cpu")
+    return _Registry(**found, engine=engine)
 
 
 def _key(texts: Sequence[str]) -> str:
@@ -64,12 +116,13 @@ def _key(texts: Sequence[str]) -> str:
     return hashlib.sha256("\n".join([*here, "\n;\n".join(texts)]).encode()).hexdigest()
 
 
-def _engine(key: str, texts: list[str]) -> Any:
+def _engine(key: str, texts: list[str], names: Sequence[str]) -> Any:
+    """The code of modules with functions of these names."""
     backing = llvm.parse_assembly("")
     engine = llvm.create_mcjit_compiler(backing, _new_target())
     code = _read_cache(key)
     if code is None:
-        code = _compile(texts)
+        code = _compile(texts, names)
         _write_cache(key, code)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -90,12 +143,12 @@ def _new_target() -> Any:
     )
 
 
-def _compile(texts: list[str]) -> bytes:
+def _compile(texts: list[str], names: Sequence[str]) -> bytes:
     module, *others = map(llvm.parse_assembly, texts)
     for other in others:
         module.link_in(other)
     for function in module.functions:
-        if function.name not in ("run", "handler") and not function.is_declaration:
+        if function.name not in names and not function.is_declaration:
             function.linkage = llvm.Linkage.internal
     module.verify()
     options = llvm.create_pipeline_tuning_options(speed_level=2)

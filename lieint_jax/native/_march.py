@@ -18,7 +18,7 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
 from lieint_jax._checks import outermost
-from lieint_jax._xla import result_like, unchecked, with_common_axes
+from lieint_jax._xla import differ, result_like, unchecked, with_common_axes
 
 Tree = Any  # a tree of arrays
 AnyArray = Any  # an array, or what stands for one in JAX: a tracer, a shape, a tangent
@@ -286,11 +286,16 @@ def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..
     It is traced once: calls, and their derivatives, evaluate its jaxpr.
     """
     with unchecked():
-        closed, out = jax.make_jaxpr(function, return_shape=True)(*examples)
+        closed, out = jax.make_jaxpr(function, return_shape=True)(*jax.tree.map(shape_of, examples))
     closed, tracers = _with_arguments(closed, 0)
 
     def explicit(tracers: AnyArrays, *arguments: Tree) -> Tree:
-        found = jaxpr_as_fun(closed)(*tracers, *jax.tree.leaves(arguments))
+        given = [*tracers, *jax.tree.leaves(arguments)]
+        if differ(given):  # of which the jaxpr has no types: as a loop of one step
+            one_step = march(lambda _, given, x: (given, jaxpr_as_fun(closed)(*given)), given, rows=1)[1]
+            found = [x[0] for x in one_step]
+        else:
+            found = jaxpr_as_fun(closed)(*given)
         return jax.tree.unflatten(jax.tree.structure(out), found)
 
     return explicit, tracers

@@ -8,7 +8,7 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -19,10 +19,10 @@ from jax.interpreters import mlir
 
 from lieint_jax._xla import unchecked
 from lieint_jax.native._arrays import computed_before
-from lieint_jax.native._handler import handler
 from lieint_jax.native._kernel import KernelCode
 from lieint_jax.native._march import AnyArray, AnyArrays, Deferred, Loop, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
+from lieint_jax.native._spread import is_spread, let_spread, spread
 from lieint_jax.native._traced import Traced, make_once
 
 _log = logging.getLogger(__name__)
@@ -41,11 +41,11 @@ _chosen_threads = jax.make_user_context(None)  # a number, or None
 
 
 class LoopCode:
-    """The step of a loop as machine code that XLA calls by a name.
+    """The step of a loop as machine code that XLA calls.
 
     Attributes:
         engine: its name.
-        name: of the call.
+        target, kernel: what XLA calls, and with which code.
         length: the number of operations of a step.
         pressure: how many numbers of a step are alive at once.
         lanes: the members of a vector.
@@ -71,14 +71,28 @@ class LoopCode:
             pressure = traced.pressure
             lanes = 1 if body.is_single else _machine.lanes(traced.leaves, pressure)
             texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse)
-            around = handler(len(traced.leaves) - 1, len(results), lanes)  # all but the counter are in memory
             walked = time.perf_counter()
-            self.name = _machine.compile_handler(*texts, around)
+            inputs = len(traced.leaves) - 1  # all but the counter are in memory
+            self.kernel, self.target = _machine.kernel(texts, inputs, len(results), lanes), _machine.TARGET
         self.length, self.pressure, self.lanes = traced.length, pressure, lanes
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
-    def call(self, arguments: AnyArrays, loop: Loop) -> list[AnyArray]:
-        """The carries after the last step and the stored rows."""
+    def call(self, arguments: AnyArrays, loop: Loop, is_spread: bool = False) -> list[AnyArray]:
+        """The carries after the last step and the stored rows; if it `is_spread`, by each device those of its part."""
+        before = computed_before(self._outside, self._leaves, [None, *arguments], loop.members)
+        arrays, count = [*arguments, *before], len(arguments)
+
+        def compute(arrays: AnyArrays, members: int | None) -> list[AnyArray]:
+            return self._call(arrays[:count], arrays[count:], loop._replace(members=members))
+
+        if loop.members is None or not is_spread:
+            return compute(arrays, loop.members)
+        places = [int(loop.is_series(k)) if own else None for k, own in enumerate(loop.owns)]
+        places += [0 if leaf.varies else None for leaf in self._leaves[1 + count :]]
+        of_results = [int(k >= loop.carried) for k in range(len(loop.results))]
+        return spread(compute, loop.members, arrays, places, of_results)
+
+    def _call(self, arguments: AnyArrays, before: AnyArrays, loop: Loop) -> list[AnyArray]:
         shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
         members = loop.members or 1
         steps = loop.rows * (_SOME if loop.every is None else loop.every)
@@ -86,9 +100,9 @@ class LoopCode:
         sizes = {"every": loop.every, "members": members, "stored": loop.rows, "threads": threads}
         if loop.every is None:  # the places of the arguments that they are
             sizes |= {"every": -1 - loop.carried, "stored": -2 - loop.carried}
-        before = computed_before(self._outside, self._leaves, [None, *arguments], loop.members)
-        call = jax.ffi.ffi_call(self.name, [shape_of(x) for x in shapes])
-        return list(call(*arguments, *before, **{name: np.int64(x) for name, x in sizes.items()}))
+        call = jax.ffi.ffi_call(self.target, [shape_of(x) for x in shapes])
+        numbers = {name: np.int64(x) for name, x in sizes.items()}
+        return list(call(*arguments, *before, kernel=self.kernel.name, **numbers))
 
 
 class _Body(NamedTuple):
@@ -135,7 +149,7 @@ def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | s
         return str(reason)
 
 
-def _compiled(*arguments: AnyArray, loop: Loop, platform: str) -> list[AnyArray]:
+def _compiled(*arguments: AnyArray, loop: Loop, platform: str, is_spread: bool) -> list[AnyArray]:
     """The loop in its own code; by XLA if its step is not a program of numbers, or if the user wants it."""
     found = machine_code(loop, platform)
     if isinstance(found, str):
@@ -144,7 +158,7 @@ def _compiled(*arguments: AnyArray, loop: Loop, platform: str) -> list[AnyArray]
         return by_xla(*arguments, loop=loop)
     if isinstance(found, KernelCode):
         return found.call(arguments, loop, interpret=platform == "cpu")
-    return found.call(arguments, loop)
+    return found.call(arguments, loop, is_spread)
 
 
 def engine_name() -> str:
@@ -172,20 +186,24 @@ def _log_once(what: str, reason: str) -> None:
     _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
 
 
-def _lowering(function: Callable[..., list[AnyArray]]) -> Callable[..., Any]:
-    """The rule of a loop that `function` computes; it sees no types of arrays that differ between devices."""
-    rule = mlir.lower_fun(function, multiple_results=True)
+def _lower(ctx: mlir.LoweringRuleContext, *operands: Any, loop: Loop, platform: str = "") -> Any:
+    """The rule of a loop; what it lowers sees no types of arrays that differ between devices."""
+    function = by_xla
+    if platform:
+        over_devices = is_spread(ctx.module_context.axis_context)
+        function = functools.partial(_compiled, platform=platform, is_spread=over_devices)
+    types: Any = ctx.avals_in, ctx.avals_out
+    given, found = ([ShapedArray(x.shape, x.dtype) for x in of] for of in types)
+    with unchecked(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The Pallas Triton backend", DeprecationWarning)
+        rule = mlir.lower_fun(function, multiple_results=True)
+        lowered = rule(ctx.replace(avals_in=given, avals_out=found), *operands, loop=loop)
+    if platform == "cpu" and isinstance(code := machine_code(loop), LoopCode):
+        ctx.module_context.add_keepalive(code.kernel)  # until XLA's program holds it
+    return lowered
 
-    def lower(ctx: mlir.LoweringRuleContext, *operands: Any, loop: Loop) -> Any:
-        types: Any = ctx.avals_in, ctx.avals_out
-        given, found = ([ShapedArray(x.shape, x.dtype) for x in of] for of in types)
-        with unchecked(), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "The Pallas Triton backend", DeprecationWarning)
-            return rule(ctx.replace(avals_in=given, avals_out=found), *operands, loop=loop)
 
-    return lower
-
-
-mlir.register_lowering(march_p, _lowering(by_xla))
+let_spread(march_p)
+mlir.register_lowering(march_p, _lower)
 for _platform in ("cpu", "gpu"):
-    mlir.register_lowering(march_p, _lowering(functools.partial(_compiled, platform=_platform)), platform=_platform)
+    mlir.register_lowering(march_p, functools.partial(_lower, platform=_platform), platform=_platform)

@@ -11,12 +11,10 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import _checks
-from lieint_jax._deprecated import old_calls
 
 _GRADINGS, _PARTS = 4, 16  # passes of `graded_times`, and parts of a step in its sums
 
 
-@old_calls()
 def graded_times(
     orbit: Callable[[Array], tuple[Array, Array]], t0: float, t1: float, n: int, *, c: float = 0.15
 ) -> np.ndarray:

@@ -18,7 +18,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._deprecated import old_calls
 from lieint_jax.orbits._anomaly import Function, elliptic_anomaly, hyperbolic_anomaly, slope
 from lieint_jax.types import pytree, static
 from lieint_jax.types.vectors import dot
@@ -91,7 +90,6 @@ def _motion(orbit: Kepler, t: ArrayLike, closed: bool | None) -> tuple[Array, Ar
     return a * (x * P + y * Q), speed * (vx * P + vy * Q)
 
 
-@old_calls()
 def kepler(
     mu: ArrayLike,
     semi_major_axis: ArrayLike,

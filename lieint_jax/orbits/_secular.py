@@ -70,7 +70,7 @@ class SecularJ2:
         return r, drift * v + jnp.stack(cross(rotation, r))
 
 
-@old_calls()
+@old_calls
 def secular_j2(
     mu: ArrayLike,
     semi_major_axis: ArrayLike,

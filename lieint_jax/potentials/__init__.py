@@ -14,12 +14,6 @@ Any function of positions and rotations is a potential too; autodiff then comput
 the momenta that a potential conserves.
 """
 
-from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax._discover import publish as _publish
 
 __all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
-
-__getattr__ = _renamed(
-    __name__,
-    {"Sum": "SumPotential"},
-)

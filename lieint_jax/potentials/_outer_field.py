@@ -49,7 +49,7 @@ class UniformField(Potential):
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """g·(w_i x_i + Λ_i d_i), (N,)."""
         moments = self.weights[:, None] * x + jnp.sum(R * self.moments[:, None, :], axis=2)
-        return jnp.sum(moments * self.field, axis=1)
+        return jnp.sum(moments * self.field[None], axis=1)
 
     def value(self, invariants: Array) -> Scalar:
         """V of the invariants."""

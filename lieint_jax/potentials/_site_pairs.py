@@ -16,7 +16,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._deprecated import old_calls
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_groups import group_sites, site_positions
 from lieint_jax.types import pytree, static
@@ -213,7 +212,6 @@ def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
     return LennardJones(epsilon, sigma, at, groups)
 
 
-@old_calls()
 def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayLike = 138.93545764) -> Potential:
     """Molecules of charges and Lennard-Jones sites: `point_charges` and `lennard_jones` of the same points, added.
 

@@ -243,7 +243,7 @@ def refuse_times(step: Step, given: str) -> None:
     if step.own_time:
         raise ValueError(
             f"{given} cannot be given to {step.name}, which chooses its times itself: compute the state at a time T by "
-            "li.event(step, state, dt, lambda z: z.t - T, max_steps)"
+            "li.event(step, state, dt, lambda z: z.t - T, max_steps=…)"
         )
 
 

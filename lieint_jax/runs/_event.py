@@ -18,7 +18,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
 from lieint_jax.runs._clock import Clock, at_time, clock_of, halved
@@ -50,7 +49,6 @@ class Event(NamedTuple):
     found: Array
 
 
-@old_calls()
 def event(
     step: Step,
     state: State,

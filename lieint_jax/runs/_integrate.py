@@ -13,7 +13,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._deprecated import old_calls
 from lieint_jax._xla import compiled
 from lieint_jax.runs._adjoint import Adjoint, checked_adjoint
 from lieint_jax.runs._clock import (
@@ -38,7 +37,6 @@ _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of
 _SHORT = 256  # runs up to this length are computed before their first step is checked
 
 
-@old_calls()
 def integrate(
     step: Step,
     state: State,

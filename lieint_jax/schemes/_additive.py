@@ -56,14 +56,7 @@ _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that a
 
 @pytree
 class Additive(Step):
-    """The step made by `additive`.
-
-    Attributes:
-        system: a pseudo-rigid body, elastic or viscous, or an incompressible one.
-        alpha: where between F_n and F_{n+1} the force acts.
-        rule: how S is chosen.
-        iterations: the most Newton corrections per step.
-    """
+    """The step made by `additive`."""
 
     system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody
     alpha: Array
@@ -169,8 +162,6 @@ PROPERTIES = SchemeProperties(
     name="additive",
     systems="elastic bodies",
     conserves=("momentum", "energy (rule average or energy)", "form (rule symplectic)", "volume (incompressible)"),
-    order=2,
-    symmetric=True,
     limit="half a radian of the fastest vibration",
     aliases=("energy–momentum rules of pseudo-rigid bodies",),
     source="Lewis & Simo 1994, Results 15 and 16, (6.15) to (6.17)",

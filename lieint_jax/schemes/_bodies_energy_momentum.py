@@ -56,13 +56,7 @@ class _Ends(NamedTuple):
 
 @pytree
 class BodiesEnergyMomentum(Step):
-    """The step made by `bodies_energy_momentum`.
-
-    Attributes:
-        system: bodies in a potential, with dissipation and given forces or without.
-        iterations: the most iterations of a step in float64.
-        solver: "fixed_point" or "newton".
-    """
+    """The step made by `bodies_energy_momentum`."""
 
     system: AbstractRigidBodies | AbstractDissipativeBodies
     iterations: int = static()
@@ -81,10 +75,11 @@ class BodiesEnergyMomentum(Step):
             ends, info = _Chain(equation).ends(most)
         else:
             ends, info = equation.solve(equation.guess(), most, 2, most)
-        force, power = equation.force(ends), equation.applied(ends)[1]
-        entered = equation.mutual(ends)[1]
-        good = jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
-        work = None if state.work is None else state.work + equation.dt * power + entered
+        force, work = equation.force_and_work(ends)
+        good = jnp.all(jnp.isfinite(force)) & jnp.all(
+            jax.vmap(lambda J: symmetric(J).well_conditioned)(self.system.inertias)
+        )
+        work = None if state.work is None else state.work + work
         end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
         return end, info._replace(converged=info.converged & good)
 
@@ -92,10 +87,9 @@ class BodiesEnergyMomentum(Step):
         given = f"{self.name} does not converge at dt = {dt}: bodies turn, or pass one another, too fast for steps of "
         if self.solver == "newton":
             return f"{given}this size, or a rod bends too much in a step or buckles in it. Use a smaller dt"
-        stiff = ', or solver="newton" if they are stiff' if _allows_newton(self.system) else ""
         return (
             f"{given}this size, or lose their energy too fast. Use a smaller dt, or more iterations than "
-            f"{self.iterations}{stiff}"
+            f'{self.iterations}, or solver="newton" if they are stiff'
         )
 
 
@@ -118,11 +112,12 @@ def bodies_energy_momentum(
     | solver | a step is solved by | converges |
     |---|---|---|
     | "fixed_point" | iterations on the forces, with a Newton correction of each body's rotation | for Δt Ω < 1 |
-    | "newton" | Newton's method with a block-tridiagonal matrix, for chains such as rods | for stiff rods too |
+    | "newton" | Newton's method, with the matrix of all bodies, or a block-tridiagonal one of a chain | if stiff too |
 
-    Here Ω is the highest frequency of the potential. The cost of both is proportional to the length of a chain. With
-    "newton" dt must resolve the bending of a rod, not its extension: a step that jumps to another solution, or in which
-    a rod buckles, reports `converged=False`. Rounding of the energy grows with Δt Ω.
+    Here Ω is the highest frequency of the potential. The cost of both is proportional to the length of a chain such as
+    a rod; N bodies that are no chain have a matrix of (6N)² numbers, whose cost is O(N³). With "newton" dt must resolve
+    the bending of a rod, not its extension: a step that jumps to another solution, or in which a rod buckles, reports
+    `converged=False`. Rounding of the energy grows with Δt Ω.
 
     Args:
         system: `systems.rigid_bodies(...)`. A plain function as its potential is evaluated at the positions and
@@ -132,13 +127,12 @@ def bodies_energy_momentum(
             larger number accepts slower convergence, which may end at another solution of the equations than the one
             that begins at Δt = 0.
         solver: "fixed_point" or "newton"; None selects "newton" if the potential is that of a chain
-            (`Potential.chain`). Newton's matrix contains forces between neighbors; dissipation and given forces between
-            other bodies must be weak, or steps report `converged=False`.
+            (`Potential.chain`). The matrix of a chain contains forces between neighbors; dissipation and given forces
+            between other bodies must be weak, or steps report `converged=False`.
 
     Raises:
         ValueError: the system is not of bodies in a potential, the potential is not invariant under rigid motions of
-            all bodies together, iterations is not a positive int, solver is unknown, or "newton" is requested for more
-            than two bodies that are no chain.
+            all bodies together, iterations is not a positive int, or solver is unknown.
 
     Source: this package; the discrete gradient's place in it, Gonzalez 1996, J. Nonlinear Sci. 6; chords with a test of
     contraction, Deuflhard 2011, Newton Methods for Nonlinear Problems, 2.1.
@@ -147,17 +141,8 @@ def bodies_energy_momentum(
     _check_invariants(system)
     if solver is None:
         solver = "newton" if is_chain(system.potential) else "fixed_point"
-    elif _checks.choice("solver", solver, ("fixed_point", "newton")) == "newton" and not _allows_newton(system):
-        raise ValueError(
-            'solver="newton" is for chains, in which each body acts on the one before and the one after it '
-            f"(such as potentials.rod), and for two bodies; this potential is {system.potential!r}. Use "
-            'solver="fixed_point"'
-        )
+    _checks.choice("solver", solver, ("fixed_point", "newton"))
     return BodiesEnergyMomentum(system, _checks.count("iterations", iterations, 1), solver)
-
-
-def _allows_newton(system: AbstractRigidBodies | AbstractDissipativeBodies) -> bool:
-    return system.masses.shape[0] <= 2 or is_chain(system.potential)
 
 
 def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -> None:
@@ -198,10 +183,13 @@ class _Equation(FixedPointEquation[_Ends]):
         x, q = self.state.q[:, :3], self.state.q[:, 3:]
         return jnp.concatenate([x + ends.move, jax.vmap(so3.cayley_increment)(q, ends.turn)], axis=1)
 
-    def force(self, ends: _Ends) -> Array:
-        """f̄ and τ̄ of each body, (N, 6)."""
-        force = self.mutual(ends)[0]
-        return force + self.applied(ends)[0] if isinstance(self.system, AbstractDissipativeBodies) else force
+    def force_and_work(self, ends: _Ends) -> tuple[Array, Array]:
+        """f̄ and τ̄ of each body, (N, 6), and the work of dissipation, given forces and given poses."""
+        force, work = self.mutual(ends)
+        if isinstance(self.system, AbstractDissipativeBodies):
+            applied, power = self.applied(ends)
+            force, work = force + applied, work + self.dt * power
+        return force, work
 
     def mutual(self, ends: _Ends) -> tuple[Array, Array]:
         """The part of f̄ and τ̄ of the potential, (N, 6), and the work of the poses that move in it as given."""
@@ -216,8 +204,6 @@ class _Equation(FixedPointEquation[_Ends]):
 
     def applied(self, ends: _Ends) -> tuple[Array, Array]:
         """The part of f̄ and τ̄ of dissipation and given forces, (N, 6), and their power."""
-        if not isinstance(self.system, AbstractDissipativeBodies):
-            return jnp.zeros_like(self.state.p), jnp.zeros_like(self.dt)
         rate, q = 1 / jnp.where(self.dt == 0, 1, self.dt), self.state.q
         between = jax.vmap(so3.normalize)(q[:, 3:] + self.configuration(ends)[:, 3:])
         middle = jnp.concatenate([q[:, :3] + ends.move / 2, between], axis=1)
@@ -239,7 +225,7 @@ class _Equation(FixedPointEquation[_Ends]):
 
     def linearized(self, ends: _Ends) -> tuple[_Ends, Array]:
         """The residual, and the derivative of its rotational part by y without that of the forces, (N, 3, 3)."""
-        force, (q, p) = self.force(ends), self.state[:2]
+        (force, _), (q, p) = self.force_and_work(ends), self.state[:2]
         move = self.dt / self.system.masses[:, None] * (p[:, :3] + self.dt / 2 * force[:, :3])
         F, K = jax.vmap(self._rotation_equation)(self.system.inertias, q[:, 3:], p[:, 3:], force[:, 3:], ends.turn)
         return _Ends(ends.move - move, F), K
@@ -268,14 +254,17 @@ class _Equation(FixedPointEquation[_Ends]):
 
 @dataclass(frozen=True)
 class _Chain(ChainEquation):
-    """The equations of one step for Newton's method, of the unknowns (Δx, y) of each body, (N, 6)."""
+    """The equations of one step for Newton's method, of the unknowns (Δx, y) of each body, (N, 6).
+
+    Bodies that are no chain are one link, (1, 6N).
+    """
 
     equation: _Equation
 
     @property
     def is_exact(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         system = self.equation.system
-        return isinstance(system, AbstractRigidBodies) or system.masses.shape[0] <= 2
+        return isinstance(system, AbstractRigidBodies) or system.masses.shape[0] <= 2 or not is_chain(system.potential)
 
     def ends(self, most: int) -> tuple[_Ends, StepInfo]:
         """The ends of the step, and the report.
@@ -285,15 +274,16 @@ class _Chain(ChainEquation):
         guess, x = jnp.concatenate(self.equation.guess(), axis=1), self.equation.state.q[:, :3]
         unit = jnp.maximum(jnp.max(jnp.abs(x)) / self._distance, 1)
         first = jnp.maximum(lax.stop_gradient(self.length(guess)), 0.5)
-        ends, info = self.solve(guess, first, unit, most)
-        return _Ends(ends[:, :3], ends[:, 3:]), info
+        links = guess if is_chain(self.equation.system.potential) or len(guess) <= 2 else guess.reshape(1, -1)
+        ends, info = self.solve(links, first, unit, most)
+        return _ends(ends), info
 
     def residual(self, x: Array) -> Array:
-        return jnp.concatenate(self.equation.residual(_Ends(x[:, :3], x[:, 3:])), axis=1)
+        return jnp.concatenate(self.equation.residual(_ends(x)), axis=1).reshape(x.shape)
 
     def length(self, step: Array) -> Array:
         """The largest rotation in rad, or displacement over the distance of neighbors."""
-        moved, turned = (jnp.max(jnp.abs(part)) for part in (step[:, :3], step[:, 3:]))
+        moved, turned = (jnp.max(jnp.abs(part)) for part in _ends(step))
         return jnp.maximum(moved / self._distance, turned)
 
     @property
@@ -301,6 +291,12 @@ class _Chain(ChainEquation):
         """That of neighbors in the mean."""
         apart = jnp.diff(self.equation.state.q[:, :3], axis=0)
         return lax.stop_gradient(jnp.sqrt(jnp.mean(jnp.sum(apart * apart, axis=1))))
+
+
+def _ends(unknowns: Array) -> _Ends:
+    """The unknowns of all links, by body."""
+    bodies = unknowns.reshape(-1, 6)
+    return _Ends(bodies[:, :3], bodies[:, 3:])
 
 
 def _iterations_at_precision(iterations: int, dtype: DTypeLike) -> int:
@@ -325,16 +321,10 @@ def _parts(q: Array) -> tuple[Array, Array]:
     return q[:, :3], jax.vmap(so3.to_matrix)(q[:, 3:])
 
 
-def _well_conditioned(J: Array) -> Array:
-    return symmetric(J).well_conditioned
-
-
 PROPERTIES = SchemeProperties(
     name="bodies_energy_momentum",
     systems="several bodies, with dissipation or given forces too",
     conserves=("energy", "energy less work", "momentum"),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
     aliases=("energy–momentum method",),
     source="Lewis & Simo 1994, Results 1 to 3, for several bodies: this package",

@@ -47,9 +47,7 @@ class Calibrated(Step):
     """The step made by `calibrated`.
 
     Attributes:
-        system: a free rigid body.
         clock: the constants from `prepare`; None before.
-        iterations: as in `so3_midpoint`.
     """
 
     system: AbstractFreeBody
@@ -144,7 +142,6 @@ PROPERTIES = SchemeProperties(
     systems="free bodies",
     conserves=("energy", "momentum", "form"),
     order=float("inf"),
-    symmetric=True,
     limit="less than 90° a step",
     aliases=("exact discrete Moser–Veselov",),
     source="McLachlan & Zanna 2005",

@@ -44,12 +44,7 @@ _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spalet
 
 @pytree
 class Composition(Step):
-    """The step made by `compose`.
-
-    Attributes:
-        step: the base step.
-        method: a key of `METHODS`.
-    """
+    """The step made by `compose`."""
 
     step: Step
     method: str = static()
@@ -164,7 +159,6 @@ PROPERTIES = SchemeProperties(
     systems="any symmetric step of order 2",
     conserves=("what the step conserves",),
     order=4,
-    symmetric=True,
     limit="that of the step over its longest stage",
     aliases=("Suzuki composition", "Yoshida composition", "Kahan–Li composition"),
     source="Suzuki 1990; Yoshida 1990; Kahan & Li 1997",

@@ -22,11 +22,7 @@ __all__ = ["Exact", "FreeFlight", "exact"]
 
 @pytree
 class Exact(Step):
-    """The step made by `exact`.
-
-    Attributes:
-        system: a free rigid body.
-    """
+    """The step made by `exact`."""
 
     system: AbstractFreeBody
     order: float = static(default=math.inf)
@@ -102,7 +98,6 @@ PROPERTIES = SchemeProperties(
     systems="free bodies, several free bodies",
     conserves=("energy", "momentum", "form"),
     order=float("inf"),
-    symmetric=True,
     limit="none",
     aliases=("Jacobi's solution of the free rigid body",),
     source="Jacobi 1849; Hairer & Vilmart 2006",

@@ -47,10 +47,7 @@ class Extrapolated(Step):
     """The step made by `extrapolate`.
 
     Attributes:
-        system: any system.
-        order: even.
         form: the name of the chart in which it integrates.
-        increments: whether sub-steps add up increments, not unknowns.
     """
 
     system: System
@@ -159,7 +156,7 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    if any(law.samples for law in laws_of(system)):
+    if any(law.held for law in laws_of(system)):
         raise ValueError(
             "extrapolate integrates vector fields, and a sampled law changes its torque in jumps: use torqued_midpoint"
         )

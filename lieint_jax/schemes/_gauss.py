@@ -47,13 +47,7 @@ _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
 
 @pytree
 class Gauss(Step):
-    """The step made by `gauss`.
-
-    Attributes:
-        system: a Hamiltonian system on T*SO(3), of several bodies, or on T*GL⁺(3).
-        stages: s.
-        sweeps: the number of sweeps, or None to sweep until convergence.
-    """
+    """The step made by `gauss`."""
 
     system: System
     stages: int = static()
@@ -232,7 +226,6 @@ PROPERTIES = SchemeProperties(
     systems="free and elastic bodies, gyrostats, tops, satellites, several bodies",
     conserves=("momentum", "form"),
     order=16,
-    symmetric=True,
     limit="about one radian of the fastest motion",
     aliases=("Gauss–Legendre collocation",),
     source="Hairer, Lubich & Wanner 2006, II.1.3, VI.4",

@@ -44,14 +44,7 @@ __all__ = ["GroupAlpha", "group_alpha"]
 
 @pytree
 class GroupAlpha(Step):
-    """The step made by `group_alpha`.
-
-    Attributes:
-        system: a geodesic flow, or a mechanical system on a group.
-        alpha: α.
-        tau: the map τ.
-        iterations: Newton matrices per step, at most.
-    """
+    """The step made by `group_alpha`."""
 
     system: AbstractGeodesicFlow | AbstractMechanicalSystem
     alpha: Array
@@ -163,8 +156,6 @@ PROPERTIES = SchemeProperties(
     name="group_alpha",
     systems="matrix groups, with or without a potential",
     conserves=("momentum",),
-    order=2,
-    symmetric=True,
     limit="where the map is injective",
     aliases=("α-family on T*G",),
     source="Lewis & Simo 1994, (5.43), Results 12 to 14",

@@ -50,9 +50,7 @@ class GroupEnergyMomentum(Step):
     """The step made by `group_energy_momentum`.
 
     Attributes:
-        system: a mechanical system on a group.
         tau: the exponential map.
-        iterations: Newton matrices per step, at most.
     """
 
     system: AbstractMechanicalSystem
@@ -130,8 +128,6 @@ PROPERTIES = SchemeProperties(
     name="group_energy_momentum",
     systems="matrix groups with a potential",
     conserves=("energy", "momentum"),
-    order=2,
-    symmetric=True,
     limit="where the map is injective",
     aliases=("energy–momentum method on T*G",),
     source="Lewis & Simo 1994, (5.49), Result 13",

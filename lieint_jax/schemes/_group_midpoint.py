@@ -45,13 +45,7 @@ __all__ = ["GroupMidpoint", "group_midpoint"]
 
 @pytree
 class GroupMidpoint(Step):
-    """The step made by `group_midpoint`.
-
-    Attributes:
-        system: a geodesic flow.
-        tau: the map τ.
-        iterations: Newton matrices per step, at most.
-    """
+    """The step made by `group_midpoint`."""
 
     system: AbstractGeodesicFlow | AbstractRightGeodesicFlow
     tau: Tau
@@ -133,8 +127,6 @@ PROPERTIES = SchemeProperties(
     name="group_midpoint",
     systems="geodesics of any matrix group",
     conserves=("energy", "momentum", "form (where the map is symplectic)"),
-    order=2,
-    symmetric=True,
     limit="where the map is injective",
     aliases=("midpoint rule on T*G",),
     source="Lewis & Simo 1994, (5.23) to (5.27), Results 9 to 11",

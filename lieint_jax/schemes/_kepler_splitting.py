@@ -50,9 +50,6 @@ class KeplerSplitting(Step):
     """The step made by `kepler_splitting`.
 
     Attributes:
-        system: two bodies in a potential.
-        G: the constant of gravity.
-        drift: a step of the bodies without the potential, of which the rotations are used.
         method: a key of `METHODS`.
     """
 
@@ -193,8 +190,6 @@ PROPERTIES = SchemeProperties(
     name="kepler_splitting",
     systems="two bodies",
     conserves=("momentum", "form"),
-    order=2,
-    symmetric=True,
     limit="that of the drift",
     aliases=("Wisdom–Holman", "WHFast"),
     source="Wisdom & Holman 1991; Laskar & Robutel 2001",

@@ -52,11 +52,7 @@ class Langevin(Step):
     """The step made by `langevin`.
 
     Attributes:
-        system: bodies, in a potential or free.
         drift: the exact step of their free motion.
-        temperature: kT, an energy.
-        friction: γ, rates: (), (3,), or (6,).
-        metropolis: whether steps are accepted or rejected.
     """
 
     system: Any
@@ -301,7 +297,6 @@ PROPERTIES = SchemeProperties(
     name="langevin",
     systems="free bodies, tops, several bodies, in a heat bath",
     conserves=("canonical measure (free bodies, or metropolis)",),
-    order=2,
     symmetric=False,
     limit="that of the potential's frequencies, Δtω < 2",
     aliases=("BAOAB", "Langevin thermostat", "GHMC"),

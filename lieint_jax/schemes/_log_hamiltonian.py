@@ -36,7 +36,6 @@ class LogHamiltonian(Step):
     """The step made by `log_hamiltonian`.
 
     Attributes:
-        system: a system with a potential.
         energy: E, or None if it is in `State.extra`.
         drift: the exact flow of the system without the potential.
     """
@@ -183,8 +182,6 @@ PROPERTIES = SchemeProperties(
     name="log_hamiltonian",
     systems="tops with V < 0",
     conserves=("momentum", "form (of the extended phase space)"),
-    order=2,
-    symmetric=True,
     limit="a step of fictitious time",
     aliases=("logarithmic Hamiltonian", "Mikkola–Tanikawa", "Preto–Tremaine"),
     source="Mikkola & Tanikawa 1999; Preto & Tremaine 1999",

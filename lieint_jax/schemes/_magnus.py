@@ -33,12 +33,7 @@ _LARGEST = 0.5  # commutators over the rotation: with perpendicular rates, |Δt�
 
 @pytree
 class Magnus(Step):
-    """The step made by `magnus`.
-
-    Attributes:
-        system: a motion with a given rate.
-        commutators: whether the step has one exponential, with commutators.
-    """
+    """The step made by `magnus`."""
 
     system: AbstractKinematics
     order: float = static(default=4)
@@ -147,7 +142,6 @@ PROPERTIES = SchemeProperties(
     systems="motions with given rates",
     conserves=(),
     order=4,
-    symmetric=True,
     limit="|ΔtΩ| ≈ π",
     aliases=("Magnus integrator", "exponential midpoint rule", "coning algorithm", "commutator-free CF4"),
     source="Blanes, Casas & Ros 2000; Blanes & Moan 2006",

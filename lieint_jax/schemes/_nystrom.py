@@ -58,13 +58,7 @@ METHODS = {4: _method_4(), 6: _method_6()}  # SRKN6b and SRKN14a
 
 @pytree
 class Nystrom(Step):
-    """The step made by `nystrom`.
-
-    Attributes:
-        system: a system with a potential.
-        drift: a step of the system without it.
-        order: 4 or 6.
-    """
+    """The step made by `nystrom`."""
 
     system: AbstractForcedSystem | AbstractDrivenSystem
     drift: Step
@@ -146,7 +140,6 @@ PROPERTIES = SchemeProperties(
     systems="tops, satellites, several bodies",
     conserves=("momentum", "form"),
     order=4,
-    symmetric=True,
     limit="that of the drift",
     aliases=("Runge–Kutta–Nyström splitting of Blanes & Moan",),
     source="Blanes & Moan 2002",

@@ -39,12 +39,7 @@ ORDERS = (4, 6, 8, 10)
 
 @pytree
 class Preprocessed(Step):
-    """The step made by `preprocessed`.
-
-    Attributes:
-        system: a free rigid body.
-        iterations: as in `so3_midpoint`.
-    """
+    """The step made by `preprocessed`."""
 
     system: AbstractFreeBody
     order: float = static()
@@ -136,7 +131,6 @@ PROPERTIES = SchemeProperties(
     systems="free bodies, several free bodies",
     conserves=("energy", "momentum"),
     order=4,
-    symmetric=True,
     limit="|ΔtΩ| ≈ 1",
     aliases=("preprocessed discrete Moser–Veselov",),
     source="McLachlan & Zanna 2005; Hairer & Vilmart 2006",

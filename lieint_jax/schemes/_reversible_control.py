@@ -28,12 +28,7 @@ _KEY = "rho"
 
 @pytree
 class ReversibleControl(Step):
-    """The step made by `reversible_control`.
-
-    Attributes:
-        step: the base step, Φ.
-        sigma: σ, the desired step size over dt.
-    """
+    """The step made by `reversible_control`."""
 
     step: Step
     sigma: Callable[[State], Array]
@@ -146,8 +141,6 @@ PROPERTIES = SchemeProperties(
     name="reversible_control",
     systems="any symmetric step",
     conserves=("what the step conserves, but not the form",),
-    order=2,
-    symmetric=True,
     limit="that of the step",
     aliases=("reversible integrating controller",),
     source="Hairer & Söderlind 2005",

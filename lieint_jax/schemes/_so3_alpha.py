@@ -55,14 +55,7 @@ __all__ = ["SO3Alpha", "so3_alpha"]
 
 @pytree
 class SO3Alpha(Step):
-    """The step made by `so3_alpha`.
-
-    Attributes:
-        system: a free rigid body embedded in L(3).
-        alpha: α.
-        kappa: the scaling κ.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `so3_alpha`."""
 
     system: AbstractEmbeddedBody
     alpha: Array
@@ -140,8 +133,6 @@ PROPERTIES = SchemeProperties(
     name="so3_alpha",
     systems="free bodies whose attitude is a matrix",
     conserves=("momentum", "energy"),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| of 2 to 4",
     aliases=("α-family in L(3)",),
     source="Lewis & Simo 1994, (2.14) to (2.23), Results 1 and 2",

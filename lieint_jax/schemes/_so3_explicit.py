@@ -40,7 +40,6 @@ class SO3Explicit(Step):
     """The step made by `so3_explicit`.
 
     Attributes:
-        system: a free rigid body.
         m: the root from `prepare`; None before.
         gain: the gain of the feedback on the energy; None before.
     """
@@ -109,8 +108,6 @@ PROPERTIES = SchemeProperties(
     name="so3_explicit",
     systems="free bodies",
     conserves=("energy", "momentum", "form"),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| ≈ 1",
     aliases=("discrete Moser–Veselov, solved once",),
     source="Lewis & Simo 1994, Result 5; the scalar form: this package",

@@ -51,13 +51,7 @@ __all__ = ["SO3Midpoint", "so3_midpoint"]
 
 @pytree
 class SO3Midpoint(Step):
-    """The step made by `so3_midpoint`.
-
-    Attributes:
-        system: a free rigid body, also one whose inertia changes in time, or a gyrostat.
-        kappa: the scaling κ.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `so3_midpoint`."""
 
     system: AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat
     kappa: Kappa
@@ -195,8 +189,6 @@ PROPERTIES = SchemeProperties(
     name="so3_midpoint",
     systems="free bodies, also with J(t), gyrostats",
     conserves=("energy", "momentum", "form (symplectic κ, free body)"),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("discrete Moser–Veselov (symplectic κ)", "RATTLE (symplectic κ)"),
     source="Lewis & Simo 1994, (2.24), (2.28), Results 1 to 5",

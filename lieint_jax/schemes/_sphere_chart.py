@@ -30,9 +30,7 @@ class SphereChart(Step):
     """The step made by `sphere_chart`.
 
     Attributes:
-        system: a pendulum.
         chart: the spherical coordinates.
-        iterations: Newton corrections per step.
     """
 
     system: AbstractSphereSystem
@@ -131,8 +129,6 @@ PROPERTIES = SchemeProperties(
     name="sphere_chart",
     systems="the spherical pendulum",
     conserves=("momentum", "form"),
-    order=2,
-    symmetric=True,
     limit="away from the axis",
     aliases=("implicit midpoint rule in spherical coordinates",),
     source="Lewis & Simo 1994, Section 1.1, claims 4 and 5",

@@ -16,7 +16,6 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.schemes._shared.properties import SchemeProperties
@@ -30,13 +29,7 @@ _TURN = 2.5  # radians; no step of a midpoint rule turns by 180°, and near that
 
 @pytree
 class SphereMidpoint(Step):
-    """The step made by `sphere_midpoint`.
-
-    Attributes:
-        system: a pendulum.
-        normalized: whether r lies on the sphere.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `sphere_midpoint`."""
 
     system: AbstractSphereSystem
     normalized: bool = static()
@@ -85,8 +78,9 @@ class SphereMidpoint(Step):
         )
 
 
-@old_calls(normalised="normalized")
-def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iterations: int = 6) -> SphereMidpoint:
+def sphere_midpoint(
+    system: AbstractSphereSystem, normalized: bool = False, iterations: int = 6, *, normalised: bool = False
+) -> SphereMidpoint:
     """The midpoint rule (1.6) for a pendulum, with ∇H at the midpoint.
 
     | | `normalized=False` (1.6) | `normalized=True` |
@@ -102,6 +96,7 @@ def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iter
         system: `systems.pendulum(...)`.
         normalized: whether to replace the mean direction q_m by q_m/|q_m| on the right-hand sides.
         iterations: Newton corrections per step; 6 reach round-off where a step rotates q by less than about a radian.
+        normalised: another spelling of `normalized`.
 
     Raises:
         ValueError: not a pendulum, a bad count.
@@ -109,15 +104,13 @@ def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iter
     Source: Lewis & Simo 1994, Section 1.1 and its closing remark.
     """
     PROPERTIES.check(system)
-    return SphereMidpoint(system, bool(normalized), _checks.count("iterations", iterations, 1))
+    return SphereMidpoint(system, bool(normalized or normalised), _checks.count("iterations", iterations, 1))
 
 
 PROPERTIES = SchemeProperties(
     name="sphere_midpoint",
     systems="the spherical pendulum",
     conserves=("momentum", "energy (plain)", "form (normalized)"),
-    order=2,
-    symmetric=True,
     limit="less than 180° a step",
     aliases=("midpoint rule on T*S²",),
     source="Lewis & Simo 1994, (1.6)",

@@ -59,8 +59,6 @@ class Splitting(Step):
     """The step made by `splitting`.
 
     Attributes:
-        system: a system with a potential.
-        drift: a step of the system without it.
         kick_first: whether a step begins and ends with half of the kick, or of the drift.
     """
 
@@ -183,8 +181,6 @@ PROPERTIES = SchemeProperties(
     name="splitting",
     systems="tops, satellites, gyrostats, groups with a potential, several bodies, elastic bodies",
     conserves=("momentum", "form"),
-    order=2,
-    symmetric=True,
     limit="that of the drift; elastic bodies: Δtω < 2",
     aliases=("Strang splitting", "kick–drift–kick", "Störmer–Verlet", "central difference method"),
     source="Strang 1968; McLachlan & Quispel 2002",

@@ -59,13 +59,7 @@ _APART = 1e-4  # above this |ΔΓ|² the quadrature is corrected so that D̄·Δ
 
 @pytree
 class TopEnergyMomentum(Step):
-    """The step made by `top_energy_momentum`.
-
-    Attributes:
-        system: a rigid body in a potential with an axis.
-        kappa: the scaling κ.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `top_energy_momentum`."""
 
     system: AbstractTop | AbstractDrivenTop
     kappa: Kappa
@@ -316,8 +310,6 @@ PROPERTIES = SchemeProperties(
     name="top_energy_momentum",
     systems="tops, satellites",
     conserves=("energy less work", "momentum"),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
     aliases=("energy–momentum method",),
     source="Lewis & Simo 1994, (4.3), (4.4), Results 6 and 7, corrected",

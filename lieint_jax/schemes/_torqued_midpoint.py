@@ -70,21 +70,9 @@ from lieint_jax.types.vectors import (
 __all__ = ["DampedMidpoint", "TorquedMidpoint", "torqued_midpoint"]
 
 
-def _inner(state: State, law: Law) -> Array | None:
-    """The internal state of a law, or the one that it reads; None if there is none."""
-    key = law.key or law.reads
-    return None if key is None else (state.extra or {})[key]
-
-
 @pytree
 class TorquedMidpoint(Step):
-    """The step made by `torqued_midpoint` for a body with a torque.
-
-    Attributes:
-        system: a rigid body with a torque, also one whose inertia changes in time.
-        kappa: the scaling κ.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `torqued_midpoint` for a body with a torque."""
 
     system: AbstractTorquedBody | AbstractTorquedBodyInTime
     kappa: Kappa
@@ -125,7 +113,7 @@ class TorquedMidpoint(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not self.system.sampled(state, jnp.asarray(dt))[1]:
-            return next(law.refusal(clock(state), dt) for law in self.system.laws if law.samples)
+            return next(law.refusal(clock(state), dt) for law in self.system.laws if law.held)
         dtype = state.p.dtype
         number, q, vector = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((), (4,), (3,)))
         for name, law in zip(labels(self.system), self.system.laws, strict=True):
@@ -141,13 +129,7 @@ class TorquedMidpoint(Step):
 
 @pytree
 class DampedMidpoint(Step):
-    """The step made by `torqued_midpoint` for a body with internal friction.
-
-    Attributes:
-        system: a rigid body with internal friction.
-        kappa: the scaling κ.
-        iterations: Newton corrections per step.
-    """
+    """The step made by `torqued_midpoint` for a body with internal friction."""
 
     system: AbstractDampedBody
     kappa: Kappa
@@ -255,8 +237,6 @@ PROPERTIES = SchemeProperties(
     name="torqued_midpoint",
     systems="bodies with torques, also with J(t), or internal friction",
     conserves=("energy less work",),
-    order=2,
-    symmetric=True,
     limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
     aliases=("energy–momentum midpoint rule",),
     source="Lewis & Simo 1994, Results 1 to 3, with torques: this package",
@@ -336,8 +316,9 @@ class _Equation(ImplicitEquation[Vector]):
         """The equation of a step from a state."""
         J, r = unit_trace(system.inertia)
         Pi = vector(r * so3.Ad_star(state.q, state.p))
-        inner = tuple(_inner(state, law) for law in system.laws)
-        return cls(kappa, system.laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
+        inner = tuple(system.inner(state, law) for law in system.laws)
+        laws = tuple(system.holding(state, law) for law in system.laws)
+        return cls(kappa, laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
 
     @property
     def a(self) -> Vector:

@@ -24,6 +24,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.types import pytree, static
+from lieint_jax.types.labeled import short_text
 
 __all__ = ["Shape", "body", "box", "closed_surface", "cylinder", "ellipsoid", "mesh", "sites", "trace_free"]
 
@@ -53,6 +54,18 @@ class Shape:
     diagonal: bool = static(default=False)
     radius: Array | None = None
     triangles: Array | None = None
+
+    def __repr__(self) -> str:
+        known = concrete(self.second) and np.ndim(self.second) == 2
+        moments = {"inertia": self.inertia} if known else {"second": self.second}
+        shown = {
+            "mass": self.mass,
+            "center": self.center,
+            **moments,
+            "radius": self.radius,
+            "triangles": self.triangles,
+        }
+        return f"Shape({', '.join(f'{name}={short_text(x)}' for name, x in shown.items() if x is not None)})"
 
     @property
     def inertia(self) -> Array:

@@ -9,14 +9,8 @@ Each module has `examples()`: systems with a state worth integrating and a time 
 `catalogue()` lists what each conserves, with its phase space, names in the literature and source. They model:
 """
 
-from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax._discover import publish as _publish
 from lieint_jax.systems._catalogue import catalogue
 
 __all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
 __doc__ = f"{__doc__}\n{catalogue().markdown(columns=2)}\n"
-
-__getattr__ = _renamed(
-    __name__,
-    {"ManyFreeBodies": "FreeBodies", "SpinUp": "SpinUpMotor", "Quadratic": "QuadraticPotential"},
-)

@@ -18,12 +18,7 @@ __all__ = ["DampedBody", "damped_body"]
 
 @pytree
 class DampedBody(TimedBody, AbstractDampedBody):
-    """H = ½ Π·J⁻¹Π; Λ̇ = Λ(Ω + αΠ × Ω)^, π̇ = 0, so that Ḣ = −α|Π × Ω|². Made by `damped_body`.
-
-    Attributes:
-        inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
-        friction: α.
-    """
+    """H = ½ Π·J⁻¹Π; Λ̇ = Λ(Ω + αΠ × Ω)^, π̇ = 0, so that Ḣ = −α|Π × Ω|². Made by `damped_body`."""
 
     inertia: Array
     friction: Array

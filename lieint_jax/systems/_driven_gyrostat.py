@@ -22,12 +22,7 @@ __all__ = ["DrivenGyrostat", "SpinUpMotor", "driven_gyrostat"]
 
 @pytree
 class DrivenGyrostat(capabilities.AbstractDrivenGyrostat):
-    """H = ½(Π − h_r)·J⁻¹(Π − h_r) as in `Gyrostat`, with ḣ_r = τ(t) and Ḣ = −Ω·τ. Made by `driven_gyrostat`.
-
-    Attributes:
-        inertia: J, principal moments (3,) or a symmetric tensor (3, 3).
-        motor: τ, a function of time with values (3,) in the body.
-    """
+    """H = ½(Π − h_r)·J⁻¹(Π − h_r) as in `Gyrostat`, with ḣ_r = τ(t) and Ḣ = −Ω·τ. Made by `driven_gyrostat`."""
 
     inertia: Array
     motor: Callable[[Array], Array]

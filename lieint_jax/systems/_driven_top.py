@@ -64,11 +64,6 @@ class DrivenTop(MovedBody):
     """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ, t) with Γ = Λᵀγ(t) (4.2). Made by `driven_top`.
 
     Energy is not conserved; energy less work is, with work = ∫∂V/∂t dt.
-
-    Attributes:
-        inertia: J about the fixed point, principal (3,) or full (3, 3).
-        potential: Ṽ(Γ, t); or V(Λ, t) if there is no axis.
-        axis: γ in space: a function of t, or an array (3,), or None.
     """
 
     inertia: Array

@@ -24,12 +24,7 @@ __all__ = ["Euler", "RightEuler", "euler", "kirchhoff", "manakov", "manakov_inte
 
 @pytree
 class Euler(OnGroup, AbstractGeodesicFlow):
-    """H = ½⟨Π, m⁻¹Π⟩ with Π = Ad*_q π (5.18); q̇ = qΩ̂, π̇ = 0, Ω = m⁻¹Π (5.14). Made by `euler`.
-
-    Attributes:
-        metric: m in the basis of the algebra, principal (d,) or full (d, d).
-        group: the group G.
-    """
+    """H = ½⟨Π, m⁻¹Π⟩ with Π = Ad*_q π (5.18); q̇ = qΩ̂, π̇ = 0, Ω = m⁻¹Π (5.14). Made by `euler`."""
 
     metric: Array
     group: Group = static()
@@ -45,12 +40,7 @@ class Euler(OnGroup, AbstractGeodesicFlow):
 
 @pytree
 class RightEuler(OnGroup, AbstractRightGeodesicFlow):
-    """H = ½⟨π, m⁻¹π⟩ (end of Section 5.1.7); q̇ = ω̂q, π̇ = −ad*_ω π, ω = m⁻¹π. Made by `euler`.
-
-    Attributes:
-        metric: m in the basis of the algebra, principal (d,) or full (d, d).
-        group: the group G.
-    """
+    """H = ½⟨π, m⁻¹π⟩ (end of Section 5.1.7); q̇ = ω̂q, π̇ = −ad*_ω π, ω = m⁻¹π. Made by `euler`."""
 
     metric: Array
     group: Group = static()

@@ -44,13 +44,7 @@ class TidalAxis:
 
 @pytree
 class GravityGradient(MovedBody):
-    """H = ½ Π·J⁻¹Π + (3μ/2r³) r̂·ΛJΛᵀr̂ with r̂(t), r(t) of an orbit. Made by `gravity_gradient`.
-
-    Attributes:
-        inertia: J about the center of mass, principal (3,) or full (3, 3).
-        orbit: t ↦ (position (3,), velocity (3,)) about the center of attraction.
-        mu: μ of that center; None for that of the orbit.
-    """
+    """H = ½ Π·J⁻¹Π + (3μ/2r³) r̂·ΛJΛᵀr̂ with r̂(t), r(t) of an orbit. Made by `gravity_gradient`."""
 
     inertia: Array
     orbit: Any

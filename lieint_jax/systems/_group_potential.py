@@ -25,14 +25,7 @@ __all__ = ["DrivenGroupPotential", "GroupPotential", "group_potential"]
 
 @pytree
 class GroupPotential(OnGroup, AbstractMechanicalSystem):
-    """H = ½⟨Π, m⁻¹Π⟩ + V(q), Π = Ad*_q π (5.42); q̇ = qΩ̂, π̇ = −T*R dV(q) (5.41). Made by `group_potential`.
-
-    Attributes:
-        metric: m in the basis of the algebra, (d,) or (d, d).
-        group: the group G.
-        potential: V, a callable pytree q ↦ scalar.
-        symmetry: algebra elements η with V(exp(sη)q) = V(q), shape (k, d).
-    """
+    """H = ½⟨Π, m⁻¹Π⟩ + V(q), Π = Ad*_q π (5.42); q̇ = qΩ̂, π̇ = −T*R dV(q) (5.41). Made by `group_potential`."""
 
     metric: Array
     potential: Callable[[Array], Array]
@@ -58,10 +51,6 @@ class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
     """H = ½⟨Π, m⁻¹Π⟩ + V(q, t): (5.41) with a potential that is a given function of time. Made by `group_potential`.
 
     H − work is conserved, with work = ∫∂V/∂t dt.
-
-    Attributes:
-        metric, group, symmetry: as in `GroupPotential`.
-        potential: V, a callable pytree (q, t) ↦ scalar.
     """
 
     metric: Array

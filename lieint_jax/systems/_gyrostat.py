@@ -19,12 +19,7 @@ __all__ = ["Gyrostat", "gyrostat"]
 
 @pytree
 class Gyrostat(Rotating, capabilities.AbstractGyrostat):
-    """H = ½(Π − h_r)·J⁻¹(Π − h_r) with Π = Λᵀπ = JΩ + h_r; Λ̇ = ΛΩ̂, π̇ = 0. Made by `gyrostat`.
-
-    Attributes:
-        inertia: J, principal moments (3,) or a symmetric tensor (3, 3).
-        rotor: h_r in the body, (3,).
-    """
+    """H = ½(Π − h_r)·J⁻¹(Π − h_r) with Π = Λᵀπ = JΩ + h_r; Λ̇ = ΛΩ̂, π̇ = 0. Made by `gyrostat`."""
 
     inertia: Array
     rotor: Array

@@ -92,12 +92,7 @@ class _InTime(AbstractBodyInTime):
 
 @pytree
 class InertiaInTime(_InTime, AbstractFreeBodyInTime):
-    """H = ½ Π·J(t)⁻¹Π: Λ̇ = ΛΩ̂, π̇ = 0. Made by `inertia_in_time`.
-
-    Attributes:
-        inertia: J, a function of time with values (3,) or (3, 3).
-        rate: J̇, or None: then by JAX.
-    """
+    """H = ½ Π·J(t)⁻¹Π: Λ̇ = ΛΩ̂, π̇ = 0. Made by `inertia_in_time`."""
 
     inertia: _Inertia
     rate: _Inertia | None
@@ -108,12 +103,7 @@ class InertiaInTime(_InTime, AbstractFreeBodyInTime):
 
 @pytree
 class TorquedInertiaInTime(_InTime, AbstractTorquedBodyInTime):
-    """H = ½ Π·J(t)⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `inertia_in_time` with a torque.
-
-    Attributes:
-        inertia, rate: as in `InertiaInTime`.
-        torque: a law of torque, or the sum of several.
-    """
+    """H = ½ Π·J(t)⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `inertia_in_time` with a torque."""
 
     inertia: _Inertia
     rate: _Inertia | None
@@ -189,9 +179,8 @@ def _check(name: str, function: Any) -> None:
 
 
 def _deploying(folded: Array, change: Array, t: Time) -> Vector3:
-    """Moments that change smoothly from t = 0 to 4, for the examples."""
-    s = jnp.clip(t / 4, 0, 1)
-    return folded + s * s * (3 - 2 * s) * change
+    """Moments that change smoothly about t = 2, for the examples."""
+    return folded + (1 + jnp.tanh(t - 2)) / 2 * change
 
 
 PROPERTIES = SystemProperties(

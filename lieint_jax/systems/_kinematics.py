@@ -30,13 +30,7 @@ Kind = Literal["interpolate", "mean"]
 
 @pytree
 class Kinematics(AbstractKinematics):
-    """q̇ = qω̂(t), or q̇ = ω̂(t)q with a rate given in space. Made by `kinematics`.
-
-    Attributes:
-        rate: ω, a callable pytree t ↦ (d,).
-        group: the group G.
-        frame: "body" or "space".
-    """
+    """q̇ = qω̂(t), or q̇ = ω̂(t)q with a rate given in space. Made by `kinematics`."""
 
     rate: Callable[[Array], Array]
     group: Group = static()

@@ -35,9 +35,7 @@ class Pendulum(AbstractSphereSystem):
     """H = |π|²/(2m) − g(γ·q) (1.3); q̇ = π × q/m, π̇ = −q × ∇V(q) with V(q) = −g(γ·q) (1.1), (1.4). Made by `pendulum`.
 
     Attributes:
-        mass: m.
         field: g.
-        axis: γ, a unit vector, shape (3,).
     """
 
     mass: Array

@@ -49,13 +49,7 @@ class QuadraticPotential(PotentialWithGradient):
 
 @pytree
 class PotentialTop(Body, AbstractTop):
-    """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ) with Γ = Λᵀγ (4.2). Made by `potential_top`, `heavy_top`.
-
-    Attributes:
-        inertia: J about the fixed point, principal (3,) or full (3, 3).
-        potential: Ṽ(Γ); or V(Λ) if there is no axis.
-        axis: γ in space, shape (3,), or None.
-    """
+    """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ) with Γ = Λᵀγ (4.2). Made by `potential_top`, `heavy_top`."""
 
     inertia: Array
     potential: Callable[[Array], Array]

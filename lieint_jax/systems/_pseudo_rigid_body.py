@@ -110,12 +110,7 @@ class _Deforming(AbstractDeformingBody):
 
 @pytree
 class PseudoRigidBody(_Deforming, AbstractElasticBody):
-    """H = ½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2); Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3). Made by `pseudo_rigid_body`.
-
-    Attributes:
-        inertia: E = ∫ρ X⊗X, the second moments of mass in the reference placement, (3,) or (3, 3).
-        stored_energy: W.
-    """
+    """H = ½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2); Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3). Made by `pseudo_rigid_body`."""
 
     inertia: Array
     stored_energy: StoredEnergy
@@ -123,12 +118,7 @@ class PseudoRigidBody(_Deforming, AbstractElasticBody):
 
 @pytree
 class ViscousBody(_Deforming, AbstractViscousBody):
-    """A `PseudoRigidBody` with the stress 2∇W(C) + νĊ, C = FᵀF. Made by `pseudo_rigid_body`.
-
-    Attributes:
-        inertia, stored_energy: as in `PseudoRigidBody`.
-        viscosity: ν.
-    """
+    """A `PseudoRigidBody` with the stress 2∇W(C) + νĊ, C = FᵀF. Made by `pseudo_rigid_body`."""
 
     inertia: Array
     stored_energy: StoredEnergy

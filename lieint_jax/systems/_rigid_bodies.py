@@ -157,13 +157,7 @@ class FreeBodies(_Many, AbstractFreeBodies):
 
 @pytree
 class RigidBodies(_Many, AbstractRigidBodies):
-    """H = Σ |p|²/2m + ½ Π·J⁻¹Π + V(x, Λ). Made by `rigid_bodies`.
-
-    Attributes:
-        masses: (N,).
-        inertias: about the centers of mass, principal (N, 3) or full (N, 3, 3).
-        potential: (positions (N, 3), rotations (N, 3, 3)) ↦ V.
-    """
+    """H = Σ |p|²/2m + ½ Π·J⁻¹Π + V(x, Λ). Made by `rigid_bodies`."""
 
     masses: Array
     inertias: Array
@@ -204,9 +198,7 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
     """Bodies in a mutual potential with dissipative forces between pairs or given forces. Made by `rigid_bodies`.
 
     Attributes:
-        masses, inertias, potential: as in `RigidBodies`.
         dissipation: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `PairLaw` or a function; a `ChainLaw`; or None.
-        forces: (t, x, Λ, v, ω) ↦ (forces, torques), or None.
     """
 
     masses: Array

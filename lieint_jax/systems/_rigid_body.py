@@ -20,11 +20,7 @@ __all__ = ["RigidBody", "rigid_body"]
 
 @pytree
 class RigidBody(Body, AbstractFreeBody):
-    """H = ½ Π·J⁻¹Π with Π = Λᵀπ (2.11); Λ̇ = ΛΩ̂, π̇ = 0 (2.12). Made by `rigid_body`.
-
-    Attributes:
-        inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
-    """
+    """H = ½ Π·J⁻¹Π with Π = Λᵀπ (2.11); Λ̇ = ΛΩ̂, π̇ = 0 (2.12). Made by `rigid_body`."""
 
     inertia: Array
 

@@ -409,4 +409,4 @@ def _shaken(t: Array) -> Array:
 
 def _pull(t: Array) -> Array:
     zero = jnp.zeros_like(t)
-    return jnp.stack([0.1 * jnp.cos(t), zero, zero, zero, 0.05 * t, zero])
+    return jnp.stack([0.1 * jnp.cos(t), zero, zero, zero, 0.3 * jnp.sin(t), zero])

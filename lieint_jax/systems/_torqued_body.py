@@ -28,12 +28,7 @@ __all__ = ["TorquedBody", "torqued_body"]
 
 @pytree
 class TorquedBody(TimedBody, AbstractTorquedBody):
-    """H = ½ Π·J⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `torqued_body`.
-
-    Attributes:
-        inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
-        torque: a law of torque, or the sum of several.
-    """
+    """H = ½ Π·J⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `torqued_body`."""
 
     inertia: Array
     torque: Law
@@ -94,10 +89,10 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         """Raise ValueError if a concrete `state` is not one of this system, or has no time."""
         super().check(state)
         clock(state)
+        rest = self.initial_extra or {}
         for law in self.laws:
-            inner = self.inner(state, law)
-            if law.key is not None and self.initial_extra is not None:
-                _checks.real_array(f'state.extra["{law.key}"]', inner, self.initial_extra[law.key].shape)
+            for key in (key for key in (law.key, law.held) if key is not None and key in rest):
+                _checks.real_array(f'state.extra["{key}"]', self.entry(state, law, key), rest[key].shape)
         if concrete(self, state) and not np.all(np.isfinite(torque := _torque_at(self, state))):
             velocity = _velocity(self, state)
             raise ValueError(
@@ -107,6 +102,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
 
     def _starts(self, now: Rotation) -> dict[str, Array]:
         found = {law.key: law.start(now) for law in self.laws if law.key is not None}
+        found |= {law.held: law.measured(now, law.key and found[law.key]) for law in self.laws if law.held is not None}
         return {key: value for key, value in found.items() if value is not None}
 
 

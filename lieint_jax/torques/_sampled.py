@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import named, positive
 from lieint_jax.torques._actuators import control_laws, control_torque
+from lieint_jax.torques._hold import held_in_step, why_not
 from lieint_jax.types import Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
 
 __all__ = ["Sampled", "sampled"]
-
-_NEAR = 1 / 16  # of a step: how far from a sample, by the rounding of the time, a step may begin
-_EQUAL = 1e-5  # relative: how far from a multiple of dt, by rounding, the period may be
 
 
 @pytree
@@ -32,7 +29,7 @@ class Sampled(Law):
         key: the name of the torque held in `State.extra`; several controllers need several names.
 
     Raises:
-        ValueError: a law with an internal state, such as wheels; a period that is not positive.
+        ValueError: a law with an internal state; a period that is not positive. Wheels have a period of their own.
 
     Source: Franklin, Powell & Workman 1998, Digital Control of Dynamic Systems: the zero-order hold.
 
@@ -48,7 +45,10 @@ class Sampled(Law):
     period: Array = argument(converter=named(positive, "period"))
     key: str = static(default="sampled")  # pyright: ignore[reportIncompatibleVariableOverride]
     symmetric = False
-    samples = True
+
+    @property
+    def held(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.key
 
     @property
     def label(self) -> str:
@@ -62,22 +62,17 @@ class Sampled(Law):
         """The torque of the law at this instant."""
         return control_torque(self.law, now.t, now.q_n, now.Omega)
 
-    def sample(self, now: Rotation, dt: Array, inner: Array) -> tuple[Array, Array]:
+    def measured(self, now: Rotation, inner: PyTree) -> Array:
+        """The same."""
+        return self.start(now)
+
+    def sample(self, now: Rotation, dt: Array, inner: PyTree, held: Array) -> tuple[Array, Array]:
         """The torque to hold in a step of dt from now, and whether no step of dt passes over a sample."""
-        at_sample = jnp.abs(now.t - jnp.round(now.t / self.period) * self.period) <= _NEAR * jnp.abs(dt)
-        moves = dt != 0
-        number, passed = (x / jnp.where(moves, dt, 1) for x in (self.period, now.t))
-        divides = jnp.abs(number - jnp.round(number)) <= _EQUAL * number
-        fits = (dt > 0) & divides & (jnp.abs(passed - jnp.round(passed)) <= _NEAR)
-        return jnp.where(at_sample, self.start(now), inner), fits | ~moves
+        return held_in_step(self.period, now.t, dt, self.start(now), held)
 
     def refusal(self, t: Array, dt: ArrayLike) -> str:
         """Which steps the law accepts."""
-        return (
-            f"{self.label} samples at multiples of {float(self.period):g}, and no step may go back or pass over a "
-            f"sample: give a dt > 0 that divides {float(self.period):g} and a start at a multiple of dt, got dt = {dt} "
-            f"at t = {t}"
-        )
+        return why_not(self.label, self.period, t, dt)
 
 
 sampled = Sampled

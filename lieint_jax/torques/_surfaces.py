@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, not_negative, positive
-from lieint_jax._deprecated import old_calls
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
@@ -52,7 +51,6 @@ class SolarPlate(Law):
         return jnp.stack(cross(self.arm, push)), inner
 
 
-@old_calls()
 def solar_plate(
     force: ArrayLike,
     normal: ArrayLike,

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
+from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, positive
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
+from lieint_jax.torques._hold import held_in_step, why_not
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross
@@ -24,7 +27,8 @@ __all__ = ["Wheels", "body_inertia", "wheels"]
 class Wheels(Law):
     """Wheels symmetric about axes g_j that are fixed in the body; `State.extra["wheels"]` is h, (m,). Made by `wheels`.
 
-    h_j = I_j(σ_j + g_j·Ω) is the absolute axial momentum. A motor gives Δh_j to wheel j, and −Δh_j to the body.
+    h_j = I_j(σ_j + g_j·Ω) is the absolute axial momentum. A motor gives Δh_j to wheel j, and −Δh_j to the body. The
+    torques that a digital controller holds between samples are `State.extra["motors"]`, (m,).
     """
 
     axes: Array
@@ -33,16 +37,21 @@ class Wheels(Law):
     max_torque: Array | None
     max_momentum: Array | None
     speeds: Array
+    period: Array | None
     key = "wheels"
     internal = True
 
     @property
     def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.max_momentum is None
+        return self.max_momentum is None and self.period is None
 
     @property
     def implicit(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.motor is not None
+        return self.motor is not None and self.period is None
+
+    @property
+    def held(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return None if self.period is None else "motors"
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """That of `implicit_mean` for motors that look at h at the start of a step."""
@@ -75,6 +84,22 @@ class Wheels(Law):
         """Λh_r."""
         return so3.Ad(q, inner @ self.axes)
 
+    def measured(self, now: Rotation, inner: PyTree) -> Array:
+        """The torques of the motors as the controller sees the body and its wheels."""
+        return jnp.zeros_like(inner) if self.motor is None else self.motor(now.t, now.q_n, now.Omega, inner)
+
+    def holding(self, held: Array) -> Wheels:
+        """Wheels whose motors give the torques held."""
+        return dataclasses.replace(self, motor=Partial(_constant, held))
+
+    def sample(self, now: Rotation, dt: Array, inner: PyTree, held: Array) -> tuple[Array, Array]:
+        """The torques to hold in a step of dt from now, and whether no step of dt passes over a sample."""
+        return held_in_step(jnp.asarray(self.period), now.t, dt, self.measured(now, inner), held)
+
+    def refusal(self, t: Array, dt: ArrayLike) -> str:
+        """Which steps the law accepts."""
+        return why_not("the controller of the wheels", jnp.asarray(self.period), t, dt)
+
     def _drive(self, rotation: Rotation, h: Array, end: Array) -> tuple[Array, Array]:
         """The mean torque on the wheels in a step, Δh/Δt, (m,), and h after it, within both limits.
 
@@ -105,6 +130,7 @@ def wheels(
     *,
     max_momentum: ArrayLike | None = None,
     speeds: ArrayLike = 0.0,
+    period: ArrayLike | None = None,
 ) -> Wheels:
     """Wheels inside the body, free or driven by motors: the momentum of body and wheels is conserved to round-off.
 
@@ -122,6 +148,9 @@ def wheels(
         max_momentum: the greatest |h_j|, > 0, a number or (m,), or None. A step that it cuts cannot be undone, so a
             scheme with this law is not symmetric.
         speeds: σ_j, the wheels' initial speeds relative to the body, a number or (m,), rad per unit of time.
+        period: of a digital controller, > 0: the motor is evaluated at t = 0, period, 2 period, …, at the state of that
+            moment, and its torques are held in between, as `State.extra["motors"]`, (m,). Steps are those that
+            `sampled` accepts. By default None, a motor without delay.
 
     Raises:
         ValueError: axes that are not of unit length, shapes that do not agree, numbers out of range, a motor that has
@@ -139,7 +168,12 @@ def wheels(
         _checks.function("motor", motor, "t, q (4,), Omega (3,) and h (m,)", (m,), *arguments)
         motor = callable_pytree(motor)
     sigma = jnp.broadcast_to(_checks.real_array("speeds", speeds, (), (m,)), (m,)).astype(moments.dtype)
-    return Wheels(g, moments, motor, torque, momentum, sigma)
+    return Wheels(g, moments, motor, torque, momentum, sigma, None if period is None else positive("period", period))
+
+
+def _constant(held: Array, *_: Array) -> Array:
+    """A motor that gives the torques held."""
+    return held
 
 
 def wheel_axes(axes: ArrayLike) -> Array:

@@ -7,7 +7,10 @@ the tree's structure, so a step that is built again hits the same jit cache.
 
 from __future__ import annotations
 
-from lieint_jax._deprecated import renamed as _renamed
+import importlib
+from typing import Any
+
+from lieint_jax._deprecated import warn_of_removal
 from lieint_jax.types._catalogue import Catalogue
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
 from lieint_jax.types._pair_law import ChainLaw, PairLaw, pair_forces
@@ -72,33 +75,11 @@ __all__ = [
     "total",
 ]
 
-_CAPABILITIES = """
-    DampedBody DissipativeBodies DrivenGyrostat DrivenSystem DrivenTop ElasticBody EmbeddedBody ForcedSystem
-    FreeBodies FreeBody GeodesicFlow Gyrostat IncompressibleBody MechanicalSystem RightGeodesicFlow RigidBodies
-    SphereSystem Top TorquedBody ViscousBody
-"""
-__getattr__ = _renamed(
-    __name__,
-    {
-        **{f"Abstract{name}": f"lieint_jax.capabilities:Abstract{name}" for name in _CAPABILITIES.split()},
-        "FreeBody": "lieint_jax.capabilities:AbstractFreeBody",
-        "Gyrostat": "lieint_jax.capabilities:AbstractGyrostat",
-        "DrivenGyrostat": "lieint_jax.capabilities:AbstractDrivenGyrostat",
-        "EmbeddedBody": "lieint_jax.capabilities:AbstractEmbeddedBody",
-        "GeodesicFlow": "lieint_jax.capabilities:AbstractGeodesicFlow",
-        "RightGeodesicFlow": "lieint_jax.capabilities:AbstractRightGeodesicFlow",
-        "FreeBodies": "lieint_jax.capabilities:AbstractFreeBodies",
-        "Top": "lieint_jax.capabilities:AbstractTop",
-        "ElasticBody": "lieint_jax.capabilities:AbstractElasticBody",
-        "IncompressibleBody": "lieint_jax.capabilities:AbstractIncompressibleBody",
-        "DrivenTop": "lieint_jax.capabilities:AbstractDrivenTop",
-        "TorquedBody": "lieint_jax.capabilities:AbstractTorquedBody",
-        "DampedBody": "lieint_jax.capabilities:AbstractDampedBody",
-        "Forced": "lieint_jax.capabilities:AbstractForcedSystem",
-        "Driven": "lieint_jax.capabilities:AbstractDrivenSystem",
-        "OnSphere": "lieint_jax.capabilities:AbstractSphereSystem",
-        "Bodies": "lieint_jax.capabilities:AbstractRigidBodies",
-        "MechanicalSystem": "lieint_jax.capabilities:AbstractMechanicalSystem",
-        "SteepPotential": "PotentialWithGradient",
-    },
-)
+
+def __getattr__(name: str) -> Any:
+    if name.startswith("Abstract") and hasattr(
+        capabilities := importlib.import_module("lieint_jax.capabilities"), name
+    ):
+        warn_of_removal(f"li.types.{name} is now li.capabilities.{name}; the old name")
+        return getattr(capabilities, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -80,7 +80,8 @@ class Law(abc.ABC):
         internal: whether the law exchanges momentum with its internal state only, so that the total is conserved.
         implicit: whether the internal state after a step is an unknown of the step's equation, since its rate depends
             on it. Then a step calls `implicit_mean`.
-        samples: whether the law changes its internal state at the start of a step. Then a step calls `sample`.
+        held: the name in `State.extra` of what a digital controller holds between samples, or None; it may be its key.
+            Then a step calls `sample` at its start, and uses the law that `holding` returns.
     """
 
     frame: str = "body"
@@ -89,7 +90,7 @@ class Law(abc.ABC):
     symmetric: bool = True
     internal: bool = False
     implicit: bool = False
-    samples: bool = False
+    held: str | None = None
 
     @property
     def label(self) -> str:
@@ -117,8 +118,16 @@ class Law(abc.ABC):
         """The internal state at the start of a run, for the body at that instant; None if the law has none."""
         return None
 
-    def sample(self, now: Rotation, dt: Array, inner: Array) -> tuple[Array, Array]:
-        """The internal state to begin a step of dt with, and whether the law takes such a step, a flag."""
+    def measured(self, now: Rotation, inner: PyTree) -> Array:
+        """What the law holds from a sample at this instant on."""
+        raise NotImplementedError
+
+    def holding(self, held: Array) -> Law:
+        """The law while it holds this."""
+        return self
+
+    def sample(self, now: Rotation, dt: Array, inner: PyTree, held: Array) -> tuple[Array, Array]:
+        """What to hold in a step of dt from now, and whether the law takes such a step, a flag."""
         raise NotImplementedError
 
     def refusal(self, t: Array, dt: ArrayLike) -> str:
@@ -192,7 +201,7 @@ def total(laws: Any) -> Total:
         ValueError: two laws have the same key, or an argument is not a law.
     """
     flat = tuple(part for law in laws for part in parts(law))
-    keys = [law.key for law in flat if law.key is not None]
+    keys = [key for law in flat for key in {law.key, law.held} if key is not None]
     if twice := sorted({key for key in keys if keys.count(key) > 1}):
         raise ValueError(
             f'two laws have the same key "{twice[0]}" for their internal states: give one of them another key=…'
@@ -228,7 +237,7 @@ def as_law(law: Any, frame: str = "body") -> Law:
     return Function(callable_pytree(law), getattr(law, "frame", frame))
 
 
-@old_calls()
+@old_calls
 def instant(
     law: Law, t: Array, q: Array, Omega: Array, *, omega: Array, inner: PyTree, q_half: Any
 ) -> tuple[Array, PyTree]:

@@ -56,7 +56,7 @@ print("4711")
 
 
 @pytest.mark.long
-def test_an_array_of_slurm_is_written_submitted_and_one_run(folder, monkeypatch, capsys):
+def test_an_array_of_slurm_is_written_submitted_and_one_run(folder, monkeypatch, lieint):
     sbatch = folder / "bin" / "sbatch"
     sbatch.parent.mkdir()
     sbatch.write_text(SBATCH.format(python=sys.executable))
@@ -64,23 +64,22 @@ def test_an_array_of_slurm_is_written_submitted_and_one_run(folder, monkeypatch,
     for name, value in environment(PATH=f"{sbatch.parent}{os.pathsep}{os.environ['PATH']}").items():
         monkeypatch.setenv(name, value)
     options = ["--time=4:00:00 --cpus-per-task=4", "--members", "9", "--set", "dt=0.05"]
-    assert cli.main(["run", "my.toml", "--out", "run.zarr", "--parts", "3", "--slurm", *options]) == 0
-    assert "run.sbatch is job 4711" in capsys.readouterr().out
+    assert "run.sbatch is job 4711" in lieint(
+        "run", "my.toml", "--out", "run.zarr", "--parts", "3", "--slurm", *options
+    )
     assert "3 of 3 part(s) complete" in info.contents(folder / "run.zarr")
     run.run("my.toml", Path("whole.zarr"), 9, given=["dt=0.05"])
     assert_same(li.open("run.zarr").state, li.open("whole.zarr").state)
 
 
-def test_the_script_of_the_page_is_the_one_that_is_written(folder, monkeypatch, capsys):
+def test_the_script_of_the_page_is_the_one_that_is_written(folder, monkeypatch, lieint):
     monkeypatch.setenv("PATH", str(folder))
     [command] = [line for line in code("sh", "--slurm").splitlines() if "--slurm" in line]
-    assert cli.main(shlex.split(command)[1:]) == 2
-    assert "there is no sbatch on this machine: submit run.sbatch" in capsys.readouterr().err
+    assert "there is no sbatch on this machine: submit run.sbatch" in lieint.refuse(*shlex.split(command)[1:])
     assert Path("run.sbatch").read_text().replace(sys.executable, "python") == code("bash", "#SBATCH")
     (folder / "sbatch").write_text("#!/bin/sh\necho no such partition >&2; exit 1\n")
     (folder / "sbatch").chmod(0o755)
-    assert cli.main(shlex.split(command)[1:]) == 2
-    assert "sbatch refuses run.sbatch: no such partition" in capsys.readouterr().err
+    assert "sbatch refuses run.sbatch: no such partition" in lieint.refuse(*shlex.split(command)[1:])
 
 
 @pytest.mark.parametrize(
@@ -94,13 +93,12 @@ def test_the_script_of_the_page_is_the_one_that_is_written(folder, monkeypatch, 
         ("--parts 8 --slurm= --out x.zarr --export x.csv", "--export writes the whole run"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(folder, capsys, options, message):
-    assert cli.main(["run", "my.toml", *options.split()]) == 2
-    assert message in capsys.readouterr().err
+def test_options_that_do_not_fit_are_refused(folder, lieint, options, message):
+    assert message in lieint.refuse("run", "my.toml", *options.split())
     assert [path.name for path in folder.iterdir()] == ["my.toml"]
 
 
-def test_a_kind_in_a_file_that_workers_do_not_have_is_refused(folder, capsys):
+def test_a_kind_in_a_file_that_workers_do_not_have_is_refused(folder, lieint):
     text = "from lieint_jax.app.scenarios.rigid_body import FreeBody\n\nclass Mine(FreeBody):\n    'Mine.'\n"
     Path("mine.py").write_text(text)
     command = [
@@ -115,8 +113,7 @@ def test_a_kind_in_a_file_that_workers_do_not_have_is_refused(folder, capsys):
         "--dask",
         "localhost:1",
     ]
-    assert cli.main(command) == 2
-    assert "the workers of Dask do not have the file of mine.py:Mine: use --slurm" in capsys.readouterr().err
+    assert "the workers of Dask do not have the file of mine.py:Mine: use --slurm" in lieint.refuse(*command)
 
 
 def test_the_commands_of_gnu_parallel_parse():

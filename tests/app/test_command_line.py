@@ -116,9 +116,8 @@ def test_measured_periods_of_symmetric_bodies_are_the_closed_form():
 
 
 @pytest.mark.long
-def test_a_custom_scenario_file_runs(capsys, monkeypatch):
-    assert cli.main(["run", book()]) == 0
-    out = capsys.readouterr().out
+def test_a_custom_scenario_file_runs(lieint, monkeypatch):
+    out = lieint("run", book())
     assert "4 member(s), 100 steps of 0.1" in out
     run, _ = files.load(scenarios.Path("book.npz"))
     assert run.state.q.shape == (11, 4, 4)
@@ -129,16 +128,14 @@ def test_a_custom_scenario_file_runs(capsys, monkeypatch):
 
 
 @pytest.mark.long
-def test_a_run_can_omit_the_certificate_and_the_pictures(capsys):
-    assert cli.main(["run", book(), "--no-certificate", "--no-pictures"]) == 0
-    out = capsys.readouterr().out
+def test_a_run_can_omit_the_certificate_and_the_pictures(lieint):
+    out = lieint("run", book(), "--no-certificate", "--no-pictures")
     assert "ertif" not in out
     assert "drawing" not in out
     assert "± ensemble" in out
     assert "4 of 4 members converged at every step" in out
     assert os.listdir() == ["book.toml", "book.npz"] or os.listdir() == ["book.npz", "book.toml"]
-    assert cli.main(["info", "book.npz"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("info", "book.npz")
     assert "t = 0 … 10 s" in out
     assert re.search(r"at 11 of 11 saved times: \S+ in the run's units \(\S+ of the largest energy\)", out)
 
@@ -217,9 +214,8 @@ BAD = [
 
 @pytest.mark.long
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:30] for _, m in BAD])
-def test_a_bad_key_of_a_rigid_body_is_named_in_one_line(changes, message, capsys):
-    assert cli.main(["run", book(**changes)]) == 2
-    err = capsys.readouterr().err
+def test_a_bad_key_of_a_rigid_body_is_named_in_one_line(changes, message, lieint):
+    err = lieint.refuse("run", book(**changes))
     assert err.count("\n") == 1
     assert re.search(message, err)
     assert not list(scenarios.Path().glob("*.npz"))
@@ -246,9 +242,8 @@ def test_a_warning_is_shown_once(capsys):
     assert capsys.readouterr().err.count("triangle inequality") == 1
 
 
-def test_the_printed_schema_has_every_kind_of_scenario(capsys):
-    assert cli.main(["schema"]) == 0
-    schema = json.loads(capsys.readouterr().out)
+def test_the_printed_schema_has_every_kind_of_scenario(lieint):
+    schema = json.loads(lieint("schema"))
     assert len(schema["oneOf"]) == len(scenarios.kinds())
     systems = [
         schema["$defs"][kind["$ref"].split("/")[-1]]["properties"]["system"]["const"] for kind in schema["oneOf"]
@@ -256,7 +251,7 @@ def test_the_printed_schema_has_every_kind_of_scenario(capsys):
     assert set(systems) == set(scenarios.kinds())
 
 
-def test_a_file_that_holds_no_result_is_refused_in_one_line(capsys):
+def test_a_file_that_holds_no_result_is_refused_in_one_line(lieint):
     scenarios.Path("x.npz").write_bytes(b"no archive")
     np.savez("y.npz", a=np.zeros(3))
     np.savez("z.npz", p=np.array([None]))
@@ -266,28 +261,25 @@ def test_a_file_that_holds_no_result_is_refused_in_one_line(capsys):
             Path(name), Trajectory(np.arange(2.0), State(np.ones((2, 3, 4)), np.ones((2, 3, 3))), info), metadata
         )
     for name in ("x.npz", "y.npz", "z.npz", "e.npz", "t.npz"):
-        assert cli.main(["info", name]) == 2
-        error = capsys.readouterr().err
+        error = lieint.refuse("info", name)
         assert f"{name} is no file of results that lieint wrote" in error
         assert "pickle" not in error  # numpy's advice to allow them would run whatever the file says
 
 
-def test_info_describes_a_file_without_a_scenario(capsys):
+def test_info_describes_a_file_without_a_scenario(lieint):
     info = StepInfo(np.zeros((2, 3)), np.ones((2, 3), bool))
     states = State(np.ones((2, 3, 4)), np.ones((2, 3, 3)))
     files.save(scenarios.Path("mine.npz"), Trajectory(np.array([0.0, 0.5]), states, info), {"lieint_jax": "0.1"})
-    assert cli.main(["info", "mine.npz"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("info", "mine.npz")
     for text in ("mine.npz", "3 member(s), 2 entries; lieint_jax 0.1", "t = 0 … 0.5"):
         assert text in out
 
 
 @pytest.mark.long
-def test_check_groups_prints_a_table(capsys, monkeypatch):
+def test_check_groups_prints_a_table(lieint, monkeypatch):
     group = check_groups.catalogue()["Aff(1)"]
     monkeypatch.setattr(check_groups, "catalogue", lambda: {group.name: group})
-    assert cli.main(["check", "groups"]) == 0
-    head, _, row = capsys.readouterr().out.strip().splitlines()
+    head, _, row = lieint("check", "groups").strip().splitlines()
     assert head == "| group | energy | form, exponential | cayley | arcsine |"
     assert re.fullmatch(r"\| Aff\(1\) \| \S+ \| \S+ \| (—|\S+) \| \S+ \|", row)
 
@@ -298,17 +290,16 @@ def test_an_observation_before_the_start_of_the_run_is_refused_with_the_sign_of_
 
 
 @pytest.mark.long
-def test_check_reports_where_there_is_nothing_to_check(capsys):
+def test_check_reports_where_there_is_nothing_to_check(lieint):
     for arguments, message in (
         (["check", "rocket"], "no system 'rocket'.*lieint check rigid_body"),
         (["check", "rigid"], r"no system 'rigid', did you mean rigid_body\?"),
         (["check", "rigid_body", "--scheme", "rk4"], "no scheme with 'rk4'.*exact, extrapolate"),
     ):
-        assert cli.main(arguments) == 2
-        assert re.search(message, capsys.readouterr().err)
+        assert re.search(message, lieint.refuse(*arguments))
 
 
-def test_bad_commands_end_with_a_message_that_helps(capsys):
+def test_bad_commands_end_with_a_message_that_helps(lieint):
     for arguments, message in (
         (["run", "nowhere"], "there is no scenario 'nowhere': `lieint list` shows all; or give a .toml file"),
         (["run", "toutatos"], r"there is no scenario 'toutatos': did you mean toutatis\? `lieint list`"),
@@ -325,8 +316,7 @@ def test_bad_commands_end_with_a_message_that_helps(capsys):
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
         (["figure", "9"], "figure 9 is not one of those recomputed; lieint figure 1 2 3 4 5"),
     ):
-        assert cli.main(arguments) == 2
-        assert re.search(message, capsys.readouterr().err)
+        assert re.search(message, lieint.refuse(*arguments))
 
 
 def test_a_mistyped_command_points_to_its_help(capsys):
@@ -336,49 +326,43 @@ def test_a_mistyped_command_points_to_its_help(capsys):
         assert message in capsys.readouterr().err
 
 
-def test_an_existing_file_is_not_overwritten(capsys):
+def test_an_existing_file_is_not_overwritten(lieint):
     scenarios.Path("mine.npz").write_text("precious")
-    assert cli.main(["run", book(), "--out", "mine.npz"]) == 2
-    assert "exists and is not overwritten" in capsys.readouterr().err
+    assert "exists and is not overwritten" in lieint.refuse("run", book(), "--out", "mine.npz")
     assert scenarios.Path("mine.npz").read_text() == "precious"
 
 
-def test_existing_pictures_are_not_overwritten(capsys):
+def test_existing_pictures_are_not_overwritten(lieint):
     scenarios.Path("mine-path.png").write_text("precious")
-    assert cli.main(["run", book(), "--out", "mine.npz"]) == 2
-    assert "mine-path.png exists" in capsys.readouterr().err
+    assert "mine-path.png exists" in lieint.refuse("run", book(), "--out", "mine.npz")
     assert not scenarios.Path("mine.npz").exists()
 
 
-def test_a_file_in_the_place_of_a_folder_is_refused(capsys):
+def test_a_file_in_the_place_of_a_folder_is_refused(lieint):
     scenarios.Path("file").write_text("")
-    assert cli.main(["figure", "1", "--out", "file"]) == 2
-    assert capsys.readouterr().err.startswith("lieint: ")
+    assert lieint.refuse("figure", "1", "--out", "file").startswith("lieint: ")
 
 
-def test_a_scenario_file_that_is_not_text_is_refused(capsys):
+def test_a_scenario_file_that_is_not_text_is_refused(lieint):
     scenarios.Path("bad.toml").write_bytes(b"\xff\xfe\x00")
-    assert cli.main(["run", "bad.toml"]) == 2
-    assert "bad.toml is not UTF-8" in capsys.readouterr().err
+    assert "bad.toml is not UTF-8" in lieint.refuse("run", "bad.toml")
     with open(book(), "rb") as file:
         scenarios.Path("bom.toml").write_bytes(b"\xef\xbb\xbf" + file.read())
     assert scenarios.load("bom.toml").members == 4
 
 
 @pytest.mark.long
-def test_check_prints_certificates(capsys):
-    assert cli.main(["check", "rigid_body.asymmetric", "--scheme", "symplectic", "--steps", "100"]) == 0
-    out = capsys.readouterr().out
+def test_check_prints_certificates(lieint):
+    out = lieint("check", "rigid_body.asymmetric", "--scheme", "symplectic", "--steps", "100")
     assert out.count("so3_midpoint[symplectic] · RigidBody") == 1
     assert "exact to round-off" in out
     assert "every step converged" in out
 
 
 @pytest.mark.long
-def test_check_accepts_a_group(capsys):
+def test_check_accepts_a_group(lieint):
     """However its name is written."""
-    assert cli.main(["check", "se 2", "--scheme", "arcsine", "--steps", "20"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("check", "se 2", "--scheme", "arcsine", "--steps", "20")
     assert "SE(2), dimension 3: Ad_q may grow" in out
     assert "Casimirs known: 1 of 1 (of degree 2); a symplectic map known: yes" in out
     assert re.search(r"symplectic form +\S+ +exact to round-off", out)

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 from internals import commit_every
+from scenario_files import written
 from scenario_runs import run
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
@@ -48,12 +49,7 @@ CIRCLE = ("eccentricity = 0.1", "eccentricity = 0.0")
 
 
 def small(*changes):
-    text = SMALL
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    Path("small.toml").write_text(text)
-    return "small.toml"
+    return written("small.toml", SMALL, *changes)
 
 
 pytestmark = pytest.mark.usefixtures("fresh_folder")
@@ -143,33 +139,28 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_of_a_driven_satellite_is_named_in_one_line(changes, message, capsys):
-    assert cli.main(["run", small(*changes)]) == 2
-    err = capsys.readouterr().err
+def test_a_bad_key_of_a_driven_satellite_is_named_in_one_line(changes, message, lieint):
+    err = lieint.refuse("run", small(*changes))
     assert err.count("\n") == 1
     assert re.search(message, err), err
 
 
 @pytest.mark.long
-def test_driven_runs_and_plots_from_the_command_line(capsys):
+def test_driven_runs_and_plots_from_the_command_line(lieint):
     """The energy-momentum scheme: 2.1e-14 over an orbit; the energy itself changes by its own size."""
-    assert cli.main(["run", "driven", "--members", "3", "--steps", "400"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "driven", "--members", "3", "--steps", "400")
     assert "3 of 3 members converged" in out
     assert "3 of 3 members librate" in out
     assert float(re.search(r"energy less work +(\S+)", out)[1]) < 1e-13
     assert 0.3 < float(re.search(r"the orbit works +(\S+)", out)[1]) < 2
     assert "broken as dt^3.0" in out
-    for name in ("driven-pointing.png", "driven-energy.png"):
-        assert Path(name).read_bytes().startswith(b"\x89PNG")
-    assert cli.main(["info", "driven.npz"]) == 0
-    assert "largest change of energy less work" in capsys.readouterr().out
-    assert cli.main(["plot", "driven.npz", "--force"]) == 0
-    assert "3 of 3 members librate" in capsys.readouterr().out
+    lieint.drew("driven-pointing.png", "driven-energy.png")
+    assert "largest change of energy less work" in lieint("info", "driven.npz")
+    assert "3 of 3 members librate" in lieint("plot", "driven.npz", "--force")
 
 
 @pytest.mark.long
-def test_an_interrupted_store_resumes_to_the_same_bits(monkeypatch, capsys):
+def test_an_interrupted_store_resumes_to_the_same_bits(monkeypatch, capsys, lieint):
     """On a circle, where Jacobi's integral is reported too: 1.8e-4 by the splitting."""
     commit_every(monkeypatch, 4)
     name = small(CIRCLE)
@@ -178,14 +169,12 @@ def test_an_interrupted_store_resumes_to_the_same_bits(monkeypatch, capsys):
     with disk_for(3 * len(waits) // 4, OSError("the disk is gone")):
         assert cli.main(["run", name, "--out", "part.zarr"]) == 2
     capsys.readouterr()
-    assert cli.main(["info", "part.zarr"]) == 0
-    assert re.search(r"\d+ of 200 steps; --resume continues it", capsys.readouterr().out)
+    assert re.search(r"\d+ of 200 steps; --resume continues it", lieint("info", "part.zarr"))
     assert cli.main(["run", name, "--out", "part.zarr", "--resume"]) == 0
     from lieint_jax.app.command import files
 
     whole, part = (files.load(Path(f"{which}.zarr"))[0] for which in ("whole", "part"))
     for a, b in zip(jax.tree.leaves(whole.state), jax.tree.leaves(part.state), strict=True):
         np.testing.assert_array_equal(a[...], b[...])
-    assert cli.main(["plot", "part.zarr"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("plot", "part.zarr")
     assert float(re.search(r"Jacobi's integral H − n·π +(\S+)", out)[1]) < 5e-4

@@ -10,7 +10,6 @@ from scenario_runs import run
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import pendulum, pseudo_rigid
 from lieint_jax.types import State, StepInfo, Trajectory
 
@@ -27,23 +26,20 @@ def still(step, states):
 
 
 @pytest.mark.long
-def test_pseudo_rigid_has_the_energy_variation_of_figure_3c_in_its_first_quarter(tmp_path, monkeypatch, capsys):
+def test_pseudo_rigid_has_the_energy_variation_of_figure_3c_in_its_first_quarter(lieint):
     """The first quarter of Figure 3c's midpoint run already has the variation of its caption."""
-    monkeypatch.chdir(tmp_path)
     text = (
         scenarios.resources.files("lieint_jax.app.scenarios").joinpath("pseudo_rigid.toml").read_text(encoding="utf-8")
     )
     Path("ball.toml").write_text(text.replace('rule = "average"', 'rule = "symplectic"'), encoding="utf-8")
-    assert cli.main(["run", "ball.toml", "--members", "3", "--steps", "1000"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "ball.toml", "--members", "3", "--steps", "1000")
     assert "3 of 3 members converged" in out
     assert "exact to round-off a step" in out
     assert float(re.search(r"midpoint rule +(\S+)   published 0.0023", out)[1]) == pytest.approx(2.3e-3, rel=0.02)
     assert 1e-4 < float(re.search(r"energy, relative +(\S+)   bounded, not conserved", out)[1]) < 1e-2  # 1.7e-3
     assert float(re.search(r"momentum rot\[PFᵀ\], relative +(\S+)   conserved", out)[1]) < 3e-14
     assert 0.9 < float(re.search(r"least det F +(\S+)   above 0", out)[1]) < 1
-    for name in ("ball-torus.png", "ball-energy.png"):
-        assert Path(name).read_bytes().startswith(b"\x89PNG")
+    lieint.drew("ball-torus.png", "ball-energy.png")
 
 
 @pytest.mark.long
@@ -118,18 +114,15 @@ def test_bad_keys_of_pseudo_rigid_are_named(changes, message):
 
 
 @pytest.mark.long
-def test_pendulum_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["run", "pendulum", "--members", "3", "--steps", "1000"]) == 0
-    out = capsys.readouterr().out
+def test_pendulum_runs_from_the_command_line(lieint):
+    out = lieint("run", "pendulum", "--members", "3", "--steps", "1000")
     assert "3 of 3 members converged" in out
     changes = [float(x) for x in re.findall(r" +(\S+)   conserved to round-off$", out, re.M)][:3]
     assert max(changes) < 1e-13  # floor 9e-15
     period = re.search(r"lowest point \(s\) +(\S+) +\S+ +(\S+)", out)
     assert float(period[1]) == float(period[2]) == 1.0608362624
     assert out.count("53.1301023542") == 2  # the greatest angle, and its closed form
-    for name in ("pendulum-path.png", "pendulum-energy.png"):
-        assert Path(name).read_bytes().startswith(b"\x89PNG")
+    lieint.drew("pendulum-path.png", "pendulum-energy.png")
 
 
 @pytest.mark.long

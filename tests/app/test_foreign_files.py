@@ -169,32 +169,29 @@ def test_the_schema_has_the_keys_of_files():
         ("sat.csv", ["11 rows of time, q_w, q_x, q_y, q_z, angular_velocity_x"]),
     ],
 )
-def test_a_file_is_described(file, parts, capsys):
+def test_a_file_is_described(file, parts, lieint):
     write_orbit()
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     state = body.state(attitude=[1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0])
     run = li.run(li.schemes.so3_midpoint(body), state, 0.1, 10, epoch=EPOCH, progress=False)
     li.files.write_aem("sat.aem", run, object="SAT")
     li.files.write_csv("sat.csv", run)
-    assert cli.main(["files", file]) == 0
-    out = capsys.readouterr().out
+    out = lieint("files", file)
     assert [part for part in parts if part not in out] == [], out
 
 
-def test_a_file_of_no_format_is_refused(capsys):
+def test_a_file_of_no_format_is_refused(lieint):
     Path("noise.bin").write_bytes(bytes(range(256)))
-    assert cli.main(["files", "noise.bin"]) == 2
-    assert "noise.bin has none of the formats OEM, AEM" in capsys.readouterr().err
+    assert "noise.bin has none of the formats OEM, AEM" in lieint.refuse("files", "noise.bin")
 
 
 @pytest.mark.long
-def test_a_run_is_exported(capsys):
+def test_a_run_is_exported(lieint):
     """The nominal member as AEM and, with all others, as CSV and netCDF: equal to the digits of each."""
     arguments = ["run", "driven", "--members", "2", "--steps", "40", "--no-pictures", "--no-certificate"]
     exports = [f"sat{end}" for end in (".aem", ".csv", ".nc")]
     given = [x for file in exports for x in ("--export", file)]
-    assert cli.main([*arguments, "--set", f"epoch={EPOCH}", "--out", "run.npz", *given]) == 0
-    assert "sat.aem, sat.csv, sat.nc" in capsys.readouterr().out
+    assert "sat.aem, sat.csv, sat.nc" in lieint(*arguments, "--set", f"epoch={EPOCH}", "--out", "run.npz", *given)
     with np.load("run.npz") as stored:
         q, t = stored["q"], stored["t"]
     found = li.files.read_aem("sat.aem")
@@ -218,9 +215,8 @@ def test_a_run_is_exported(capsys):
         ("sat.aem", "needs the date of t = 0"),
     ],
 )
-def test_what_cannot_be_exported_is_refused_before_the_run(file, message, capsys):
-    assert cli.main(["run", "driven", "--export", file]) == 2
-    assert message in capsys.readouterr().err
+def test_what_cannot_be_exported_is_refused_before_the_run(file, message, lieint):
+    assert message in lieint.refuse("run", "driven", "--export", file)
 
 
 @pytest.mark.long

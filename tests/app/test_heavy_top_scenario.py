@@ -2,7 +2,6 @@
 
 import functools
 import re
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +14,6 @@ from scenario_runs import run
 import lieint_jax as li
 from lieint_jax import measure
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import heavy_top
 from lieint_jax.groups import so3
 
@@ -108,16 +106,13 @@ def test_nutation_of_sparsely_saved_states_is_not_measured():
 
 
 @pytest.mark.long
-def test_heavy_top_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["run", "heavy_top", "--members", "3", "--steps", "500"]) == 0
-    out = capsys.readouterr().out
+def test_heavy_top_runs_from_the_command_line(lieint):
+    out = lieint("run", "heavy_top", "--members", "3", "--steps", "500")
     assert "3 of 3 members converged" in out
     nutation = re.search(r"nutation period \(s\) +([\d.]+) +[\d.]+ +([\d.]+)", out)
     assert float(nutation[1]) == float(nutation[2]) == 0.6822560158
     assert float(re.search(r"γ·π, relative to \|π\| +(\S+)", out)[1]) == 0
-    for name in ("heavy_top-path.png", "heavy_top-energy.png"):
-        assert Path(name).read_bytes().startswith(b"\x89PNG")
+    lieint.drew("heavy_top-path.png", "heavy_top-energy.png")
 
 
 @pytest.mark.long

@@ -1,17 +1,16 @@
 """`lieint run hyperion`: the conventions of its data, the section, exponents beside DOP853 and published numbers."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
+from scenario_files import written
 from scenario_runs import run
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from lieint_jax import diagnostics, orbits, schemes, systems
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import moon
 
 TABLE_1 = {  # Goldberg & Batygin 2024: θ, φ, ψ, the unit spin axis, |ω|
@@ -142,28 +141,19 @@ BAD = [
 
 
 def small(*changes):
-    text = SMALL
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    Path("small.toml").write_text(text)
-    return "small.toml"
+    return written("small.toml", SMALL, *changes)
 
 
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_of_a_moon_is_named_in_one_line(changes, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["run", small(*changes)]) == 2
-    err = capsys.readouterr().err
+def test_a_bad_key_of_a_moon_is_named_in_one_line(changes, message, lieint):
+    err = lieint.refuse("run", small(*changes))
     assert err.count("\n") == 1
     assert re.search(message, err), err
 
 
 @pytest.mark.long
-def test_hyperion_runs_and_plots_from_the_command_line(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["run", small()]) == 0
-    out = capsys.readouterr().out
+def test_hyperion_runs_and_plots_from_the_command_line(lieint):
+    out = lieint("run", small())
     for text in (
         "planar motions, 12 starts × 20 orbits",
         "motions in space from there, 2 starts × 10 orbits",
@@ -176,12 +166,9 @@ def test_hyperion_runs_and_plots_from_the_command_line(capsys, tmp_path, monkeyp
     assert float(re.search(r"largest sum of six +(\S+) n", out)[1]) < 1e-14
     row = re.search(r"a day +some axes +(\S+) ± (\S+) +(\S+) ± (\S+)", out)
     assert all(float(x) > 0 for x in row.groups())
-    for name in ("small-section.png", "small-observed.png"):
-        assert Path(name).read_bytes().startswith(b"\x89PNG")
-    assert cli.main(["plot", "small.npz", "--force"]) == 0
-    assert capsys.readouterr().out.count("some axes") == 1
-    assert cli.main(["info", "small.npz"]) == 0
-    assert "12 member(s)" in capsys.readouterr().out
+    lieint.drew("small-section.png", "small-observed.png")
+    assert lieint("plot", "small.npz", "--force").count("some axes") == 1
+    assert "12 member(s)" in lieint("info", "small.npz")
 
 
 def planar_growth(e, squared, theta, rate, span):

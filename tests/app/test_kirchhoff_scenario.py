@@ -1,24 +1,20 @@
 """`lieint run kirchhoff`: what is kept, a steady motion, and its spin against the linearized equations."""
 
 import re
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import kirchhoff
 from lieint_jax.systems import kirchhoff as ellipsoid
 
 
 @pytest.mark.long
-def test_kirchhoff_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
+def test_kirchhoff_runs_from_the_command_line(lieint):
     """The nominal member, a steady motion, stays as it is; energy and Casimirs at round-off, momentum bit for bit."""
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["run", "kirchhoff", "--members", "3", "--steps", "400"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "kirchhoff", "--members", "3", "--steps", "400")
     assert "3 of 3 members converged" in out
     found = {
         name: float(x) for name, x in re.findall(r"^  (energy|spatial momentum π|Π·P|\|P\|²) +(\S+)   \w", out, re.M)
@@ -29,8 +25,7 @@ def test_kirchhoff_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
     assert float(re.search(r"mean speed along the impulse \(/s\) +(\S+)", out)[1]) == 1
     assert float(re.search(r"third axis strays by \(°\) +(\S+)", out)[1]) == 0
     assert "2.8507, needed to move along the third axis: 1.9785 [Lamb §128]: stable" in out
-    for name in ("kirchhoff-path.png", "kirchhoff-energy.png"):
-        assert Path(name).read_bytes().startswith(b"\x89PNG")
+    lieint.drew("kirchhoff-path.png", "kirchhoff-energy.png")
 
 
 def test_the_spin_needed_is_where_the_linearized_equations_turn_unstable():

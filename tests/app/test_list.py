@@ -4,15 +4,14 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli, study
 from lieint_jax.app.command import list as listing
+from lieint_jax.app.command import study
 from lieint_jax.app.command.list import Cost
 
 
 @pytest.mark.long
-def test_the_list_describes_every_scenario_and_study(capsys):
-    assert cli.main(["list"]) == 0
-    shown = capsys.readouterr().out
+def test_the_list_describes_every_scenario_and_study(lieint):
+    shown = lieint("list")
     for name in scenarios.scenario_names():
         scenario = scenarios.load(name)
         assert scenario.about, f"{name}.toml lacks the line `about`"
@@ -21,10 +20,9 @@ def test_the_list_describes_every_scenario_and_study(capsys):
     assert max(map(len, shown.splitlines())) <= 140
 
 
-def test_the_list_of_a_catalogue_is_the_catalogue(capsys):
+def test_the_list_of_a_catalogue_is_the_catalogue(lieint):
     for name, catalogue in (("schemes", li.schemes.catalogue()), ("systems", li.systems.catalogue())):
-        assert cli.main(["list", name]) == 0
-        shown = capsys.readouterr().out
+        shown = lieint("list", name)
         assert shown == f"{catalogue!r}\n"
         assert [line.split()[0] for line in shown.splitlines()[1:]] == [entry.name for entry in catalogue]
     assert tuple(listing.CATALOGUES) == ("schemes", "systems")

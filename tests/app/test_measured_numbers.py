@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+MODES = ("forward", "reverse")
 RESULTS = ROOT / "benchmarks" / "results"
 if not RESULTS.exists():
     pytest.skip("the sdist has no benchmarks", allow_module_level=True)
@@ -52,6 +53,34 @@ def table(name, label):
     text = (RESULTS / f"{name}.md").read_text(encoding="utf-8")
     row = next(line for line in text.splitlines() if line.startswith(f"| {label} "))
     return [float(x) if re.fullmatch(r"[-\d.e]+", x) else x for x in map(str.strip, row.split("|")[1:-1])]
+
+
+def over_elastica(scheme, steps=None):
+    """PyElastica's time ÷ ours for one rod at the same error, with 16 and 32 elements."""
+    rows = result("rods")["equal_error"]
+    return [x[-1] for x in rows if x[1] == f"ours, {scheme}" and steps in (None, x[2])]
+
+
+def many_over_elastica(how):
+    """The same for 1000 rods: of PyElastica's 24 elements, to our 16 by `splitting`."""
+    seconds = dict(result("rods")["many"])
+    [ours] = [x for name, x in seconds.items() if name.startswith("ours") and "splitting" in name]
+    [theirs] = [x for name, x in seconds.items() if name.startswith("PyElastica, 24") and name.endswith(how)]
+    return [theirs / ours]
+
+
+def energies(code):
+    """The relative drifts of the energy of a scheme of ours, or of PyElastica."""
+    return [x[5] for x in result("rods")["rows"] if x[1].startswith(code)]
+
+
+def rod_first_calls():
+    """The shortest and the longest first call of a scheme of ours, in s, which compiles it for all step sizes."""
+    first = {}
+    for n, name, _, *_, seconds, _ in result("rods")["rows"]:
+        if name.startswith("ours") and "nystrom" not in name:  # compiled before, for the references
+            first.setdefault((n, name), seconds)
+    return [min(first.values()), max(first.values())]
 
 
 def quoted():
@@ -164,6 +193,34 @@ def quoted():
             [few[2]["li"] / few[2]["jax"]],
         ),
         ("docs/pages/speed.md", r"The first `ensemble.run` costs ([\d.]+) to", [min(first)]),
+        ("docs/pages/howto/rods.md", r"one rod, `splitting` \| ([\d.]+) and ([\d.]+)", over_elastica("splitting")),
+        (
+            "docs/pages/howto/rods.md",
+            r"`nystrom` of order 4 \| ([\d.]+) and ([\d.]+)",
+            over_elastica("nystrom, order 4"),
+        ),
+        (
+            "docs/pages/howto/rods.md",
+            r"Newton's method, 200 steps \| ([\d.]+) and ([\d.]+)",
+            over_elastica("bodies_energy_momentum, newton", 200),
+        ),
+        ("docs/pages/howto/rods.md", r"theirs in one block \| ([\d.]+)", many_over_elastica("in one block")),
+        ("docs/pages/howto/rods.md", r"theirs one after another \| ([\d.]+)", many_over_elastica("another")),
+        (
+            "docs/pages/howto/rods.md",
+            r"energy changes by ([\d.]+) %, .* changes by ([\de.-]+\d) with `splitting` and by ([\de.-]+\d) with",
+            [
+                100 * min(energies("PyElastica")),
+                max(energies("ours, splitting")),
+                max(energies("ours, bodies_energy_momentum")),
+            ],
+        ),
+        (
+            "docs/pages/howto/rods.md",
+            r"agrees with differences to ([\de.-]+\d)",
+            [max(abs(result("rods")["gradients"][x] / result("rods")["gradients"]["differences"] - 1) for x in MODES)],
+        ),
+        ("docs/pages/howto/rods.md", r"first calls take ([\d.]+) to ([\d.]+) s", rod_first_calls()),
         (
             "docs/pages/speed.md",
             r"SE\(3\) and elastic bodies \(\[table\]|and [\d.]+ to ([\d.]+) for binaries",

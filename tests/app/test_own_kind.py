@@ -8,7 +8,6 @@ import pytest
 from documents import blocks
 
 from lieint_jax.app import kind, scenarios
-from lieint_jax.app.command import cli
 
 PAGE = (Path(__file__).parents[2] / "docs" / "pages" / "howto" / "kind.md").read_text(encoding="utf-8")
 
@@ -27,35 +26,30 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.long
-def test_the_kind_of_the_page_runs_by_the_command(folder, capsys):
+def test_the_kind_of_the_page_runs_by_the_command(folder, lieint):
     """A fast top sleeps, a slow one falls; both report what the scheme promises."""
-    assert cli.main(["run", "top.toml", "--no-certificate"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "top.toml", "--no-certificate")
     assert re.search(r"momentum, relative +\S+   conserved to round-off", out)
     assert re.search(r"energy, relative +\S+   bounded, not conserved", out)
     assert "a top sleeps if it spins faster than 4 rad/s" in out
     assert "3 of 3 members converged" in out
-    assert Path("top-tilt.png").read_bytes().startswith(b"\x89PNG")
+    lieint.drew("top-tilt.png")
     with np.load("top.npz") as stored:
         assert stored["q"].shape == (101, 3, 4)
-    assert cli.main(["plot", "top.npz", "--force"]) == 2
-    assert "does not choose what is imported: give --kind FILE.py:CLASS" in capsys.readouterr().err
-    assert cli.main(["plot", "top.npz", "--force", "--kind", "top.py:SleepingTop"]) == 0
-    assert "a top sleeps if it spins faster" in capsys.readouterr().out
+    assert "does not choose what is imported: give --kind FILE.py:CLASS" in lieint.refuse("plot", "top.npz", "--force")
+    assert "a top sleeps if it spins faster" in lieint("plot", "top.npz", "--force", "--kind", "top.py:SleepingTop")
 
 
-def test_a_store_of_an_own_kind_opens_without_it(folder, capsys):
+def test_a_store_of_an_own_kind_opens_without_it(folder, lieint):
     """Its system is in the store, and nothing is imported; a sentence names the kind, also where its file has moved."""
     options = ["--no-certificate", "--set", "steps=40", "--out", "top.zarr"]
-    assert cli.main(["run", "top.toml", *options]) == 0
-    assert cli.main(["info", "top.zarr"]) == 0
-    assert "largest change of energy" in capsys.readouterr().out
+    lieint("run", "top.toml", *options)
+    assert "largest change of energy" in lieint("info", "top.zarr")
     Path("top.py").write_text("raise AssertionError", encoding="utf-8")
     for gone in (False, True):
         if gone:
             Path("top.py").unlink()
-        assert cli.main(["plot", "top.zarr", "--force"]) == 0
-        out = capsys.readouterr().out
+        out = lieint("plot", "top.zarr", "--force")
         assert "--kind top.py:SleepingTop draws and reports as its own kind does" in out
         assert ("(top.py:SleepingTop is not here: give the place of its file)" in out) is gone
         assert "written: top-invariants.png, top-invariants.pdf, top-motion.png" in out
@@ -75,10 +69,9 @@ def test_a_slow_top_falls_and_a_fast_one_sleeps(folder):
 
 
 @pytest.mark.long
-def test_a_kind_with_keys_and_a_state_of_its_own_runs(folder, capsys):
+def test_a_kind_with_keys_and_a_state_of_its_own_runs(folder, lieint):
     """A fast top: its precession is near m g r / (J₃ Ω), and each member has its own mass and tilt."""
-    assert cli.main(["run", "spun.toml", "--no-certificate", "--no-pictures"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "spun.toml", "--no-certificate", "--no-pictures")
     rate = re.search(r"precession rate \(rad/s\) +(\S+) +(\S+)   3.27 ± 0.1", out)
     assert float(rate[1]) == pytest.approx(3.27, rel=0.05)  # of first order in 1/spin²
     assert float(rate[2]) > 0
@@ -199,7 +192,7 @@ def test_the_face_has_what_it_lists():
     assert sorted(kind.__all__) == kind.__all__
 
 
-def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, capsys):
+def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, lieint):
     """Its class is not imported, and its step cannot be rebuilt; energies need the system only."""
     import lieint_jax as li
 
@@ -208,7 +201,6 @@ def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, capsys):
     Own = li.pytree(type("Own", (type(found),), {"__module__": __name__, "__annotations__": {}}))
     state = body.state(angular_velocity=[0.1, 0.2, 1.0])
     li.run(Own(**vars(found)), state, 0.1, 8, progress=False, store=tmp_path / "own.zarr")
-    assert cli.main(["info", str(tmp_path / "own.zarr")]) == 0
-    assert "largest change of energy" in capsys.readouterr().out
+    assert "largest change of energy" in lieint("info", tmp_path / "own.zarr")
     with pytest.raises(ValueError, match=r"test_own_kind\.Own"):
         li.open(tmp_path / "own.zarr")

@@ -10,7 +10,6 @@ from scipy.special import gammaln, lpmv
 
 from lieint_jax import orbits
 from lieint_jax.app import published
-from lieint_jax.app.command import cli
 from lieint_jax.app.published import _detumbling, _geomagnetic
 
 BOUNDS = {  # what is observed, in the order of the published quantities
@@ -110,6 +109,5 @@ def test_the_detumbling_starts_along_the_field_of_the_published_one():
     assert abs(across / momentum - 1) > 0.01  # another direction has another momentum
 
 
-def test_the_option_published_is_refused_with_a_system(capsys):
-    assert cli.main(["check", "rigid_body", "--published"]) == 2
-    assert "--published has its own cases" in capsys.readouterr().err
+def test_the_option_published_is_refused_with_a_system(lieint):
+    assert "--published has its own cases" in lieint.refuse("check", "rigid_body", "--published")

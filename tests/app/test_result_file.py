@@ -96,11 +96,10 @@ def test_two_arrays_of_one_name_and_a_missing_file_are_refused(tmp_path):
         result_file.load(tmp_path / "none.npz")
 
 
-def test_a_study_of_another_version_is_refused_by_name(tmp_path, capsys):
+def test_a_study_of_another_version_is_refused_by_name(tmp_path, lieint):
     result_file.save(tmp_path / "tree.npz", (), {"study": "alchemy", "quick": False, "lieint_jax": "9", "jax": "9"})
     for command in ("info", "plot"):
-        assert cli.main([command, str(tmp_path / "tree.npz")]) == 2
-        assert "'alchemy' is not one of" in capsys.readouterr().err
+        assert "'alchemy' is not one of" in lieint.refuse(command, str(tmp_path / "tree.npz"))
 
 
 def test_other_files_are_not_mistaken_for_studies(tmp_path):
@@ -112,19 +111,14 @@ def test_other_files_are_not_mistaken_for_studies(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", study.studies_by_name())
-def test_plot_redoes_a_study_from_its_file(name, tmp_path, monkeypatch, capsys):
+def test_plot_redoes_a_study_from_its_file(name, tmp_path, monkeypatch, lieint):
     """The report in the same words and the picture pixel by pixel; a second run replaces neither."""
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["study", name, "--quick"]) == 0
-    report = capsys.readouterr().out.partition("\nwritten:")[0]
+    report = lieint("study", name, "--quick").partition("\nwritten:")[0]
     first = (tmp_path / f"study-{name}.png").read_bytes()
-    assert cli.main(["plot", f"study-{name}.npz"]) == 2
-    assert "--force" in capsys.readouterr().err
-    assert cli.main(["plot", f"study-{name}.npz", "--force"]) == 0
-    assert capsys.readouterr().out.partition("\nwritten:")[0] == report
+    assert "--force" in lieint.refuse("plot", f"study-{name}.npz")
+    assert lieint("plot", f"study-{name}.npz", "--force").partition("\nwritten:")[0] == report
     assert (tmp_path / f"study-{name}.png").read_bytes() == first
-    assert cli.main(["info", f"study-{name}.npz"]) == 0
-    assert f"study {name}, a small one" in capsys.readouterr().out
+    assert f"study {name}, a small one" in lieint("info", f"study-{name}.npz")
     (tmp_path / f"study-{name}.npz").rename("study-before.npz")
     monkeypatch.setattr(
         study.studies_by_name()[name], "run", lambda quick: result_file.load(tmp_path / "study-before.npz")

@@ -40,14 +40,14 @@ def test_values_are_those_of_a_file_that_has_them():
 
 
 @pytest.mark.long
-def test_an_epoch_is_in_the_report_and_in_the_results(capsys):
+def test_an_epoch_is_in_the_report_and_in_the_results(lieint):
     date = "2026-03-01T12:00:00 TDB"
     for file in ("a.npz", "a.zarr"):
         more = ["--no-pictures", "--no-certificate", "--out", file]
-        assert cli.main(["run", "book.toml", "--set", 'epoch="2026-03-01T12:00 TDB"', *more]) == 0
-        assert f"100 steps of 0.1 s = 10 s, t = 0 at {date}" in capsys.readouterr().out
-        assert cli.main(["info", file]) == 0
-        assert f"t = 0 … 10 s; t = 0 at {date}" in capsys.readouterr().out
+        assert f"100 steps of 0.1 s = 10 s, t = 0 at {date}" in lieint(
+            "run", "book.toml", "--set", 'epoch="2026-03-01T12:00 TDB"', *more
+        )
+        assert f"t = 0 … 10 s; t = 0 at {date}" in lieint("info", file)
     assert li.open("a.zarr").epoch == li.dates.epoch(date)
     with pytest.raises(ValueError, match=r"book\.toml: epoch: the date .* does not exist"):
         settings.load("book.toml", ['epoch="2026-02-30"'])
@@ -118,9 +118,8 @@ def test_verbose_names_the_engine_its_reason_and_the_times_of_phases(capfd):
     assert "machine code" not in out
 
 
-def test_quiet_hides_reports_but_neither_errors_nor_results_that_were_asked_for(capsys):
-    assert cli.main(["--quiet", "schema"]) == 0
-    assert capsys.readouterr().out.startswith("{")
+def test_quiet_hides_reports_but_neither_errors_nor_results_that_were_asked_for(capsys, lieint):
+    assert lieint("--quiet", "schema").startswith("{")
     assert cli.main(["-q", "run", "nowhere"]) == 2
     printer.show("a report")
     printer.show_written("a.npz", "a.png", about="1 MB")

@@ -11,7 +11,6 @@ from scenario_runs import run
 import lieint_jax as li
 from lieint_jax import measure
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import _spread, water
 from lieint_jax.ensemble import archives
 
@@ -312,17 +311,14 @@ def test_members_of_uncertain_inertia_scatter_as_the_derivatives_predict():
 
 
 @pytest.mark.long
-def test_the_command_line_draws_and_stores_the_members_own_numbers(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_line_draws_and_stores_the_members_own_numbers(lieint):
     text = scenarios.resources.files("lieint_jax.app.scenarios").joinpath("driven.toml").read_text(encoding="utf-8")
     spread = "[spread]\ninertia_percent = 1.0\norbit.eccentricity = 0.001"
     Path("my.toml").write_text(text.replace("[spread]", spread), encoding="utf-8")
-    assert cli.main(["run", "my.toml", "--members", "4", "--steps", "200", "--no-certificate"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "my.toml", "--members", "4", "--steps", "200", "--no-certificate")
     assert "inertia 1 % of the second moments of mass along the body axes, orbit.eccentricity 0.001" in out
     assert "4 of 4 members converged" in out
-    assert cli.main(["plot", "my.npz", "--force"]) == 0
-    again = capsys.readouterr().out
+    again = lieint("plot", "my.npz", "--force")
     assert [line for line in again.splitlines() if "librate" in line] == [
         line for line in out.splitlines() if "librate" in line
     ]

@@ -21,9 +21,8 @@ def test_every_study_has_run_text_and_draw():
     assert all(callable(getattr(m, part)) for m in found.values() for part in ("run", "text", "draw"))
 
 
-def test_an_unknown_study_is_refused_in_one_line(capsys):
-    assert cli.main(["study", "pluto"]) == 2
-    assert "study 'pluto' is not one of gyro, kappa" in capsys.readouterr().err
+def test_an_unknown_study_is_refused_in_one_line(lieint):
+    assert "study 'pluto' is not one of gyro, kappa" in lieint.refuse("study", "pluto")
 
 
 @pytest.mark.long
@@ -73,9 +72,8 @@ TRUTH = (0.02, -0.01, 0.015, 0.6, 0.8, 0.5, 0.3, 0.4)  # of the page's data: bia
 
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the error of the steps moves")
-def test_the_study_of_the_page_finds_the_truth_within_its_errors(tmp_path, monkeypatch, capsys):
+def test_the_study_of_the_page_finds_the_truth_within_its_errors(capsys, lieint):
     """By the command, from the page's CSV. With large steps it warns of them; `lieint plot` needs no mine.py."""
-    monkeypatch.chdir(tmp_path)
     make, mine = (code for _, code in blocks(PAGE.read_text(encoding="utf-8"), "python"))
     exec(compile(make, "make", "exec"), {})
     better = "li.schemes.preprocessed(body, 6)"
@@ -93,11 +91,9 @@ def test_the_study_of_the_page_finds_the_truth_within_its_errors(tmp_path, monke
         assert found.estimate.sigmas[3] < 0.005
     report = shown.out.partition("\nwritten:")[0]
     Path("fine.py").unlink()
-    assert cli.main(["plot", "study-fine.npz", "--force"]) == 0
-    assert capsys.readouterr().out.partition("\nwritten:")[0] == report
+    assert lieint("plot", "study-fine.npz", "--force").partition("\nwritten:")[0] == report
     assert "0.61 ± 0.02" in report
-    assert cli.main(["info", "study-fine.npz"]) == 0
-    assert "study fine.py, a small one" in capsys.readouterr().out
+    assert "study fine.py, a small one" in lieint("info", "study-fine.npz")
 
 
 T = np.linspace(0.1, 4, 40)
@@ -234,25 +230,18 @@ def draw(answer):
 """
 
 
-def test_a_file_with_functions_is_a_study_and_its_results_choose_no_file(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_a_file_with_functions_is_a_study_and_its_results_choose_no_file(tmp_path, lieint):
     Path("mine.py").write_text(FUNCTIONS, encoding="utf-8")
-    assert cli.main(["study", "mine.py", "--quick"]) == 0
-    assert "the answer is 42" in capsys.readouterr().out
-    assert cli.main(["plot", "study-mine.npz", "--force"]) == 2
-    assert "--study" in capsys.readouterr().err
-    assert cli.main(["plot", "study-mine.npz", "--force", "--study", "mine.py"]) == 0
-    assert "the answer is 42" in capsys.readouterr().out
+    assert "the answer is 42" in lieint("study", "mine.py", "--quick")
+    assert "--study" in lieint.refuse("plot", "study-mine.npz", "--force")
+    assert "the answer is 42" in lieint("plot", "study-mine.npz", "--force", "--study", "mine.py")
     Path("mine.py").unlink()
-    assert cli.main(["plot", "study-mine.npz", "--force", "--study", "mine.py"]) == 2
-    assert "there is no file mine.py" in capsys.readouterr().err
+    assert "there is no file mine.py" in lieint.refuse("plot", "study-mine.npz", "--force", "--study", "mine.py")
     result_file.save(tmp_path / "plain.npz", {"a": 1.0}, {"study": "a.py", "quick": True, "lieint_jax": "", "jax": ""})
-    assert cli.main(["plot", "plain.npz"]) == 2
-    assert "add --study a.py" in capsys.readouterr().err
+    assert "add --study a.py" in lieint.refuse("plot", "plain.npz")
     result_file.save(tmp_path / "gyro.npz", (), {"study": "gyro", "quick": True, "lieint_jax": "", "jax": ""})
     for path in ("gyro.npz", "none.npz"):
-        assert cli.main(["plot", path, "--study", "mine.py"]) == 2
-        assert "leave out --study" in capsys.readouterr().err
+        assert "leave out --study" in lieint.refuse("plot", path, "--study", "mine.py")
 
 
 @pytest.mark.parametrize(
@@ -265,10 +254,8 @@ def test_a_file_with_functions_is_a_study_and_its_results_choose_no_file(tmp_pat
         ("x = 1\n\ny = (", "mine.py, line 3: SyntaxError"),
     ],
 )
-def test_a_file_that_is_no_study_is_refused_in_a_sentence(content, words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_a_file_that_is_no_study_is_refused_in_a_sentence(content, words, tmp_path, lieint):
     if content is not None:
         Path("mine.py").write_text(content, encoding="utf-8")
-    assert cli.main(["study", "mine.py"]) == 2
-    assert words in capsys.readouterr().err
+    assert words in lieint.refuse("study", "mine.py")
     assert not list(tmp_path.glob("*.npz"))

@@ -9,19 +9,16 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import water
 from lieint_jax.types import State, StepInfo, Trajectory
 
 
 @pytest.mark.long
-def test_water_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
+def test_water_runs_from_the_command_line(lieint):
     """The first peak of one droplet of 8 scatters by 0.005 nm, too much for its bound; of 8 droplets by 0.002."""
-    monkeypatch.chdir(tmp_path)
     table = Path(scenarios.__file__).with_name("water.toml").read_text(encoding="utf-8")
     Path("small.toml").write_text(table.replace("molecules = 64", "molecules = 8"), encoding="utf-8")
-    assert cli.main(["run", "small.toml", "--steps", "400", "--members", "8"]) == 0
-    out = capsys.readouterr().out
+    out = lieint("run", "small.toml", "--steps", "400", "--members", "8")
     assert "8 of 8 members converged" in out
     found = {
         name: float(x)
@@ -32,8 +29,7 @@ def test_water_runs_from_the_command_line(tmp_path, monkeypatch, capsys):
     assert found["angular momentum L"] < 3e-14
     assert re.search(r"^  momentum +\S+ +conserved to round-off", out, re.M)  # L is a small sum of large terms
     assert float(re.search(r"first peak of the O–O distances \(nm\) +(\S+)", out)[1]) == pytest.approx(0.276, abs=0.01)
-    for name in ("small-errors.png", "small-droplet.png"):
-        assert Path(name).read_bytes().startswith(b"\x89PNG")
+    lieint.drew("small-errors.png", "small-droplet.png")
 
 
 def test_the_grid_has_the_spacing_and_its_middle_at_the_origin():

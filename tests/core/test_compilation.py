@@ -90,9 +90,9 @@ state = show("state", body.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0])
 show("another state", body.state([0.8, 0.6, 0, 0], angular_velocity=(0, 0.1, 1)))
 show("run", li.integrate(step, state, 0.05, 1000))
 show("longer run", li.integrate(step, state, 0.04, 2000))
-show("save_every", li.integrate(step, state, 0.04, 2000, 10))
-show("longer, save_every", li.integrate(step, state, 0.04, 3000, 10))
-show("another save_every", li.integrate(step, state, 0.04, 3000, 30))
+show("save_every", li.integrate(step, state, 0.04, 2000, save_every=10))
+show("longer, save_every", li.integrate(step, state, 0.04, 3000, save_every=10))
+show("another save_every", li.integrate(step, state, 0.04, 3000, save_every=30))
 show("certificate", li.diagnostics.certify(step, state, 0.05, 1000))
 """
 MOST = {  # programs: a run also tries its first step; any save_every > 1 has one; a certificate has four measurements
@@ -127,8 +127,8 @@ def run_and_scale(p, factor=1.0, count=4):
 @pytest.mark.parametrize("members", [1, 3])
 def test_a_run_compiles_its_machine_code_once(monkeypatch, members):
     """The check against XLA of a run of one body was of code for vectors of members, which nothing else used."""
-    made, compile_handler = [], _machine.compile_handler
-    monkeypatch.setattr(_machine, "compile_handler", lambda *texts: made.append(texts) or compile_handler(*texts))
+    made, kernel = [], _machine.kernel
+    monkeypatch.setattr(_machine, "kernel", lambda *given: made.append(given) or kernel(*given))
     top = li.systems.potential_top([1.0, 2.0, 3.0], lambda g: 0.3 * g[2] ** 2)
     states = jax.vmap(lambda w: top.state(angular_velocity=w))(jnp.eye(3)[:members])
     run = li.run(li.schemes.splitting(top), states, 0.05, 20, progress=False)

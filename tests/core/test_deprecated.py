@@ -1,59 +1,42 @@
-"""Old names, and old ways to call functions, still work and warn."""
-
-import importlib
-import inspect
+"""Old names and calls of 0.3 still work and warn; those of 0.2 are gone, but for `normalised`."""
 
 import jax.numpy as jnp
 import pytest
 
 import lieint_jax as li
-
-PACKAGES = (li, li.types, li.systems, li.potentials, importlib.import_module("lieint_jax.studies"))
-
-
-def old_names():
-    for package in PACKAGES:
-        for name, new in inspect.getclosurevars(package.__getattr__).nonlocals["names"].items():
-            yield pytest.param(package, name, new, id=f"{package.__name__}.{name}")
+from lieint_jax.orbits import kepler, secular_j2
 
 
-@pytest.mark.parametrize(("package", "name", "new"), list(old_names()))
-def test_an_old_name_is_the_object_of_the_new_name(package, name, new):
-    home, _, new = new.rpartition(":")
-    with pytest.warns(DeprecationWarning, match=rf"{name} is now .*{new}; the old name will be removed in version"):
-        found = getattr(package, name)
-    home = importlib.import_module(home or package.__name__)
-    assert found is getattr(home, new)
+def test_a_capability_is_found_in_types_with_a_warning():
+    with pytest.warns(DeprecationWarning, match=r"li.types.AbstractTop is now li.capabilities.AbstractTop; .* 0\.5 on"):
+        assert li.types.AbstractTop is li.capabilities.AbstractTop
 
 
-def test_a_name_that_never_was_is_an_attribute_error():
-    for package in PACKAGES:
-        with pytest.raises(AttributeError, match="has no attribute 'never_was'"):
-            _ = package.never_was
+@pytest.mark.parametrize(
+    "name", ["studies", "plots", "types.Top", "types.Abstract", "systems.SpinUp", "potentials.Sum"]
+)
+def test_a_name_of_0_2_or_none_at_all_is_an_attribute_error(name):
+    *package, name = name.split(".")
+    with pytest.raises(AttributeError, match=f"has no attribute '{name}'"):
+        getattr(getattr(li, *package) if package else li, name)
 
 
 def test_an_argument_by_position_has_the_value_of_its_name():
-    with pytest.warns(DeprecationWarning, match="kepler: pass node, periapsis by name; by position will not be accept"):
-        orbit = li.orbits.kepler(1.0, 1.0, 0.1, 0.2, 0.3, 0.4)
-    assert (float(orbit.node), float(orbit.periapsis)) == (0.3, 0.4)
-
-
-def test_elements_by_position_are_accepted_by_both_functions_of_elements():
     with pytest.warns(DeprecationWarning, match="secular_j2: pass node, periapsis by name; by position"):
-        orbit = li.orbits.secular_j2(li.orbits.EARTH_GM, 7e3, 0.01, 0.2, 0.3, 0.4).osculating
+        orbit = secular_j2(li.orbits.EARTH_GM, 7e3, 0.01, 0.2, 0.3, 0.4).osculating
     assert (float(orbit.node), float(orbit.periapsis)) == (0.3, 0.4)
 
 
-def test_too_many_arguments_by_position_are_a_type_error():
-    with pytest.raises(TypeError):
-        li.orbits.kepler(1.0, 1.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+@pytest.mark.parametrize("call", [lambda: secular_j2(*[0.1] * 10), lambda: kepler(1.0, 1.0, 0.1, 0.2, 0.3)])
+def test_too_many_arguments_by_position_are_a_type_error(call):
+    with pytest.raises(TypeError, match="positional arguments but"):
+        call()
 
 
-def test_an_old_name_of_an_argument_is_accepted():
+def test_both_spellings_of_normalized_are_accepted():
     [(pendulum, _, _)] = [x for name, x in li.systems._pendulum.examples().items() if name == "uniform"]
-    with pytest.warns(DeprecationWarning, match="sphere_midpoint: normalised is now normalized; the old name"):
-        step = li.schemes.sphere_midpoint(pendulum, normalised=True)
-    assert step.normalized
+    assert li.schemes.sphere_midpoint(pendulum, normalised=True).normalized
+    assert not li.schemes.sphere_midpoint(pendulum).normalized
 
 
 def test_an_old_attribute_has_the_value_of_the_new_one():

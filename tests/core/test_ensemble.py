@@ -82,19 +82,6 @@ def test_the_first_failure_of_each_member_is_found():
     np.testing.assert_array_equal(run.unconverged[1:4], failing[:3])  # later, what has failed is chaos
 
 
-@pytest.mark.long
-def test_an_ensemble_of_three_bodies_is_the_bodies_one_by_one():
-    masses, inertias = [1.0, 0.5, 0.2], jnp.array([[0.1, 0.2, 0.25]] * 3)
-    bodies = li.systems.rigid_bodies(masses, inertias, li.potentials.maccullagh(1.0, masses, inertias))
-    state = bodies.state([[3.0, 0, 0], [-3.0, 1, 0], [0, -2.0, 1]], angular_velocities=[[0.1, 0.2, 0.3]] * 3)
-    batch = jax.tree.map(lambda x: jnp.stack([x, x]), state)
-    for scheme in (li.schemes.splitting, li.schemes.bodies_energy_momentum):
-        run = ensemble.run(scheme(bodies), batch, 0.01, 5, progress=False)
-        one = alone(scheme(bodies), state, 0.01, 5, save_every=5)
-        assert np.all(run.info.converged)
-        np.testing.assert_allclose(run.state.q[-1, 0], one.state.q[-1], rtol=0, atol=1e-14)
-
-
 def test_a_failure_of_the_first_step_is_an_error():
     with pytest.raises(ValueError, match=r"first step fails for 4 member\(s\): 0, 1, 2, 3\. Member 0: .*smaller dt"):
         ensemble.run(STEP, states(4), 3.0, 10, progress=False)

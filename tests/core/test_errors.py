@@ -35,6 +35,7 @@ def spread_of_toutatis(**keys):
 
 SENTENCES = [
     (lambda: scenarios.parse({}, "mine.toml"), r"mine\.toml: system: key missing"),
+    (lambda: scenarios.parse({"system": "rigid_body"}, "a"), "a: title, dt, steps, inertia, state: keys missing$"),
     (lambda: spread_of_toutatis(angular_velocity_degr=1.0), "spread.angular_velocity_degr: .*angular_velocity_deg"),
     (
         lambda: scenarios.load(
@@ -209,14 +210,13 @@ def test_output_adapts_to_any_encoding(encoding, monkeypatch):
     assert last == spelled.get(encoding, "κ ± 3° · π² − Ωₖ ≤ … 水")
 
 
-def test_errors_of_the_system_are_one_short_line(monkeypatch, capsys):
+def test_errors_of_the_system_are_one_short_line(monkeypatch, lieint):
     def failing(error):
         def run(*_, **__):
             raise error
 
         monkeypatch.setattr(run_command, "run", run)
-        assert cli.main(["run", "toutatis"]) == 2
-        [line] = capsys.readouterr().err.splitlines()
+        [line] = lieint.refuse("run", "toutatis").splitlines()
         return line
 
     assert failing(OSError(36, "File name too long", "a" * 3000)) == f"lieint: {'a' * 100}…: File name too long"
@@ -228,7 +228,7 @@ def test_errors_of_the_system_are_one_short_line(monkeypatch, capsys):
         failing(jax.errors.JaxRuntimeError("INTERNAL: a mistake"))
 
 
-def test_waiting_for_processes_prints_what_it_waits_for(monkeypatch, capsys):
+def test_waiting_for_processes_prints_what_it_waits_for(monkeypatch, lieint):
     """Processes that do not connect, as where a stranger has the coordinator's port: after some seconds."""
     monkeypatch.setattr(cli, "_WAIT", 0.01)
 
@@ -238,8 +238,7 @@ def test_waiting_for_processes_prints_what_it_waits_for(monkeypatch, capsys):
 
     monkeypatch.setattr(processes, "initialize", initialize)
     options = ["--distributed", "--coordinator", "host:1234", "--processes", "3", "--process", "0"]
-    assert cli.main(["run", "toutatis", *options]) == 2
-    first, last = capsys.readouterr().err.splitlines()
+    first, last = lieint.refuse("run", "toutatis", *options).splitlines()
     assert first == "lieint: waiting for the processes of this run at host:1234, 3 in all, to connect …"
     assert last == "lieint: the processes did not meet"
 

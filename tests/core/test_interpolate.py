@@ -13,7 +13,13 @@ from lieint_jax import diagnostics
 
 EXAMPLES = dict(systems())
 # fast motions: steps of their own size, halved so often
-HALVES = {"heavy_top.lagrange": 3, "pseudo_rigid_body.ball": 5, "pseudo_rigid_body.dough": 5}
+HALVES = {
+    "heavy_top.lagrange": 3,
+    "pseudo_rigid_body.ball": 5,
+    "pseudo_rigid_body.dough": 5,
+    "rod.free": 1,
+    "rod.shaken": 1,
+}
 
 
 def sampled(name, h):

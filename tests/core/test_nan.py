@@ -25,6 +25,7 @@ ROWS = jnp.sin(jnp.arange(15.0)).reshape(5, 3)
 AXES = torques.wheel_pyramid(0.6)
 POSITIONS = jnp.array([[0.0, 0.1, 0.2], [4.0, 1.0, -0.5]])
 ROTATIONS = jnp.stack([so3.to_matrix(Q), so3.to_matrix(so3.inverse(Q))])
+BENT = jnp.stack([so3.to_matrix(so3.multiply(Q, so3.exp(x * jnp.array([0.3, -0.2, 0.4])))) for x in (1.0, 2.0)])
 SITES = [jnp.array([[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1]]), jnp.array([[0.0, 0.2, 0.1]])]
 TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 
@@ -67,7 +68,7 @@ TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 
 
 def pair_case(make, **arguments):
-    return lambda x, R, **given: make(**given)(x, R), dict(x=POSITIONS, R=ROTATIONS, **arguments)
+    return lambda x, R, **given: make(**given)(x, R), dict(x=POSITIONS, R=ROTATIONS) | arguments
 
 
 def wheel_law(axes, inertias, gain, max_torque, max_momentum):
@@ -232,12 +233,14 @@ CASES = {
         GA=jnp.array([1.3, 1.1, 2.0]),
         EI=jnp.array([0.3, 0.4, 0.2]),
         k=THETA,
+        R=BENT,
     ),
     "potentials.held": pair_case(
         lambda ell, EI, pose: potentials.held(potentials.rod(jnp.stack([ell, ell]), EI, EI), pose),
         ell=0.7,
         EI=jnp.array([0.3, 0.4, 0.2]),
         pose=jnp.concatenate([THETA, Q]),
+        R=BENT,
     ),
     "potentials.springs": pair_case(
         lambda points, stiffness, lengths: potentials.springs([[0, 1]], points, stiffness, lengths),

@@ -150,18 +150,16 @@ def old(tmp_path, name):
 
 
 @pytest.mark.long
-def test_results_of_version_0_1_still_open(tmp_path, capsys):
+def test_results_of_version_0_1_still_open(tmp_path, lieint):
     path = old(tmp_path, "toutatis-0.1.npz")
     run, _ = files.load(Path(path))
     assert run.state.q.shape == (11, 2, 4)
-    assert cli.main(["info", str(path)]) == 0
-    assert "2 of 2 members converged at every step" in capsys.readouterr().out
+    assert "2 of 2 members converged at every step" in lieint("info", str(path))
 
 
 @pytest.mark.long
-def test_results_of_version_0_1_are_drawn(tmp_path, capsys):
-    assert cli.main(["plot", str(old(tmp_path, "toutatis-0.1.npz"))]) == 0
-    assert "precession period" in capsys.readouterr().out
+def test_results_of_version_0_1_are_drawn(tmp_path, lieint):
+    assert "precession period" in lieint("plot", str(old(tmp_path, "toutatis-0.1.npz")))
 
 
 @pytest.mark.parametrize("resume", [True, False])
@@ -203,22 +201,21 @@ def test_a_store_of_version_0_3_that_is_not_complete_still_opens(tmp_path):
 
 
 @pytest.mark.long
-def test_any_run_of_a_known_system_is_drawn_and_drawn_again(tmp_path, capsys):
+def test_any_run_of_a_known_system_is_drawn_and_drawn_again(tmp_path, lieint):
     path, _ = stored(tmp_path)
     (tmp_path / "pictures").mkdir()
-    assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures")]) == 0
-    assert "3 of 3 members converged at every step" in capsys.readouterr().out
+    assert "3 of 3 members converged at every step" in lieint("plot", str(path), "--out", str(tmp_path / "pictures"))
     picture = tmp_path / "pictures" / "run-invariants.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "pictures" / "run-motion.png").exists()
     picture.write_text("precious")
-    assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures")]) == 2
-    assert "run-invariants.png exists and is not overwritten; --force" in capsys.readouterr().err
+    assert "run-invariants.png exists and is not overwritten; --force" in lieint.refuse(
+        "plot", str(path), "--out", str(tmp_path / "pictures")
+    )
     assert picture.read_text() == "precious"
     assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures"), "--force"]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert cli.main(["plot", str(path), "--out", str(tmp_path / "nowhere")]) == 2
-    assert "nowhere does not exist" in capsys.readouterr().err
+    assert "nowhere does not exist" in lieint.refuse("plot", str(path), "--out", str(tmp_path / "nowhere"))
 
 
 @pytest.mark.long

@@ -208,7 +208,7 @@ POTENTIALS = [
     (lambda: potentials.sites(np.zeros((2, 3)), [1.0], [1.0], [1.0]), r"points must have shape \(N, n, 3\)"),
     (lambda: potentials.sites(np.zeros((2, 1, 3)), [0.0], [0.0], [1.0]), "there is no force"),
     (lambda: potentials.springs([[0, 0]], PAIR, 1.0), "a spring must join two bodies"),
-    (lambda: potentials.springs([[0, 1]], PAIR, -1.0), "stiffness must be ≥ 0"),
+    (lambda: potentials.springs([[0, 1]], PAIR, -1.0), "stiffness must not be negative, got -1"),
     (lambda: potentials.springs([0, 1], PAIR, 1.0), "bodies must be pairs"),
     (
         lambda: potentials.springs([[0, 3]], PAIR, 1.0)(EYE, np.stack([EYE] * 3)),

@@ -32,6 +32,7 @@ functions = {
     "run": lambda w: run(top, w),
     "run of a body of its own": lambda w: run(li.schemes.so3_midpoint(li.systems.RigidBody(J * (1 + w[0] ** 2))), w),
     "gradient": jax.grad(lambda w: run(top, w).sum()),
+    "gradient by undoing": jax.grad(lambda w: run(midpoint, w, adjoint=li.adjoints.ReversibleAdjoint()).sum()),
     "tangents": lambda w: jax.jacfwd(lambda w: run(midpoint, w))(w),
     "exponents": lambda w: li.diagnostics.lyapunov(midpoint, body.state(angular_velocity=w), 0.05, 20).exponents,
     "event": event,

@@ -20,7 +20,6 @@ from lieint_jax.types import Step
 
 ROOT, TESTS = Path(li.__file__).parent, Path(__file__).parents[1]
 FLOORS = [  # from the roof down; a module imports only from floors below its own, or its own package
-    ("studies",),  # the old names of one release
     ("app",),
     ("files",),
     ("_cache",),
@@ -141,7 +140,7 @@ def test_no_import_goes_in_a_circle():
 
 def test_the_house_has_few_rooms_and_every_one_a_floor():
     assert ROOMS - {"__init__"} == set(LEVEL)
-    assert len(ROOMS - {"__init__", "studies", "_deprecated"}) <= 32  # and old names, for one release
+    assert len(ROOMS - {"__init__", "_deprecated"}) <= 32  # and old names, for one release
 
 
 def code_tokens(path):

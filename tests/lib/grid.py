@@ -1,9 +1,12 @@
 """The grid of systems and schemes, found by looking into the packages: no list to edit."""
 
 import functools
+import re
 
 import lieint_jax as li
 from lieint_jax import _discover
+
+DECLARED = {entry.name: entry.conserves for entry in li.schemes.catalogue()}
 
 
 def examples_of(module):
@@ -47,3 +50,17 @@ def steps():
 def schemes():
     """The modules of the schemes that have a step of some system."""
     return {module for module, *_ in cases()}
+
+
+def declares(scheme, name, invariant):
+    """Whether the scheme declares it conserved; where that depends on the kind of step, the brackets name the kind."""
+    step = name.partition("-")[2]
+    base = re.search(r"\((\w+)", step)
+    declared = DECLARED[base[1] if scheme in ("compose", "reversible_control") and base[1] in DECLARED else scheme]
+    kind = step.rpartition("[")[2].rstrip("])")
+    names = {text.split()[0]: text.partition("(")[2] for text in declared}
+    if invariant not in names or ("free body" in names[invariant] and not name.startswith("rigid_body.")):
+        return False
+    if (scheme, invariant) == ("reversible_control", "form"):  # "what the step conserves, but not the form"
+        return False
+    return not names[invariant] or kind in re.findall(r"\w+", names[invariant])

@@ -11,7 +11,8 @@ import numpy as np
 
 from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
-from lieint_jax.native import _kernel, _march_code, _traced
+from lieint_jax.diagnostics import tangent
+from lieint_jax.native import _kernel, _machine, _march_code, _traced
 from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _results, _run
 from lieint_jax.runs.store import _bucket, _disk, _identity, _root, _store_output, _writer
 
@@ -51,6 +52,22 @@ def refusal(name, job):
 def spread_over_devices(monkeypatch):
     """Let a process spread its members over its devices, as over accelerators."""
     monkeypatch.setattr(_layout, "_on_cpu", lambda _: False)
+
+
+def forget_loops():
+    """Let the package forget the code of loops; what JAX has compiled holds its own."""
+    _traced._cache.clear()
+
+
+def live_kernels():
+    """The number of kernels in memory, when those that nothing holds are freed, as before another one is made."""
+    _machine._free_unused(_machine._registry())
+    return len(_machine._engines)
+
+
+def largest_at_once(monkeypatch, dim):
+    """Let derivatives in more dimensions than this be computed column by column."""
+    monkeypatch.setattr(tangent, "_LARGE", dim)
 
 
 def limit_kernels(monkeypatch, most):

@@ -68,7 +68,7 @@ class MachineFunction:
     def __init__(self, *texts):
         from lieint_jax.native import _machine
 
-        self._engine = _machine._engine(_machine._key(texts), [x for x in texts if x])
+        self._engine = _machine._engine(_machine._key(texts), [x for x in texts if x], ["run"])
         kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5, ctypes.c_void_p)
         self._call = kind(self._engine.get_function_address("run"))
 

@@ -1,6 +1,7 @@
-"""The file of a scenario of a free body, for tests of the command line."""
+"""Files of scenarios for tests of the command line: that of a free body, and any with other lines."""
 
 import re
+from pathlib import Path
 
 _BOOK = """
 title = "a book"
@@ -28,3 +29,12 @@ def book(**lines):
         text, found = re.subn(rf"(?m)^{key} = .*$", lambda _, line=line: line, text)
         assert found == 1, key
     return text
+
+
+def written(name, text, *changes):
+    """The name of a file with this text, in which each (old, new) is replaced."""
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new)
+    Path(name).write_text(text, encoding="utf-8")
+    return name

@@ -16,7 +16,7 @@ from scipy.linalg import eigh
 from scipy.optimize import root
 
 import lieint_jax as li
-from lieint_jax.diagnostics import flow, linearization
+from lieint_jax.diagnostics import linearization
 from lieint_jax.types import State, vectors
 
 BALL = li.systems.pseudo_rigid_body(2 * np.eye(3), li.systems.mooney_rivlin(2000.0, 6.0))
@@ -183,24 +183,9 @@ def test_6_17_at_the_ends_is_explicit_symplectic_euler():
     np.testing.assert_allclose([ours.q, ours.p], [F1, P1], rtol=0, atol=2e-15)
 
 
-def _order(step):
-    """From 64 and 128 steps to t = 0.4, against the flow of the equations of motion."""
-    exact = _flow(SOFT_STATE)
-    errors = []
-    for n in (64, 128):
-        _, _, converged, end = run(step, SOFT_STATE, 0.4 / n, n)
-        assert converged.all()
-        errors.append(np.abs(end.q - exact.q).max())
-    return np.log2(errors[0] / errors[1])
-
-
-_flow = jax.jit(lambda z: flow(SOFT, z, 0.4, 40))
-
-
-@pytest.mark.long
 @pytest.mark.parametrize(("alpha", "order"), [(0.5, 2), (0.3, 1), (1.0, 1)])
-def test_6_17_is_second_order_at_one_half_only(alpha, order):
-    assert _order(dataclasses.replace(LABELED, alpha=jnp.array(alpha))) == pytest.approx(order, abs=0.12)
+def test_6_17_is_second_order_and_symmetric_at_one_half_only(alpha, order):
+    """Measured in test_orders.py."""
     made = additive(SOFT, "symplectic", alpha=alpha)
     assert (made.order, made.symmetric) == (order, order == 2)
 
@@ -266,13 +251,12 @@ def test_6_15_and_6_16_with_beta_of_6_9():
 @pytest.mark.paper("6.2: (6.10)–(6.14), Result 16", "energy and momentum", "schemes/_additive.py")
 @pytest.mark.long
 @pytest.mark.parametrize("rule", ["average", "energy", "energy_momentum"])
-def test_result_16_energy_and_momentum_second_order_reversible_not_symplectic(rule):
+def test_result_16_energy_and_momentum_reversible_not_symplectic(rule):
     step = additive(SOFT, rule)
     H, Phi, converged, _ = run(step, SOFT_STATE, 0.05, 300)
     assert converged.all()
     assert np.abs(H - H[0]).max() < 2e-13  # floor 4e-14, of energies of 2
     assert np.abs(Phi - Phi[0]).max() < 4e-14
-    assert _order(step) == pytest.approx(2, abs=0.12)
     back, _ = once(step, once(step, SOFT_STATE, 0.05)[0], -0.05)
     apart = max(np.abs(back.q - SOFT_STATE.q).max(), np.abs(back.p - SOFT_STATE.p).max())
     assert step.symmetric
@@ -403,15 +387,3 @@ def test_a_step_that_turns_the_body_inside_out_is_flagged():
     assert not info.converged
     with pytest.raises(ValueError, match="does not converge within 25 iterations"):
         step.check(SOFT.state(F0, momentum=300 * P0), 2.0)
-
-
-@pytest.mark.long
-def test_pseudo_rigid_bodies_in_float32_stay_in_float32():
-    with jax.enable_x64(False):
-        body = li.systems.pseudo_rigid_body([2.0, 2.0, 2.0], li.systems.mooney_rivlin(2000.0, 6.0))
-        step, state = additive(body), body.state(angular_velocity=[0.0, 0.0, 3.0])
-        for _ in range(20):
-            state, info = once(step, state, 0.005)
-            assert info.converged
-        assert state.q.dtype == state.p.dtype == info.residual.dtype == jnp.float32
-        assert step.system.energy(state) == pytest.approx(18, rel=1e-4)  # floor 1e-5

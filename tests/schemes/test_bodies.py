@@ -1,16 +1,15 @@
 """Several rigid bodies: the system, gravity to second order, splitting, and the energy–momentum scheme."""
 
-import functools
 from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import slopes
 from grid import examples_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
-from two_bodies import reference
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, potentials, schemes, systems
@@ -20,7 +19,6 @@ from lieint_jax.groups import so3
 EXAMPLES = {k: x for k, x in examples_of("rigid_bodies").items() if isinstance(x[0], AbstractRigidBodies)}
 BINARY, START, DT = EXAMPLES["binary"]
 SPLITTING = schemes.splitting(BINARY)
-KEEPING = schemes.bodies_energy_momentum(BINARY)
 
 
 def errors(step, state, dt, num_steps, every):
@@ -134,33 +132,6 @@ def test_a_step_of_many_bodies_conserves_what_that_of_two_does():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_splitting_of_bodies_is_symplectic(name):
-    """Observed 4e-14 and 5e-15."""
-    system, state, dt = EXAMPLES[name]
-    step = schemes.splitting(system)
-    L = diagnostics.linearization(step, state, dt)
-    omega = system.phase_space.omega
-    defect = jnp.abs(L.T @ omega(step(state, dt)[0]) @ L - omega(state)).max()
-    assert defect < 1.5e-13
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("step", [SPLITTING, KEEPING], ids=["splitting", "energy–momentum"])
-def test_the_error_is_of_second_order_against_dop853(step):
-    """Half an orbit; observed orders 2.0."""
-    x, R = reference(BINARY, START, 16.0)
-    found = []
-    for n in (320, 640):
-        q = li.integrate(step, START, 16.0 / n, n, save_every=n).state.q[-1]
-        turned = jax.vmap(so3.to_matrix)(q[:, 3:])
-        found.append([float(np.abs(q[:, :3] - x).max()), float(np.abs(turned - R).max())])
-    coarse, fine = np.array(found)
-    np.testing.assert_allclose(np.log2(coarse / fine), 2, rtol=0, atol=0.1)
-    assert (fine < [2e-3, 5e-2]).all()
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", EXAMPLES)
 def test_the_energy_momentum_scheme_conserves_energy_and_both_momenta(name):
     """Observed over 10 000 steps: H 9e-15 and 2e-15, P 0 and 3e-15, L 1e-14 and 3e-15."""
     system, state, dt = EXAMPLES[name]
@@ -239,17 +210,6 @@ def test_certificates_do_not_depend_on_units():
 
 
 @pytest.mark.long
-def test_an_ensemble_of_binaries_is_the_binaries_one_by_one(tmp_path):
-    p = START.p[None] * (1 + 0.01 * jnp.arange(5.0))[:, None, None]
-    states = li.State(jnp.broadcast_to(START.q, (5, *START.q.shape)), p)
-    run = functools.partial(li.ensemble.run, SPLITTING, states, DT, 40, save_every=10, progress=False)
-    memory, stored = run(), run(store=tmp_path / "run.zarr")
-    np.testing.assert_array_equal(memory.state.q, stored.state.q[...])
-    alone = li.integrate(SPLITTING, li.State(START.q, p[3]), DT, 40, save_every=10)
-    np.testing.assert_allclose(memory.state.q[:, 3], alone.state.q, rtol=0, atol=3e-15)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("count", [1, 5])
 def test_any_number_of_bodies_can_be_integrated(count):
     J = jnp.tile(jnp.array([1.0, 1.1, 1.3]), (count, 1))
@@ -280,19 +240,12 @@ KEPLER = {method: schemes.kepler_splitting(BINARY, method) for method in (2, (8,
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("step", "dt", "order"),
-    [
-        (NYSTROM[4], 0.4, 4),
-        (NYSTROM[6], 0.4, 6),
-        (KEPLER[2], 0.4, 2),
-        (KEPLER[8, 4], 0.4, 4),
-        (KEPLER[8, 6, 4], 0.8, 4),
-    ],
+    ("step", "dt"),
+    [(NYSTROM[4], 0.4), (NYSTROM[6], 0.4), (KEPLER[2], 0.4), (KEPLER[8, 4], 0.4), (KEPLER[8, 6, 4], 0.8)],
     ids=lambda x: getattr(x, "name", None),
 )
-def test_splittings_of_high_order_have_their_order_and_conserve_momenta_and_form(step, dt, order):
-    """Observed orders 4.03, 6.01, 2.01, 4.00, 4.0; P 0, L 2e-14 at most over 5000 steps."""
-    assert diagnostics.order(step, START, dt) == pytest.approx(order, abs=0.15)
+def test_splittings_of_high_order_conserve_momenta_and_form(step, dt):
+    """P 0, L 2e-14 at most over 5000 steps."""
     assert diagnostics.reversibility(step, START, dt) < 2e-15
     _, P, L = errors(step, START, 0.2, 5000, 100)
     assert P < 1e-15
@@ -352,23 +305,7 @@ def test_bodies_may_rotate_by_preprocessed_steps(step, exact, dt, form):
 
 @pytest.mark.long
 def test_derivatives_through_preprocessed_rotations_agree_with_differences():
-    """Forward, reverse, and differences, in an inertia, a mass and the start."""
-
-    def end(J, m, dx):
-        V = potentials.maccullagh(1.0, m, J)
-        system = systems.rigid_bodies(m, J, V)
-        step = schemes.nystrom(system, 4, schemes.preprocessed(system.free, 10))
-        return jnp.vdot(
-            li.integrate(step, START._replace(q=START.q.at[1, 0].add(dx)), 0.3, 4, save_every=4).state.q[-1, 0], ALONG
-        )
-
-    ALONG, at = jnp.cos(jnp.arange(7.0)), (BINARY.inertias, BINARY.masses, jnp.asarray(0.0))
-    reverse, forward = (jax.jit(way(end, (0, 1, 2)))(*at) for way in (jax.grad, jax.jacfwd))
-    run, h = jax.jit(end), 1e-5
-    for k, (a, b) in enumerate(zip(reverse, forward, strict=True)):
-        np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-13)
-        there, back = (run(*(x + sign * h * (n == k) for n, x in enumerate(at))) for sign in (1, -1))
-        assert float(jnp.sum(a)) == pytest.approx(float(there - back) / (2 * h), rel=1e-6)
+    slopes.assert_agree(schemes.nystrom(BINARY, 4, TURNS), START, 0.3)
 
 
 @pytest.mark.long

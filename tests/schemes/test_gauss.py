@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import slopes
 from grid import examples_of
 
 import lieint_jax as li
@@ -47,7 +48,6 @@ def example(name):
     return body, body.state([1.0, 0, 0, 0], angular_velocity=[0.4, 0.5, 0.9], **more), 0.5
 
 
-NAMES = ["top", "free", "gyrostat", "driven", "binary", "elastic"]
 LONG = pytest.mark.long
 
 
@@ -79,19 +79,16 @@ def test_canonical_coordinates_are_those_of_the_system(name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", NAMES)
-def test_gauss_conserves_form_momentum_and_length_and_is_reversible(name):
-    """One step at |Δt Ω| of 0.25 to 0.6; observed at most: form 1e-15, momentum and way back 1e-16, energy 2e-16."""
-    system, state, dt = example(name)
+def test_gauss_conserves_form_and_momentum_of_elastic_bodies_and_is_reversible():
+    """The grid has the other systems. Observed: form 1e-15, momentum and way back 1e-16, energy 2e-16."""
+    system, state, dt = example("elastic")
     step = schemes.gauss(system)
     end, info = jax.jit(step)(state, dt)
     assert info.converged
     assert diagnostics.symplectic_defect(step, state, dt) < 2e-14
-    assert jnp.max(jnp.abs(system.momentum(end) - system.momentum(state)), initial=0) < 1e-15
-    assert abs(float(system.phase_space.defect(end))) < 2e-15
+    assert jnp.max(jnp.abs(system.momentum(end) - system.momentum(state))) < 1e-15
     assert diagnostics.reversibility(step, state, dt) < 3e-15
-    if name != "driven":
-        assert abs(float(system.energy(end) - system.energy(state))) < 1e-12
+    assert abs(float(system.energy(end) - system.energy(state))) < 1e-12
 
 
 def test_the_work_on_a_body_at_rest_is_the_quadrature_of_the_power():
@@ -122,23 +119,6 @@ def test_derivatives_converge_where_the_sweeps_do():
 
     own, differences = both(1.0)
     np.testing.assert_allclose(own, differences, rtol=0, atol=1e-11)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("stages", range(2, 9))
-def test_the_order_is_twice_the_number_of_stages(stages):
-    """Against the flow by the vector field, with steps of up to 1.2; observed within 0.6."""
-    T, least = 4.8, {2: 48, 3: 24, 4: 12, 5: 8, 6: 6, 7: 5, 8: 4}[stages]
-    exact = flow(TOP, STATE, T, 200)
-    counts = [least, round(1.5 * least)]
-    errors = []
-    for n in counts:
-        path = li.integrate(schemes.gauss(TOP, stages), STATE, T / n, n, save_every=n)
-        assert path.info.converged.all()
-        errors.append(float(distance(jax.tree.map(lambda x: x[-1], path.state), exact)))
-    order = np.log(errors[0] / errors[1]) / np.log(counts[1] / counts[0])
-    assert order == pytest.approx(2 * stages, abs=0.8)
-    assert errors[1] > 1e-13
 
 
 @pytest.mark.long
@@ -187,22 +167,6 @@ def test_in_a_canonical_chart_of_a_group_the_form_is_conserved_and_the_momentum_
     moved = [float(jnp.abs(momentum(step(z, dt)) - momentum(z)).max()) for dt in (0.4, 0.2)]
     assert moved[0] > 1e-9
     assert np.log2(moved[0] / moved[1]) == pytest.approx(5, abs=0.5)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("sweeps", [None, 12])
-def test_a_member_of_an_ensemble_has_an_inertia_and_a_weight_of_its_own(sweeps):
-    """Each as by itself."""
-    inertias = jnp.array([1.0, 2.0, 2.6]) * (1 + 0.1 * jnp.cos(jnp.arange(3.0)))[:, None]
-    weights = jnp.array([[0.1, 0.2, 0.5], [0.0, 0.0, 1.0], [0.3, 0.0, 0.0]])
-    steps = jax.vmap(lambda J, w: schemes.gauss(systems.heavy_top(J, w), 4, sweeps))(inertias, weights)
-    states = jax.vmap(lambda w: TOP.state(angular_velocity=w))(jnp.eye(3))
-    run = li.ensemble.run(steps, states, 0.1, 5, step_axis=0, progress=False)
-    for k in range(3):
-        own, start = jax.tree.map(lambda x, k=k: x[k], (steps, states))
-        path = li.integrate(own, start, 0.1, 5, save_every=5)
-        for one, other in zip(jax.tree.leaves(run.state), jax.tree.leaves(path.state), strict=True):
-            np.testing.assert_allclose(one[-1, k], other[-1], rtol=0, atol=2e-15)
 
 
 @pytest.mark.long
@@ -279,27 +243,6 @@ def leaning():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("name", "order"), [("triple", 4), ("many", 8), ("binary", 12), ("leaning", 6), ("driven", 8), ("gyrostat", 10)]
-)
-def test_extrapolated_steps_have_their_order(name, order):
-    """On one body of each kind; on two, three and five bodies."""
-    if name == "leaning":
-        system, state = leaning()
-    else:
-        system, state, _ = examples_of("rigid_bodies")[name] if name in ("triple", "binary") else example(name)
-    T, least = {"triple": (1.0, 64), "many": (2.0, 8), "binary": (8.0, 5), "leaning": (4.0, 20)}.get(name, (4.0, 8))
-    exact = flow(system, state, T, 200)
-    errors = []
-    for n in (least, 2 * least):
-        path = li.integrate(schemes.extrapolate(system, order), state, T / n, n, save_every=n)
-        assert path.info.converged.all()
-        errors.append(float(distance(jax.tree.map(lambda x: x[-1], path.state), exact, system.phase_space)))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.8)
-    assert errors[1] > 1e-14
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["leaning", "gyrostat", "driven", "binary"])
 def test_a_converged_step_of_gauss_is_the_flow(name):
     """Also of a top whose axis leans, and is not of length 1, in a frame of its own."""
@@ -329,16 +272,4 @@ def test_increments_preserve_the_last_digits():
 def test_extrapolation_has_derivatives_by_the_axis():
     """It integrates a top in a frame where the axis is axis_frame; the length of the axis counts."""
     top, state = leaning()
-
-    def end(axis):
-        turned = systems.heavy_top(top.inertia, [0.5, 0.4, 1.0], axis)
-        return jnp.concatenate(schemes.extrapolate(turned, 8)(state, 0.2)[0][:2])
-
-    axis, dx = jnp.array([0.3, -0.5, -1.2]), 1e-3
-    by_hand = [
-        (8 * (end(axis + e) - end(axis - e)) - end(axis + 2 * e) + end(axis - 2 * e)) / (12 * dx)
-        for e in dx * jnp.eye(3)
-    ]
-    forward = jax.jacfwd(end)(axis)
-    np.testing.assert_allclose(forward, jnp.stack(by_hand, 1), rtol=0, atol=1e-11)
-    np.testing.assert_allclose(jax.jacrev(end)(axis), forward, rtol=0, atol=1e-14)
+    slopes.assert_agree(schemes.extrapolate(top, 8), state, 0.2)

@@ -159,19 +159,7 @@ def test_the_certificate_shows_energy_momentum_and_volume_conserved():
 
 
 @pytest.mark.long
-def test_float32_and_a_step_of_no_time():
-    single = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (STEP, STATE))
-    after, info = once(*single, np.float32(DT))
-    assert info.converged
-    assert after.q.dtype == np.float32
-    np.testing.assert_allclose(after.q, once(STEP, STATE, DT)[0].q, rtol=0, atol=2e-6)
+def test_a_step_of_no_time_leaves_the_momentum():
     still, info = once(STEP, STATE, 0.0)
     assert info.converged
     np.testing.assert_allclose(still.p, STATE.p, rtol=0, atol=1e-15)
-
-
-@pytest.mark.long
-def test_the_derivative_by_dt_agrees_with_differences():
-    end = lambda h: STEP(STATE, h)[0].q  # noqa: E731
-    slope, ends = jax.jit(jax.jacfwd(end))(DT), jax.jit(jax.vmap(end))(jnp.array([DT - 1e-5, DT + 1e-5]))
-    np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-5, rtol=0, atol=1e-8)

@@ -4,7 +4,6 @@ One compiled step serves both. The reference is `diagnostics.flow`: collocation 
 """
 
 import functools
-import re
 
 import jax
 import numpy as np
@@ -15,23 +14,12 @@ pytest.importorskip("llvmlite")
 import grid
 from native_members import compiled
 
-import lieint_jax as li
 from lieint_jax import diagnostics, ensemble
 from lieint_jax.native import UnsupportedError
 
 MEMBERS, LONG, SHORT = 8, 2000, 20
 FLOOR = 1e-11  # the least error that shows an order: the reference is right to some 1e-14
 FINER = {"pseudo_rigid_body": 8, "incompressible_body": 4}  # parts of an example's dt that resolve its fast vibrations
-DECLARED = {entry.name: entry.conserves for entry in li.schemes.catalogue()}
-
-
-def declares(scheme, step_name, invariant):
-    """Whether the scheme declares it conserved; where that depends on the kind of step, the brackets name the kind."""
-    base = re.search(r"\((\w+)", step_name)
-    declared = DECLARED[base[1] if scheme in ("compose", "reversible_control") and base[1] in DECLARED else scheme]
-    kind = step_name.rpartition("[")[2].rstrip("])")
-    names = {name.split()[0]: condition for name, _, condition in (text.partition("(") for text in declared)}
-    return invariant in names and (not names[invariant] or kind in re.findall(r"\w+", names[invariant]))
 
 
 def members(step, state):
@@ -92,13 +80,13 @@ def cases():
 @pytest.mark.long
 @pytest.mark.parametrize(("scheme", "name", "step", "state", "dt"), list(cases()))
 def test_long_runs_conserve_what_their_scheme_declares_at_its_order(scheme, name, step, state, dt):
-    system_name, _, step_name = name.partition("-")
+    system_name = name.partition("-")[0]
     states = members(step, state)
     run = ensemble.run(step, states, float(dt), LONG, save_every=LONG // 20, progress=False)
     energies, momenta = (np.asarray(x) for x in energies_and_momenta()(step.system, run.state))
-    if declares(scheme, step_name, "energy"):
+    if grid.declares(scheme, name, "energy"):
         assert np.abs(energies / energies[0] - 1).max() < 2e-12  # 5e-13, of a binary; 1e-14 of most
-    if declares(scheme, step_name, "momentum"):
+    if grid.declares(scheme, name, "momentum"):
         assert np.abs(momenta - momenta[0]).max(initial=0) <= 3e-13 * np.abs(momenta).max(initial=0)  # 8e-14
     if state.extra is None:  # the vector field has no inner states
         dt = float(dt) / FINER.get(system_name.partition(".")[0], 1)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+import slopes
 from grid import examples_of
 from scipy.spatial.transform import Rotation
 
@@ -105,15 +106,6 @@ def cone(t, half_angle=0.6):
     """The attitude of the example "coning": its axis moves on a cone."""
     c, s = np.cos(half_angle / 2), np.sin(half_angle / 2)
     return np.array([c, s * np.cos(t), s * np.sin(t), 0.0])
-
-
-@pytest.mark.parametrize(("order", "commutators"), STEPS)
-def test_coning_and_its_order(order, commutators):
-    system, _, _ = EXAMPLES["coning"]
-    step, state = made(system, order, commutators), system.state(cone(0.0))
-    coarse, fine = (error(step, state, 5.0, n, cone(5.0)) for n in (20, 40))
-    assert coarse < 2 * 0.25 ** (order + 1)
-    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)
 
 
 def test_a_spin_in_a_rotating_field_flips_as_rabi_found():
@@ -255,24 +247,7 @@ def test_means_of_parabolas_are_the_means_given():
 def test_derivatives_by_the_parameters_of_the_rate(name):
     """Forward, reverse by undoing steps, and differences of fourth order."""
     system, state, dt = EXAMPLES[name]
-
-    @jax.jit
-    def end(x):
-        moved = systems.kinematics(
-            system.group, jax.tree_util.Partial(system.rate.func, system.rate.args[0] + x), system.frame
-        )
-        return jnp.sum(li.reversible(made(moved), state, dt, 20).state.q[-1] * jnp.arange(4.0))
-
-    def forward(x):
-        moved = systems.kinematics(
-            system.group, jax.tree_util.Partial(system.rate.func, system.rate.args[0] + x), system.frame
-        )
-        return jnp.sum(li.integrate(made(moved), state, dt, 20).state.q[-1] * jnp.arange(4.0))
-
-    slope, h = jax.jit(jax.grad(end))(0.0), 1e-3
-    differences = (8 * (end(h) - end(-h)) - end(2 * h) + end(-2 * h)) / (12 * h)
-    assert slope == pytest.approx(float(jax.jit(jax.jacfwd(forward))(0.0)), rel=1e-12)
-    assert slope == pytest.approx(float(differences), rel=1e-8)
+    slopes.assert_agree(made(system), state, dt)
 
 
 @pytest.mark.long

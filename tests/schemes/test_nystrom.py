@@ -2,8 +2,8 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
+import slopes
 import splitting_series
 
 import lieint_jax as li
@@ -41,27 +41,21 @@ def test_the_coefficients_satisfy_every_order_condition_to_their_last_digit(sche
 
 @jax.jit
 def measured(step, state, dt):
-    """Errors of q after 8 steps and 16 half ones; the form after a step of 0.5; a step and back; H and momentum."""
-    exact = diagnostics.flow(step.system, state, 8 * dt, 64)
-    runs = [li.integrate(step, state, dt / k, 8 * k, save_every=8 * k) for k in (1, 2)]
-    errors = jnp.stack([so3.angle(run.state.q[-1], exact.q) for run in runs])
+    """The form after a step of 0.5; a step and back; H and momentum after 16 half steps."""
+    run = li.integrate(step, state, dt / 2, 16, save_every=16)
     defect = diagnostics.symplectic_defect(step, state, 0.5)
-    balance = diagnostics.energy_error(step.system, runs[1])[-1] / step.system.energy(state)
-    kept = diagnostics.momentum_error(step.system, runs[0])
-    return errors, defect, diagnostics.reversibility(step, state, dt), balance, kept
+    balance = diagnostics.energy_error(step.system, run)[-1] / step.system.energy(state)
+    kept = diagnostics.momentum_error(step.system, run)
+    return defect, diagnostics.reversibility(step, state, dt), balance, kept
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("order", [4, 6])
 @pytest.mark.parametrize("name", CASES)
-def test_nystrom_steps_have_their_order_and_conserve_form_and_momentum(name, order):
-    """Observed: orders 3.96, 4.28, 5.93, 6.10; γ·π to the last bit.
-
-    The form, with |ΔtΩ| = 0.5: 4e-12 and 2e-11 of order 4, whose drifts are longer, 4e-15 of order 6.
-    """
+def test_nystrom_steps_conserve_form_and_momentum(name, order):
+    """γ·π to the last bit; the form, at |ΔtΩ| = 0.5, to 2e-11 by order 4, whose drifts are longer, 4e-15 by order 6."""
     system, state = CASES[name]
-    errors, defect, back, balance, kept = measured(schemes.nystrom(system, order), state, SIZES[order])
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
+    defect, back, balance, kept = measured(schemes.nystrom(system, order), state, SIZES[order])
     assert defect < {4: 1e-10, 6: 2e-14}[order]
     assert back < 2e-15
     assert abs(balance) < 1e-9
@@ -97,15 +91,5 @@ def test_the_drift_decides_what_becomes_of_the_form():
 
 
 @pytest.mark.long
-def test_derivatives_by_weight_and_step_size_agree_with_differences():
-    def end(weight, dt):
-        return li.integrate(schemes.nystrom(systems.heavy_top(TOP.inertia, weight), 6), START, dt, 4).state.q[-1, 1]
-
-    weight, h = TOP.potential.weight, 1e-6
-    by_weight, by_dt = jax.jit(jax.grad(end, (0, 1)))(weight, 0.3)
-    forward = jax.jit(jax.jacfwd(end))(weight, 0.3)
-    np.testing.assert_allclose(by_weight, forward, rtol=1e-11)
-    run = jax.jit(end)
-    for k, e in enumerate(h * jnp.eye(3)):
-        assert by_weight[k] == pytest.approx(float(run(weight + e, 0.3) - run(weight - e, 0.3)) / (2 * h), rel=1e-6)
-    assert by_dt == pytest.approx(float(run(weight, 0.3 + h) - run(weight, 0.3 - h)) / (2 * h), rel=1e-6)
+def test_derivatives_by_all_numbers_of_a_top_agree_with_differences():
+    slopes.assert_agree(schemes.nystrom(TOP, 6), START, 0.3)

@@ -133,33 +133,3 @@ def test_a_stretched_attitude_is_flagged():
     assert once(step, stretched, 1e-3)[1].converged
     worn = li.State(STATE.q * jnp.array([1.0, 1e11, 1e11]), STATE.p)
     assert not once(step, worn, 1e-3)[1].converged
-
-
-@jax.jit
-def _slopes(alpha, kappa, state, dt):
-    """The step's q and π as functions of α and Δt: by jvp, and by central differences."""
-
-    def end(x):
-        return li.schemes.so3_alpha(BODY, x[0], kappa)(state, x[1])[0].q
-
-    x, e = jnp.stack([alpha, dt]), 1e-5 * jnp.eye(2)
-    differences = [(end(x + e[i]) - end(x - e[i])) / 2e-5 for i in range(2)]
-    return jnp.moveaxis(jax.jacfwd(end)(x), -1, 0), jnp.stack(differences), jax.grad(lambda x: end(x)[0, 1])(x)
-
-
-@pytest.mark.long
-def test_derivatives_by_alpha_and_dt_agree_with_differences():
-    forward, differences, reverse = _slopes(0.3, kappa_exponential, STATE, 0.2)
-    np.testing.assert_allclose(forward, differences, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(reverse, forward[:, 0, 1], rtol=0, atol=1e-15)
-
-
-@pytest.mark.long
-def test_so3_alpha_in_float32_has_its_accuracy():
-    body = li.systems.embedded_body(np.array([1, 2, 3], np.float32))
-    state = jax.tree.map(lambda x: x.astype(np.float32), STATE)
-    after, info = once(li.schemes.so3_alpha(body, np.float32(0.3)), state, np.float32(0.2))
-    assert info.converged
-    assert after.q.dtype == np.float32
-    exact = once(li.schemes.so3_alpha(BODY, 0.3), STATE, 0.2)[0]
-    np.testing.assert_allclose(after.q, exact.q, rtol=0, atol=1e-6)

@@ -1,11 +1,12 @@
 """The tangent vectors that a step carries along: closed forms against derivatives of the step itself."""
 
+import grid
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from free_bodies import turned
-from grid import examples_of, steps
+from grid import examples_of
 from small_steps import Rests
 
 import lieint_jax as li
@@ -15,7 +16,7 @@ BODY = systems.rigid_body(turned([1.0, 2.0, 3.0]))
 STATE = BODY.state([0.5, -0.1, 0.7, 0.5], angular_velocity=[0.3, 0.5, -0.4])
 SATELLITE, START, _ = examples_of("gravity_gradient")["satellite"]
 WHEEL = systems.gyrostat([1.0, 2.0, 3.0], [0.3, 0.1, -0.2])
-GRID = [pytest.param(step, state, dt, id=name) for name, step, state, dt in steps()]
+GRID = [pytest.param(*case, id=case[1]) for case in grid.cases()]
 
 
 @jax.jit
@@ -84,10 +85,25 @@ def test_the_closed_form_of_the_kicks_is_their_derivative():
     check(schemes.Splitting(top, Rests(top.free)), STATE, 0.4)
 
 
+@pytest.mark.paper("3: (3.1), (3.2)", "symplectic maps", "diagnostics/_symplectic.py")
 @pytest.mark.long
-@pytest.mark.parametrize(("step", "state", "dt"), GRID)
-def test_every_step_maps_tangent_vectors_by_its_derivative(step, state, dt):
-    check(step, jax.tree.map(jnp.asarray, state), dt)
+@pytest.mark.parametrize(("scheme", "name", "step", "state", "dt"), GRID)
+def test_every_step_maps_tangent_vectors_by_its_derivative_and_conserves_the_form_it_declares(
+    scheme, name, step, state, dt
+):
+    """And a symmetric step is undone by that of −Δt, with time, work and inner states."""
+    state = jax.tree.map(jnp.asarray, state)
+    end, info, L = check(step, state, dt)
+    assert info.converged
+    if grid.declares(scheme, name, "form"):
+        before, after = (step.system.phase_space.omega(z) for z in (state, end))
+        np.testing.assert_allclose(
+            L.T @ after @ L, before, rtol=0, atol=1e-14 * np.abs(before).max() * np.abs(L).max() ** 2
+        )
+    if step.symmetric:
+        back, _ = pushed_forward(step, end, -dt)[2]
+        for a, b in zip(jax.tree.leaves(back), jax.tree.leaves(state), strict=True):
+            np.testing.assert_allclose(a, b, rtol=0, atol=4e-15 * max(np.abs(b).max(initial=0), 1))
 
 
 @pytest.mark.long

@@ -14,7 +14,6 @@ from repeated import state_after
 import lieint_jax as li
 from lieint_jax import diagnostics
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
-from lieint_jax.diagnostics.tangent import distance as _distance
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes import compose, exact, splitting, top_energy_momentum
@@ -58,7 +57,6 @@ TOPS = {"linear": li.systems.heavy_top(FULL, [0.5, 0.4, 1.0], AXIS)} | {
     name: li.systems.potential_top(FULL, potential, AXIS) for name, potential in POTENTIALS.items()
 }
 ATTITUDE = np.array([0.3, 0.8, -0.4, 0.5]) / np.sqrt(1.14)
-distance = jax.jit(_distance)
 flow = jax.jit(diagnostics.flow, static_argnums=3)
 linearization = jax.jit(diagnostics.linearization)
 defect = jax.jit(diagnostics.symplectic_defect)
@@ -134,15 +132,9 @@ def test_result_07_holds_for_a_custom_kappa():
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
-def test_steps_of_tops_are_of_second_order_and_reversible(name, kappas):
-    top = TOPS[name]
-    state = start(top)
-    end = flow(top, state, 3.2, 32)
-    for step in (top_energy_momentum(top, kappas["cayley"]), splitting(top)):
-        errors = [float(distance(state_after(run(step, state, 3.2 / n)[0], n), end)) for n in (64, 128)]
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
-        there = state_after(run(step, state, 0.1)[0], 1)
-        assert float(distance(state_after(run(step, there, -0.1)[0], 1), state)) < 1e-15
+def test_a_step_back_undoes_a_step(name, kappas):
+    for step in (top_energy_momentum(TOPS[name], kappas["cayley"]), splitting(TOPS[name])):
+        assert diagnostics.reversibility(step, start(TOPS[name]), 0.1) < 1e-15
 
 
 @pytest.mark.long
@@ -155,20 +147,6 @@ def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):
     coarse, fine = (float(defect(step, start(top), dt)) for dt in (0.2, 0.1))
     assert coarse > 1e-4
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.15)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", [*TOPS, "three_wells"])
-def test_splitting_is_symplectic_and_conserves_gamma_dot_pi(name):
-    top, state = three_wells() if name == "three_wells" else (TOPS[name], start(TOPS[name]))
-    step = splitting(top)
-    for dt in (0.1, -0.3):
-        assert float(defect(step, state, dt)) < 5e-15  # floor 1e-15
-    trajectory, _, (energy, momentum, _) = run(step, state, 0.1)
-    assert trajectory.info.converged.all()
-    assert momentum.shape[1] == (0 if name == "three_wells" else 1)
-    assert np.abs(momentum).max(initial=0) < 1e-14 * max(1, float(np.linalg.norm(state.p)))
-    assert 1e-5 < np.abs(energy).max() < 0.05  # bounded, and not zero: Result 8
 
 
 @functools.cache
@@ -214,17 +192,12 @@ def test_splitting_has_no_drift_of_energy_where_the_top_is_chaotic():
 
 
 @pytest.mark.long
-def test_compositions_raise_the_order_and_conserve_what_the_base_conserves():
+def test_compositions_conserve_what_the_base_conserves():
     top = TOPS["linear"]
-    state = start(top)
-    end = flow(top, state, 3.2, 32)
     for base in (top_energy_momentum(top), splitting(top)):
         step = compose(base, 4)
         assert step.method == "suzuki"  # steps of tops do not commute
-        runs = {n: run(step, state, 3.2 / n, 32) for n in (16, 32)}
-        errors = [float(distance(state_after(trajectory, n), end)) for n, (trajectory, *_) in runs.items()]
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.15)
-        _, _, (energy, momentum, _) = runs[32]
+        _, _, (energy, momentum, _) = run(step, start(top), 0.1, 32)
         assert (np.abs(energy).max() < 3e-14) == (base.name != splitting(top).name)
         assert np.abs(momentum).max() < 5e-15
 
@@ -283,19 +256,6 @@ def test_values_and_derivatives_are_finite_where_gamma_is_at_rest(name):
             assert np.abs(p[1] - field.p).max() < 1e-15
 
 
-@pytest.mark.long
-def test_linearized_steps_of_tops_agree_with_differences():
-    top = TOPS["transcendental"]
-    state, step, space, h = start(top), top_energy_momentum(top), top.phase_space, 1e-4
-    L = linearization(step, state, 0.2)
-    one = jax.jit(lambda delta: step(space.perturb(state, delta), 0.2)[0])
-    for k, e in enumerate(np.eye(6)):
-        f = [one(jnp.asarray(c * h * e)) for c in (-2, -1, 1, 2)]
-        slope = jax.tree.map(lambda a, b, c, d: (a - 8 * b + 8 * c - d) / (12 * h), *f)
-        column = space.trivialize(one(jnp.zeros(6)), slope)
-        assert np.abs(column - L[:, k]).max() < 1e-10  # floor 1e-12
-
-
 @jax.jit
 def _discrete_gradients(potential, a, b):
     """D̄(a, b) and D̄(b, a), by quadrature; Ṽ at a and b; and the gradient in the middle."""
@@ -341,38 +301,6 @@ def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
     assert np.abs(lost[0]).max() == 0
     with pytest.raises(ValueError, match=r"recursion.*without potential, got PotentialTop.*'product'"):
         poisson_error(splitting(top), state, 0.1, 1, method="recursion")
-
-
-@pytest.mark.long
-def test_tops_in_single_precision_have_its_accuracy():
-    top = li.systems.heavy_top(np.array([1, 2, 3], "float32"), np.array([0.5, 0.4, 1], "float32"))
-    state = jax.tree.map(lambda x: np.asarray(x, "float32"), start(top))
-    for step in (top_energy_momentum(top), splitting(top)):
-        trajectory, _, (energy, *_) = run(step, state, 0.1, 200)
-        assert trajectory.state.q.dtype == jnp.float32
-        assert trajectory.info.converged.all()
-        if step.name == top_energy_momentum(top).name:
-            assert abs(energy[-1]) < 2e-5
-
-
-@pytest.mark.long
-def test_batches_over_weights_and_gradients():
-    """The weight is a leaf: vmapped and differentiated like an inertia."""
-    state = start(TOPS["linear"])
-
-    def height(weight):
-        top = li.systems.heavy_top([1.0, 2.0, 3.0], weight)
-        return top.Gamma(jax.tree.map(lambda x: x[-1], li.integrate(top_energy_momentum(top), state, 0.1, 20).state))[2]
-
-    weights = jnp.array([[0.0, 0.0, 1.0], [0.5, 0.4, 1.0]])
-    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(height)))(weights)
-    h = 1e-5
-    many = jax.jit(jax.vmap(height))
-    for k, e in enumerate(np.eye(3)):
-        np.testing.assert_allclose(
-            slopes[:, k], (many(weights + h * e) - many(weights - h * e)) / (2 * h), rtol=0, atol=1e-8
-        )
-    np.testing.assert_allclose(values, many(weights), rtol=0, atol=1e-15)
 
 
 def test_a_top_made_inside_jit_checks_what_is_concrete():

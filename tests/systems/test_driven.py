@@ -248,33 +248,6 @@ def test_the_reference_flow_agrees_with_another_package():
     assert system.energy(ours) - ours.work == pytest.approx(float(system.energy(state)), rel=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "order"),
-    [
-        pytest.param("satellite", "splitting", 2, marks=pytest.mark.long),
-        pytest.param("satellite", "top_energy_momentum", 2, marks=pytest.mark.long),
-        *(
-            pytest.param(name, kind, order, marks=pytest.mark.long)
-            for name in ("satellite", "flyby")
-            for kind in ("splitting", "top_energy_momentum")
-            for order in (2, 4, 6)
-            if (name, order) != ("satellite", 2)
-        ),
-        pytest.param("moving_axis", "top_energy_momentum", 4, marks=pytest.mark.long),
-        pytest.param("two_wells", "splitting", 4, marks=pytest.mark.long),
-        pytest.param("pulsating", "splitting", 4, marks=pytest.mark.long),
-    ],
-)
-def test_orders_in_attitude_momentum_and_work(name, kind, order):
-    system, state, _ = example(name)
-    step = getattr(schemes, kind)(system)
-    step = step if order == 2 else schemes.compose(step, order)
-    exact = flow(system, state, 2.0, 40)
-    errors = [error(jax.tree.map(lambda x: x[-1], run(step, state, 2.0 / n, n)[0].state), exact) for n in (20, 40)]
-    assert errors[1] > 1e-13
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
-
-
 # What is known of satellites ------------------------------------------------------------------------------------------
 
 
@@ -356,9 +329,6 @@ def test_the_axis_of_an_oblate_body_precesses_by_the_mean_torque():
     assert turned(satellite, state) / (20 * np.pi) == pytest.approx(rate, rel=2e-3)
 
 
-# Derivatives ----------------------------------------------------------------------------------------------------------
-
-
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 
@@ -373,19 +343,6 @@ def test_a_time_too_large_for_its_type_warns():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         li.integrate(step, state, 0.05, 2)
-
-
-@pytest.mark.long
-def test_driven_bodies_in_float32_stay_in_float32():
-    with jax.enable_x64(False):
-        satellite = systems.gravity_gradient(np.float32(J), li.orbits.kepler(*np.float32([1.0, 1.0, 0.1])))
-        state = satellite.state(angular_velocity=np.float32([0.2, 0.3, 1.0]), work=0.0)
-        step = schemes.top_energy_momentum(satellite)
-        with pytest.warns(RuntimeWarning, match="or use float64"):
-            path = li.integrate(step, state, 0.05, 200)
-        assert {x.dtype for x in jax.tree.leaves(path.state)} == {np.dtype("float32")}
-        assert path.info.converged.all()
-        assert np.abs(diagnostics.energy_error(satellite, path)).max() < 2e-5
 
 
 def test_another_orbit_of_the_same_kind_has_the_same_tree_structure():

@@ -214,21 +214,6 @@ def test_a_metric_that_couples_the_factors_has_no_known_drift(axis):
         li.schemes.splitting(li.systems.group_potential(system.group, m, system.potential))
 
 
-@pytest.mark.long
-@pytest.mark.paper("5.4: (5.41), (5.42)", "a potential on a group", "systems/_group_potential.py")
-def test_the_equations_of_motion_are_hamiltonian():
-    system, state = system_and_state(groups.special_euclidean(2))
-    space = system.phase_space
-
-    @jax.jit
-    def sides(state):
-        DH = jax.grad(lambda delta: system.energy(space.perturb(state, delta)))(jnp.zeros(space.dim))
-        return space.trivialize(state, system.vector_field(state)), space.omega(state), DH
-
-    motion, form, DH = sides(state)
-    assert np.abs(motion + np.linalg.solve(form, DH)).max() < 1e-14
-
-
 def test_the_forces_in_space_and_in_the_body_agree_with_differences():
     """−dV(exp(εeᵢ)q)/dε and −dV(q exp(εeᵢ))/dε by differences; the second is Ad*_q of the first, and not the same."""
     system, state = system_and_state(groups.special_euclidean(2))

@@ -225,13 +225,9 @@ def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
 
 
 @pytest.mark.long
-def test_second_order_against_the_flow_and_reversible():
-    bob = BOBS["cubic"]
-    exact = jax.device_get(jax.jit(lambda z: flow(bob, z, 0.8, 16))(start()))
+def test_a_step_back_undoes_a_step():
     for normalized in (False, True):
-        step = li.schemes.sphere_midpoint(bob, normalized)
-        errors = [np.abs(state_after(run(step, start(), 0.8 / n)[0], n).q - exact.q).max() for n in (16, 32)]
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.03)
+        step = li.schemes.sphere_midpoint(BOBS["cubic"], normalized)
         there = state_after(run(step, start(), 0.1)[0], 1)
         np.testing.assert_allclose(state_after(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
 
@@ -278,14 +274,3 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
     form = [[q @ (np.cross(dq[i], dp[j]) + np.cross(dp[i], dq[j])) for j in range(4)] for i in range(4)]
     np.testing.assert_allclose(form, omega, rtol=0, atol=2e-15)
     np.testing.assert_allclose(omega.T @ field, slope, rtol=0, atol=1e-14)  # ω(X_H, ·) = dH
-
-
-@pytest.mark.long
-def test_the_pendulum_in_float32_stays_in_float32():
-    with jax.enable_x64(False):
-        bob = li.systems.pendulum(1.5, 2.0)
-        state = bob.state([0.6, 0.0, -0.8], velocity=[0.0, 0.7, 0.0])
-        trajectory, (energy, *_) = run(li.schemes.sphere_midpoint(bob, True), state)
-        assert trajectory.state.q.dtype == trajectory.state.p.dtype == trajectory.info.residual.dtype == jnp.float32
-        assert trajectory.info.converged[:51].all()
-        assert np.abs(energy[:51]).max() < 2e-5

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference_numbers
+import slopes
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize
 from scipy.special import elliprd, elliprf
@@ -305,23 +306,12 @@ def test_water_conserves_energy_and_both_momenta():
 
 @pytest.mark.long
 def test_gradients_by_the_numbers_of_a_potential_agree_with_differences():
-    """Forward, reverse and differences of V and of a force, in masses, charges, wells, axes and the field."""
-    at = jnp.array([[0.0, 0, 0], [3.0, 0.5, 0.2]])
-
-    def felt(c):
-        V = potentials.point_masses(c[0], [c[1:3], c[3:4]], TWO, c[4])
-        V = V + potentials.lennard_jones([c[1:3], c[3:4]], [c[5:7], c[7:8]], TWO)
-        V = V + potentials.ellipsoid_sphere(c[0], c[1:3], c[5:8]) + potentials.uniform_field(c[5:8], WEIGHTS, TWO)
-        value, force = jax.value_and_grad(V)(at, TURNS[:2])
-        return jnp.sum(jnp.sin(force)) + value
-
-    c = jnp.array([1.0, 0.7, 0.4, 2.0, 0.1, 1.0, 1.1, 1.3])
-    forward, reverse = jax.jit(jax.jacfwd(felt))(c), jax.jit(jax.grad(felt))(c)
-    np.testing.assert_allclose(forward, reverse, rtol=1e-12, atol=1e-14)
-    f, h = jax.jit(felt), 1e-3
-    for k, e in enumerate(jnp.eye(8)):
-        slope = (8 * (f(c + h * e) - f(c - h * e)) - f(c + 2 * h * e) + f(c - 2 * h * e)) / (12 * h)
-        assert float(forward[k]) == pytest.approx(float(slope), rel=1e-9, abs=1e-11)
+    """Of a path and its energy, in masses, charges, wells, sizes, axes and the field."""
+    V = potentials.point_masses(1.0, WEIGHTS, TWO, 0.1) + potentials.lennard_jones(WEIGHTS, WEIGHTS, TWO)
+    V = V + potentials.ellipsoid_sphere(1.0, [0.7, 0.4], [1.3, 1.1, 1.0])
+    V = V + potentials.uniform_field([1.0, 1.1, 1.3], WEIGHTS, TWO)
+    bodies = systems.rigid_bodies([1.0, 2.0], [[0.3, 0.4, 0.5], [0.5, 0.6, 0.7]], V)
+    slopes.assert_agree(schemes.splitting(bodies), bodies.state([[0.0, 0, 0], [3.0, 0.5, 0.2]]), 0.05)
 
 
 @pytest.mark.long

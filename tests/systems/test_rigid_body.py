@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from free_bodies import Q, moving, turned
+from free_bodies import Q, moving
 
 import lieint_jax as li
 from lieint_jax.groups import so3
@@ -33,21 +33,6 @@ def test_every_way_to_give_a_state_and_to_read_it():
     assert BODY.energy(state) == pytest.approx(float(OMEGA @ Pi / 2), rel=1e-15)
     identity = BODY.state(angular_velocity=OMEGA)
     np.testing.assert_array_equal(identity.q, so3.identity)
-
-
-@pytest.mark.long
-@pytest.mark.paper("2.1: (2.11)–(2.13)", "the free rigid body", "systems/_rigid_body.py")
-def test_vector_field_is_hamiltonian_for_the_form_2_9():
-    """ω(X, ·) = dH in the spatial trivialization, for a full inertia tensor."""
-    body = li.systems.rigid_body(turned([1.0, 2.0, 3.0]))
-    space = body.phase_space
-
-    @jax.jit
-    def sides(state):
-        X = space.trivialize(state, body.vector_field(state))
-        return X @ space.omega(state), jax.grad(lambda d: body.energy(space.perturb(state, d)))(jnp.zeros(6))
-
-    np.testing.assert_allclose(*sides(moving(body.inertia, OMEGA)), rtol=0, atol=4e-15)
 
 
 def test_trivialize_inverts_perturb():

@@ -342,3 +342,13 @@ def test_inertia_integrals_of_the_moon_of_1999_kw4_are_those_of_gubas():
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-14 * np.abs(theirs).max())
     squares = np.diag(moments[2])
     np.testing.assert_allclose(squares.sum() - squares, data["moments"], rtol=1e-13)
+
+
+def test_a_shape_prints_its_mass_and_inertia_and_not_its_faces():
+    vertices, faces = np.eye(4, 3, -1), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    text = repr(li.shapes.mesh(vertices, faces, mass=2.0))
+    assert text.startswith("Shape(mass=2., center=[0.25, 0.25, 0.25], inertia=[[")
+    assert text.endswith("triangles=float64[4, 3, 3])")
+    inside = []
+    jax.make_jaxpr(lambda m: inside.append(repr(li.shapes.box([1.0, 2.0, 3.0], mass=m))))(1.0)
+    assert inside == ["Shape(mass=float64[], center=float64[3], second=float64[3, 3], radius=float64[])"]

@@ -259,13 +259,19 @@ def _component_keys(place: tuple[int | str, ...], table: dict[str, Any]) -> list
     return [f"{path}{at}{key}" for at, x in tables.items() for key in x if key.rpartition("_")[0] == quantity]
 
 
+def _path_of(problem: Any) -> str:
+    """The path of a key in a file, such as `state.attitude`."""
+    return ".".join(_checks.printable(part) for part in problem["loc"] if part != "[key]")
+
+
 def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
     """The first problem of a validation in one line that names the key; for an unknown key, with the allowed ones."""
     problem, *others = sorted(error.errors(), key=lambda x: x["type"] != "extra_forbidden")  # a misspelled key first
-    key = "".join(f"{_checks.printable(part)}." for part in problem["loc"] if part != "[key]").removesuffix(".")
+    missing = [x for x in others if x["type"] == problem["type"] == "missing"]
+    key = ", ".join(map(_path_of, [problem, *missing]))
     without_value = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
     given = "" if without_value else f" (got {_quoted(problem['input'])})"
-    message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(
+    message = {"extra_forbidden": "unknown key", "missing": "keys missing" if missing else "key missing"}.get(
         problem["type"], _checks.printable(problem["msg"], _MESSAGE)
     )
     if problem["type"] == "extra_forbidden":
@@ -275,5 +281,5 @@ def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
         message += f"; allowed: {', '.join(allowed)}" if allowed else ""
     if problem["type"] == "float_type" and _SPREAD in problem["loc"][:-1] and isinstance(problem["input"], list):
         given += "".join(f"; in [spread], {name} accepts a list" for name in _component_keys(problem["loc"], table))
-    more = f"; and {len(others)} more" if others else ""
+    more = f"; and {len(others) - len(missing)} more" if len(others) > len(missing) else ""
     return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}".replace(_FOR_PYTHON, "")

@@ -86,6 +86,8 @@ class Wheels(Table):
     """The largest torque of each motor, in N m."""
     max_momentum: PositiveFloat
     """The largest momentum of each wheel, in N m s."""
+    period: PositiveFloat | None = None
+    """From one sample of the motors' digital controller to the next, in time_unit; dt divides it. Default: no delay."""
 
     def axes(self) -> Array:
         return torques.wheel_pyramid(np.deg2rad(self.tilt_deg), self.number)
@@ -261,5 +263,5 @@ def _wheels_with_motors(wheels: Wheels, pointing: Pointing | None, around: Surro
             around.frame, 2 * rate**2 * moments, 2 * pointing.damping_ratio * rate * moments, inertia
         )
         motor = WindowedMotors(torques.wheel_motor(axes, control, gyroscopic=True), *_edges(pointing))
-    limits = {"max_torque": wheels.max_torque, "max_momentum": wheels.max_momentum}
+    limits = {"max_torque": wheels.max_torque, "max_momentum": wheels.max_momentum, "period": wheels.period}
     return torques.wheels(axes, wheels.inertia_kg_m2, motor, **limits)

@@ -12,7 +12,6 @@ from jax.tree_util import Partial
 from pydantic import Field, model_validator
 
 from lieint_jax import systems
-from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, picture, positive
 from lieint_jax.app.scenarios._pictures import draw_balance
@@ -167,20 +166,21 @@ class Rod(Kind):
             found.append(Quantity("|L| at the end", length(momentum[:, 3:])))
         return found
 
-    @picture(2, spatial=(1,))
+    @picture(rows=2, size=(8.0, 2.2), sharex=True)
     def draw_shape(self, axes: np.ndarray, run: Run) -> None:
-        """Plot the line of centers of the nominal member at several times, in its plane of most motion and in space."""
+        """Plot the line of centers of the nominal member at several times, in two of the planes of the space axes."""
         shown = np.unique(np.linspace(0, len(run.t) - 1, _SHAPES).astype(int))
         x, t = np.asarray(run.member(0).state.q)[shown, :, :3], np.asarray(run.t)[shown]
-        i, j = sorted(np.argsort(np.ptp(x, axis=(0, 1)))[1:])
-        for line, when, color in zip(x, t, matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(t))), strict=True):
-            label = f"t = {when:.4g}" if when in (t[0], t[-1]) else None
-            axes[0].plot(line[:, i], line[:, j], color=color, marker=".", ms=3, lw=1.2, label=label)
-            axes[1].plot(*line.T, color=color, lw=1.2)
-        axes[0].set(xlabel="xyz"[i], ylabel="xyz"[j], aspect="equal", title="the nominal rod, at equal intervals")
-        axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.15), ncols=2)
-        plots.cube(axes[1]).set(xlabel="x", ylabel="y", zlabel="z", title="the same in space")
-        axes[1].set_aspect("equal")
+        extent = np.ptp(x, axis=(0, 1))
+        along, *across = np.argsort(-extent)
+        half = 0.55 * max(extent[across].max(), extent[along] / 8)
+        for k, axis in zip(across, axes, strict=True):
+            for line, color in zip(x, matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(t))), strict=True):
+                axis.plot(line[:, along], line[:, k], color=color, marker=".", ms=3, lw=1.2)
+            middle = (x[..., k].min() + x[..., k].max()) / 2
+            axis.set(ylabel="xyz"[k], ylim=(middle - half, middle + half), aspect="equal")
+        axes[0].set_title(f"the nominal rod at equal intervals, from t = {t[0]:.4g} (dark) to {t[-1]:.4g}")
+        axes[1].set_xlabel("xyz"[along])
 
     @picture(2)
     def draw_energy(self, axes: np.ndarray, run: Run) -> None:

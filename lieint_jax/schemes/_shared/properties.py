@@ -23,23 +23,23 @@ class SchemeProperties(NamedTuple):
         systems: the systems that it integrates.
         conserves: what is conserved to round-off, some of "energy", "energy less work", "momentum", "form" and
             "volume", with a condition in parentheses.
-        order: the order of accuracy of the default, infinite for the exact flow.
-        symmetric: whether by default a step of −Δt is the inverse of one of Δt.
         limit: the largest step.
         aliases: its names in the literature.
         source: a paper, or equations of Lewis & Simo 1994.
         accepts: the capabilities whose equations it integrates.
+        order: the order of accuracy of the default, infinite for the exact flow.
+        symmetric: whether by default a step of −Δt is the inverse of one of Δt.
     """
 
     name: str
     systems: str
     conserves: tuple[str, ...]
-    order: float
-    symmetric: bool
     limit: str
     aliases: tuple[str, ...]
     source: str
     accepts: tuple[type[Capability], ...] = ()
+    order: float = 2
+    symmetric: bool = True
 
     columns = ("scheme", "for", "conserves", "order")
 

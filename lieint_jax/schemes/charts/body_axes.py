@@ -118,19 +118,11 @@ def _power(system: OneBody, z: PyTree, moment: PyTree) -> Array:
 def _torque(system: OneBody) -> Callable[[BodyAxesState, PyTree], Vector] | None:
     """(z, moment) ↦ Γ × ∇Ṽ(Γ), with Γ = Λᵀγ."""
     if isinstance(system, AbstractDrivenTop):
-        return lambda z, now: _torque_about(system.potential, now.axis, z.q, now.t)
+        return lambda z, now: _by_potential(system.potential, _axis_in_body(z.q, now.axis), now.t)
     if isinstance(system, AbstractTop):
         height = axis_frame(system.axis)[1]
-        return lambda z, _: _torque_vertical(system.potential, height, z.q)
+        return lambda z, _: _by_potential(system.potential, _third_axis(2 * height, z.q))
     return None
-
-
-def _torque_about(potential: Callable[..., Array], axis: Any, q: tuple[Array, ...], t: Array) -> Vector:
-    return _by_potential(potential, _axis_in_body(q, axis), t)
-
-
-def _torque_vertical(potential: Callable[..., Array], height: Array, q: tuple[Array, ...]) -> Vector:
-    return _by_potential(potential, _third_axis(2 * height, q))
 
 
 def _by_potential(potential: Callable[..., Array], Gamma: Vector, *t: Array) -> Vector:

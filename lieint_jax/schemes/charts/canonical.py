@@ -47,7 +47,7 @@ from lieint_jax.schemes.charts.body_axes import (
     to_axis_frame,
 )
 from lieint_jax.types import State, System, gradient, vectors
-from lieint_jax.types.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
+from lieint_jax.types.vectors import Symmetric, Vector, cross, dot, vector
 
 Components = tuple[Array, ...]
 
@@ -205,11 +205,14 @@ class OneBody(CanonicalChart):
         return Increments(z, delta.quadratures._replace(momenta=momenta))
 
     def _kick(self, system: Any, z: Coordinates, t: Moment) -> Components:
-        """The contribution of a potential to ṗ: −∂V/∂q."""
+        """The contribution of a potential to ṗ: −∂V/∂q, 2γq∇Ṽ for V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1."""
         if _has_fixed_axis(system):
-            return _kick_vertical(system.potential, axis_frame(system.axis)[1], z.q)
+            height, gradient = _vertical(system, z.q)
+            a, b, c, d = (2 * height * x for x in gradient)
+            return -d, -c, b, a
         if _has_axis(system):
-            return _kick_about(system.potential, system.axis_at(t), z.q, t)
+            axis = system.axis_at(t)
+            return _from_left(2 * Vector(axis), _rotated_gradient(system.potential, axis_in_body(z.q, axis), z.q, t))
         return _from_left(2 * _inverse_square(z.q) * self.force(system)(z, t), z.q)
 
 
@@ -330,31 +333,20 @@ def _has_fixed_axis(system: Any) -> bool:
     return isinstance(system, AbstractTop) and system.axis is not None
 
 
-def _kick_vertical(potential: Any, height: Array, q: Components) -> Components:
-    """−∂V/∂q of V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1: 2γq∇Ṽ, with γ = height e₃."""
-    a, b, c, d = (2 * height * x for x in _rotated_gradient(potential, _vertical_in_body(height, q), q))
-    return -d, -c, b, a
-
-
-def _kick_about(potential: Any, axis: Array, q: Components, t: Any) -> Components:
-    """2γq∇Ṽ for any axis γ."""
-    return _from_left(2 * Vector(axis), _rotated_gradient(potential, axis_in_body(q, axis), q, t))
-
-
 def _torque(system: Any, q: Components, t: Any) -> Vector:
-    if _has_fixed_axis(system):
-        return _torque_vertical(system.potential, axis_frame(system.axis)[1], q)
-    return _torque_about(system.potential, system.axis_at(t), q, t)
-
-
-def _torque_vertical(potential: Any, height: Array, q: Components) -> Vector:
     """The torque in space, γ × q∇Ṽq̄."""
-    x, y, _ = _times_conjugate(_rotated_gradient(potential, _vertical_in_body(height, q), q), q)
-    return Vector((-height * y, height * x, jnp.zeros_like(x)))
+    if _has_fixed_axis(system):
+        height, gradient = _vertical(system, q)
+        x, y, _ = _times_conjugate(gradient, q)
+        return Vector((-height * y, height * x, jnp.zeros_like(x)))
+    axis = system.axis_at(t)
+    return cross(axis, _times_conjugate(_rotated_gradient(system.potential, axis_in_body(q, axis), q, t), q))
 
 
-def _torque_about(potential: Any, axis: VectorLike, q: Components, t: Array) -> Vector:
-    return cross(axis, _times_conjugate(_rotated_gradient(potential, axis_in_body(q, axis), q, t), q))
+def _vertical(system: Any, q: Components) -> tuple[Array, Components]:
+    """The height of an axis γ = height e₃, and q∇Ṽ."""
+    height = axis_frame(system.axis)[1]
+    return height, _rotated_gradient(system.potential, _vertical_in_body(height, q), q)
 
 
 def _vertical_in_body(height: Array, q: Components) -> Vector:
@@ -363,7 +355,7 @@ def _vertical_in_body(height: Array, q: Components) -> Vector:
     return height * Vector((2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))
 
 
-def _rotated_gradient(potential: Any, Gamma: Vector, q: Components, *t: Array) -> Components:
+def _rotated_gradient(potential: Any, Gamma: Vector, q: Components, *t: Any) -> Components:
     """q∇Ṽ."""
     return quat_times_vec(q, vector(gradient(potential, jnp.stack(Gamma), *t)))
 
