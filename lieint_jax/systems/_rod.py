@@ -274,6 +274,8 @@ def rod(
     Source: Simo 1985, Comput. Methods Appl. Mech. Eng. 49; Romero & Armero 2002, Int. J. Numer. Methods Eng. 54.
     """
     n = _checks.count("elements", elements, 1)
+    if not isinstance(section, Section):
+        raise ValueError(f"section must be circular_section(…), rectangular_section(…) or Section(…), got {section!r}")
     ell = _checks.positive("length", length, (), (n,))
     ell = jnp.full(n, ell / n) if ell.ndim == 0 else ell
     mass, inertia = _along("section.mass", section.mass, n, ()), _along("section.inertia", section.inertia, n, (2,))
@@ -329,14 +331,23 @@ def _end(k: int, end: Any) -> Any:
         if end not in ("free", "clamped"):
             raise ValueError(f"ends[{k}] must be {_ENDS}, got {end!r}")
         return None if end == "free" else end
-    return end if callable(end) else _checks.real_array(f"ends[{k}]", end, (7,))
+    if not callable(end):
+        return _pose(f"ends[{k}]", end)
+    _checks.function(f"ends[{k}]", end, "the time t", (7,), jnp.zeros(()))
+    _pose(f"ends[{k}] at t = 0", end(jnp.zeros(())))
+    return end
+
+
+def _pose(name: str, pose: ArrayLike) -> Array:
+    """A pose (7,), with a unit quaternion."""
+    x = _checks.real_array(name, pose, (7,))
+    return jnp.concatenate([x[:3], _checks.unit_quaternion(name, x[3:], (4,))])
 
 
 def _first_pose(pose: ArrayLike | None, first: Any) -> Array:
     """That of the first section in the natural shape."""
     if pose is not None:
-        x = _checks.real_array("pose", pose, (7,))
-        return jnp.concatenate([x[:3], _checks.unit_quaternion("pose", x[3:], (4,))])
+        return _pose("pose", pose)
     if first is None or isinstance(first, str):
         return jnp.array(_START)
     return jnp.asarray(first(jnp.zeros(())) if callable(first) else first)
