@@ -68,7 +68,7 @@ def on_paper(rate: float) -> dict[str, Any]:
     job = small._replace(states=states)
     split = _make_job.split_into_parts(job, WORKERS, True)
     part = job.restricted(split.part(0))
-    rows, chunks = part.bucket_rows(split.chunk), len(split.chunks(0))
+    rows, chunks = part.buffer_rows(split.chunk, remote=True), len(split.chunks(0))
     commits = math.ceil((job.num_saves + 1) / rows)
     seconds = part.members * STEPS / rate
     data = MEMBERS * (job.num_saves + 1) * job.row_bytes

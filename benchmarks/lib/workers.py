@@ -174,7 +174,7 @@ class Simulation:
         self.url = address(str(options.path))
         described = _identity.description(self.job, "native")
         split = _make_job.split_into_parts(self.job, model.workers, False)
-        with mock.patch.object(_job.Job, "bucket_rows", return_value=model.rows):
+        with mock.patch.object(_job.Job, "buffer_rows", return_value=model.rows):
             self.files = _into_store._skeleton(self.job, options, described, split, True, True)
         self.created = 0
 

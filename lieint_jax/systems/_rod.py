@@ -334,7 +334,7 @@ def _end(k: int, end: Any) -> Any:
     if not callable(end):
         return _pose(f"ends[{k}]", end)
     _checks.function(f"ends[{k}]", end, "the time t", (7,), jnp.zeros(()))
-    _pose(f"ends[{k}] at t = 0", end(jnp.zeros(())))
+    _pose(f"ends[{k}] at t = 0", jnp.asarray(end(jnp.zeros(()))))
     return end
 
 
