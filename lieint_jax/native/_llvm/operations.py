@@ -10,10 +10,12 @@ import numpy as np
 from lieint_jax.native._llvm.instructions import instruction
 from lieint_jax.native._llvm.memory import Memory
 from lieint_jax.native._llvm.text import constant, literal, suffix
+from lieint_jax.native._primitives.indexing import NEXT
 from lieint_jax.native._program import Block, Program, Value, blocks_of, numbers_of
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
 
+_STACK, _LINE = 2**18, 64  # bytes that arrays may have on the stack, and of a line of the cache
 _INTRINSICS = {"ceil": "ceil", "floor": "floor", "round_away": "round", "round_even": "roundeven", "sqrt": "sqrt"}
 
 
@@ -27,7 +29,8 @@ class Operations(Memory):
 
     def __init__(self, program: Program, lanes: int, leaves: Sequence[Leaf], functions: Functions):
         super().__init__(program, lanes, leaves)
-        self.functions = functions
+        self.functions, self.first_row = functions, ""  # of those that are lanes
+        self.arrays: list[tuple[str, str, int, int]] = []  # in memory: name, type and number of entries, their bytes
         self.fused, self.absorbed = _fusions(program)
 
     def operation(self, x: Value) -> str:
@@ -153,9 +156,33 @@ class Operations(Memory):
 
     def new_array(self, length: int, x: Value) -> str:
         """Memory for the array that a number stands for."""
-        name = self.new()
-        self.front.append(f"  {name} = alloca [{length} x {self.stored_type(x.dtype, self.varies(x))}], align 64")
+        vector, name = self.varies(x), self.new()
+        size = x.dtype.itemsize * (self.lanes if vector else 1)
+        self.arrays.append((name, self.stored_type(x.dtype, vector), length + 2 * NEXT, size))
         return name
+
+    def reserve(self) -> None:
+        """Memory for all arrays: on the stack, or, if they are large, from the heap, until the function ends."""
+        total = 0
+        large = sum(-(-n * size // _LINE) * _LINE for *_, n, size in self.arrays) > _STACK
+        for name, kind, n, size in self.arrays:
+            memory = self.new()
+            if large:
+                self.front.append(f"  {memory} = getelementptr i8, ptr %memory, i64 {total}")
+                total += -(-n * size // _LINE) * _LINE
+            else:
+                self.front.append(f"  {memory} = alloca [{n} x {kind}], align {_LINE}")
+            self.front.append(f"  {name} = getelementptr {kind}, ptr {memory}, i64 {NEXT}")
+        if large:
+            self.module.declared["declare ptr @malloc(i64)\ndeclare void @free(ptr)"] = None
+            heap = [
+                f"%heap = call ptr @malloc(i64 {total + _LINE})",
+                f"%heap.end = getelementptr i8, ptr %heap, i64 {_LINE - 1}",
+                f"%memory = call ptr @llvm.ptrmask.p0.i64(ptr %heap.end, i64 {-_LINE})",
+            ]
+            self.module.declared["declare ptr @llvm.ptrmask.p0.i64(ptr, i64)"] = None
+            self.front[:0] = [f"  {line}" for line in heap]
+            self.lines.append("  call void @free(ptr %heap)")
 
     def write(self, array: str, k: str, x: Value, vector: bool) -> None:
         kind, value = self.stored_type(x.dtype, vector), self.value(x, vector)
@@ -178,6 +205,18 @@ class Operations(Memory):
             here = self.add(f"icmp eq <{self.lanes} x i64> {self.value(index, True)}, splat (i64 {k})")
             found = self.select(f"<{self.lanes} x i1> {here}", kind, y, found)
         return found
+
+    def op_row(self, x: Value, vector: bool) -> str:
+        """The entry of an array in the row of a map, or in one near it; of several rows that are lanes."""
+        index, array = x.inputs
+        if self.outside is None:
+            k = self.value(index, False)
+            return self.entry(array, self.add(f"add i64 {k}, {x.data}") if x.data else k, vector)
+        kind, scalar = self.stored_type(x.dtype, True), self.stored_type(x.dtype)
+        k = self.add(f"add i64 {self.first_row}, {x.data}") if x.data else self.first_row
+        at = self.add(f"getelementptr {scalar}, ptr {self.names[array]}, i64 {k}")
+        found = self.add(f"load {kind}, ptr {at}, align {x.dtype.itemsize}")
+        return found if x.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, True)}")
 
     def entry(self, array: Value, k: str, vector: bool) -> str:
         kind = self.stored_type(array.dtype, vector)

@@ -19,6 +19,8 @@ Window = tuple[list[Value], Value, np.ndarray]  # its first index, whether it is
 _CLIP, _FILL = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
 _ROW = 1024  # the most entries of a table that are read at once
 _COPIED = 256  # the longest array that is put together from numbers: LLVM needs 10 s for 400, minutes for 2000
+_PARTS = 3  # of which the most a column of a map is put together
+NEXT = 2  # entries before and after an array that may be read
 _SELECTED = 8  # the most numbers from which one is selected by comparing indices; longer arrays are read from memory
 
 
@@ -45,6 +47,38 @@ def _entry(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
     return walk.number("entry", k, array, dtype=column[0].dtype)
 
 
+def entry_of(walk: AbstractWalk, x: Value, k: int) -> Value:
+    """The entry of an array in memory; a number that is no array is the same for all k."""
+    return walk.number("entry", walk.index(k), x, dtype=x.dtype) if x.is_array else x
+
+
+def row_number(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
+    """The entry of a column in row k of a map: of a few parts, which are numbers or follow each other in memory."""
+    ends, parts = [], []
+    for n, x in enumerate(column):
+        is_entry = x.op == "entry" and x.inputs[0].is_constant
+        part = (x.inputs[1], int(x.inputs[0].data) - n) if is_entry else (x, None)
+        if not parts or part != parts[-1]:
+            ends.append(n)
+            parts.append(part)
+    near = all(_is_near(array, offset, len(column)) for array, offset in parts if offset is not None)
+    if len(parts) > _PARTS or not near:
+        if all(x.is_constant for x in column):
+            return _entry(walk, column, k)
+        parts, ends = [(walk.number("array", *column, dtype=column[0].dtype), 0)], [0]
+    numbers = [x if n is None else walk.number("row", k, x, dtype=x.dtype, data=n) for x, n in parts]
+    found = numbers[-1]
+    for end, x in zip(ends[:0:-1], numbers[-2::-1], strict=True):
+        found = walk.select(walk.number("lt", k, walk.index(end)), x, found)
+    return found
+
+
+def _is_near(array: Value, offset: int, rows: int) -> bool:
+    """Whether entries from `offset` on are those of an array, or in the memory next to it."""
+    length = len(array.inputs) if array.op == "array" else array.data
+    return array.op in ("array", "result array", "rows") and -NEXT <= offset and offset + rows <= length + NEXT
+
+
 def _is_array_in_order(column: list[Value]) -> bool:
     """True if these are all entries of an array that a loop has written, in order."""
     if not all(x.op == "entry" and x.inputs[1] is column[0].inputs[1] for x in column):
@@ -53,9 +87,9 @@ def _is_array_in_order(column: list[Value]) -> bool:
     return column[0].inputs[1].data == len(column) and order == list(range(len(column)))
 
 
-def empty_rows(walk: AbstractWalk, length: int, row: ShapedArray) -> np.ndarray:
+def empty_rows(walk: AbstractWalk, length: int, shape: Sequence[int], dtype: DTypeLike) -> np.ndarray:
     """Arrays in memory for a loop that writes such a row in each iteration: one array for each entry of a row."""
-    return array_of([walk.builder.empty(length, row.dtype) for _ in range(int(np.prod(row.shape)))], row.shape)
+    return array_of([walk.builder.empty(length, dtype) for _ in range(int(np.prod(shape)))], shape)
 
 
 def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Value) -> np.ndarray:
