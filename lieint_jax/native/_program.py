@@ -190,7 +190,7 @@ class Builder:
             surrounding = surrounding.parent
         found = block.by_operation[key] = self._new(op, inputs, kind, data, block)
         block.items.append(found)
-        self.length += 1
+        self.length += op != "entry"  # of these most are not used
         return found
 
     def loop(

@@ -119,10 +119,15 @@ def _first_axes(equation: Any, values: Mapping[Any, Any], length: int = 0) -> tu
     axes = []
     for x in equation.invars:
         given = not isinstance(x, Literal) and not isinstance(values.get(x), Table)
-        d = next((k for k, n in enumerate(x.aval.shape[:2]) if n >= LONG and length in (0, n)), None) if given else None
+        d = long_axis(x.aval.shape, length) if given else None
         length = length if d is None else x.aval.shape[d]
         axes.append(d)
     return length, axes
+
+
+def long_axis(shape: Sequence[int], length: int = 0) -> int | None:
+    """The first or second axis if it is long, and of this length."""
+    return next((k for k, n in enumerate(shape[:2]) if n >= LONG and length in (0, n)), None)
 
 
 def _variables(atoms: Sequence[Any]) -> list[Any]:

@@ -32,7 +32,7 @@ from lieint_jax.native._primitives.moves import MOVES
 from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
-from lieint_jax.native._regions import Region, rows_joined, walk_regions
+from lieint_jax.native._regions import Region, long_axis, rows_joined, walk_regions
 
 _UNROLLED_WITH_MAPS = 6000  # see `AbstractWalk.unrolled`
 LONGEST = 60_000  # the most numbers of a program
@@ -140,6 +140,9 @@ class Walk(AbstractWalk):
             numbers = [row_number(self, list(column), self._row) for column in rows.reshape(len(rows), -1).T]
             self._rows_read[key] = x, np.moveaxis(array_of(numbers, (1, *rows.shape[1:])), 0, axis)
         return self._rows_read[key][1]
+
+    def long_axis(self, shape: Sequence[int]) -> int | None:
+        return long_axis(shape) if self._with_maps and self._row is None else None
 
     def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
         found = super().matched(arrays, like)

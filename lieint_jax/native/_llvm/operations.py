@@ -151,8 +151,29 @@ class Operations(Memory):
 
     def op_put(self, x: Value, vector: bool) -> str:
         array, k, y = x.inputs
-        self.write(self.names[array], self.value(k, False), y, vector)
+        if y.is_array:
+            self.copy(self.names[array], self.value(k, False), y, vector, x.data)
+        else:
+            self.write(self.names[array], self.value(k, False), y, vector)
         return self.names[array]
+
+    def copy(self, array: str, k: str, rows: Value, vector: bool, count: int) -> None:
+        """Write the first entries of another array, from place k on."""
+        kind = self.stored_type(rows.dtype, vector)
+        at = self.add(f"getelementptr {kind}, ptr {array}, i64 {k}")
+        if vector == self.varies(rows):
+            size = count * rows.dtype.itemsize * (self.lanes if vector else 1)
+            self.module.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
+            self.lines.append(
+                f"  call void @llvm.memcpy.p0.p0.i64(ptr {at}, ptr {self.names[rows]}, i64 {size}, i1 false)"
+            )
+            return
+        for j in range(count):
+            entry = self.splat(self.load(self.names[rows], rows.dtype, str(j)), rows.dtype)
+            if rows.dtype.kind == "b":
+                entry = self.add(f"zext {self.type(bool, True)} {entry} to {kind}")
+            to = self.add(f"getelementptr {kind}, ptr {at}, i64 {j}")
+            self.lines.append(f"  store {kind} {entry}, ptr {to}")
 
     def new_array(self, length: int, x: Value) -> str:
         """Memory for the array that a number stands for."""
@@ -208,13 +229,19 @@ class Operations(Memory):
 
     def op_row(self, x: Value, vector: bool) -> str:
         """The entry of an array in the row of a map, or in one near it; of several rows that are lanes."""
-        index, array = x.inputs
+        (index, array), (first, stride) = x.inputs, x.data
+        row = self.value(index, False) if self.outside is None else self.first_row
+        k = row if stride == 1 else self.add(f"mul i64 {row}, {stride}")
+        k = self.add(f"add i64 {k}, {first}") if first else k
         if self.outside is None:
-            k = self.value(index, False)
-            return self.entry(array, self.add(f"add i64 {k}, {x.data}") if x.data else k, vector)
+            return self.entry(array, k, vector)
         kind, scalar = self.stored_type(x.dtype, True), self.stored_type(x.dtype)
-        k = self.add(f"add i64 {self.first_row}, {x.data}") if x.data else self.first_row
         at = self.add(f"getelementptr {scalar}, ptr {self.names[array]}, i64 {k}")
+        if stride != 1:
+            each = ", ".join(f"i64 {j * stride}" for j in range(self.lanes))
+            return self.gather_at(
+                self.add(f"getelementptr {scalar}, ptr {at}, <{self.lanes} x i64> <{each}>"), x.dtype
+            )
         found = self.add(f"load {kind}, ptr {at}, align {x.dtype.itemsize}")
         return found if x.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, True)}")
 

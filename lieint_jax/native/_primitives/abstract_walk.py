@@ -105,6 +105,10 @@ class AbstractWalk(abc.ABC):
         index = self.number("convert", index, dtype=np.int64)
         return self.number("min", self.number("max", index, self.index(0)), self.index(last))
 
+    def long_axis(self, shape: Sequence[int]) -> int | None:
+        """The axis of an array over whose rows there is a map."""
+        return None
+
     def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
         """Arrays of the shapes of others, which have one row where these have all: the row of a map."""
         return list(arrays[: len(like)])

@@ -111,7 +111,8 @@ def _scan(
         lambda c: walk.number("lt", c[0].item(), end),
         next_carry,
     )[1:]
-    return [*found[: len(starts)], *(rows_of(walk, length, x) for x in found[len(starts) :])]
+    rows = zip(found[len(starts) :], stacked, strict=True)
+    return [*found[: len(starts)], *(rows_of(walk, length, *pair) for pair in rows)]
 
 
 def split_scan(items: list[Any], equation: Any) -> list[list[Any]]:
