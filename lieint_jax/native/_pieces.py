@@ -36,7 +36,12 @@ class Modules(NamedTuple):
 
 
 def modules(
-    program: Program, leaves: Sequence[Leaf], results: Sequence[int], lanes: int, reverse: bool = False, row_lanes: int = 0
+    program: Program,
+    leaves: Sequence[Leaf],
+    results: Sequence[int],
+    lanes: int,
+    reverse: bool = False,
+    row_lanes: int = 0,
 ) -> Modules:
     """The modules of a kernel; the arguments are those of `emit`.
 

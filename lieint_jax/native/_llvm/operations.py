@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Sequence
 
@@ -15,7 +16,9 @@ from lieint_jax.native._program import Block, Program, Value, blocks_of, numbers
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
 
-_STACK, _LINE = 2**18, 64  # bytes that arrays may have on the stack, and of a line of the cache
+# Bytes that arrays may have on the stack: LLVM needs three times as long where they come from the heap.
+_STACK = 2**20 if sys.platform == "linux" else 2**17
+_LINE = 64  # bytes of a line of the cache
 _INTRINSICS = {"ceil": "ceil", "floor": "floor", "round_away": "round", "round_even": "roundeven", "sqrt": "sqrt"}
 
 
@@ -239,9 +242,7 @@ class Operations(Memory):
         at = self.add(f"getelementptr {scalar}, ptr {self.names[array]}, i64 {k}")
         if stride != 1:
             each = ", ".join(f"i64 {j * stride}" for j in range(self.lanes))
-            return self.gather_at(
-                self.add(f"getelementptr {scalar}, ptr {at}, <{self.lanes} x i64> <{each}>"), x.dtype
-            )
+            return self.gather_at(self.add(f"getelementptr {scalar}, ptr {at}, <{self.lanes} x i64> <{each}>"), x.dtype)
         found = self.add(f"load {kind}, ptr {at}, align {x.dtype.itemsize}")
         return found if x.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, True)}")
 
