@@ -60,8 +60,8 @@ class Walk(AbstractWalk):
         self,
         builder: Builder,
         compute_before: Callable[[JaxprEqn, list[np.ndarray]], list[np.ndarray] | None],
-        longest: int,
-        with_maps: bool,
+        longest: int = LONGEST,
+        with_maps: bool = False,
     ):
         super().__init__(builder)
         self._compute_before, self._longest, self._with_maps = compute_before, longest, with_maps

@@ -53,6 +53,12 @@ def spread_over_devices(monkeypatch):
     monkeypatch.setattr(_layout, "_on_cpu", lambda _: False)
 
 
+def always_map(monkeypatch):
+    """Let programs of all lengths have maps over long axes."""
+    monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
+    monkeypatch.setattr(_traced, "_UNROLLED", 0)
+
+
 def limit_kernels(monkeypatch, most):
     """Let steps of more than so many operations be too long for a kernel."""
     monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())  # of what is known of loops

@@ -1,0 +1,86 @@
+"""Operations along a long axis become loops over its rows: values, derivatives and bits, of one member and of several."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+pytest.importorskip("llvmlite")
+
+from internals import always_map
+from native_members import bits
+
+import lieint_jax as li
+
+N, MEMBERS = 19, 5  # rows, not a multiple of those in a vector
+RNG = np.random.default_rng(0)
+POINTS, WEIGHTS = RNG.normal(size=(MEMBERS, N, 3)), RNG.uniform(0.5, 2, size=(N, 3))
+
+
+def moved(x):
+    """Shifts, strides, pads and joins along the rows, read by operations along them."""
+    y = jnp.sin(x) * WEIGHTS
+    apart = y[1:] - y[:-1]
+    around = jnp.pad(apart, ((1, 0), (0, 0))) - jnp.pad(jnp.square(apart), ((0, 1), (0, 0)))
+    thirds = jnp.exp(y[1::2]) + jnp.cos(y[:-1:2])
+    joined = jnp.concatenate([y[:2], jnp.ones((1, 3)), y[3:]]) * around
+    mixed = jnp.stack([thirds, 2 * thirds], axis=1).reshape(-1, 3)
+    return {"around": around, "joined": joined, "mixed": jnp.tanh(mixed), "back": jnp.exp(y[::-1])[::-1]}
+
+
+def combined(x):
+    """Sums, products and choices of each row, and of all rows."""
+    y, t = x * WEIGHTS, jnp.swapaxes(x, 0, 1)
+    turned = jnp.einsum("nij,nj->ni", y[:, :, None] * x[:, None, :] + jnp.eye(3), x)
+    found = {"turned": turned, "cumulated": jnp.cumsum(jnp.sin(y), axis=1), "product": turned @ jnp.ones((3, 2))}
+    found |= {"of columns": jnp.cos(t) * t[:1], "most": jnp.argmax(y, axis=1), "all": jnp.sum(jnp.exp(-y), axis=0)}
+    found |= {"chosen": jnp.where(y > 0, jnp.sqrt(jnp.abs(y)), t.T), "positive": jnp.all(y > -2, axis=1)}
+    ordered = jnp.take_along_axis(y, jnp.argmin(y, axis=1)[:, None], axis=1)
+    return found | {"least": ordered, "entry": lax.dynamic_slice_in_dim(y, jnp.argmax(x[0]), 1, 1) * y}
+
+
+def repeated(x):
+    """Loops whose number of iterations differs from row to row, loops over all rows at once, and over the rows."""
+    root, _ = jax.vmap(lambda row: lax.while_loop(lambda c: jnp.abs(c[0] * c[0] - c[1]) > 1e-14 * c[1], _babylonian, row))(
+        (jnp.ones(N), 1 + jnp.sum(x * x, axis=1))
+    )
+    mean, means = lax.scan(lambda c, w: ((c + jnp.sin(c * w)) / 2, c), x, jnp.linspace(0.1, 1, 9))
+    total, sums = lax.scan(lambda c, row: (c + jnp.cos(row * c), c), jnp.ones(3), x)
+    settled = lax.while_loop(lambda y: jnp.max(jnp.abs(y)) > 0.3, lambda y: jnp.sin(y) / 2 - jnp.roll(y, 1, 0) / 9, x)
+    side = lax.cond(x[0, 0] > 0, lambda y: jnp.exp(y) + 1, lambda y: y * jnp.ones((N, 3)), mean)
+    return {"root": root, "mean": mean, "means": means[::3], "total": total, "sums": sums, "settled": settled, "side": side}
+
+
+def _babylonian(c):
+    return (c[0] + c[1] / c[0]) / 2, c[1]
+
+
+def differentiated(x):
+    """The gradient of an energy of neighbors, and its derivative along a direction."""
+
+    def energy(x):
+        apart = x[1:] - x[:-1]
+        return jnp.sum(WEIGHTS[1:] * jnp.sqrt(1 + apart**2)) + jnp.sum(jnp.sin(x) * WEIGHTS)
+
+    return jax.jvp(jax.grad(energy), (x,), (jnp.cos(x),))
+
+
+def once(function):
+    return lambda x: li.scan(lambda c, _: (c, function(c)), x, length=1)[1]
+
+
+@pytest.mark.parametrize("function", [moved, combined, repeated, differentiated])
+def test_maps_mean_what_xla_does(monkeypatch, function):
+    """Observed: 4e-16. One member, whose rows are lanes, has the bits of a member among others, which are lanes."""
+    always_map(monkeypatch)
+    step = jax.jit(jax.vmap(once(function)))
+    [loop] = li.explain(step, POINTS).loops
+    assert loop.engine == "native", loop.reason
+    several = step(POINTS)
+    with li.engine("xla"):
+        expected = step(POINTS)
+    for (path, wanted), x in zip(jax.tree.leaves_with_path(expected), jax.tree.leaves(several), strict=True):
+        assert (x.dtype, x.shape) == (wanted.dtype, wanted.shape), path
+        np.testing.assert_allclose(x, wanted, rtol=0, atol=4e-15, err_msg=jax.tree_util.keystr(path))
+    assert bits(jax.jit(once(function))(POINTS[2])) == bits(jax.tree.map(lambda x: x[2], several))
