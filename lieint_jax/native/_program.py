@@ -16,6 +16,7 @@ Data = Any  # the value of a constant, the exponent of a power, the place of an 
 # Arrays in memory: of given numbers; not written yet; with one more entry; as a loop carries it; after the loop; the
 # rows of a map.
 _ARRAYS = frozenset({"array", "empty", "put", "carry array", "result array", "rows"})
+_OF_MAP = 64  # numbers of a map, which are in memory, so that more than one vector of each would not make it faster
 COMMUTATIVE = frozenset({"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"})
 COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
 
@@ -410,8 +411,7 @@ class Program:
 
         def item_pressure(item: Loop | Branch | Map) -> int:
             if isinstance(item, Map):
-                read = sum(isinstance(x, Value) and x.op == "row" and x in self.live for x in item.body.items)
-                return max(block_pressure(item.body), read)
+                return max(block_pressure(item.body), _OF_MAP)
             if isinstance(item, Branch):
                 return max(map(block_pressure, item.blocks))
             return max(block_pressure(item.head), block_pressure(item.body)) or self._loop_pressure(item)
