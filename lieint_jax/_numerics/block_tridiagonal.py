@@ -2,8 +2,8 @@
 
 The matrix has n rows of blocks (k, k) on three diagonals. It is factored by cyclic reduction: the links of odd numbers
 are eliminated, all at once, and what remains is a chain of half as many. So it needs O(n) operations in O(log n)
-passes over arrays. A few remaining links are eliminated one after another. Within a block elimination is without pivoting, as in `small_linalg.factored`: for matrices whose
-symmetric part is positive definite, or near such matrices.
+passes over arrays. A few remaining links are eliminated one after another. Within a block elimination is without
+pivoting, as in `small_linalg.factored`: for matrices whose symmetric part is positive definite, or near such matrices.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from jax import Array, lax
 from jax.typing import DTypeLike
 
 from lieint_jax._numerics.small_linalg import Factored
-
 
 _FEW = 12  # links that are eliminated one after another
 

@@ -229,7 +229,7 @@ class Builder:
         return made.results
 
     def map(self, length: int, values: Callable[[Value], list[Value]]) -> list[Value]:
-        """Add a map: for each number of a row, the array of all rows, or the number if it is the same in all of them."""
+        """Add a map: for each number of a row, the array of all rows, or the number if all rows have the same."""
         outside = self.block
         made = Map(outside, length)
         self._order[made.index] = len(self._order)

@@ -115,12 +115,13 @@ def _join(
 
 
 def _first_axes(equation: Any, values: Mapping[Any, Any], length: int = 0) -> tuple[int, Axes]:
-    """The long axis of each operand, its first or second, all of one length, if that is known; and this length, 0 if there is none."""
+    """The long axis of each operand, all of one length, which may be given; and this length, 0 if there is none."""
     axes = []
     for x in equation.invars:
+        shape = getattr(x.aval, "shape", ())
         given = not isinstance(x, Literal) and not isinstance(values.get(x), Table)
-        d = long_axis(x.aval.shape, length) if given else None
-        length = length if d is None else x.aval.shape[d]
+        d = long_axis(shape, length) if given else None
+        length = length if d is None else shape[d]
         axes.append(d)
     return length, axes
 

@@ -127,13 +127,14 @@ class Walk(AbstractWalk):
             x if d is None else x.update(shape=(*x.shape[:d], 1, *x.shape[d + 1 :]))
             for x, d in zip(shapes_of(equation.outvars), out, strict=True)
         ]
-        operands = zip(inputs, axes, equation.invars, strict=True)
-        rows = [x if d is None or x.shape != v.aval.shape else self._row_of(x, d) for x, d, v in operands]
+        operands = zip(inputs, axes, shapes_of(equation.invars), strict=True)
+        rows = [x if d is None or x.shape != y.shape else self._row_of(x, d) for x, d, y in operands]
         parameters = of_one_row(equation.primitive.name, equation.params, axes, out)
         return self._apply(equation, rows, parameters, shapes)
 
     def _row_of(self, x: np.ndarray, axis: int) -> np.ndarray:
         """The row of a map, of an array that has all."""
+        assert self._row is not None
         key = id(x), axis
         if key not in self._rows_read:
             rows = np.moveaxis(x, axis, 0)
@@ -155,7 +156,7 @@ class Walk(AbstractWalk):
 
     def _equation(self, equation: JaxprEqn, inputs: list[np.ndarray]) -> list[np.ndarray]:
         if self._row is not None:
-            axes = [_row_axis(x, v.aval.shape) for x, v in zip(inputs, equation.invars, strict=True)]
+            axes = [_row_axis(x, y.shape) for x, y in zip(inputs, shapes_of(equation.invars), strict=True)]
             if any(d is not None for d in axes):
                 return self._one_row(equation, inputs, *rows_along(equation, axes))
         return self._apply(equation, inputs, equation.params, shapes_of(equation.outvars))

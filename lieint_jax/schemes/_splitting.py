@@ -176,7 +176,8 @@ def splitting(
     if isinstance(system, AbstractGyrostat):
         return GyrostatSplitting(system, drift)
     many = isinstance(drift.system, AbstractFreeBodies) and len(drift.system.masses) >= _MANY
-    return Splitting(system, drift, kick_first=not many or getattr(system.potential, "chain", False))
+    is_chain = getattr(getattr(system, "potential", None), "chain", False)
+    return Splitting(system, drift, kick_first=is_chain or not many)
 
 
 PROPERTIES = SchemeProperties(

@@ -1,4 +1,4 @@
-"""Operations along a long axis become loops over its rows: values, derivatives and bits, of one member and of several."""
+"""Maps over the rows of a long axis: values, derivatives and bits, of one member and of several."""
 
 import jax
 import jax.numpy as jnp
@@ -42,18 +42,18 @@ def combined(x):
 
 def repeated(x):
     """Loops whose number of iterations differs from row to row, loops over all rows at once, and over the rows."""
-    root, _ = jax.vmap(lambda row: lax.while_loop(lambda c: jnp.abs(c[0] * c[0] - c[1]) > 1e-14 * c[1], _babylonian, row))(
-        (jnp.ones(N), 1 + jnp.sum(x * x, axis=1))
-    )
+
+    def root_of(square):
+        return lax.while_loop(
+            lambda c: jnp.abs(c * c - square) > 1e-14 * square, lambda c: (c + square / c) / 2, square
+        )
+
     mean, means = lax.scan(lambda c, w: ((c + jnp.sin(c * w)) / 2, c), x, jnp.linspace(0.1, 1, 9))
     total, sums = lax.scan(lambda c, row: (c + jnp.cos(row * c), c), jnp.ones(3), x)
     settled = lax.while_loop(lambda y: jnp.max(jnp.abs(y)) > 0.3, lambda y: jnp.sin(y) / 2 - jnp.roll(y, 1, 0) / 9, x)
     side = lax.cond(x[0, 0] > 0, lambda y: jnp.exp(y) + 1, lambda y: y * jnp.ones((N, 3)), mean)
-    return {"root": root, "mean": mean, "means": means[::3], "total": total, "sums": sums, "settled": settled, "side": side}
-
-
-def _babylonian(c):
-    return (c[0] + c[1] / c[0]) / 2, c[1]
+    found = {"root": jax.vmap(root_of)(1 + jnp.sum(x * x, axis=1)), "mean": mean, "means": means[::3], "side": side}
+    return found | {"total": total, "sums": sums, "settled": settled}
 
 
 def differentiated(x):

@@ -83,7 +83,7 @@ def row_number(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
 def _is_near(array: Value, offset: int, rows: int) -> bool:
     """Whether entries from `offset` on are those of an array, or in the memory next to it."""
     length = len(array.inputs) if array.op == "array" else array.data
-    return array.op in _STORED and -NEXT <= offset and offset + rows <= length + NEXT
+    return array.op in _STORED and offset >= -NEXT and offset + rows <= length + NEXT
 
 
 def _run(column: Sequence[Value]) -> tuple[Value, int, int] | None:
@@ -116,7 +116,7 @@ def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Value
     d = walk.long_axis(row.shape) or 0
     n = row.size // max(arrays.size, 1)  # entries of each array
     first = k if n == 1 else walk.number("mul", k, walk.index(n))
-    columns = np.moveaxis(row, d, 0).reshape(n, -1).T if n > 1 else row.reshape(-1, 1)
+    columns: Any = np.moveaxis(row, d, 0).reshape(n, -1).T if n > 1 else row.reshape(-1, 1)
     found = []
     for array, column in zip(arrays.flat, columns, strict=True):
         run = _run(column) if n > 1 else None

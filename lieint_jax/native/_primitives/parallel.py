@@ -68,7 +68,8 @@ def _moved(place: Callable[[int, dict[str, Any], tuple[int, ...]], int | None]) 
         _check(axes[0] is not None and all(d is None for d in axes[1:]))
         to = place(axes[0], equation.params, equation.invars[0].aval.shape)  # pyright: ignore[reportArgumentType]
         _check(to is not None)
-        return axes, [int(to)] * len(equation.outvars)  # pyright: ignore[reportArgumentType]
+        found: Axes = [int(to)] * len(equation.outvars)  # pyright: ignore[reportArgumentType]
+        return axes, found
 
     return rule
 
@@ -115,7 +116,8 @@ def _product(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
             n = list(each).index(axes[k])
             needed: Axes = [a_each[n], b_each[n]]
             _check(all(x in (None, y) for x, y in zip(axes, needed, strict=True)))
-            return needed, [n]
+            found: Axes = [n]
+            return needed, found
     _one([d for d in axes if d is not None])
     _check(None in axes)
     k = int(axes[0] is None)
