@@ -68,7 +68,7 @@ def _moved(place: Callable[[int, dict[str, Any], tuple[int, ...]], int | None]) 
         _check(axes[0] is not None and all(d is None for d in axes[1:]))
         to = place(axes[0], equation.params, equation.invars[0].aval.shape)  # pyright: ignore[reportArgumentType]
         _check(to is not None)
-        return axes, [int(to) for _ in equation.outvars]  # pyright: ignore[reportArgumentType]
+        return axes, [None if to is None else int(to) for _ in equation.outvars]
 
     return rule
 
