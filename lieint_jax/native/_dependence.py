@@ -7,7 +7,7 @@ from typing import Any
 
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from lieint_jax.native._primitives.control_flow import CALLS, have_same_rank, jaxprs_of
+from lieint_jax.native._primitives.control_flow import CALLS, jaxprs_of, split_scan
 
 
 def varying_results(jaxpr: ClosedJaxpr | Jaxpr, varying: Sequence[bool]) -> list[bool]:
@@ -39,11 +39,8 @@ def varying_in_loop(step: ClosedJaxpr, varying: Sequence[bool], first: int, carr
 def _of_equation(equation: Any, given: list[bool]) -> list[bool]:
     name, inner, out = equation.primitive.name, jaxprs_of(equation.params), equation.outvars
     if name == "scan":
-        [step] = inner
-        results = [x.aval for x in out]
-        carried = sum(map(have_same_rank, results, step.out_avals))
-        fixed = sum(map(have_same_rank, [x.aval for x in equation.invars], step.in_avals)) - carried
-        return varying_in_loop(step, given, fixed, carried)
+        consts, carry, _ = split_scan(given, equation)
+        return varying_in_loop(inner[0], given, len(consts), len(carry))
     if name == "cond":
         sides = [varying_results(x, given[1:]) for x in inner]
         return [given[0] or any(side) for side in zip(*sides, strict=True)]

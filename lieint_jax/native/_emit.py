@@ -29,6 +29,7 @@ def emit(
     functions: Functions,
     tape: Tape | None = None,
     reverse: bool = False,
+    row_lanes: int = 0,
 ) -> str:
     """The text of a module with a function that runs a part of the rows.
 
@@ -42,13 +43,14 @@ def emit(
         functions: collects the elementary functions that it calls.
         tape: the numbers that it writes for another program, or reads.
         reverse: whether the last row comes first.
+        row_lanes: see `Loops`.
 
     The function's arguments are the first block and the one after the last, the number of members, the first row and
     the one after the last, the number of all rows, how many rows each stored one stands for, and pointers to: the
     leaves that are in memory; the carries after these rows, leaf by leaf; the results; the tape, of 8 bytes per number,
     and two integers, its capacity and how many numbers there were to write. Nothing is written beyond its end.
     """
-    return _Writer(program, lanes, leaves, functions, tape).text(name, results, reverse)
+    return _Writer(program, lanes, leaves, functions, tape, row_lanes).text(name, results, reverse)
 
 
 class _Writer(Loops):
@@ -94,6 +96,7 @@ class _Writer(Loops):
         self.begin("done")
         if self.tape is not None and self.tape.writes:
             self.lines.append(f"  store i64 {self.add('load i64, ptr %cursor')}, ptr {self.count_pointer}")
+        self.reserve()
         self.lines.append("  ret void")
         numbers = ", ".join(f"i64 %{x}" for x in ("first", "last", "members", "begin", "end", "rows", "every"))
         self.define(name, f"void @{name}({numbers}, ptr %pointers) nounwind")

@@ -36,7 +36,7 @@ def register_bytes() -> int:
     return 64 if features.get("avx512f") else 32 if features.get("avx2") else 16
 
 
-def lanes(leaves: Sequence[Leaf], pressure: int) -> int:
+def lanes(leaves: Sequence[Leaf], pressure: int = _FEW + 1) -> int:
     """Members in a vector of a program that reads these arrays, with so many numbers in an innermost loop."""
     widths = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
     vectors = 4 if pressure <= _VERY_FEW else 2 if pressure <= _FEW else 1

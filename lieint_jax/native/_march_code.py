@@ -63,14 +63,15 @@ class LoopCode:
         from lieint_jax.native._pieces import modules
 
         begin = time.perf_counter()
-        traced = Traced(jaxpr_of(body.step), kinds, examples)
+        traced = Traced(jaxpr_of(body.step), kinds, examples, with_maps=True)
         self._outside, self._leaves = traced.outside, traced.leaves
         with unsupported_if_it_fails():
             results = jax.tree.leaves(traced.results)
             sizes = [int(np.prod(x.shape)) for x in results[body.carried :]]
             pressure = traced.pressure
             lanes = 1 if body.is_single else _machine.lanes(traced.leaves, pressure)
-            texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse)
+            of_rows = _machine.lanes(traced.leaves) if body.is_single else 0
+            texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse, of_rows)
             walked = time.perf_counter()
             inputs = len(traced.leaves) - 1  # all but the counter are in memory
             self.kernel, self.target = _machine.kernel(texts, inputs, len(results), lanes), _machine.TARGET

@@ -36,7 +36,12 @@ class Modules(NamedTuple):
 
 
 def modules(
-    program: Program, leaves: Sequence[Leaf], results: Sequence[int], lanes: int, reverse: bool = False
+    program: Program,
+    leaves: Sequence[Leaf],
+    results: Sequence[int],
+    lanes: int,
+    reverse: bool = False,
+    row_lanes: int = 0,
 ) -> Modules:
     """The modules of a kernel; the arguments are those of `emit`.
 
@@ -47,7 +52,7 @@ def modules(
     functions = Functions()
     parts = split(program, leaves) if lanes > 1 else None
     if parts is None:
-        text = emit("steps", program, leaves, results, lanes, functions, reverse=reverse)
+        text = emit("steps", program, leaves, results, lanes, functions, reverse=reverse, row_lanes=row_lanes)
         return Modules([text, _ALL_ROWS, functions.text()], 0)
     rest = emit("steps", parts.rest, leaves, results, lanes, functions, Tape(parts.numbers, writes=False), reverse)
     before = leaves_before_rows(leaves)

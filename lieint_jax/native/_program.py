@@ -6,15 +6,17 @@ not depend on a loop are moved out of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
 Data = Any  # the value of a constant, the exponent of a power, the place of an argument
-# Arrays in memory: of given numbers; not written yet; with one more entry; as a loop carries it; after the loop.
-_ARRAYS = frozenset({"array", "empty", "put", "carry array", "result array"})
+# Arrays in memory: of given numbers; not written yet; with one more entry; as a loop carries it; after the loop; the
+# rows of a map.
+_ARRAYS = frozenset({"array", "empty", "put", "carry array", "result array", "rows"})
+_OF_MAP = 64  # numbers of a map, which are in memory, so that more than one vector of each would not make it faster
 COMMUTATIVE = frozenset({"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"})
 COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
 
@@ -66,7 +68,7 @@ class Block:
         self.parent, self.pinned, self.tested = parent, pinned, tested
         self.depth: int = 0 if parent is None else parent.depth + 1
         self.floor: Block = self if pinned or parent is None else parent.floor
-        self.items: list[Value | Loop | Branch] = []
+        self.items: list[Value | Loop | Branch | Map] = []
         self.by_operation: dict[object, Value] = {}
 
 
@@ -112,6 +114,27 @@ class Branch:
         self.blocks = (Block(parent, pinned=True), Block(parent, pinned=True))
         self.values: list[list[Value]] = []
         self.results: list[Value] = []
+
+
+class Map:
+    """`row[index] = values` for each index below `length`, in any order, or several at once.
+
+    Attributes:
+        length: the number of rows.
+        body: the block of one row.
+        index: its number, an int64.
+        values: the numbers of one row.
+        results: for each of them, the array of all rows.
+    """
+
+    def __init__(self, parent: Block, length: int):
+        self.length, self.body = length, Block(parent)
+        self.index = Value("index", (), np.dtype(np.int64), None, self.body)
+        self.values: list[Value] = []
+        self.results: list[Value] = []
+
+
+Item = Value | Loop | Branch | Map
 
 
 class Builder:
@@ -168,7 +191,7 @@ class Builder:
             surrounding = surrounding.parent
         found = block.by_operation[key] = self._new(op, inputs, kind, data, block)
         block.items.append(found)
-        self.length += 1
+        self.length += op != "entry"  # of these most are not used
         return found
 
     def loop(
@@ -204,6 +227,20 @@ class Builder:
             made.results.append(self._new("result", (), x.dtype, made, outside))
         outside.items.append(made)
         return made.results
+
+    def map(self, length: int, values: Callable[[Value], list[Value]]) -> list[Value]:
+        """Add a map: for each number of a row, the array of all rows, or the number if all rows have the same."""
+        outside = self.block
+        made = Map(outside, length)
+        self._order[made.index] = len(self._order)
+        self.block = made.body
+        found = values(made.index)
+        self.block = outside
+        made.values = list(dict.fromkeys(x for x in found if x.block is not None and x.block.depth > outside.depth))
+        made.results = [self._new("rows", (), x.dtype, length, outside) for x in made.values]
+        outside.items.append(made)
+        rows = dict(zip(made.values, made.results, strict=True))
+        return [rows.get(x, x) for x in found]
 
     def _inside(self, block: Block) -> Block:
         """The child of `block` that is or contains the current block; `block` itself if it is the current one."""
@@ -342,7 +379,7 @@ class Program:
         self.block, self.outputs, self.written, self.given = block, list(outputs), list(written), given
         self._varying_arguments = varying_arguments
         self.live = _live_numbers(block, [*self.outputs, *self.written], given)
-        self.varying = _varying_numbers(block, self.live, varying_arguments)
+        self.varying = self.depending_on(varying_arguments)
 
     def part_that_computes(self, written: Sequence[Value]) -> Program:
         """The part of this program that computes some of its numbers for another one."""
@@ -354,7 +391,13 @@ class Program:
 
     def depending_on(self, arguments: Callable[[Value], bool]) -> set[Value]:
         """The numbers that depend on some of the arguments."""
-        return _varying_numbers(self.block, self.live, arguments)
+        return _varying_numbers(self.block, {x for x in self.live if x.op == "argument" and arguments(x)})
+
+    def depending_on_rows(self) -> tuple[set[Value], int]:
+        """The numbers that differ from row to row inside of a map, and the length of the shortest map."""
+        maps = list(_maps(self.block))
+        rows = _varying_numbers(self.block, {x.index for x in maps}, inside_only=True)
+        return rows, min((x.length for x in maps), default=0)
 
     def needed_positions(self, numbers: Sequence[Value]) -> list[int]:
         """The positions of the numbers that must be computed: outputs depend on them, and they are not given."""
@@ -366,7 +409,9 @@ class Program:
         def block_pressure(block: Block) -> int:
             return max((item_pressure(item) for item in block.items if not isinstance(item, Value)), default=0)
 
-        def item_pressure(item: Loop | Branch) -> int:
+        def item_pressure(item: Loop | Branch | Map) -> int:
+            if isinstance(item, Map):
+                return max(block_pressure(item.body), _OF_MAP)
             if isinstance(item, Branch):
                 return max(map(block_pressure, item.blocks))
             return max(block_pressure(item.head), block_pressure(item.body)) or self._loop_pressure(item)
@@ -382,15 +427,19 @@ class Program:
         return sum(x in self.varying and not x.is_array for x in alive)
 
 
-def blocks_of(item: Loop | Branch) -> tuple[Block, Block]:
-    """The two blocks of a loop or a branch."""
+def blocks_of(item: Loop | Branch | Map) -> tuple[Block, ...]:
+    """The blocks of a loop, a branch or a map."""
+    if isinstance(item, Map):
+        return (item.body,)
     return (item.head, item.body) if isinstance(item, Loop) else item.blocks
 
 
-def numbers_of(item: Value | Loop | Branch) -> Iterable[Value]:
+def numbers_of(item: Item) -> Iterable[Value]:
     """All numbers to which an item refers directly."""
     if isinstance(item, Value):
         return item.inputs
+    if isinstance(item, Map):
+        return item.values
     if isinstance(item, Loop):
         return (*item.starts, *item.following, item.test)
     return (item.test, *item.values[0], *item.values[1])
@@ -398,7 +447,7 @@ def numbers_of(item: Value | Loop | Branch) -> Iterable[Value]:
 
 def _live_numbers(root: Block, outputs: Sequence[Value], given: frozenset[Value]) -> set[Value]:
     """The numbers on which the outputs depend; given numbers depend on no others."""
-    place: dict[Value, tuple[Loop | Branch, int]] = {}
+    place: dict[Value, tuple[Loop | Branch | Map, int]] = {}
 
     def index(block: Block) -> None:
         for item in block.items:
@@ -407,11 +456,11 @@ def _live_numbers(root: Block, outputs: Sequence[Value], given: frozenset[Value]
                     place[inside] = place[after] = (item, k)
                 index(item.head)
                 index(item.body)
-            elif isinstance(item, Branch):
+            elif not isinstance(item, Value):
                 for k, after in enumerate(item.results):
                     place[after] = (item, k)
-                for side in item.blocks:
-                    index(side)
+                for inner in blocks_of(item):
+                    index(inner)
 
     index(root)
     live: set[Value] = set()
@@ -428,14 +477,25 @@ def _live_numbers(root: Block, outputs: Sequence[Value], given: frozenset[Value]
             item, k = place[x]
             if isinstance(item, Loop):
                 pending += (item.carries[k], item.starts[k], item.following[k], item.test)
+            elif isinstance(item, Map):
+                pending.append(item.values[k])
             else:
                 pending += (item.test, item.values[0][k], item.values[1][k])
     return live
 
 
-def _varying_numbers(root: Block, live: set[Value], varying_arguments: Callable[[Value], bool]) -> set[Value]:
-    """The numbers that depend on the member."""
-    varying: set[Value] = set()
+def _maps(block: Block) -> Iterator[Map]:
+    for item in block.items:
+        if isinstance(item, Map):
+            yield item
+        elif not isinstance(item, Value):
+            for inner in blocks_of(item):
+                yield from _maps(inner)
+
+
+def _varying_numbers(root: Block, start: set[Value], inside_only: bool = False) -> set[Value]:
+    """The numbers that depend on some that vary; outside of maps none does if these vary `inside_only`."""
+    varying = set(start)
 
     def visit(block: Block) -> None:
         for item in block.items:
@@ -446,6 +506,10 @@ def _varying_numbers(root: Block, live: set[Value], varying_arguments: Callable[
                     varying.add(item)
             elif isinstance(item, Loop):
                 visit_loop(item)
+            elif isinstance(item, Map):
+                visit(item.body)
+                rows = zip(item.values, item.results, strict=True)
+                varying.update(after for x, after in rows if x in varying and not inside_only)
             else:
                 for side in item.blocks:
                     visit(side)
@@ -470,6 +534,5 @@ def _varying_numbers(root: Block, live: set[Value], varying_arguments: Callable[
             if inside in varying:
                 varying.add(after)
 
-    varying.update(x for x in live if x.op == "argument" and varying_arguments(x))
     visit(root)
     return varying

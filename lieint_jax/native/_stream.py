@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator, Sequence
 from typing import NamedTuple
 
-from lieint_jax.native._program import Block, Branch, Loop, Program, Value
+from lieint_jax.native._program import Block, Loop, Program, Value, blocks_of
 from lieint_jax.native._traced import Leaf
 
 _FEW = 30  # the most shared operations that are computed in every block instead
@@ -87,8 +87,8 @@ def _length(block: Block, program: Program, others: Container[Block]) -> int:
     for item in block.items:
         if isinstance(item, Value):
             found += item in program.live
-        elif isinstance(item, Branch):
-            found += sum(_length(side, program, others) for side in item.blocks)
+        elif not isinstance(item, Loop):
+            found += sum(_length(inner, program, others) for inner in blocks_of(item))
         elif item.body not in others and any(x in program.live for x in item.carries):
             found += 4 * (_length(item.head, program, others) + _length(item.body, program, others))
     return found

@@ -13,12 +13,19 @@ from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
-from lieint_jax.native._primitives.abstract_walk import Table, UnsupportedError, array_of, unsupported_if_it_fails
+from lieint_jax.native._primitives.abstract_walk import (
+    Table,
+    TooLongError,
+    UnsupportedError,
+    array_of,
+    unsupported_if_it_fails,
+)
 from lieint_jax.native._program import Builder, Program, Value
-from lieint_jax.native._walk import Walk, shapes_of
+from lieint_jax.native._walk import LONGEST, Walk, shapes_of
 
 _Compiled = TypeVar("_Compiled")
 Tree = Any  # a tree of arrays, of shapes, or of the kinds of arguments
+_UNROLLED = 20_000  # the most numbers of a program without maps, if it may have them
 _LONGEST_SHARED = 256  # the most entries of a shared array whose entries are numbers of the program, not a table
 
 
@@ -61,6 +68,7 @@ class Traced:
             the same tree), "member" (each member has its own), "shared", "row" (shared, another one for each row),
             "series" (each member has its own for each row), or "counter" (the number of the row).
         examples: the arguments of one member and one row, as arrays or shapes.
+        with_maps: whether a long program has maps over long axes.
 
     Attributes:
         leaves: the arrays of the arguments; the data of an argument of the program is (number of the leaf, of the
@@ -76,7 +84,13 @@ class Traced:
         UnsupportedError: the function cannot be a program of numbers.
     """
 
-    def __init__(self, function: Callable[..., Tree] | ClosedJaxpr, kinds: Sequence[Tree], examples: Sequence[Tree]):
+    def __init__(
+        self,
+        function: Callable[..., Tree] | ClosedJaxpr,
+        kinds: Sequence[Tree],
+        examples: Sequence[Tree],
+        with_maps: bool = False,
+    ):
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x), _dtype(x)), tuple(examples))
         for x in jax.tree.leaves(shapes):
             if jax.numpy.issubdtype(x.dtype, jax.dtypes.extended):
@@ -86,14 +100,21 @@ class Traced:
         else:
             self.jaxpr, self.results = jax.make_jaxpr(function, return_shape=True)(*shapes)
         with unsupported_if_it_fails():
-            self._walk(self.jaxpr, kinds, shapes)
+            try:
+                self._walk(self.jaxpr, kinds, shapes, _UNROLLED if with_maps else LONGEST, False)
+            except TooLongError:
+                if not with_maps:
+                    raise
+                self._walk(self.jaxpr, kinds, shapes, LONGEST, True)
 
     @property
     def pressure(self) -> int:
         """How many numbers of a step are alive at once."""
         return self.program.pressure() or sum(leaf.size for leaf in self.leaves if leaf.varies)
 
-    def _walk(self, closed: ClosedJaxpr, kinds: Sequence[Tree], shapes: Sequence[Tree]) -> None:
+    def _walk(
+        self, closed: ClosedJaxpr, kinds: Sequence[Tree], shapes: Sequence[Tree], longest: int, with_maps: bool
+    ) -> None:
         each = jax.tree.map(lambda kind, part: [kind] * len(jax.tree.leaves(part)), tuple(kinds), shapes)
         self._builder, self.leaves, arguments = Builder(), [], []
         self.outside: list[Operation] = []
@@ -101,7 +122,7 @@ class Traced:
             long = kind == "shared" and x.size > _LONGEST_SHARED and len(x.shape) == 1
             arguments.append(self._argument("table" if long else kind, x))
         self.given = len(self.leaves)
-        outputs = Walk(self._builder, self._compute_before).jaxpr(closed, arguments)
+        outputs = Walk(self._builder, self._compute_before, longest, with_maps).jaxpr(closed, arguments)
         self.program = self._program([x for array in outputs for x in array.flat])
         self.length = self._builder.length
 

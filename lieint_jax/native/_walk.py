@@ -12,19 +12,30 @@ from typing import Any
 import jax
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
 from lieint_jax.native._march import by_xla, march_p
-from lieint_jax.native._primitives.abstract_walk import LARGEST, AbstractWalk, Table, UnsupportedError, array_of
+from lieint_jax.native._primitives.abstract_walk import (
+    LARGEST,
+    AbstractWalk,
+    Parameters,
+    Table,
+    TooLongError,
+    UnsupportedError,
+    array_of,
+)
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
-from lieint_jax.native._primitives.indexing import INDEXING, look_up
+from lieint_jax.native._primitives.indexing import INDEXING, entry_of, look_up, row_number
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
 from lieint_jax.native._primitives.moves import MOVES
+from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
 from lieint_jax.native._primitives.reductions import REDUCTIONS
-from lieint_jax.native._program import Builder
+from lieint_jax.native._program import Builder, Value
+from lieint_jax.native._regions import Region, long_axis, rows_joined, walk_regions
 
-_LONGEST = 60_000  # the most numbers of a program
+_UNROLLED_WITH_MAPS = 6000  # see `AbstractWalk.unrolled`
+LONGEST = 60_000  # the most numbers of a program
 _TYPES = {f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {"bool", "float32", "float64"}
 # They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
 _HARMLESS = {"accuracy", "indices_are_sorted", "out_sharding", "sharding", "unique_indices", "weak_type"}
@@ -41,13 +52,22 @@ class Walk(AbstractWalk):
     Args:
         builder: the program so far.
         compute_before: (equation, operands) ↦ the results of an operation without a formula here, or None.
+        longest: the most operations.
+        with_maps: whether operations along a long axis become maps.
     """
 
     def __init__(
-        self, builder: Builder, compute_before: Callable[[JaxprEqn, list[np.ndarray]], list[np.ndarray] | None]
+        self,
+        builder: Builder,
+        compute_before: Callable[[JaxprEqn, list[np.ndarray]], list[np.ndarray] | None],
+        longest: int = LONGEST,
+        with_maps: bool = False,
     ):
         super().__init__(builder)
-        self._compute_before = compute_before
+        self._compute_before, self._longest, self._with_maps = compute_before, longest, with_maps
+        self.unrolled = _UNROLLED_WITH_MAPS if with_maps else self.unrolled
+        self._row: Value | None = None  # the number of the row inside of a map
+        self._rows_read: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
         """The results of a jaxpr, as arrays of numbers."""
@@ -61,16 +81,90 @@ class Walk(AbstractWalk):
                 return self.constant_array(atom.val, atom.aval.dtype)  # pyright: ignore[reportAttributeAccessIssue]
             return values[atom]
 
-        for equation in jaxpr.eqns:
+        def walk_one(equation: JaxprEqn) -> None:
             results = self._equation(equation, [read(x) for x in equation.invars])
             values.update(zip(equation.outvars, results, strict=True))
-            if self.builder.length > _LONGEST:
-                raise UnsupportedError(f"more than {_LONGEST} operations")
+            if self.builder.length > self._longest:
+                raise TooLongError(f"more than {self._longest} operations")
+
+        def walk_rows(region: Region, needed: Sequence[Any]) -> None:
+            values.update(self._map(region, needed, read))
+
+        if self._with_maps and self._row is None:
+            walk_regions(jaxpr, values, walk_one, walk_rows)
+        else:
+            for equation in jaxpr.eqns:
+                walk_one(equation)
         return [read(x) for x in jaxpr.outvars]
 
+    def _map(self, region: Region, needed: Sequence[Any], read: Callable[[Any], np.ndarray]) -> dict[Any, np.ndarray]:
+        """Some results of a region, by a map over its rows."""
+        found: dict[Any, np.ndarray] = {}
+
+        def row(index: Value) -> list[Value]:
+            self._row, self.rows_at_once, self._rows_read = index, region.length, {}
+            for equation, axes, out in region.equations:
+                inputs = [found[x] if isinstance(x, Var) and x in found else read(x) for x in equation.invars]
+                found.update(zip(equation.outvars, self._one_row(equation, inputs, axes, out), strict=True))
+            self._row, self.rows_at_once = None, 1
+            return [number for x in needed for number in found[x].flat]
+
+        arrays = iter(self.builder.map(region.length, row))
+        results = {}
+        for x in needed:
+            shape, axis = found[x].shape, region.axes[x]
+            if axis is None:
+                results[x] = array_of([next(arrays) for _ in range(found[x].size)], shape)
+                continue
+            columns = [next(arrays) for _ in range(found[x].size)]
+            rows = [[entry_of(self, y, k) for y in columns] for k in range(region.length)]
+            results[x] = rows_joined(rows, shape, axis)
+        return results
+
+    def _one_row(self, equation: JaxprEqn, inputs: list[np.ndarray], axes: Axes, out: Axes) -> list[np.ndarray]:
+        """The results of an equation for one row along these axes of its operands and results."""
+        shapes = [
+            x if d is None else x.update(shape=(*x.shape[:d], 1, *x.shape[d + 1 :]))
+            for x, d in zip(shapes_of(equation.outvars), out, strict=True)
+        ]
+        operands = zip(inputs, axes, shapes_of(equation.invars), strict=True)
+        rows = [x if d is None or x.shape != y.shape else self._row_of(x, d) for x, d, y in operands]
+        parameters = of_one_row(equation.primitive.name, equation.params, axes, out)
+        return self._apply(equation, rows, parameters, shapes)
+
+    def _row_of(self, x: np.ndarray, axis: int) -> np.ndarray:
+        """The row of a map, of an array that has all."""
+        assert self._row is not None
+        key = id(x), axis
+        if key not in self._rows_read:
+            rows = np.moveaxis(x, axis, 0)
+            numbers = [row_number(self, list(column), self._row) for column in rows.reshape(len(rows), -1).T]
+            self._rows_read[key] = x, np.moveaxis(array_of(numbers, (1, *rows.shape[1:])), 0, axis)
+        return self._rows_read[key][1]
+
+    def long_axis(self, shape: Sequence[int]) -> int | None:
+        return long_axis(shape) if self._with_maps and self._row is None else None
+
+    def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
+        found = super().matched(arrays, like)
+        if self._row is None:
+            return found
+        for k, (x, y) in enumerate(zip(found, like, strict=False)):
+            longer = [d for d, (n, m) in enumerate(zip(x.shape, y.shape, strict=True)) if n != m]
+            found[k] = self._row_of(x, longer[0]) if longer else x
+        return found
+
     def _equation(self, equation: JaxprEqn, inputs: list[np.ndarray]) -> list[np.ndarray]:
-        name, parameters = equation.primitive.name, equation.params
-        out = shapes_of(equation.outvars)
+        if self._row is not None:
+            axes = [_row_axis(x, y.shape) for x, y in zip(inputs, shapes_of(equation.invars), strict=True)]
+            if any(d is not None for d in axes):
+                return self._one_row(equation, inputs, *rows_along(equation, axes))
+        return self._apply(equation, inputs, equation.params, shapes_of(equation.outvars))
+
+    def _apply(
+        self, equation: JaxprEqn, inputs: list[np.ndarray], parameters: Parameters, out: list[ShapedArray]
+    ) -> list[np.ndarray]:
+        name = equation.primitive.name
         if out and all(x.dtype == jax.dtypes.float0 for x in out):  # tangents of integers, which nothing reads
             return [self.constant_array(np.zeros(x.shape), x.dtype) for x in out]
         other = {str(x.dtype) for x in (*shapes_of(equation.invars), *out)} - _TYPES
@@ -103,6 +197,11 @@ class Walk(AbstractWalk):
         if results is None:
             raise UnsupportedError(f"{name} has no formula in machine code")
         return results
+
+
+def _row_axis(x: np.ndarray | Table, shape: Sequence[int]) -> int | None:
+    """The axis along which an array has one row of all, if there is one."""
+    return next((d for d, (n, m) in enumerate(zip(x.shape, shape, strict=True)) if n != m), None)
 
 
 def _expand(equation: JaxprEqn) -> ClosedJaxpr | None:

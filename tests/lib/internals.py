@@ -70,6 +70,12 @@ def largest_at_once(monkeypatch, dim):
     monkeypatch.setattr(tangent, "_LARGE", dim)
 
 
+def always_map(monkeypatch):
+    """Let programs of all lengths have maps over long axes."""
+    monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
+    monkeypatch.setattr(_traced, "_UNROLLED", 0)
+
+
 def limit_kernels(monkeypatch, most):
     """Let steps of more than so many operations be too long for a kernel."""
     monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())  # of what is known of loops

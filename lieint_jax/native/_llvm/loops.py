@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import collections
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from lieint_jax.native._llvm.operations import Operations
-from lieint_jax.native._program import Block, Branch, Loop, Program, Value
+from lieint_jax.native._program import Block, Branch, Loop, Map, Program, Value
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
 
@@ -31,10 +32,21 @@ class Loops(Operations):
     Args:
         program, lanes, leaves, functions: see `Operations`.
         tape: the numbers that the program writes for another, or reads.
+        row_lanes: the most rows of a map that are lanes, if there is one member; 0 if the members are.
     """
 
-    def __init__(self, program: Program, lanes: int, leaves: Sequence[Leaf], functions: Functions, tape: Tape | None):
+    def __init__(
+        self,
+        program: Program,
+        lanes: int,
+        leaves: Sequence[Leaf],
+        functions: Functions,
+        tape: Tape | None,
+        row_lanes: int = 0,
+    ):
         super().__init__(program, lanes, leaves, functions)
+        self.of_rows, shortest = program.depending_on_rows() if row_lanes else (set(), 0)
+        self.width = min(row_lanes, 1 << shortest.bit_length() - 1) if shortest else 0
         self.tape, self.tape_pointer, self.capacity = tape, "", ""
         self.wide = "i64" if any(leaf.dtype == np.float64 for leaf in leaves) else "i32"
 
@@ -44,6 +56,8 @@ class Loops(Operations):
                 self.loop(item)
             elif isinstance(item, Branch):
                 self.branch(item)
+            elif isinstance(item, Map):
+                self.map(item)
             elif item in self.program.live and item not in self.absorbed and item not in self.names:
                 self.names[item] = self.operation(item)
 
@@ -101,6 +115,50 @@ class Loops(Operations):
             text.append(f"  {phi} = phi {kind} [ {start}, %{before} ], [ {after}, %{end} ]")
         self.lines[place:place] = text
         self.begin(exit_)
+
+    def map(self, item: Map) -> None:
+        """A loop over rows; of one member, over as many rows as there are lanes, of which the last end with the last.
+
+        So some rows are computed twice, with the same results.
+        """
+        live = [(x, rows) for x, rows in zip(item.values, item.results, strict=True) if rows in self.program.live]
+        if not live:
+            return
+        for _, rows in live:
+            self.names[rows] = self.new_array(item.length, rows)
+        before, head, exit_ = self.label, *(self.new_label(x) for x in ("map", "map.exit"))
+        self.jump(head)
+        self.begin(head)
+        row, place = self.new(), len(self.lines)
+        if self.width:
+            self.rows_at_once(item, live, row)
+        else:
+            self.names[item.index] = row
+            self.block(item.body)
+            for x, rows in live:
+                self.write(self.names[rows], row, x, self.varies(x))
+        after = self.add(f"add i64 {row}, {self.width or 1}")
+        more = self.add(f"icmp slt i64 {after}, {item.length}")
+        self.lines.insert(place, f"  {row} = phi i64 [ 0, %{before} ], [ {after}, %{self.label} ]")
+        self.lines.append(f"  br i1 {more}, label %{head}, label %{exit_}")
+        self.begin(exit_)
+
+    def rows_at_once(self, item: Map, live: list[tuple[Value, Value]], row: str) -> None:
+        """The body of a map, for rows that are lanes."""
+        members, self.lanes = self.lanes, self.width
+        self.outside, self.names = self.names, collections.ChainMap({}, self.names)
+        self.first_row = self.intrinsic("smin", "i64", row, str(item.length - self.width))
+        each = ", ".join(f"i64 {k}" for k in range(self.width))
+        self.names[item.index] = self.add(f"add <{self.lanes} x i64> {self.splat(self.first_row, np.int64)}, <{each}>")
+        self.block(item.body)
+        for x, rows in live:
+            kind, value = self.stored_type(x.dtype, True), self.value(x, True)
+            if x.dtype.kind == "b":
+                value = self.add(f"zext {self.type(bool, True)} {value} to {kind}")
+            scalar = self.stored_type(x.dtype)
+            at = self.add(f"getelementptr {scalar}, ptr {self.names[rows]}, i64 {self.first_row}")
+            self.lines.append(f"  store {kind} {value}, ptr {at}, align {x.dtype.itemsize}")
+        self.names, self.outside, self.lanes = self.outside, None, members
 
     def body(self, block: Block) -> None:
         """The body of a loop, with the numbers that are read from the tape or written to it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Sequence
 
@@ -10,10 +11,14 @@ import numpy as np
 from lieint_jax.native._llvm.instructions import instruction
 from lieint_jax.native._llvm.memory import Memory
 from lieint_jax.native._llvm.text import constant, literal, suffix
+from lieint_jax.native._primitives.indexing import NEXT
 from lieint_jax.native._program import Block, Program, Value, blocks_of, numbers_of
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
 
+# Bytes that arrays may have on the stack: LLVM needs three times as long where they come from the heap.
+_STACK = 2**20 if sys.platform == "linux" else 2**17
+_LINE = 64  # bytes of a line of the cache
 _INTRINSICS = {"ceil": "ceil", "floor": "floor", "round_away": "round", "round_even": "roundeven", "sqrt": "sqrt"}
 
 
@@ -27,7 +32,8 @@ class Operations(Memory):
 
     def __init__(self, program: Program, lanes: int, leaves: Sequence[Leaf], functions: Functions):
         super().__init__(program, lanes, leaves)
-        self.functions = functions
+        self.functions, self.first_row = functions, ""  # of those that are lanes
+        self.arrays: list[tuple[str, str, int, int]] = []  # in memory: name, type and number of entries, their bytes
         self.fused, self.absorbed = _fusions(program)
 
     def operation(self, x: Value) -> str:
@@ -148,14 +154,59 @@ class Operations(Memory):
 
     def op_put(self, x: Value, vector: bool) -> str:
         array, k, y = x.inputs
-        self.write(self.names[array], self.value(k, False), y, vector)
+        if y.is_array:
+            self.copy(self.names[array], self.value(k, False), y, vector, x.data)
+        else:
+            self.write(self.names[array], self.value(k, False), y, vector)
         return self.names[array]
+
+    def copy(self, array: str, k: str, rows: Value, vector: bool, count: int) -> None:
+        """Write the first entries of another array, from place k on."""
+        kind = self.stored_type(rows.dtype, vector)
+        at = self.add(f"getelementptr {kind}, ptr {array}, i64 {k}")
+        if vector == self.varies(rows):
+            size = count * rows.dtype.itemsize * (self.lanes if vector else 1)
+            self.module.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
+            self.lines.append(
+                f"  call void @llvm.memcpy.p0.p0.i64(ptr {at}, ptr {self.names[rows]}, i64 {size}, i1 false)"
+            )
+            return
+        for j in range(count):
+            entry = self.splat(self.load(self.names[rows], rows.dtype, str(j)), rows.dtype)
+            if rows.dtype.kind == "b":
+                entry = self.add(f"zext {self.type(bool, True)} {entry} to {kind}")
+            to = self.add(f"getelementptr {kind}, ptr {at}, i64 {j}")
+            self.lines.append(f"  store {kind} {entry}, ptr {to}")
 
     def new_array(self, length: int, x: Value) -> str:
         """Memory for the array that a number stands for."""
-        name = self.new()
-        self.front.append(f"  {name} = alloca [{length} x {self.stored_type(x.dtype, self.varies(x))}], align 64")
+        vector, name = self.varies(x), self.new()
+        size = x.dtype.itemsize * (self.lanes if vector else 1)
+        self.arrays.append((name, self.stored_type(x.dtype, vector), length + 2 * NEXT, size))
         return name
+
+    def reserve(self) -> None:
+        """Memory for all arrays: on the stack, or, if they are large, from the heap, until the function ends."""
+        total = 0
+        large = sum(-(-n * size // _LINE) * _LINE for *_, n, size in self.arrays) > _STACK
+        for name, kind, n, size in self.arrays:
+            memory = self.new()
+            if large:
+                self.front.append(f"  {memory} = getelementptr i8, ptr %memory, i64 {total}")
+                total += -(-n * size // _LINE) * _LINE
+            else:
+                self.front.append(f"  {memory} = alloca [{n} x {kind}], align {_LINE}")
+            self.front.append(f"  {name} = getelementptr {kind}, ptr {memory}, i64 {NEXT}")
+        if large:
+            self.module.declared["declare ptr @malloc(i64)\ndeclare void @free(ptr)"] = None
+            heap = [
+                f"%heap = call ptr @malloc(i64 {total + _LINE})",
+                f"%heap.end = getelementptr i8, ptr %heap, i64 {_LINE - 1}",
+                f"%memory = call ptr @llvm.ptrmask.p0.i64(ptr %heap.end, i64 {-_LINE})",
+            ]
+            self.module.declared["declare ptr @llvm.ptrmask.p0.i64(ptr, i64)"] = None
+            self.front[:0] = [f"  {line}" for line in heap]
+            self.lines.append("  call void @free(ptr %heap)")
 
     def write(self, array: str, k: str, x: Value, vector: bool) -> None:
         kind, value = self.stored_type(x.dtype, vector), self.value(x, vector)
@@ -178,6 +229,22 @@ class Operations(Memory):
             here = self.add(f"icmp eq <{self.lanes} x i64> {self.value(index, True)}, splat (i64 {k})")
             found = self.select(f"<{self.lanes} x i1> {here}", kind, y, found)
         return found
+
+    def op_row(self, x: Value, vector: bool) -> str:
+        """The entry of an array in the row of a map, or in one near it; of several rows that are lanes."""
+        (index, array), (first, stride) = x.inputs, x.data
+        row = self.value(index, False) if self.outside is None else self.first_row
+        k = row if stride == 1 else self.add(f"mul i64 {row}, {stride}")
+        k = self.add(f"add i64 {k}, {first}") if first else k
+        if self.outside is None:
+            return self.entry(array, k, vector)
+        kind, scalar = self.stored_type(x.dtype, True), self.stored_type(x.dtype)
+        at = self.add(f"getelementptr {scalar}, ptr {self.names[array]}, i64 {k}")
+        if stride != 1:
+            each = ", ".join(f"i64 {j * stride}" for j in range(self.lanes))
+            return self.gather_at(self.add(f"getelementptr {scalar}, ptr {at}, <{self.lanes} x i64> <{each}>"), x.dtype)
+        found = self.add(f"load {kind}, ptr {at}, align {x.dtype.itemsize}")
+        return found if x.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, True)}")
 
     def entry(self, array: Value, k: str, vector: bool) -> str:
         kind = self.stored_type(array.dtype, vector)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, MutableMapping
+
 import numpy as np
 from jax.typing import DTypeLike
 
@@ -25,10 +27,13 @@ class Values(Text):
     def __init__(self, program: Program, lanes: int):
         super().__init__(Module())
         self.program, self.lanes = program, lanes
-        self.names: dict[Value, str] = {}
+        self.names: MutableMapping[Value, str] = {}
+        self.outside: Mapping[Value, str] | None = None  # the names outside of a map whose rows are the lanes
+        self.of_rows: set[Value] = set()  # the numbers that differ from row to row
 
     def varies(self, x: Value) -> bool:
-        return x in self.program.varying
+        """Whether it is a vector: of members, or, inside a map of one member, of rows."""
+        return x in (self.program.varying if self.outside is None else self.of_rows)
 
     def scalar(self, dtype: DTypeLike) -> str:
         name = np.dtype(dtype).str[1:]
@@ -48,6 +53,8 @@ class Values(Text):
         if x.is_constant:
             return constant(self.scalar(x.dtype), x.data, self.lanes * vector)
         name = self.names[x]
+        if self.outside is not None and x in self.outside and x in self.program.varying:
+            name = self.add(f"extractelement {with_lanes(self.scalar(x.dtype), 1)} {name}, i64 0")
         return self.splat(name, x.dtype) if vector and not self.varies(x) else name
 
     def splat(self, name: str, dtype: DTypeLike) -> str:

@@ -22,6 +22,10 @@ class UnsupportedError(Exception):
     """A function cannot be a program of numbers; the message names the unsupported operation."""
 
 
+class TooLongError(UnsupportedError):
+    """A function has too many operations."""
+
+
 @contextlib.contextmanager
 def unsupported_if_it_fails() -> Iterator[None]:
     """Any failure of code that reads what JAX wrote, and of code that writes LLVM's, becomes an `UnsupportedError`.
@@ -68,6 +72,8 @@ class AbstractWalk(abc.ABC):
 
     def __init__(self, builder: Builder):
         self.builder = builder
+        self.unrolled = 400  # the most numbers of a longer unrolled loop, in all iterations together
+        self.rows_at_once = 1  # for which a formula is evaluated, inside a map
 
     @abc.abstractmethod
     def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -99,6 +105,14 @@ class AbstractWalk(abc.ABC):
         index = self.number("convert", index, dtype=np.int64)
         return self.number("min", self.number("max", index, self.index(0)), self.index(last))
 
+    def long_axis(self, shape: Sequence[int]) -> int | None:
+        """The axis of an array over whose rows there is a map."""
+        return None
+
+    def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
+        """Arrays of the shapes of others, which have one row where these have all: the row of a map."""
+        return list(arrays[: len(like)])
+
     def select(self, test: Value, on_true: Any, on_false: Any) -> Any:
         """Numbers or arrays, by a boolean."""
         if isinstance(on_true, Value):
@@ -115,6 +129,9 @@ class AbstractWalk(abc.ABC):
         """A loop that carries arrays."""
         shapes = [x.shape for x in starts]
 
+        def next_arrays(numbers: list[Value]) -> list[np.ndarray]:
+            return self.matched(next_carry(joined(numbers)), starts)
+
         def joined(numbers: list[Value]) -> list[np.ndarray]:
             left = iter(numbers)
             return [array_of([next(left) for _ in range(int(np.prod(shape)))], shape) for shape in shapes]
@@ -122,5 +139,5 @@ class AbstractWalk(abc.ABC):
         def flat(arrays: list[np.ndarray]) -> list[Value]:
             return [x for array in arrays for x in array.flat]
 
-        found = self.builder.loop(flat(starts), lambda c: test(joined(c)), lambda c: flat(next_carry(joined(c))))
+        found = self.builder.loop(flat(starts), lambda c: test(joined(c)), lambda c: flat(next_arrays(c)))
         return joined(found)

@@ -22,15 +22,14 @@ from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value
 
 _UNROLLED = 4  # the longest counted loop that is unrolled in any case
-_UNROLLED_NUMBERS = 400  # the most numbers of a longer unrolled loop, in all iterations together
-_MOST_STACKED = 8192  # the most numbers of each member that all loops write to memory: they are on the stack
+_MOST_STACKED = 8192  # the most numbers of each member that all loops write to memory, without those of maps
 
 
 def _while(
     walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
 ) -> list[np.ndarray]:
     cond, body = parameters["cond_jaxpr"], parameters["body_jaxpr"]
-    of_test, of_body, starts = _split(inputs, len(cond.in_avals) - len(out), len(body.in_avals) - len(out))
+    of_test, of_body, starts = split_while(inputs, cond, body, out)
 
     def tests(carry: list[np.ndarray]) -> np.ndarray:
         return walk.jaxpr(cond, [*of_test, *carry])[0]
@@ -43,12 +42,18 @@ def _while(
         which = tests(carry)
         if not which.ndim:
             return after
+        after = walk.matched(after, out)
         return [_select_entries(walk, which, *pair) for pair in zip(after, carry, strict=True)]
 
-    return walk.loop_over_arrays(starts, test, next_carry)
+    return walk.loop_over_arrays(walk.matched(starts, out), test, next_carry)
 
 
-def _split(inputs: list[np.ndarray], *lengths: int) -> list[list[np.ndarray]]:
+def split_while(inputs: list[Any], cond: ClosedJaxpr, body: ClosedJaxpr, out: Sequence[Any]) -> list[list[Any]]:
+    """What belongs to the constants of the test, to those of the body, and to the carries."""
+    return _split(inputs, len(cond.in_avals) - len(out), len(body.in_avals) - len(out))
+
+
+def _split(inputs: list[Any], *lengths: int) -> list[list[Any]]:
     """Parts of these lengths, and the rest."""
     ends = [0, *itertools.accumulate(lengths), len(inputs)]
     return [inputs[start:end] for start, end in itertools.pairwise(ends)]
@@ -70,23 +75,26 @@ def _scan(
     carried = sum(map(have_same_rank, out, closed.out_avals))  # rows have an axis more outside of the loop
     fixed = sum(map(have_same_rank, inputs, closed.in_avals))
     consts, starts, series = _split(inputs, fixed - carried, carried)
+    starts = walk.matched(starts, out)
     order = range(length)[::-1] if parameters["reverse"] else range(length)
-    stacked = closed.out_avals[len(starts) :]
-    size = length * sum(int(np.prod(x.shape)) for x in stacked)
-    is_short = length <= _UNROLLED or length * _size(closed.jaxpr) <= _UNROLLED_NUMBERS
+    stacked = [x.shape[1:] for x in out[len(starts) :]]
+    size = length * sum(int(np.prod(x)) for x in stacked)
+    is_short = length <= _UNROLLED or length * _size(closed.jaxpr) <= walk.unrolled * walk.rows_at_once
     if is_short or walk.builder.stacked + size > _MOST_STACKED:
         carry, rows = starts, []
         for k in order:
             found = walk.jaxpr(closed, [*consts, *carry, *(x[k] for x in map(_arrays, series))])
-            carry = found[: len(starts)]
+            carry = walk.matched(found[: len(starts)], out)
             rows.append(found[len(starts) :])
         if not stacked:
             return carry
         if not length:
-            return [*carry, *(array_of([], (0, *x.shape)) for x in stacked)]
+            return [*carry, *(array_of([], (0, *x)) for x in stacked)]
         rows = rows[::-1] if parameters["reverse"] else rows
         return [*carry, *(stack(*column, axis=0) for column in zip(*rows, strict=True))]
     zero, one, end = map(walk.index, (0, 1, length))
+    kinds = [x.dtype for x in out[len(starts) :]]
+    starts_of_rows = [empty_rows(walk, length, *pair) for pair in zip(stacked, kinds, strict=True)]
 
     def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
         k = carry[0].item()
@@ -99,11 +107,20 @@ def _scan(
         return [array_of([walk.number("add", k, one)], ()), *after[: len(starts)], *written]
 
     found = walk.loop_over_arrays(
-        [array_of([zero], ()), *starts, *(empty_rows(walk, length, x) for x in stacked)],
+        [array_of([zero], ()), *starts, *starts_of_rows],
         lambda c: walk.number("lt", c[0].item(), end),
         next_carry,
     )[1:]
-    return [*found[: len(starts)], *(rows_of(walk, length, x) for x in found[len(starts) :])]
+    rows = zip(found[len(starts) :], stacked, strict=True)
+    return [*found[: len(starts)], *(rows_of(walk, length, *pair) for pair in rows)]
+
+
+def split_scan(items: list[Any], equation: Any) -> list[list[Any]]:
+    """What belongs to the constants of a scan, to its carries and to its rows."""
+    step = equation.params["jaxpr"]
+    carried = sum(map(have_same_rank, [x.aval for x in equation.outvars], step.out_avals))
+    fixed = sum(map(have_same_rank, [x.aval for x in equation.invars], step.in_avals))
+    return _split(items, fixed - carried, carried)
 
 
 def have_same_rank(x: Any, y: Any) -> bool:
@@ -118,16 +135,19 @@ def _cond(
     walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
 ) -> list[np.ndarray]:
     index, operands = inputs[0].item(), inputs[1:]
-    return _branches(walk, index, parameters["branches"], operands)
+    return _branches(walk, index, parameters["branches"], operands, out)
 
 
 def _branches(
-    walk: AbstractWalk, index: Value, branches: Sequence[ClosedJaxpr], operands: list[np.ndarray]
+    walk: AbstractWalk,
+    index: Value,
+    branches: Sequence[ClosedJaxpr],
+    operands: list[np.ndarray],
+    out: Sequence[ShapedArray],
 ) -> list[np.ndarray]:
     """The results of the branch of number `index`."""
     if len(branches) == 1:
-        return walk.jaxpr(branches[0], operands)
-    shapes = [x.shape for x in branches[0].out_avals]
+        return walk.matched(walk.jaxpr(branches[0], operands), out)
     if index.dtype == bool:
         test = walk.number("not", index)
     else:
@@ -135,13 +155,13 @@ def _branches(
     rest = index if index.dtype == bool else walk.number("sub", index, walk.builder.constant(1, index.dtype))
 
     def first() -> list[Value]:
-        return [x for array in walk.jaxpr(branches[0], operands) for x in array.flat]
+        return [x for array in _branches(walk, index, branches[:1], operands, out) for x in array.flat]
 
     def others() -> list[Value]:
-        return [x for array in _branches(walk, rest, branches[1:], operands) for x in array.flat]
+        return [x for array in _branches(walk, rest, branches[1:], operands, out) for x in array.flat]
 
     left = iter(walk.builder.branch(test, (first, others)))
-    return [array_of([next(left) for _ in range(int(np.prod(shape)))], shape) for shape in shapes]
+    return [array_of([next(left) for _ in range(int(np.prod(x.shape)))], x.shape) for x in out]
 
 
 def _linear_solve(
@@ -155,14 +175,16 @@ def _linear_solve(
 
 def _size(jaxpr: Any) -> int:
     """About the number of operations of a jaxpr."""
-    found = 0
-    for equation in jaxpr.eqns:
-        inner = jaxprs_of(equation.params)
+    return sum(map(size_of, jaxpr.eqns))
+
+
+def size_of(equation: Any) -> int:
+    """About the number of operations of an equation."""
+    inner = jaxprs_of(equation.params)
+    if inner:
         repeats = equation.params.get("length", 1) if equation.primitive.name == "scan" else 1
-        found += sum(repeats * _size(getattr(x, "jaxpr", x)) for x in inner)
-        if equation.primitive.name not in MOVES and not inner:
-            found += sum(int(np.prod(x.aval.shape)) for x in equation.outvars)
-    return found
+        return sum(repeats * _size(getattr(x, "jaxpr", x)) for x in inner)
+    return 0 if equation.primitive.name in MOVES else sum(int(np.prod(x.aval.shape)) for x in equation.outvars)
 
 
 def jaxprs_of(parameters: Parameters) -> list[Any]:

@@ -19,6 +19,9 @@ Window = tuple[list[Value], Value, np.ndarray]  # its first index, whether it is
 _CLIP, _FILL = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
 _ROW = 1024  # the most entries of a table that are read at once
 _COPIED = 256  # the longest array that is put together from numbers: LLVM needs 10 s for 400, minutes for 2000
+_STORED = ("array", "result array", "rows")  # arrays that rows of a map are read from
+_PARTS = 3  # of which the most a column of a map is put together
+NEXT = 2  # entries before and after an array that may be read
 _SELECTED = 8  # the most numbers from which one is selected by comparing indices; longer arrays are read from memory
 
 
@@ -34,8 +37,11 @@ def _entry(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
     """An entry of a long column of numbers: if they are constants, they are data of the program."""
     if all(x is column[0] for x in column):
         return column[0]
-    if _is_array_in_order(column):
-        return walk.number("entry", k, column[0].inputs[1], dtype=column[0].dtype)
+    run = _run(column)
+    if run is not None:
+        array, first, stride = run
+        k = k if stride == 1 else walk.number("mul", k, walk.index(stride))
+        return walk.number("entry", _offset(walk, k, first), array, dtype=array.dtype)
     if all(x.is_constant for x in column):
         values = np.array([x.data for x in column], column[0].dtype)
         return walk.number("values", k, dtype=values.dtype, data=(values.dtype.str, values.tobytes()))
@@ -45,29 +51,94 @@ def _entry(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
     return walk.number("entry", k, array, dtype=column[0].dtype)
 
 
-def _is_array_in_order(column: list[Value]) -> bool:
-    """True if these are all entries of an array that a loop has written, in order."""
-    if not all(x.op == "entry" and x.inputs[1] is column[0].inputs[1] for x in column):
-        return False
-    order = [int(x.inputs[0].data) if x.inputs[0].is_constant else -1 for x in column]
-    return column[0].inputs[1].data == len(column) and order == list(range(len(column)))
+def entry_of(walk: AbstractWalk, x: Value, k: int) -> Value:
+    """The entry of an array in memory; a number that is no array is the same for all k."""
+    return walk.number("entry", walk.index(k), x, dtype=x.dtype) if x.is_array else x
 
 
-def empty_rows(walk: AbstractWalk, length: int, row: ShapedArray) -> np.ndarray:
-    """Arrays in memory for a loop that writes such a row in each iteration: one array for each entry of a row."""
-    return array_of([walk.builder.empty(length, row.dtype) for _ in range(int(np.prod(row.shape)))], row.shape)
+def row_number(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
+    """The entry of a column in row k of a map: of a few parts, which are numbers or follow each other in memory."""
+    run = _run(column)
+    if run is not None and run[2] > 0 and run[0].op in _STORED:
+        return walk.number("row", k, run[0], dtype=run[0].dtype, data=run[1:])
+    ends, parts = [], []
+    for n, x in enumerate(column):
+        is_entry = x.op == "entry" and x.inputs[0].is_constant
+        part = (x.inputs[1], int(x.inputs[0].data) - n) if is_entry else (x, None)
+        if not parts or part != parts[-1]:
+            ends.append(n)
+            parts.append(part)
+    near = all(_is_near(array, offset, len(column)) for array, offset in parts if offset is not None)
+    if len(parts) > _PARTS or not near:
+        if all(x.is_constant for x in column):
+            return _entry(walk, column, k)
+        parts, ends = [(walk.number("array", *column, dtype=column[0].dtype), 0)], [0]
+    numbers = [x if n is None else walk.number("row", k, x, dtype=x.dtype, data=(n, 1)) for x, n in parts]
+    found = numbers[-1]
+    for end, x in zip(ends[:0:-1], numbers[-2::-1], strict=True):
+        found = walk.select(walk.number("lt", k, walk.index(end)), x, found)
+    return found
+
+
+def _is_near(array: Value, offset: int, rows: int) -> bool:
+    """Whether entries from `offset` on are those of an array, or in the memory next to it."""
+    length = len(array.inputs) if array.op == "array" else array.data
+    return array.op in _STORED and offset >= -NEXT and offset + rows <= length + NEXT
+
+
+def _run(column: Sequence[Value]) -> tuple[Value, int, int] | None:
+    """(array, first index, stride) of entries of an array in memory at equal distances; None if they are none."""
+    array, places = None, []
+    for x in column:
+        if x.op != "entry" or not x.inputs[0].is_constant or array not in (None, x.inputs[1]):
+            return None
+        array = x.inputs[1]
+        places.append(int(x.inputs[0].data))
+    stride = places[1] - places[0] if len(places) > 1 else 1
+    if array is None or places != [places[0] + stride * k for k in range(len(places))]:
+        return None
+    return array, places[0], stride
+
+
+def empty_rows(walk: AbstractWalk, length: int, shape: Sequence[int], dtype: DTypeLike) -> np.ndarray:
+    """Arrays in memory for a loop that writes such a row in each iteration: one array for each entry of a row.
+
+    For programs with maps, one array has the entries along a long axis, so that maps may read them.
+    """
+    d = walk.long_axis(shape)
+    if d is not None:
+        length, shape = length * shape[d], (*shape[:d], 1, *shape[d + 1 :])
+    return array_of([walk.builder.empty(length, dtype) for _ in range(int(np.prod(shape)))], shape)
 
 
 def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Value) -> np.ndarray:
     """The arrays with row k written."""
-    pairs = zip(arrays.flat, row.flat, strict=True)
-    return array_of([walk.number("put", array, k, x, dtype=array.dtype) for array, x in pairs], arrays.shape)
+    d = walk.long_axis(row.shape) or 0
+    n = row.size // max(arrays.size, 1)  # entries of each array
+    first = k if n == 1 else walk.number("mul", k, walk.index(n))
+    columns: Any = np.moveaxis(row, d, 0).reshape(n, -1).T if n > 1 else row.reshape(-1, 1)
+    found = []
+    for array, column in zip(arrays.flat, columns, strict=True):
+        run = _run(column) if n > 1 else None
+        if run is not None and run[1:] == (0, 1) and run[0].op == "rows":
+            found.append(walk.number("put", array, first, run[0], dtype=array.dtype, data=n))
+            continue
+        for j, x in enumerate(column):
+            array = walk.number("put", array, _offset(walk, first, j), x, dtype=array.dtype)
+        found.append(array)
+    return array_of(found, arrays.shape)
 
 
-def rows_of(walk: AbstractWalk, length: int, arrays: np.ndarray) -> np.ndarray:
-    """The rows that a loop has written, as numbers; what is not used is not read."""
-    numbers = [walk.number("entry", walk.index(k), x, dtype=x.dtype) for k in range(length) for x in arrays.flat]
-    return array_of(numbers, (length, *arrays.shape))
+def rows_of(walk: AbstractWalk, length: int, arrays: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+    """The rows of this shape that a loop has written, as numbers; what is not used is not read."""
+    d, n = walk.long_axis(shape) or 0, int(np.prod(shape)) // max(arrays.size, 1)
+    found = np.empty((length, *shape), object)
+    for k in range(length):
+        for at in np.ndindex(*shape):
+            place = at if n == 1 else (*at[:d], 0, *at[d + 1 :])
+            index = k if n == 1 else k * n + at[d]
+            found[k, *at] = walk.number("entry", walk.index(index), arrays[place], dtype=arrays[place].dtype)
+    return found
 
 
 def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Value]) -> Value:
