@@ -64,6 +64,7 @@ def run(
     num_steps: int | None = None,
     save_every: int | None = None,
     step_axis: int | None = None,
+    *,
     reduce: Reduction | Literal["energy"] | None = None,
     mesh: Mesh | None = None,
     store: str | Path | StoreOptions | None = None,

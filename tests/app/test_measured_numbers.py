@@ -192,7 +192,7 @@ def quoted():
             r"the gradient of 1000 bodies needs ([\d.]+) times the time of `jax.jit`",
             [few[2]["li"] / few[2]["jax"]],
         ),
-        ("docs/pages/speed.md", r"The first `ensemble.run` costs ([\d.]+) to", [min(first)]),
+        ("docs/pages/speed.md", r"The first `li.run` costs ([\d.]+) to", [min(first)]),
         ("docs/pages/howto/rods.md", r"one rod, `splitting` \| ([\d.]+) and ([\d.]+)", over_elastica("splitting")),
         (
             "docs/pages/howto/rods.md",

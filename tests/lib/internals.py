@@ -13,7 +13,7 @@ from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import tangent
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
-from lieint_jax.runs import _engine, _execute, _job, _layout, _made_states, _results, _run
+from lieint_jax.runs import _engine, _execute, _facts, _job, _layout, _made_states, _results, _run
 from lieint_jax.runs.store import _bucket, _disk, _identity, _root, _store_output, _writer
 
 _DIFFERENCE = _engine.Engine._difference
@@ -146,7 +146,7 @@ def interrupt_after_the_first_call(monkeypatch):
 def another_machine(monkeypatch, device, jaxlib):
     """Let runs be on another kind of processor and by another jaxlib."""
     monkeypatch.setattr(_identity, "device", lambda: device)
-    monkeypatch.setattr(_identity, "version", lambda _: jaxlib)
+    monkeypatch.setattr(_facts, "version", lambda _: jaxlib)
 
 
 def control_groups(monkeypatch, top, own):

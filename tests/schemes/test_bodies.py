@@ -155,7 +155,7 @@ def test_no_other_kappa_conserves_angular_momentum():
     equation = scheme._Equation(BINARY, START, dt)
     J, (q, p) = np.array(BINARY.inertias), (np.array(x) for x in START[:2])
     Pi = np.array(jax.vmap(so3.Ad_star)(q[:, 3:], p[:, 3:]))
-    force = jax.jit(lambda move, h: equation.force(scheme._Ends(move, h)))
+    force = jax.jit(lambda move, h: equation.force_and_work(scheme._Ends(move, h))[0])
     local = jax.jit(jax.vmap(so3.Ad_star))
 
     def residual(unknown):
