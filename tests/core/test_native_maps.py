@@ -72,7 +72,7 @@ def once(function):
 
 @pytest.mark.parametrize("function", [moved, combined, repeated, differentiated])
 def test_maps_mean_what_xla_does(monkeypatch, function):
-    """Observed: 4e-16. One member, whose rows are lanes, has the bits of a member among others, which are lanes."""
+    """Observed: 4e-16 of the largest entry. One member, whose rows are lanes, has the bits of a member among others, which are lanes."""
     always_map(monkeypatch)
     step = jax.jit(jax.vmap(once(function)))
     [loop] = li.explain(step, POINTS).loops
@@ -82,7 +82,8 @@ def test_maps_mean_what_xla_does(monkeypatch, function):
         expected = step(POINTS)
     for (path, wanted), x in zip(jax.tree.leaves_with_path(expected), jax.tree.leaves(several), strict=True):
         assert (x.dtype, x.shape) == (wanted.dtype, wanted.shape), path
-        np.testing.assert_allclose(x, wanted, rtol=0, atol=4e-15, err_msg=jax.tree_util.keystr(path))
+        most = 2e-15 * np.abs(np.asarray(wanted, float)).max(initial=1)
+        np.testing.assert_allclose(x, wanted, rtol=0, atol=most, err_msg=jax.tree_util.keystr(path))
     assert bits(jax.jit(once(function))(POINTS[2])) == bits(jax.tree.map(lambda x: x[2], several))
 
 
