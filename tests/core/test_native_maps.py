@@ -72,7 +72,7 @@ def once(function):
 
 @pytest.mark.parametrize("function", [moved, combined, repeated, differentiated])
 def test_maps_mean_what_xla_does(monkeypatch, function):
-    """Observed: 4e-16 of the largest entry. One member, whose rows are lanes, has the bits of a member among others, which are lanes."""
+    """Observed: 4e-16 of the largest entry. The rows of one member are lanes; among others it has the same bits."""
     always_map(monkeypatch)
     step = jax.jit(jax.vmap(once(function)))
     [loop] = li.explain(step, POINTS).loops
