@@ -334,7 +334,7 @@ def test_inertia_integrals_of_the_moon_of_1999_kw4_are_those_of_gubas():
     data = np.load(Path(__file__).parents[1] / "data" / "kw4-beta-gubas.npz")
     published = data["integrals"]
     body = shapes.mesh(data["vertices"] / 1000, data["faces"].astype(int), mass=published[0, 0, 0])
-    moments = shapes._shift_moments(body._about_center(), body.center)
+    moments = shapes._solids._shift_moments(body._about_center(), body.center)
     for order in (2, 3, 4):
         powers = [k for k in itertools.product(range(order + 1), repeat=3) if sum(k) == order]
         ours = [moments[order][(0,) * a + (1,) * b + (2,) * c] for a, b, c in powers]
