@@ -115,8 +115,8 @@ def test_the_hyperbola_has_the_distance_and_the_speed():
 
 @pytest.mark.long
 def test_errors_are_those_of_scipy_and_their_derivatives_those_of_differences():
-    data = toutatis.radar_data()
-    params = toutatis.published_params("toutatis_takahashi", data["begin"], -data["epoch"])
+    data = _toutatis.radar_data()
+    params = _toutatis.published_params("toutatis_takahashi", data["begin"], -data["epoch"])
     x, unravel = ravel_pytree(params)
 
     def ours(x):
@@ -175,7 +175,7 @@ def study():
 @pytest.mark.long
 def test_the_estimate_agrees_with_scipy(study):
     """The same likelihood through DOP853 and BFGS by differences."""
-    data = toutatis.radar_data()
+    data = _toutatis.radar_data()
     assert study.fit.starts is not None
     params = jax.tree.map(lambda leaf: leaf[1], study.fit.starts.params)
     noise = np.asarray(params.pop("noise"))
@@ -200,8 +200,8 @@ def test_the_estimate_agrees_with_scipy(study):
 @pytest.mark.long
 def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
     """(ΣJᵀJ/σ²)⁻¹, with degrees of freedom taken off by kind, in numpy."""
-    data = toutatis.radar_data()
-    params = toutatis.published_params("toutatis", data["begin"], -data["epoch"])
+    data = _toutatis.radar_data()
+    params = _toutatis.published_params("toutatis", data["begin"], -data["epoch"])
     x, unravel = ravel_pytree(params)
     both = jax.jit(jax.jacfwd(lambda x: (e := _toutatis.errors(unravel(x), data), e), has_aux=True))
     J, e = (np.asarray(x) for x in both(x))

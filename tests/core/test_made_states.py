@@ -193,8 +193,9 @@ def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     Path("book.toml").write_text(scenario_files.book(members="members = 40"))
     assert cli.main(["run", "book.toml", "--out", "whole.zarr"]) == 0
-    build, asked = rigid_body.build, []
-    monkeypatch.setattr(rigid_body, "build", lambda scenario, n=None: asked.append(n) or build(scenario, n))
+    kind, asked = rigid_body.FreeBody, []
+    build = kind.build
+    monkeypatch.setattr(kind, "build", lambda scenario, n=None: asked.append(n) or build(scenario, n))
     for k in range(2):
         del asked[:]
         assert cli.main(["run", "book.toml", "--out", "parts.zarr", "--part", f"{k}/2"]) == 0, capsys.readouterr().err
