@@ -161,7 +161,7 @@ def another_version(monkeypatch, **versions):
         if name == "python":
             monkeypatch.setattr(_identity, "python_of", lambda *_, version=version: version)
         else:
-            monkeypatch.setattr(_identity, "__version__", version)
+            monkeypatch.setattr(_facts, "__version__", version)
 
 
 def after_commits(monkeypatch, action):
