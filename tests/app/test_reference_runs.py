@@ -26,6 +26,15 @@ def body_columns(body):
     return lambda state: jnp.concatenate([state.q, body.angular_velocity(state)])
 
 
+def bodies_columns(bodies):
+    def columns(state):
+        velocities = state.p[:, :3] / bodies.masses[:, None]
+        parts = state.q[:, :3], state.q[:, 3:], velocities, bodies.angular_velocities(state)
+        return jnp.concatenate([x.ravel() for x in parts])
+
+    return columns
+
+
 def free_body():
     J = FILES["free_body"]["inputs"]["J"]
     q, W = start_of("free_body", 4, 3)
@@ -67,13 +76,7 @@ def binary():
     bodies = systems.rigid_bodies(masses, inertias, potentials.maccullagh(1.0, masses, inertias))
     x, v, W = (a.reshape(2, 3) for a in (x, v, W))
     start = bodies.state(x, q.reshape(2, 4), velocities=v, angular_velocities=W)
-
-    def columns(state):
-        velocities = state.p[:, :3] / bodies.masses[:, None]
-        parts = state.q[:, :3], state.q[:, 3:], velocities, bodies.angular_velocities(state)
-        return jnp.concatenate([x.ravel() for x in parts])
-
-    return bodies, start, columns
+    return bodies, start, bodies_columns(bodies)
 
 
 def elastic():
@@ -81,6 +84,16 @@ def elastic():
     F, V = (x.reshape(3, 3) for x in start_of("elastic", 9, 9))
     body = systems.pseudo_rigid_body(inputs["E"], systems.saint_venant_kirchhoff(inputs["lambda"], inputs["mu"]))
     return body, body.state(F, velocity=V), lambda s: jnp.concatenate([s.q.ravel(), body.velocity(s).ravel()])
+
+
+def rod():
+    inputs = FILES["rod"]["inputs"]
+    x, q, v, W = (a.reshape(3, -1) for a in start_of("rod", 9, 12, 9, 9))
+    section = systems.Section(1.0, inputs["J_2"][:2], inputs["C"], inputs["B"])
+    chain = systems.rod(2.0, 2, section)
+    np.testing.assert_array_equal(chain.masses, [inputs[f"m_{k}"] for k in (1, 2, 3)])
+    np.testing.assert_array_equal(chain.inertias, [inputs[f"J_{k}"] for k in (1, 2, 3)])
+    return chain, chain.state(x, q, velocities=v, angular_velocities=W), bodies_columns(chain)
 
 
 RUNS = {  # the largest difference in all columns and times: a bound, and what is observed
@@ -98,6 +111,8 @@ RUNS = {  # the largest difference in all columns and times: a bound, and what i
     ("binary", "gauss"): (lambda s: schemes.gauss(s, 8), 8, 2e-13),  # 9e-15 to 5e-14
     ("elastic", "extrapolate"): (lambda s: schemes.extrapolate(s, 14), 8, 2e-13),  # 3e-14 to 4e-14
     ("elastic", "gauss"): (lambda s: schemes.gauss(s, 8), 8, 1e-14),  # 8e-16 to 2e-15
+    ("rod", "extrapolate"): (lambda s: schemes.extrapolate(s, 14), 16, 1e-13),  # 2e-14
+    ("rod", "gauss"): (lambda s: schemes.gauss(s, 8), 8, 1e-14),  # 2e-15
 }
 
 

@@ -239,8 +239,64 @@ def elastic() -> Motion:
     )
 
 
+def rod() -> Motion:
+    """Two elements of an elastic rod: three sections."""
+    masses, inertias = [0.5, 1.0, 0.5], [[0.25, 0.375, 0.625], [0.5, 0.75, 1.25], [0.25, 0.375, 0.625]]
+    stretching, bending = [2.0, 3.0, 4.0], [1.0, 1.5, 0.75]
+    start = [0.25, 0.125, 0, -0.25, 0, 0.125, 0.25, -0.125, 0, 0.25, 0.5, 0.125, -0.125, 0.25, -0.25, 0.5, -0.25, 0.125]
+
+    def element(ends: Vector, frames: Vector) -> tuple[Vector, list[list[Vector]]]:
+        """The force in a unit element, and dV/dd_a of its two sections."""
+        d = [list(zip(*R, strict=True)) for R in frames]  # directors, the columns of R
+        apart = [b - a for a, b in zip(*ends, strict=True)]
+        mean = [scale(Fraction(1, 2), add(a, b)) for a, b in zip(*d, strict=True)]
+        n = [(dot(m, apart) - (a == 2)) * stretching[a] for a, m in enumerate(mean)]
+        slopes = [[scale(n[a] / 2, apart) for a in range(3)] for _ in d]
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            opened = (bending[b] + bending[c] - bending[a]) * Fraction(2, 3)  # 4/3 A_a
+            s = (dot(d[1][b], d[0][c]) - dot(d[1][c], d[0][b])) / 2 * (bending[a] * Fraction(-1, 6))  # dV/ds_a / 2
+            for k, sign in ((0, 1), (1, -1)):
+                other = d[1 - k]
+                slopes[k][a] = add(slopes[k][a], scale(-opened, other[a]))
+                slopes[k][c] = add(slopes[k][c], scale(s * sign, other[b]))
+                slopes[k][b] = add(slopes[k][b], scale(s * -sign, other[c]))
+        return add(*map(scale, n, mean)), slopes
+
+    def rate(y: list[Series]) -> list[Any]:
+        x, q, v, W = ([y[k + n * i : k + n * i + n] for i in range(3)] for k, n in ((0, 3), (9, 4), (21, 3), (30, 3)))
+        frames = [matrix(a) for a in q]
+        (N0, slopes0), (N1, slopes1) = (element(x[k : k + 2], frames[k : k + 2]) for k in (0, 1))
+        forces = [N0, add(N1, scale(-1, N0)), scale(-1, N1)]
+        slopes = [slopes0[0], [add(a, b) for a, b in zip(slopes0[1], slopes1[0], strict=True)], slopes1[1]]
+        torques = [
+            into_body(R, scale(-1, add(*map(cross, zip(*R, strict=True), of))))
+            for R, of in zip(frames, slopes, strict=True)
+        ]
+        turned, pushed = map(turn, q, W), (scale(1 / m, f) for m, f in zip(masses, forces, strict=True))
+        rows = (*v, *turned, *pushed, *map(euler, inertias, W, torques))
+        return [number for row in rows for number in row]
+
+    sections = [f"{name}_{k}" for name in "xvW" for k in "123"]
+    return Motion(
+        "A free elastic rod: three sections, two elements of length 1",
+        f"{QUATERNION}. Section k has mass m_k, inertia J_k, center x_k, velocity v_k and axes, the columns of R_k. "
+        "With d, e the axes of the sections k, k + 1 of an element, Gamma_a = (d_a + e_a)·(x_k+1 - x_k)/2, "
+        "s_a = (e_b·d_c - e_c·d_b)/2 with (a, b, c) cyclic, A_a = (B_1 + B_2 + B_3)/2 - B_a, and "
+        "V = sum_a [C_a (Gamma_a - delta_a3)^2/2 + 4/3 A_a (1 - d_a·e_a) - B_a s_a^2/6]: m_k d^2x_k/dt^2 = -dV/dx_k, "
+        "J_k dW_k/dt = J_k W_k × W_k - R_k^T sum_a d_a × dV/dd_a, with V summed over both elements.",
+        {**{f"m_{k + 1}": m for k, m in enumerate(masses)}, **{f"J_{k + 1}": J for k, J in enumerate(inertias)}}
+        | {"C": stretching, "B": bending},
+        [*axes(*sections[:3]), *(f"q_{k}_{c}" for k in "123" for c in "wxyz"), *axes(*sections[3:])],
+        [0, 0, 0, 0, 0, 1, 0, 0, 2, *[1, 0, 0, 0] * 3, *start],
+        rate,
+        [0.5 * k for k in range(11)],
+        0.0625,
+    )
+
+
 MOTIONS: dict[str, Callable[[], Motion]] = {
-    make.__name__: make for make in (free_body, heavy_top, satellite, binary, elastic)
+    make.__name__: make for make in (free_body, heavy_top, satellite, binary, elastic, rod)
 }
 
 
