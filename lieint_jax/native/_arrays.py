@@ -46,7 +46,11 @@ def _evaluate(
         return arrays[k].reshape(*([len(arrays[k])] if leaves[k].varies else []), -1)[..., at]
 
     axes = () if members is None else (members,)
-    values = {x: entry(*x.data) for x in program.live if x.op == "argument"}
+    values: dict[Value, _Value] = {x: entry(*x.data) for x in program.live if x.op == "argument"}
+    for x in program.live:
+        if x.op == "column":
+            k, first, stride, length = x.data
+            values[x] = [entry(k, first + stride * n) for n in range(length)]
     tables = dict(enumerate(arrays)) | {
         x.data: np.frombuffer(x.data[1], x.data[0]) for x in program.live if x.op == "values"
     }
@@ -116,11 +120,13 @@ class Evaluation:
             return [self.value(y, vector) for y in x.inputs]
         if x.op == "empty":
             zero = lax.full((self.members,) if vector else (), 0, x.dtype)
-            return [zero] * x.data
+            return [zero] * x.length
         if x.op == "put":
             array, k, y = (self.value(y, vector) for y in x.inputs)
             return [lax.select(lax.eq(k, lax.full_like(k, j)), y, old) for j, old in enumerate(array)]
         if x.op == "entry":
+            if x.inputs[0].is_constant:
+                return self.value(x.inputs[1], vector)[int(x.inputs[0].data)]
             k, array = (self.value(y, vector) for y in x.inputs)
             found = array[-1]
             for j, entry in enumerate(array[:-1]):
@@ -229,7 +235,7 @@ def check_operations(block: Block, program: Program) -> None:
             for inner in blocks_of(item):
                 check_operations(inner, program)
         elif item in program.live:
-            length = {"array": len(item.inputs), "empty": item.data}.get(item.op)
+            length = item.length if item.op in ("array", "empty") else None
             if length is None and item.op not in _READS and item.op not in _OPERATIONS:
                 raise UnsupportedError(item.op)
             if length is not None and length > _LONGEST_ARRAY:

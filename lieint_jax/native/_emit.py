@@ -15,7 +15,7 @@ import itertools
 from collections.abc import Sequence
 
 from lieint_jax.native._llvm.loops import Loops, Tape
-from lieint_jax.native._program import Program, Value
+from lieint_jax.native._program import Column, Program, Value
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
 
@@ -56,10 +56,12 @@ def emit(
 class _Writer(Loops):
     def text(self, name: str, results: Sequence[int], reverse: bool) -> str:
         self.results, self.reverse = results, reverse
-        self.carried = len(self.program.outputs) - sum(results)
         slots = itertools.count()
         self.inputs = ["" if leaf.kind == "counter" else self.pointer(next(slots)) for leaf in self.leaves]
-        self.carry_outputs = [self.pointer(next(slots)) for _ in _carry_leaves(self.leaves)]
+        carried = [k for k, leaf in enumerate(self.leaves) if leaf.kind == "carry"]
+        outputs = _outputs(self.program, [*(self.leaves[k].size for k in carried), *results])
+        self.after, self.stored = dict(zip(carried, outputs, strict=False)), outputs[len(carried) :]
+        self.carry_outputs = [self.pointer(next(slots)) for _ in carried]
         self.row_outputs = [self.pointer(next(slots)) for _ in self.results]
         if self.results:
             self.lines.append("  %stored = sdiv i64 %rows, %every")
@@ -73,13 +75,16 @@ class _Writer(Loops):
             self.count_pointer = self.add(f"getelementptr i64, ptr {counts}, i64 1")
         used = [x for x in self.program.live if x.op == "argument"]
         used.sort(key=lambda x: x.data)
+        self.columns = sorted((x for x in self.program.live if x.op == "column"), key=lambda x: x.data)
         for x in used:
             leaf = self.leaves[x.data[0]]
             if leaf.kind == "shared":
                 self.names[x] = self.load(self.inputs[x.data[0]], leaf.dtype, str(x.data[1]))
+        self.fill("shared")
+        before = self.label
         self.jump("block.head")
         self.begin("block.head")
-        self.lines.append("  %block = phi i64 [ %first, %entry ], [ %block.next, %block.end ]")
+        self.lines.append(f"  %block = phi i64 [ %first, %{before} ], [ %block.next, %block.end ]")
         self.lines.append("  %more.blocks = icmp slt i64 %block, %last")
         self.lines.append("  br i1 %more.blocks, label %block.body, label %done")
         self.begin("block.body")
@@ -89,6 +94,7 @@ class _Writer(Loops):
         for x in used:
             if self.leaves[x.data[0]].kind in ("carry", "member"):
                 self.names[x] = self.gather(self.inputs[x.data[0]], self.leaves[x.data[0]], x.data[1])
+        self.fill("carry", "member")
         self.rows(used)
         self.begin("block.end")
         self.lines.append("  %block.next = add i64 %block, 1")
@@ -102,26 +108,44 @@ class _Writer(Loops):
         self.define(name, f"void @{name}({numbers}, ptr %pointers) nounwind")
         return self.module.text()
 
+    def fill(self, *kinds: str) -> None:
+        """Read columns of leaves of these kinds."""
+        for x in self.columns:
+            leaf, pointer = self.leaves[x.data.leaf], self.inputs[x.data.leaf]
+            if leaf.kind in kinds:
+                self.names[x] = self.new_array(x.length, x)
+                with self.each("fill", x.length) as k:
+                    at = self.entry_at(x.data, k)
+                    value = self.gather(pointer, leaf, at) if leaf.varies else self.load(pointer, leaf.dtype, at)
+                    self.store(value, leaf.dtype, self.place(self.names[x], leaf.dtype, k, leaf.varies), leaf.varies)
+
+    def entry_at(self, column: Column, k: str) -> str:
+        """The place in its leaf, or in a result, of an entry of a column."""
+        return self.add(f"add i64 {self.add(f'mul i64 {k}, {column.stride}')}, {column.first}")
+
+    def write_column(self, x: Value, pointer: str, size: int, row: str | None = None) -> None:
+        """Write a column of a result; of what is carried, as it is before the next row."""
+        with self.each("write", x.length) as k:
+            at = self.entry_pointers(pointer, x.dtype, size, self.entry_at(x.data, k), row)
+            self.scatter(self.as_vector(x.inputs[-1], k), x.dtype, at)
+
     def rows(self, used: list[Value]) -> None:
         """The loop over rows."""
         arguments = {x.data: x for x in used if self.leaves[x.data[0]].kind == "carry"}
-        carries = [(k, arguments.get(at)) for k, at in enumerate(_carry_entries(self.leaves))]
-        starts = {k: self.names[x] for k, x in carries if x is not None}
-        whole = {
-            k: self.gather(self.inputs[at[0]], self.leaves[at[0]], at[1])
-            for k, at in enumerate(_carry_entries(self.leaves))
-            if k not in starts
-        }
+        carries = [(k, entry) for k, found in self.after.items() for entry, x in found if x.op != "stored"]
+        starts = [
+            self.names[arguments[k, entry]]
+            if (k, entry) in arguments
+            else self.gather(self.inputs[k], self.leaves[k], entry)
+            for k, entry in carries
+        ]
         before, head = self.label, "row.head"
         self.jump(head)
         self.begin(head)
         row = self.new()
         place = len(self.lines)
-        inside: dict[int, str] = {}
-        for k, x in carries:
-            inside[k] = self.new()
-            if x is not None:
-                self.names[x] = inside[k]
+        inside = {at: self.new() for at in carries}
+        self.names.update((x, inside[at]) for at, x in arguments.items())
         more = self.new()
         self.lines.append(f"  {more} = icmp slt i64 {row}, %end")
         self.lines.append(f"  br i1 {more}, label %row.body, label %row.exit")
@@ -130,24 +154,30 @@ class _Writer(Loops):
         for x in used:
             self.read_row(x, at)
         self.body(self.program.block)
-        following = {k: self.value(x, True) for k, x in enumerate(self.program.outputs[: self.carried])}
+        outputs = [x for found in self.after.values() for _, x in found]
+        following = [self.value(x, True) for x in outputs if x.op != "stored"]
         store = self.store_rows() if self.results else []
+        for x in outputs:
+            if x.op == "stored":
+                array, column = x.inputs
+                self.copy(column, array)
         after = self.add(f"add i64 {row}, 1")
         end = self.label
         self.jump(head)
-        entries = list(_carry_entries(self.leaves))
         phis = [f"  {row} = phi i64 [ %begin, %{before} ], [ {after}, %{end} ]"]
-        for k, (leaf, _) in enumerate(entries):
+        for (leaf, entry), start, value in zip(carries, starts, following, strict=True):
             kind = self.type(self.leaves[leaf].dtype, True)
-            start = starts.get(k) or whole[k]
-            phis.append(f"  {inside[k]} = phi {kind} [ {start}, %{before} ], [ {following[k]}, %{end} ]")
+            phis.append(f"  {inside[leaf, entry]} = phi {kind} [ {start}, %{before} ], [ {value}, %{end} ]")
         self.lines[place:place] = [*phis, *(line.format(before=before, end=end) for line in store)]
         self.begin("row.exit")
-        leaves = _carry_leaves(self.leaves)
-        for k, (leaf, entry) in enumerate(entries):
-            pointer = self.carry_outputs[leaves.index(leaf)]
-            at = self.entry_pointers(pointer, self.leaves[leaf].dtype, self.leaves[leaf].size, entry)
-            self.scatter(inside[k], self.leaves[leaf].dtype, at)
+        for (k, found), pointer in zip(self.after.items(), self.carry_outputs, strict=True):
+            leaf = self.leaves[k]
+            for entry, x in found:
+                if x.op == "stored":
+                    self.write_column(x, pointer, leaf.size)
+                else:
+                    at = self.entry_pointers(pointer, leaf.dtype, leaf.size, entry)
+                    self.scatter(inside[k, entry], leaf.dtype, at)
         self.jump("block.end")
 
     def from_the_end(self, count: str, index: str) -> str:
@@ -172,11 +202,12 @@ class _Writer(Loops):
         self.lines.append(f"  br i1 {due}, label %row.store, label %row.after")
         self.begin("row.store")
         at = self.from_the_end("%stored", stored) if self.reverse else stored
-        results = iter(self.program.outputs[self.carried :])
-        for size, pointer in zip(self.results, self.row_outputs, strict=True):
-            for entry in range(size):
-                x = next(results)
-                self.scatter(self.value(x, True), x.dtype, self.entry_pointers(pointer, x.dtype, size, entry, at))
+        for found, size, pointer in zip(self.stored, self.results, self.row_outputs, strict=True):
+            for entry, x in found:
+                if x.op == "stored":
+                    self.write_column(x, pointer, size, at)
+                else:
+                    self.scatter(self.value(x, True), x.dtype, self.entry_pointers(pointer, x.dtype, size, entry, at))
         self.jump("row.after")
         self.begin("row.after")
         fewer = self.add(f"sub i64 {left}, 1")
@@ -188,9 +219,15 @@ class _Writer(Loops):
         ]
 
 
-def _carry_leaves(leaves: Sequence[Leaf]) -> list[int]:
-    return [k for k, leaf in enumerate(leaves) if leaf.kind == "carry"]
-
-
-def _carry_entries(leaves: Sequence[Leaf]) -> list[tuple[int, int]]:
-    return [(k, entry) for k in _carry_leaves(leaves) for entry in range(leaves[k].size)]
+def _outputs(program: Program, sizes: Sequence[int]) -> list[list[tuple[int, Value]]]:
+    """For each result, of such a size, its numbers or columns, with the first entry that each of them is."""
+    left = iter(program.outputs)
+    found = []
+    for size in sizes:
+        parts, count = [], 0
+        while count < size:
+            x = next(left)
+            parts.append((x.data.first, x) if x.op == "stored" else (count, x))
+            count += x.length if x.op == "stored" else 1
+        found.append(parts)
+    return found

@@ -7,18 +7,32 @@ not depend on a loop are moved out of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
 Data = Any  # the value of a constant, the exponent of a power, the place of an argument
 # Arrays in memory: of given numbers; not written yet; with one more entry; as a loop carries it; after the loop; the
-# rows of a map.
-_ARRAYS = frozenset({"array", "empty", "put", "carry array", "result array", "rows"})
+# rows of a map; entries of an argument; an array that becomes entries of a result.
+_ARRAYS = frozenset({"array", "empty", "put", "carry array", "result array", "rows", "column", "stored"})
 _OF_MAP = 64  # numbers of a map, which are in memory, so that more than one vector of each would not make it faster
 COMMUTATIVE = frozenset({"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"})
 COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
+
+
+class Column(NamedTuple):
+    """Entries of an argument, or of a result, that a program has as an array in memory.
+
+    Attributes:
+        leaf: the number of the argument, −1 for a result.
+        first, stride, length: which entries they are.
+    """
+
+    leaf: int
+    first: int
+    stride: int
+    length: int
 
 
 class Value:
@@ -46,6 +60,13 @@ class Value:
     def is_array(self) -> bool:
         """True if it stands for an array in memory, whose entries are numbers of its type."""
         return self.op in _ARRAYS
+
+    @property
+    def length(self) -> int:
+        """The number of entries of an array."""
+        if self.op in ("column", "stored"):
+            return self.data.length
+        return len(self.inputs) if self.op == "array" else self.data
 
     def equals(self, value: float) -> bool:
         """True if it is a constant of this value."""
@@ -95,7 +116,7 @@ class Loop:
 
 def _carried(start: Value, op: str, block: Block) -> Value:
     """A number, or an array of the same length, that a loop carries."""
-    name, length = (f"{op} array", start.data) if start.is_array else (op, None)
+    name, length = (f"{op} array", start.length) if start.is_array else (op, None)
     return Value(name, (), start.dtype, length, block)
 
 
@@ -144,6 +165,7 @@ class Builder:
         self.root = self.block = Block()
         self._constants: dict[object, Value] = {}
         self._order: dict[Value, int] = {}
+        self._entries: dict[Value, list[Value]] = {}
         self.length = self.stacked = 0  # operations; entries of arrays that loops write
 
     def constant(self, value: ArrayLike, dtype: DTypeLike | None = None) -> Value:
@@ -158,12 +180,31 @@ class Builder:
         """An argument of the program."""
         return self._new("argument", (), np.dtype(dtype), data, self.root)
 
+    def column(self, dtype: DTypeLike, column: Column) -> Value:
+        """Entries of an argument of the program, as an array."""
+        return self._new("column", (), np.dtype(dtype), column, self.root)
+
+    def stored(self, array: Value, column: Column, before: Value | None) -> Value:
+        """An array as entries of a result; for what is carried, `before` are those of the argument."""
+        inputs = (array,) if before is None else (array, before)
+        return self._new("stored", inputs, array.dtype, column, self.root)
+
     def empty(self, length: int, dtype: DTypeLike) -> Value:
         """A new array in memory, of which one loop writes each entry."""
         found = self._new("empty", (), np.dtype(dtype), length, self.block.floor)
         self.block.floor.items.append(found)
         self.stacked += length
         return found
+
+    def entries(self, array: Value) -> list[Value]:
+        """All entries of an array, in the block where it is: what is not used is not read."""
+        if array not in self._entries:
+            block: Any = array.block
+            indices = map(self.constant, np.arange(array.length))
+            made = [self._new("entry", (k, array), array.dtype, None, block) for k in indices]
+            block.items += made
+            self._entries[array] = made
+        return self._entries[array]
 
     def number(self, op: str, *inputs: Value, dtype: DTypeLike | None = None, data: Data = None) -> Value:
         """The result of an operation."""
@@ -228,15 +269,19 @@ class Builder:
         outside.items.append(made)
         return made.results
 
-    def map(self, length: int, values: Callable[[Value], list[Value]]) -> list[Value]:
-        """Add a map: for each number of a row, the array of all rows, or the number if all rows have the same."""
+    def map(self, length: int, values: Callable[[Value], list[Value]], whole: bool = False) -> list[Value]:
+        """Add a map: for each number of a row, the array of all rows.
+
+        If all rows have the same number, it is this number, unless the `whole` array is wanted.
+        """
         outside = self.block
         made = Map(outside, length)
         self._order[made.index] = len(self._order)
         self.block = made.body
         found = values(made.index)
         self.block = outside
-        made.values = list(dict.fromkeys(x for x in found if x.block is not None and x.block.depth > outside.depth))
+        inside = [x for x in found if whole or (x.block is not None and x.block.depth > outside.depth)]
+        made.values = list(dict.fromkeys(inside))
         made.results = [self._new("rows", (), x.dtype, length, outside) for x in made.values]
         outside.items.append(made)
         rows = dict(zip(made.values, made.results, strict=True))
@@ -391,12 +436,13 @@ class Program:
 
     def depending_on(self, arguments: Callable[[Value], bool]) -> set[Value]:
         """The numbers that depend on some of the arguments."""
-        return _varying_numbers(self.block, {x for x in self.live if x.op == "argument" and arguments(x)})
+        given = {x for x in self.live if x.op in ("argument", "column") and arguments(x)}
+        return _varying_numbers(self.block, self.live, given)
 
     def depending_on_rows(self) -> tuple[set[Value], int]:
         """The numbers that differ from row to row inside of a map, and the length of the shortest map."""
         maps = list(_maps(self.block))
-        rows = _varying_numbers(self.block, {x.index for x in maps}, inside_only=True)
+        rows = _varying_numbers(self.block, self.live, {x.index for x in maps}, inside_only=True)
         return rows, min((x.length for x in maps), default=0)
 
     def needed_positions(self, numbers: Sequence[Value]) -> list[int]:
@@ -493,16 +539,14 @@ def _maps(block: Block) -> Iterator[Map]:
                 yield from _maps(inner)
 
 
-def _varying_numbers(root: Block, start: set[Value], inside_only: bool = False) -> set[Value]:
-    """The numbers that depend on some that vary; outside of maps none does if these vary `inside_only`."""
+def _varying_numbers(root: Block, live: set[Value], start: set[Value], inside_only: bool = False) -> set[Value]:
+    """The live numbers that depend on some that vary; outside of maps none does if these vary `inside_only`."""
     varying = set(start)
 
     def visit(block: Block) -> None:
         for item in block.items:
             if isinstance(item, Value):
-                if item.op == "argument":
-                    continue
-                if any(x in varying for x in item.inputs):
+                if item in live and any(x in varying for x in item.inputs):
                     varying.add(item)
             elif isinstance(item, Loop):
                 visit_loop(item)

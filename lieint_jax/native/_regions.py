@@ -11,14 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from jax.extend.core import Literal
 
-from lieint_jax.native._primitives.abstract_walk import Table, array_of
+from lieint_jax.native._primitives.abstract_walk import Table
 from lieint_jax.native._primitives.control_flow import size_of
 from lieint_jax.native._primitives.moves import MOVES
 from lieint_jax.native._primitives.parallel import Axes, NotParallelError, rows_along
-from lieint_jax.native._program import Value
 
 LONG = 8  # the shortest axis of a map
 _LITTLE = 64  # operations on all rows that are not worth a map
@@ -133,9 +131,3 @@ def long_axis(shape: Sequence[int], length: int = 0) -> int | None:
 
 def _variables(atoms: Sequence[Any]) -> list[Any]:
     return [x for x in atoms if not isinstance(x, Literal)]
-
-
-def rows_joined(rows: Sequence[Sequence[Value]], shape: Sequence[int], axis: int) -> np.ndarray:
-    """An array from the numbers of its rows, each of this shape with one row along the axis."""
-    joined = array_of([x for row in rows for x in row], (len(rows), *(n for k, n in enumerate(shape) if k != axis)))
-    return np.moveaxis(joined, 0, axis)

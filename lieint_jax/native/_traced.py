@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -14,19 +15,22 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
 from lieint_jax.native._primitives.abstract_walk import (
+    LARGEST,
     Table,
     TooLongError,
     UnsupportedError,
     array_of,
     unsupported_if_it_fails,
 )
-from lieint_jax.native._program import Builder, Program, Value
+from lieint_jax.native._primitives.columns import columns_of, joined_columns
+from lieint_jax.native._program import Builder, Column, Program, Value
 from lieint_jax.native._walk import LONGEST, Walk, shapes_of
 
 _Compiled = TypeVar("_Compiled")
 Tree = Any  # a tree of arrays, of shapes, or of the kinds of arguments
 _UNROLLED = 20_000  # the most numbers of a program without maps, if it may have them
 _LONGEST_SHARED = 256  # the most entries of a shared array whose entries are numbers of the program, not a table
+_IN_COLUMNS = ("carry", "member", "shared")  # kinds of leaves that a program with maps has as arrays in memory
 
 
 class Leaf(NamedTuple):
@@ -102,8 +106,8 @@ class Traced:
         with unsupported_if_it_fails():
             try:
                 self._walk(self.jaxpr, kinds, shapes, _UNROLLED if with_maps else LONGEST, False)
-            except TooLongError:
-                if not with_maps:
+            except UnsupportedError as reason:
+                if not with_maps or not (isinstance(reason, TooLongError) or any(x.kind == "table" for x in self.leaves)):
                     raise
                 self._walk(self.jaxpr, kinds, shapes, LONGEST, True)
 
@@ -118,12 +122,16 @@ class Traced:
         each = jax.tree.map(lambda kind, part: [kind] * len(jax.tree.leaves(part)), tuple(kinds), shapes)
         self._builder, self.leaves, arguments = Builder(), [], []
         self.outside: list[Operation] = []
+        self._walked = walk = Walk(self._builder, self._compute_before, longest, with_maps)
         for kind, x in zip(jax.tree.leaves(each), jax.tree.leaves(shapes), strict=True):
-            long = kind == "shared" and x.size > _LONGEST_SHARED and len(x.shape) == 1
+            most = LARGEST if walk.long_axis(x.shape) is not None else _LONGEST_SHARED
+            long = kind == "shared" and x.size > most and len(x.shape) == 1
             arguments.append(self._argument("table" if long else kind, x))
         self.given = len(self.leaves)
-        outputs = Walk(self._builder, self._compute_before, longest, with_maps).jaxpr(closed, arguments)
-        self.program = self._program([x for array in outputs for x in array.flat])
+        found = walk.jaxpr(closed, arguments)
+        carried = (arguments[k] for k, leaf in enumerate(self.leaves[: self.given]) if leaf.kind == "carry")
+        pairs = itertools.zip_longest(found, carried)
+        self.program = self._program([x for pair in pairs for x in self._outputs(*pair)])
         self.length = self._builder.length
 
     def _argument(self, kind: str, x: jax.ShapeDtypeStruct | ShapedArray) -> np.ndarray | Table:
@@ -132,8 +140,22 @@ class Traced:
         self.leaves.append(Leaf(kind, np.dtype(x.dtype), int(np.prod(x.shape))))
         if kind == "table":
             return Table(k, x.dtype, x.shape)
-        numbers = [self._builder.argument(x.dtype, (k, entry)) for entry in range(self.leaves[k].size)]
-        return array_of(numbers, x.shape)
+        d = self._walked.long_axis(x.shape) if kind in _IN_COLUMNS else None
+        if d is None:
+            numbers = [self._builder.argument(x.dtype, (k, entry)) for entry in range(self.leaves[k].size)]
+            return array_of(numbers, x.shape)
+        columns = [self._builder.column(x.dtype, Column(k, *place)) for place in _places(x.shape, d)]
+        return joined_columns(self._walked, columns, x.shape, d)
+
+    def _outputs(self, x: np.ndarray, before: np.ndarray | None) -> list[Value]:
+        """The numbers of a result, or its columns; `before` is the argument that it replaces, if it is carried."""
+        d = self._walked.long_axis(x.shape)
+        if d is None:
+            return list(x.flat)
+        own = [] if before is None else columns_of(self._walked, before, d)
+        columns = zip(columns_of(self._walked, x, d, own), _places(x.shape, d), strict=True)
+        pairs = itertools.zip_longest(columns, own)
+        return [self._builder.stored(array, Column(-1, *place), old) for (array, place), old in pairs]
 
     def _program(self, outputs: list[Value]) -> Program:
         return Program(self._builder.root, outputs, lambda x: self.leaves[x.data[0]].varies)
@@ -151,7 +173,7 @@ class Traced:
 
     def _is_fixed(self, x: Value) -> bool:
         """True if a number does not change during a call, provided that its inputs do not."""
-        if x.op == "argument":
+        if x.op in ("argument", "column"):
             return self.leaves[x.data[0]].kind in ("member", "shared")
         return x.block in (None, self._builder.root) and x.op not in ("carry", "result") and not x.is_array
 
@@ -181,6 +203,12 @@ class Operation(NamedTuple):
 
         found = jax.vmap(operation)(*operands) if self.kind == "member" else operation(*operands)
         return list(found) if self.equation.primitive.multiple_results else [found]
+
+
+def _places(shape: Sequence[int], axis: int) -> list[tuple[int, int, int]]:
+    """First entry, stride and length of all columns along an axis of an array."""
+    entries = np.moveaxis(np.arange(np.prod(shape)).reshape(shape), axis, 0).reshape(shape[axis], -1)
+    return [(int(k), int(entries[1, 0] - entries[0, 0]), shape[axis]) for k in entries[0]]
 
 
 def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:

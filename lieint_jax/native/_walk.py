@@ -24,15 +24,16 @@ from lieint_jax.native._primitives.abstract_walk import (
     UnsupportedError,
     array_of,
 )
+from lieint_jax.native._primitives.columns import columns_of, joined_columns, row_number
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
-from lieint_jax.native._primitives.indexing import INDEXING, entry_of, look_up, row_number
+from lieint_jax.native._primitives.indexing import INDEXING, look_up
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
 from lieint_jax.native._primitives.moves import MOVES
 from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
-from lieint_jax.native._regions import Region, long_axis, rows_joined, walk_regions
+from lieint_jax.native._regions import Region, long_axis, walk_regions
 
 _UNROLLED_WITH_MAPS = 6000  # see `AbstractWalk.unrolled`
 LONGEST = 60_000  # the most numbers of a program
@@ -117,8 +118,7 @@ class Walk(AbstractWalk):
                 results[x] = array_of([next(arrays) for _ in range(found[x].size)], shape)
                 continue
             columns = [next(arrays) for _ in range(found[x].size)]
-            rows = [[entry_of(self, y, k) for y in columns] for k in range(region.length)]
-            results[x] = rows_joined(rows, shape, axis)
+            results[x] = joined_columns(self, columns, (*shape[:axis], region.length, *shape[axis + 1 :]), axis)
         return results
 
     def _one_row(self, equation: JaxprEqn, inputs: list[np.ndarray], axes: Axes, out: Axes) -> list[np.ndarray]:
@@ -144,6 +144,18 @@ class Walk(AbstractWalk):
 
     def long_axis(self, shape: Sequence[int]) -> int | None:
         return long_axis(shape) if self._with_maps and self._row is None else None
+
+    def packed(self, x: np.ndarray, own: Sequence[Value] = ()) -> list[Value]:
+        d = self.long_axis(x.shape)
+        if d is None or x.flat[0].is_array:
+            return super().packed(x)
+        return columns_of(self, x, d, own)
+
+    def unpacked(self, numbers: list[Value], like: np.ndarray) -> np.ndarray:
+        d = self.long_axis(like.shape)
+        if d is None or len(numbers) == like.size:
+            return super().unpacked(numbers, like)
+        return joined_columns(self, numbers, like.shape, d)
 
     def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
         found = super().matched(arrays, like)

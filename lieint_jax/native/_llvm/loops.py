@@ -65,11 +65,12 @@ class Loops(Operations):
         carried = self.program.needed_positions(loop.carries)
         if not carried:
             return
-        for k in carried:
-            if loop.starts[k].is_array:
-                array = self.new_array(loop.starts[k].data, loop.carries[k])
-                self.names[loop.carries[k]] = self.names[loop.results[k]] = array
-        carried = [k for k in carried if not loop.starts[k].is_array]
+        arrays = [k for k in carried if loop.starts[k].is_array]
+        for k in arrays:
+            array = self.new_array(loop.starts[k].length, loop.carries[k])
+            self.names[loop.carries[k]] = self.names[loop.results[k]] = array
+            self.copy(loop.carries[k], loop.starts[k])
+        carried = [k for k in carried if k not in arrays]
         masked = self.varies(loop.test)
         starts = [self.into_phi(loop.starts[k], loop.carries[k]) for k in carried]
         before, head, body, exit_ = self.label, *(self.new_label(x) for x in ("loop.head", "loop.body", "loop.exit"))
@@ -102,6 +103,8 @@ class Loops(Operations):
                 following.append(self.as_mask(chosen) if inside.dtype.kind == "b" else chosen)
             else:
                 following.append(self.into_phi(after, inside))
+        for k in arrays:
+            self.copy(loop.carries[k], loop.following[k], going)
         going = self.add(f"sext {mask} {going} to {self.mask_type}") if masked else ""
         end = self.label
         self.jump(head)
@@ -126,22 +129,14 @@ class Loops(Operations):
             return
         for _, rows in live:
             self.names[rows] = self.new_array(item.length, rows)
-        before, head, exit_ = self.label, *(self.new_label(x) for x in ("map", "map.exit"))
-        self.jump(head)
-        self.begin(head)
-        row, place = self.new(), len(self.lines)
-        if self.width:
-            self.rows_at_once(item, live, row)
-        else:
-            self.names[item.index] = row
-            self.block(item.body)
-            for x, rows in live:
-                self.write(self.names[rows], row, x, self.varies(x))
-        after = self.add(f"add i64 {row}, {self.width or 1}")
-        more = self.add(f"icmp slt i64 {after}, {item.length}")
-        self.lines.insert(place, f"  {row} = phi i64 [ 0, %{before} ], [ {after}, %{self.label} ]")
-        self.lines.append(f"  br i1 {more}, label %{head}, label %{exit_}")
-        self.begin(exit_)
+        with self.each("map", item.length, self.width or 1) as row:
+            if self.width:
+                self.rows_at_once(item, live, row)
+            else:
+                self.names[item.index] = row
+                self.block(item.body)
+                for x, rows in live:
+                    self.write(self.names[rows], row, x, self.varies(x))
 
     def rows_at_once(self, item: Map, live: list[tuple[Value, Value]], row: str) -> None:
         """The body of a map, for rows that are lanes."""

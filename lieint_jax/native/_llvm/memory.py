@@ -35,10 +35,20 @@ class Memory(Values):
         """The type of numbers in memory; booleans are bytes there."""
         return self.type(np.int8 if np.dtype(dtype).kind == "b" else dtype, vector)
 
+    def place(self, array: str, dtype: DTypeLike, k: str, vector: bool) -> str:
+        """The address of an entry of an array."""
+        return self.add(f"getelementptr {self.stored_type(dtype, vector)}, ptr {array}, i64 {k}")
+
+    def store(self, value: str, dtype: DTypeLike, at: str, vector: bool, align: str = "") -> None:
+        """Write a value to an address."""
+        kind = self.stored_type(dtype, vector)
+        if np.dtype(dtype).kind == "b":
+            value = self.add(f"zext {self.type(bool, vector)} {value} to {kind}")
+        self.lines.append(f"  store {kind} {value}, ptr {at}{align}")
+
     def load(self, pointer: str, dtype: DTypeLike, index: str) -> str:
         stored = self.stored_type(dtype)
-        at = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {index}")
-        found = self.add(f"load {stored}, ptr {at}")
+        found = self.add(f"load {stored}, ptr {self.place(pointer, dtype, index, False)}")
         return self.add(f"trunc i8 {found} to i1") if np.dtype(dtype).kind == "b" else found
 
     def member_index(self) -> str:
@@ -50,11 +60,12 @@ class Memory(Values):
         index = self.add(f"add {kind} {first}, <{each}>")
         return self.intrinsic("smin", kind, index, last)
 
-    def entry_pointers(self, pointer: str, dtype: DTypeLike, size: int, entry: int, row: str | None = None) -> str:
+    def entry_pointers(
+        self, pointer: str, dtype: DTypeLike, size: int, entry: int | str, row: str | None = None
+    ) -> str:
         """Pointers to an entry of each member of the block."""
         kind = f"<{self.lanes} x i64>"
-        stored = self.stored_type(dtype)
-        index = self.index
+        index, stored = self.index, self.stored_type(dtype)
         if size != 1:
             index = self.add(f"mul {kind} {index}, splat (i64 {size})")
         if row is not None:
@@ -65,7 +76,7 @@ class Memory(Values):
             pointer = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {entry}")
         return self.add(f"getelementptr {stored}, ptr {pointer}, {kind} {index}")
 
-    def gather(self, pointer: str, leaf: Leaf, entry: int) -> str:
+    def gather(self, pointer: str, leaf: Leaf, entry: int | str) -> str:
         at = self.entry_pointers(pointer, leaf.dtype, leaf.size, entry)
         return self.gather_at(at, leaf.dtype)
 

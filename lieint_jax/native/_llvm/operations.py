@@ -11,7 +11,7 @@ import numpy as np
 from lieint_jax.native._llvm.instructions import instruction
 from lieint_jax.native._llvm.memory import Memory
 from lieint_jax.native._llvm.text import constant, literal, suffix
-from lieint_jax.native._primitives.indexing import NEXT
+from lieint_jax.native._primitives.columns import NEXT
 from lieint_jax.native._program import Block, Program, Value, blocks_of, numbers_of
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
@@ -154,29 +154,43 @@ class Operations(Memory):
 
     def op_put(self, x: Value, vector: bool) -> str:
         array, k, y = x.inputs
+        at = self.place(self.names[array], x.dtype, self.value(k, False), vector)
         if y.is_array:
-            self.copy(self.names[array], self.value(k, False), y, vector, x.data)
+            self.copy_to(at, vector, y, x.data)
         else:
-            self.write(self.names[array], self.value(k, False), y, vector)
+            self.write(at, "0", y, vector)
         return self.names[array]
 
-    def copy(self, array: str, k: str, rows: Value, vector: bool, count: int) -> None:
-        """Write the first entries of another array, from place k on."""
-        kind = self.stored_type(rows.dtype, vector)
-        at = self.add(f"getelementptr {kind}, ptr {array}, i64 {k}")
-        if vector == self.varies(rows):
-            size = count * rows.dtype.itemsize * (self.lanes if vector else 1)
+    def copy(self, to: Value, array: Value, going: str = "") -> None:
+        """Write the entries of an array to another, for the members that go on if they are given."""
+        if array.op == "empty" or self.names[array] == self.names[to]:
+            return
+        vector = self.varies(to)
+        if not (going and vector):
+            self.copy_to(self.names[to], vector, array, to.length)
+            return
+        with self.each("copy", to.length) as k:
+            old, new = self.entry(to, k, True), self.as_vector(array, k)
+            kind = self.type(to.dtype, True)
+            chosen = self.select(f"<{self.lanes} x i1> {going}", kind, new, old)
+            self.store(chosen, to.dtype, self.place(self.names[to], to.dtype, k, True), True)
+
+    def copy_to(self, at: str, vector: bool, array: Value, count: int) -> None:
+        """Write the first entries of an array to a place in memory."""
+        if vector == self.varies(array):
+            size = count * array.dtype.itemsize * (self.lanes if vector else 1)
             self.module.declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
             self.lines.append(
-                f"  call void @llvm.memcpy.p0.p0.i64(ptr {at}, ptr {self.names[rows]}, i64 {size}, i1 false)"
+                f"  call void @llvm.memcpy.p0.p0.i64(ptr {at}, ptr {self.names[array]}, i64 {size}, i1 false)"
             )
             return
-        for j in range(count):
-            entry = self.splat(self.load(self.names[rows], rows.dtype, str(j)), rows.dtype)
-            if rows.dtype.kind == "b":
-                entry = self.add(f"zext {self.type(bool, True)} {entry} to {kind}")
-            to = self.add(f"getelementptr {kind}, ptr {at}, i64 {j}")
-            self.lines.append(f"  store {kind} {entry}, ptr {to}")
+        with self.each("copy", count) as k:
+            self.store(self.as_vector(array, k), array.dtype, self.place(at, array.dtype, k, True), True)
+
+    def as_vector(self, array: Value, k: str) -> str:
+        """An entry of an array, for each member."""
+        entry = self.entry(array, k, self.varies(array))
+        return entry if self.varies(array) else self.splat(entry, array.dtype)
 
     def new_array(self, length: int, x: Value) -> str:
         """Memory for the array that a number stands for."""
@@ -209,11 +223,7 @@ class Operations(Memory):
             self.lines.append("  call void @free(ptr %heap)")
 
     def write(self, array: str, k: str, x: Value, vector: bool) -> None:
-        kind, value = self.stored_type(x.dtype, vector), self.value(x, vector)
-        if x.dtype.kind == "b":
-            value = self.add(f"zext {self.type(bool, vector)} {value} to {kind}")
-        at = self.add(f"getelementptr {kind}, ptr {array}, i64 {k}")
-        self.lines.append(f"  store {kind} {value}, ptr {at}")
+        self.store(self.value(x, vector), x.dtype, self.place(array, x.dtype, k, vector), vector)
 
     def op_entry(self, x: Value, vector: bool) -> str:
         index, array = x.inputs
@@ -222,7 +232,7 @@ class Operations(Memory):
         if array.op == "array":
             entries = [self.value(y, True) for y in array.inputs]
         else:
-            entries = [self.entry(array, str(k), self.varies(array)) for k in range(array.data)]
+            entries = [self.entry(array, str(k), self.varies(array)) for k in range(array.length)]
             entries = entries if self.varies(array) else [self.splat(y, x.dtype) for y in entries]
         kind, found = self.type(x.dtype, True), entries[0]
         for k, y in enumerate(entries[1:], 1):
@@ -247,8 +257,7 @@ class Operations(Memory):
         return found if x.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, True)}")
 
     def entry(self, array: Value, k: str, vector: bool) -> str:
-        kind = self.stored_type(array.dtype, vector)
-        at = self.add(f"getelementptr {kind}, ptr {self.names[array]}, i64 {k}")
+        kind, at = self.stored_type(array.dtype, vector), self.place(self.names[array], array.dtype, k, vector)
         found = self.add(f"load {kind}, ptr {at}")
         return found if array.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, vector)}")
 

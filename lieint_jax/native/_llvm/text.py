@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -54,6 +55,20 @@ class Text:
 
     def jump(self, label: str) -> None:
         self.lines.append(f"  br label %{label}")
+
+    @contextlib.contextmanager
+    def each(self, name: str, count: int, step: int = 1) -> Iterator[str]:
+        """A loop over the indices from 0 below `count`, each `step`-th of them; it is run once at least."""
+        before, head, exit_ = self.label, self.new_label(name), self.new_label(f"{name}.exit")
+        self.jump(head)
+        self.begin(head)
+        index, place = self.new(), len(self.lines)
+        yield index
+        after = self.add(f"add i64 {index}, {step}")
+        more = self.add(f"icmp slt i64 {after}, {count}")
+        self.lines.insert(place, f"  {index} = phi i64 [ 0, %{before} ], [ {after}, %{self.label} ]")
+        self.lines.append(f"  br i1 {more}, label %{head}, label %{exit_}")
+        self.begin(exit_)
 
     def call(self, result: str, name: str, arguments: Sequence[tuple[str, str]]) -> str:
         """Call a function that is declared elsewhere; arguments are (type, value)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import contextlib
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
@@ -109,6 +110,14 @@ class AbstractWalk(abc.ABC):
         """The axis of an array over whose rows there is a map."""
         return None
 
+    def packed(self, x: np.ndarray, own: Sequence[Value] = ()) -> list[Value]:
+        """The numbers, or arrays in memory, that a loop carries for an array; see `columns_of`."""
+        return list(x.flat)
+
+    def unpacked(self, numbers: list[Value], like: np.ndarray) -> np.ndarray:
+        """The array for which a loop carries these numbers or arrays in memory."""
+        return array_of(numbers, like.shape)
+
     def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
         """Arrays of the shapes of others, which have one row where these have all: the row of a map."""
         return list(arrays[: len(like)])
@@ -127,17 +136,18 @@ class AbstractWalk(abc.ABC):
         next_carry: Callable[[list[np.ndarray]], list[np.ndarray]],
     ) -> list[np.ndarray]:
         """A loop that carries arrays."""
-        shapes = [x.shape for x in starts]
+        packed = [self.packed(x) for x in starts]
+        ends = [0, *itertools.accumulate(map(len, packed))]
 
-        def next_arrays(numbers: list[Value]) -> list[np.ndarray]:
-            return self.matched(next_carry(joined(numbers)), starts)
+        def parts(numbers: list[Value]) -> list[list[Value]]:
+            return [numbers[i:j] for i, j in itertools.pairwise(ends)]
 
         def joined(numbers: list[Value]) -> list[np.ndarray]:
-            left = iter(numbers)
-            return [array_of([next(left) for _ in range(int(np.prod(shape)))], shape) for shape in shapes]
+            return [self.unpacked(own, x) for own, x in zip(parts(numbers), starts, strict=True)]
 
-        def flat(arrays: list[np.ndarray]) -> list[Value]:
-            return [x for array in arrays for x in array.flat]
+        def following(numbers: list[Value]) -> list[Value]:
+            arrays = self.matched(next_carry(joined(numbers)), starts)
+            return [x for pair in zip(arrays, parts(numbers), strict=True) for x in self.packed(*pair)]
 
-        found = self.builder.loop(flat(starts), lambda c: test(joined(c)), lambda c: flat(next_arrays(c)))
-        return joined(found)
+        first = [x for numbers in packed for x in numbers]
+        return joined(self.builder.loop(first, lambda c: test(joined(c)), following))

@@ -16,7 +16,8 @@ from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, names
-from lieint_jax.native._primitives.indexing import empty_rows, row_of, rows_of, write_rows
+from lieint_jax.native._primitives.columns import row_of
+from lieint_jax.native._primitives.indexing import empty_rows, rows_of, write_rows
 from lieint_jax.native._primitives.moves import MOVES, stack
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value

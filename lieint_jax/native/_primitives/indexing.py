@@ -12,92 +12,14 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, Table, UnsupportedError, array_of
+from lieint_jax.native._primitives.columns import entry_at, offset_by, run_of
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value
 
 Window = tuple[list[Value], Value, np.ndarray]  # its first index, whether it is written, its numbers
 _CLIP, _FILL = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
 _ROW = 1024  # the most entries of a table that are read at once
-_COPIED = 256  # the longest array that is put together from numbers: LLVM needs 10 s for 400, minutes for 2000
-_STORED = ("array", "result array", "rows")  # arrays that rows of a map are read from
-_PARTS = 3  # of which the most a column of a map is put together
-NEXT = 2  # entries before and after an array that may be read
 _SELECTED = 8  # the most numbers from which one is selected by comparing indices; longer arrays are read from memory
-
-
-def row_of(walk: AbstractWalk, x: np.ndarray | Table, k: Value) -> np.ndarray:
-    """x[k] of an array of numbers at an index that the program computes."""
-    if isinstance(x, Table):
-        return array_of([walk.number("table", k, dtype=x.dtype, data=x.data)], ())
-    columns = x.reshape(len(x), -1).T
-    return array_of([_entry(walk, list(column), k) for column in columns], x.shape[1:])
-
-
-def _entry(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
-    """An entry of a long column of numbers: if they are constants, they are data of the program."""
-    if all(x is column[0] for x in column):
-        return column[0]
-    run = _run(column)
-    if run is not None:
-        array, first, stride = run
-        k = k if stride == 1 else walk.number("mul", k, walk.index(stride))
-        return walk.number("entry", _offset(walk, k, first), array, dtype=array.dtype)
-    if all(x.is_constant for x in column):
-        values = np.array([x.data for x in column], column[0].dtype)
-        return walk.number("values", k, dtype=values.dtype, data=(values.dtype.str, values.tobytes()))
-    if len(column) > _COPIED:
-        raise UnsupportedError("an index into a long array that is not a table")
-    array = walk.number("array", *column, dtype=column[0].dtype)
-    return walk.number("entry", k, array, dtype=column[0].dtype)
-
-
-def entry_of(walk: AbstractWalk, x: Value, k: int) -> Value:
-    """The entry of an array in memory; a number that is no array is the same for all k."""
-    return walk.number("entry", walk.index(k), x, dtype=x.dtype) if x.is_array else x
-
-
-def row_number(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
-    """The entry of a column in row k of a map: of a few parts, which are numbers or follow each other in memory."""
-    run = _run(column)
-    if run is not None and run[2] > 0 and run[0].op in _STORED:
-        return walk.number("row", k, run[0], dtype=run[0].dtype, data=run[1:])
-    ends, parts = [], []
-    for n, x in enumerate(column):
-        is_entry = x.op == "entry" and x.inputs[0].is_constant
-        part = (x.inputs[1], int(x.inputs[0].data) - n) if is_entry else (x, None)
-        if not parts or part != parts[-1]:
-            ends.append(n)
-            parts.append(part)
-    near = all(_is_near(array, offset, len(column)) for array, offset in parts if offset is not None)
-    if len(parts) > _PARTS or not near:
-        if all(x.is_constant for x in column):
-            return _entry(walk, column, k)
-        parts, ends = [(walk.number("array", *column, dtype=column[0].dtype), 0)], [0]
-    numbers = [x if n is None else walk.number("row", k, x, dtype=x.dtype, data=(n, 1)) for x, n in parts]
-    found = numbers[-1]
-    for end, x in zip(ends[:0:-1], numbers[-2::-1], strict=True):
-        found = walk.select(walk.number("lt", k, walk.index(end)), x, found)
-    return found
-
-
-def _is_near(array: Value, offset: int, rows: int) -> bool:
-    """Whether entries from `offset` on are those of an array, or in the memory next to it."""
-    length = len(array.inputs) if array.op == "array" else array.data
-    return array.op in _STORED and offset >= -NEXT and offset + rows <= length + NEXT
-
-
-def _run(column: Sequence[Value]) -> tuple[Value, int, int] | None:
-    """(array, first index, stride) of entries of an array in memory at equal distances; None if they are none."""
-    array, places = None, []
-    for x in column:
-        if x.op != "entry" or not x.inputs[0].is_constant or array not in (None, x.inputs[1]):
-            return None
-        array = x.inputs[1]
-        places.append(int(x.inputs[0].data))
-    stride = places[1] - places[0] if len(places) > 1 else 1
-    if array is None or places != [places[0] + stride * k for k in range(len(places))]:
-        return None
-    return array, places[0], stride
 
 
 def empty_rows(walk: AbstractWalk, length: int, shape: Sequence[int], dtype: DTypeLike) -> np.ndarray:
@@ -119,12 +41,12 @@ def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Value
     columns: Any = np.moveaxis(row, d, 0).reshape(n, -1).T if n > 1 else row.reshape(-1, 1)
     found = []
     for array, column in zip(arrays.flat, columns, strict=True):
-        run = _run(column) if n > 1 else None
+        run = run_of(walk, list(column)) if n > 1 else None
         if run is not None and run[1:] == (0, 1) and run[0].op == "rows":
             found.append(walk.number("put", array, first, run[0], dtype=array.dtype, data=n))
             continue
         for j, x in enumerate(column):
-            array = walk.number("put", array, _offset(walk, first, j), x, dtype=array.dtype)
+            array = walk.number("put", array, offset_by(walk, first, j), x, dtype=array.dtype)
         found.append(array)
     return array_of(found, arrays.shape)
 
@@ -137,7 +59,7 @@ def rows_of(walk: AbstractWalk, length: int, arrays: np.ndarray, shape: Sequence
         for at in np.ndindex(*shape):
             place = at if n == 1 else (*at[:d], 0, *at[d + 1 :])
             index = k if n == 1 else k * n + at[d]
-            found[k, *at] = walk.number("entry", walk.index(index), arrays[place], dtype=arrays[place].dtype)
+            found[k, *at] = walk.builder.entries(arrays[place])[index]
     return found
 
 
@@ -150,15 +72,11 @@ def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Value]) -> Valu
         return _entry_at(walk, x[int(k.data)], rest) if len(rest) else x[int(k.data)]
     found = [_entry_at(walk, x[n], rest) if len(rest) else x[n] for n in range(len(x))]
     if len(found) > _SELECTED:
-        return _entry(walk, found, k)
+        return entry_at(walk, found, k)
     chosen = found[0]
     for n in range(1, len(found)):
         chosen = walk.select(walk.number("eq", k, walk.builder.constant(n, k.dtype)), found[n], chosen)
     return chosen
-
-
-def _offset(walk: AbstractWalk, start: Value, offset: int) -> Value:
-    return walk.number("add", start, walk.index(offset))
 
 
 def _dynamic_slice(
@@ -168,7 +86,7 @@ def _dynamic_slice(
     starts = [walk.clip_index(k.item(), n - m) for k, n, m in zip(inputs[1:], x.shape, slice_sizes, strict=True)]
     found = np.empty(slice_sizes, object)
     for index in np.ndindex(*slice_sizes):
-        found[index] = _entry_at(walk, x, [_offset(walk, s, k) for s, k in zip(starts, index, strict=True)])
+        found[index] = _entry_at(walk, x, [offset_by(walk, s, k) for s, k in zip(starts, index, strict=True)])
     return found
 
 
@@ -186,7 +104,7 @@ def _write_windows(
     found = np.array(x, object)
     for starts, inside, update in updates:
         for index in np.ndindex(update.shape):
-            at = [_offset(walk, s, k) for s, k in zip(starts, index, strict=True)]
+            at = [offset_by(walk, s, k) for s, k in zip(starts, index, strict=True)]
             for place in np.ndindex(x.shape):
                 same = [walk.number("eq", k, walk.builder.constant(n, k.dtype)) for k, n in zip(at, place, strict=True)]
                 here = reduce_terms(walk, "and", [*same, inside], np.dtype(bool))
@@ -254,7 +172,7 @@ def _gather(
         index = list(indices[tuple(batch)])
         at, inside = _window(walk, x.shape, slice_sizes, index, numbers.start_index_map, known, mode)
         for n, m in zip(window_axes, offset_dims, strict=True):
-            at[n] = _offset(walk, at[n], place[m])
+            at[n] = offset_by(walk, at[n], place[m])
         found[place] = _fill(walk, inside, _entry_at(walk, x, at), fill_value)
     return found
 
@@ -328,7 +246,7 @@ def look_up(
     first = [walk.index(parameters["start_indices"][0])] if name == "slice" else list(inputs[1].flat)
     [index], inside = _window(walk, table.shape, (few,), first, (0,), {}, mode)
     stride = parameters.get("strides", (1,))[0]
-    places = [_offset(walk, index, k * stride) for k in range(few)]
+    places = [offset_by(walk, index, k * stride) for k in range(few)]
     found = [walk.number("table", k, dtype=table.dtype, data=table.data) for k in places]
     if name == "gather":
         found = [_fill(walk, inside, x, parameters.get("fill_value")) for x in found]

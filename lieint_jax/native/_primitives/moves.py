@@ -27,10 +27,9 @@ def _slice(
 def _pad(x: np.ndarray, value: np.ndarray, padding_config: Sequence[tuple[int, int, int]]) -> np.ndarray:
     shape = [lo + hi + max(n + (n - 1) * gap, 0) for n, (lo, hi, gap) in zip(x.shape, padding_config, strict=True)]
     found = array_of([value.item()] * int(np.prod(shape)), shape)
-    for index in np.ndindex(x.shape):
-        at = tuple(lo + k * (gap + 1) for k, (lo, _, gap) in zip(index, padding_config, strict=True))
-        if all(0 <= k < n for k, n in zip(at, shape, strict=True)):
-            found[at] = x[index]
+    places = [lo + np.arange(n) * (gap + 1) for n, (lo, _, gap) in zip(x.shape, padding_config, strict=True)]
+    inside = [(at >= 0) & (at < n) for at, n in zip(places, shape, strict=True)]
+    found[np.ix_(*(at[which] for at, which in zip(places, inside, strict=True)))] = x[np.ix_(*inside)]
     return found
 
 

@@ -13,6 +13,7 @@ from jax.core import ShapedArray
 from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of
+from lieint_jax.native._primitives.columns import offset_by, row_number
 from lieint_jax.native._program import Value
 
 
@@ -20,8 +21,24 @@ def _reduction(op: str) -> Callable[..., np.ndarray]:
     def reduce(walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axes: Sequence[int]) -> np.ndarray:
         x = inputs[0]
         rest = [n for n in range(x.ndim) if n not in axes]
-        rows = x.transpose(*rest, *axes).reshape(int(np.prod(out.shape)), int(np.prod([x.shape[n] for n in axes])))
-        return array_of([reduce_terms(walk, op, list(row), np.dtype(out.dtype)) for row in rows], out.shape)
+        d = walk.long_axis(x.shape)
+        axes = [d, *(n for n in axes if n != d)] if d in axes else axes
+        terms = x.transpose(*rest, *axes).reshape(int(np.prod(out.shape)), *(x.shape[n] for n in axes))
+        reduced = functools.partial(reduce_terms, walk, op, dtype=np.dtype(out.dtype))
+        if d not in axes:
+            return array_of([reduced(list(each.flat)) for each in terms], out.shape)
+        columns = terms.reshape(*terms.shape[:2], -1)
+
+        def next_totals(carry: list[Value]) -> list[Value]:
+            k, *totals = carry
+            rows = [[row_number(walk, list(column), k) for column in each.T] for each in columns]
+            after = [reduced([total, *row]) for total, row in zip(totals, rows, strict=True)]
+            return [offset_by(walk, k, 1), *after]
+
+        first = [reduced(list(each[0])) for each in columns]
+        end = walk.index(x.shape[d])
+        found = walk.builder.loop([walk.index(1), *first], lambda c: walk.number("lt", c[0], end), next_totals)
+        return array_of(found[1:], out.shape)
 
     return reduce
 
