@@ -166,7 +166,7 @@ class Builder:
         self._constants: dict[object, Value] = {}
         self._order: dict[Value, int] = {}
         self._entries: dict[Value, list[Value]] = {}
-        self.length = self.stacked = 0  # operations; entries of arrays that loops write
+        self.length = self.stacked = 0  # operations; rows of arrays that loops write
 
     def constant(self, value: ArrayLike, dtype: DTypeLike | None = None) -> Value:
         """A constant."""
@@ -193,7 +193,6 @@ class Builder:
         """A new array in memory, of which one loop writes each entry."""
         found = self._new("empty", (), np.dtype(dtype), length, self.block.floor)
         self.block.floor.items.append(found)
-        self.stacked += length
         return found
 
     def entries(self, array: Value) -> list[Value]:

@@ -22,7 +22,7 @@ from lieint_jax.native._primitives.abstract_walk import (
     array_of,
     unsupported_if_it_fails,
 )
-from lieint_jax.native._primitives.columns import columns_of, joined_columns
+from lieint_jax.native._primitives.columns import Rows, as_numbers, columns_of
 from lieint_jax.native._program import Builder, Column, Program, Value
 from lieint_jax.native._walk import LONGEST, Walk, shapes_of
 
@@ -107,7 +107,9 @@ class Traced:
             try:
                 self._walk(self.jaxpr, kinds, shapes, _UNROLLED if with_maps else LONGEST, False)
             except UnsupportedError as reason:
-                if not with_maps or not (isinstance(reason, TooLongError) or any(x.kind == "table" for x in self.leaves)):
+                if not with_maps or not (
+                    isinstance(reason, TooLongError) or any(x.kind == "table" for x in self.leaves)
+                ):
                     raise
                 self._walk(self.jaxpr, kinds, shapes, LONGEST, True)
 
@@ -145,13 +147,13 @@ class Traced:
             numbers = [self._builder.argument(x.dtype, (k, entry)) for entry in range(self.leaves[k].size)]
             return array_of(numbers, x.shape)
         columns = [self._builder.column(x.dtype, Column(k, *place)) for place in _places(x.shape, d)]
-        return joined_columns(self._walked, columns, x.shape, d)
+        return Rows(self._walked, columns, x.shape, d)
 
     def _outputs(self, x: np.ndarray, before: np.ndarray | None) -> list[Value]:
         """The numbers of a result, or its columns; `before` is the argument that it replaces, if it is carried."""
         d = self._walked.long_axis(x.shape)
         if d is None:
-            return list(x.flat)
+            return list(as_numbers(x).flat)
         own = [] if before is None else columns_of(self._walked, before, d)
         columns = zip(columns_of(self._walked, x, d, own), _places(x.shape, d), strict=True)
         pairs = itertools.zip_longest(columns, own)

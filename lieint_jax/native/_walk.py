@@ -24,8 +24,8 @@ from lieint_jax.native._primitives.abstract_walk import (
     UnsupportedError,
     array_of,
 )
-from lieint_jax.native._primitives.columns import columns_of, joined_columns, row_number
-from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
+from lieint_jax.native._primitives.columns import Rows, as_numbers, columns_of, row_number
+from lieint_jax.native._primitives.control_flow import CARRIED_OVER, CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
 from lieint_jax.native._primitives.indexing import INDEXING, look_up
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
@@ -33,7 +33,7 @@ from lieint_jax.native._primitives.moves import MOVES
 from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
-from lieint_jax.native._regions import Region, long_axis, walk_regions
+from lieint_jax.native._regions import LONG, Region, long_axis, walk_regions
 
 _UNROLLED_WITH_MAPS = 6000  # see `AbstractWalk.unrolled`
 LONGEST = 60_000  # the most numbers of a program
@@ -118,7 +118,7 @@ class Walk(AbstractWalk):
                 results[x] = array_of([next(arrays) for _ in range(found[x].size)], shape)
                 continue
             columns = [next(arrays) for _ in range(found[x].size)]
-            results[x] = joined_columns(self, columns, (*shape[:axis], region.length, *shape[axis + 1 :]), axis)
+            results[x] = Rows(self, columns, (*shape[:axis], region.length, *shape[axis + 1 :]), axis)
         return results
 
     def _one_row(self, equation: JaxprEqn, inputs: list[np.ndarray], axes: Axes, out: Axes) -> list[np.ndarray]:
@@ -135,7 +135,9 @@ class Walk(AbstractWalk):
     def _row_of(self, x: np.ndarray, axis: int) -> np.ndarray:
         """The row of a map, of an array that has all."""
         assert self._row is not None
-        key = id(x), axis
+        if isinstance(x, Rows) and x.axis == axis:
+            return x.row(self._row)
+        x, key = as_numbers(x), (id(x), axis)
         if key not in self._rows_read:
             rows = np.moveaxis(x, axis, 0)
             numbers = [row_number(self, list(column), self._row) for column in rows.reshape(len(rows), -1).T]
@@ -147,15 +149,15 @@ class Walk(AbstractWalk):
 
     def packed(self, x: np.ndarray, own: Sequence[Value] = ()) -> list[Value]:
         d = self.long_axis(x.shape)
-        if d is None or x.flat[0].is_array:
-            return super().packed(x)
+        if d is None or (isinstance(x, np.ndarray) and x.flat[0].is_array):
+            return super().packed(as_numbers(x))
         return columns_of(self, x, d, own)
 
     def unpacked(self, numbers: list[Value], like: np.ndarray) -> np.ndarray:
         d = self.long_axis(like.shape)
-        if d is None or len(numbers) == like.size:
+        if d is None or len(numbers) == np.prod(like.shape):
             return super().unpacked(numbers, like)
-        return joined_columns(self, numbers, like.shape, d)
+        return Rows(self, numbers, like.shape, d)
 
     def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
         found = super().matched(arrays, like)
@@ -182,8 +184,10 @@ class Walk(AbstractWalk):
         other = {str(x.dtype) for x in (*shapes_of(equation.invars), *out)} - _TYPES
         if other:
             raise UnsupportedError(f"{name} of {', '.join(sorted(other))}")
-        if any(np.prod(x.shape) > LARGEST for x in out):
+        if any(np.prod(x.shape) > LARGEST * (LONG if self._with_maps else 1) for x in out):
             raise UnsupportedError(f"an array of shape {out[0].shape}")
+        if name not in CARRIED_OVER:
+            inputs = [as_numbers(x) for x in inputs]
         if name in CONTROL_FLOW:
             return CONTROL_FLOW[name](self, inputs, parameters, out)
         expanded = _expand(equation)

@@ -18,10 +18,11 @@ _PARTS = 3  # of which the most a column of a map is put together
 NEXT = 2  # entries before and after an array that may be read
 
 
-def row_of(walk: AbstractWalk, x: np.ndarray | Table, k: Value) -> np.ndarray:
+def row_of(walk: AbstractWalk, x: np.ndarray | Rows | Table, k: Value) -> np.ndarray:
     """x[k] of an array of numbers at an index that the program computes."""
     if isinstance(x, Table):
         return array_of([walk.number("table", k, dtype=x.dtype, data=x.data)], ())
+    x = as_numbers(x)
     columns = x.reshape(len(x), -1).T
     return array_of([entry_at(walk, list(column), k) for column in columns], x.shape[1:])
 
@@ -42,11 +43,6 @@ def entry_at(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
         raise UnsupportedError("an index into a long array that is not a table")
     array = walk.number("array", *column, dtype=column[0].dtype)
     return walk.number("entry", k, array, dtype=column[0].dtype)
-
-
-def entry_of(walk: AbstractWalk, x: Value, k: int) -> Value:
-    """The entry of an array in memory; a number that is no array is the same for all k."""
-    return walk.builder.entries(x)[k] if x.is_array else x
 
 
 def row_number(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
@@ -90,24 +86,77 @@ def run_of(walk: AbstractWalk, column: list[Value]) -> tuple[Value, int, int] | 
     return array, first, stride
 
 
-def columns_of(walk: AbstractWalk, x: np.ndarray, axis: int, own: Sequence[Value | None] = ()) -> list[Value]:
+class Rows:
+    """An array that is in memory along an axis: its numbers are made when an operation reads them.
+
+    Args:
+        walk: the walk.
+        columns: the arrays, or numbers that are the same in all rows, one for each place on the other axes.
+        shape: the shape of the array.
+        axis: the axis.
+    """
+
+    def __init__(self, walk: AbstractWalk, columns: Sequence[Value], shape: Sequence[int], axis: int):
+        self._walk, self.columns, self.shape, self.axis = walk, list(columns), tuple(shape), axis
+        self._numbers: np.ndarray | None = None
+
+    def numbers(self) -> np.ndarray:
+        """The array of its numbers."""
+        if self._numbers is None:
+            found = np.empty((self.shape[self.axis], len(self.columns)), object)
+            for k, x in enumerate(self.columns):
+                found[:, k] = self._walk.builder.entries(x) if x.is_array else x
+            self._numbers = self._placed(found)
+        return self._numbers
+
+    def row(self, k: Value) -> np.ndarray:
+        """Row k of a map, with one entry along the axis."""
+        return self._placed(array_of([_in_row(self._walk, x, k) for x in self.columns], (1, len(self.columns))))
+
+    def _placed(self, rows: np.ndarray) -> np.ndarray:
+        others = [n for d, n in enumerate(self.shape) if d != self.axis]
+        return np.moveaxis(rows.reshape(len(rows), *others), 0, self.axis)
+
+
+def as_numbers(x: np.ndarray | Rows) -> np.ndarray:
+    """An array as one of numbers."""
+    return x.numbers() if isinstance(x, Rows) else x
+
+
+def columns_of(walk: AbstractWalk, x: np.ndarray | Rows, axis: int, own: Sequence[Value] = ()) -> list[Value]:
     """The arrays in memory of the entries of x along an axis, one for each place on the other axes.
 
     Args:
         walk: the walk.
-        x: an array of numbers.
+        x: an array.
         axis: a long axis.
         own: arrays that will be overwritten, each by the column of its place, so that it may be this column only.
     """
-    rows = np.moveaxis(x, axis, 0)
-    columns = [list(column) for column in rows.reshape(len(rows), -1).T]
-    found = [_whole_array(walk, column) for column in columns]
-    for k, array in enumerate(found):
-        if own and array is not None and array.op in ("carry array", "column") and array is not own[k]:
-            found[k] = None
-    others = [column for column, array in zip(columns, found, strict=True) if array is None]
-    copied = iter(walk.builder.map(len(rows), lambda k: [row_number(walk, x, k) for x in others], whole=True))
-    return [next(copied) if array is None else array for array in found]
+    if isinstance(x, Rows) and x.axis == axis:
+        columns = arrays = x.columns
+    else:
+        rows = np.moveaxis(as_numbers(x), axis, 0)
+        columns = [list(column) for column in rows.reshape(len(rows), -1).T]
+        arrays = [_whole_array(walk, column) for column in columns]
+    kept = [
+        array is not None
+        and array.is_array
+        and (not own or array is own[k] or array.op not in ("carry array", "column"))
+        for k, array in enumerate(arrays)
+    ]
+
+    def copied(k: Value) -> list[Value]:
+        return [_in_row(walk, x, k) for x, stays in zip(columns, kept, strict=True) if not stays]
+
+    made = iter(walk.builder.map(x.shape[axis], copied, whole=True) if not all(kept) else [])
+    return [array if stays and array else next(made) for array, stays in zip(arrays, kept, strict=True)]
+
+
+def _in_row(walk: AbstractWalk, column: Value | list[Value], k: Value) -> Value:
+    """The entry of a column, or of an array in memory, in row k of a map."""
+    if not isinstance(column, Value):
+        return row_number(walk, column, k)
+    return walk.number("row", k, column, dtype=column.dtype, data=(0, 1)) if column.is_array else column
 
 
 def _whole_array(walk: AbstractWalk, column: list[Value]) -> Value | None:
@@ -116,15 +165,6 @@ def _whole_array(walk: AbstractWalk, column: list[Value]) -> Value | None:
     if run is None or run[1:] != (0, 1) or run[0].op not in _STORED or run[0].length != len(column):
         return None
     return run[0]
-
-
-def joined_columns(walk: AbstractWalk, columns: Sequence[Value], shape: Sequence[int], axis: int) -> np.ndarray:
-    """The array of numbers from its columns along an axis: entries that are not used are not read."""
-    n, others = shape[axis], [n for d, n in enumerate(shape) if d != axis]
-    found = np.empty((n, len(columns)), object)
-    for k, x in enumerate(columns):
-        found[:, k] = walk.builder.entries(x) if x.is_array else [x] * n
-    return np.moveaxis(found.reshape(n, *others), 0, axis)
 
 
 def offset_by(walk: AbstractWalk, start: Value, offset: int) -> Value:

@@ -16,7 +16,7 @@ from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, names
-from lieint_jax.native._primitives.columns import row_of
+from lieint_jax.native._primitives.columns import as_numbers, row_of
 from lieint_jax.native._primitives.indexing import empty_rows, rows_of, write_rows
 from lieint_jax.native._primitives.moves import MOVES, stack
 from lieint_jax.native._primitives.reductions import reduce_terms
@@ -36,15 +36,15 @@ def _while(
         return walk.jaxpr(cond, [*of_test, *carry])[0]
 
     def test(carry: list[np.ndarray]) -> Value:
-        return reduce_terms(walk, "or", list(tests(carry).flat), np.dtype(bool))
+        return reduce_terms(walk, "or", list(as_numbers(tests(carry)).flat), np.dtype(bool))
 
     def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
         after = walk.jaxpr(body, [*of_body, *carry])
-        which = tests(carry)
+        which = as_numbers(tests(carry))
         if not which.ndim:
             return after
-        after = walk.matched(after, out)
-        return [_select_entries(walk, which, *pair) for pair in zip(after, carry, strict=True)]
+        pairs = zip(map(as_numbers, walk.matched(after, out)), map(as_numbers, carry), strict=True)
+        return [_select_entries(walk, which, *pair) for pair in pairs]
 
     return walk.loop_over_arrays(walk.matched(starts, out), test, next_carry)
 
@@ -79,12 +79,12 @@ def _scan(
     starts = walk.matched(starts, out)
     order = range(length)[::-1] if parameters["reverse"] else range(length)
     stacked = [x.shape[1:] for x in out[len(starts) :]]
-    size = length * sum(int(np.prod(x)) for x in stacked)
+    size = length * sum(int(np.prod(x)) // (1 if (d := walk.long_axis(x)) is None else x[d]) for x in stacked)
     is_short = length <= _UNROLLED or length * _size(closed.jaxpr) <= walk.unrolled * walk.rows_at_once
     if is_short or walk.builder.stacked + size > _MOST_STACKED:
-        carry, rows = starts, []
+        carry, rows, arrays = starts, [], [_arrays(as_numbers(x)) for x in series]
         for k in order:
-            found = walk.jaxpr(closed, [*consts, *carry, *(x[k] for x in map(_arrays, series))])
+            found = walk.jaxpr(closed, [*consts, *carry, *(x[k] for x in arrays)])
             carry = walk.matched(found[: len(starts)], out)
             rows.append(found[len(starts) :])
         if not stacked:
@@ -92,7 +92,8 @@ def _scan(
         if not length:
             return [*carry, *(array_of([], (0, *x)) for x in stacked)]
         rows = rows[::-1] if parameters["reverse"] else rows
-        return [*carry, *(stack(*column, axis=0) for column in zip(*rows, strict=True))]
+        return [*carry, *(stack(*map(as_numbers, column), axis=0) for column in zip(*rows, strict=True))]
+    walk.builder.stacked += size
     zero, one, end = map(walk.index, (0, 1, length))
     kinds = [x.dtype for x in out[len(starts) :]]
     starts_of_rows = [empty_rows(walk, length, *pair) for pair in zip(stacked, kinds, strict=True)]
@@ -135,8 +136,10 @@ def _arrays(x: np.ndarray) -> np.ndarray:
 def _cond(
     walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
 ) -> list[np.ndarray]:
-    index, operands = inputs[0].item(), inputs[1:]
-    return _branches(walk, index, parameters["branches"], operands, out)
+    index, operands, branches = as_numbers(inputs[0]).item(), inputs[1:], parameters["branches"]
+    if index.is_constant:
+        return walk.matched(walk.jaxpr(branches[min(max(int(index.data), 0), len(branches) - 1)], operands), out)
+    return _branches(walk, index, branches, list(map(as_numbers, operands)), out)
 
 
 def _branches(
@@ -156,10 +159,10 @@ def _branches(
     rest = index if index.dtype == bool else walk.number("sub", index, walk.builder.constant(1, index.dtype))
 
     def first() -> list[Value]:
-        return [x for array in _branches(walk, index, branches[:1], operands, out) for x in array.flat]
+        return [x for array in _branches(walk, index, branches[:1], operands, out) for x in as_numbers(array).flat]
 
     def others() -> list[Value]:
-        return [x for array in _branches(walk, rest, branches[1:], operands, out) for x in array.flat]
+        return [x for array in _branches(walk, rest, branches[1:], operands, out) for x in as_numbers(array).flat]
 
     left = iter(walk.builder.branch(test, (first, others)))
     return [array_of([next(left) for _ in range(int(np.prod(x.shape)))], x.shape) for x in out]
@@ -206,6 +209,9 @@ CALLS = names(
     "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call "
     "eval_jaxpr jit pjit remat remat2"
 )
+CARRIED_OVER = frozenset(
+    {*CALLS, "cond", "custom_linear_solve", "optimization_barrier", "scan", "while"}
+)  # also `Rows`
 CONTROL_FLOW: dict[str, Callable[..., list[np.ndarray]]] = dict.fromkeys(CALLS, _call) | {
     "while": _while,
     "scan": _scan,

@@ -12,7 +12,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, Table, UnsupportedError, array_of
-from lieint_jax.native._primitives.columns import entry_at, offset_by, run_of
+from lieint_jax.native._primitives.columns import as_numbers, entry_at, offset_by, run_of
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value
 
@@ -35,7 +35,7 @@ def empty_rows(walk: AbstractWalk, length: int, shape: Sequence[int], dtype: DTy
 
 def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Value) -> np.ndarray:
     """The arrays with row k written."""
-    d = walk.long_axis(row.shape) or 0
+    d, row = walk.long_axis(row.shape) or 0, as_numbers(row)
     n = row.size // max(arrays.size, 1)  # entries of each array
     first = k if n == 1 else walk.number("mul", k, walk.index(n))
     columns: Any = np.moveaxis(row, d, 0).reshape(n, -1).T if n > 1 else row.reshape(-1, 1)
