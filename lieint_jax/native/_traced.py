@@ -107,9 +107,8 @@ class Traced:
             try:
                 self._walk(self.jaxpr, kinds, shapes, _UNROLLED if with_maps else LONGEST, False)
             except UnsupportedError as reason:
-                if not with_maps or not (
-                    isinstance(reason, TooLongError) or any(x.kind == "table" for x in self.leaves)
-                ):
+                has_tables = any(leaf.kind == "table" for leaf in self.leaves)
+                if not with_maps or not (isinstance(reason, TooLongError) or has_tables):
                     raise
                 self._walk(self.jaxpr, kinds, shapes, LONGEST, True)
 
@@ -124,7 +123,7 @@ class Traced:
         each = jax.tree.map(lambda kind, part: [kind] * len(jax.tree.leaves(part)), tuple(kinds), shapes)
         self._builder, self.leaves, arguments = Builder(), [], []
         self.outside: list[Operation] = []
-        self._walked = walk = Walk(self._builder, self._compute_before, longest, with_maps)
+        self._walker = walk = Walk(self._builder, self._compute_before, longest, with_maps)
         for kind, x in zip(jax.tree.leaves(each), jax.tree.leaves(shapes), strict=True):
             most = LARGEST if walk.long_axis(x.shape) is not None else _LONGEST_SHARED
             long = kind == "shared" and x.size > most and len(x.shape) == 1
@@ -136,26 +135,26 @@ class Traced:
         self.program = self._program([x for pair in pairs for x in self._outputs(*pair)])
         self.length = self._builder.length
 
-    def _argument(self, kind: str, x: jax.ShapeDtypeStruct | ShapedArray) -> np.ndarray | Table:
-        """A new argument, as numbers of the program."""
+    def _argument(self, kind: str, x: jax.ShapeDtypeStruct | ShapedArray) -> np.ndarray | Rows | Table:
+        """A new argument, as numbers of the program, or in memory."""
         k = len(self.leaves)
         self.leaves.append(Leaf(kind, np.dtype(x.dtype), int(np.prod(x.shape))))
         if kind == "table":
             return Table(k, x.dtype, x.shape)
-        d = self._walked.long_axis(x.shape) if kind in _IN_COLUMNS else None
+        d = self._walker.long_axis(x.shape) if kind in _IN_COLUMNS else None
         if d is None:
             numbers = [self._builder.argument(x.dtype, (k, entry)) for entry in range(self.leaves[k].size)]
             return array_of(numbers, x.shape)
         columns = [self._builder.column(x.dtype, Column(k, *place)) for place in _places(x.shape, d)]
-        return Rows(self._walked, columns, x.shape, d)
+        return Rows(self._walker, columns, x.shape, d)
 
     def _outputs(self, x: np.ndarray, before: np.ndarray | None) -> list[Value]:
         """The numbers of a result, or its columns; `before` is the argument that it replaces, if it is carried."""
-        d = self._walked.long_axis(x.shape)
+        d = self._walker.long_axis(x.shape)
         if d is None:
             return list(as_numbers(x).flat)
-        own = [] if before is None else columns_of(self._walked, before, d)
-        columns = zip(columns_of(self._walked, x, d, own), _places(x.shape, d), strict=True)
+        own = [] if before is None else columns_of(self._walker, before, d)
+        columns = zip(columns_of(self._walker, x, d, own), _places(x.shape, d), strict=True)
         pairs = itertools.zip_longest(columns, own)
         return [self._builder.stored(array, Column(-1, *place), old) for (array, place), old in pairs]
 

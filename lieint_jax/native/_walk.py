@@ -25,7 +25,7 @@ from lieint_jax.native._primitives.abstract_walk import (
     array_of,
 )
 from lieint_jax.native._primitives.columns import Rows, as_numbers, columns_of, row_number
-from lieint_jax.native._primitives.control_flow import CARRIED_OVER, CONTROL_FLOW
+from lieint_jax.native._primitives.control_flow import CONTROL_FLOW, READ_ROWS
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
 from lieint_jax.native._primitives.indexing import INDEXING, look_up
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
@@ -147,13 +147,13 @@ class Walk(AbstractWalk):
     def long_axis(self, shape: Sequence[int]) -> int | None:
         return long_axis(shape) if self._with_maps and self._row is None else None
 
-    def packed(self, x: np.ndarray, own: Sequence[Value] = ()) -> list[Value]:
+    def packed(self, x: np.ndarray | Rows, own: Sequence[Value] = ()) -> list[Value]:
         d = self.long_axis(x.shape)
         if d is None or (isinstance(x, np.ndarray) and x.flat[0].is_array):
             return super().packed(as_numbers(x))
         return columns_of(self, x, d, own)
 
-    def unpacked(self, numbers: list[Value], like: np.ndarray) -> np.ndarray:
+    def unpacked(self, numbers: list[Value], like: Any) -> Any:
         d = self.long_axis(like.shape)
         if d is None or len(numbers) == np.prod(like.shape):
             return super().unpacked(numbers, like)
@@ -186,7 +186,7 @@ class Walk(AbstractWalk):
             raise UnsupportedError(f"{name} of {', '.join(sorted(other))}")
         if any(np.prod(x.shape) > LARGEST * (LONG if self._with_maps else 1) for x in out):
             raise UnsupportedError(f"an array of shape {out[0].shape}")
-        if name not in CARRIED_OVER:
+        if name not in READ_ROWS:
             inputs = [as_numbers(x) for x in inputs]
         if name in CONTROL_FLOW:
             return CONTROL_FLOW[name](self, inputs, parameters, out)

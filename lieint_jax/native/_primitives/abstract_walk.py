@@ -110,11 +110,11 @@ class AbstractWalk(abc.ABC):
         """The axis of an array over whose rows there is a map."""
         return None
 
-    def packed(self, x: np.ndarray, own: Sequence[Value] = ()) -> list[Value]:
+    def packed(self, x: Any, own: Sequence[Value] = ()) -> list[Value]:
         """The numbers, or arrays in memory, that a loop carries for an array; see `columns_of`."""
         return list(x.flat)
 
-    def unpacked(self, numbers: list[Value], like: np.ndarray) -> np.ndarray:
+    def unpacked(self, numbers: list[Value], like: Any) -> Any:
         """The array for which a loop carries these numbers or arrays in memory."""
         return array_of(numbers, like.shape)
 

@@ -209,9 +209,7 @@ CALLS = names(
     "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call "
     "eval_jaxpr jit pjit remat remat2"
 )
-CARRIED_OVER = frozenset(
-    {*CALLS, "cond", "custom_linear_solve", "optimization_barrier", "scan", "while"}
-)  # also `Rows`
+READ_ROWS = frozenset({*CALLS, "cond", "custom_linear_solve", "optimization_barrier", "scan", "while"})
 CONTROL_FLOW: dict[str, Callable[..., list[np.ndarray]]] = dict.fromkeys(CALLS, _call) | {
     "while": _while,
     "scan": _scan,

@@ -20,23 +20,21 @@ from lieint_jax.native._program import Value
 def _reduction(op: str) -> Callable[..., np.ndarray]:
     def reduce(walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axes: Sequence[int]) -> np.ndarray:
         x = inputs[0]
-        rest = [n for n in range(x.ndim) if n not in axes]
-        d = walk.long_axis(x.shape)
-        axes = [d, *(n for n in axes if n != d)] if d in axes else axes
-        terms = x.transpose(*rest, *axes).reshape(int(np.prod(out.shape)), *(x.shape[n] for n in axes))
+        rest, d = [n for n in range(x.ndim) if n not in axes], walk.long_axis(x.shape)
         reduced = functools.partial(reduce_terms, walk, op, dtype=np.dtype(out.dtype))
-        if d not in axes:
-            return array_of([reduced(list(each.flat)) for each in terms], out.shape)
-        columns = terms.reshape(*terms.shape[:2], -1)
+        if d is None or d not in axes:
+            terms = x.transpose(*rest, *axes).reshape(int(np.prod(out.shape)), int(np.prod([x.shape[n] for n in axes])))
+            return array_of([reduced(list(each)) for each in terms], out.shape)
+        terms = x.transpose(*rest, d, *(n for n in axes if n != d)).reshape(int(np.prod(out.shape)), x.shape[d], -1)
 
         def next_totals(carry: list[Value]) -> list[Value]:
             k, *totals = carry
-            rows = [[row_number(walk, list(column), k) for column in each.T] for each in columns]
+            rows = [[row_number(walk, list(column), k) for column in each.T] for each in terms]
             after = [reduced([total, *row]) for total, row in zip(totals, rows, strict=True)]
             return [offset_by(walk, k, 1), *after]
 
-        first = [reduced(list(each[0])) for each in columns]
-        end = walk.index(x.shape[d])
+        first = [reduced(list(each[0])) for each in terms]
+        end = walk.index(terms.shape[1])
         found = walk.builder.loop([walk.index(1), *first], lambda c: walk.number("lt", c[0], end), next_totals)
         return array_of(found[1:], out.shape)
 
