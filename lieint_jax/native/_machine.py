@@ -20,6 +20,7 @@ from lieint_jax.native._traced import Leaf
 
 _FEW = 26  # two vectors per number are used if the innermost loop has at most this many live numbers
 _VERY_FEW = 4  # the most of them for which four vectors are faster than two: they wait less for each other's results
+_LEVEL = 1  # of LLVM's optimizations: 2 makes no code faster, and takes three times as long for long programs
 _lock = threading.Lock()
 
 
@@ -139,7 +140,12 @@ def _new_target() -> Any:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=_features(), opt=2, reloc="default", codemodel="jitdefault", jit=True
+        cpu=llvm.get_host_cpu_name(),
+        features=_features(),
+        opt=_LEVEL,
+        reloc="default",
+        codemodel="jitdefault",
+        jit=True,
     )
 
 
@@ -151,7 +157,7 @@ def _compile(texts: list[str], names: Sequence[str]) -> bytes:
         if function.name not in names and not function.is_declaration:
             function.linkage = llvm.Linkage.internal
     module.verify()
-    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    options = llvm.create_pipeline_tuning_options(speed_level=_LEVEL)
     options.loop_vectorization = options.slp_vectorization = False
     options.loop_unrolling = False
     builder = llvm.create_pass_builder(target(), options)
