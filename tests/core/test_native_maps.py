@@ -99,7 +99,7 @@ def exchanged(carry, weight):
 
 
 def test_arrays_that_are_carried_change_places(monkeypatch):
-    """Observed: 3e-16 of the largest entry."""
+    """Observed: 5e-16 of the largest entry."""
     always_map(monkeypatch)
     start = POINTS, np.cos(POINTS), np.swapaxes(POINTS, 1, 2), np.broadcast_to(WEIGHTS, POINTS.shape)
     weights = jnp.linspace(0.5, 1.5, 7)
@@ -110,7 +110,7 @@ def test_arrays_that_are_carried_change_places(monkeypatch):
     with li.engine("xla"):
         expected = run(*start)
     for wanted, x in zip(jax.tree.leaves(expected), jax.tree.leaves(several), strict=True):
-        np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-15 * np.abs(np.asarray(wanted)).max())
+        np.testing.assert_allclose(x, wanted, rtol=0, atol=2e-15 * np.abs(np.asarray(wanted)).max())
     one = jax.jit(lambda *x: li.scan(exchanged, x, weights))(*(x[2] for x in start))
     assert bits(one) == bits(jax.tree.map(lambda x: x[2], several))
 
