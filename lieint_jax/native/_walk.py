@@ -36,7 +36,7 @@ from lieint_jax.native._program import Builder, Value
 from lieint_jax.native._regions import LONG, Region, long_axis, walk_regions
 
 _UNROLLED_WITH_MAPS = 6000  # see `AbstractWalk.unrolled`
-LONGEST = 60_000  # the most numbers of a program
+LONGEST = 100_000  # the most operations of a program
 _TYPES = {f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {"bool", "float32", "float64"}
 # They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
 _HARMLESS = {"accuracy", "indices_are_sorted", "out_sharding", "sharding", "unique_indices", "weak_type"}
