@@ -230,6 +230,7 @@ class Tau:
         name: for reports.
         slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix, where an approximation suffices. None selects
             autodiff.
+        exact_slope: the same to round-off, for tangent vectors. None, or None as a result, selects autodiff.
         holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
         coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on the vectors of `_numerics.small_linalg`. None: a step computes it from
             τ(Θ).
@@ -241,6 +242,7 @@ class Tau:
     function: Map
     name: str = static(default="user")
     slope: Callable[[Group, Array], la.Matrix] | None = static(default=None)
+    exact_slope: Callable[[Group, Array], la.Matrix | None] | None = static(default=None)
     holds: Callable[[Group, Array], Array] | None = static(default=None)
     coadjoint: Callable[[Group, la.Vector, la.Vector], la.Vector] | None = static(default=None)
     along: Callable[[Group, Array, Array, Array], Array] | None = static(default=None)
@@ -303,11 +305,18 @@ _BY_EXPONENTIAL = Tau(
     callable_pytree(_GroupMethod("exp_near")),
     "exponential",
     slope=_GroupMethod("exp_slope", (_SLOPE_TERMS,)),
+    exact_slope=_GroupMethod("closed_slope"),
     holds=_GroupMethod("near"),
     coadjoint=_GroupMethod("exp_coadjoint"),
     along=_GroupMethod("exp_along"),
 )
-_BY_CAYLEY = Tau(callable_pytree(cayley), "cayley", slope=_GroupMethod("cayley_slope"), coadjoint=_cayley_coadjoint)
+_BY_CAYLEY = Tau(
+    callable_pytree(cayley),
+    "cayley",
+    slope=_GroupMethod("cayley_slope"),
+    exact_slope=_GroupMethod("cayley_slope"),
+    coadjoint=_cayley_coadjoint,
+)
 _BY_ARCSINE = Tau(
     callable_pytree(_arcsine_near), "arcsine", slope=_arcsine_slope, holds=_arcsine_holds, coadjoint=_arcsine_coadjoint
 )

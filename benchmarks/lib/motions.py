@@ -39,7 +39,7 @@ def cases() -> list[tuple[str, Any, Any, bool]]:
             "body in a fluid, SE(3)",
             li.schemes.group_midpoint(fluid),
             fluid.state(velocity=[0.2, 0.1, 0.5, 0.3, 0.1, 0.2]),
-            False,
+            True,
         ),
         ("two bodies, splitting", li.schemes.splitting(pair), two, False),
     ]

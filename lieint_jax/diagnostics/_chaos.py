@@ -140,33 +140,44 @@ def _in_time(step: Step) -> Step:
 def _lyapunov(
     step: Step, state: State, dt: Array, frame: TangentVectors, rounds: int, every: int, batches: int
 ) -> Lyapunov:
-    unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
-    advance_frame = partial(step_at_node, step.tangent, uniform_clock(step, state, dt))
-    longest = -(-rounds // batches)  # the most rounds of a batch
+    def orthonormal_interval(
+        n: Array,
+        carry: PyTree,
+        _: None,
+        step: Step,
+        clock: PyTree,
+        unit: Array,
+        inverse: Array,
+        before: Array,
+        of: Array,
+    ) -> tuple[PyTree, Array]:
+        """Round `before` + n, in a batch of so many rounds; both loops below are one program of this."""
 
-    def interval(n: Array, carry: PyTree) -> PyTree:
-        state, T, info = carry
-        state, last, T = advance_frame(state, n, T)
-        return state, T, info.merge(last)
+        def interval(n: Array, carry: PyTree) -> PyTree:
+            state, T, info = carry
+            state, last, T = step_at_node(step.tangent, clock, state, n, T)
+            return state, T, info.merge(last)
 
-    def orthonormal_interval(n: Array, carry: PyTree, _: None) -> tuple[PyTree, Array]:
         state, frame, info, growth = carry
-        batch, k = n // longest, n % longest
-        first, end = (-(-(batch + j) * rounds // batches) for j in (0, 1))  # rounds of the batch
-        state, T, info = counted(interval, (first + k) * every, every, (state, unit * frame, info))
-        frame, gain = orthonormalize(T / unit)
-        growth = jnp.where(k == 0, 0, growth) + gain
-        after = state, frame, info, growth
-        if rounds % batches:  # others have one round more
-            after = jax.tree.map(lambda new, old: jnp.where(first + k < end, new, old), after, carry)
-        return after, after[-1]
+        state, T, info = counted(interval, (before + n) * every, every, (state, unit * frame, info))
+        frame, gain = orthonormalize(T * inverse)
+        growth = jnp.where(n % of == 0, 0, growth) + gain
+        return (state, frame, info, growth), growth
 
-    begin = (state, orthonormalize(frame / unit)[0], StepInfo.empty(state.p), jnp.zeros_like(frame[0]))
-    (_, _, info, _), growth = native.march(orthonormal_interval, begin, rows=batches, every=longest)
-    between = jnp.abs(dt) * every
-    lengths = between * jnp.asarray(np.bincount(np.arange(rounds) * batches // rounds, minlength=batches), dt.dtype)
-    errors = standard_error(growth / lengths[:, None])
-    return Lyapunov(growth.sum(axis=0) / (between * rounds), errors, growth, info)
+    unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
+    consts = step, uniform_clock(step, state, dt), unit, 1 / unit
+    carry = (state, orthonormalize(frame / unit)[0], StepInfo.empty(state.p), jnp.zeros_like(frame[0]))
+    rest, parts = rounds % batches, []
+    lengths = np.repeat([rounds // batches + 1, rounds // batches], [rest, batches - rest])  # rounds of each batch
+    for first, end in ((0, rest), (rest, batches)):
+        if first < end:
+            length, before = int(lengths[first]), int(lengths[:first].sum())
+            given = *consts, jnp.asarray(before), jnp.asarray(length)
+            carry, part = native.march(orthonormal_interval, carry, None, given, rows=end - first, every=length)
+            parts.append(part)
+    growth, between = jnp.concatenate(parts), jnp.abs(dt) * every
+    errors = standard_error(growth / (between * jnp.asarray(lengths, dt.dtype))[:, None])
+    return Lyapunov(growth.sum(axis=0) / (between * rounds), errors, growth, carry[2])
 
 
 def standard_error(series: Array) -> Array:
@@ -229,12 +240,13 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: np
 @partial(compiled, static_argnums=4)
 def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: int) -> Megno:
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
+    inverse = 1 / unit
     advance_vector = partial(step_at_node, step.tangent, uniform_clock(step, state, dt))
 
     def step_once(n: Array, carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, W, Y, mean, info = carry
         state, last, T = advance_vector(state, n, unit * W)
-        W, gain = orthonormalize(T / unit)
+        W, gain = orthonormalize(T * inverse)
         k = (n + 1).astype(Y.dtype)
         Y = Y * (n / k) + 2 * gain[0]
         return (state, W, Y, mean + (Y - mean) / k, info.merge(last)), None

@@ -66,7 +66,7 @@ def orthonormalize(W: TangentVectors) -> tuple[Array, Array]:
     rest, Q, growth = [W[:, j] for j in range(W.shape[1])], [], []
     while rest:
         length = jnp.sqrt(jnp.sum(rest[0] * rest[0]))
-        q = rest[0] / length
+        q = rest[0] * (1 / length)
         rest = [w - jnp.sum(q * w) * q for w in rest[1:]]
         Q, growth = [*Q, q], [*growth, jnp.log(length)]
     return jnp.stack(Q, axis=1), jnp.stack(growth)

@@ -28,6 +28,7 @@ _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # the largest groups that are unrolled by 
 _POWERS = 5  # the most powers of X in a closed form
 _DEGREE = 24  # exp by a Taylor polynomial of degree 23, at round-off for norms up to 2
 _EXPONENTIAL = [1 / math.factorial(n) for n in range(_DEGREE + 4)]
+_SLOPE = [(-1) ** n / math.factorial(n + 1) for n in range(33)]  # of exp; ad_ξ may have twice the eigenvalues of ξ̂
 _SQUARINGS = 6  # with scaling, for norms up to 2·2⁶
 _CORRECTIONS = 4  # iterations of log
 
@@ -340,6 +341,16 @@ class MatrixGroup:
         for k in range(terms, 1, -1):
             H = one - 1.0 / k * (A @ H)
         return H
+
+    def closed_slope(self, xi: la.Vector) -> la.Matrix | None:
+        """H of exp where `near` holds, by the closed form of ad; None if there is none."""
+        closed = self._closed_ad
+        if closed is None:
+            return None
+        x = closed.square(xi)
+        return self._series_and_inverse(
+            self.ad_matrix(xi), [closed_forms.evaluated(c, x) for c in closed.series(_SLOPE)]
+        )[0]
 
     def cayley_slope(self, xi: la.Vector) -> la.Matrix:
         """H of cay, Hη = ((1 + ½ξ̂)⁻¹ η̂ (1 − ½ξ̂)⁻¹)^∨, as a matrix (d, d). Note (1 ∓ ½ξ̂)⁻¹ = ½(1 + cay(±ξ))."""

@@ -20,6 +20,7 @@ from lieint_jax.native._traced import Leaf
 
 _FEW = 26  # two vectors per number are used if the innermost loop has at most this many live numbers
 _VERY_FEW = 4  # the most of them for which four vectors are faster than two: they wait less for each other's results
+_ONE = 1  # of one number eight are
 _LEVEL = 1  # of LLVM's optimizations: 2 makes no code faster, and takes three times as long for long programs
 _lock = threading.Lock()
 
@@ -40,7 +41,7 @@ def register_bytes() -> int:
 def lanes(leaves: Sequence[Leaf], pressure: int = _FEW + 1) -> int:
     """Members in a vector of a program that reads these arrays, with so many numbers in an innermost loop."""
     widths = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
-    vectors = 4 if pressure <= _VERY_FEW else 2 if pressure <= _FEW else 1
+    vectors = next((n for n, most in ((8, _ONE), (4, _VERY_FEW), (2, _FEW)) if pressure <= most), 1)
     return register_bytes() // max(widths, default=8) * vectors
 
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -29,16 +30,19 @@ from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicF
 from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
+    ad_star_matrix,
     as_vector,
     coadjoint,
     guess,
     newton_matrix,
     size_unit,
+    slope,
     solved,
     translate,
 )
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.shapes import TangentVectors
 
 __all__ = ["GroupMidpoint", "group_midpoint"]
 
@@ -58,6 +62,14 @@ class GroupMidpoint(Step):
         return f"group_midpoint[{self.tau.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        group, tau, (_, theta, Theta, info) = self.system.group, self.tau, self._solution(state, dt)
+        if isinstance(self.system, AbstractGeodesicFlow):
+            return state._replace(q=translate(tau, group, state.q, Theta)), info
+        after = la.as_array(coadjoint(tau, group, theta, as_vector(theta, state.p)), state.p)
+        return state._replace(q=group.multiply(group.inverse(tau(group, Theta)), state.q), p=after), info
+
+    def _solution(self, state: State, dt: ArrayLike) -> tuple[Equation, la.Vector, Array, StepInfo]:
+        """The equation for Θ, its root as a vector of the equation and as an array, and the report on it."""
         group, tau = self.system.group, self.tau
         equation = Equation.from_state(self.system, tau, state, 0.5 * jnp.asarray(dt))
 
@@ -68,11 +80,25 @@ class GroupMidpoint(Step):
             return newton_matrix(equation, theta, F)
 
         m, a = equation.m, equation.a
-        theta, Theta, info = solved(equation, residual, matrix, size_unit(m, a), guess(group, m, a), self.iterations)
-        if isinstance(self.system, AbstractGeodesicFlow):
-            return state._replace(q=translate(tau, group, state.q, Theta)), info
-        after = la.as_array(coadjoint(tau, group, theta, as_vector(m, state.p)), state.p)
-        return state._replace(q=group.multiply(group.inverse(tau(group, Theta)), state.q), p=after), info
+        return equation, *solved(equation, residual, matrix, size_unit(m, a), guess(group, m, a), self.iterations)
+
+    def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
+        """(m − ½Δt ad*(Π_{n+1}) H) δΘ = ½Δt (δΠ_n + δ'Π_{n+1}) with δΠ = Ad*_q (δπ + ad*_δθ π) at fixed Θ."""
+        if not isinstance(self.system, AbstractGeodesicFlow):
+            return super().advance_tangents(state, dt, T)
+        group, d = self.system.group, self.system.group.dim
+        equation, theta, Theta, info = self._solution(state, dt)
+        m, H = equation.m, slope(self.tau, group, theta, exact=True)
+        K = la.factored(m - ad_star_matrix(group, m @ theta - equation.a) @ H)
+        end = state._replace(q=translate(self.tau, group, state.q, Theta))
+
+        def propagate(tangent: Array) -> Array:
+            p = equation.half * (tangent[d:] + group.ad_star(tangent[:d], state.p))
+            turned = as_vector(m, group.Ad_star(state.q, p) + group.Ad_star(end.q, p))
+            rotation = la.as_array(H @ K.solve(turned), state.p)
+            return jnp.concatenate([tangent[:d] + group.Ad(end.q, rotation), tangent[d:]])
+
+        return end, info, lax.map(propagate, T.T).T
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         m, left = self.system.metric, isinstance(self.system, AbstractGeodesicFlow)

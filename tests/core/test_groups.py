@@ -61,6 +61,7 @@ def sample(name):
             "defects": jnp.stack([g.defect(a), g.defect(g.multiply(a, b)), g.defect(g.cayley(small))]),
             "cay": g.cayley(small),
             "H_exp": matrix(g.exp_slope(v)),
+            "H_closed": None if (H := g.closed_slope(v)) is None else matrix(H),
             "H_exp_autodiff": maps.derivative(maps.exponential, g, small),
             "H_cay": matrix(g.cayley_slope(v)),
             "H_cay_autodiff": maps.derivative(maps.cayley, g, small),
@@ -120,6 +121,8 @@ def test_exp_log_and_the_derivative_maps(name):
     close(out["near"], expm(hat(g, 0.3 * xi)), 1e-15)
     close(out["log"], 0.3 * xi, 2e-15)
     close(out["H_exp"], out["H_exp_autodiff"], 4e-15)
+    if out["H_closed"] is not None:
+        close(out["H_closed"], out["H_exp_autodiff"], 4e-15)
     assert out["defects"][:2].max() < 2e-14 * np.abs(out["ab"]).max() ** 2
     if name in LANDS_NOT:
         assert not g.cayley_lands

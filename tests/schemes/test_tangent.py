@@ -15,6 +15,8 @@ from lieint_jax import diagnostics, maps, schemes, systems
 BODY = systems.rigid_body(turned([1.0, 2.0, 3.0]))
 STATE = BODY.state([0.5, -0.1, 0.7, 0.5], angular_velocity=[0.3, 0.5, -0.4])
 SATELLITE, START, _ = examples_of("gravity_gradient")["satellite"]
+FLUID = systems.kirchhoff((3.0, 2.0, 1.0), center_of_mass=(0.0, 0.0, -0.2))
+AFLOAT = FLUID.state(velocity=[0.2, 0.1, 0.5, 0.3, 0.1, 0.2])
 WHEEL = systems.gyrostat([1.0, 2.0, 3.0], [0.3, 0.1, -0.2])
 GRID = [pytest.param(*case, id=case[1]) for case in grid.cases()]
 
@@ -67,6 +69,8 @@ def test_a_tangent_vector_is_the_derivative_of_a_perturbation(name):
         pytest.param(schemes.compose(schemes.splitting(SATELLITE), 4), START, id="composed"),
         pytest.param(schemes.compose(schemes.so3_midpoint(BODY), 8), STATE, id="commuting"),
         pytest.param(schemes.so3_midpoint(BODY, maps.kappa_cayley), STATE, id="cayley"),
+        pytest.param(schemes.group_midpoint(FLUID), AFLOAT, id="motions"),
+        pytest.param(schemes.group_midpoint(FLUID, maps.cayley), AFLOAT, id="motions by cayley"),
         pytest.param(schemes.splitting(WHEEL), WHEEL.state(angular_velocity=[0.2, 0.5, -0.3]), id="wheel"),
     ],
 )

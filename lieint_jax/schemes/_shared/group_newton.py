@@ -138,10 +138,12 @@ def translate(tau: Tau, group: Group, q: SquareMatrix, Theta: AlgebraVector, s: 
     return la.at_each(lambda s: group.multiply(q, tau(group, s * Theta)), s)
 
 
-def slope(tau: Tau, group: Group, theta: la.Vector) -> la.Matrix:
+def slope(tau: Tau, group: Group, theta: la.Vector, exact: bool = False) -> la.Matrix:
     """H(Θ), (d, d)."""
-    if tau.slope is not None:
-        return tau.slope(group, theta)
+    formula = tau.exact_slope if exact else tau.slope
+    closed = None if formula is None else formula(group, theta)
+    if closed is not None:
+        return closed
     H = derivative(tau, group, la.as_array(theta, theta[0]))
     return as_vector(theta, H)
 
