@@ -121,9 +121,7 @@ class Certificate(NamedTuple):
         if math.isinf(self.order):
             return "exact flow"
         if abs(self.order - self.scheme_order) > 0.5:
-            return (
-                f"measured {self.order:.2f}: the scheme's, {self.scheme_order:g}, does not show at steps near this dt"
-            )
+            return f"measured {self.order:.2f}: the scheme's {self.scheme_order:g} does not show near this dt"
         return f"measured {self.order:.2f}"
 
     def _form(self) -> str:

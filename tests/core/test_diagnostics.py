@@ -262,7 +262,7 @@ def test_a_certificate_states_where_the_order_of_the_scheme_does_not_show():
     [(fast, state, _)] = [x for name, x in li.systems._heavy_top.examples().items() if name == "lagrange"]
     found = diagnostics.certify(li.schemes.nystrom(fast, 6), state, 0.05, 8)
     assert found.order > 8
-    assert "the scheme's, 6, does not show at steps near this dt" in str(found)
+    assert "the scheme's 6 does not show near this dt" in str(found)
     slow = li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, 1.0])
     found = diagnostics.certify(li.schemes.nystrom(slow, 6), slow.state(angular_velocity=[1.0, 1.0, 5.0]), 0.05, 8)
     assert abs(found.order - 6) < 0.1  # observed 6.02

@@ -115,9 +115,7 @@ def test_energy_moves_without_a_preferred_direction(body, dt):
     for seed in range(4):
         system, state = (rod(STIFF), bent(rod(STIFF))) if body == "rod" else cage(np.zeros(2))
         p = state.p * (1 + 0.1 * np.random.default_rng(seed).normal(size=state.p.shape))
-        drift = np.sum(p[:, :3], axis=0) / np.sum(
-            system.masses
-        )  # else rounding grows with the distance from the origin
+        drift = np.sum(p[:, :3], axis=0) / np.sum(system.masses)  # else rounding grows with the distance
         state = state._replace(p=p.at[:, :3].add(-system.masses[:, None] * drift))
         path = run("newton", steps, 10)(system, state, dt)
         assert path.info.converged.all()
