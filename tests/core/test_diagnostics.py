@@ -145,7 +145,7 @@ def test_verdicts_distinguish_random_rounding_from_one_rounding_per_step(energy,
 def test_a_certificate_has_no_number_for_a_momentum_that_the_system_lacks():
     certificate = diagnostics.Certificate(
         **dict.fromkeys(diagnostics.Certificate._fields, 0.0)
-        | {"precision": "float64", "momentum": np.nan, "momentum_map": False, "energy": np.nan}
+        | {"precision": "float64", "momentum": np.nan, "momentum_map": False, "energy": np.nan, "hamiltonian": 1}
     )
     energy, momentum = str(certificate).splitlines()[1:3]
     assert momentum.split(maxsplit=2) == ["momentum", "—", "no momentum map"]
