@@ -50,7 +50,8 @@ class Certificate(NamedTuple):
             order + 1, the motion itself is not symplectic (dissipation, or torques without a potential), or the steps
             vary with the state.
         order: measured order of accuracy; inf if exact to round-off.
-        reversibility: max|z − step(step(z, dt), −dt)|, momenta measured in max|π|.
+        reversibility: max|z − step(step(z, dt), −dt)|, momenta measured in max|π|; inf if the step of −dt does not
+            converge, as those of a sampled law.
         residual: largest residual of the run.
         converged: whether every step converged.
         work: whether the state counts work.
@@ -60,6 +61,7 @@ class Certificate(NamedTuple):
             error is larger.
         momentum_map: whether the system has a momentum map.
         hamiltonian: whether the system has an energy and a symplectic form, whose fields are nan otherwise.
+        scheme_order: the order that the scheme declares.
     """
 
     scheme: str
@@ -82,6 +84,7 @@ class Certificate(NamedTuple):
     cancellation: float = 1.0
     momentum_map: bool = True
     hamiltonian: bool = True
+    scheme_order: float = math.nan
 
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
@@ -95,9 +98,9 @@ class Certificate(NamedTuple):
             ("momentum", self.momentum, _verdict(self.momentum, bounds * self.cancellation, eps)),
             ("constraint", self.constraint, _verdict(self.constraint, bounds, eps)),
             ("symplectic form", self.symplectic_defect, self._form()),
-            ("reversibility", self.reversibility, _verdict(self.reversibility, bounds, eps, "reversible")),
+            ("reversibility", self.reversibility, self._reversible(bounds, eps)),
             ("residual", self.residual, "every step converged" if self.converged else "NOT every step converged"),
-            ("order", self.order, "exact flow" if math.isinf(self.order) else f"measured {self.order:.2f}"),
+            ("order", self.order, self._measured_order()),
         ]
         head = f"{self.scheme} · {self.system} · dt = {self.dt:g}, {self.num_steps} steps, {self.precision}"
         lines = [f"  {name:<16} {value:>9.2g}   {verdict}" for name, value, verdict in rows]
@@ -106,6 +109,20 @@ class Certificate(NamedTuple):
         if not self.hamiltonian:  # neither energy, momentum nor a form
             del lines[3], lines[:2]
         return "\n".join([head, *lines])
+
+    def _reversible(self, bounds: np.ndarray, eps: float) -> str:
+        """The verdict on a step and one back."""
+        if math.isinf(self.reversibility):
+            return "not reversible: a step of −dt is refused, or does not converge"
+        return _verdict(self.reversibility, bounds, eps, "reversible")
+
+    def _measured_order(self) -> str:
+        """The verdict on the order; a measured one that differs by more than ½ is not that of small steps."""
+        if math.isinf(self.order):
+            return "exact flow"
+        if abs(self.order - self.scheme_order) > 0.5:
+            return f"measured {self.order:.2f}: the scheme's {self.scheme_order:g} does not show near this dt"
+        return f"measured {self.order:.2f}"
 
     def _form(self) -> str:
         """The verdict on the form. A step of order r has a defect O(dt^(r+1)); a larger one is that of the motion."""
@@ -174,6 +191,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         cancellation=max(1.0, _relative(seen.terms, seen.total)),
         momentum_map=jax.eval_shape(step.system.momentum, state).size > 0,
         hamiltonian=step.system.hamiltonian,
+        scheme_order=step.order,
     )
 
 

@@ -118,7 +118,10 @@ def _distance(step: Step, a: State, b: State) -> Scalar:
 
 
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:
-    """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
+    """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here.
+
+    It is infinite if the step of −dt does not converge, as those of a sampled law, which has no way back.
+    """
     return reversibility_of_run(*_measure.checked(step, state, dt, 1), 1)
 
 
@@ -126,4 +129,6 @@ def reversibility_of_run(step: Step, state: State, dt: Array, most: int) -> Scal
     """`reversibility` of checked arguments, by the program of runs of up to `most` steps."""
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))
-    return _distance(step, _measure.last(_measure.run(step, there, back, 1, most)), state)
+    returned = _measure.run(step, there, back, 1, most)
+    accepted = jnp.asarray(returned.info.converged)[1] | step.approximate
+    return jnp.where(accepted, _distance(step, _measure.last(returned), state), jnp.inf)

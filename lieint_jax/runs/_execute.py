@@ -16,6 +16,7 @@ from lieint_jax.runs._loop import Carry
 from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._progress import Bar, CallLength, Interrupts
 from lieint_jax.runs.store._store_output import StoreOutput
+from lieint_jax.types import System
 
 
 def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, progress: bool) -> Saves | None:
@@ -46,7 +47,7 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
         result = output.result(carry)
-    warn_of_failures(_layout.gather(layout, carry.failed), job.first_member)
+    warn_of_failures(_layout.gather(layout, carry.failed), job.first_member, job.step.system)
     return result
 
 
@@ -96,7 +97,8 @@ class CompiledLoop:
         """Show the energy error and the failures so far on the progress bar, if it is visible."""
         if self._shown:
             H = self._energies(carry, done)
-            bar.show(*_layout.worst_energy_error(self._layout, self._H0, H, carry.failed))
+            energy, failed = _layout.worst_energy_error(self._layout, self._H0, H, carry.failed)
+            bar.show(energy if self._job.step.system.hamiltonian else None, failed)
 
 
 def _check_start(quantity: np.ndarray, first: int) -> None:
@@ -118,16 +120,19 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
         raise ValueError(f"the first step fails for {list_members(bad + first)}. Member {bad[0] + first}: {advice}")
 
 
-def warn_of_failures(failed: np.ndarray, first: int) -> None:
-    """Warn of members, from number `first` on, that did not converge at a step."""
+def warn_of_failures(failed: np.ndarray, first: int, system: System) -> None:
+    """Warn of members, from number `first` on, that did not converge at a step; and of where `system` is defined."""
     bad = np.flatnonzero(failed >= 0)
     if bad.size:
         bad = bad[np.argsort(failed[bad], kind="stable")]
         named = ", ".join(f"member {first + m} at step {failed[m]}" for m in bad[:MAX_NAMED])
         more = f" and {bad.size - MAX_NAMED} more" if bad.size > MAX_NAMED else ""
-        warnings.warn(
+        sentence = (
             f"{bad.size} of {failed.size} members did not converge at every step: {named}{more}; "
-            "do not trust their results after these steps (use a smaller dt)",
+            "do not trust their results after these steps (use a smaller dt)"
+        )
+        warnings.warn(
+            ". ".join(filter(None, [sentence, system.domain])),
             RuntimeWarning,
             stacklevel=5,
         )

@@ -49,11 +49,13 @@ class Bar:
         if self._bar is not None:
             self._bar.update(steps * self._count)
 
-    def show(self, energy: float, unconverged: int) -> None:
+    def show(self, energy: float | None, unconverged: int) -> None:
         """Show the worst energy error so far, `energy` being the latest, and the number of members that failed."""
-        self._worst = energy if energy != energy else max(self._worst, energy)
+        shown = f"unconverged {unconverged}"
+        if energy is not None:
+            self._worst = energy if energy != energy else max(self._worst, energy)
+            shown = f"energy {self._worst:.1e}, {shown}"
         if self._bar is not None:
-            shown = f"energy {self._worst:.1e}, unconverged {unconverged}"
             self._bar.set_postfix_str(shown, refresh=not self._delayed)
 
     def __enter__(self) -> Self:

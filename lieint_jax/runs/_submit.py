@@ -98,7 +98,7 @@ def submit(
         tasks = {k: executor.submit(task, k, parts) for k in range(parts)}
     _wait(tasks, progress)
     found = stored_run(str(place), read_run(place), step)
-    warn_of_failures(np.atleast_1d(found.failed), 0)
+    warn_of_failures(np.atleast_1d(found.failed), 0, step.system)
     return found
 
 

@@ -168,6 +168,10 @@ class RigidBodies(_Many, AbstractRigidBodies):
         """The same bodies without the potential."""
         return FreeBodies(self.masses, self.inertias)
 
+    @property
+    def domain(self) -> str:
+        return potentials.domain(self.potential)
+
     def potential_energy(self, q: Poses) -> Scalar:
         """V(x, Λ)."""
         return self.potential(q[:, :3], rotations(q))
@@ -190,7 +194,7 @@ class RigidBodies(_Many, AbstractRigidBodies):
                 V = energy(self, jnp.asarray(state.q))
             if concrete(V) and not np.isfinite(np.asarray(V)):
                 sentence = f"the potential must be finite at the start, got {float(V)}"
-                raise ValueError(". ".join(filter(None, [sentence, potentials.domain(self.potential)])))
+                raise ValueError(". ".join(filter(None, [sentence, self.domain])))
 
 
 @pytree
@@ -212,6 +216,10 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
     def conservative(self) -> RigidBodies:
         """The same bodies without dissipation and given forces."""
         return RigidBodies(self.masses, self.inertias, self.potential)
+
+    @property
+    def domain(self) -> str:
+        return self.conservative.domain
 
     def potential_energy(self, q: Array) -> Array:
         """V(x, Λ)."""

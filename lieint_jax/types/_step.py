@@ -183,7 +183,7 @@ class Step(abc.ABC):
         advice = self.advice(state, dt)
         smaller = [dt * 4.0**-k for k in range(1, _SMALLER)]
         if "smaller dt" not in advice or not np.isfinite(dt) or any(bool(converges(self, state, h)) for h in smaller):
-            return advice
+            return ". ".join(filter(None, [advice, self.system.domain]))
         return derivatives or (
             f"{self.name} does not converge at dt = {dt}, nor at a smaller dt down to {smaller[-1]:.1g}: a potential, "
             f"force or torque is not smooth at this state, or it computes in fewer digits than {state.p.dtype}, the "

@@ -25,6 +25,11 @@ class System(abc.ABC):
     hamiltonian: ClassVar[bool] = True
 
     @property
+    def domain(self) -> str:
+        """Where its potential is defined, in words; "" if everywhere."""
+        return ""
+
+    @property
     @abc.abstractmethod
     def phase_space(self) -> PhaseSpace:
         """Its phase space, which has the symplectic form."""

@@ -139,10 +139,11 @@ def state_axes(
 
 
 def _invariants(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:
-    """Energy, momentum map, and the angular velocity in the body where the system has one."""
+    """Energy, momentum map, and the angular velocity in the body, where the system has them."""
     if not hasattr(system, "energy"):
         raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")
-    methods = {"energy": "energy", "momentum_map": "momentum"}
+    methods = {"energy": "energy"} if system.hamiltonian else {}
+    methods["momentum_map"] = "momentum"
     if hasattr(system, "angular_velocity"):
         methods["angular_velocity"] = "angular_velocity"
     measured = {name: _series(run, system, method, system_axis) for name, method in methods.items()}

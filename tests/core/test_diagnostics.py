@@ -145,7 +145,7 @@ def test_verdicts_distinguish_random_rounding_from_one_rounding_per_step(energy,
 def test_a_certificate_has_no_number_for_a_momentum_that_the_system_lacks():
     certificate = diagnostics.Certificate(
         **dict.fromkeys(diagnostics.Certificate._fields, 0.0)
-        | {"precision": "float64", "momentum": np.nan, "momentum_map": False, "energy": np.nan}
+        | {"precision": "float64", "momentum": np.nan, "momentum_map": False, "energy": np.nan, "hamiltonian": 1}
     )
     energy, momentum = str(certificate).splitlines()[1:3]
     assert momentum.split(maxsplit=2) == ["momentum", "—", "no momentum map"]
@@ -254,3 +254,16 @@ def test_series_start_at_zero_and_show_a_planted_error():
         assert error[0] < 4e-16
         assert error[at] > 1e-4
         assert error[at - 1] < 2e-15
+
+
+@pytest.mark.long
+def test_a_certificate_states_where_the_order_of_the_scheme_does_not_show():
+    """A fast top, whose errors fall as dt^10 until round-off, where those of small steps fall as dt⁶; a slower one."""
+    [(fast, state, _)] = [x for name, x in li.systems._heavy_top.examples().items() if name == "lagrange"]
+    found = diagnostics.certify(li.schemes.nystrom(fast, 6), state, 0.05, 8)
+    assert found.order > 8
+    assert "the scheme's 6 does not show near this dt" in str(found)
+    slow = li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, 1.0])
+    found = diagnostics.certify(li.schemes.nystrom(slow, 6), slow.state(angular_velocity=[1.0, 1.0, 5.0]), 0.05, 8)
+    assert abs(found.order - 6) < 0.1  # observed 6.02
+    assert "does not show" not in str(found)

@@ -408,6 +408,40 @@ def test_folders_that_a_killed_process_made_are_synced_by_the_next(tmp_path, mon
     assert {str(path), str(path / "q"), str(path / "q/c"), str(path / "parts")} <= set(synced)
 
 
+def left_by_a_kill(path, chunk, **options):
+    """The folders of the unfinished files that a run leaves which is killed while it writes this chunk to the disk."""
+    sync, chunks = os.fsync, itertools.count()
+
+    def fsync(descriptor):
+        if re.search(rf"/{path.name}/.*/\.\d+\.", os.readlink(f"/proc/self/fd/{descriptor}")) and next(chunks) == chunk:
+            raise Crash
+        sync(descriptor)
+
+    with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Crash):
+        patch.setattr(os, "fsync", fsync)
+        patch.setattr(Path, "unlink", lambda *_, **__: None)
+        run(path, **options)
+    return [file.relative_to(path).parent.as_posix() for file in path.rglob("*.partial")]
+
+
+@pytest.mark.parametrize("chunk", [0, 7])
+def test_an_unfinished_file_of_a_killed_process_is_removed_by_the_next(tmp_path, small_chunks, chunk):
+    path = tmp_path / "run.zarr"
+    assert left_by_a_kill(path, chunk) == ["parts/0"]
+    run(path, resume=True)
+    assert not list(path.rglob("*.partial"))
+
+
+def test_an_unfinished_file_of_another_part_is_not_removed(tmp_path, small_chunks):
+    """Its process may be alive."""
+    path = tmp_path / "run.zarr"
+    assert left_by_a_kill(path, 3, part=(0, 2)) == ["parts/0"]
+    run(path, part=(1, 2), resume=True)
+    assert len(list(path.rglob("*.partial"))) == 1
+    run(path, part=(0, 2), resume=True)
+    assert not list(path.rglob("*.partial"))
+
+
 def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
     """The second comes between the check and the rename of the first."""
     path = tmp_path / "run.zarr"

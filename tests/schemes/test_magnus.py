@@ -341,3 +341,23 @@ def test_an_attitude_of_any_form_starts_a_motion_with_a_given_rate():
     np.testing.assert_allclose(spin.state(rotation).q, np.roll(rotation.as_quat(), 1), rtol=0, atol=1e-15)
     with pytest.warns(RuntimeWarning, match="printed with few digits"):
         assert abs(np.linalg.norm(spin.state([0.98007, 0.0, 0.0, 0.19867]).q) - 1) < 1e-15
+
+
+@pytest.mark.long
+def test_what_has_no_energy_shows_none(tmp_path, monkeypatch, capsys, lieint):
+    """Neither a table, nor a progress bar, nor `lieint info`, nor a picture."""
+    times = np.linspace(0, 1, 11)
+    system = systems.kinematics(so3, systems.sampled_rate(times, np.stack([times, 0 * times, 1 - times], axis=1)))
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), system.state())
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    run = li.run(made(system), states, 0.1, 10, store=tmp_path / "run.zarr").load()
+    shown = capsys.readouterr().err
+    assert "unconverged 0" in shown
+    assert "energy" not in shown
+    assert not [name for name in run.to_dataframe().columns if "energy" in name]
+    assert "energy" not in run.to_xarray()
+    found = lieint("plot", tmp_path / "run.zarr", "--force")
+    assert "2 of 2 members converged at every step" in found
+    assert "largest change" not in found
+    lieint.drew("run-motion.png")
+    assert not list(tmp_path.glob("run-invariants.*"))

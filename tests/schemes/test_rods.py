@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
-from lieint_jax import schemes, systems
+from lieint_jax import potentials, schemes, systems
 
 SOFT = systems.Section(1.0, (0.02, 0.03), (20.0, 20.0, 30.0), (0.5, 0.7, 0.6))
 CURVED = (0.5, 0.2, 0.8)
@@ -210,6 +210,25 @@ def test_flying_spaghetti_conserves_once_its_load_has_ended():
     np.testing.assert_allclose(momentum[-1, :3], [50, 0, 0], rtol=0, atol=1e-12)  # the impulse of the force
     assert np.ptp(momentum[flying, :3], axis=0).max() < 4e-13  # observed 8e-14
     assert np.ptp(momentum[flying, 3:], axis=0).max() < 6e-12  # observed 1.5e-12, of 605
+
+
+def unforced(t, x, R, v, omega):
+    return 0 * x, 0 * x
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("more", [{}, {"forces": unforced}], ids=["free", "forced"])
+def test_a_rod_that_bends_beyond_its_range_says_so(more):
+    """Two sections that rotate against each other, at step 9 of a small dt and in the first step of a large one."""
+    beyond = r"\. potentials.rod has no value where an element turns by more than 103° .*: use more elements$"
+    potential = potentials.rod([1.0], SOFT.stretching, SOFT.bending)
+    rod = systems.rigid_bodies([1.0, 1.0], np.ones((2, 3)), potential, **more)
+    start = rod.state([[0, 0, 0], [0, 0, 1.0]], angular_velocities=[[0, 0, -2.0], [0, 0, 2.0]])
+    step = schemes.bodies_energy_momentum(rod)
+    with pytest.warns(RuntimeWarning, match=rf"member 0 at step \d; .* \(use a smaller dt\){beyond}"):
+        li.run(step, start, 0.05, 100, progress=False)
+    with pytest.raises(ValueError, match=f"Use a smaller dt{beyond}"):
+        step.check(start, 1.0)
 
 
 @pytest.mark.long

@@ -247,22 +247,26 @@ def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
 
 
 def _conservation(run: Trajectory, select: Callable[..., Run]) -> list[str]:
-    """Two lines: the largest change of energy (less work, if counted) at `_TIMES` saves, and the converged members."""
+    """Lines of the largest change of energy (less work, if counted) at `_TIMES` saves, and of the converged members."""
     count = run.state.p.shape[1]
     times = np.unique(np.linspace(0, len(run.t) - 1, _TIMES).astype(int))
     worst = size = failed = 0.0
+    has_energy = True
     for first in range(0, count, _BLOCK):
         part = slice(first, first + _BLOCK)
-        H = series(energy_less_work, select(times, part))
-        worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
+        chosen = select(times, part)
+        if has_energy := chosen.system.hamiltonian:
+            H = series(energy_less_work, chosen)
+            worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
         failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
+    converged = f"  {int(count - failed)} of {count} members converged at every step"
+    if not has_energy:
+        return [converged]
     what = "energy" if run.state.work is None else "energy less work"
     relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
     sample = f"at {len(times)} of {len(run.t)} saved times"
-    return [
-        f"  largest change of {what}, all members, {sample}: {worst:.2g} in the run's units{relative}",
-        f"  {int(count - failed)} of {count} members converged at every step",
-    ]
+    largest = f"  largest change of {what}, all members, {sample}: {worst:.2g} in the run's units{relative}"
+    return [largest, converged]
 
 
 def headline(scenario: Kind, step: Step) -> str:

@@ -25,7 +25,8 @@ _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the
 def drawing_functions(states: State) -> dict[str, Callable[[Run, str], Figure]]:
     """The functions that draw a run of a batch with these states under a title, by the suffix of their file names."""
     works = {"works": draw_works} if "works" in (states.extra or {}) else {}
-    return {"invariants": draw_invariants, "motion": draw_motion} | works
+    invariants = {"invariants": draw_invariants} if states.p.shape[-1] else {}  # a motion of given rate has none
+    return invariants | {"motion": draw_motion} | works
 
 
 @plots.style()

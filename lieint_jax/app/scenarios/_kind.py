@@ -237,9 +237,10 @@ class Kind(Table):
 
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy, less the work that states count, and the momentum map, with what the scheme promises."""
-        H, Phi = series(energy_less_work, run), series(_momentum, run)
-        name = "energy" if run.state.work is None else "energy less work"
-        found = [Conserved(f"{name}, relative", H, positive(abs(H).max(axis=0)), self._promise(name))]
+        found, Phi = list[Conserved](), series(_momentum, run)
+        if run.system.hamiltonian:
+            H, name = series(energy_less_work, run), "energy" if run.state.work is None else "energy less work"
+            found.append(Conserved(f"{name}, relative", H, positive(abs(H).max(axis=0)), self._promise(name)))
         if Phi.shape[-1]:
             found.append(Conserved("momentum, relative", Phi, positive(length(Phi[0])), self._promise("momentum")))
         return found

@@ -76,7 +76,7 @@ def run_into_store(
         exists = not together(lambda: not leader or _is_created(storage, first_files(), in_parts))
     root = together(lambda: _root_of(storage, described if exists or in_parts else None, split, in_parts, same_bits))
     with contextlib.ExitStack() as stack:
-        together(lambda: stack.enter_context(storage.lock(root.folder(k), leader)))
+        together(lambda: stack.enter_context(root.storage.lock(root.folder(k), leader)))
         if in_parts:
             join(root, first_files())
         origin = Origin(_identity.digest_of_states(job.initial), _identity.machine_of(described), same_bits)
