@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from lieint_jax import orbits, torques
 from lieint_jax.app.scenarios._keys import NonNegative, PositiveFloat, PositiveTriple, Table, Triple, UnitVector
 from lieint_jax.app.scenarios._spread import DIRECTION
-from lieint_jax.types import Law, Rotation, pytree, static
+from lieint_jax.types import Law, pytree, static
 
 _KM = 1e3  # m
 _FIELD_RADIUS = 6371.2e3  # m, of the coefficients of IGRF
