@@ -74,14 +74,17 @@ def _plot_scenario(scenario: Kind, run: Trajectory, path: Address, plain: Path, 
 
 
 def _plot_any(path: Address, run: Any, metadata: dict[str, Any], plain: Path, force: bool) -> list[Path]:
-    if not isinstance(run, Trajectory):
-        kinds: dict[str, Callable[..., Any]] = {"change": pictures.draw_change}
-        arguments = run, _title(path, metadata), _time_unit(metadata)
-    else:
-        kinds, (title, select) = pictures.drawing_functions(run.state), title_and_states(path, run, metadata)
+    saved = isinstance(run, Trajectory)
+    kinds: dict[str, Callable[..., Any]] = (
+        pictures.drawing_functions(run.state) if saved else {"change": pictures.draw_change}
+    )
+    files.check_replaceable(files.pictures(plain, kinds), force)
+    if saved:
+        title, select = title_and_states(path, run, metadata)
         times = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), POINTS)).astype(int))
         arguments = select(times, slice(_count_drawn(run))), title
-    files.check_replaceable(files.pictures(plain, kinds), force)
+    else:
+        arguments = run, _title(path, metadata), _time_unit(metadata)
     show(contents(path, run, metadata))
     return draw(plain, kinds, *arguments)
 
@@ -140,8 +143,8 @@ def title_and_states(path: Address, run: Trajectory, metadata: dict[str, Any]) -
     check_system(path, step.system, run, own_step)
 
     def select(times: np.ndarray | None = None, members: slice = slice(None)) -> Run:
-        chosen = range(len(run.t)) if times is None else times
-        state, info = jax.tree.map(lambda x: np.stack([x[k, members] for k in chosen]), (run.state, run.info))
+        chosen = slice(None) if times is None else times
+        state, info = jax.tree.map(lambda x: np.asarray(x[chosen, members]), (run.state, run.info))
         own = jax.tree.map(lambda x: x[members], step) if own_step else step
         saved = Trajectory(jnp.asarray(np.asarray(run.t)[chosen]), state, info)
         return Run.of(own, saved, own_step, time_unit=_time_unit(metadata) or "1")
