@@ -16,7 +16,7 @@ from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.printer import readable, show, show_written
 from lieint_jax.app.scenarios._kind import Kind
-from lieint_jax.app.scenarios._runs import POINTS, series
+from lieint_jax.app.scenarios._runs import POINTS, kinetic_energy, series
 from lieint_jax.runs import Run
 from lieint_jax.runs.store import Address, UnreadableError, check_system, step_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
@@ -256,8 +256,10 @@ def _conservation(run: Trajectory, select: Callable[..., Run]) -> list[str]:
     worst = size = failed = 0.0
     for first in range(0, count, _BLOCK):
         part = slice(first, first + _BLOCK)
-        H = series(energy_less_work, select(times, part))
-        worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
+        chosen = select(times, part)
+        H, K = series(energy_less_work, chosen), series(kinetic_energy, chosen)
+        worst = max(worst, float(abs(H - H[0]).max()))
+        size = max(size, float(abs(H[0]).max()), float(K.max()))
         failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
     what = "energy" if run.state.work is None else "energy less work"
     relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
