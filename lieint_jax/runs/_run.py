@@ -171,7 +171,7 @@ class Run(Generic[Saved, Reduced]):
     @property
     def _saved(self) -> Trajectory:
         if self.trajectory is None:
-            raise ValueError("the run was reduced and has no states but the last ones: see run.summary")
+            raise ValueError("the run was reduced and has no states but the last ones: see run.summary.state")
         return self.trajectory
 
     @property

@@ -19,6 +19,7 @@
 | `thruster` | constant T in the body, in a time window | the same |
 | `sampled` | any control law, at the samples of a digital controller | Δt Ω̄·T of the torque held |
 | `saturated` | any of them, cut at a limit | Δt Ω̄·T̄ and the change of its energy |
+| `windowed` | any of them, in a window of time | Δt Ω̄·T̄ |
 
 `a + b` and `total` add laws, plain functions (t, q, Ω) ↦ T too. A bar on Ω or ω is the step's own angular velocity,
 J⁻¹ of the mean body momentum; on T, the mean torque of the step. The energy H of the body contains the energies of its

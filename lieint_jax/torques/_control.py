@@ -13,7 +13,7 @@ from lieint_jax._checks import named, not_negative, positive
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._modified_law import ModifiedLaw
-from lieint_jax.types import Law, Rotation, argument, as_law, pytree
+from lieint_jax.types import Law, Rotation, Total, argument, as_law, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import dot
 
@@ -24,12 +24,15 @@ def _attitude(target: ArrayLike) -> Array:
     return so3.normalize(_checks.unit_quaternion("target", target))
 
 
-def _without_state(law: Any) -> Law:
+def without_state(law: Any) -> Law:
+    """One law without an internal state, whose torque may be cut or switched off."""
     law = as_law(law)
+    if isinstance(law, Total):
+        raise ValueError("a sum of laws cannot be cut or switched off: do so to each of its laws, and add the results")
     if law.key is not None:
         raise ValueError(
-            f'{type(law).__name__} exchanges momentum with State.extra["{law.key}"], so its torque cannot be cut; '
-            "give wheels a max_torque"
+            f'{type(law).__name__} has the internal state State.extra["{law.key}"], so its torque cannot be cut or '
+            "switched off: do so to the law that it samples; give wheels a max_torque"
         )
     return law
 
@@ -136,7 +139,7 @@ class Saturated(ModifiedLaw):
             `max_torque` of their own.
     """
 
-    law: Law = argument(converter=_without_state)
+    law: Law = argument(converter=without_state)
     limit: Array = argument(converter=named(positive, "limit", (), (3,)))
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:

@@ -1,13 +1,15 @@
 """What a study leaves on disk: the whole result, from which its report and its picture are made again."""
 
 import json
+import re
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli, result_file, study
+from lieint_jax.app.command import cli, info, result_file, study
 from lieint_jax.app.studies.gyro import GyroTrials
 from lieint_jax.app.studies.kappa import KappaErrors
 
@@ -126,3 +128,12 @@ def test_plot_redoes_a_study_from_its_file(name, tmp_path, monkeypatch, lieint):
     assert cli.main(["study", name, "--quick"]) == 0
     assert (tmp_path / f"study-{name}-2.npz").exists()
     assert (tmp_path / f"study-{name}-2.png").read_bytes() == first
+
+
+def test_the_error_of_an_energy_that_is_zero_is_relative_to_the_kinetic_energy(tmp_path):
+    """A top that falls from rest with its axis horizontal: H is 0 and constant to round-off."""
+    top = li.systems.heavy_top([1.0, 1.0, 0.5], [0.0, 0.0, 1.0])
+    fallen = top.state([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0], angular_velocity=[0.0, 0.0, 0.0])
+    li.run(li.schemes.top_energy_momentum(top), fallen, 0.05, 40).save(tmp_path / "top.zarr")
+    relative = re.search(r"\((\S+) of the largest energy\)", info.contents(tmp_path / "top.zarr"))
+    assert float(relative[1]) < 1e-14  # observed: 4e-16

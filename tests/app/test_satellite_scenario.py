@@ -199,7 +199,7 @@ def test_every_start_of_the_shipped_scenario_is_captured_and_unloaded(tmp_path, 
     assert np.median(c.wheels[-1]) < 0.7 * np.median(c.wheels[pointed])
     bdot = c.works[..., c.names.index("bdot")]
     assert (np.diff(bdot, axis=0) <= 0).all()
-    assert any(type(law).__name__ == "WindowedLaw" for law in made.system.laws)
+    assert any(type(law).__name__ == "Windowed" for law in made.system.laws)
     for draw in scenario.pictures().values():
         assert draw(scenario, made).axes
 

@@ -169,6 +169,9 @@ CASES = {
     "torques.saturated": torque(lambda gain, limit: torques.saturated(torques.viscous(gain), limit))(
         gain=0.4, limit=jnp.array([0.1, 0.2, 0.3])
     ),
+    "torques.windowed": torque(lambda gain, **window: torques.windowed(torques.viscous(gain), **window))(
+        gain=0.4, start=0.0, stop=9.0
+    ),
     "torques.total": torque(lambda a, b: torques.total([torques.viscous(a), torques.viscous(b)]).laws[1])(a=0.1, b=0.2),
     "torques.thruster": torque(torques.thruster)(torque=THETA, start=0.72, stop=0.77),
     "torques.thruster at an instant": (

@@ -58,6 +58,25 @@ def test_a_sampled_law_is_that_of_a_loop_with_a_constant_torque_between_samples(
     assert run.converged
 
 
+@pytest.mark.parametrize("digital", [False, True])
+def test_a_law_acts_in_its_window_only(digital):
+    """From 1 to 3 of 4. In between the run is one of the law alone. To round-off: another program. Observed: 0."""
+
+    def run(law, q, p, t, num_steps):
+        body = systems.torqued_body(MOMENTS, torques.sampled(law, PERIOD) if digital else law)
+        found = li.run(schemes.torqued_midpoint(body), body.state(q, spatial_momentum=p, t=t), DT, num_steps)
+        return found.state.q, found.state.p
+
+    law = torques.bdot(0.5, FIELD)  # in the axes of space
+    q, p = run(torques.windowed(law, 1.0, 3.0), [1.0, 0.0, 0.0, 0.0], [1.0, -1.0, 2.0], 0.0, 160)
+    assert (p[:41] == p[0]).all()
+    assert (p[120:] == p[120]).all()
+    alone = run(law, q[40], p[40], 1.0, 80)
+    np.testing.assert_allclose(q[40:121], alone[0], rtol=0, atol=4e-15)
+    np.testing.assert_allclose(p[40:121], alone[1], rtol=0, atol=4e-15)
+    assert np.linalg.norm(p[120]) < 0.9 * np.linalg.norm(p[0])
+
+
 WHEELS = functools.partial(torques.wheels, jnp.eye(3), 0.05, max_torque=0.3)
 MOTOR = torques.wheel_motor(jnp.eye(3), torques.pd_quaternion(0.4, 0.5))
 

@@ -16,7 +16,7 @@ from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.printer import readable, show, show_written
 from lieint_jax.app.scenarios._kind import Kind
-from lieint_jax.app.scenarios._runs import POINTS, series
+from lieint_jax.app.scenarios._runs import POINTS, kinetic_energy, series
 from lieint_jax.runs import Run
 from lieint_jax.runs.store import Address, UnreadableError, check_system, step_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
@@ -74,14 +74,17 @@ def _plot_scenario(scenario: Kind, run: Trajectory, path: Address, plain: Path, 
 
 
 def _plot_any(path: Address, run: Any, metadata: dict[str, Any], plain: Path, force: bool) -> list[Path]:
-    if not isinstance(run, Trajectory):
-        kinds: dict[str, Callable[..., Any]] = {"change": pictures.draw_change}
-        arguments = run, _title(path, metadata), _time_unit(metadata)
-    else:
-        kinds, (title, select) = pictures.drawing_functions(run.state), title_and_states(path, run, metadata)
+    saved = isinstance(run, Trajectory)
+    kinds: dict[str, Callable[..., Any]] = (
+        pictures.drawing_functions(run.state) if saved else {"change": pictures.draw_change}
+    )
+    files.check_replaceable(files.pictures(plain, kinds), force)
+    if saved:
+        title, select = title_and_states(path, run, metadata)
         times = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), POINTS)).astype(int))
         arguments = select(times, slice(_count_drawn(run))), title
-    files.check_replaceable(files.pictures(plain, kinds), force)
+    else:
+        arguments = run, _title(path, metadata), _time_unit(metadata)
     show(contents(path, run, metadata))
     return draw(plain, kinds, *arguments)
 
@@ -140,8 +143,8 @@ def title_and_states(path: Address, run: Trajectory, metadata: dict[str, Any]) -
     check_system(path, step.system, run, own_step)
 
     def select(times: np.ndarray | None = None, members: slice = slice(None)) -> Run:
-        chosen = range(len(run.t)) if times is None else times
-        state, info = jax.tree.map(lambda x: np.stack([x[k, members] for k in chosen]), (run.state, run.info))
+        chosen = slice(None) if times is None else times
+        state, info = jax.tree.map(lambda x: np.asarray(x[chosen, members]), (run.state, run.info))
         own = jax.tree.map(lambda x: x[members], step) if own_step else step
         saved = Trajectory(jnp.asarray(np.asarray(run.t)[chosen]), state, info)
         return Run.of(own, saved, own_step, time_unit=_time_unit(metadata) or "1")
@@ -256,8 +259,9 @@ def _conservation(run: Trajectory, select: Callable[..., Run]) -> list[str]:
         part = slice(first, first + _BLOCK)
         chosen = select(times, part)
         if has_energy := chosen.system.hamiltonian:
-            H = series(energy_less_work, chosen)
-            worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
+            H, K = series(energy_less_work, chosen), series(kinetic_energy, chosen)
+            worst = max(worst, float(abs(H - H[0]).max()))
+            size = max(size, float(abs(H[0]).max()), float(K.max()))
         failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
     converged = f"  {int(count - failed)} of {count} members converged at every step"
     if not has_energy:

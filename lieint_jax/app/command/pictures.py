@@ -13,7 +13,7 @@ from lieint_jax.app import plots
 from lieint_jax.app.command import interpolation
 from lieint_jax.app.scenarios import _pictures
 from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
-from lieint_jax.app.scenarios._runs import POINTS, series
+from lieint_jax.app.scenarios._runs import POINTS, kinetic_energy, series
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.types import State, System, Trajectory, counts_work, energy_less_work, labels
@@ -32,9 +32,9 @@ def drawing_functions(states: State) -> dict[str, Callable[[Run, str], Figure]]:
 @plots.style()
 def draw_invariants(run: Run, title: str) -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
-    H, Phi = series(energy_less_work, run), series(_momentum, run)
+    H, K, Phi = series(energy_less_work, run), series(kinetic_energy, run), series(_momentum, run)
     what = "error of energy less work" if counts_work(run.state) else "energy error"
-    errors = {f"{what}, relative": abs(H - H[0]) / _nonzero(abs(H[0]))}
+    errors = {f"{what}, relative": abs(H - H[0]) / _nonzero(np.maximum(abs(H[0]), K.max(axis=0)))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
         errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _nonzero(norm)
@@ -121,13 +121,15 @@ def _draw_direction(path: np.ndarray, name: str, joined: bool = True) -> Figure:
 
 @plots.style()
 def _draw_centers(x: np.ndarray) -> Figure:
-    """Plot the paths (times, bodies, 3) of the centers of the first bodies, in two projections."""
+    """Plot the paths (times, bodies, 3) of the centers of bodies, the last included, in two projections."""
     fig, axes = plots.figure(2)
-    curves = {f"body {k + 1}": x[:, k] for k in range(min(x.shape[1], len(plots.STYLES)))}
+    count = x.shape[1]
+    drawn = np.linspace(0, count - 1, min(count, len(plots.STYLES))).round().astype(int)
+    curves = {f"body {k + 1}": x[:, k] for k in drawn}
     for ax, plane in zip(axes[0], ((0, 1), (0, 2)), strict=True):
         plots.paths(ax, curves, plane)
     axes[0, 0].legend()
-    more = f", the first {len(plots.STYLES)} of {x.shape[1]} bodies" if x.shape[1] > len(plots.STYLES) else ""
+    more = f", {len(drawn)} of {count} bodies" if count > len(drawn) else ""
     axes[0, 0].set_title(f"centers of the first member{more}; a mark at the end")
     return fig
 

@@ -194,7 +194,9 @@ def _bodies(
     for shape, inertia in zip(shapes, inertias, strict=False):
         if (tilt := shape.tilt(inertia)) > _TILTED:
             warnings.warn(
-                f"the principal axes of {shape.name} differ by {tilt:.0f}° from those of the body", stacklevel=2
+                f"the principal axes of {shape.name} differ by {tilt:.0f}° from those of the body; a body made from a "
+                "shape has the shape's axes, one made from its aligned() has not",
+                stacklevel=2,
             )
     if axis is not None:
         solids = [shapes[0].solid if shapes else meshes.top(inertias[0], axis)]

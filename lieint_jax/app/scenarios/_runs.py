@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.sharding import Mesh
 from jax.tree_util import Partial
 
@@ -35,6 +36,11 @@ def series(function: Callable[[Any, State], Any], run: Run) -> Any:
 
 def _value(function: Callable[[Any, State], Any], step: Step, state: State) -> Any:
     return function(step.system, state)
+
+
+def kinetic_energy(system: Any, state: State) -> Array:
+    """The kinetic energy, or 0: a size for errors of an energy that may itself be 0."""
+    return system.kinetic_energy(state) if hasattr(system, "kinetic_energy") else jnp.zeros_like(system.energy(state))
 
 
 def nominal_state(run: Run, time: int = 0, member: int = 0) -> State:

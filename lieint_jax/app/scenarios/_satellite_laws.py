@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from lieint_jax import orbits, torques
 from lieint_jax.app.scenarios._keys import NonNegative, PositiveFloat, PositiveTriple, Table, Triple, UnitVector
 from lieint_jax.app.scenarios._spread import DIRECTION
-from lieint_jax.types import Law, Rotation, pytree, static
+from lieint_jax.types import Law, pytree, static
 
 _KM = 1e3  # m
 _FIELD_RADIUS = 6371.2e3  # m, of the coefficients of IGRF
@@ -194,20 +194,6 @@ def surroundings(motion: Any, date: str, drag: Drag | None) -> Surroundings:
 
 
 @pytree
-class WindowedLaw(torques.ModifiedLaw):
-    """A law that acts in a window of time: in steps whose midpoint lies in it."""
-
-    law: Law
-    begin: Array
-    end: Array
-
-    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
-        """The law's mean torque in the window, else 0."""
-        torque = self.law.mean(rotation, inner)[0]
-        return jnp.where(_is_inside(self, rotation.t), torque, 0), inner
-
-
-@pytree
 class WindowedMotors:
     """Motors of wheels that act in a window of time; outside of it the wheels rotate freely."""
 
@@ -216,16 +202,7 @@ class WindowedMotors:
     end: Array
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
-        return jnp.where(_is_inside(self, t), self.motor(t, q, Omega, h), 0)
-
-
-def _is_inside(window: WindowedLaw | WindowedMotors, t: Array) -> Array:
-    return (window.begin <= t) & (t < window.end)
-
-
-def _edges(control: Control) -> tuple[Array, Array]:
-    begin, end = control.window
-    return jnp.asarray(begin), jnp.asarray(end)
+        return jnp.where((self.begin <= t) & (t < self.end), self.motor(t, q, Omega, h), 0)
 
 
 def laws(scenario: Any, around: Surroundings, inertia: Array, dipole: Array) -> list[Law]:
@@ -245,10 +222,10 @@ def laws(scenario: Any, around: Surroundings, inertia: Array, dipole: Array) -> 
         ]
     if (detumbling := scenario.detumbling) is not None:
         bdot = torques.bdot(detumbling.gain, around.field, scenario.max_dipole)
-        found.append(WindowedLaw(bdot, *_edges(detumbling)))
+        found.append(torques.windowed(bdot, *detumbling.window))
     if (unloading := scenario.unloading) is not None:
         dumping = torques.unloading(scenario.wheels.axes(), unloading.gain, around.field, scenario.max_dipole)
-        found.append(WindowedLaw(dumping, *_edges(unloading)))
+        found.append(torques.windowed(dumping, *unloading.window))
     if (wheels := scenario.wheels) is not None:
         found.append(_wheels_with_motors(wheels, scenario.pointing, around, inertia))
     return found
@@ -262,6 +239,6 @@ def _wheels_with_motors(wheels: Wheels, pointing: Pointing | None, around: Surro
         control = torques.pointing(
             around.frame, 2 * rate**2 * moments, 2 * pointing.damping_ratio * rate * moments, inertia
         )
-        motor = WindowedMotors(torques.wheel_motor(axes, control, gyroscopic=True), *_edges(pointing))
+        motor = WindowedMotors(torques.wheel_motor(axes, control, gyroscopic=True), *map(jnp.asarray, pointing.window))
     limits = {"max_torque": wheels.max_torque, "max_momentum": wheels.max_momentum, "period": wheels.period}
     return torques.wheels(axes, wheels.inertia_kg_m2, motor, **limits)
