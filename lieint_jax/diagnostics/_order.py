@@ -130,5 +130,7 @@ def reversibility_of_run(step: Step, state: State, dt: Array, most: int) -> Scal
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))
     returned = _measure.run(step, there, back, 1, most)
-    accepted = jnp.asarray(returned.info.converged)[1] | step.approximate
-    return jnp.where(accepted, _distance(step, _measure.last(returned), state), jnp.inf)
+    found, accepted = _distance(step, _measure.last(returned), state), returned.info.converged[1]
+    if step.approximate or (concrete(accepted) and accepted):
+        return found
+    return jnp.where(accepted, found, jnp.inf)
