@@ -347,10 +347,9 @@ class MatrixGroup:
         closed = self._closed_ad
         if closed is None:
             return None
-        x = closed.square(xi)
-        return self._series_and_inverse(
-            self.ad_matrix(xi), [closed_forms.evaluated(c, x) for c in closed.series(_SLOPE)]
-        )[0]
+        A, x = self.ad_matrix(xi), closed.square(xi)
+        c = [closed_forms.evaluated(c, x) for c in closed.series(_SLOPE)]
+        return self._series_and_inverse(A, c)[0] if len(c) > 1 else c[0] * la.identity(A)  # one if A is always zero
 
     def cayley_slope(self, xi: la.Vector) -> la.Matrix:
         """H of cay, Hη = ((1 + ½ξ̂)⁻¹ η̂ (1 − ½ξ̂)⁻¹)^∨, as a matrix (d, d). Note (1 ∓ ½ξ̂)⁻¹ = ½(1 + cay(±ξ))."""
