@@ -277,7 +277,7 @@ def repeated_chords(
     For many unknowns, where a matrix costs as much as several corrections. It is computed again when six more
     corrections would not do, by the ratio of the last two. The iteration ends when what is missing is 1e-4
     units of rounding, or when a correction below 2¹⁶ units is more than half as long as the one before. This is
-    rounding, by which x goes to and fro about the root, so half of it is applied: the whole would leave x more often on
+    rounding, by which x oscillates about the root, so half of it is applied: the whole would leave x more often on
     one side of the root than on the other, and the energy of a stiff rod would fall by 0.02 ulp a step.
 
     Args:
