@@ -114,7 +114,7 @@ class _Writer(Loops):
             leaf, pointer = self.leaves[x.data.leaf], self.inputs[x.data.leaf]
             if leaf.kind in kinds:
                 self.names[x] = self.new_array(x.length, x)
-                with self.each("fill", x.length) as k:
+                with self.counted_loop("fill", x.length) as k:
                     at = self.entry_at(x.data, k)
                     value = self.gather(pointer, leaf, at) if leaf.varies else self.load(pointer, leaf.dtype, at)
                     self.store(value, leaf.dtype, self.place(self.names[x], leaf.dtype, k, leaf.varies), leaf.varies)
@@ -125,7 +125,7 @@ class _Writer(Loops):
 
     def write_column(self, x: Value, pointer: str, size: int, row: str | None = None) -> None:
         """Write a column of a result; of what is carried, as it is before the next row."""
-        with self.each("write", x.length) as k:
+        with self.counted_loop("write", x.length) as k:
             at = self.entry_pointers(pointer, x.dtype, size, self.entry_at(x.data, k), row)
             self.scatter(self.as_vector(x.inputs[-1], k), x.dtype, at)
 

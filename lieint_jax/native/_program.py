@@ -184,7 +184,7 @@ class Builder:
         """Entries of an argument of the program, as an array."""
         return self._new("column", (), np.dtype(dtype), column, self.root)
 
-    def stored(self, array: Value, column: Column, before: Value | None) -> Value:
+    def result_column(self, array: Value, column: Column, before: Value | None) -> Value:
         """An array as entries of a result; for what is carried, `before` are those of the argument."""
         inputs = (array,) if before is None else (array, before)
         return self._new("stored", inputs, array.dtype, column, self.root)

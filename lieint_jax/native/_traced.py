@@ -156,7 +156,7 @@ class Traced:
         own = [] if before is None else columns_of(self._walker, before, d)
         columns = zip(columns_of(self._walker, x, d, own), _places(x.shape, d), strict=True)
         pairs = itertools.zip_longest(columns, own)
-        return [self._builder.stored(array, Column(-1, *place), old) for (array, place), old in pairs]
+        return [self._builder.result_column(array, Column(-1, *place), old) for (array, place), old in pairs]
 
     def _program(self, outputs: list[Value]) -> Program:
         return Program(self._builder.root, outputs, lambda x: self.leaves[x.data[0]].varies)

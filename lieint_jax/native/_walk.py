@@ -33,9 +33,10 @@ from lieint_jax.native._primitives.moves import MOVES
 from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
-from lieint_jax.native._regions import LONG, Region, long_axis, walk_regions
+from lieint_jax.native._regions import Region, long_axis, walk_regions
 
 _UNROLLED_WITH_MAPS = 6000  # see `AbstractWalk.unrolled`
+_LARGEST_WITH_MAPS = 80_000  # the most entries of an array, most of which maps never make numbers of the program
 LONGEST = 100_000  # the most operations of a program
 _TYPES = {f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {"bool", "float32", "float64"}
 # They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
@@ -184,7 +185,7 @@ class Walk(AbstractWalk):
         other = {str(x.dtype) for x in (*shapes_of(equation.invars), *out)} - _TYPES
         if other:
             raise UnsupportedError(f"{name} of {', '.join(sorted(other))}")
-        if any(np.prod(x.shape) > LARGEST * (LONG if self._with_maps else 1) for x in out):
+        if any(np.prod(x.shape) > (_LARGEST_WITH_MAPS if self._with_maps else LARGEST) for x in out):
             raise UnsupportedError(f"an array of shape {out[0].shape}")
         if name not in READ_ROWS:
             inputs = [as_numbers(x) for x in inputs]

@@ -129,7 +129,7 @@ class Loops(Operations):
             return
         for _, rows in live:
             self.names[rows] = self.new_array(item.length, rows)
-        with self.each("map", item.length, self.width or 1) as row:
+        with self.counted_loop("map", item.length, self.width or 1) as row:
             if self.width:
                 self.rows_at_once(item, live, row)
             else:

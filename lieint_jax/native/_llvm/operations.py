@@ -169,7 +169,7 @@ class Operations(Memory):
         if not (going and vector):
             self.copy_to(self.names[to], vector, array, to.length)
             return
-        with self.each("copy", to.length) as k:
+        with self.counted_loop("copy", to.length) as k:
             old, new = self.entry(to, k, True), self.as_vector(array, k)
             kind = self.type(to.dtype, True)
             chosen = self.select(f"<{self.lanes} x i1> {going}", kind, new, old)
@@ -184,7 +184,7 @@ class Operations(Memory):
                 f"  call void @llvm.memcpy.p0.p0.i64(ptr {at}, ptr {self.names[array]}, i64 {size}, i1 false)"
             )
             return
-        with self.each("copy", count) as k:
+        with self.counted_loop("copy", count) as k:
             self.store(self.as_vector(array, k), array.dtype, self.place(at, array.dtype, k, True), True)
 
     def as_vector(self, array: Value, k: str) -> str:

@@ -57,7 +57,7 @@ class Text:
         self.lines.append(f"  br label %{label}")
 
     @contextlib.contextmanager
-    def each(self, name: str, count: int, step: int = 1) -> Iterator[str]:
+    def counted_loop(self, name: str, count: int, step: int = 1) -> Iterator[str]:
         """A loop over the indices from 0 below `count`, each `step`-th of them; it is run once at least."""
         before, head, exit_ = self.label, self.new_label(name), self.new_label(f"{name}.exit")
         self.jump(head)
