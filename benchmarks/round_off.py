@@ -50,8 +50,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
 
     import lieint_jax as li
     from lieint_jax.groups import so3
-    from lieint_jax.schemes._shared.half_rotation import scaled
-    from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_root
+    from lieint_jax.schemes._shared.half_rotation import half_cayley, scalar_root, scaled
     from lieint_jax.types import State, vectors
 
     body, dt = measure.body(), measure.DT

@@ -24,17 +24,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSystem
 from lieint_jax.maps import Map, Tau, as_tau, exponential
-from lieint_jax.schemes._shared.group_newton import (
-    Equation,
-    as_vector,
-    coadjoint,
-    force_jacobian,
-    guess,
-    newton_matrix,
-    size_unit,
-    solved,
-    translate,
-)
+from lieint_jax.schemes._shared.group_newton import Equation, as_vector
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar
@@ -58,49 +48,36 @@ class GroupAlpha(Step):
         return f"group_alpha[{self.tau.name}]"
 
     @property
-    def velocity_weight(self) -> Scalar:
+    def velocity_weight(self) -> Scalar:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.alpha
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        group, tau, alpha, q = self.system.group, self.tau, self.alpha, state.q
-        dt = jnp.asarray(dt)
-        midpoint, s = Equation.from_state(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
-        m, a = midpoint.m, midpoint.a
-        equation = midpoint._replace(known=2 * (1 - alpha) * a)
+        system, alpha, q, dt = self.system, self.alpha, state.q, jnp.asarray(dt)
+        equation, s = Equation.from_state(system, self.tau, state, 0.5 * dt), 0.5 * dt * dt
+        m, a = equation.m, equation.a
+        equation = equation._replace(known=2 * (1 - alpha) * a)
+        if isinstance(system, AbstractGeodesicFlow):
+            _, Theta, info = equation.root(lambda theta: 2 * alpha * equation.coadjoint(theta, a), self.iterations)
+            return state._replace(q=equation.translate(Theta)), info
 
         def configuration(theta: la.Vector) -> Array:
             """q_{n+1−α}."""
-            return translate(tau, group, q, la.as_array(theta, state.p), 1 - alpha)
+            return equation.translate(la.as_array(theta, state.p), 1 - alpha)
 
         def force(theta: la.Vector) -> Array:
             """𝓕(q_n, Θ)."""
-            return (
-                self.system.force(configuration(theta))
-                if isinstance(self.system, AbstractMechanicalSystem)
-                else 0 * state.p
-            )
+            return system.force(configuration(theta))
 
-        def residual(theta: la.Vector) -> la.Vector:
-            before = a
-            if isinstance(self.system, AbstractMechanicalSystem):
-                before = a + as_vector(m, s * group.Ad_star(q, force(theta)))
-            after = coadjoint(tau, group, theta, before)
-            return equation.residual(theta, 2 * alpha * after)
+        def after(theta: la.Vector) -> la.Vector:
+            """αΔt Π_{n+1}."""
+            kick = as_vector(m, s * system.group.Ad_star(q, force(theta)))
+            return 2 * alpha * equation.coadjoint(theta, a + kick)
 
-        def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
-            if not isinstance(self.system, AbstractMechanicalSystem):
-                return newton_matrix(equation, theta, F)
-            return newton_matrix(
-                equation, theta, F, force_jacobian(m, self.system, configuration(theta), 2 * alpha * (1 - alpha) * s)
-            )
+        def bend(theta: la.Vector) -> la.Matrix:
+            return equation.force_jacobian(system, configuration(theta), 2 * alpha * (1 - alpha) * s)
 
-        size, start = size_unit(m, a), guess(group, m, a)
-        if isinstance(self.system, AbstractMechanicalSystem):
-            pull = as_vector(m, s * self.system.body_force(q))
-            size = size_unit(m, la.map_entries(lambda x, y: jnp.maximum(jnp.abs(x), jnp.abs(y)), a, pull))
-            start = guess(group, m, a + 0.5 * pull)
-        theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
-        return state._replace(q=translate(tau, group, q, Theta), p=state.p + dt * force(theta)), info
+        theta, Theta, info = equation.root(after, self.iterations, as_vector(m, s * system.body_force(q)), bend)
+        return state._replace(q=equation.translate(Theta), p=state.p + dt * force(theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

@@ -25,17 +25,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractMechanicalSystem
 from lieint_jax.maps import Tau, as_tau, exponential
-from lieint_jax.schemes._shared.group_newton import (
-    Equation,
-    as_vector,
-    coadjoint,
-    force_jacobian,
-    guess,
-    newton_matrix,
-    size_unit,
-    solved,
-    translate,
-)
+from lieint_jax.schemes._shared.group_newton import Equation, as_vector
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
@@ -59,35 +49,29 @@ class GroupEnergyMomentum(Step):
     order: float = static(default=2)
     symmetric: bool = static(default=True)
 
-    @property
-    def name(self) -> str:
-        return "group_energy_momentum"
-
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        group, tau, q = self.system.group, self.tau, state.q
-        dt = jnp.asarray(dt)
-        equation, s = Equation.from_state(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
+        system, dt = self.system, jnp.asarray(dt)
+        equation, s = Equation.from_state(system, self.tau, state, 0.5 * dt), 0.5 * dt * dt
         m, a = equation.m, equation.a
-        pull = as_vector(m, s * self.system.body_force(q))  # what the kick is, nearly
+        pull = as_vector(m, s * system.body_force(state.q))  # what the kick is, nearly
 
         def configurations(theta: la.Vector, s: ArrayLike) -> Array:
             """q_n exp(sΘ) at each s."""
-            return translate(tau, group, q, la.as_array(theta, state.p), s)
+            return equation.translate(la.as_array(theta, state.p), s)
 
         def force(curve: Array) -> Array:
             """𝓕(q_n, Θ), from the nodes of the curve."""
-            return jnp.tensordot(jnp.asarray(_WEIGHTS, state.p.dtype), jax.vmap(self.system.force)(curve), 1)
+            return jnp.tensordot(jnp.asarray(_WEIGHTS, state.p.dtype), jax.vmap(system.force)(curve), 1)
 
-        def residual(theta: la.Vector) -> la.Vector:
-            kicked = a + as_vector(m, s * group.Ad_star(q, force(configurations(theta, _NODES))))
-            return equation.residual(theta, coadjoint(tau, group, theta, kicked))
+        def after(theta: la.Vector) -> la.Vector:
+            """½Δt Π_{n+1}."""
+            kick = system.group.Ad_star(state.q, force(configurations(theta, _NODES)))
+            return equation.coadjoint(theta, a + as_vector(m, s * kick))
 
-        def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
-            return newton_matrix(equation, theta, F, force_jacobian(m, self.system, configurations(theta, 0.5), s / 2))
+        def bend(theta: la.Vector) -> la.Matrix:
+            return equation.force_jacobian(system, configurations(theta, 0.5), s / 2)
 
-        size = size_unit(m, la.map_entries(lambda x, y: jnp.maximum(jnp.abs(x), jnp.abs(y)), a, pull))
-        start = guess(group, m, a + 0.5 * pull)
-        theta, _, info = solved(equation, residual, matrix, size, start, self.iterations)
+        theta, _, info = equation.root(after, self.iterations, pull, bend)
         curve = configurations(theta, np.append(_NODES, 1.0))
         return state._replace(q=curve[-1], p=state.p + dt * force(curve[:-1])), info
 

@@ -28,18 +28,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
-from lieint_jax.schemes._shared.group_newton import (
-    Equation,
-    ad_star_matrix,
-    as_vector,
-    coadjoint,
-    guess,
-    newton_matrix,
-    size_unit,
-    slope,
-    solved,
-    translate,
-)
+from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, as_vector
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import TangentVectors
@@ -62,25 +51,17 @@ class GroupMidpoint(Step):
         return f"group_midpoint[{self.tau.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        group, tau, (_, theta, Theta, info) = self.system.group, self.tau, self._solution(state, dt)
+        equation, theta, Theta, info = self._solution(state, dt)
         if isinstance(self.system, AbstractGeodesicFlow):
-            return state._replace(q=translate(tau, group, state.q, Theta)), info
-        after = la.as_array(coadjoint(tau, group, theta, as_vector(theta, state.p)), state.p)
-        return state._replace(q=group.multiply(group.inverse(tau(group, Theta)), state.q), p=after), info
+            return state._replace(q=equation.translate(Theta)), info
+        group = self.system.group
+        after = la.as_array(equation.coadjoint(theta, as_vector(theta, state.p)), state.p)
+        return state._replace(q=group.multiply(group.inverse(self.tau(group, Theta)), state.q), p=after), info
 
     def _solution(self, state: State, dt: ArrayLike) -> tuple[Equation, la.Vector, Array, StepInfo]:
         """The equation for Θ, its root as a vector of the equation and as an array, and the report on it."""
-        group, tau = self.system.group, self.tau
-        equation = Equation.from_state(self.system, tau, state, 0.5 * jnp.asarray(dt))
-
-        def residual(theta: la.Vector) -> la.Vector:
-            return equation.residual(theta, coadjoint(tau, group, theta, equation.a))
-
-        def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
-            return newton_matrix(equation, theta, F)
-
-        m, a = equation.m, equation.a
-        return equation, *solved(equation, residual, matrix, size_unit(m, a), guess(group, m, a), self.iterations)
+        equation = Equation.from_state(self.system, self.tau, state, 0.5 * jnp.asarray(dt))
+        return equation, *equation.root(lambda theta: equation.coadjoint(theta, equation.a), self.iterations)
 
     def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         """(m − ½Δt ad*(Π_{n+1}) H) δΘ = ½Δt (δΠ_n + δ'Π_{n+1}) with δΠ = Ad*_q (δπ + ad*_δθ π) at fixed Θ."""
@@ -88,9 +69,9 @@ class GroupMidpoint(Step):
             return super().advance_tangents(state, dt, T)
         group, d = self.system.group, self.system.group.dim
         equation, theta, Theta, info = self._solution(state, dt)
-        m, H = equation.m, slope(self.tau, group, theta, exact=True)
+        m, H = equation.m, equation.slope(theta, exact=True)
         K = la.factored(m - ad_star_matrix(group, m @ theta - equation.a) @ H)
-        end = state._replace(q=translate(self.tau, group, state.q, Theta))
+        end = state._replace(q=equation.translate(Theta))
 
         def propagate(tangent: Array) -> Array:
             p = equation.half * (tangent[d:] + group.ad_star(tangent[:d], state.p))

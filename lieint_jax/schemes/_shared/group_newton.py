@@ -8,7 +8,6 @@ Vectors are unrolled into scalars for small groups and arrays for large ones, se
 from __future__ import annotations
 
 import functools
-import operator
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -26,12 +25,12 @@ from lieint_jax.capabilities import (
 )
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
-from lieint_jax.types.shapes import AlgebraVector, SquareMatrix
+from lieint_jax.types.shapes import AlgebraVector
 from lieint_jax.types.vectors import Matrix, components
 
 
 class Equation(NamedTuple):
-    """The data of the equation for Θ of one step.
+    """The equation m Θ = known + ½Δt Π_{n+1} of one step by a map τ on a group.
 
     Attributes:
         group: the group G.
@@ -56,46 +55,112 @@ class Equation(NamedTuple):
     @classmethod
     def from_state(cls, system: AbstractMetricSystem, tau: Tau, state: State, half: Array) -> Equation:
         """The equation of a step by τ, for a system with a group and a metric."""
-        m = unpacked(system.group, system.metric)
+        m = _unpacked(system.group, system.metric)
         carried = a = as_vector(m, half * system.group.Ad_star(state.q, state.p))
         if isinstance(system, AbstractRightGeodesicFlow):
             a = as_vector(m, -half * state.p)
         return cls(system.group, tau, m, state, half, a, a, carried)
 
-    def residual(self, theta: la.Vector, after: la.Vector) -> la.Vector:
-        """m Θ − ½Δt Π_n − ½Δt Π_{n+1}, the last given as `after`."""
-        return self.m @ theta - self.known - after
+    def root(
+        self,
+        after: Callable[[la.Vector], la.Vector],
+        iterations: int,
+        pull: la.Vector | None = None,
+        bend: Callable[[la.Vector], la.Matrix] | None = None,
+    ) -> tuple[la.Vector, Array, StepInfo]:
+        """Θ by `newton.chords`, as a vector of the equation and as an array, and the report on it.
+
+        It reports convergence if the residual is round-off; if the solve was steady and the root lies before the fold,
+        so that it is on the branch from Δt = 0; if digits are left; and if τ(Θ) is exact.
+
+        Args:
+            after: Θ ↦ ½Δt Π_{n+1}.
+            iterations: the most matrices.
+            pull: ½Δt² times a force in the body at the start; None without a force.
+            bend: Θ ↦ the derivative of `after` by way of the force.
+        """
+        a, m, sharp = self.a, self.m, la.factored(self.m).solve
+        if pull is None:
+            size, mean = self._size(a), a
+        else:
+            size, mean = (
+                self._size(la.map_entries(lambda x, y: jnp.maximum(jnp.abs(x), jnp.abs(y)), a, pull)),
+                a + 0.5 * pull,
+            )
+        u = sharp(mean)  # Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π
+        guess = 2.0 * u + 2.0 * sharp(ad_star_matrix(self.group, mean) @ u)
+
+        def residual(theta: la.Vector) -> la.Vector:
+            return m @ theta - self.known - after(theta)
+
+        def factored(theta: la.Vector, F: la.Vector) -> la.Factored:
+            """Newton's matrix, through which derivatives do not pass, with ½Δt Π_{n+1} = mΘ − known − F."""
+            theta, F, known, metric = lax.stop_gradient((theta, F, self.known, m))
+            K = metric - ad_star_matrix(self.group, metric @ theta - known - F) @ self.slope(theta)
+            return la.factored(K if bend is None else K - bend(theta))
+
+        theta, F, good = newton.chords(residual, factored, size, lambda step: size(m @ step), guess, iterations)
+        good = good & self._digits_left()
+        Theta = la.as_array(theta, self.state.p)
+        good = good & self.tau.holds(self.group, Theta) if self.tau.holds else good
+        return theta, Theta, newton.report(size(F), good)
+
+    def coadjoint(self, theta: la.Vector, mu: la.Vector) -> la.Vector:
+        """Ad*_τ(Θ) μ."""
+        if self.tau.coadjoint is not None:
+            return self.tau.coadjoint(self.group, theta, mu)
+        turned = self.group.Ad_star(self.tau(self.group, la.as_array(theta, theta[0])), la.as_array(mu, mu[0]))
+        return as_vector(theta, turned)
+
+    def translate(self, Theta: AlgebraVector, s: ArrayLike = 1.0) -> Array:
+        """q_n τ(sΘ) for a number s, or at each of several, (k,), as one array."""
+        group, tau, q, s = self.group, self.tau, self.state.q, jnp.asarray(s, Theta.dtype)
+        if tau.along is not None:
+            return tau.along(group, q, Theta, s)
+        return la.at_each(lambda s: group.multiply(q, tau(group, s * Theta)), s)
+
+    def slope(self, theta: la.Vector, exact: bool = False) -> la.Matrix:
+        """H(Θ), (d, d)."""
+        formula = self.tau.exact_slope if exact else self.tau.slope
+        closed = None if formula is None else formula(self.group, theta)
+        if closed is not None:
+            return closed
+        return as_vector(theta, derivative(self.tau, self.group, la.as_array(theta, theta[0])))
+
+    def force_jacobian(self, system: AbstractMechanicalSystem, where: Array, factor: ArrayLike) -> la.Matrix:
+        """factor D², with D² the derivative of the body force along the group at `where`, held fixed."""
+        group, where = self.group, lax.stop_gradient(where)
+        zero = jnp.zeros(group.dim, where.dtype)
+        D2 = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
+        return as_vector(self.m, lax.stop_gradient(factor * D2))
+
+    def _size(self, a: la.Vector) -> Callable[[la.Vector], Array]:
+        """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt, which does not depend on the units of the basis."""
+        a, m = lax.stop_gradient((a, self.m))
+        scale = 2 * jnp.sqrt(jnp.maximum(a @ la.solve(m, a), 0))
+        units = [jnp.sqrt(m[i][i]) * jnp.where(scale == 0, 1, scale) for i in range(len(m))]
+
+        def size(F: la.Vector) -> Array:
+            return functools.reduce(
+                jnp.maximum, (jnp.abs(lax.stop_gradient(F[i])) / units[i] for i in range(len(units)))
+            )
+
+        return size
+
+    def _digits_left(self) -> Array:
+        """Whether Ad*_q π has six digits left in float64: ε (size of summands / of sum)² ≤ ε^{3/8}; and likewise q."""
+        group, m = self.group, self.m
+        if not isinstance(group, AnalyticGroup):
+            return jnp.ones((), bool)
+        state, carried, half = lax.stop_gradient((self.state, self.carried, self.half))
+        unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
+        summed = jnp.max(jnp.abs(half) * group.rounding(state.q, state.p) / unit)
+        left = jnp.max(jnp.abs(la.as_array(carried, state.p)) / unit)
+        eps = float(jnp.finfo(left.dtype).eps)
+        return (eps * summed**2 <= eps**0.375 * left**2) & (group.drift(state.q) <= eps**0.375)
 
 
-def solved(
-    equation: Equation,
-    residual: Callable[[la.Vector], la.Vector],
-    matrix: Callable[[la.Vector, la.Vector], la.Matrix],
-    size: Callable[[la.Vector], Array],
-    start: la.Vector,
-    iterations: int,
-) -> tuple[la.Vector, Array, StepInfo]:
-    """The root Θ by `newton.chords`, as a vector of the equation and as an array, and the report on it.
-
-    It reports convergence if the residual, in the units of `size`, is round-off; if the solve was steady and the root
-    lies before the fold, so that it is on the branch from Δt = 0; if digits are left; and if τ(Θ) is exact.
-    """
-    group, tau, m, state = equation.group, equation.tau, equation.m, equation.state
-
-    def factored(theta: la.Vector, F: la.Vector) -> la.Factored:
-        return la.factored(matrix(theta, F))
-
-    def length(step: la.Vector) -> Array:
-        return size(m @ step)
-
-    theta, F, on_branch = newton.chords(residual, factored, size, length, start, iterations)
-    good = on_branch & digits_left(equation)
-    Theta = la.as_array(theta, state.p)
-    good = good & tau.holds(group, Theta) if tau.holds else good
-    return theta, Theta, newton.report(size(F), good)
-
-
-def unpacked(group: Group, metric: Array) -> la.Matrix:
+def _unpacked(group: Group, metric: Array) -> la.Matrix:
     """The metric as a matrix: unrolled for small groups, an array for large ones."""
     if isinstance(group, AnalyticGroup) and not group.unrolled:
         return jnp.diag(metric) if metric.ndim == 1 else metric
@@ -109,92 +174,9 @@ def as_vector(m: la.Matrix, x: Array) -> la.Vector:
     return x if isinstance(m, Array) else la.unrolled(x)
 
 
-def ad_star(group: Group, xi: la.Vector, mu: la.Vector) -> la.Vector:
-    """ad*_ξ μ."""
-    return ad_star_matrix(group, mu) @ xi
-
-
 def ad_star_matrix(group: Group, mu: la.Vector) -> la.Matrix:
-    """ad*(μ), (d, d)."""
+    """ad*(μ), (d, d), with ad*(μ)ξ = ad*_ξ μ."""
     if isinstance(group, AnalyticGroup):
         return group.ad_star_matrix(mu)
     mu = la.as_array(mu, mu[0])
     return la.unrolled(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
-
-
-def coadjoint(tau: Tau, group: Group, theta: la.Vector, mu: la.Vector) -> la.Vector:
-    """Ad*_τ(Θ) μ."""
-    if tau.coadjoint is not None:
-        return tau.coadjoint(group, theta, mu)
-    turned = group.Ad_star(tau(group, la.as_array(theta, theta[0])), la.as_array(mu, mu[0]))
-    return as_vector(theta, turned)
-
-
-def translate(tau: Tau, group: Group, q: SquareMatrix, Theta: AlgebraVector, s: ArrayLike = 1.0) -> Array:
-    """q τ(sΘ) for a number s, or at each of several, (k,), as one array."""
-    s = jnp.asarray(s, Theta.dtype)
-    if tau.along is not None:
-        return tau.along(group, q, Theta, s)
-    return la.at_each(lambda s: group.multiply(q, tau(group, s * Theta)), s)
-
-
-def slope(tau: Tau, group: Group, theta: la.Vector, exact: bool = False) -> la.Matrix:
-    """H(Θ), (d, d)."""
-    formula = tau.exact_slope if exact else tau.slope
-    closed = None if formula is None else formula(group, theta)
-    if closed is not None:
-        return closed
-    H = derivative(tau, group, la.as_array(theta, theta[0]))
-    return as_vector(theta, H)
-
-
-def guess(group: Group, m: la.Matrix, a: la.Vector) -> la.Vector:
-    """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
-    sharp = la.factored(m).solve
-    half_rotation = sharp(a)
-    return 2.0 * half_rotation + 2.0 * sharp(ad_star(group, half_rotation, a))
-
-
-def newton_matrix(equation: Equation, theta: la.Vector, F: la.Vector, *bends: la.Matrix) -> la.Matrix:
-    """m − ½Δt ad*(Π_{n+1}) H − Σ bends at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F.
-
-    Derivatives do not pass through it.
-    """
-    group, tau = equation.group, equation.tau
-    theta, F, known, m = lax.stop_gradient((theta, F, equation.known, equation.m))
-    turned = ad_star_matrix(group, m @ theta - known - F) @ slope(tau, group, theta)
-    return functools.reduce(operator.sub, bends, m - turned)
-
-
-def force_jacobian(m: la.Matrix, system: AbstractMechanicalSystem, where: Array, factor: ArrayLike) -> la.Matrix:
-    """factor D², with D² the derivative of the body force along the group at `where`, held fixed; of the form of m."""
-    group, where = system.group, lax.stop_gradient(where)
-    zero = jnp.zeros(group.dim, where.dtype)
-    D2 = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
-    D2 = lax.stop_gradient(factor * D2)
-    return as_vector(m, D2)
-
-
-def size_unit(m: la.Matrix, a: la.Vector) -> Callable[[la.Vector], Array]:
-    """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt, which does not depend on the units of the basis."""
-    a, m = lax.stop_gradient((a, m))
-    scale = 2 * jnp.sqrt(jnp.maximum(a @ la.solve(m, a), 0))
-    units = [jnp.sqrt(m[i][i]) * jnp.where(scale == 0, 1, scale) for i in range(len(m))]
-
-    def size(F: la.Vector) -> Array:
-        return functools.reduce(jnp.maximum, (jnp.abs(lax.stop_gradient(F[i])) / units[i] for i in range(len(units))))
-
-    return size
-
-
-def digits_left(equation: Equation) -> Array:
-    """Whether Ad*_q π has six digits left in float64: ε (size of summands / of sum)² ≤ ε^{3/8}; and likewise q."""
-    group, m = equation.group, equation.m
-    if not isinstance(group, AnalyticGroup):
-        return jnp.ones((), bool)
-    state, carried, half = lax.stop_gradient((equation.state, equation.carried, equation.half))
-    unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
-    summed = jnp.max(jnp.abs(half) * group.rounding(state.q, state.p) / unit)
-    left = jnp.max(jnp.abs(la.as_array(carried, state.p)) / unit)
-    eps = float(jnp.finfo(left.dtype).eps)
-    return (eps * summed**2 <= eps**0.375 * left**2) & (group.drift(state.q) <= eps**0.375)
