@@ -25,9 +25,8 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.capabilities import AbstractFreeBody, AbstractRigidBodies, AbstractTop
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes.charts._chart import PlainState
+from lieint_jax.schemes.charts._chart import PlainState, SeveralBodies
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
-from lieint_jax.schemes.charts.several_bodies import SEVERAL_BODIES
 from lieint_jax.types import State, Step, StepInfo, System, laws_of, pytree, static
 from lieint_jax.types.shapes import PyTree
 
@@ -35,7 +34,7 @@ __all__ = ["Extrapolated", "extrapolate"]
 
 _CHARTS = {
     "one body": BODY_AXES,
-    "several bodies": SEVERAL_BODIES,
+    "several bodies": SeveralBodies(),
     "": PlainState(),
 }  # the first that supports a system
 _Unknowns = TypeVar("_Unknowns")

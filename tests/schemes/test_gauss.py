@@ -245,7 +245,7 @@ def leaning():
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["leaning", "gyrostat", "driven", "binary"])
 def test_a_converged_step_of_gauss_is_the_flow(name):
-    """Also of a top whose axis leans, and is not of length 1, in a frame of its own."""
+    """Also of a top whose axis leans, and is not of length 1."""
     if name == "leaning":
         system, state = leaning()
     else:
@@ -270,6 +270,6 @@ def test_increments_preserve_the_last_digits():
 
 @pytest.mark.long
 def test_extrapolation_has_derivatives_by_the_axis():
-    """It integrates a top in a frame where the axis is axis_frame; the length of the axis counts."""
+    """The axis leans, and its length counts."""
     top, state = leaning()
     slopes.assert_agree(schemes.extrapolate(top, 8), state, 0.2)

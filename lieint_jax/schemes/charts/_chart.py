@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax.capabilities import AbstractRigidBodies
+from lieint_jax.groups import so3
 from lieint_jax.types import State, System, time_derivative
 from lieint_jax.types.shapes import PyTree
 
@@ -62,3 +64,15 @@ class PlainState(Chart[System, State]):
 
     def split_qp(self, z: State) -> tuple[Sequence[Array], Sequence[Array]]:
         return [z.q], [z.p]
+
+
+class SeveralBodies(PlainState):
+    """The states of several bodies, whose quaternions are of unit length after a step."""
+
+    def supports(self, system: System) -> bool:
+        return AbstractRigidBodies.governs(system)
+
+    def apply(self, system: System, state: State, z: State, delta: State) -> State:
+        end = super().apply(system, state, z, delta)
+        turned = jax.vmap(so3.normalize)(end.q[:, 3:])
+        return end._replace(q=jnp.concatenate([end.q[:, :3], turned], axis=1))

@@ -36,18 +36,10 @@ from lieint_jax.capabilities import (
 )
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
-from lieint_jax.schemes.charts import several_bodies
 from lieint_jax.schemes.charts._chart import Chart
-from lieint_jax.schemes.charts.body_axes import (
-    axis_frame,
-    axis_in_body,
-    from_axis_frame,
-    quat_times_vec,
-    scalar_and_vector,
-    to_axis_frame,
-)
+from lieint_jax.schemes.charts.body_axes import axis_in_body, quat_times_vec, scalar_and_vector
 from lieint_jax.types import State, System, gradient, vectors
-from lieint_jax.types.vectors import Symmetric, Vector, cross, dot, vector
+from lieint_jax.types.vectors import Matrix, Symmetric, Vector, cross, dot, vector
 
 Components = tuple[Array, ...]
 
@@ -91,7 +83,7 @@ class CanonicalChart(Chart):
 
     @abc.abstractmethod
     def coordinates(self, state: State) -> Coordinates:
-        """The coordinates of a state, in a frame that is fixed in space."""
+        """The coordinates of a state."""
 
     @abc.abstractmethod
     def configuration(self, z: Coordinates) -> Array:
@@ -102,7 +94,6 @@ class CanonicalChart(Chart):
         """(z, t) ↦ the components of the rates of the state's momenta; None where the coordinates contain these."""
 
     def unknowns(self, system: Any, state: State) -> Coordinates:
-        """The coordinates of a state."""
         return self.coordinates(state)
 
     def stage_times(self, system: Any, state: State, passed: Array) -> Moment:
@@ -110,7 +101,6 @@ class CanonicalChart(Chart):
         return None if state.t is None else state.t + passed
 
     def split_qp(self, z: Coordinates) -> tuple[Components, Components]:
-        """The components of the configuration and of the momentum."""
         return z.q, z.p
 
     def quadratures(self, system: Any, state: State) -> Callable[[Coordinates, Moment], Quadratures | None]:
@@ -128,17 +118,12 @@ class CanonicalChart(Chart):
 
     def apply(self, system: Any, state: State, z: Coordinates, delta: Increments) -> State:
         """`state`, whose unknowns are z, after these increments."""
-        delta = self.in_fixed_frame(system, delta)
         q = self.configuration(jax.tree.map(jnp.add, self.coordinates(state), delta.z))
         end = state._replace(q=q, p=state.p + _momentum(state, delta))
         done = delta.quadratures
         if done is None or done.work is None or state.work is None:
             return end
         return end._replace(work=state.work + done.work)
-
-    def in_fixed_frame(self, system: Any, delta: Increments) -> Increments:
-        """The increments in a frame that is fixed in space."""
-        return delta
 
 
 def _momentum(state: State, delta: Increments) -> Array:
@@ -148,22 +133,15 @@ def _momentum(state: State, delta: Increments) -> Array:
 
 
 class OneBody(CanonicalChart):
-    """T*SO(3): q and p = 2πq of one body; for a top with a fixed axis, in a frame where it is ±e₃."""
+    """T*SO(3): q and p = 2πq of one body."""
 
     def supports(self, system: System) -> bool:
-        """Whether the phase space is T*SO(3)."""
         space = system.phase_space
         return isinstance(space, CotangentGroup) and space.group is so3
 
     def coordinates(self, state: State) -> Coordinates:
-        """See `CanonicalChart`."""
         q = _components(state.q)
         return Coordinates(q, _from_left(2 * vector(state.p), q))
-
-    def unknowns(self, system: Any, state: State) -> Coordinates:
-        """The coordinates of a state, in the frame of the chart."""
-        z = self.coordinates(state)
-        return Coordinates(*(to_axis_frame(system.axis, half) for half in z)) if _has_fixed_axis(system) else z
 
     def configuration(self, z: Coordinates) -> Array:
         """The unit quaternion, (4,)."""
@@ -196,23 +174,11 @@ class OneBody(CanonicalChart):
 
         return torque
 
-    def in_fixed_frame(self, system: Any, delta: Increments) -> Increments:
-        """The increments in space, from those in the frame where a fixed axis is ±e₃."""
-        if not _has_fixed_axis(system) or delta.quadratures is None:
-            return delta
-        z = Coordinates(*(from_axis_frame(system.axis, half) for half in delta.z))
-        momenta = _components(so3.Ad_star(axis_frame(system.axis)[0], jnp.stack(delta.quadratures.momenta)))
-        return Increments(z, delta.quadratures._replace(momenta=momenta))
-
     def _kick(self, system: Any, z: Coordinates, t: Moment) -> Components:
         """The contribution of a potential to ṗ: −∂V/∂q, 2γq∇Ṽ for V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1."""
-        if _has_fixed_axis(system):
-            height, gradient = _vertical(system, z.q)
-            a, b, c, d = (2 * height * x for x in gradient)
-            return -d, -c, b, a
         if _has_axis(system):
-            axis = system.axis_at(t)
-            return _from_left(2 * Vector(axis), _rotated_gradient(system.potential, axis_in_body(z.q, axis), z.q, t))
+            axis, slope = _axis_and_gradient(system, z.q, t)
+            return _from_left(2 * axis, slope)
         return _from_left(2 * _inverse_square(z.q) * self.force(system)(z, t), z.q)
 
 
@@ -220,11 +186,9 @@ class ManyBodies(CanonicalChart):
     """Several bodies: positions and quaternions, linear momenta and p = 2πq."""
 
     def supports(self, system: System) -> bool:
-        """Whether the phase space is that of several bodies."""
         return isinstance(system.phase_space, CotangentMotions)
 
     def coordinates(self, state: State) -> Coordinates:
-        """See `CanonicalChart`."""
         q, p = _components(state.q), _components(state.p)
         return Coordinates(q, (*p[:3], *_from_left(2 * Vector(p[3:]), q[3:])))
 
@@ -234,14 +198,14 @@ class ManyBodies(CanonicalChart):
 
     def rate(self, system: Any) -> Callable[[Coordinates, Moment], Coordinates]:
         """P/m, ½qΩ and ½pΩ, with the forces and torques."""
-        inverse, masses = several_bodies.inverses(system), system.masses
+        inverse, masses = jax.vmap(vectors.inverse)(system.inertias), system.masses
 
         def field(z: Coordinates, _: Moment) -> Coordinates:
             P, q = z.p[:3], z.q[3:]
             q_dot, p_dot = _rotation_rates(None, inverse, q, z.p[3:])
             rates = (*(jnp.zeros_like(y) for y in P), *p_dot)
             if _is_forced(system):
-                force, torque = several_bodies.forces(system, Vector(z.q[:3]), _unit(q))
+                force, torque = _forces(system, Vector(z.q[:3]), _unit(q))
                 kick = (*force, *quat_times_vec(q, 2 * _inverse_square(q) * torque))
                 rates = tuple(map(jnp.add, rates, kick))
             return Coordinates((*(y / masses for y in P), *q_dot), rates)
@@ -255,7 +219,7 @@ class ManyBodies(CanonicalChart):
             if not _is_forced(system):
                 return (jnp.zeros_like(z.q[0]),) * 6
             q = z.q[3:]
-            force, torque = several_bodies.forces(system, Vector(z.q[:3]), _unit(q))
+            force, torque = _forces(system, Vector(z.q[:3]), _unit(q))
             return (*force, *_rotate(q, torque))
 
         return pull_and_torque
@@ -265,11 +229,9 @@ class Matrices(CanonicalChart):
     """T*GL⁺(3), which is flat: the entries of F and P."""
 
     def supports(self, system: System) -> bool:
-        """Whether the phase space is T*GL⁺(3)."""
         return isinstance(system.phase_space, CotangentMatrices)
 
     def coordinates(self, state: State) -> Coordinates:
-        """See `CanonicalChart`."""
         return Coordinates(tuple(state.q.ravel()), tuple(state.p.ravel()))
 
     def configuration(self, z: Coordinates) -> Array:
@@ -294,6 +256,12 @@ def canonical_chart(system: System) -> CanonicalChart | None:
 
 def _is_forced(system: Any) -> bool:
     return isinstance(system, AbstractForcedSystem | AbstractDrivenSystem)
+
+
+def _forces(system: Any, x: Vector, q: Components) -> tuple[Vector, Vector]:
+    """The forces on the bodies, and the torques in their axes. Quaternions are of unit length."""
+    pull = tuple(jnp.moveaxis(system.force(jnp.stack([*x, *q], axis=-1)), -1, 0))
+    return Vector(pull[:3]), Matrix(so3.matrix_of(*q)).T @ Vector(pull[3:])
 
 
 def _matrix(components: Components) -> Array:
@@ -328,36 +296,16 @@ def _has_axis(system: Any) -> bool:
     return isinstance(system, AbstractTop | AbstractDrivenTop) and system.axis is not None
 
 
-def _has_fixed_axis(system: Any) -> bool:
-    """Whether the coordinates are those in a frame where an axis is ±e₃."""
-    return isinstance(system, AbstractTop) and system.axis is not None
-
-
 def _torque(system: Any, q: Components, t: Any) -> Vector:
     """The torque in space, γ × q∇Ṽq̄."""
-    if _has_fixed_axis(system):
-        height, gradient = _vertical(system, q)
-        x, y, _ = _times_conjugate(gradient, q)
-        return Vector((-height * y, height * x, jnp.zeros_like(x)))
-    axis = system.axis_at(t)
-    return cross(axis, _times_conjugate(_rotated_gradient(system.potential, axis_in_body(q, axis), q, t), q))
+    axis, slope = _axis_and_gradient(system, q, t)
+    return cross(axis, _times_conjugate(slope, q))
 
 
-def _vertical(system: Any, q: Components) -> tuple[Array, Components]:
-    """The height of an axis γ = height e₃, and q∇Ṽ."""
-    height = axis_frame(system.axis)[1]
-    return height, _rotated_gradient(system.potential, _vertical_in_body(height, q), q)
-
-
-def _vertical_in_body(height: Array, q: Components) -> Vector:
-    """`axis_in_body` of height e₃."""
-    w, x, y, z = q
-    return height * Vector((2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))
-
-
-def _rotated_gradient(potential: Any, Gamma: Vector, q: Components, *t: Any) -> Components:
-    """q∇Ṽ."""
-    return quat_times_vec(q, vector(gradient(potential, jnp.stack(Gamma), *t)))
+def _axis_and_gradient(system: Any, q: Components, t: Any) -> tuple[Vector, Components]:
+    """γ and q∇Ṽ."""
+    axis, at = (system.axis_at(t), (t,)) if isinstance(system, AbstractDrivenTop) else (system.axis, ())
+    return Vector(axis), quat_times_vec(q, vector(gradient(system.potential, jnp.stack(axis_in_body(q, axis)), *at)))
 
 
 def _times_conjugate(x: Components, q: Components) -> Vector:
