@@ -11,7 +11,6 @@ from lieint_jax.capabilities import AbstractDampedBody
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree
-from lieint_jax.types.shapes import MomentumMap, Scalar
 
 __all__ = ["DampedBody", "damped_body"]
 
@@ -22,14 +21,6 @@ class DampedBody(TimedBody, AbstractDampedBody):
 
     inertia: Array
     friction: Array
-
-    def energy(self, state: State) -> Scalar:
-        """½ Π·J⁻¹Π."""
-        return self.kinetic_energy(state)
-
-    def momentum(self, state: State) -> MomentumMap:
-        """π, (3,), which internal friction does not change."""
-        return state.p
 
 
 def damped_body(inertia: ArrayLike, friction: ArrayLike) -> DampedBody:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from functools import partial
 
 from jax import Array
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
 from lieint_jax.groups import so3
-from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, argument, pytree, vectors
-from lieint_jax.types.shapes import MomentumMap, Scalar
 
 __all__ = ["EmbeddedBody", "embedded_body"]
 
@@ -42,31 +39,7 @@ class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):
 
     inertia: Array = argument(converter=partial(_checks.inertia, stacklevel=4))
 
-    @explained
-    def state(
-        self,
-        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
-        *,
-        angular_velocity: ArrayLike | None = None,
-        body_momentum: ArrayLike | None = None,
-        spatial_momentum: ArrayLike | None = None,
-    ) -> State:
-        """The state of a rotation and one of three ways to give the motion, as in `rigid_body`; q is Λ, (3, 3)."""
-        on_group = super().state(
-            attitude,
-            angular_velocity=angular_velocity,
-            body_momentum=body_momentum,
-            spatial_momentum=spatial_momentum,
-        )
-        return State(so3.to_matrix(on_group.q), on_group.p)
-
-    def energy(self, state: State) -> Scalar:
-        """½ Π·J⁻¹Π (2.11)."""
-        return self.kinetic_energy(state)
-
-    def momentum(self, state: State) -> MomentumMap:
-        """ΛΠ = π (2.13), shape (3,)."""
-        return state.p
+    configuration = staticmethod(so3.to_matrix)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""

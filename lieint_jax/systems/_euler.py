@@ -11,9 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics.metric import flat
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
-from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import Group, State, pytree, static, vectors
@@ -29,14 +27,6 @@ class Euler(OnGroup, AbstractGeodesicFlow):
     metric: Array
     group: Group = static()
 
-    def energy(self, state: State) -> Scalar:
-        """½⟨Π, m⁻¹Π⟩ (5.18)."""
-        return self.kinetic_energy(state)
-
-    def momentum(self, state: State) -> DualVector:
-        """The momentum map of the left action (5.21): π itself, shape (d,)."""
-        return state.p
-
 
 @pytree
 class RightEuler(OnGroup, AbstractRightGeodesicFlow):
@@ -44,31 +34,7 @@ class RightEuler(OnGroup, AbstractRightGeodesicFlow):
 
     metric: Array
     group: Group = static()
-
-    @explained
-    def state(
-        self,
-        q: ArrayLike | None = None,
-        *,
-        velocity: ArrayLike | None = None,
-        body_momentum: ArrayLike | None = None,
-        spatial_momentum: ArrayLike | None = None,
-    ) -> State:
-        """The state at a configuration, as for a left-invariant metric, except that `velocity` is the spatial one, ω.
-
-        Args:
-            q: as for a left-invariant metric.
-            velocity: spatial velocity ω, with π = mω, shape (d,).
-            body_momentum: Π = Ad*_q π, shape (d,).
-            spatial_momentum: π, shape (d,).
-
-        Raises:
-            ValueError: not exactly one of the three, a wrong shape, a NaN, or a q off the group.
-        """
-        name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
-        if name == "velocity":
-            name, given = "spatial_momentum", flat(self.metric, _checks.real_array(name, given, (self.group.dim,)))
-        return super().state(q, **{name: given})
+    velocity_kind = "spatial_velocity"
 
     def energy(self, state: State) -> Scalar:
         """½⟨π, m⁻¹π⟩."""

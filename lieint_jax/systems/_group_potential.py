@@ -23,23 +23,15 @@ from lieint_jax.types.shapes import DualVector, MomentumMap, Scalar, SquareMatri
 __all__ = ["DrivenGroupPotential", "GroupPotential", "group_potential"]
 
 
-@pytree
-class GroupPotential(OnGroup, AbstractMechanicalSystem):
-    """H = ½⟨Π, m⁻¹Π⟩ + V(q), Π = Ad*_q π (5.42); q̇ = qΩ̂, π̇ = −T*R dV(q) (5.41). Made by `group_potential`."""
+class _InPotential(OnGroup):
+    """What potentials with and without a time have in common."""
 
-    metric: Array
-    potential: Callable[[Array], Array]
     symmetry: Array
-    group: Group = static()
 
     @property
     def free(self) -> Euler:
         """The geodesic flow of the metric, without the potential."""
         return Euler(self.metric, self.group)
-
-    def energy(self, state: State) -> Scalar:
-        """½⟨Π, m⁻¹Π⟩ + V(q)."""
-        return self.kinetic_energy(state) + self.potential(state.q)
 
     def momentum(self, state: State) -> MomentumMap:
         """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
@@ -47,7 +39,21 @@ class GroupPotential(OnGroup, AbstractMechanicalSystem):
 
 
 @pytree
-class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
+class GroupPotential(_InPotential, AbstractMechanicalSystem):
+    """H = ½⟨Π, m⁻¹Π⟩ + V(q), Π = Ad*_q π (5.42); q̇ = qΩ̂, π̇ = −T*R dV(q) (5.41). Made by `group_potential`."""
+
+    metric: Array
+    potential: Callable[[Array], Array]
+    symmetry: Array
+    group: Group = static()
+
+    def energy(self, state: State) -> Scalar:
+        """½⟨Π, m⁻¹Π⟩ + V(q)."""
+        return self.kinetic_energy(state) + self.potential(state.q)
+
+
+@pytree
+class DrivenGroupPotential(_InPotential, AbstractDrivenSystem):
     """H = ½⟨Π, m⁻¹Π⟩ + V(q, t): (5.41) with a potential that is a given function of time. Made by `group_potential`.
 
     H − work is conserved, with work = ∫∂V/∂t dt.
@@ -57,11 +63,6 @@ class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
     potential: Callable[[Array, Array], Array]
     symmetry: Array
     group: Group = static()
-
-    @property
-    def free(self) -> Euler:
-        """The geodesic flow of the metric, without the potential."""
-        return Euler(self.metric, self.group)
 
     @explained
     def state(
@@ -98,10 +99,6 @@ class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
     def energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ + V(q, t)."""
         return self.kinetic_energy(state) + self.potential(state.q, clock(state))
-
-    def momentum(self, state: State) -> MomentumMap:
-        """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
-        return self.symmetry @ state.p
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""

@@ -12,7 +12,7 @@ from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Rotating
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree, vectors
-from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
+from lieint_jax.types.shapes import Scalar, Vector3
 
 __all__ = ["Gyrostat", "gyrostat"]
 
@@ -36,10 +36,6 @@ class Gyrostat(Rotating, capabilities.AbstractGyrostat):
     def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r)."""
         return vectors.dot(self.body_momentum(state) - self.rotor, self.angular_velocity(state)) / 2
-
-    def momentum(self, state: State) -> MomentumMap:
-        """The momentum map of rotations in space: π itself, of body and rotor together, shape (3,)."""
-        return state.p
 
 
 def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:

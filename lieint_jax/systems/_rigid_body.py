@@ -13,7 +13,6 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree
-from lieint_jax.types.shapes import MomentumMap, Scalar
 
 __all__ = ["RigidBody", "rigid_body"]
 
@@ -23,14 +22,6 @@ class RigidBody(Body, AbstractFreeBody):
     """H = ½ Π·J⁻¹Π with Π = Λᵀπ (2.11); Λ̇ = ΛΩ̂, π̇ = 0 (2.12). Made by `rigid_body`."""
 
     inertia: Array
-
-    def energy(self, state: State) -> Scalar:
-        """½ Π·J⁻¹Π (2.11)."""
-        return self.kinetic_energy(state)
-
-    def momentum(self, state: State) -> MomentumMap:
-        """The momentum map of rotations in space (2.13): π itself, shape (3,)."""
-        return state.p
 
     def solution(self, state: State, t: Array | float) -> State:
         """The exact state after a time t of any size and sign, in Jacobi's elliptic functions; π is equal bit for bit.

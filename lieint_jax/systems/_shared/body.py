@@ -19,7 +19,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import State, vectors
-from lieint_jax.types.shapes import Quaternion, Scalar, Vector3
+from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Vector3
 
 
 class Rotating(AbstractRotatingBody):
@@ -29,6 +29,11 @@ class Rotating(AbstractRotatingBody):
     def own_momentum(self) -> Vector3 | None:
         """h_r in Π = JΩ + h_r, (3,)."""
         return None
+
+    @staticmethod
+    def configuration(q: Quaternion) -> Array:
+        """The attitude in the form that states have it: the quaternion itself, if the phase space is T*SO(3)."""
+        return q
 
     @explained
     def state(
@@ -60,7 +65,11 @@ class Rotating(AbstractRotatingBody):
         )
         value = _checks.real_array(name, given, (3,))
         q, p = _attitude_and_momentum(self.inertia, self.own_momentum, attitude, value, name)
-        return State(q, _checks.real_array("the spatial momentum", p))
+        return State(self.configuration(q), _checks.real_array("the spatial momentum", p))
+
+    def momentum(self, state: State) -> MomentumMap:
+        """The momentum map of rotations in space (2.13): π itself, that of a rotor included, shape (3,)."""
+        return state.p
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or the system is a batch of systems."""
@@ -72,7 +81,11 @@ class Rotating(AbstractRotatingBody):
 
 
 class Body(Rotating):
-    """A body without rotors, so that Π = JΩ."""
+    """A body without rotors, so that Π = JΩ; free, unless a subclass has another energy."""
+
+    def energy(self, state: State) -> Scalar:
+        """½ Π·J⁻¹Π (2.11)."""
+        return self.kinetic_energy(state)
 
     def kinetic_energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +23,9 @@ from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 class OnGroup(AbstractMetricSystem):
-    """A motion on T*G whose states are made from a configuration q and a motion."""
+    """A motion on T*G whose states are made from a configuration q and a motion; free, unless a subclass has more."""
+
+    velocity_kind: ClassVar = "body_velocity"  # what the argument `velocity` of `state` is
 
     @explained
     def state(
@@ -39,7 +41,7 @@ class OnGroup(AbstractMetricSystem):
         Args:
             q: a group element, shape (n, n), within 1e-6 of the group; for `groups.so3` an attitude as in `rigid_body`,
                 a unit quaternion (w, x, y, z) or a scipy `Rotation`. By default the identity.
-            velocity: body velocity Ω, shape (d,).
+            velocity: body velocity Ω; for a right-invariant metric the spatial velocity ω, with π = mω. Shape (d,).
             body_momentum: Π = mΩ, shape (d,).
             spatial_momentum: π, with Π = Ad*_q π, shape (d,).
 
@@ -49,13 +51,22 @@ class OnGroup(AbstractMetricSystem):
         element = group_element(self.group, q, self.metric.dtype)
         name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
         value = _checks.real_array(name, given, (self.group.dim,))
-        p = _momentum(self.group, self.metric, element, value, name)
+        kind = self.velocity_kind if name == "velocity" else name
+        p = _momentum(self.group, self.metric, element, value, kind)
         dtype = jnp.result_type(element, p)
         return State(element.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
 
     def kinetic_energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
         return vectors.dot(self.body_momentum(state), self.velocity(state)) / 2
+
+    def energy(self, state: State) -> Scalar:
+        """½⟨Π, m⁻¹Π⟩ (5.18)."""
+        return self.kinetic_energy(state)
+
+    def momentum(self, state: State) -> MomentumMap:
+        """The momentum map of the left action (5.21): π itself, shape (d,)."""
+        return state.p
 
     def casimirs(self, state: State) -> MomentumMap:
         """The known Casimirs of body momentum (`group.casimirs`), (k,): constant along every motion without a
@@ -70,11 +81,11 @@ class OnGroup(AbstractMetricSystem):
 
 
 @partial(compiled, static_argnums=(0, 4), once=True)
-def _momentum(group: Group, metric: Array, q: Array, motion: Array, name: str) -> Array:
-    """π of the motion that the argument `name` of `state` gives."""
-    if name == "velocity":
+def _momentum(group: Group, metric: Array, q: Array, motion: Array, kind: str) -> Array:
+    """π of a body or spatial velocity or momentum."""
+    if kind.endswith("velocity"):
         motion = flat(metric, motion)
-    return motion if name == "spatial_momentum" else group.Ad_star(group.inverse(q), motion)
+    return motion if kind.startswith("spatial") else group.Ad_star(group.inverse(q), motion)
 
 
 @partial(compiled, static_argnums=0, once=True)
