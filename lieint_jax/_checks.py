@@ -7,6 +7,7 @@ import contextvars
 import functools
 import math
 import os
+import re
 import reprlib
 import unicodedata
 import warnings
@@ -61,6 +62,11 @@ def printable(value: object, most: int = 200, keep: str = "") -> str:
 def name_of(function: object) -> str:
     """The name of a function, or else of its class."""
     return getattr(function, "__name__", type(function).__name__)
+
+
+def snake_case(name: str) -> str:
+    """The name of a class as that of a function: "so3_explicit" for SO3Explicit."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()
 
 
 class _Short(reprlib.Repr):

@@ -1,13 +1,15 @@
-"""A loop over the stages of a step."""
+"""Loops over the stages of a step."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import jax
 from jax import lax
 
 from lieint_jax._xla import materialized_arrays, rematerialized, saved
+from lieint_jax.types import StepInfo
 
 _Carry = TypeVar("_Carry")
 
@@ -24,3 +26,15 @@ def scan_stages(
     mark = saved if store else lambda carry: carry
     body = rematerialized(lambda carry, row: stage(carry, materialized_arrays(row)))
     return mark(lax.scan(lambda carry, row: body(mark(carry), row), carry, stages)[0])
+
+
+def compose_stages(
+    substep: Callable[..., tuple[_Carry, StepInfo]], start: _Carry, rows: tuple[Any, ...], store: bool = True
+) -> tuple[_Carry, StepInfo]:
+    """`start` after substep(z, *row) ↦ (z, report) for each row of some arrays, and the merged report."""
+
+    def stage(carry: tuple[_Carry, StepInfo], row: tuple[Any, ...]) -> tuple[tuple[_Carry, StepInfo], None]:
+        z, info = substep(carry[0], *row)
+        return (z, carry[1].merge(info)), None
+
+    return scan_stages(stage, (start, StepInfo.empty(jax.tree.leaves(start)[0])), rows, store)

@@ -45,7 +45,7 @@ from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleB
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, StoredEnergy, System, pytree, static
 from lieint_jax.types.shapes import Scalar
-from lieint_jax.types.vectors import Matrix, Symmetric, dot, matrix, max_abs, mean_cofactor, symmetric
+from lieint_jax.types.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
 
 __all__ = ["Additive", "additive"]
 
@@ -70,7 +70,7 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     @property
-    def velocity_weight(self) -> Scalar:
+    def velocity_weight(self) -> Scalar:  # pyright: ignore[reportIncompatibleVariableOverride]
         """β = 1 − α (6.9)."""
         return 1 - self.alpha
 
@@ -414,8 +414,8 @@ def _newton_step(
     free = _matrix(R) @ N_inverse
     right = (a * (G.T @ free)).plus_transpose()
     images = [(A @ S @ N_inverse).plus_transpose() for S, _ in columns]
-    K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
-    dD, *by_gamma = la.eliminate(K, right, *images[6:])
+    K = la.factored(Matrix((images[p][q] + (1 if p == q else 0) for p in range(6)) for q in range(6)))
+    dD, *by_gamma = (K.solve(Vector(b)) for b in (right, *images[6:]))
     step, d_gamma = dD, []
     for k, (per_gamma, (least, most)) in enumerate(zip(by_gamma, limits, strict=True)):
         row = [gamma_residual[k] for _, gamma_residual in columns]

@@ -64,10 +64,6 @@ class BodiesEnergyMomentum(Step):
     order: float = static(default=2)
     symmetric: bool = static(default=True)
 
-    @property
-    def name(self) -> str:
-        return "bodies_energy_momentum"
-
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
         most = _iterations_at_precision(self.iterations, state.p.dtype)

@@ -60,10 +60,6 @@ class Calibrated(Step):
     def commuting(self) -> bool:
         return True
 
-    @property
-    def name(self) -> str:
-        return "calibrated"
-
     def with_constants(self, state: State, dt: ArrayLike) -> Self:
         found = _free_body.clock(self.system.inertia, so3.Ad_star(state.q, state.p), dt)
         clock = Clock(*found, jnp.asarray(dt, state.p.dtype), *self._invariants(state))

@@ -20,16 +20,12 @@ and the best composition found uses one value often, and p/2 − 1 others to can
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.stages import scan_stages
+from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
@@ -38,7 +34,6 @@ from lieint_jax.types.shapes import TangentVectors
 
 __all__ = ["Composition", "compose"]
 
-_Carried = TypeVar("_Carried")
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
 
 
@@ -60,7 +55,7 @@ class Composition(Step):
         return self.step.commuting
 
     @property
-    def own_time(self) -> bool:
+    def own_time(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.step.own_time
 
     def start(self, state: State) -> State:
@@ -77,7 +72,7 @@ class Composition(Step):
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if self.own_time or not counts_work(state):
-            return self._compose_stages(state, (self._sizes(state, dt),), self.step.substep)
+            return compose_stages(self.step.substep, state, (self._sizes(state, dt),), store=False)
 
         def substep_to(state: State, h: Array, end: Array) -> tuple[State, StepInfo]:
             """A sub-step that ends at a given time to the last bit, as in a `RoundedClock`, so that no work is lost."""
@@ -85,7 +80,7 @@ class Composition(Step):
 
         parts = np.append(np.cumsum(self.gammas)[:-1], 1)
         ends = clock(state) + jnp.asarray(parts, state.p.dtype) * dt
-        return self._compose_stages(state, (self._sizes(state, dt), ends), substep_to)
+        return compose_stages(substep_to, state, (self._sizes(state, dt), ends), store=False)
 
     def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
@@ -95,26 +90,12 @@ class Composition(Step):
             end, info, T = self.step.tangent(pair[0], h, pair[1])
             return (end, T), info
 
-        (end, T), info = self._compose_stages((state, T), (self._sizes(state, dt),), substep_tangent)
+        (end, T), info = compose_stages(substep_tangent, (state, T), (self._sizes(state, dt),), store=False)
         return end, info, T
 
     def _sizes(self, state: State, dt: ArrayLike) -> Array:
         """The sizes of the sub-steps, γΔt."""
         return jnp.asarray(self.gammas, state.p.dtype) * dt
-
-    def _compose_stages(
-        self, start: _Carried, sub_steps: tuple[Array, ...], stage: Callable[..., tuple[_Carried, StepInfo]]
-    ) -> tuple[_Carried, StepInfo]:
-        """`start` through `stage` with the numbers of each sub-step, and the merged report."""
-
-        def substep(
-            carry: tuple[_Carried, StepInfo], numbers: tuple[Array, ...]
-        ) -> tuple[tuple[_Carried, StepInfo], None]:
-            z, worst = carry
-            z, info = stage(z, *numbers)
-            return (z, worst.merge(info)), None
-
-        return scan_stages(substep, (start, StepInfo.empty(jax.tree.leaves(start)[0])), sub_steps, store=False)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)

@@ -56,7 +56,7 @@ class Gauss(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def approximate(self) -> bool:
+    def approximate(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.sweeps is not None
 
     @property

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.power_series import stumpff
-from lieint_jax._numerics.stages import scan_stages
+from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._nystrom import Stages, mirror
@@ -69,13 +69,11 @@ class KeplerSplitting(Step):
         method = METHODS[self.method]
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in (method.drifts, (0.0, *method.kicks)))
 
-        def stage(carry: tuple[State, StepInfo], of: tuple[Array, Array]) -> tuple[tuple[State, StepInfo], None]:
-            (state, info), (a, b) = carry, of
-            state, last = self._drift(state._replace(p=state.p + b * self._force(state.q)), a)
-            return (state, info.merge(last)), None
+        def kick_and_drift(state: State, a: Array, b: Array) -> tuple[State, StepInfo]:
+            return self._drift(state._replace(p=state.p + b * self._force(state.q)), a)
 
         # A first kick of 0, so that the long program of a drift is compiled once.
-        return scan_stages(stage, (state, StepInfo.empty(state.p)), (drifts, kicks))
+        return compose_stages(kick_and_drift, state, (drifts, kicks))
 
     def _force(self, q: Array) -> Array:
         """The forces and torques of V₂, (2, 6): those of V without Kepler's attraction."""

@@ -26,7 +26,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import random_bits
-from lieint_jax._numerics.stages import scan_stages
+from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import (
     AbstractForcedSystem,
     AbstractFreeBodies,
@@ -118,16 +118,13 @@ class Langevin(Step):
     def _baoab(self, state: State, dt: Array, key: random_bits.Key) -> tuple[State, StepInfo]:
         noise = random_bits.normal(key, 0, state.p.size, state.p.dtype)
 
-        def stage(carry: tuple[State, StepInfo], first: Array) -> tuple[tuple[State, StepInfo], None]:
+        def stage(state: State, first: Array) -> tuple[State, StepInfo]:
             """A, then O if this is the first A; as a loop over both A, so that their long program is compiled once."""
-            state, before = carry
             state, info = self.drift.substep(state, 0.5 * dt)
             thermal = self._thermalize(state, dt, noise)
-            state = jax.tree.map(lambda x, y: jnp.where(first, x, y), thermal, state)
-            return (state, before.merge(info)), None
+            return jax.tree.map(lambda x, y: jnp.where(first, x, y), thermal, state), info
 
-        start = self._kick(state, 0.5 * dt), StepInfo.empty(state.p)
-        state, info = scan_stages(stage, start, jnp.array([True, False]))
+        state, info = compose_stages(stage, self._kick(state, 0.5 * dt), (jnp.array([True, False]),))
         return self._kick(state, 0.5 * dt), info
 
     def _metropolis(self, state: State, dt: Array, key: random_bits.Key) -> tuple[State, StepInfo]:

@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics.stages import scan_stages
+from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBody
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.properties import SchemeProperties, hint
@@ -45,10 +45,7 @@ class LogHamiltonian(Step):
     drift: Step
     order: float = static(default=2)
     symmetric: bool = static(default=True)
-
-    @property
-    def own_time(self) -> bool:
-        return True
+    own_time = True
 
     @property
     def name(self) -> str:
@@ -73,18 +70,18 @@ class LogHamiltonian(Step):
         return state
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        def stage(carry: tuple[State, Array, StepInfo], kick: Array) -> tuple[tuple[State, Array, StepInfo], None]:
+        def stage(carry: tuple[State, Array], kick: Array) -> tuple[tuple[State, Array], StepInfo]:
             """Half a drift, and the kick times 1 or 0."""
-            state, off, before = carry
+            state, off = carry
             state, speed, info = self._drift(state, 0.5 * dt)
             depth, known = _positive(-self._potential(state))
             off = off + jnp.log(speed) / 2 - kick * jnp.log(depth)
             info = info._replace(converged=info.converged & (known | (kick == 0)))
             state = state._replace(p=state.p + kick * dt / depth * self.system.force(state.q))
-            return (state, off, before.merge(info)), None
+            return (state, off), info
 
         zero = jnp.zeros_like(state.p[0])
-        state, off, info = scan_stages(stage, (state, zero, StepInfo.empty(zero)), jnp.array([1.0, 0.0], zero.dtype))
+        (state, off), info = compose_stages(stage, (state, zero), (jnp.array([1.0, 0.0], zero.dtype),))
         return state, info._replace(converged=info.converged & (jnp.abs(off) <= _OFF))
 
     def _drift(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.stages import scan_stages
+from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
@@ -73,14 +73,12 @@ class Nystrom(Step):
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[int(self.order)])
         kick_last = len(kicks) > len(drifts)
 
-        def stage(carry: tuple[State, StepInfo], of: tuple[Array, Array]) -> tuple[tuple[State, StepInfo], None]:
-            (state, info), (a, b) = carry, of
-            state, last = self.drift.substep(kick(self.system, state, b), a)
-            return (state, info.merge(last)), None
+        def kick_and_drift(state: State, a: Array, b: Array) -> tuple[State, StepInfo]:
+            return self.drift.substep(kick(self.system, state, b), a)
 
         # A first kick of 0, if it is not there, so that the long program of a drift is compiled once.
         first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
-        state, info = scan_stages(stage, (state, StepInfo.empty(state.p)), (drifts, first))
+        state, info = compose_stages(kick_and_drift, state, (drifts, first))
         if kick_last:
             return kick(self.system, state, kicks[-1]), info
         # The potential has not been evaluated since the last drift

@@ -34,14 +34,11 @@ class ReversibleControl(Step):
     sigma: Callable[[State], Array]
     order: float = static(default=2)
     symmetric: bool = static(default=True)
+    own_time = True
 
     @property
     def system(self) -> System:
         return self.step.system
-
-    @property
-    def own_time(self) -> bool:
-        return True
 
     @property
     def name(self) -> str:

@@ -21,9 +21,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.half_rotation import scaled
+from lieint_jax.schemes._shared.half_rotation import half_cayley, scalar_residual, scalar_root, scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_residual, scalar_root
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import dot, max_abs
@@ -53,10 +52,6 @@ class SO3Explicit(Step):
     @property
     def commuting(self) -> bool:
         return True
-
-    @property
-    def name(self) -> str:
-        return "so3_explicit"
 
     def with_constants(self, state: State, dt: ArrayLike) -> Self:
         J, a = scaled(self.system, state, dt)

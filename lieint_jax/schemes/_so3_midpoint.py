@@ -37,11 +37,10 @@ from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractDrivenGyrostat, AbstractFreeBody, AbstractFreeBodyInTime, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
-from lieint_jax.schemes._shared.half_rotation import ITERATIONS, bias, half_rotation, scaled
+from lieint_jax.schemes._shared.half_rotation import ITERATIONS, bias, half_rotation, half_rotation_derivative, scaled
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rounding import SLENDER
-from lieint_jax.schemes._shared.scalar_form import half_rotation_derivative
 from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 from lieint_jax.types.vectors import cross, dot, symmetric, vector

@@ -39,10 +39,6 @@ class SphereChart(Step):
     order: float = static(default=2)
     symmetric: bool = static(default=True)
 
-    @property
-    def name(self) -> str:
-        return "sphere_chart"
-
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt, z, m = jnp.asarray(dt), self.chart.coordinates(state), self.system.mass
         near = jnp.sin(z[0]) <= _pole(z.dtype)
@@ -65,7 +61,7 @@ class SphereChart(Step):
             return la.unrolled(jax.jacfwd(residual)(u))
 
         def correction(u: Array, f: Array) -> Array:
-            return jnp.stack(la.eliminate(matrix(u), la.unrolled(f))[0])
+            return jnp.stack(la.solve(matrix(u), la.unrolled(f)))
 
         first = dt * rate(z)
         momentum = jnp.where(_largest(z[2:]) > 0, _largest(z[2:]), _largest(first[2:]))  # the latter from rest

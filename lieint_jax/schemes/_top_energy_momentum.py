@@ -34,8 +34,8 @@ from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
 from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
 from lieint_jax.types.shapes import Vector3
 from lieint_jax.types.vectors import (

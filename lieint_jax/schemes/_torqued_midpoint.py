@@ -37,9 +37,9 @@ from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody, AbstractTorquedBodyInTime
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import (
     Function,

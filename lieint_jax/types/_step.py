@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 import copy
 import functools
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import at_once, concrete, name_of, real_array, step_size
+from lieint_jax._checks import at_once, concrete, name_of, real_array, snake_case, step_size
 from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
 from lieint_jax.native import scan
@@ -33,7 +32,7 @@ class StepError(ValueError):
     """Raised where a step does not converge from a concrete state; the message is the step's advice."""
 
 
-class Step(abc.ABC):
+class Step:
     """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
 
     A scheme defines `advance(state, dt)`, and may define `with_constants(state, dt)` and `advance_tangents(state, dt,
@@ -44,11 +43,18 @@ class Step(abc.ABC):
     Attributes:
         order: order of accuracy; infinite for the exact flow.
         symmetric: whether step(·, −dt) is the inverse of step(·, dt).
+        own_time: whether the step itself advances `state.t`, which it then requires; dt is a step of a fictitious time.
+        approximate: whether fewer iterations are set than convergence requires: a run reports the residual and
+            continues.
+        velocity_weight: α of the momentum at n+α from which the step computes Θ, for `diagnostics.conditions`.
     """
 
     system: Any
     order: float
     symmetric: bool
+    own_time: bool = False
+    approximate: bool = False
+    velocity_weight: ArrayLike = 0.5
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
@@ -56,9 +62,9 @@ class Step(abc.ABC):
             _accept_override(cls, method)
 
     @property
-    @abc.abstractmethod
     def name(self) -> str:
-        """The name of this step in reports."""
+        """The name of this step in reports; by default that of its class, such as "so3_explicit"."""
+        return snake_case(type(self).__name__)
 
     @final
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
@@ -121,11 +127,6 @@ class Step(abc.ABC):
         return push_forward(self.system.phase_space, lambda z: self(z, dt), state, T)
 
     @property
-    def velocity_weight(self) -> ArrayLike:
-        """α of the momentum at n+α from which the step computes Θ, for `diagnostics.conditions`; ½ for most schemes."""
-        return 0.5
-
-    @property
     def commuting(self) -> bool:
         """Whether steps of different sizes commute, so that compositions need fewer stages (`schemes.compose`)."""
         return False
@@ -134,16 +135,6 @@ class Step(abc.ABC):
     def prepares(self) -> bool:
         """Whether `prepare` computes anything; its result is valid for one step size."""
         return _overrides(self, "with_constants", "prepare")
-
-    @property
-    def own_time(self) -> bool:
-        """Whether the step itself advances `state.t`, which it then requires; dt is a step of a fictitious time."""
-        return False
-
-    @property
-    def approximate(self) -> bool:
-        """Whether fewer iterations are set than convergence requires: a run reports the residual and continues."""
-        return False
 
     @property
     def deterministic(self) -> Step | None:

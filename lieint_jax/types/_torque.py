@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 import functools
-import re
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import name_of
+from lieint_jax._checks import name_of, snake_case
 from lieint_jax._deprecated import old_calls
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types.shapes import PyTree
@@ -95,7 +94,7 @@ class Law(abc.ABC):
     @property
     def label(self) -> str:
         """The name of the law where its work is listed, such as "gravity_gradient"."""
-        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", type(self).__name__).lower()
+        return snake_case(type(self).__name__)
 
     @abc.abstractmethod
     def mean(self, rotation: Rotation, inner: Array | None) -> tuple[Array, Array | None]:

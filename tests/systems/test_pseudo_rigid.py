@@ -12,7 +12,6 @@ from paper import hat
 import lieint_jax as li
 from lieint_jax import systems
 from lieint_jax._numerics import power_series
-from lieint_jax._numerics import small_linalg as la
 from lieint_jax.types import State, vectors
 
 MATERIALS = {
@@ -83,13 +82,6 @@ def test_log1p_ratio_is_accurate_on_both_sides_of_its_threshold():
             exact_slope = (1 / (1 + x) - exact) / x if abs(y) > 1e-12 else mpmath.mpf(-0.5)
         assert float(value) == pytest.approx(float(exact), rel=4e-16)
         assert float(slope) == pytest.approx(float(exact_slope), rel=1e-14)
-
-
-def test_small_matrices_are_eliminated_and_multiplied_as_by_numpy():
-    rng = np.random.default_rng(0)
-    A, b = rng.normal(size=(7, 7)) + 5 * np.eye(7), rng.normal(size=(7, 2))
-    ours = la.eliminate(A, b[:, 0], b[:, 1])
-    np.testing.assert_allclose(np.transpose(ours), np.linalg.solve(A, b), rtol=0, atol=1e-14)
 
 
 def test_energy_is_invariant_and_momentum_equivariant_under_rotations_in_space():

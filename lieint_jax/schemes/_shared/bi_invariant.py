@@ -35,10 +35,6 @@ class OneParameterSubgroup(Step):
     def commuting(self) -> bool:
         return True
 
-    @property
-    def name(self) -> str:
-        return "one_parameter_subgroup"
-
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group = self.system.group
         Pi = group.Ad_star(state.q, state.p)

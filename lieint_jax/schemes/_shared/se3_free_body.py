@@ -30,10 +30,6 @@ class FreeMotion(Step):
     order: float = static(default=2)
     symmetric: bool = static(default=True)
 
-    @property
-    def name(self) -> str:
-        return "free_motion"
-
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         m = self.system.metric
         inertia, mass = (m[:3], m[3]) if m.ndim == 1 else (m[:3, :3], m[3, 3])
