@@ -11,4 +11,3 @@ from lieint_jax.potentials._potential import *
 from lieint_jax.potentials._rod import *
 from lieint_jax.potentials._site_pairs import *
 from lieint_jax.potentials._springs import *
-from lieint_jax.potentials._water import *

@@ -44,7 +44,6 @@ from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, StoredEnergy, System, pytree, static
-from lieint_jax.types.shapes import Scalar
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
 
 __all__ = ["Additive", "additive"]
@@ -70,7 +69,7 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     @property
-    def velocity_weight(self) -> Scalar:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def velocity_weight(self) -> Array:  # pyright: ignore[reportIncompatibleVariableOverride]
         """β = 1 − α (6.9)."""
         return 1 - self.alpha
 

@@ -30,7 +30,6 @@ from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, System, clock, counts_work, pytree, static
-from lieint_jax.types.shapes import TangentVectors
 
 __all__ = ["Composition", "compose"]
 
@@ -82,7 +81,7 @@ class Composition(Step):
         ends = clock(state) + jnp.asarray(parts, state.p.dtype) * dt
         return compose_stages(substep_to, state, (self._sizes(state, dt), ends), store=False)
 
-    def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
+    def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
             return super().advance_tangents(state, dt, T)
 

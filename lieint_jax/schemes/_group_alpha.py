@@ -27,7 +27,6 @@ from lieint_jax.maps import Map, Tau, as_tau, exponential
 from lieint_jax.schemes._shared.group_newton import Equation, as_vector
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
-from lieint_jax.types.shapes import Scalar
 
 __all__ = ["GroupAlpha", "group_alpha"]
 
@@ -48,7 +47,7 @@ class GroupAlpha(Step):
         return f"group_alpha[{self.tau.name}]"
 
     @property
-    def velocity_weight(self) -> Scalar:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def velocity_weight(self) -> Array:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.alpha
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:

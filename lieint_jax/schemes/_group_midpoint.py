@@ -31,7 +31,6 @@ from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
 from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, as_vector
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
-from lieint_jax.types.shapes import TangentVectors
 
 __all__ = ["GroupMidpoint", "group_midpoint"]
 
@@ -63,7 +62,7 @@ class GroupMidpoint(Step):
         equation = Equation.from_state(self.system, self.tau, state, 0.5 * jnp.asarray(dt))
         return equation, *equation.root(lambda theta: equation.coadjoint(theta, equation.a), self.iterations)
 
-    def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
+    def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         """(m − ½Δt ad*(Π_{n+1}) H) δΘ = ½Δt (δΠ_n + δ'Π_{n+1}) with δΠ = Ad*_q (δπ + ad*_δθ π) at fixed Θ."""
         if not isinstance(self.system, AbstractGeodesicFlow):
             return super().advance_tangents(state, dt, T)

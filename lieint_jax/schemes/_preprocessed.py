@@ -22,14 +22,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
-from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
-from lieint_jax.schemes._shared.half_rotation import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import SO3Midpoint
+from lieint_jax.schemes._so3_midpoint import SO3Midpoint, so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
-from lieint_jax.types.shapes import Scalar
 from lieint_jax.types.vectors import dot, symmetric, unit_trace
 
 __all__ = ["Preprocessed", "preprocessed"]
@@ -75,7 +72,7 @@ class Preprocessed(Step):
         return s, d * r, holds
 
 
-def with_modified_inertia(system: AbstractFreeBody, s: Scalar, d: Scalar, iterations: int | None) -> SO3Midpoint:
+def with_modified_inertia(system: AbstractFreeBody, s: Array, d: Array, iterations: int | None) -> SO3Midpoint:
     """The symplectic step of the inertia J̃ = J(s + dJ)⁻¹."""
     J = system.inertia
     if J.ndim == 1:
@@ -84,7 +81,7 @@ def with_modified_inertia(system: AbstractFreeBody, s: Scalar, d: Scalar, iterat
         M = symmetric(s * jnp.eye(3, dtype=J.dtype) + d * J)
         modified = jnp.stack([jnp.stack(M.solve(J[:, k])) for k in range(3)], axis=1)
     body = dataclasses.replace(system, inertia=modified)  # pyright: ignore[reportArgumentType, reportCallIssue]
-    return SO3Midpoint(body, kappa_symplectic, iterations or ITERATIONS["scalar"])
+    return so3_midpoint(body, iterations=iterations)
 
 
 @overload

@@ -42,7 +42,6 @@ from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_t
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rounding import SLENDER
 from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
-from lieint_jax.types.shapes import TangentVectors
 from lieint_jax.types.vectors import cross, dot, symmetric, vector
 
 __all__ = ["SO3Midpoint", "so3_midpoint"]
@@ -75,7 +74,7 @@ class SO3Midpoint(Step):
         h, info = half_rotation(J, a, self.kappa, self.iterations, bias(self.system, dt))
         return state._replace(q=so3.cayley_increment(state.q, h)), info
 
-    def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
+    def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         body = self.system
         if self.kappa.solve_by != "scalar" or not isinstance(body, AbstractFreeBody):
             return super().advance_tangents(state, dt, T)

@@ -34,7 +34,6 @@ from lieint_jax.schemes._shared.elastic_splitting import ElasticSplitting
 from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import Group, State, Step, StepInfo, clock, pytree, static
-from lieint_jax.types.shapes import TangentVectors
 
 __all__ = ["ElasticSplitting", "GyrostatSplitting", "Splitting", "splitting"]
 
@@ -84,7 +83,7 @@ class Splitting(Step):
         start, h = (self._kick(state, dt), dt) if self.kick_first else (state, 0.5 * dt)
         return f"{self.name}: {self.drift.advice(start, h)}"
 
-    def advance_tangents(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
+    def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         space = self.system.phase_space
         if not (isinstance(space, CotangentGroup) and self.kick_first):
             return super().advance_tangents(state, dt, T)
@@ -93,7 +92,7 @@ class Splitting(Step):
         end, T = self._kick_tangent(space.group, end, dt, T)
         return end, info, T
 
-    def _kick_tangent(self, group: Group, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, Array]:
+    def _kick_tangent(self, group: Group, state: State, dt: ArrayLike, T: Array) -> tuple[State, Array]:
         """The state and its tangent vectors after a kick: δπ gains ½Δt times the derivative of the force."""
 
         def kick_derivative(tangent: Array) -> Array:

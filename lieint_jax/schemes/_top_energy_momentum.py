@@ -37,7 +37,6 @@ from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
-from lieint_jax.types.shapes import Vector3
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -275,7 +274,7 @@ class _Equation(ImplicitEquation[Vector]):
         return total
 
 
-def discrete_gradient(potential: Callable[..., Array], a: Vector3, b: Vector3, *t: Array) -> Vector3:
+def discrete_gradient(potential: Callable[..., Array], a: Array, b: Array, *t: Array) -> Array:
     """D̄ with D̄·(b − a) = Ṽ(b) − Ṽ(a) and D̄(a, b) = D̄(b, a), shape (3,), at a time if the potential has one.
 
     The gradient where a = b.

@@ -12,4 +12,3 @@ from lieint_jax.torques._sampled import *
 from lieint_jax.torques._surfaces import *
 from lieint_jax.torques._thruster import *
 from lieint_jax.torques._wheels import *
-from lieint_jax.torques._windowed import *

@@ -1,40 +1,23 @@
-"""Attitude control: proportional-derivative laws, a limit of torque, and motors of wheels that follow a law."""
+"""Attitude control to a fixed attitude: proportional-derivative laws."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import named, not_negative, positive
+from lieint_jax._checks import named, not_negative
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import cut
-from lieint_jax.torques._modified_law import ModifiedLaw
-from lieint_jax.types import Law, Rotation, Total, argument, as_law, pytree
+from lieint_jax.types import Law, Rotation, argument, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import dot
 
-__all__ = ["PDQuaternion", "PDTrace", "Saturated", "pd_quaternion", "pd_trace", "saturated"]
+__all__ = ["PDQuaternion", "PDTrace", "pd_quaternion", "pd_trace"]
 
 
 def _attitude(target: ArrayLike) -> Array:
     return so3.normalize(_checks.unit_quaternion("target", target))
-
-
-def without_state(law: Any) -> Law:
-    """One law without an internal state, whose torque may be cut or switched off."""
-    law = as_law(law)
-    if isinstance(law, Total):
-        raise ValueError("a sum of laws cannot be cut or switched off: do so to each of its laws, and add the results")
-    if law.key is not None:
-        raise ValueError(
-            f'{type(law).__name__} has the internal state State.extra["{law.key}"], so its torque cannot be cut or '
-            "switched off: do so to the law that it samples; give wheels a max_torque"
-        )
-    return law
 
 
 @pytree
@@ -123,32 +106,4 @@ class PDQuaternion(Law):
         return -rotation.dt * self.damping * dot(rotation.Omega, rotation.Omega)
 
 
-@pytree
-class Saturated(ModifiedLaw):
-    """A law whose torque has a limit, component by component in the axes of its frame.
-
-    The energy of the law, such as the potential of a controller, is still counted; the work is that of the limited
-    torque.
-
-    Args:
-        law: a law without an internal state, or a function of (t, q, Ω).
-        limit: the largest torque, > 0, a number or one for each axis, (3,).
-
-    Raises:
-        ValueError: a limit that is not positive; a law with an internal state, such as wheels, which have a
-            `max_torque` of their own.
-    """
-
-    law: Law = argument(converter=without_state)
-    limit: Array = argument(converter=named(positive, "limit", (), (3,)))
-
-    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        """The law's mean torque, each component within ± the limit."""
-        return cut(self.law.mean(rotation, inner)[0], self.limit), inner
-
-    def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
-        """That of the law."""
-        return self.law.energy(t, q, inner)
-
-
-pd_trace, pd_quaternion, saturated = PDTrace, PDQuaternion, Saturated
+pd_trace, pd_quaternion = PDTrace, PDQuaternion
