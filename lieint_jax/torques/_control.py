@@ -21,7 +21,21 @@ def _attitude(target: ArrayLike) -> Array:
 
 
 @pytree
-class PDTrace(Law):
+class _ProportionalDerivative(Law):
+    """A potential of the attitude and damping, which alone does work."""
+
+    gain: Array = argument(converter=named(not_negative, "gain"))
+    damping: Array = argument(converter=named(not_negative, "damping"))
+    target: Array = argument(converter=_attitude, default=(1.0, 0.0, 0.0, 0.0))
+
+    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
+        """−Δt c|Ω̄|²."""
+        velocity = rotation.velocity(self.frame)
+        return -rotation.dt * self.damping * dot(velocity, velocity)
+
+
+@pytree
+class PDTrace(_ProportionalDerivative):
     """Control to an attitude Λ_d by the potential U = ½k tr(1 − Λ_dᵀΛ) and damping c: τ = −½k vex(ΛΛ_dᵀ) − cω.
 
     H = T + U decreases by Δt c|ω̄|² in a step. The torque depends on Λ only, so q and −q give the same torque, and the
@@ -38,9 +52,6 @@ class PDTrace(Law):
     Source: Koditschek 1989, Contemp. Math. 97; the mean torque of a step: this package.
     """
 
-    gain: Array = argument(converter=named(not_negative, "gain"))
-    damping: Array = argument(converter=named(not_negative, "damping"))
-    target: Array = argument(converter=_attitude, default=(1.0, 0.0, 0.0, 0.0))
     frame = "space"
 
     def _error(self, q: Array) -> Array:
@@ -58,13 +69,9 @@ class PDTrace(Law):
         e = self._error(q)
         return 2 * self.gain * dot(e[1:], e[1:])
 
-    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
-        """−Δt c|ω̄|²."""
-        return -rotation.dt * self.damping * dot(rotation.omega, rotation.omega)
-
 
 @pytree
-class PDQuaternion(Law):
+class PDQuaternion(_ProportionalDerivative):
     """Control to an attitude by the potential U = 2k(1 − e₀), e = q_d⁻¹q, and damping c: T = −k(e₁, e₂, e₃) − cΩ.
 
     H = T + U decreases by Δt c|Ω̄|² in a step. The torque k sin ½φ is largest at an error of φ = 180°, but q and −q,
@@ -83,10 +90,6 @@ class PDQuaternion(Law):
     mean torque of a step: this package.
     """
 
-    gain: Array = argument(converter=named(not_negative, "gain"))
-    damping: Array = argument(converter=named(not_negative, "damping"))
-    target: Array = argument(converter=_attitude, default=(1.0, 0.0, 0.0, 0.0))
-
     def _error(self, q: Array) -> Array:
         """e, the quaternion of Λ_dᵀΛ."""
         return so3.multiply(so3.inverse(self.target), q)
@@ -100,10 +103,6 @@ class PDQuaternion(Law):
     def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
         """U = 2k(1 − e₀) = 4k sin²(φ/4), φ the error's angle from 0 to 360°."""
         return 2 * self.gain * (1 - self._error(q)[0])
-
-    def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
-        """−Δt c|Ω̄|²."""
-        return -rotation.dt * self.damping * dot(rotation.Omega, rotation.Omega)
 
 
 pd_trace, pd_quaternion = PDTrace, PDQuaternion

@@ -80,13 +80,10 @@ class Equation(NamedTuple):
             bend: Θ ↦ the derivative of `after` by way of the force.
         """
         a, m, sharp = self.a, self.m, la.factored(self.m).solve
-        if pull is None:
-            size, mean = self._size(a), a
-        else:
-            size, mean = (
-                self._size(la.map_entries(lambda x, y: jnp.maximum(jnp.abs(x), jnp.abs(y)), a, pull)),
-                a + 0.5 * pull,
-            )
+        largest, mean = a, a
+        if pull is not None:
+            largest, mean = la.map_entries(lambda x, y: jnp.maximum(jnp.abs(x), jnp.abs(y)), a, pull), a + 0.5 * pull
+        size = self._size(largest)
         u = sharp(mean)  # Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π
         guess = 2.0 * u + 2.0 * sharp(ad_star_matrix(self.group, mean) @ u)
 
