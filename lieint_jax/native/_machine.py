@@ -6,16 +6,19 @@ import ctypes
 import functools
 import hashlib
 import os
+import re
+import sys
 import threading
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import llvmlite
 import llvmlite.binding as llvm
 
-from lieint_jax.native._handler import handler
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._traced import Leaf
 
 _FEW = 26  # two vectors per number are used if the innermost loop has at most this many live numbers
@@ -31,21 +34,24 @@ def target() -> Any:
     return _new_target()
 
 
-@functools.cache
-def register_bytes() -> int:
-    """The bytes of a vector register."""
-    features = llvm.get_host_cpu_features()
-    return 64 if features.get("avx512f") else 32 if features.get("avx2") else 16
-
-
 def lanes(leaves: Sequence[Leaf], pressure: int = _FEW + 1) -> int:
     """Members in a vector of a program that reads these arrays, with so many numbers in an innermost loop."""
+    features = llvm.get_host_cpu_features()
+    register = 64 if features.get("avx512f") else 32 if features.get("avx2") else 16  # bytes
     widths = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
     vectors = next((n for n, most in ((8, _ONE), (4, _VERY_FEW), (2, _FEW)) if pressure <= most), 1)
-    return register_bytes() // max(widths, default=8) * vectors
+    return register // max(widths, default=8) * vectors
 
 
 TARGET = "lieint_march"  # what XLA calls for all kernels
+_VERSIONS = [(0, 3), (0, 4), (0, 5)]  # of XLA's foreign function interface with the structures of `_handler.ll`
+_OF_INTERFACE = {  # functions in its table
+    "count_threads": "ThreadPool_NumThreads",
+    "schedule": "ThreadPool_Schedule",
+    "set_state": "State_Set",
+    "get_state": "State_Get",
+    "create_error": "Error_Create",
+}
 
 
 class Kernel:
@@ -95,14 +101,12 @@ class _Registry(NamedTuple):
 @functools.cache
 def _registry() -> _Registry:
     """The handler, which XLA knows from now on."""
-    import jax
-
     functions = {
         "create": (ctypes.c_void_p, ctypes.c_char_p, *[ctypes.c_int64] * 3),
         "open": (None, ctypes.c_void_p, ctypes.c_void_p),
         "close": (ctypes.c_bool, ctypes.c_void_p),
     }
-    stages, text = ["instantiate", "execute"], handler()
+    stages, text = ["instantiate", "execute"], _handler()
     engine = _engine(_key([text]), [text], [*functions, *stages, "forget"])
     here = engine.get_function_address
     found = {x: ctypes.CFUNCTYPE(*types)(here(x)) for x, types in functions.items()}
@@ -110,6 +114,20 @@ def _registry() -> _Registry:
     jax.ffi.register_ffi_type(TARGET, {"type_id": number, "type_info": deleter}, platform="cpu")
     jax.ffi.register_ffi_target(TARGET, {x: jax.ffi.pycapsule(here(x)) for x in stages}, platform="cpu")
     return _Registry(**found, engine=engine)
+
+
+def _handler() -> str:
+    """The module of `_handler.ll`, what XLA calls, for the foreign function interface of this jaxlib."""
+    if sys.platform == "win32":
+        raise UnsupportedError("machine code inside jit, on Windows")
+    interface = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
+    major, minor = (int(re.findall(rf"#define XLA_FFI_API_{x} (\d+)", interface)[0]) for x in ("MAJOR", "MINOR"))
+    if (major, minor) not in _VERSIONS:
+        raise UnsupportedError(f"version {major}.{minor} of XLA's foreign function interface")
+    table = re.findall(r"_XLA_FFI_API_STRUCT_FIELD\(XLA_FFI_(\w+)\);", interface)
+    lines = [f"@{name} = internal constant i32 {x}" for name, x in (("major", major), ("minor", minor))]
+    lines += [f"@{name} = internal constant i64 {table.index(x)}" for name, x in _OF_INTERFACE.items()]
+    return "\n".join([*lines, Path(__file__).with_name("_handler.ll").read_text()])
 
 
 def _key(texts: Sequence[str]) -> str:
@@ -169,8 +187,6 @@ def _compile(texts: list[str], names: Sequence[str]) -> bytes:
 
 def _folder() -> Path | None:
     """The folder of cached machine code, next to JAX's cache, if there is one."""
-    import jax
-
     path = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     return Path(path) / "native" if path and "://" not in path else None
 

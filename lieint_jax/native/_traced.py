@@ -20,9 +20,10 @@ from lieint_jax.native._primitives.abstract_walk import (
     TooLongError,
     UnsupportedError,
     array_of,
+    as_numbers,
     unsupported_if_it_fails,
 )
-from lieint_jax.native._primitives.columns import Rows, as_numbers, columns_of
+from lieint_jax.native._primitives.columns import Rows, columns_of
 from lieint_jax.native._program import Builder, Column, Program, Value
 from lieint_jax.native._walk import LONGEST, Walk, shapes_of
 

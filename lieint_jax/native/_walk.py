@@ -23,8 +23,9 @@ from lieint_jax.native._primitives.abstract_walk import (
     TooLongError,
     UnsupportedError,
     array_of,
+    as_numbers,
 )
-from lieint_jax.native._primitives.columns import Rows, as_numbers, columns_of, row_number
+from lieint_jax.native._primitives.columns import Rows, columns_of, row_number
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW, READ_ROWS
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
 from lieint_jax.native._primitives.indexing import INDEXING, look_up

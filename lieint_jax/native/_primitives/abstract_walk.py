@@ -59,6 +59,11 @@ def array_of(numbers: Sequence[object], shape: Sequence[int]) -> np.ndarray:
     return found.reshape(shape)
 
 
+def as_numbers(x: Any) -> Any:
+    """An array as one of numbers, which `Rows` make when they are read; a table as it is."""
+    return x if isinstance(x, np.ndarray | Table) else x.numbers()
+
+
 def names(words: str) -> list[str]:
     """The words of a text, one per primitive."""
     return words.split()

@@ -15,8 +15,8 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, names
-from lieint_jax.native._primitives.columns import as_numbers, row_of
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, as_numbers, names
+from lieint_jax.native._primitives.columns import row_of
 from lieint_jax.native._primitives.indexing import empty_rows, rows_of, write_rows
 from lieint_jax.native._primitives.moves import MOVES, stack
 from lieint_jax.native._primitives.reductions import reduce_terms
