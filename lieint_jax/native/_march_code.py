@@ -8,7 +8,7 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -56,7 +56,7 @@ class LoopCode:
 
     engine = ENGINES[0]
 
-    def __init__(self, body: _Body, kinds: AnyArrays, examples: AnyArrays):
+    def __init__(self, body: _Body, kinds: Sequence[str], _: AnyArrays):
         try:
             from lieint_jax.native import _machine
         except (ImportError, OSError) as error:  # missing, or a library that this machine cannot load
@@ -64,19 +64,18 @@ class LoopCode:
         from lieint_jax.native._pieces import modules
 
         begin = time.perf_counter()
-        traced = Traced(jaxpr_of(body.step), kinds, examples, with_maps=True)
+        traced = Traced(jaxpr_of(body.step), kinds, with_maps=True)
         self._outside, self._leaves = traced.outside, traced.leaves
         with unsupported_if_it_fails():
-            results = jax.tree.leaves(traced.results)
+            results = body.step.out_avals
             sizes = [int(np.prod(x.shape)) for x in results[body.carried :]]
-            pressure = traced.pressure
-            lanes = 1 if body.is_single else _machine.lanes(traced.leaves, pressure)
+            lanes = 1 if body.is_single else _machine.lanes(traced.leaves, traced.pressure)
             of_rows = _machine.lanes(traced.leaves) if body.is_single else 0
             texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse, of_rows)
             walked = time.perf_counter()
             inputs = len(traced.leaves) - 1  # all but the counter are in memory
             self.kernel, self.target = _machine.kernel(texts, inputs, len(results), lanes), _machine.TARGET
-        self.length, self.pressure, self.lanes = traced.length, pressure, lanes
+        self.length, self.pressure, self.lanes = traced.length, traced.pressure, lanes
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
     def call(self, arguments: AnyArrays, loop: Loop, is_spread: bool = False) -> list[AnyArray]:

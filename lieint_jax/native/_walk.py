@@ -36,7 +36,7 @@ from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
 from lieint_jax.native._regions import Region, long_axis, walk_regions
 
-_UNROLLED_WITH_MAPS = 6000  # see `AbstractWalk.unrolled`
+_UNROLLED = (400, 6000)  # without and with maps: see `AbstractWalk.unrolled`
 _LARGEST_WITH_MAPS = 80_000  # the most entries of an array, most of which maps never make numbers of the program
 LONGEST = 100_000  # the most operations of a program
 _TYPES = {f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {"bool", "float32", "float64"}
@@ -66,9 +66,8 @@ class Walk(AbstractWalk):
         longest: int = LONGEST,
         with_maps: bool = False,
     ):
-        super().__init__(builder)
+        self.builder, self.unrolled, self.rows_at_once = builder, _UNROLLED[with_maps], 1
         self._compute_before, self._longest, self._with_maps = compute_before, longest, with_maps
-        self.unrolled = _UNROLLED_WITH_MAPS if with_maps else self.unrolled
         self._row: Value | None = None  # the number of the row inside of a map
         self._rows_read: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
@@ -152,17 +151,17 @@ class Walk(AbstractWalk):
     def packed(self, x: np.ndarray | Rows, own: Sequence[Value] = ()) -> list[Value]:
         d = self.long_axis(x.shape)
         if d is None or (isinstance(x, np.ndarray) and x.flat[0].is_array):
-            return super().packed(as_numbers(x))
+            return list(as_numbers(x).flat)
         return columns_of(self, x, d, own)
 
     def unpacked(self, numbers: list[Value], like: Any) -> Any:
         d = self.long_axis(like.shape)
         if d is None or len(numbers) == np.prod(like.shape):
-            return super().unpacked(numbers, like)
+            return array_of(numbers, like.shape)
         return Rows(self, numbers, like.shape, d)
 
     def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
-        found = super().matched(arrays, like)
+        found = list(arrays[: len(like)])
         if self._row is None:
             return found
         for k, (x, y) in enumerate(zip(found, like, strict=False)):
