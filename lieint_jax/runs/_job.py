@@ -152,11 +152,18 @@ class Job(NamedTuple):
         return self._replace(states=jax.tree.map(repeat, self.states), t0=t0, make_states=make_states)
 
     def restricted(self, members: range) -> Job:
-        """The job of these members only."""
-        own = slice(members.start, members.stop)
-        step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[own], self.step)
-        t0 = self.t0 if self.t0 is None or self.shares_time else self.t0[own]
-        return self._replace(step=step, states=jax.tree.map(lambda x: x[own], self.states), t0=t0, part=members)
+        """The job of one of the run's parts, of these members only."""
+        return self.select(slice(members.start, members.stop))._replace(part=members)
+
+    def select(self, which: slice | np.ndarray) -> Job:
+        """The job of some of the members."""
+
+        def of(x: Any) -> Any:
+            return _layout.on_host(x)[which]
+
+        step = self.step if self.step_axis is None else jax.tree.map(of, self.step)
+        t0 = self.t0 if self.t0 is None or self.shares_time else of(self.t0)
+        return self._replace(step=step, states=jax.tree.map(of, self.states), t0=t0)
 
     @property
     def first_member(self) -> int:

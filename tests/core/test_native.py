@@ -22,7 +22,7 @@ from lieint_jax.native import _machine, _pieces
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
-from lieint_jax.runs import _comparison
+from lieint_jax.runs import _engine
 
 SPECIAL = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.5, -2.5]  # XLA takes subnormal numbers for 0
 TYPES = [np.int32, np.int64, np.uint32, np.uint8, np.int8, np.uint64, np.int16, np.uint16]
@@ -544,7 +544,7 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
     ],
 )
 def test_results_agree_up_to_what_rounding_does_to_xla(ours, theirs, changed, agree):
-    assert _comparison._agree(*(np.array([x]) for x in (ours, theirs, changed))) is agree
+    assert _engine._agree(*(np.array([x]) for x in (ours, theirs, changed))) is agree
 
 
 def test_what_is_returned_may_be_known_shared_or_given():

@@ -135,7 +135,7 @@ def refuse_to_integrate(monkeypatch, error):
     def refuse(*_):
         raise error
 
-    monkeypatch.setattr(_execute, "CompiledLoop", refuse)
+    monkeypatch.setattr(_engine.Engine, "start", refuse)
 
 
 def interrupt_after_the_first_call(monkeypatch):

@@ -22,9 +22,9 @@ def row_of(walk: AbstractWalk, x: np.ndarray | Rows | Table, k: Value) -> np.nda
     """x[k] of an array of numbers at an index that the program computes."""
     if isinstance(x, Table):
         return array_of([walk.number("table", k, dtype=x.dtype, data=x.data)], ())
-    x = as_numbers(x)
-    columns = x.reshape(len(x), -1).T
-    return array_of([entry_at(walk, list(column), k) for column in columns], x.shape[1:])
+    rows: np.ndarray = as_numbers(x)
+    columns = rows.reshape(len(rows), -1).T
+    return array_of([entry_at(walk, list(column), k) for column in columns], rows.shape[1:])
 
 
 def entry_at(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
