@@ -52,7 +52,7 @@ class KernelCode:
         self.length = traced.length
         if self.length > _LONGEST:
             raise UnsupportedError(f"{self.length} operations are more than the {_LONGEST} of a kernel")
-        check_operations(traced.program.block, traced.program)
+        check_operations(traced.program)
         self.pressure = traced.pressure
         self.seconds = {"walk": time.perf_counter() - begin}
 

@@ -26,7 +26,8 @@ from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._part_of_task import checked_part, part_of_task
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._into_store import run_into_store
-from lieint_jax.runs.store._reading import Stored, read_written
+from lieint_jax.runs.store._leaves import Stored
+from lieint_jax.runs.store._reading import read_written
 from lieint_jax.runs.store._storage import Url, address
 from lieint_jax.runs.store._store_options import StoreOptions, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput

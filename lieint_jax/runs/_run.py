@@ -24,7 +24,7 @@ from lieint_jax.runs._job import MemberSummary, Saves, Summary
 from lieint_jax.runs._make_job import checked_job, is_batch
 from lieint_jax.runs._member_axis import member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._results import Results, compute, write
-from lieint_jax.runs.store._reading import Stored
+from lieint_jax.runs.store._leaves import Stored
 from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.types import (
     State,

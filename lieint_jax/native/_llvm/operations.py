@@ -11,7 +11,7 @@ import numpy as np
 from lieint_jax.native._llvm.memory import Memory
 from lieint_jax.native._llvm.text import constant, instruction, literal, suffix
 from lieint_jax.native._primitives.columns import NEXT
-from lieint_jax.native._program import Block, Program, Value, blocks_of, numbers_of
+from lieint_jax.native._program import Program, Value, all_items, numbers_of
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
 
@@ -261,24 +261,14 @@ class Operations(Memory):
 def _fusions(program: Program) -> tuple[dict[Value, tuple[Value, Value, str]], set[Value]]:
     """The sums that are fused with a product, as (product, other term, which of them is negative), and the products."""
     uses: Counter[Value] = Counter([*program.outputs, *program.written])
-    items: list[Value] = []
-
-    def visit(block: Block) -> None:
-        for item in block.items:
-            if isinstance(item, Value):
-                if item in program.live and item not in program.given:
-                    uses.update(item.inputs)
-                    items.append(item)
-            else:
-                uses.update(numbers_of(item))
-                for inner in blocks_of(item):
-                    visit(inner)
-
-    visit(program.block)
+    needed = program.live - program.given
+    items = [x for x in all_items(program.block) if not isinstance(x, Value) or x in needed]
+    for item in items:
+        uses.update(numbers_of(item))
     fused: dict[Value, tuple[Value, Value, str]] = {}
     absorbed: set[Value] = set()
     for x in items:
-        if x.op not in ("add", "sub") or x.dtype.kind != "f":
+        if not isinstance(x, Value) or x.op not in ("add", "sub") or x.dtype.kind != "f":
             continue
         for n in (1, 0):
             product = x.inputs[n]
