@@ -21,11 +21,12 @@ from lieint_jax.native._primitives.abstract_walk import (
     UnsupportedError,
     array_of,
     as_numbers,
+    shapes_of,
     unsupported_if_it_fails,
 )
 from lieint_jax.native._primitives.columns import Rows, columns_of
 from lieint_jax.native._program import Builder, Column, Program, Value
-from lieint_jax.native._walk import LONGEST, Walk, shapes_of
+from lieint_jax.native._walk import LONGEST, Walk
 
 _Compiled = TypeVar("_Compiled")
 Tree = Any  # a tree of arrays, of shapes, or of the kinds of arguments

@@ -24,6 +24,7 @@ from lieint_jax.native._primitives.abstract_walk import (
     UnsupportedError,
     array_of,
     as_numbers,
+    shapes_of,
 )
 from lieint_jax.native._primitives.columns import Rows, columns_of, row_number
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW, READ_ROWS
@@ -42,11 +43,6 @@ LONGEST = 100_000  # the most operations of a program
 _TYPES = {f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {"bool", "float32", "float64"}
 # They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
 _HARMLESS = {"accuracy", "indices_are_sorted", "out_sharding", "sharding", "unique_indices", "weak_type"}
-
-
-def shapes_of(variables: Sequence[Any]) -> list[ShapedArray]:
-    """The shapes and types of variables of a jaxpr."""
-    return [x.aval for x in variables]
 
 
 class Walk(AbstractWalk):

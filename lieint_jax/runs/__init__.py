@@ -5,7 +5,6 @@ disk, and `processes` are those of a run on several machines.
 """
 
 from lieint_jax.runs import processes, store
-from lieint_jax.runs._adjoint import Adjoint
 from lieint_jax.runs._clock import (
     MOST_TO_OUTPUTS,
     Clock,
@@ -36,7 +35,7 @@ from lieint_jax.runs._driver import (
 )
 from lieint_jax.runs._event import Event, event, events
 from lieint_jax.runs._halved import halved_steps, splits
-from lieint_jax.runs._integrate import integrate, join_start, of_any_length, rows_for, trajectory
+from lieint_jax.runs._integrate import Adjoint, integrate, join_start, of_any_length, rows_for, trajectory
 from lieint_jax.runs._interpolate import interpolate
 from lieint_jax.runs._job import Summary
 from lieint_jax.runs._layout import count_cores, first_devices, want_devices

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import numpy as np
@@ -199,7 +198,7 @@ def _few_members(job: Job) -> Job:
     chosen = np.unique(np.linspace(0, job.members - 1, _FEW).astype(int))
     few, n = job.select(np.tile(chosen, 2)), len(chosen)
 
-    def changed(x: Any) -> np.ndarray:
+    def changed(x: np.ndarray) -> np.ndarray:
         if x.dtype.kind == "f":
             largest = np.abs(x[n:]).max(axis=tuple(range(1, x.ndim)), keepdims=True, initial=0)
             pattern = np.cos(1.0 + np.arange(x[n:].size)).reshape(x[n:].shape)
@@ -209,7 +208,7 @@ def _few_members(job: Job) -> Job:
     return few._replace(states=jax.tree.map(changed, few.states), make_states=None, part=None)
 
 
-def _differing_result(ours: Any, theirs: Any) -> str:
+def _differing_result(ours: Tree, theirs: Tree) -> str:
     """The first result in which machine code for the members of `_few_members` differs from XLA's program; or "".
 
     It differs if a change of the states by rounding does not explain it.

@@ -158,7 +158,7 @@ class Job(NamedTuple):
     def select(self, which: slice | np.ndarray) -> Job:
         """The job of some of the members."""
 
-        def of(x: Any) -> Any:
+        def of(x: Numbers) -> Numbers:
             return _layout.on_host(x)[which]
 
         step = self.step if self.step_axis is None else jax.tree.map(of, self.step)
@@ -353,3 +353,31 @@ def list_members(which: np.ndarray) -> str:
     """The number of some members and the numbers of the first of them, for messages."""
     more = ", …" if which.size > MAX_NAMED else ""
     return f"{which.size} member(s): {', '.join(map(str, which[:MAX_NAMED]))}{more}"
+
+
+def member_of(found: Any, k: int) -> Any:
+    """The trajectory of member k, or the summary of a run of one body without its member axis."""
+    if isinstance(found, Trajectory):
+        state, info = jax.tree.map(lambda x: np.asarray(x[:, k]), (found.state, found.info))
+        return Trajectory(found.t if state.t is None else state.t, state, info)
+    return found._replace(**jax.tree.map(lambda x: x[k], _of_members(found)))
+
+
+def _of_members(summary: Summary | MemberSummary) -> dict[str, Tree]:
+    """The fields of a summary that have a member axis."""
+    names = ("state", "failed", *(Change._fields if isinstance(summary, MemberSummary) else ()))
+    return {name: x for name, x in summary._asdict().items() if name in names}
+
+
+def with_member_axis(tree: Tree, axis: int = 0) -> Tree:
+    return jax.tree.map(lambda x: np.expand_dims(np.asarray(x), axis), tree)
+
+
+def saves_of_batch(saves: Saves) -> Saves:
+    """The saves of a run of one body with a member axis."""
+    found: Any = saves.found
+    if isinstance(found, Trajectory):
+        found = Trajectory(found.t, *with_member_axis((found.state, found.info), 1))
+    else:
+        found = found._replace(**with_member_axis(_of_members(found)))
+    return Saves(found, with_member_axis(saves.failed))

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 import jax
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.typing import ArrayLike, DTypeLike
 
@@ -62,6 +63,11 @@ def array_of(numbers: Sequence[object], shape: Sequence[int]) -> np.ndarray:
 def as_numbers(x: Any) -> Any:
     """An array as one of numbers, which `Rows` make when they are read; a table as it is."""
     return x if isinstance(x, np.ndarray | Table) else x.numbers()
+
+
+def shapes_of(variables: Sequence[Any]) -> list[ShapedArray]:
+    """The shapes and types of variables of a jaxpr."""
+    return [x.aval for x in variables]
 
 
 def names(words: str) -> list[str]:
