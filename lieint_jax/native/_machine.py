@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -132,7 +133,7 @@ def _handler() -> str:
 
 def _key(texts: Sequence[str]) -> str:
     """A hash of modules and of the machine that runs them."""
-    here = [llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), _features()]
+    here = [llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()]
     return hashlib.sha256("\n".join([*here, "\n;\n".join(texts)]).encode()).hexdigest()
 
 
@@ -140,18 +141,9 @@ def _engine(key: str, texts: list[str], names: Sequence[str]) -> Any:
     """The code of modules with functions of these names."""
     backing = llvm.parse_assembly("")
     engine = llvm.create_mcjit_compiler(backing, _new_target())
-    code = _read_cache(key)
-    if code is None:
-        code = _compile(texts, names)
-        _write_cache(key, code)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(_object_code(key, texts, names)))
     engine.finalize_object()
     return engine
-
-
-def _features() -> str:
-    """The features of this CPU; the operating system may disable some that its model has."""
-    return llvm.get_host_cpu_features().flatten()
 
 
 def _new_target() -> Any:
@@ -160,12 +152,32 @@ def _new_target() -> Any:
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
-        features=_features(),
+        features=llvm.get_host_cpu_features().flatten(),  # the operating system may disable some of the model's
         opt=_LEVEL,
         reloc="default",
         codemodel="jitdefault",
         jit=True,
     )
+
+
+def _object_code(key: str, texts: list[str], names: Sequence[str]) -> bytes:
+    """The code of modules, from a file next to JAX's cache, if there is one and it is whole."""
+    path = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if not path or "://" in path:
+        return _compile(texts, names)
+    file = Path(path) / "native" / key
+    with contextlib.suppress(OSError):
+        content = file.read_bytes()
+        digest, code = content[:32], content[32:]
+        if hashlib.sha256(key.encode() + code).digest() == digest:
+            return code
+    code = _compile(texts, names)
+    with contextlib.suppress(OSError):  # the cache is optional
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_name(f".{key}.{os.getpid()}")
+        temporary.write_bytes(hashlib.sha256(key.encode() + code).digest() + code)
+        os.replace(temporary, file)
+    return code
 
 
 def _compile(texts: list[str], names: Sequence[str]) -> bytes:
@@ -183,34 +195,3 @@ def _compile(texts: list[str], names: Sequence[str]) -> bytes:
     manager = builder.getModulePassManager()
     manager.run(module, builder)
     return target().emit_object(module)
-
-
-def _folder() -> Path | None:
-    """The folder of cached machine code, next to JAX's cache, if there is one."""
-    path = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    return Path(path) / "native" if path and "://" not in path else None
-
-
-def _read_cache(key: str) -> bytes | None:
-    folder = _folder()
-    if folder is None:
-        return None
-    try:
-        content = (folder / key).read_bytes()
-    except OSError:
-        return None
-    digest, code = content[:32], content[32:]
-    return code if hashlib.sha256(key.encode() + code).digest() == digest else None
-
-
-def _write_cache(key: str, code: bytes) -> None:
-    folder = _folder()
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary = folder / f".{key}.{os.getpid()}"
-        temporary.write_bytes(hashlib.sha256(key.encode() + code).digest() + code)
-        os.replace(temporary, folder / key)
-    except OSError:  # the cache is optional
-        return

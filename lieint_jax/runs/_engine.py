@@ -136,9 +136,9 @@ class Engine:
     def start(self, layout: Layout) -> tuple[Given, Carry]:
         """What is given for the members of a process, and their carry."""
         job = self.job
-        step = (_layout.replicated if job.step_axis is None else _layout.placed)(layout, job.step)
+        step = _layout.placed(layout, job.step, own=job.step_axis is not None)
         states = _layout.placed(layout, job.states)
-        t0 = (_layout.replicated if job.shares_time else _layout.placed)(layout, job.t0)
+        t0 = _layout.placed(layout, job.t0, own=not job.shares_time)
         given = self._given(step, t0, states)
         if job.reduction is None:
             return given, _loop.start(states, None)
