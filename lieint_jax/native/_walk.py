@@ -80,7 +80,13 @@ class Walk(AbstractWalk):
             return values[atom]
 
         def walk_one(equation: JaxprEqn) -> None:
-            results = self._equation(equation, [read(x) for x in equation.invars])
+            inputs, axes = [read(x) for x in equation.invars], list[int | None]()
+            if self._row is not None:  # some operands may have one row, where the equation has all
+                axes = [_other_axis(x.shape, y.shape) for x, y in zip(inputs, shapes_of(equation.invars), strict=True)]
+            if any(d is not None for d in axes):
+                results = self._one_row(equation, inputs, *rows_along(equation, axes))
+            else:
+                results = self._apply(equation, inputs, equation.params, shapes_of(equation.outvars))
             values.update(zip(equation.outvars, results, strict=True))
             if self.builder.length > self._longest:
                 raise TooLongError(f"more than {self._longest} operations")
@@ -161,16 +167,9 @@ class Walk(AbstractWalk):
         if self._row is None:
             return found
         for k, (x, y) in enumerate(zip(found, like, strict=False)):
-            longer = [d for d, (n, m) in enumerate(zip(x.shape, y.shape, strict=True)) if n != m]
-            found[k] = self._row_of(x, longer[0]) if longer else x
+            longer = _other_axis(x.shape, y.shape)
+            found[k] = x if longer is None else self._row_of(x, longer)
         return found
-
-    def _equation(self, equation: JaxprEqn, inputs: list[np.ndarray]) -> list[np.ndarray]:
-        if self._row is not None:
-            axes = [_row_axis(x, y.shape) for x, y in zip(inputs, shapes_of(equation.invars), strict=True)]
-            if any(d is not None for d in axes):
-                return self._one_row(equation, inputs, *rows_along(equation, axes))
-        return self._apply(equation, inputs, equation.params, shapes_of(equation.outvars))
 
     def _apply(
         self, equation: JaxprEqn, inputs: list[np.ndarray], parameters: Parameters, out: list[ShapedArray]
@@ -212,9 +211,9 @@ class Walk(AbstractWalk):
         return results
 
 
-def _row_axis(x: np.ndarray | Table, shape: Sequence[int]) -> int | None:
-    """The axis along which an array has one row of all, if there is one."""
-    return next((d for d, (n, m) in enumerate(zip(x.shape, shape, strict=True)) if n != m), None)
+def _other_axis(shape: Sequence[int], other: Sequence[int]) -> int | None:
+    """The axis along which arrays of these shapes differ in length, if there is one."""
+    return next((d for d, (n, m) in enumerate(zip(shape, other, strict=True)) if n != m), None)
 
 
 def _expand(equation: JaxprEqn) -> ClosedJaxpr | None:

@@ -7,7 +7,6 @@ its members.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 from collections.abc import Sequence
 
@@ -90,7 +89,7 @@ class Engine:
         arguments = self._first_step()
         blocks = [slice(0, 1), slice(1, 2)] if self.job.members == 1 else [slice(None)]  # one member has its own code
         parts = [self._members(arguments, block) for block in blocks]
-        with self._computing():
+        with computed_by(self.name, self._threads):
             code = native.machine_code(self._intervals.loop(*parts[0]))
         if isinstance(code, str):
             return Known(code)
@@ -122,8 +121,8 @@ class Engine:
 
         try:
             with unsupported_if_it_fails():
-                with self._computing():
-                    ours = [self._intervals(*part) for part in parts]
+                with computed_by(self.name, self._threads):
+                    ours = [self._intervals.of_all(*part) for part in parts]
                     by_xla = self._intervals.by_xla(*of_member(0))
                 theirs = [by_xla(*of_member(m)) for m in range(sum(len(carry.failed) for carry, _ in ours))]
         except UnsupportedError as reason:
@@ -154,7 +153,7 @@ class Engine:
     def quantity(self, function: Reduction | None, given: Given, states: State, n: int) -> Tree:
         """A function of step and state at node n, for all members; without one the step with its constants."""
         plain = given._replace(step=given.step if given.plain is None else given.plain, plain=None, quantity=None)
-        with self._computing():
+        with computed_by(self.name, self._threads):
             return _loop.of_members(function, self._plain)(plain, states, np.asarray(n, _loop.step_dtype()))
 
     def run_intervals(
@@ -171,11 +170,8 @@ class Engine:
             rests = np.resize(rests[saved + 1 :], count).astype(self.job.dtype)
         rows = rows if self.name == "xla" else power_of_two(rows)  # XLA's loops fill all rows
         spans = jax.tree.map(lambda x: np.resize(x, rows), Span(first, ends.astype(dtype), rests, begins))
-        with self._computing():
-            return jax.block_until_ready(self._intervals(carry, given, spans, np.int32(count)))
-
-    def _computing(self) -> contextlib.AbstractContextManager[None]:
-        return computed_by(self.name, self._threads)
+        with computed_by(self.name, self._threads):
+            return jax.block_until_ready(self._intervals.of_all(carry, given, spans, np.int32(count)))
 
 
 def _part(axes: Axes, tree: Tree, which: int | slice) -> Tree:

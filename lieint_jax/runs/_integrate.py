@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 import math
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -211,20 +210,19 @@ def of_any_length(
     return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
 
 
-@partial(compiled, static_argnums=5)
-def _padded_trajectory(
-    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int
+def _trajectory(
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int | None = None
 ) -> Trajectory:
-    """`trajectory` for any number of saves up to `most`; the entries after the saves are undefined."""
+    """The trajectory of a state, saved `num_saves` times after the start.
+
+    With `most` it has room for so many saves, and the entries after these are undefined; the two numbers may be traced.
+    """
     later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every, most)
-    return join_start(state, later, clock.time(save_every * jnp.arange(most + 1)))
+    return join_start(state, later, clock.time(save_every * jnp.arange((num_saves if most is None else most) + 1)))
 
 
-@partial(compiled, static_argnums=(3, 4))
-def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
-    """The trajectory of a state, saved `num_saves` times after the start."""
-    later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every)
-    return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+trajectory = compiled(_trajectory, static_argnums=(3, 4))
+_padded_trajectory = compiled(_trajectory, static_argnums=5)
 
 
 def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:

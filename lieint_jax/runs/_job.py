@@ -319,7 +319,11 @@ def first_entry(job: Job) -> Series:
     if job.per_member:
         return {"residual": zero, "unconverged": np.zeros(1, np.int64)}
     found = dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
-    return found if job.part is None else found | {"sums": np.zeros((1, len(blocks(*_ends(job.part)))), job.dtype)}
+    return (
+        found
+        if job.part is None
+        else found | {"sums": np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)}
+    )
 
 
 def reduce_rows(rows: Tree, job: Job) -> Series:
@@ -343,10 +347,6 @@ def reduce_rows(rows: Tree, job: Job) -> Series:
         **reports,
     }
     return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
-
-
-def _ends(members: range) -> tuple[int, int]:
-    return members.start, members.stop
 
 
 def list_members(which: np.ndarray) -> str:

@@ -202,7 +202,7 @@ class Known(NamedTuple):
 
 
 class Intervals:
-    """The loop over the save intervals of all members: (carry, given, spans, number of spans) ↦ (carry, saved).
+    """The loop over the save intervals of all members.
 
     The saved values are the report, and the states or the change of the reduced quantity. `native.make_once` makes it
     once for data of one member of the same shapes.
@@ -213,17 +213,15 @@ class Intervals:
         axes: the member axes of the carry and of what is given, as in `jax.vmap`.
 
     Attributes:
+        of_all: (carry, given, spans, number of spans) ↦ (carry, saved), compiled.
         known: what is known of it by engines, by their names.
     """
 
     def __init__(self, what: tuple[Reduction | None, Reduction | None], axes: Axes, _: Sequence[Tree]):
         self._reduction, self._condition = what
         self._of_member = jax.jit(self._interval)
-        self._of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
+        self.of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
         self.known: dict[str, Known] = {}
-
-    def __call__(self, *arguments: Tree) -> tuple[Carry, Tree]:
-        return self._of_all(*arguments)
 
     def _loop(self, carry: Carry, given: Given, spans: Span, count: Array) -> tuple[Carry, Tree]:
         return native.march(self._of_member, carry, spans, (given,), rows=count, most=len(spans.first))
@@ -265,7 +263,7 @@ class Intervals:
 
     def loop(self, *arguments: Tree) -> native.Loop:
         """Its loop, for arguments of these shapes."""
-        [loop] = native.loops_of(self._of_all.trace(*arguments).jaxpr)
+        [loop] = native.loops_of(self.of_all.trace(*arguments).jaxpr)
         assert loop is not None
         return loop
 
