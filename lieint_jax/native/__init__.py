@@ -13,7 +13,6 @@ compiles the whole loop as one kernel (`_kernel`).
 from lieint_jax.native._explain import Explanation, LoopReport, explain
 from lieint_jax.native._march import Loop, hoisted, march
 from lieint_jax.native._march_code import (
-    LoopCode,
     computed_by,
     engine,
     engine_name,
@@ -28,7 +27,6 @@ from lieint_jax.native._traced import make_once
 __all__ = [
     "Explanation",
     "Loop",
-    "LoopCode",
     "LoopReport",
     "UnsupportedError",
     "computed_by",

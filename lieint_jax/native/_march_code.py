@@ -200,14 +200,13 @@ def computed_by(engine: str, threads: int) -> Iterator[None]:
         yield
 
 
+@functools.cache
 def warn_once(what: str, reason: str) -> None:
     """Let the log name once why XLA runs it; without llvmlite once for everything."""
-    _log_once("every loop" if reason == NO_COMPILER else what, reason)
-
-
-@functools.cache
-def _log_once(what: str, reason: str) -> None:
-    _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
+    if reason == NO_COMPILER and what != "every loop":
+        warn_once("every loop", reason)
+    else:
+        _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
 
 
 def _lower(ctx: mlir.LoweringRuleContext, *operands: Any, loop: Loop, platform: str = "") -> Any:

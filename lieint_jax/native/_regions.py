@@ -15,7 +15,7 @@ from jax.extend.core import JaxprEqn, Literal
 
 from lieint_jax.native._primitives.abstract_walk import Table, shapes_of
 from lieint_jax.native._primitives.control_flow import size_of
-from lieint_jax.native._primitives.moves import MOVES
+from lieint_jax.native._primitives.elementwise import MOVES
 from lieint_jax.native._primitives.parallel import Axes, NotParallelError, rows_along
 
 LONG = 8  # the shortest axis of a map

@@ -28,10 +28,9 @@ from lieint_jax.native._primitives.abstract_walk import (
 )
 from lieint_jax.native._primitives.columns import Rows, columns_of, row_number
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW, READ_ROWS
-from lieint_jax.native._primitives.elementwise import ELEMENTWISE
+from lieint_jax.native._primitives.elementwise import ELEMENTWISE, MOVES
 from lieint_jax.native._primitives.indexing import INDEXING, look_up
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
-from lieint_jax.native._primitives.moves import MOVES
 from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value

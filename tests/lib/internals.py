@@ -89,7 +89,7 @@ def compare_machine_code(compares):
 
 def forget_fallbacks():
     """Let the log name again why XLA runs a loop in place of machine code."""
-    _march_code._log_once.cache_clear()
+    _march_code.warn_once.cache_clear()
 
 
 def share_short_calls(monkeypatch):

@@ -17,8 +17,8 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, as_numbers, names, shapes_of
 from lieint_jax.native._primitives.columns import row_of
+from lieint_jax.native._primitives.elementwise import MOVES, stack
 from lieint_jax.native._primitives.indexing import empty_rows, rows_of, write_rows
-from lieint_jax.native._primitives.moves import MOVES, stack
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value
 

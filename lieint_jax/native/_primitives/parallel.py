@@ -14,8 +14,7 @@ from jax.extend.core import JaxprEqn
 
 from lieint_jax.native._primitives.abstract_walk import shapes_of
 from lieint_jax.native._primitives.control_flow import CALLS, jaxprs_of, split_scan, split_while
-from lieint_jax.native._primitives.elementwise import ELEMENTWISE
-from lieint_jax.native._primitives.moves import MOVES
+from lieint_jax.native._primitives.elementwise import ELEMENTWISE, MOVES
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 
 Axes = list[int | None]
