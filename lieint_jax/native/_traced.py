@@ -78,8 +78,8 @@ class Traced:
     Attributes:
         leaves: the arrays of the arguments; the data of an argument of the program is (number of the leaf, of the
             entry), and a table is read by the number of its leaf.
-        given: the number of leaves that are arguments; the others are results of `outside`, in this order.
-        outside: operations without formulas here, such as those of LAPACK, which JAX computes before the program runs.
+        outside: operations without formulas here, such as those of LAPACK, which JAX computes before the program runs;
+            their results, in this order, are the last of the leaves.
         program: its outputs are the entries of the results, leaf by leaf.
         length: the number of its operations.
         pressure: how many numbers of a step are alive at once.
@@ -110,9 +110,8 @@ class Traced:
             most = LARGEST if walk.long_axis(x.shape) is not None else _LONGEST_SHARED
             long = kind == "shared" and x.size > most and len(x.shape) == 1
             arguments.append(self._argument("table" if long else kind, x))
-        self.given = len(self.leaves)
         found = walk.jaxpr(closed, arguments)
-        carried = (arguments[k] for k, leaf in enumerate(self.leaves[: self.given]) if leaf.kind == "carry")
+        carried = (x for x, kind in zip(arguments, kinds, strict=True) if kind == "carry")
         pairs = itertools.zip_longest(found, carried)
         self.program = self._program([x for pair in pairs for x in self._outputs(*pair)])
         self.length = self._builder.length
