@@ -86,7 +86,6 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     from lieint_jax import ensemble
     from lieint_jax.runs import UniformClock, _layout
     from lieint_jax.runs._engine import engine_of
-    from lieint_jax.runs._execute import CompiledLoop
     from lieint_jax.runs._job import Job
 
     nodes = np.array([0, num_steps])
@@ -96,10 +95,10 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     mesh = ensemble.first_devices(None)
     engine = engine_of(job, mesh, devices)
     layout = _layout.layout_of(mesh, len(states.p))
-    loop = CompiledLoop(engine, layout, buffer_rows=1, progress=False)
+    given, start = engine.start(layout)
 
     def call() -> Any:
-        return loop.run_intervals(loop.start, 0, 0, nodes[1:])[0]
+        return engine.run_intervals(given, start, 0, 0, nodes[1:], rows=1)[0]
 
     jax.block_until_ready(call())
     return call

@@ -31,10 +31,11 @@ from lieint_jax._xla._materialize import (
     UNKNOWN_ONE,
     materialized,
     materialized_arrays,
+    rematerialized,
+    saved,
     unfused,
     with_materialized_derivatives,
 )
-from lieint_jax._xla._rematerialize import rematerialized, saved
 from lieint_jax._xla._varying import differ, result_like, unchecked, with_common_axes
 
 __all__ = [

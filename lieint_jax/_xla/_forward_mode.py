@@ -11,8 +11,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from lieint_jax._xla._compile import Tree
-from lieint_jax._xla._materialize import materialized
-from lieint_jax._xla._rematerialize import saved
+from lieint_jax._xla._materialize import materialized, saved
 
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
 _Slopes = Callable[..., Sequence[Tree]] | None

@@ -32,7 +32,7 @@ def with_common_axes(arguments: Tree) -> Tree:
     def like_others(x: Value) -> Value:
         return lax.pcast(x, tuple(axes - _axes_of(x)), to="varying") if axes - _axes_of(x) else x
 
-    return jax.tree.map(like_others, arguments)
+    return jax.tree.map(like_others, arguments) if axes else arguments
 
 
 def result_like(given: Sequence[Value], shape: Sequence[int], dtype: Any) -> ShapedArray:

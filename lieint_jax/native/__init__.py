@@ -4,23 +4,29 @@ A jaxpr is walked (`_walk`; what each primitive adds is in `_primitives`) into a
 loops (`_program`). In a long program operations along an axis of bodies or elements are a loop over its rows
 (`_regions`). On a CPU LLVM compiles it with a vector of members for each number (`_emit`, `_machine`), together
 with the elementary functions that it calls (`functions`); both are written as text of LLVM IR (`_llvm`). A separate
-program first computes what all members share in a step, such as the position on an orbit (`_stream`, `_pieces`). On a
-GPU Triton compiles the whole loop as one kernel (`_kernel`).
+program first computes what all members share in a step, such as the position on an orbit (`_pieces`). On a GPU Triton
+compiles the whole loop as one kernel (`_kernel`).
 
 `march` (`_march`) is a loop over steps as a primitive of JAX, whose machine code XLA calls.
 """
 
-from lieint_jax.native._explain import Explanation, LoopReport, explain, loops_of
+from lieint_jax.native._explain import Explanation, LoopReport, explain
 from lieint_jax.native._march import Loop, hoisted, march
-from lieint_jax.native._march_code import LoopCode, computed_by, engine_name, machine_code, warn_once
+from lieint_jax.native._march_code import (
+    computed_by,
+    engine,
+    engine_name,
+    loops_of,
+    machine_code,
+    warn_once,
+)
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
-from lieint_jax.native._scan import engine, scan
+from lieint_jax.native._scan import scan
 from lieint_jax.native._traced import make_once
 
 __all__ = [
     "Explanation",
     "Loop",
-    "LoopCode",
     "LoopReport",
     "UnsupportedError",
     "computed_by",

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array, lax
 
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
-from lieint_jax.native._program import Block, Branch, Loop, Program, Value, blocks_of
+from lieint_jax.native._program import Block, Branch, Loop, Program, Value, all_items
 from lieint_jax.native._traced import Leaf, Operation
 
 _LONGEST_ARRAY = 64  # numbers of an array with an index: all of them are looked at
@@ -228,13 +228,10 @@ _OPERATIONS: dict[str, Callable[..., Array]] = {
 _READS = frozenset({"convert", "entry", "put", "table", "values"})
 
 
-def check_operations(block: Block, program: Program) -> None:
+def check_operations(program: Program) -> None:
     """UnsupportedError if a program has an operation without counterpart here, or an index into a long array."""
-    for item in block.items:
-        if not isinstance(item, Value):
-            for inner in blocks_of(item):
-                check_operations(inner, program)
-        elif item in program.live:
+    for item in all_items(program.block):
+        if isinstance(item, Value) and item in program.live:
             length = item.length if item.op in ("array", "empty") else None
             if length is None and item.op not in _READS and item.op not in _OPERATIONS:
                 raise UnsupportedError(item.op)

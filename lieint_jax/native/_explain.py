@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from lieint_jax.native._march import Loop, march_p
-from lieint_jax.native._march_code import ENGINES, machine_code
-from lieint_jax.native._primitives.control_flow import jaxprs_of
+from lieint_jax.native._march import Loop
+from lieint_jax.native._march_code import ENGINES, loops_of, machine_code
 
 
 class LoopReport(NamedTuple):
@@ -102,19 +100,6 @@ def explain(f: Callable[..., Any], *args: Any) -> Explanation:
     begin = time.perf_counter()
     traced.lower().compile()
     return Explanation(reports, found.count(None), seconds | {"xla": time.perf_counter() - begin})
-
-
-def loops_of(closed: ClosedJaxpr | Jaxpr) -> Iterator[Loop | None]:
-    """The loops of a jaxpr; None for one of XLA's own."""
-    jaxpr: Any = closed.jaxpr if isinstance(closed, ClosedJaxpr) else closed
-    for equation in jaxpr.eqns:
-        if equation.primitive is march_p:
-            yield equation.params["loop"]
-            continue
-        inner = [x for jaxpr in jaxprs_of(equation.params) for x in loops_of(jaxpr)]
-        yield from inner
-        if equation.primitive.name in ("while", "scan") and not any(inner):
-            yield None
 
 
 def _report(loop: Loop) -> LoopReport:

@@ -5,7 +5,7 @@
 ; `execute` reads the pointers of the buffers from XLA's call frame, and shares the blocks of members among the threads of
 ; XLA's own pool. The calling thread works too, and waits only for parts that another thread has begun: it cannot hang,
 ; whether or not the pool ever starts a task. Whichever thread holds the control block last frees it.
-; The constants @major, @minor and the places of XLA's functions in its table are defined by `_handler.py`.
+; The constants @major, @minor and the places of XLA's functions in its table are defined by `_machine.py`.
 
 %list = type { i64, ptr, i64, ptr, ptr }             ; its size, extensions, length, types, pointers
 %attributes = type { i64, ptr, i64, ptr, ptr, ptr }  ; its size, extensions, length, types, names, pointers

@@ -44,15 +44,15 @@ class KernelCode:
 
     engine, lanes, shared = "kernel", _BLOCK, 0
 
-    def __init__(self, step: ClosedJaxpr | Deferred, kinds: AnyArrays, examples: AnyArrays):
+    def __init__(self, step: ClosedJaxpr | Deferred, kinds: Sequence[str], _: AnyArrays):
         importlib.import_module("jax.experimental.pallas.triton")  # ImportError where JAX has none
 
         begin = time.perf_counter()
-        self._traced = traced = Traced(jaxpr_of(step), kinds, examples)
+        self._traced = traced = Traced(jaxpr_of(step), kinds)
         self.length = traced.length
         if self.length > _LONGEST:
             raise UnsupportedError(f"{self.length} operations are more than the {_LONGEST} of a kernel")
-        check_operations(traced.program.block, traced.program)
+        check_operations(traced.program)
         self.pressure = traced.pressure
         self.seconds = {"walk": time.perf_counter() - begin}
 

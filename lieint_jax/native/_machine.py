@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import hashlib
 import os
+import re
+import sys
 import threading
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import llvmlite
 import llvmlite.binding as llvm
 
-from lieint_jax.native._handler import handler
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._traced import Leaf
 
 _FEW = 26  # two vectors per number are used if the innermost loop has at most this many live numbers
@@ -31,21 +35,24 @@ def target() -> Any:
     return _new_target()
 
 
-@functools.cache
-def register_bytes() -> int:
-    """The bytes of a vector register."""
-    features = llvm.get_host_cpu_features()
-    return 64 if features.get("avx512f") else 32 if features.get("avx2") else 16
-
-
 def lanes(leaves: Sequence[Leaf], pressure: int = _FEW + 1) -> int:
     """Members in a vector of a program that reads these arrays, with so many numbers in an innermost loop."""
+    features = llvm.get_host_cpu_features()
+    register = 64 if features.get("avx512f") else 32 if features.get("avx2") else 16  # bytes
     widths = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
     vectors = next((n for n, most in ((8, _ONE), (4, _VERY_FEW), (2, _FEW)) if pressure <= most), 1)
-    return register_bytes() // max(widths, default=8) * vectors
+    return register // max(widths, default=8) * vectors
 
 
 TARGET = "lieint_march"  # what XLA calls for all kernels
+_VERSIONS = [(0, 3), (0, 4), (0, 5)]  # of XLA's foreign function interface with the structures of `_handler.ll`
+_OF_INTERFACE = {  # functions in its table
+    "count_threads": "ThreadPool_NumThreads",
+    "schedule": "ThreadPool_Schedule",
+    "set_state": "State_Set",
+    "get_state": "State_Get",
+    "create_error": "Error_Create",
+}
 
 
 class Kernel:
@@ -95,14 +102,12 @@ class _Registry(NamedTuple):
 @functools.cache
 def _registry() -> _Registry:
     """The handler, which XLA knows from now on."""
-    import jax
-
     functions = {
         "create": (ctypes.c_void_p, ctypes.c_char_p, *[ctypes.c_int64] * 3),
         "open": (None, ctypes.c_void_p, ctypes.c_void_p),
         "close": (ctypes.c_bool, ctypes.c_void_p),
     }
-    stages, text = ["instantiate", "execute"], handler()
+    stages, text = ["instantiate", "execute"], _handler()
     engine = _engine(_key([text]), [text], [*functions, *stages, "forget"])
     here = engine.get_function_address
     found = {x: ctypes.CFUNCTYPE(*types)(here(x)) for x, types in functions.items()}
@@ -112,9 +117,23 @@ def _registry() -> _Registry:
     return _Registry(**found, engine=engine)
 
 
+def _handler() -> str:
+    """The module of `_handler.ll`, what XLA calls, for the foreign function interface of this jaxlib."""
+    if sys.platform == "win32":
+        raise UnsupportedError("machine code inside jit, on Windows")
+    interface = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
+    major, minor = (int(re.findall(rf"#define XLA_FFI_API_{x} (\d+)", interface)[0]) for x in ("MAJOR", "MINOR"))
+    if (major, minor) not in _VERSIONS:
+        raise UnsupportedError(f"version {major}.{minor} of XLA's foreign function interface")
+    table = re.findall(r"_XLA_FFI_API_STRUCT_FIELD\(XLA_FFI_(\w+)\);", interface)
+    lines = [f"@{name} = internal constant i32 {x}" for name, x in (("major", major), ("minor", minor))]
+    lines += [f"@{name} = internal constant i64 {table.index(x)}" for name, x in _OF_INTERFACE.items()]
+    return "\n".join([*lines, Path(__file__).with_name("_handler.ll").read_text()])
+
+
 def _key(texts: Sequence[str]) -> str:
     """A hash of modules and of the machine that runs them."""
-    here = [llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), _features()]
+    here = [llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()]
     return hashlib.sha256("\n".join([*here, "\n;\n".join(texts)]).encode()).hexdigest()
 
 
@@ -122,18 +141,9 @@ def _engine(key: str, texts: list[str], names: Sequence[str]) -> Any:
     """The code of modules with functions of these names."""
     backing = llvm.parse_assembly("")
     engine = llvm.create_mcjit_compiler(backing, _new_target())
-    code = _read_cache(key)
-    if code is None:
-        code = _compile(texts, names)
-        _write_cache(key, code)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(_object_code(key, texts, names)))
     engine.finalize_object()
     return engine
-
-
-def _features() -> str:
-    """The features of this CPU; the operating system may disable some that its model has."""
-    return llvm.get_host_cpu_features().flatten()
 
 
 def _new_target() -> Any:
@@ -142,12 +152,32 @@ def _new_target() -> Any:
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
-        features=_features(),
+        features=llvm.get_host_cpu_features().flatten(),  # the operating system may disable some of the model's
         opt=_LEVEL,
         reloc="default",
         codemodel="jitdefault",
         jit=True,
     )
+
+
+def _object_code(key: str, texts: list[str], names: Sequence[str]) -> bytes:
+    """The code of modules, from a file next to JAX's cache, if there is one and it is whole."""
+    path = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if not path or "://" in path:
+        return _compile(texts, names)
+    file = Path(path) / "native" / key
+    with contextlib.suppress(OSError):
+        content = file.read_bytes()
+        digest, code = content[:32], content[32:]
+        if hashlib.sha256(key.encode() + code).digest() == digest:
+            return code
+    code = _compile(texts, names)
+    with contextlib.suppress(OSError):  # the cache is optional
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_name(f".{key}.{os.getpid()}")
+        temporary.write_bytes(hashlib.sha256(key.encode() + code).digest() + code)
+        os.replace(temporary, file)
+    return code
 
 
 def _compile(texts: list[str], names: Sequence[str]) -> bytes:
@@ -165,36 +195,3 @@ def _compile(texts: list[str], names: Sequence[str]) -> bytes:
     manager = builder.getModulePassManager()
     manager.run(module, builder)
     return target().emit_object(module)
-
-
-def _folder() -> Path | None:
-    """The folder of cached machine code, next to JAX's cache, if there is one."""
-    import jax
-
-    path = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    return Path(path) / "native" if path and "://" not in path else None
-
-
-def _read_cache(key: str) -> bytes | None:
-    folder = _folder()
-    if folder is None:
-        return None
-    try:
-        content = (folder / key).read_bytes()
-    except OSError:
-        return None
-    digest, code = content[:32], content[32:]
-    return code if hashlib.sha256(key.encode() + code).digest() == digest else None
-
-
-def _write_cache(key: str, code: bytes) -> None:
-    folder = _folder()
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary = folder / f".{key}.{os.getpid()}"
-        temporary.write_bytes(hashlib.sha256(key.encode() + code).digest() + code)
-        os.replace(temporary, folder / key)
-    except OSError:  # the cache is optional
-        return

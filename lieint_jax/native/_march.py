@@ -213,52 +213,49 @@ def march(
 
 
 class _Checked(NamedTuple):
-    """A step that is equal to another if it has the same function, so that JAX traces it once."""
+    """A step that returns (carry, y), with a carry of the structure, shapes and types of the one before.
+
+    It is equal to another if it has the same function, so that JAX traces it once.
+    """
 
     step: Callable[..., tuple[Tree, Tree]]
 
     def __call__(
         self, n: AnyArray, carry: Tree, count: list[AnyArray], consts: tuple[Tree, ...], x: Tree
     ) -> tuple[Tree, Tree]:
-        return _checked(self.step(n, carry, x, *consts), carry)
+        result = self.step(n, carry, x, *consts)
+        try:
+            after, y = result
+        except (TypeError, ValueError):
+            raise ValueError(f"a step must return (carry, y), got {type(result).__name__}") from None
+        given, found = jax.tree.structure(carry), jax.tree.structure(after)
+        if given != found:
+            raise ValueError(f"a step must return a carry of the structure that it was given, {given}, got {found}")
+        after = jax.tree.map(jnp.asarray, after)
+        for (path, x), z in zip(jax.tree_util.tree_leaves_with_path(carry), jax.tree.leaves(after), strict=True):
+            if x.shape != z.shape or x.dtype != z.dtype:
+                raise ValueError(
+                    f"carry{jax.tree_util.keystr(path)} was {x.dtype} of shape {x.shape}; a step returned {z.dtype} of "
+                    f"shape {z.shape}"
+                )
+        return after, y
 
 
 def _traced(step: _Checked, shapes: AnyArrays, is_closed: bool) -> tuple[ClosedJaxpr, Tree]:
     """The jaxpr of a step, and the shapes of its results; where no tracer can be closed over, the one of before."""
-    if is_closed and _has_hash(step):
-        traced = _jitted_step(step).trace(*shapes)
-        return traced.jaxpr, traced.out_info
-    return jax.make_jaxpr(step, return_shape=True)(*shapes)
-
-
-def _has_hash(x: object) -> bool:
     try:
-        hash(x)
-    except TypeError:
-        return False
-    return True
+        jitted = _jitted_step(step) if is_closed else None
+    except TypeError:  # the function has no hash
+        jitted = None
+    if jitted is None:
+        return jax.make_jaxpr(step, return_shape=True)(*shapes)
+    traced = jitted.trace(*shapes)
+    return traced.jaxpr, traced.out_info
 
 
 @functools.lru_cache(12)
 def _jitted_step(step: _Checked) -> Any:
     return jax.jit(lambda *arguments: step(*arguments))
-
-
-def _checked(result: Tree, carry: Tree) -> tuple[Tree, Tree]:
-    """(carry, y), if the carry has the structure, shapes and types of the one before."""
-    try:
-        after, y = result
-    except (TypeError, ValueError):
-        raise ValueError(f"a step must return (carry, y), got {type(result).__name__}") from None
-    given, found = jax.tree.structure(carry), jax.tree.structure(after)
-    if given != found:
-        raise ValueError(f"a step must return a carry of the structure that it was given, {given}, got {found}")
-    after = jax.tree.map(jnp.asarray, after)
-    for (path, x), z in zip(jax.tree_util.tree_leaves_with_path(carry), jax.tree.leaves(after), strict=True):
-        if x.shape != z.shape or x.dtype != z.dtype:
-            name = f"carry{jax.tree_util.keystr(path)}"
-            raise ValueError(f"{name} was {x.dtype} of shape {x.shape}; a step returned {z.dtype} of shape {z.shape}")
-    return after, y
 
 
 def _strong(x: AnyArray) -> AnyArray:

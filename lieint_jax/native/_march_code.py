@@ -8,13 +8,13 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr
+from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.interpreters import mlir
 
 from lieint_jax._xla import unchecked
@@ -22,7 +22,8 @@ from lieint_jax.native._arrays import computed_before
 from lieint_jax.native._kernel import KernelCode
 from lieint_jax.native._march import AnyArray, AnyArrays, Deferred, Loop, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
-from lieint_jax.native._spread import is_spread, let_spread, spread
+from lieint_jax.native._primitives.control_flow import jaxprs_of
+from lieint_jax.native._spread import let_spread, spread
 from lieint_jax.native._traced import Traced, make_once
 
 _log = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ _EXPECTED = (
 NO_COMPILER = "llvmlite, the compiler of machine code, is not installed (pip install llvmlite)"
 ENGINES = ("native", "xla")
 _KERNEL = "kernel"  # on a GPU the one for "native", too; on a CPU it is interpreted, for tests
-chosen_engine = jax.make_user_context(None)  # one of these, or None; JAX traces again where it differs
+_chosen_engine = jax.make_user_context(None)  # one of these, or None; JAX traces again where it differs
 _chosen_threads = jax.make_user_context(None)  # a number, or None
 
 
@@ -55,7 +56,7 @@ class LoopCode:
 
     engine = ENGINES[0]
 
-    def __init__(self, body: _Body, kinds: AnyArrays, examples: AnyArrays):
+    def __init__(self, body: _Body, kinds: Sequence[str], _: AnyArrays):
         try:
             from lieint_jax.native import _machine
         except (ImportError, OSError) as error:  # missing, or a library that this machine cannot load
@@ -63,39 +64,36 @@ class LoopCode:
         from lieint_jax.native._pieces import modules
 
         begin = time.perf_counter()
-        traced = Traced(jaxpr_of(body.step), kinds, examples, with_maps=True)
+        traced = Traced(jaxpr_of(body.step), kinds, with_maps=True)
         self._outside, self._leaves = traced.outside, traced.leaves
         with unsupported_if_it_fails():
-            results = jax.tree.leaves(traced.results)
+            results = body.step.out_avals
             sizes = [int(np.prod(x.shape)) for x in results[body.carried :]]
-            pressure = traced.pressure
-            lanes = 1 if body.is_single else _machine.lanes(traced.leaves, pressure)
+            lanes = 1 if body.is_single else _machine.lanes(traced.leaves, traced.pressure)
             of_rows = _machine.lanes(traced.leaves) if body.is_single else 0
             texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse, of_rows)
             walked = time.perf_counter()
             inputs = len(traced.leaves) - 1  # all but the counter are in memory
             self.kernel, self.target = _machine.kernel(texts, inputs, len(results), lanes), _machine.TARGET
-        self.length, self.pressure, self.lanes = traced.length, pressure, lanes
+        self.length, self.pressure, self.lanes = traced.length, traced.pressure, lanes
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
     def call(self, arguments: AnyArrays, loop: Loop, is_spread: bool = False) -> list[AnyArray]:
         """The carries after the last step and the stored rows; if it `is_spread`, by each device those of its part."""
-        before = computed_before(self._outside, self._leaves, [None, *arguments], loop.members)
-        arrays, count = [*arguments, *before], len(arguments)
-
-        def compute(arrays: AnyArrays, members: int | None) -> list[AnyArray]:
-            return self._call(arrays[:count], arrays[count:], loop._replace(members=members))
-
+        arrays, count = list(arguments), len(arguments)
+        if self._outside:
+            arrays += computed_before(self._outside, self._leaves, [None, *arguments], loop.members)
         if loop.members is None or not is_spread:
-            return compute(arrays, loop.members)
+            return self._call(loop, arrays, loop.members)
         places = [int(loop.is_series(k)) if own else None for k, own in enumerate(loop.owns)]
         places += [0 if leaf.varies else None for leaf in self._leaves[1 + count :]]
         of_results = [int(k >= loop.carried) for k in range(len(loop.results))]
-        return spread(compute, loop.members, arrays, places, of_results)
+        return spread(functools.partial(self._call, loop), loop.members, arrays, places, of_results)
 
-    def _call(self, arguments: AnyArrays, before: AnyArrays, loop: Loop) -> list[AnyArray]:
-        shapes = march_p.abstract_eval(*arguments, loop=loop)[0]
-        members = loop.members or 1
+    def _call(self, loop: Loop, arrays: AnyArrays, members: int | None) -> list[AnyArray]:
+        """The results for so many members, from the arguments and what was computed before."""
+        shapes = march_p.abstract_eval(*arrays[: len(loop.owns)], loop=loop._replace(members=members))[0]
+        members = members or 1
         steps = loop.rows * (_SOME if loop.every is None else loop.every)
         threads = 1 if members * steps * self.length <= _SHORT else _chosen_threads.value or _ALL
         sizes = {"every": loop.every, "members": members, "stored": loop.rows, "threads": threads}
@@ -103,7 +101,7 @@ class LoopCode:
             sizes |= {"every": -1 - loop.carried, "stored": -2 - loop.carried}
         call = jax.ffi.ffi_call(self.target, [shape_of(x) for x in shapes])
         numbers = {name: np.int64(x) for name, x in sizes.items()}
-        return list(call(*arguments, *before, kernel=self.kernel.name, **numbers))
+        return list(call(*arrays, kernel=self.kernel.name, **numbers))
 
 
 class _Body(NamedTuple):
@@ -115,13 +113,15 @@ class _Body(NamedTuple):
     is_single: bool
 
 
-def loop_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode:
-    """The code of a loop, made once: machine code on a CPU, a kernel elsewhere.
-
-    Raises:
-        ImportError: llvmlite is missing, or on a GPU Pallas.
-        UnsupportedError: its step is not a program of numbers, or on a GPU one that makes no kernel.
-    """
+def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | str:
+    """The code of a loop, made once: machine code on a CPU, a kernel on a GPU; or why XLA runs it."""
+    chosen = engine_name()
+    if chosen == "xla":
+        return _EXPECTED[0]
+    if 0 in (loop.rows, loop.every, loop.members):
+        return _EXPECTED[1]
+    if platform not in ("cpu", "gpu"):
+        return f"a {platform} is no CPU and no GPU"
     _, of_fixed, of_rows = loop.split(loop.owns)
     kinds = [
         "counter",
@@ -130,24 +130,26 @@ def loop_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode:
         *("series" if own else "row" for own in of_rows),
     ]
     shapes = [shape_of(x) for x in loop.step.in_avals]
-    if platform != "cpu" or engine_name() == _KERNEL:
-        return make_once(KernelCode, loop.step, kinds, shapes)
-    body = _Body(loop.step, loop.carried, loop.reverse, loop.members in (None, 1))
-    return make_once(LoopCode, body, kinds, shapes)
-
-
-def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | str:
-    """The code of a loop on this platform, or why XLA runs it."""
-    if engine_name() == "xla":
-        return _EXPECTED[0]
-    if 0 in (loop.rows, loop.every, loop.members):
-        return _EXPECTED[1]
-    if platform not in ("cpu", "gpu"):
-        return f"a {platform} is no CPU and no GPU"
     try:
-        return loop_code(loop, platform)
-    except (ImportError, UnsupportedError) as reason:
+        if platform != "cpu" or chosen == _KERNEL:
+            return make_once(KernelCode, loop.step, kinds, shapes)
+        body = _Body(loop.step, loop.carried, loop.reverse, loop.members in (None, 1))
+        return make_once(LoopCode, body, kinds, shapes)
+    except (ImportError, UnsupportedError) as reason:  # no llvmlite, or on a GPU no Pallas; no program of numbers
         return str(reason)
+
+
+def loops_of(closed: ClosedJaxpr | Jaxpr) -> Iterator[Loop | None]:
+    """The loops of a jaxpr; None for one of XLA's own."""
+    jaxpr: Any = closed.jaxpr if isinstance(closed, ClosedJaxpr) else closed
+    for equation in jaxpr.eqns:
+        if equation.primitive is march_p:
+            yield equation.params["loop"]
+            continue
+        inner = [x for jaxpr in jaxprs_of(equation.params) for x in loops_of(jaxpr)]
+        yield from inner
+        if equation.primitive.name in ("while", "scan") and not any(inner):
+            yield None
 
 
 def _compiled(*arguments: AnyArray, loop: Loop, platform: str, is_spread: bool) -> list[AnyArray]:
@@ -164,35 +166,57 @@ def _compiled(*arguments: AnyArray, loop: Loop, platform: str, is_spread: bool) 
 
 def engine_name() -> str:
     """The engine of loops that are lowered here."""
-    found = chosen_engine.value or os.environ.get("LIEINT_ENGINE", ENGINES[0])
+    found = _chosen_engine.value or os.environ.get("LIEINT_ENGINE", ENGINES[0])
     if found not in (*ENGINES, _KERNEL):
         raise ValueError(f"LIEINT_ENGINE must be one of {', '.join(ENGINES)}, got {found!r}")
     return found
 
 
+def engine(name: Literal["native", "xla"]) -> contextlib.AbstractContextManager[Any]:
+    """A context in which loops run in machine code ("native", the default) or by XLA ("xla").
+
+    JAX traces and compiles a function again for each engine. The environment variable LIEINT_ENGINE sets the default.
+    `jax.export` needs "xla".
+
+    Raises:
+        ValueError: there is no such engine.
+
+    Example:
+        >>> import lieint_jax as li
+        >>> with li.engine("xla"):
+        ...     end, _ = li.scan(lambda x, _: (x / 2, None), 1.0, length=3)
+        >>> float(end)
+        0.125
+    """
+    if name not in ENGINES:
+        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
+    return _chosen_engine(name)
+
+
 @contextlib.contextmanager
 def computed_by(engine: str, threads: int) -> Iterator[None]:
     """A context in which loops run by an engine, and machine code in so many threads."""
-    with chosen_engine(engine), _chosen_threads(threads):
+    with _chosen_engine(engine), _chosen_threads(threads):
         yield
 
 
+@functools.cache
 def warn_once(what: str, reason: str) -> None:
     """Let the log name once why XLA runs it; without llvmlite once for everything."""
-    _log_once("every loop" if reason == NO_COMPILER else what, reason)
-
-
-@functools.cache
-def _log_once(what: str, reason: str) -> None:
-    _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
+    if reason == NO_COMPILER and what != "every loop":
+        warn_once("every loop", reason)
+    else:
+        _log.warning("XLA runs %s, which is slower than machine code: %s", what, reason)
 
 
 def _lower(ctx: mlir.LoweringRuleContext, *operands: Any, loop: Loop, platform: str = "") -> Any:
     """The rule of a loop; what it lowers sees no types of arrays that differ between devices."""
     function = by_xla
     if platform:
-        over_devices = is_spread(ctx.module_context.axis_context)
-        function = functools.partial(_compiled, platform=platform, is_spread=over_devices)
+        axes: Any = ctx.module_context.axis_context
+        on_mesh = getattr(axes, "abstract_mesh", None) is not None and axes.num_devices > 1
+        is_spread = on_mesh and getattr(jax.config, "jax_use_shardy_partitioner", True)
+        function = functools.partial(_compiled, platform=platform, is_spread=is_spread)
     types: Any = ctx.avals_in, ctx.avals_out
     given, found = ([ShapedArray(x.shape, x.dtype) for x in of] for of in types)
     with unchecked(), warnings.catch_warnings():

@@ -18,7 +18,6 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, DropVar, JaxprEqn, Var, new_jaxpr_eqn, set_current_trace
 from jax.interpreters import ad, partial_eval
 
-from lieint_jax.native._dependence import varying_in_loop
 from lieint_jax.native._march import (
     AnyArray,
     AnyArrays,
@@ -32,6 +31,7 @@ from lieint_jax.native._march import (
     with_results,
     without_results,
 )
+from lieint_jax.native._march_members import varying_in_loop
 
 _MOST_STORED = 64  # steps of a loop whose carries are all stored
 Mask = Sequence[bool]

@@ -440,7 +440,7 @@ class Program:
 
     def depending_on_rows(self) -> tuple[set[Value], int]:
         """The numbers that differ from row to row inside of a map, and the length of the shortest map."""
-        maps = list(_maps(self.block))
+        maps = [x for x in all_items(self.block) if isinstance(x, Map)]
         rows = _varying_numbers(self.block, self.live, {x.index for x in maps}, inside_only=True)
         return rows, min((x.length for x in maps), default=0)
 
@@ -448,20 +448,19 @@ class Program:
         """The positions of the numbers that must be computed: outputs depend on them, and they are not given."""
         return [k for k, x in enumerate(numbers) if x in self.live and x not in self.given]
 
-    def pressure(self) -> int:
+    def pressure(self, block: Block | None = None) -> int:
         """The largest count of varying numbers that an innermost loop needs from one iteration to the next."""
-
-        def block_pressure(block: Block) -> int:
-            return max((item_pressure(item) for item in block.items if not isinstance(item, Value)), default=0)
-
-        def item_pressure(item: Loop | Branch | Map) -> int:
+        found = 0
+        for item in (self.block if block is None else block).items:
+            if isinstance(item, Value):
+                continue
+            inside = max(map(self.pressure, blocks_of(item)))
             if isinstance(item, Map):
-                return max(block_pressure(item.body), _OF_MAP)
-            if isinstance(item, Branch):
-                return max(map(block_pressure, item.blocks))
-            return max(block_pressure(item.head), block_pressure(item.body)) or self._loop_pressure(item)
-
-        return block_pressure(self.block)
+                inside = max(inside, _OF_MAP)
+            elif isinstance(item, Loop):
+                inside = inside or self._loop_pressure(item)
+            found = max(found, inside)
+        return found
 
     def _loop_pressure(self, loop: Loop) -> int:
         """The count of varying numbers that an innermost loop carries, or reads from outside."""
@@ -479,6 +478,15 @@ def blocks_of(item: Loop | Branch | Map) -> tuple[Block, ...]:
     return (item.head, item.body) if isinstance(item, Loop) else item.blocks
 
 
+def all_items(*blocks: Block) -> Iterator[Item]:
+    """The items of blocks and of all blocks inside."""
+    for block in blocks:
+        for item in block.items:
+            yield item
+            if not isinstance(item, Value):
+                yield from all_items(*blocks_of(item))
+
+
 def numbers_of(item: Item) -> Iterable[Value]:
     """All numbers to which an item refers directly."""
     if isinstance(item, Value):
@@ -493,21 +501,11 @@ def numbers_of(item: Item) -> Iterable[Value]:
 def _live_numbers(root: Block, outputs: Sequence[Value], given: frozenset[Value]) -> set[Value]:
     """The numbers on which the outputs depend; given numbers depend on no others."""
     place: dict[Value, tuple[Loop | Branch | Map, int]] = {}
-
-    def index(block: Block) -> None:
-        for item in block.items:
-            if isinstance(item, Loop):
-                for k, (inside, after) in enumerate(zip(item.carries, item.results, strict=True)):
-                    place[inside] = place[after] = (item, k)
-                index(item.head)
-                index(item.body)
-            elif not isinstance(item, Value):
-                for k, after in enumerate(item.results):
-                    place[after] = (item, k)
-                for inner in blocks_of(item):
-                    index(inner)
-
-    index(root)
+    for item in all_items(root):
+        if not isinstance(item, Value):
+            place |= {after: (item, k) for k, after in enumerate(item.results)}
+        if isinstance(item, Loop):
+            place |= {inside: (item, k) for k, inside in enumerate(item.carries)}
     live: set[Value] = set()
     pending = list(outputs)
     while pending:
@@ -527,15 +525,6 @@ def _live_numbers(root: Block, outputs: Sequence[Value], given: frozenset[Value]
             else:
                 pending += (item.test, item.values[0][k], item.values[1][k])
     return live
-
-
-def _maps(block: Block) -> Iterator[Map]:
-    for item in block.items:
-        if isinstance(item, Map):
-            yield item
-        elif not isinstance(item, Value):
-            for inner in blocks_of(item):
-                yield from _maps(inner)
 
 
 def _varying_numbers(root: Block, live: set[Value], start: set[Value], inside_only: bool = False) -> set[Value]:

@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jax.extend.core import Literal
+from jax.extend.core import JaxprEqn, Literal
 
-from lieint_jax.native._primitives.abstract_walk import Table
+from lieint_jax.native._primitives.abstract_walk import Table, shapes_of
 from lieint_jax.native._primitives.control_flow import size_of
-from lieint_jax.native._primitives.moves import MOVES
+from lieint_jax.native._primitives.elementwise import MOVES
 from lieint_jax.native._primitives.parallel import Axes, NotParallelError, rows_along
 
 LONG = 8  # the shortest axis of a map
@@ -33,17 +33,19 @@ class Region:
 
     def __init__(self, length: int):
         self.length = length
-        self.equations: list[tuple[Any, Axes, Axes]] = []
+        self.equations: list[tuple[JaxprEqn, Axes, Axes]] = []
         self.axes: dict[Any, int | None] = {}
 
-    def join(self, equation: Any, axes: Axes) -> bool:
+    def join(self, equation: JaxprEqn, axes: Axes) -> bool:
         """Add an equation if it is parallel along these axes of its operands."""
         try:
             needed, out = rows_along(equation, axes)
         except NotParallelError:
             return False
         for variables, along in ((equation.invars, needed), (equation.outvars, out)):
-            if any(d is not None and x.aval.shape[d] != self.length for x, d in zip(variables, along, strict=True)):
+            if any(
+                d is not None and x.shape[d] != self.length for x, d in zip(shapes_of(variables), along, strict=True)
+            ):
                 return False
         self.equations.append((equation, needed, out))
         self.axes.update(zip(equation.outvars, out, strict=True))
@@ -53,7 +55,7 @@ class Region:
 def walk_regions(
     jaxpr: Any,
     values: Mapping[Any, Any],
-    walk_one: Callable[[Any], None],
+    walk_one: Callable[[JaxprEqn], None],
     walk_rows: Callable[[Region, Sequence[Any]], None],
 ) -> None:
     """Walk the equations of a jaxpr.
@@ -88,7 +90,7 @@ def walk_regions(
 
 
 def _join(
-    equation: Any,
+    equation: JaxprEqn,
     sources: set[Region | None],
     regions: dict[int, Region],
     made: dict[Any, Region | None],
@@ -112,7 +114,7 @@ def _join(
     return True
 
 
-def _first_axes(equation: Any, values: Mapping[Any, Any], length: int = 0) -> tuple[int, Axes]:
+def _first_axes(equation: JaxprEqn, values: Mapping[Any, Any], length: int = 0) -> tuple[int, Axes]:
     """The long axis of each operand, all of one length, which may be given; and this length, 0 if there is none."""
     axes = []
     for x in equation.invars:

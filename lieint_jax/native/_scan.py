@@ -1,17 +1,15 @@
-"""`scan` and `engine`: loops of users in machine code."""
+"""`scan`: loops of users in machine code."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
 
 from lieint_jax.native import _march_derivatives, _march_members  # noqa: F401  # the rules of the primitive
 from lieint_jax.native._march import march
-from lieint_jax.native._march_code import ENGINES, chosen_engine
 
 _Carry = TypeVar("_Carry")
 _X = TypeVar("_X")
@@ -78,24 +76,3 @@ class _Unnumbered(NamedTuple):
 
     def __call__(self, n: Any, carry: Any, x: Any) -> tuple[Any, Any]:
         return self.f(carry, x)
-
-
-def engine(name: Literal["native", "xla"]) -> AbstractContextManager[Any]:
-    """A context in which loops run in machine code ("native", the default) or by XLA ("xla").
-
-    JAX traces and compiles a function again for each engine. The environment variable LIEINT_ENGINE sets the default.
-    `jax.export` needs "xla".
-
-    Raises:
-        ValueError: there is no such engine.
-
-    Example:
-        >>> import lieint_jax as li
-        >>> with li.engine("xla"):
-        ...     end, _ = li.scan(lambda x, _: (x / 2, None), 1.0, length=3)
-        >>> float(end)
-        0.125
-    """
-    if name not in ENGINES:
-        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
-    return chosen_engine(name)

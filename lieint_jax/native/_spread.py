@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 from jax.experimental.custom_partitioning import ArrayMapping, SdyShardingRule, custom_partitioning
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
@@ -21,14 +20,8 @@ Places = Sequence[int | None]  # of the axis of members in each array, if it has
 
 
 def let_spread(primitive: Any) -> None:
-    """Let JAX lower a primitive for the devices of a mesh, so that `is_spread` shows them."""
+    """Let JAX lower a primitive for the devices of a mesh, which its rule sees in the context."""
     _of_devices.add(primitive)
-
-
-def is_spread(context: Any) -> bool:
-    """Whether Shardy partitions what JAX lowers in this context, for the devices of a mesh."""
-    shardy = getattr(jax.config, "jax_use_shardy_partitioner", True)
-    return shardy and getattr(context, "abstract_mesh", None) is not None and context.num_devices > 1
 
 
 def spread(

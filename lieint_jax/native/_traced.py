@@ -20,11 +20,13 @@ from lieint_jax.native._primitives.abstract_walk import (
     TooLongError,
     UnsupportedError,
     array_of,
+    as_numbers,
+    shapes_of,
     unsupported_if_it_fails,
 )
-from lieint_jax.native._primitives.columns import Rows, as_numbers, columns_of
+from lieint_jax.native._primitives.columns import Rows, columns_of
 from lieint_jax.native._program import Builder, Column, Program, Value
-from lieint_jax.native._walk import LONGEST, Walk, shapes_of
+from lieint_jax.native._walk import LONGEST, Walk
 
 _Compiled = TypeVar("_Compiled")
 Tree = Any  # a tree of arrays, of shapes, or of the kinds of arguments
@@ -64,78 +66,57 @@ def leaves_before_rows(leaves: Sequence[Leaf]) -> list[Leaf]:
 
 
 class Traced:
-    """A function of one member as a program of numbers.
+    """A function of one member and one row as a program of numbers.
 
     Args:
-        function: of trees of arrays; or a jaxpr.
-        kinds: for each argument, or for its parts, what it is: "carry" (changed from row to row, the first result, of
-            the same tree), "member" (each member has its own), "shared", "row" (shared, another one for each row),
-            "series" (each member has its own for each row), or "counter" (the number of the row).
-        examples: the arguments of one member and one row, as arrays or shapes.
+        jaxpr: the function.
+        kinds: what each argument is: "carry" (changed from row to row, one of the first results), "member" (each member
+            has its own), "shared", "row" (shared, another one for each row), "series" (each member has its own for each
+            row), or "counter" (the number of the row).
         with_maps: whether a long program has maps over long axes.
 
     Attributes:
         leaves: the arrays of the arguments; the data of an argument of the program is (number of the leaf, of the
             entry), and a table is read by the number of its leaf.
-        given: the number of leaves that are arguments; the others are results of `outside`, in this order.
-        outside: operations without formulas here, such as those of LAPACK, which JAX computes before the program runs.
+        outside: operations without formulas here, such as those of LAPACK, which JAX computes before the program runs;
+            their results, in this order, are the last of the leaves.
         program: its outputs are the entries of the results, leaf by leaf.
         length: the number of its operations.
-        results: the shapes of the results of one member and one row.
-        jaxpr: the function as JAX traces it.
+        pressure: how many numbers of a step are alive at once.
 
     Raises:
         UnsupportedError: the function cannot be a program of numbers.
     """
 
-    def __init__(
-        self,
-        function: Callable[..., Tree] | ClosedJaxpr,
-        kinds: Sequence[Tree],
-        examples: Sequence[Tree],
-        with_maps: bool = False,
-    ):
-        shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x), _dtype(x)), tuple(examples))
-        for x in jax.tree.leaves(shapes):
+    def __init__(self, jaxpr: ClosedJaxpr, kinds: Sequence[str], with_maps: bool = False):
+        for x in jaxpr.in_avals:
             if jax.numpy.issubdtype(x.dtype, jax.dtypes.extended):
                 raise UnsupportedError(f"an argument of type {x.dtype}")
-        if isinstance(function, ClosedJaxpr):
-            self.jaxpr, self.results = function, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in function.out_avals]
-        else:
-            self.jaxpr, self.results = jax.make_jaxpr(function, return_shape=True)(*shapes)
         with unsupported_if_it_fails():
             try:
-                self._walk(self.jaxpr, kinds, shapes, _UNROLLED if with_maps else LONGEST, False)
+                self._walk(jaxpr, kinds, _UNROLLED if with_maps else LONGEST, False)
             except UnsupportedError as reason:
                 has_tables = any(leaf.kind == "table" for leaf in self.leaves)
                 if not with_maps or not (isinstance(reason, TooLongError) or has_tables):
                     raise
-                self._walk(self.jaxpr, kinds, shapes, LONGEST, True)
+                self._walk(jaxpr, kinds, LONGEST, True)
+            self.pressure = self.program.pressure() or sum(leaf.size for leaf in self.leaves if leaf.varies)
 
-    @property
-    def pressure(self) -> int:
-        """How many numbers of a step are alive at once."""
-        return self.program.pressure() or sum(leaf.size for leaf in self.leaves if leaf.varies)
-
-    def _walk(
-        self, closed: ClosedJaxpr, kinds: Sequence[Tree], shapes: Sequence[Tree], longest: int, with_maps: bool
-    ) -> None:
-        each = jax.tree.map(lambda kind, part: [kind] * len(jax.tree.leaves(part)), tuple(kinds), shapes)
+    def _walk(self, closed: ClosedJaxpr, kinds: Sequence[str], longest: int, with_maps: bool) -> None:
         self._builder, self.leaves, arguments = Builder(), [], []
         self.outside: list[Operation] = []
         self._walker = walk = Walk(self._builder, self._compute_before, longest, with_maps)
-        for kind, x in zip(jax.tree.leaves(each), jax.tree.leaves(shapes), strict=True):
+        for kind, x in zip(kinds, closed.in_avals, strict=True):
             most = LARGEST if walk.long_axis(x.shape) is not None else _LONGEST_SHARED
             long = kind == "shared" and x.size > most and len(x.shape) == 1
             arguments.append(self._argument("table" if long else kind, x))
-        self.given = len(self.leaves)
         found = walk.jaxpr(closed, arguments)
-        carried = (arguments[k] for k, leaf in enumerate(self.leaves[: self.given]) if leaf.kind == "carry")
+        carried = (x for x, kind in zip(arguments, kinds, strict=True) if kind == "carry")
         pairs = itertools.zip_longest(found, carried)
         self.program = self._program([x for pair in pairs for x in self._outputs(*pair)])
         self.length = self._builder.length
 
-    def _argument(self, kind: str, x: jax.ShapeDtypeStruct | ShapedArray) -> np.ndarray | Rows | Table:
+    def _argument(self, kind: str, x: ShapedArray) -> np.ndarray | Rows | Table:
         """A new argument, as numbers of the program, or in memory."""
         k = len(self.leaves)
         self.leaves.append(Leaf(kind, np.dtype(x.dtype), int(np.prod(x.shape))))

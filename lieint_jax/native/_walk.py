@@ -23,29 +23,25 @@ from lieint_jax.native._primitives.abstract_walk import (
     TooLongError,
     UnsupportedError,
     array_of,
+    as_numbers,
+    shapes_of,
 )
-from lieint_jax.native._primitives.columns import Rows, as_numbers, columns_of, row_number
+from lieint_jax.native._primitives.columns import Rows, columns_of, row_number
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW, READ_ROWS
-from lieint_jax.native._primitives.elementwise import ELEMENTWISE
+from lieint_jax.native._primitives.elementwise import ELEMENTWISE, MOVES
 from lieint_jax.native._primitives.indexing import INDEXING, look_up
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
-from lieint_jax.native._primitives.moves import MOVES
 from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
 from lieint_jax.native._regions import Region, long_axis, walk_regions
 
-_UNROLLED_WITH_MAPS = 6000  # see `AbstractWalk.unrolled`
+_UNROLLED = (400, 6000)  # without and with maps: see `AbstractWalk.unrolled`
 _LARGEST_WITH_MAPS = 80_000  # the most entries of an array, most of which maps never make numbers of the program
 LONGEST = 100_000  # the most operations of a program
 _TYPES = {f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {"bool", "float32", "float64"}
 # They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
 _HARMLESS = {"accuracy", "indices_are_sorted", "out_sharding", "sharding", "unique_indices", "weak_type"}
-
-
-def shapes_of(variables: Sequence[Any]) -> list[ShapedArray]:
-    """The shapes and types of variables of a jaxpr."""
-    return [x.aval for x in variables]
 
 
 class Walk(AbstractWalk):
@@ -65,9 +61,8 @@ class Walk(AbstractWalk):
         longest: int = LONGEST,
         with_maps: bool = False,
     ):
-        super().__init__(builder)
+        self.builder, self.unrolled, self.rows_at_once = builder, _UNROLLED[with_maps], 1
         self._compute_before, self._longest, self._with_maps = compute_before, longest, with_maps
-        self.unrolled = _UNROLLED_WITH_MAPS if with_maps else self.unrolled
         self._row: Value | None = None  # the number of the row inside of a map
         self._rows_read: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
@@ -84,7 +79,13 @@ class Walk(AbstractWalk):
             return values[atom]
 
         def walk_one(equation: JaxprEqn) -> None:
-            results = self._equation(equation, [read(x) for x in equation.invars])
+            inputs, axes = [read(x) for x in equation.invars], list[int | None]()
+            if self._row is not None:  # some operands may have one row, where the equation has all
+                axes = [_other_axis(x.shape, y.shape) for x, y in zip(inputs, shapes_of(equation.invars), strict=True)]
+            if any(d is not None for d in axes):
+                results = self._one_row(equation, inputs, *rows_along(equation, axes))
+            else:
+                results = self._apply(equation, inputs, equation.params, shapes_of(equation.outvars))
             values.update(zip(equation.outvars, results, strict=True))
             if self.builder.length > self._longest:
                 raise TooLongError(f"more than {self._longest} operations")
@@ -151,30 +152,23 @@ class Walk(AbstractWalk):
     def packed(self, x: np.ndarray | Rows, own: Sequence[Value] = ()) -> list[Value]:
         d = self.long_axis(x.shape)
         if d is None or (isinstance(x, np.ndarray) and x.flat[0].is_array):
-            return super().packed(as_numbers(x))
+            return list(as_numbers(x).flat)
         return columns_of(self, x, d, own)
 
     def unpacked(self, numbers: list[Value], like: Any) -> Any:
         d = self.long_axis(like.shape)
         if d is None or len(numbers) == np.prod(like.shape):
-            return super().unpacked(numbers, like)
+            return array_of(numbers, like.shape)
         return Rows(self, numbers, like.shape, d)
 
     def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
-        found = super().matched(arrays, like)
+        found = list(arrays[: len(like)])
         if self._row is None:
             return found
         for k, (x, y) in enumerate(zip(found, like, strict=False)):
-            longer = [d for d, (n, m) in enumerate(zip(x.shape, y.shape, strict=True)) if n != m]
-            found[k] = self._row_of(x, longer[0]) if longer else x
+            longer = _other_axis(x.shape, y.shape)
+            found[k] = x if longer is None else self._row_of(x, longer)
         return found
-
-    def _equation(self, equation: JaxprEqn, inputs: list[np.ndarray]) -> list[np.ndarray]:
-        if self._row is not None:
-            axes = [_row_axis(x, y.shape) for x, y in zip(inputs, shapes_of(equation.invars), strict=True)]
-            if any(d is not None for d in axes):
-                return self._one_row(equation, inputs, *rows_along(equation, axes))
-        return self._apply(equation, inputs, equation.params, shapes_of(equation.outvars))
 
     def _apply(
         self, equation: JaxprEqn, inputs: list[np.ndarray], parameters: Parameters, out: list[ShapedArray]
@@ -216,9 +210,9 @@ class Walk(AbstractWalk):
         return results
 
 
-def _row_axis(x: np.ndarray | Table, shape: Sequence[int]) -> int | None:
-    """The axis along which an array has one row of all, if there is one."""
-    return next((d for d, (n, m) in enumerate(zip(x.shape, shape, strict=True)) if n != m), None)
+def _other_axis(shape: Sequence[int], other: Sequence[int]) -> int | None:
+    """The axis along which arrays of these shapes differ in length, if there is one."""
+    return next((d for d, (n, m) in enumerate(zip(shape, other, strict=True)) if n != m), None)
 
 
 def _expand(equation: JaxprEqn) -> ClosedJaxpr | None:

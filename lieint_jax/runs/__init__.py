@@ -5,18 +5,14 @@ disk, and `processes` are those of a run on several machines.
 """
 
 from lieint_jax.runs import processes, store
-from lieint_jax.runs._adjoint import Adjoint
 from lieint_jax.runs._clock import (
     MOST_TO_OUTPUTS,
     Clock,
     GridClock,
-    RoundedClock,
-    StateClock,
     UniformClock,
     at_time,
     clock_of,
     intervals,
-    more_times,
     outputs,
     refuse_far_times,
     refuse_times,
@@ -36,7 +32,7 @@ from lieint_jax.runs._driver import (
 )
 from lieint_jax.runs._event import Event, event, events
 from lieint_jax.runs._halved import halved_steps, splits
-from lieint_jax.runs._integrate import integrate, join_start, of_any_length, rows_for, trajectory
+from lieint_jax.runs._integrate import Adjoint, integrate, join_start, of_any_length, rows_for, trajectory
 from lieint_jax.runs._interpolate import interpolate
 from lieint_jax.runs._job import Summary
 from lieint_jax.runs._layout import count_cores, first_devices, want_devices
@@ -61,9 +57,7 @@ __all__ = [
     "MakeStates",
     "Progress",
     "Reduction",
-    "RoundedClock",
     "Run",
-    "StateClock",
     "Summary",
     "UniformClock",
     "at_time",
@@ -83,7 +77,6 @@ __all__ = [
     "intervals",
     "join_start",
     "march",
-    "more_times",
     "of_any_length",
     "open_run",
     "outputs",

@@ -15,6 +15,22 @@ from lieint_jax._checks import concrete
 from lieint_jax.types import State, Step, converges, counts_work
 
 
+def _times(n: ArrayLike, dt: Array) -> Array:
+    """n Δt, also where JAX does not promote integers."""
+    if isinstance(n, int):
+        return n * dt
+    n = n.astype(dt.dtype) if isinstance(n, np.ndarray) else jnp.asarray(n, dt.dtype)
+    return n * dt  # pyright: ignore[reportReturnType]  # numpy's on the host
+
+
+def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) -> Array:
+    """The last node that is not after the time t."""
+    n = lax.stop_gradient((t - clock.t0) / clock.dt)
+    near = jnp.round(n)
+    at_node = jnp.abs(t - clock.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+    return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
+
+
 class UniformClock(NamedTuple):
     """Steps of one size.
 
@@ -34,9 +50,7 @@ class UniformClock(NamedTuple):
         """The time of node n; a sum of n sizes would have the rounding errors of all."""
         return self.t0 + _times(n, self.dt)
 
-    def node(self, t: Array, num_steps: int) -> Array:
-        """The last node that is not after the time t."""
-        return _uniform_node(self, t, num_steps)
+    node = _uniform_node
 
 
 class RoundedClock(NamedTuple):
@@ -71,9 +85,7 @@ class RoundedClock(NamedTuple):
         """The time of node n."""
         return self.t0 + _times(n, self.coarse) + _times(n, self.dt - self.coarse)
 
-    def node(self, t: Array, num_steps: int) -> Array:
-        """The last node that is not after the time t."""
-        return _uniform_node(self, t, num_steps)
+    node = _uniform_node
 
 
 class GridClock(NamedTuple):
@@ -121,21 +133,6 @@ class StateClock(NamedTuple):
 Clock = UniformClock | RoundedClock | GridClock | StateClock
 MOST_TO_OUTPUTS = np.iinfo(np.int32).max  # fewer steps may lead to output times
 _HALVINGS = 20  # the most that `more_times` tries
-
-
-def _times(n: ArrayLike, dt: Array) -> Array:
-    """n Δt, also where JAX does not promote integers."""
-    if isinstance(n, int):
-        return n * dt
-    n = n.astype(dt.dtype) if isinstance(n, np.ndarray) else jnp.asarray(n, dt.dtype)
-    return n * dt  # pyright: ignore[reportReturnType]  # numpy's on the host
-
-
-def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) -> Array:
-    n = lax.stop_gradient((t - clock.t0) / clock.dt)
-    near = jnp.round(n)
-    at_node = jnp.abs(t - clock.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
-    return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
 
 
 def clock_of(

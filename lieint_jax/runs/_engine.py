@@ -1,10 +1,14 @@
-"""The engines of a run: machine code on a CPU, a kernel on a GPU, or XLA."""
+"""The engines of a run: machine code on a CPU, a kernel on a GPU, or XLA.
+
+Machine code is this package's own reading of a jaxpr. A misread primitive would be a wrong number without a sign of it,
+so before it computes a run, each compiled function is compared once with XLA's program, for a first step of a few of
+its members.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -14,13 +18,16 @@ from lieint_jax import native
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._clock import UniformClock
-from lieint_jax.runs._comparison import difference, few_members
 from lieint_jax.runs._job import Job, power_of_two
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Axes, Carry, Given, Intervals, Known, Reduction, Span
-from lieint_jax.types import State
+from lieint_jax.types import State, Step
 
 _log = logging.getLogger(__name__)
+_FEW = 3  # members that are compared
+_CHANGE = 8  # round-offs by which a copy of each of them differs
+_LEEWAY = 1000  # times that the results of a copy may differ: machine code rounds in another order
+_ROUNDING = ("residual",)  # results that are nothing but rounding errors
 _MOST_SHARED = 200_000  # the most numbers shared by all members in a call: each thread holds them in memory
 
 
@@ -59,11 +66,15 @@ class Engine:
     def __init__(self, job: Job, name: str, threads: int):
         self.job, self.name, self._threads = job, name, threads
         self.prepares = job.step.prepares and isinstance(job.clock, UniformClock)
-        own, t0 = job.step_axis, 0 if job.t0 is not None and not job.shares_time else None
+        own, of_time = job.step_axis, 0 if job.t0 is not None and not job.shares_time else None
         reduced = None if job.reduction is None else 0
-        self._plain: Axes = Given(own, None, t0, None, None)  # pyright: ignore[reportArgumentType]
-        self._axes = 0, Given(0 if self.prepares else own, own, t0, None, reduced)  # pyright: ignore[reportArgumentType]
-        self._intervals = self.intervals()
+        self._plain: Axes = Given(own, None, of_time, None, None)  # pyright: ignore[reportArgumentType]
+        self._axes = 0, Given(0 if self.prepares else own, own, of_time, None, reduced)  # pyright: ignore[reportArgumentType]
+        step = job.step if own is None else jax.tree.map(_member_shape, job.step)
+        t0 = job.t0 if of_time is None else jax.tree.map(_member_shape, job.t0)
+        rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
+        examples = step, jax.tree.map(_member_shape, job.states), t0, job.clock, rests
+        self._intervals = native.make_once(Intervals, (job.reduction, job.condition), self._axes, examples)
         self.refusal, self.most_steps = "", 2**30
         if name != "xla" and job.num_steps:
             known = self._intervals.known
@@ -73,23 +84,12 @@ class Engine:
             if shared:
                 self.most_steps = max(1, _MOST_SHARED // shared)
 
-    def intervals(self) -> Intervals:
-        """The loop over save intervals."""
-        job = self.job
-        step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
-        state = jax.tree.map(_member_shape, job.states)
-        t0 = job.t0 if job.t0 is None or job.shares_time else _member_shape(job.t0)
-        rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
-        return native.make_once(
-            Intervals, (job.reduction, job.condition), self._axes, (step, state, t0, job.clock, rests)
-        )
-
     def _examined(self) -> Known:
         """What this engine makes of the loop."""
         arguments = self._first_step()
         blocks = [slice(0, 1), slice(1, 2)] if self.job.members == 1 else [slice(None)]  # one member has its own code
         parts = [self._members(arguments, block) for block in blocks]
-        with self._computing():
+        with computed_by(self.name, self._threads):
             code = native.machine_code(self._intervals.loop(*parts[0]))
         if isinstance(code, str):
             return Known(code)
@@ -97,10 +97,8 @@ class Engine:
 
     def _first_step(self) -> tuple[Tree, ...]:
         """The arguments of a first step of a few members."""
-        job = few_members(self.job)
-        given = Given(job.step, None, job.t0, job.clock, None)
-        if self.prepares:
-            given = given._replace(step=self._of_members(None)(given, job.states, 0), plain=job.step)
+        job = _few_members(self.job)
+        given = self._given(job.step, job.t0, job.states)
         value = None if job.reduction is None else np.zeros(job.members, job.dtype)
         ends = np.ones(2, _loop.step_dtype())
         rests = None if job.rests is None else np.full(ends.shape, job.first_dt / 2, job.dtype)
@@ -123,58 +121,57 @@ class Engine:
 
         try:
             with unsupported_if_it_fails():
-                with self._computing():
-                    ours = [self._intervals(*part) for part in parts]
+                with computed_by(self.name, self._threads):
+                    ours = [self._intervals.of_all(*part) for part in parts]
                     by_xla = self._intervals.by_xla(*of_member(0))
                 theirs = [by_xla(*of_member(m)) for m in range(sum(len(carry.failed) for carry, _ in ours))]
         except UnsupportedError as reason:
             return str(reason)
         ours = [(carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)) for carry, saved in ours]
-        return difference(
+        return _differing_result(
             jax.tree.map(lambda *x: np.concatenate(x), *ours), jax.tree.map(lambda *x: np.stack(x), *theirs)
         )
 
     def start(self, layout: Layout) -> tuple[Given, Carry]:
         """What is given for the members of a process, and their carry."""
         job = self.job
-        step = (_layout.replicated if job.step_axis is None else _layout.placed)(layout, job.step)
+        step = _layout.placed(layout, job.step, own=job.step_axis is not None)
         states = _layout.placed(layout, job.states)
-        t0 = (_layout.replicated if job.shares_time else _layout.placed)(layout, job.t0)
-        given = Given(step, None, t0, job.clock, None)
-        if self.prepares:
-            given = given._replace(step=self._of_members(None)(given, states, 0), plain=step)
+        t0 = _layout.placed(layout, job.t0, own=not job.shares_time)
+        given = self._given(step, t0, states)
         if job.reduction is None:
             return given, _loop.start(states, None)
         value = self.quantity(job.reduction, given, states, 0)
         reached = None if job.condition is None else self.quantity(job.condition, given, states, 0)
         return given._replace(quantity=value), _loop.start(states, job.first_change(value, reached))
 
-    def quantity(self, function: Reduction, given: Given, states: State, n: int) -> Numbers:
-        """A function of step and state at node n, for all members."""
-        step = given.step if given.plain is None else given.plain
-        return self._of_members(function)(given._replace(step=step, plain=None, quantity=None), states, n)
+    def _given(self, step: Step, t0: Numbers | None, states: State) -> Given:
+        """What is given for members of these steps and initial states."""
+        given = Given(step, None, t0, self.job.clock, None)
+        return given._replace(step=self.quantity(None, given, states, 0), plain=step) if self.prepares else given
 
-    def _of_members(self, function: Reduction | None) -> Callable[[Given, State, int], Tree]:
-        """See `_loop.of_members`."""
-        compiled = _loop.of_members(function, self._plain)
+    def quantity(self, function: Reduction | None, given: Given, states: State, n: int) -> Tree:
+        """A function of step and state at node n, for all members; without one the step with its constants."""
+        plain = given._replace(step=given.step if given.plain is None else given.plain, plain=None, quantity=None)
+        with computed_by(self.name, self._threads):
+            return _loop.of_members(function, self._plain)(plain, states, np.asarray(n, _loop.step_dtype()))
 
-        def call(given: Given, states: State, n: int) -> Tree:
-            with self._computing():
-                return compiled(given, states, np.asarray(n, _loop.step_dtype()))
+    def run_intervals(
+        self, given: Given, carry: Carry, done: int, saved: int, ends: np.ndarray, rows: int
+    ) -> tuple[Carry, Tree]:
+        """The carry after the save intervals that end at the nodes `ends`, at most `rows`, and the saved rows.
 
-        return call
-
-    def run_spans(self, given: Given, carry: Carry, spans: Span, rows: int) -> tuple[Carry, Tree]:
-        """The carry after these save intervals, at most `rows`, and the saved rows."""
-        count = np.int32(len(spans.first))
-        if self.name != "xla":  # XLA's loops fill all rows
-            rows = power_of_two(rows)
-        spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
-        with self._computing():
-            return jax.block_until_ready(self._intervals(carry, given, spans, count))
-
-    def _computing(self) -> contextlib.AbstractContextManager[None]:
-        return computed_by(self.name, self._threads)
+        Before them there were `done` steps, and `saved` entries after the start.
+        """
+        dtype, rests, count = _loop.step_dtype(), self.job.rests, len(ends)
+        first = np.concatenate([[done], ends[:-1]]).astype(dtype)
+        begins = (np.arange(count) > 0) | (done == self.job.nodes[saved])
+        if rests is not None:
+            rests = np.resize(rests[saved + 1 :], count).astype(self.job.dtype)
+        rows = rows if self.name == "xla" else power_of_two(rows)  # XLA's loops fill all rows
+        spans = jax.tree.map(lambda x: np.resize(x, rows), Span(first, ends.astype(dtype), rests, begins))
+        with computed_by(self.name, self._threads):
+            return jax.block_until_ready(self._intervals.of_all(carry, given, spans, np.int32(count)))
 
 
 def _part(axes: Axes, tree: Tree, which: int | slice) -> Tree:
@@ -190,3 +187,45 @@ def _part(axes: Axes, tree: Tree, which: int | slice) -> Tree:
 def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:
     """The shape of one member's part of an array."""
     return jax.ShapeDtypeStruct(np.shape(x)[1:], x.dtype)
+
+
+def _few_members(job: Job) -> Job:
+    """The job of a few members and of a copy of each of them that differs by rounding."""
+    chosen = np.unique(np.linspace(0, job.members - 1, _FEW).astype(int))
+    few, n = job.select(np.tile(chosen, 2)), len(chosen)
+
+    def changed(x: np.ndarray) -> np.ndarray:
+        if x.dtype.kind == "f":
+            largest = np.abs(x[n:]).max(axis=tuple(range(1, x.ndim)), keepdims=True, initial=0)
+            pattern = np.cos(1.0 + np.arange(x[n:].size)).reshape(x[n:].shape)
+            x[n:] += (_CHANGE * np.finfo(x.dtype).eps * largest * pattern).astype(x.dtype)
+        return x
+
+    return few._replace(states=jax.tree.map(changed, few.states), make_states=None, part=None)
+
+
+def _differing_result(ours: Tree, theirs: Tree) -> str:
+    """The first result in which machine code for the members of `_few_members` differs from XLA's program; or "".
+
+    It differs if a change of the states by rounding does not explain it.
+    """
+    n = len(jax.tree.leaves(ours)[0]) // 2
+    for (path, x), y in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
+        name, x = jax.tree_util.keystr(path), np.asarray(x)
+        if not name.endswith(_ROUNDING) and not _agree(x[:n], y[:n], y[n:]):
+            return f"in machine code a first step differs in {name}"
+    return ""
+
+
+def _agree(ours: np.ndarray, theirs: np.ndarray, changed: np.ndarray) -> bool:
+    """Whether results (members, …) agree, given XLA's for the states of `theirs` changed by rounding."""
+    if theirs.dtype.kind != "f":
+        return bool(np.all((ours == theirs) | (theirs != changed)))
+    axes = tuple(range(1, theirs.ndim))
+    with np.errstate(invalid="ignore"):
+        differs, spread = np.abs(ours - theirs), np.abs(changed - theirs)
+        undecided = ~np.isfinite(spread) & (theirs != changed) & ~(np.isnan(theirs) & np.isnan(changed))
+        same = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs)) | undecided
+    size, rounding = (np.max(np.where(np.isfinite(x), x, 0), axis=axes, initial=0) for x in (np.abs(theirs), spread))
+    allowed = np.sqrt(np.finfo(theirs.dtype).eps) * size + _LEEWAY * rounding
+    return bool(np.all(same | (allowed >= differs.T).T))

@@ -1,39 +1,51 @@
-"""The loop of a run on the host: calls of compiled code, rows for the output, and the report of failures."""
+"""The loop of a run on the host: calls of compiled code, rows for the output, progress, interrupts, and failures."""
 
 from __future__ import annotations
 
+import contextlib
+import signal
+import sys
+import threading
 import time
 import warnings
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any, Self
 
+import jax
 import numpy as np
 
-from lieint_jax.runs import _layout, _loop
+from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock, more_times
 from lieint_jax.runs._engine import Engine
 from lieint_jax.runs._job import MAX_NAMED, Job, Saves, gather_rows, list_members, reduce_rows
-from lieint_jax.runs._layout import Layout, Tree
-from lieint_jax.runs._loop import Carry
+from lieint_jax.runs._layout import Layout
+from lieint_jax.runs._loop import Carry, Given, energy
 from lieint_jax.runs._memory_output import MemoryOutput
-from lieint_jax.runs._progress import Bar, CallLength, Interrupts
 from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.types import System
+
+_CALL = 0.5  # target duration of a call of the compiled loop, s
 
 
 def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, progress: bool) -> Saves | None:
     """Run a job to its end, append its saved rows to `output`, and return the output's result."""
-    job, loop = engine.job, CompiledLoop(engine, layout, output.buffer_rows, progress)
-    carry, done, saved = output.restore() or (None, 0, 0)
-    if carry is None:
-        carry = loop.start
-        loop.check_first_step()
-        output.begin(carry)
-        output.checkpoint(carry, 0, 0.0, stop=False)
+    job, restored = engine.job, output.restore()
+    given, start = engine.start(layout)
+    shown = bool(_layout.all_reduce_max(layout.mesh, progress and Bar.is_visible())[0])
+    H0 = engine.quantity(energy, given, start.state, 0) if shown else None
+    if restored is None:
+        _check_start(engine, layout, given, start, output.buffer_rows)
+        output.begin(start)
+        output.checkpoint(start, 0, 0.0, stop=False)
+    carry, done, saved = restored or (start, 0, 0)
+    del start, restored  # their arrays are as large as those of a carry
     length = CallLength(layout)
-    with Interrupts(output.defers_interrupts) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
+    with _interrupts(output.defers_interrupts) as requested, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
             ends, saves = _next_call(job, done, saved, min(length.steps, engine.most_steps), output.free_rows)
             clock, steps = time.perf_counter(), int(ends[-1]) - done
-            carry, rows = loop.run_intervals(carry, done, saved, ends)
+            carry, rows = engine.run_intervals(given, carry, done, saved, ends, output.buffer_rows)
             done, saved = done + steps, saved + saves
             if saves:
                 output.append(
@@ -41,8 +53,11 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
                 )
             del rows  # while the next call computes others
             bar.update(steps)
-            loop.show_progress(carry, done, bar)
-            stop = length.measure(steps, time.perf_counter() - clock, interrupts.requested)
+            if H0 is not None:
+                H = engine.quantity(energy, given, carry.state, done)
+                error, failed = _layout.worst_energy_error(layout, H0, H, carry.failed)
+                bar.show(error if job.step.system.hamiltonian else None, failed)
+            stop = length.measure(steps, time.perf_counter() - clock, bool(requested))
             output.checkpoint(carry, done, length.seconds, stop)
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
@@ -58,66 +73,25 @@ def _next_call(job: Job, done: int, saved: int, most: int, free_rows: int) -> tu
     return (ahead[:saves], saves) if saves else (np.array([done + most]), 0)
 
 
-class CompiledLoop:
-    """The loop of a run over the members of a layout."""
-
-    def __init__(self, engine: Engine, layout: Layout, buffer_rows: int, progress: bool) -> None:
-        self._engine, self._job, self._layout, self._rows = engine, engine.job, layout, buffer_rows
-        self._given, self.start = engine.start(layout)
-        self._shown = bool(_layout.all_reduce_max(layout.mesh, progress and Bar.is_visible())[0])
-        if self._shown:
-            self._H0 = self._energies(self.start, 0)
-
-    def run_intervals(self, carry: Carry, done: int, saved: int, ends: np.ndarray) -> tuple[Carry, Tree]:
-        """The carry and the saved rows of the save intervals that end at the nodes `ends`.
-
-        Before them there were `done` steps, and `saved` entries after the start.
-        """
-        dtype, rests = _loop.step_dtype(), self._job.rests
-        first = np.concatenate([[done], ends[:-1]]).astype(dtype)
-        begins = (np.arange(len(ends)) > 0) | (done == self._job.nodes[saved])
-        if rests is not None:
-            rests = np.resize(rests[saved + 1 :], len(ends)).astype(self._job.dtype)
-        spans = _loop.Span(first, ends.astype(dtype), rests, begins)
-        return self._engine.run_spans(self._given, carry, spans, self._rows)
-
-    def check_first_step(self) -> None:
-        """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
-        if self._job.reduction is not None:
-            _check_start(_layout.gather(self._layout, self._given.quantity), self._job.first_member)
-        if self._job.num_steps:
-            after, _ = self.run_intervals(self.start, 0, 0, np.ones(1, int))
-            _check_first(_layout.gather(self._layout, after.failed), self._job)
-
-    def _energies(self, carry: Carry, done: int) -> _layout.Numbers:
-        """The energies minus work after `done` steps."""
-        return self._engine.quantity(_loop.energy, self._given, carry.state, done)
-
-    def show_progress(self, carry: Carry, done: int, bar: Bar) -> None:
-        """Show the energy error and the failures so far on the progress bar, if it is visible."""
-        if self._shown:
-            H = self._energies(carry, done)
-            energy, failed = _layout.worst_energy_error(self._layout, self._H0, H, carry.failed)
-            bar.show(energy if self._job.step.system.hamiltonian else None, failed)
-
-
-def _check_start(quantity: np.ndarray, first: int) -> None:
-    bad = np.flatnonzero(~np.isfinite(quantity))
-    if bad.size:
-        raise ValueError(
-            f"the quantity of reduce must be finite at the start, from which its changes are measured, and is not "
-            f"finite for {list_members(bad + first)}"
-        )
-
-
-def _check_first(failed: np.ndarray, job: Job) -> None:
-    bad = np.flatnonzero(failed >= 0)
-    if bad.size and not job.step.approximate:
-        step, state = job.member(bad[0])
-        more = more_times(step, state, job.first_dt) if isinstance(job.clock, GridClock) else ""
-        advice = f"{step.failure(state, job.first_dt)}{more}"
-        first = job.first_member
-        raise ValueError(f"the first step fails for {list_members(bad + first)}. Member {bad[0] + first}: {advice}")
+def _check_start(engine: Engine, layout: Layout, given: Given, start: Carry, rows: int) -> None:
+    """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
+    job = engine.job
+    first = job.first_member
+    if given.quantity is not None:
+        bad = np.flatnonzero(~np.isfinite(_layout.gather(layout, given.quantity)))
+        if bad.size:
+            raise ValueError(
+                f"the quantity of reduce must be finite at the start, from which its changes are measured, and is not "
+                f"finite for {list_members(bad + first)}"
+            )
+    if job.num_steps:
+        after, _ = engine.run_intervals(given, start, 0, 0, np.ones(1, int), rows)
+        bad = np.flatnonzero(_layout.gather(layout, after.failed) >= 0)
+        if bad.size and not job.step.approximate:
+            step, state = job.member(bad[0])
+            more = more_times(step, state, job.first_dt) if isinstance(job.clock, GridClock) else ""
+            advice = f"{step.failure(state, job.first_dt)}{more}"
+            raise ValueError(f"the first step fails for {list_members(bad + first)}. Member {bad[0] + first}: {advice}")
 
 
 def warn_of_failures(failed: np.ndarray, first: int, system: System) -> None:
@@ -136,3 +110,104 @@ def warn_of_failures(failed: np.ndarray, first: int, system: System) -> None:
             RuntimeWarning,
             stacklevel=5,
         )
+
+
+class Bar:
+    """A progress bar: body-steps per second, time left, worst energy error so far, unconverged members.
+
+    It is on stderr, if that is a terminal, or below the cell of a notebook, where a run takes more than a second.
+    """
+
+    def __init__(self, shown: bool, num_steps: int, count: int, done: int, unit: str = " body-steps") -> None:
+        self._count, self._worst = count, 0.0
+        self._bar = None
+        if shown and self.is_visible():
+            self._delayed = _in_notebook()
+            self._bar = _tqdm()(
+                total=num_steps * count,
+                initial=done * count,
+                unit=unit,
+                unit_scale=True,
+                leave=False,
+                dynamic_ncols=True,
+                delay=1 if self._delayed else 0,
+            )
+
+    @staticmethod
+    def is_visible() -> bool:
+        """True if this is the first process and somebody sees its bar."""
+        return jax.process_index() == 0 and (sys.stderr.isatty() or _in_notebook())
+
+    def update(self, steps: int) -> None:
+        """Advance the bar by `steps` steps of all members."""
+        if self._bar is not None:
+            self._bar.update(steps * self._count)
+
+    def show(self, energy: float | None, unconverged: int) -> None:
+        """Show the worst energy error so far, `energy` being the latest, and the number of members that failed."""
+        shown = f"unconverged {unconverged}"
+        if energy is not None:
+            self._worst = energy if energy != energy else max(self._worst, energy)
+            shown = f"energy {self._worst:.1e}, {shown}"
+        if self._bar is not None:
+            self._bar.set_postfix_str(shown, refresh=not self._delayed)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+def _in_notebook() -> bool:
+    """True in the kernel of Jupyter."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return type(shell).__name__ == "ZMQInteractiveShell"
+
+
+def _tqdm() -> Any:
+    """The kind of bar that fits: widgets in a notebook that has ipywidgets, else text."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "IProgress not found")
+        from tqdm.auto import tqdm  # imported here, for a fast import of the package
+    return tqdm
+
+
+class CallLength:
+    """The number of steps per call of the compiled loop, adapted so that a call takes about half a second."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._mesh = layout.mesh
+        self.steps, self.seconds = max(1, 100_000 // layout.members), 0.0
+
+    def measure(self, steps: int, seconds: float, interrupted: bool) -> bool:
+        """Adapt the number of steps to the duration of a call; return True if a process was interrupted."""
+        self.seconds, stop = _layout.all_reduce_max(self._mesh, seconds, interrupted)
+        if steps == self.steps or self.seconds > _CALL:
+            grown = self.steps * min(4.0, _CALL / max(self.seconds, 1e-6))
+            self.steps = int(min(max(1, grown), 2**30))
+        return bool(stop)
+
+
+@contextlib.contextmanager
+def _interrupts(deferred: bool) -> Iterator[list[int]]:
+    """A context in which a first Ctrl-C or SIGTERM is only added to the list; a second one interrupts at once.
+
+    If not `deferred`, or outside the main thread, the handlers of the signals do not change.
+    """
+    requested: list[int] = []
+
+    def request(number: int, _: FrameType | None) -> None:
+        if requested:
+            raise KeyboardInterrupt
+        requested.append(number)
+        print("\nlieint: finishing the chunk; interrupt again to stop at once", file=sys.stderr)
+
+    deferred = deferred and threading.current_thread() is threading.main_thread()
+    handlers = {n: signal.signal(n, request) for n in (signal.SIGINT, signal.SIGTERM)} if deferred else {}
+    try:
+        yield requested
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

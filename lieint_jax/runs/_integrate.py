@@ -1,9 +1,9 @@
-"""Trajectories: the states that a run saves."""
+"""Trajectories: the states that a run saves, and how its derivative in reverse mode is computed."""
 
 from __future__ import annotations
 
+import abc
 import math
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
-from lieint_jax.runs._adjoint import Adjoint, checked_adjoint
 from lieint_jax.runs._clock import (
     Clock,
     GridClock,
@@ -35,6 +34,18 @@ from lieint_jax.types.shapes import PyTree
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
 _SHORT = 256  # runs up to this length are computed before their first step is checked
+
+
+class Adjoint(abc.ABC):
+    """A derivative of whole runs in reverse mode, for `integrate(…, adjoint=…)`."""
+
+    @abc.abstractmethod
+    def check(self, step: Step, clock: Clock) -> None:
+        """Raise ValueError if this derivative does not exist for runs of the step at the times of the clock."""
+
+    @abc.abstractmethod
+    def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> tuple[State, StepInfo]:
+        """The states saved every `save_every` steps after the initial one, and the reports of the steps between."""
 
 
 def integrate(
@@ -91,7 +102,12 @@ def integrate(
     if (parts := splits(step)) > 1:
         dt, clock, num_steps = None, halved(clock), parts * num_steps
     if adjoint is not None:
-        checked_adjoint(adjoint).check(step, clock)
+        if not isinstance(adjoint, Adjoint):
+            raise ValueError(
+                "adjoint must be None, for the derivative of the loop itself, li.adjoints.ReversibleAdjoint() or "
+                f"li.adjoints.RecursiveCheckpointAdjoint(), got {adjoint!r}"
+            )
+        adjoint.check(step, clock)
         if save_at is not None:
             raise ValueError(
                 f"save_at cannot be given with adjoint={adjoint}: give save_every, or use "
@@ -194,20 +210,19 @@ def of_any_length(
     return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
 
 
-@partial(compiled, static_argnums=5)
-def _padded_trajectory(
-    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int
+def _trajectory(
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int | None = None
 ) -> Trajectory:
-    """`trajectory` for any number of saves up to `most`; the entries after the saves are undefined."""
+    """The trajectory of a state, saved `num_saves` times after the start.
+
+    With `most` it has room for so many saves, and the entries after these are undefined; the two numbers may be traced.
+    """
     later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every, most)
-    return join_start(state, later, clock.time(save_every * jnp.arange(most + 1)))
+    return join_start(state, later, clock.time(save_every * jnp.arange((num_saves if most is None else most) + 1)))
 
 
-@partial(compiled, static_argnums=(3, 4))
-def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
-    """The trajectory of a state, saved `num_saves` times after the start."""
-    later = saved_states(prepared(step, state, clock), state, clock, num_saves, save_every)
-    return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+trajectory = compiled(_trajectory, static_argnums=(3, 4))
+_padded_trajectory = compiled(_trajectory, static_argnums=5)
 
 
 def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:

@@ -152,11 +152,18 @@ class Job(NamedTuple):
         return self._replace(states=jax.tree.map(repeat, self.states), t0=t0, make_states=make_states)
 
     def restricted(self, members: range) -> Job:
-        """The job of these members only."""
-        own = slice(members.start, members.stop)
-        step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[own], self.step)
-        t0 = self.t0 if self.t0 is None or self.shares_time else self.t0[own]
-        return self._replace(step=step, states=jax.tree.map(lambda x: x[own], self.states), t0=t0, part=members)
+        """The job of one of the run's parts, of these members only."""
+        return self.select(slice(members.start, members.stop))._replace(part=members)
+
+    def select(self, which: slice | np.ndarray) -> Job:
+        """The job of some of the members."""
+
+        def of(x: Numbers) -> Numbers:
+            return _layout.on_host(x)[which]
+
+        step = self.step if self.step_axis is None else jax.tree.map(of, self.step)
+        t0 = self.t0 if self.t0 is None or self.shares_time else of(self.t0)
+        return self._replace(step=step, states=jax.tree.map(of, self.states), t0=t0)
 
     @property
     def first_member(self) -> int:
@@ -312,7 +319,11 @@ def first_entry(job: Job) -> Series:
     if job.per_member:
         return {"residual": zero, "unconverged": np.zeros(1, np.int64)}
     found = dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
-    return found if job.part is None else found | {"sums": np.zeros((1, len(blocks(*_ends(job.part)))), job.dtype)}
+    return (
+        found
+        if job.part is None
+        else found | {"sums": np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)}
+    )
 
 
 def reduce_rows(rows: Tree, job: Job) -> Series:
@@ -338,11 +349,35 @@ def reduce_rows(rows: Tree, job: Job) -> Series:
     return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
 
 
-def _ends(members: range) -> tuple[int, int]:
-    return members.start, members.stop
-
-
 def list_members(which: np.ndarray) -> str:
     """The number of some members and the numbers of the first of them, for messages."""
     more = ", …" if which.size > MAX_NAMED else ""
     return f"{which.size} member(s): {', '.join(map(str, which[:MAX_NAMED]))}{more}"
+
+
+def member_of(found: Any, k: int) -> Any:
+    """The trajectory of member k, or the summary of a run of one body without its member axis."""
+    if isinstance(found, Trajectory):
+        state, info = jax.tree.map(lambda x: np.asarray(x[:, k]), (found.state, found.info))
+        return Trajectory(found.t if state.t is None else state.t, state, info)
+    return found._replace(**jax.tree.map(lambda x: x[k], _of_members(found)))
+
+
+def _of_members(summary: Summary | MemberSummary) -> dict[str, Tree]:
+    """The fields of a summary that have a member axis."""
+    names = ("state", "failed", *(Change._fields if isinstance(summary, MemberSummary) else ()))
+    return {name: x for name, x in summary._asdict().items() if name in names}
+
+
+def with_member_axis(tree: Tree, axis: int = 0) -> Tree:
+    return jax.tree.map(lambda x: np.expand_dims(np.asarray(x), axis), tree)
+
+
+def saves_of_batch(saves: Saves) -> Saves:
+    """The saves of a run of one body with a member axis."""
+    found: Any = saves.found
+    if isinstance(found, Trajectory):
+        found = Trajectory(found.t, *with_member_axis((found.state, found.info), 1))
+    else:
+        found = found._replace(**with_member_axis(_of_members(found)))
+    return Saves(found, with_member_axis(saves.failed))

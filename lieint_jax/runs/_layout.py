@@ -126,20 +126,18 @@ def layout_of(mesh: Mesh, members: int, chunk: int = 1) -> Layout:
     return Layout(mesh, members, chunk * -(-members // (processes * chunk)))
 
 
-def placed(layout: Layout, tree: _T, first: int = 0) -> _T:
-    """The part of this process of host arrays that begin at member `first`, on its devices."""
-    mine = layout.computed_members
-    mine = slice(mine.start - first, mine.stop - first)
-    tree = jax.tree.map(lambda x: on_host(x)[mine], tree)
+def placed(layout: Layout, tree: _T, own: bool = True, first: int = 0) -> _T:
+    """The part of this process of host arrays that begin at member `first`, on its devices.
+
+    If members do not have their `own`, all of it on all devices.
+    """
+    tree, mine = jax.tree.map(on_host, tree), layout.computed_members
+    if own:
+        tree = jax.tree.map(lambda x: x[mine.start - first : mine.stop - first], tree)
     if _on_cpu(layout):
         return tree
-    return jax.device_put(jax.tree.map(partial(_padded, layout), tree), _sharding(layout, AXIS))
-
-
-def replicated(layout: Layout, tree: _T) -> _T:
-    """What all members share, on all devices of this process."""
-    tree = jax.tree.map(on_host, tree)
-    return tree if _on_cpu(layout) else jax.device_put(tree, _sharding(layout))
+    spread = NamedSharding(Mesh(np.array(layout.local_devices), (AXIS,)), PartitionSpec(*[AXIS] * own))
+    return jax.device_put(jax.tree.map(partial(_padded, layout), tree) if own else tree, spread)
 
 
 def on_host(x: Numbers) -> Numbers:
@@ -149,10 +147,6 @@ def on_host(x: Numbers) -> Numbers:
 
 def _on_cpu(layout: Layout) -> bool:
     return layout.local_devices[0].platform == "cpu"
-
-
-def _sharding(layout: Layout, *axes: str) -> NamedSharding:
-    return NamedSharding(Mesh(np.array(layout.local_devices), (AXIS,)), PartitionSpec(*axes))
 
 
 def _padded(layout: Layout, x: np.ndarray) -> np.ndarray:

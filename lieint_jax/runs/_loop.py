@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from platform import machine
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,11 +17,10 @@ from jax.typing import ArrayLike
 from lieint_jax import native
 from lieint_jax._xla import compiled_for
 from lieint_jax.runs._clock import GridClock, RoundedClock, StateClock, UniformClock
-from lieint_jax.runs._driver import Body, Progress, march, prepared, step_at_node
+from lieint_jax.runs._driver import prepared
 from lieint_jax.runs._layout import Numbers, Tree
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
-_T = TypeVar("_T")
 Reduction = Callable[[Step, State], Array]
 Axes = Any  # the member axes of a function's arguments, as in `jax.vmap`
 
@@ -136,10 +135,6 @@ def _first_failure(failed: Array, n: Numbers, info: StepInfo) -> Array:
     return jnp.where((failed < 0) & ~info.converged, n.astype(failed.dtype), failed)
 
 
-def _repeated(body: Body, first: Array, count: Array, carry: _T) -> _T:
-    return lax.fori_loop(first, first + count, body, carry)
-
-
 def start(states: State, change: Change | None) -> Carry:
     """The carry of a run that begins with `states`, arrays of the host."""
     members, dtype = states.p.shape[0], states.p.dtype
@@ -207,7 +202,7 @@ class Known(NamedTuple):
 
 
 class Intervals:
-    """The loop over the save intervals of all members: (carry, given, spans, number of spans) ↦ (carry, saved).
+    """The loop over the save intervals of all members.
 
     The saved values are the report, and the states or the change of the reduced quantity. `native.make_once` makes it
     once for data of one member of the same shapes.
@@ -218,73 +213,69 @@ class Intervals:
         axes: the member axes of the carry and of what is given, as in `jax.vmap`.
 
     Attributes:
+        of_all: (carry, given, spans, number of spans) ↦ (carry, saved), compiled.
         known: what is known of it by engines, by their names.
     """
 
     def __init__(self, what: tuple[Reduction | None, Reduction | None], axes: Axes, _: Sequence[Tree]):
         self._reduction, self._condition = what
         self._of_member = jax.jit(self._interval)
-        self._of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
+        self.of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
         self.known: dict[str, Known] = {}
 
-    def __call__(self, *arguments: Tree) -> tuple[Carry, Tree]:
-        return self._of_all(*arguments)
-
     def _loop(self, carry: Carry, given: Given, spans: Span, count: Array) -> tuple[Carry, Tree]:
-        return native.march(self._next, carry, spans, (given,), rows=count, most=len(spans.first))
+        return native.march(self._of_member, carry, spans, (given,), rows=count, most=len(spans.first))
 
-    def _next(self, n: Array, carry: Carry, span: Span, given: Given) -> tuple[Carry, Tree]:
-        return self._of_member(carry, given, span)
-
-    def _interval(self, carry: Carry, given: Given, span: Span) -> tuple[Carry, Tree]:
+    def _interval(self, _: Array, carry: Carry, span: Span, given: Given) -> tuple[Carry, Tree]:
         """A save interval of one member."""
-        step, info, change = given.step, carry.info, carry.change
-        fresh = StepInfo.empty(info.residual), change
+        step, clock, change = given.step, given.own_clock, carry.change
+        fresh = StepInfo.empty(carry.info.residual), change
         if change is not None and not change.per_member:
             fresh = fresh[0], Change.empty(change.total)
-        info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), fresh, (info, change))
+        info, change = jax.tree.map(
+            lambda new, old: jnp.where(span.begins, new, old), fresh, (carry.info, carry.change)
+        )
 
-        def advance_once(state: State, n: Array) -> tuple[State, StepInfo]:
-            end, info = step_at_node(step, given.own_clock, given.add_time(n, state), n)
-            return given.remove_time(end), info
+        def step_once(n: Array, at: Carry) -> Carry:
+            end, info = step(given.add_time(n, at.state), clock.size(n))
+            state, failed = given.remove_time(end), _first_failure(at.failed, n, info)
+            return Carry(state, at.info.merge(info), failed, self._changed(n + 1, state, at.change, given))
 
-        def record(n: Array, before: Progress, after: Progress, info: StepInfo) -> tuple[Array, Any]:
-            failed, change = before.seen
-            failed = _first_failure(failed, n, info)
-            if self._reduction is None or change is None or given.quantity is None:
-                return failed, change
-            now = given.add_time(n + 1, after.state)
-            value = self._reduction(step, now)
-            if not change.per_member:
-                return failed, change.include(value - given.quantity)
-            reached = None if self._condition is None else self._condition(step, now)
-            return failed, change.include(value, reached, given.clock.time(n + 1) if now.t is None else now.t)
-
-        start, count = Progress(carry.state, info, (carry.failed, change)), span.end - span.first
-        state, info, (failed, change) = march(advance_once, span.first, count, start, observe=record, repeat=_repeated)
-        output, worst = state, info
+        after = lax.fori_loop(span.first, span.end, step_once, carry._replace(info=info, change=change))
+        output, worst, failed = after.state, after.info, after.failed
         if span.rest is not None:
             plain = step if given.plain is None else given.plain
-            output, last = plain(given.add_time(span.end, state), span.rest)
-            output, worst = given.remove_time(output), info.merge(last)
+            output, last = plain(given.add_time(span.end, after.state), span.rest)
+            output, worst = given.remove_time(output), worst.merge(last)
             failed = _first_failure(failed, span.end, last)
-        saved = worst, output if self._reduction is None else change
-        return Carry(state, info, failed, change), saved
+        return after._replace(failed=failed), (worst, output if self._reduction is None else after.change)
 
-    def traced(self, *arguments: Tree) -> jax.stages.Traced:
-        """The program for arguments of these shapes, as JAX traces it."""
-        return self._of_all.trace(*arguments)
+    def _changed(self, n: Array, state: State, change: Change | None, given: Given) -> Change | None:
+        """What is known of the reduced quantity at node n, where `state` is."""
+        if self._reduction is None or change is None or given.quantity is None:
+            return change
+        state = given.add_time(n, state)
+        value = self._reduction(given.step, state)
+        if not change.per_member:
+            return change.include(value - given.quantity)
+        reached = None if self._condition is None else self._condition(given.step, state)
+        return change.include(value, reached, given.clock.time(n) if state.t is None else state.t)
 
     def loop(self, *arguments: Tree) -> native.Loop:
-        """Its loop."""
-        [loop] = native.loops_of(self.traced(*arguments).jaxpr)
+        """Its loop, for arguments of these shapes."""
+        [loop] = native.loops_of(self.of_all.trace(*arguments).jaxpr)
         assert loop is not None
         return loop
 
-    def by_xla(self, *arguments: Tree) -> Callable[..., tuple[Carry, Tree]]:
-        """The function of one member, compiled by XLA for arguments of these shapes."""
-        traced = self._of_member.trace(*arguments)
+    def by_xla(self, carry: Carry, given: Given, span: Span) -> Callable[..., tuple[Carry, Tree]]:
+        """The function of one member, (carry, given, span) ↦ (carry, saved), by XLA for arguments of these shapes."""
+        number = np.zeros((), step_dtype())
+        traced = self._of_member.trace(number, carry, span, given)
         structure = jax.tree.structure(traced.out_info)
         with native.engine("xla"):
-            compiled = compiled_for(jaxpr_as_fun(traced.jaxpr), *jax.tree.leaves(arguments))
-        return lambda *x: jax.tree.unflatten(structure, compiled(*jax.tree.leaves(x)))
+            compiled = compiled_for(jaxpr_as_fun(traced.jaxpr), *jax.tree.leaves((number, carry, span, given)))
+
+        def call(carry: Carry, given: Given, span: Span) -> tuple[Carry, Tree]:
+            return jax.tree.unflatten(structure, compiled(*jax.tree.leaves((number, carry, span, given))))
+
+        return call

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import jax
 import jax.numpy as jnp
@@ -67,25 +66,55 @@ def check_own_steps(step: Step, members: int | None) -> None:
 
 
 def make_jobs(
-    make_job: partial[Job],
     step: Step,
     states: State | MakeStates,
     made: MadeStates | None,
     part: tuple[int, int] | None,
     remote: bool,
+    options: dict[str, Any],
 ) -> tuple[Job, Job]:
-    """The job of all members, and that of this process: of one of the parts, if it has any."""
+    """The job of all members, and that of this process: of one of the parts, if it has any.
+
+    `options` are further arguments of `checked_job`.
+    """
+    _check_options(**options)
     if made is None:
-        whole = make_job(step, states)
+        whole = checked_job(step, cast("State", states), **options)
     elif part is not None:
-        whole = _describe_whole(make_job, step, made)
+        whole = _describe_whole(step, made, options)
     else:
-        whole = _make_members(make_job, step, made, range(made.members))
+        whole = _make_members(step, made, range(made.members), options)
     if part is None:
         return whole, whole
     own = split_into_parts(whole, part[1], remote).part(part[0])
-    job = whole.restricted(own) if made is None else _make_members(make_job, step, made, own)._replace(part=own)
+    job = whole.restricted(own) if made is None else _make_members(step, made, own, options)._replace(part=own)
     return whole, job
+
+
+def _check_options(
+    step_axis: int | None,
+    save_every: int | None,
+    reduce: object = None,
+    save_at: object = None,
+    per: object = None,
+    first: object = None,
+    **_: object,
+) -> None:
+    """Raise ValueError unless these arguments of `checked_job` fit."""
+    if step_axis not in (None, 0):
+        raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
+    if reduce is not None and reduce != "energy" and not callable(reduce):
+        raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
+    if per is None and first is None:
+        return
+    if per != "member":
+        raise ValueError(f'per must be None or "member", which `first` needs; got {per!r}')
+    if reduce is None:
+        raise ValueError('per="member" is of a quantity: give reduce="energy" or a function (step, state) ↦ scalar')
+    if first is not None and not callable(first):
+        raise ValueError(f"first must be a function (step, state) ↦ True or False, got {first!r}")
+    if save_every is not None or save_at is not None:
+        raise ValueError('per="member" is over all steps: give no save_every and no save_at')
 
 
 def split_into_parts(job: Job, count: int, remote: bool) -> Split:
@@ -95,17 +124,17 @@ def split_into_parts(job: Job, count: int, remote: bool) -> Split:
     )
 
 
-def _make_members(make_job: partial[Job], step: Step, made: MadeStates, members: range) -> Job:
+def _make_members(step: Step, made: MadeStates, members: range, options: dict[str, Any]) -> Job:
     """The job of members whose states a function makes."""
     own = slice(members.start, members.stop)
-    if make_job.keywords["step_axis"] is not None:
+    if options["step_axis"] is not None:
         step = jax.tree.map(lambda leaf: leaf[own], step)
-    return make_job(step, made.make(members), made=members)
+    return checked_job(step, made.make(members), made=members, **options)
 
 
-def _describe_whole(make_job: partial[Job], step: Step, made: MadeStates) -> Job:
+def _describe_whole(step: Step, made: MadeStates, options: dict[str, Any]) -> Job:
     """The description of a run in parts whose states a function makes; only the first member's are made."""
-    first = _make_members(make_job, step, made, range(1))
+    first = _make_members(step, made, range(1), options)
     step, _, _ = promoted(checked_step(step), first.initial)
     return first.with_members(made.members, made.function)._replace(step=step)
 
@@ -117,17 +146,25 @@ def checked_job(
     num_steps: int | None,
     save_every: int | None,
     step_axis: int | None,
-    reduce: Reduction | Literal["energy"] | None,
-    store: str | Path | StoreOptions | None,
-    times: ArrayLike | None,
-    save_at: ArrayLike | None,
+    reduce: Reduction | Literal["energy"] | None = None,
+    store: str | Path | StoreOptions | None = None,
+    times: ArrayLike | None = None,
+    save_at: ArrayLike | None = None,
     made: range | None = None,
     batch: bool = True,
     per: Literal["member"] | None = None,
     first: Reduction | None = None,
     epoch: str = "",
 ) -> Job:
-    """The checked description of a run from the arguments of `run`; `made` are the members that a function has made."""
+    """The checked description of a run from arguments of `li.run`.
+
+    Args:
+        step, states: those of the members; each has its own step if `step_axis` is 0, not None.
+        dt, num_steps, save_every, reduce, store, times, save_at, per, first: as in `li.run`.
+        made: the members, if a function has made them.
+        batch: whether it is a run of a batch, not of one body.
+        epoch: the text of an epoch, or "".
+    """
     first_member = 0 if made is None else made.start
     step, states, dtype = promoted(checked_step(step), states)
     states, t0 = _split_time(step, states, first_member, merge=made is None)

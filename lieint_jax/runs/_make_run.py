@@ -10,11 +10,10 @@ from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
 from lieint_jax.dates import DateLike, text_of
-from lieint_jax.runs._job import MemberSummary, Summary
+from lieint_jax.runs._job import MemberSummary, Summary, with_member_axis
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs._make_job import check_own_steps, is_batch
-from lieint_jax.runs._member_axis import with_member_axis
 from lieint_jax.runs._results import compute, untransformed
 from lieint_jax.runs._run import Run, computed_run, stored_run
 from lieint_jax.runs.store._reading import open_with_step

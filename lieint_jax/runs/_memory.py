@@ -53,7 +53,7 @@ def peak_memory(
     Returns:
         The number of bytes.
     """
-    _, count = checked_part(part)
+    count = 1 if part is None else checked_part(part)[1]
     made = made_states(states, members)
     first: Any = states if made is None else made.make(range(1))
     given = len(first.p)

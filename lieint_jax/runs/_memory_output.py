@@ -52,25 +52,17 @@ class MemoryOutput:
         else:
             states = self._job.without_time(found.state)
             last = jax.tree.map(lambda x: x[-1], states)
-            self._allocate((found.info, states), 1)
             self._put((found.info, states))
         carry = _loop.start(self._job.without_time(last), change)
         carry = carry._replace(failed=failed.astype(_loop.step_dtype()), info=info or carry.info)  # pyright: ignore
         return _layout.placed(self._layout, carry), done, saved
-
-    def _allocate(self, rows: Tree, leading: int) -> None:
-        """Arrays for all entries like these rows, which have so many leading axes."""
-        entries = self._job.num_saves + 1
-        self._out = jax.tree.map(lambda x: np.empty((entries, *x.shape[leading:]), x.dtype), rows)
 
     def begin(self, carry: Carry) -> None:
         """Receive the entry of the start; not called for a run that goes on."""
         if self._job.reduction is not None:
             self._series.append(first_entry(self._job))
             return
-        first = _layout.gather(self._layout, (carry.info, carry.state))
-        self._allocate(first, 0)
-        self._put(jax.tree.map(lambda x: x[None], first))
+        self._put(jax.tree.map(lambda x: x[None], _layout.gather(self._layout, (carry.info, carry.state))))
 
     def append(self, saved: Tree | Series, number: int) -> None:
         """Receive `number` saved rows, or those of the series of a reduction."""
@@ -80,6 +72,10 @@ class MemoryOutput:
             self._put(gather_rows(self._layout, saved, number))
 
     def _put(self, rows: Tree) -> None:
+        """Copy rows to the arrays of all entries, which the first of them make."""
+        if self._out is None:
+            entries = self._job.num_saves + 1
+            self._out = jax.tree.map(lambda x: np.empty((entries, *x.shape[1:]), x.dtype), rows)
         number = len(jax.tree.leaves(rows)[0])
         for target, x in zip(jax.tree.leaves(self._out), jax.tree.leaves(rows), strict=True):
             target[self._entries : self._entries + number] = x

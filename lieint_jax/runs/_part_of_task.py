@@ -71,10 +71,8 @@ def part_of_task(count: int | None = None, environment: Mapping[str, str] = os.e
     )
 
 
-def checked_part(part: tuple[int, int] | None) -> tuple[int, int]:
-    """`part`, checked to be (k, n) with 0 ≤ k < n; None is (0, 1)."""
-    if part is None:
-        return 0, 1
+def checked_part(part: tuple[int, int]) -> tuple[int, int]:
+    """`part`, checked to be (k, n) with 0 ≤ k < n."""
     try:
         k, count = (int(x) for x in part)
         right = (k, count) == tuple(part) and 0 <= k < count

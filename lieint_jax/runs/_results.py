@@ -13,7 +13,6 @@ import jax
 import numpy as np
 from jax.errors import ConcretizationTypeError, TracerArrayConversionError
 from jax.sharding import Mesh
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.runs import _layout, _loop, processes
@@ -21,14 +20,14 @@ from lieint_jax.runs._engine import engine_of
 from lieint_jax.runs._execute import execute
 from lieint_jax.runs._job import Job, MemberSummary, Saves, first_entry
 from lieint_jax.runs._layout import Layout
-from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates, made_states
-from lieint_jax.runs._make_job import checked_job, make_jobs
+from lieint_jax.runs._make_job import make_jobs
 from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._part_of_task import checked_part, part_of_task
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._into_store import run_into_store
-from lieint_jax.runs.store._reading import Stored, read_written
+from lieint_jax.runs.store._leaves import Stored
+from lieint_jax.runs.store._reading import read_written
 from lieint_jax.runs.store._storage import Url, address
 from lieint_jax.runs.store._store_options import StoreOptions, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
@@ -85,61 +84,37 @@ def compute(
     dt: float | None,
     num_steps: int | None,
     *,
-    save_every: int | None,
-    step_axis: int | None,
-    reduce: Reduction | Literal["energy"] | None = None,
     mesh: Mesh | None = None,
     store: str | Path | StoreOptions | None = None,
     progress: bool = True,
     resume: bool = False,
-    times: ArrayLike | None = None,
-    save_at: ArrayLike | None = None,
     part: tuple[int, int] | Literal["auto"] | None = None,
     members: int | None = None,
     threads: int | None = None,
-    per: Literal["member"] | None = None,
-    first: Reduction | None = None,
     same_bits: bool = True,
-    batch: bool = True,
     earlier: Saves | None = None,
-    epoch: str = "",
+    **description: Any,
 ) -> Results:
-    """The results of a run; arguments as in `ensemble.run`.
+    """The results of a run; states have the member axis also if it is of one body.
 
     Args:
-        threads, per, first, same_bits: as in `li.run`.
-        epoch: the text of an epoch, or "".
-        batch: whether it is of a batch, not of one body; states have the member axis in either case.
+        step, states, dt, num_steps, mesh, store, progress, resume, part, members, threads, same_bits: as in `li.run`.
         earlier: the saves in memory of a run that this one continues.
+        description: further arguments of `checked_job`.
     """
-    _check_options(step_axis, reduce, resume, store)
-    if per is not None or first is not None:
-        save_every = _check_per_member(per, first, reduce, save_every, save_at)
-    k, count = part_of_task() if part == "auto" else checked_part(part)
+    if resume and store is None:
+        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
+    k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
     threads = threads or (None if mesh is None else len(mesh.local_devices))
     mesh = _layout.checked_mesh(mesh)
     options = store if isinstance(store, StoreOptions) or store is None else StoreOptions(store)
     in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
     if (in_parts or remote) and _layout.count_processes(mesh) > 1:
         raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
+    description |= {"dt": dt, "num_steps": num_steps, "store": store}
     made = made_states(states, members)
-    make_job = partial(
-        checked_job,
-        dt=dt,
-        num_steps=num_steps,
-        save_every=save_every,
-        step_axis=step_axis,
-        reduce=reduce,
-        store=store,
-        times=times,
-        save_at=save_at,
-        batch=batch,
-        per=per,
-        first=first,
-        epoch=epoch,
-    )
     with _checks.on_host():
-        whole, job = make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
+        whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
     engine = engine_of(job, mesh, threads or _layout.count_cores())
 
     def integrate(layout: Layout, output: MemoryOutput | StoreOutput) -> object:
@@ -212,24 +187,3 @@ def _feed(job: Job, saves: Saves, layout: Layout, output: StoreOutput) -> None:
             carry = carry._replace(state=jax.tree.map(lambda x: x[-1], block[1]))
         output.checkpoint(carry, int(job.nodes[saved]), 0.0, stop=False)
     output.result(carry)
-
-
-def _check_options(step_axis: int | None, reduce: object, resume: bool, store: object) -> None:
-    if step_axis not in (None, 0):
-        raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
-    if reduce is not None and reduce != "energy" and not callable(reduce):
-        raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
-    if resume and store is None:
-        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
-
-
-def _check_per_member(per: object, first: object, reduce: object, save_every: int | None, save_at: object) -> None:
-    """Raise ValueError unless the options of a reduction for each member fit; None, since such a run saves its end."""
-    if per != "member":
-        raise ValueError(f'per must be None or "member", which `first` needs; got {per!r}')
-    if reduce is None:
-        raise ValueError('per="member" is of a quantity: give reduce="energy" or a function (step, state) ↦ scalar')
-    if first is not None and not callable(first):
-        raise ValueError(f"first must be a function (step, state) ↦ True or False, got {first!r}")
-    if save_every is not None or save_at is not None:
-        raise ValueError('per="member" is over all steps: give no save_every and no save_at')

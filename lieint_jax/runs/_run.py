@@ -20,11 +20,11 @@ from lieint_jax.runs import _values
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._facts import Facts, dates_of, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
-from lieint_jax.runs._job import MemberSummary, Saves, Summary
+from lieint_jax.runs._job import MemberSummary, Saves, Summary, member_of, saves_of_batch, with_member_axis
+from lieint_jax.runs._loop import energy
 from lieint_jax.runs._make_job import checked_job, is_batch
-from lieint_jax.runs._member_axis import member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._results import Results, compute, write
-from lieint_jax.runs.store._reading import Stored
+from lieint_jax.runs.store._leaves import Stored
 from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.types import (
     State,
@@ -242,7 +242,7 @@ class Run(Generic[Saved, Reduced]):
 
     def energy_error(self) -> Array:
         """H − W less its first value, (times,) or (times, members); W is the work, where the states count it."""
-        return _values.from_start(self.map(_values.energy))
+        return _values.from_start(self.map(energy))
 
     def momentum_error(self) -> Array:
         """The momentum map less its first value, (times, k) or (times, members, k)."""

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 from jax import Array
 
-from lieint_jax.types import State, Step, energy_less_work, periods_of
+from lieint_jax.types import State, Step, periods_of
 
 
 @lru_cache(16)
@@ -23,10 +23,6 @@ def compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., An
         return jax.vmap(function, (None, 0))(step, states)
 
     return jax.jit(map_states)
-
-
-def energy(step: Step, state: State) -> Array:
-    return energy_less_work(step.system, state)
 
 
 def momentum(step: Step, state: State) -> Array:

@@ -256,10 +256,14 @@ def test_programs_of_functions_that_are_gone_are_freed(monkeypatch):
     monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
     check = _compile.compiled(lambda function, x: function(x), static_argnums=0, once=True)
     programs, functions = [], []
+
+    def program_of(function, kinds, examples):
+        return _traced.Traced(jax.make_jaxpr(function)(*examples), kinds)
+
     for k in range(6):
         function = lambda x, k=k: x + k  # noqa: E731
         assert check(function, jnp.ones(())) == 1 + k
-        made = _traced.make_once(_traced.Traced, function, ("member",), (np.ones(()),))
+        made = _traced.make_once(program_of, function, ("member",), (np.ones(()),))
         assert made.length == bool(k)
         programs.append(weakref.ref(made))
         functions.append(weakref.ref(function))

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from lieint_jax.native import _machine, _pieces
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
-from lieint_jax.runs import _comparison
+from lieint_jax.runs import _engine
 
 SPECIAL = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.5, -2.5]  # XLA takes subnormal numbers for 0
 TYPES = [np.int32, np.int64, np.uint32, np.uint8, np.int8, np.uint64, np.int16, np.uint16]
@@ -544,7 +545,7 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
     ],
 )
 def test_results_agree_up_to_what_rounding_does_to_xla(ours, theirs, changed, agree):
-    assert _comparison._agree(*(np.array([x]) for x in (ours, theirs, changed))) is agree
+    assert _engine._agree(*(np.array([x]) for x in (ours, theirs, changed))) is agree
 
 
 def test_what_is_returned_may_be_known_shared_or_given():
@@ -676,32 +677,44 @@ def test_bits_depend_on_no_order_lanes_threads_or_other_members(lanes):
     assert bits(jax.tree.map(lambda y: y[others], native([x]))) == bits(jax.tree.map(lambda y: y[others], whole))
 
 
+def cache_below(monkeypatch, folder):
+    """Let `folder` be that of JAX's cache, next to which machine code is kept."""
+    config = SimpleNamespace(jax_compilation_cache_dir=str(folder))
+    monkeypatch.setattr(_machine, "jax", SimpleNamespace(config=config))
+
+
 def test_machine_code_on_disk_is_checked(tmp_path, monkeypatch):
     """What is damaged, cut, empty or of another key is compiled again; a folder that cannot be written is no error."""
-    key = "a" * 64
-    monkeypatch.setattr(_machine, "_folder", lambda: tmp_path / "native")
-    assert _machine._read_cache(key) is None
-    _machine._write_cache(key, b"code")
-    assert _machine._read_cache(key) == b"code"
+    key, other, compiled = "a" * 64, "b" * 64, []
+    monkeypatch.setattr(_machine, "_compile", lambda *_: compiled.append(1) or b"code")
+    cache_below(monkeypatch, tmp_path)
+
+    def is_read(key):
+        before = len(compiled)
+        assert _machine._object_code(key, [], []) == b"code"
+        return len(compiled) == before
+
+    assert not is_read(key)
+    assert is_read(key)
     file = tmp_path / "native" / key
     good = file.read_bytes()
     for bad in (good[:-1], good + b"x", b"", good[:10], bytes([good[0] ^ 1]) + good[1:], good[:-1] + b"f"):
         file.write_bytes(bad)
-        assert _machine._read_cache(key) is None
-    (tmp_path / "native" / ("b" * 64)).write_bytes(good)
-    assert _machine._read_cache("b" * 64) is None
-    monkeypatch.setattr(_machine, "_folder", lambda: file / "below")
-    _machine._write_cache(key, b"code")
-    assert _machine._read_cache(key) is None
+        assert not is_read(key)
+        assert file.read_bytes() == good
+    file.with_name(other).write_bytes(good)
+    assert not is_read(other)
+    cache_below(monkeypatch, file)  # no folder
+    assert not is_read(key)
 
 
 def test_other_processors_have_other_keys(tmp_path, monkeypatch):
-    monkeypatch.setattr(_machine, "_folder", lambda: tmp_path)
+    cache_below(monkeypatch, tmp_path)
     text = "define void @run(i64 %a, i64 %b, i64 %c, i64 %d, ptr %p) {\n  ret void\n}\n"
     MachineFunction(text)
-    monkeypatch.setattr(_machine, "_features", lambda: "+sse2")
+    monkeypatch.setattr(_machine.llvm, "get_host_cpu_features", lambda: SimpleNamespace(flatten=lambda: "+sse2"))
     MachineFunction(text)
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list((tmp_path / "native").iterdir())) == 2
 
 
 WITHOUT = """

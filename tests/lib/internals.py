@@ -89,7 +89,7 @@ def compare_machine_code(compares):
 
 def forget_fallbacks():
     """Let the log name again why XLA runs a loop in place of machine code."""
-    _march_code._log_once.cache_clear()
+    _march_code.warn_once.cache_clear()
 
 
 def share_short_calls(monkeypatch):
@@ -135,7 +135,7 @@ def refuse_to_integrate(monkeypatch, error):
     def refuse(*_):
         raise error
 
-    monkeypatch.setattr(_execute, "CompiledLoop", refuse)
+    monkeypatch.setattr(_engine.Engine, "start", refuse)
 
 
 def interrupt_after_the_first_call(monkeypatch):

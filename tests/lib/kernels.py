@@ -23,7 +23,9 @@ class Kernel:
     """A function of one member, as machine code for many.
 
     Args:
-        function, kinds, examples: see `Traced`.
+        function: of trees of arrays.
+        kinds: see `Traced`, for each argument or for its parts.
+        examples: the arguments of one member and one row, as arrays or shapes.
         lanes: members in a vector; by default it follows from the machine.
     """
 
@@ -32,10 +34,13 @@ class Kernel:
         from lieint_jax.native import _machine
         from lieint_jax.native._pieces import modules
 
-        traced = Traced(function, kinds, examples)
+        shapes = jax.tree.map(_shape_of, tuple(examples))
+        closed, results = jax.make_jaxpr(function, return_shape=True)(*shapes)
+        each = jax.tree.map(lambda kind, part: [kind] * len(jax.tree.leaves(part)), tuple(kinds), shapes)
+        traced = Traced(closed, jax.tree.leaves(each))
         self._outside, self.length = traced.outside, traced.length
-        self._leaves, self._structure = traced.leaves, jax.tree.structure(traced.results)
-        self._results = jax.tree.leaves(traced.results)
+        self._leaves, self._structure = traced.leaves, jax.tree.structure(results)
+        self._results = jax.tree.leaves(results)
         self._carried = sum(leaf.kind == "carry" for leaf in self._leaves)
         self.lanes = lanes or _machine.lanes(self._leaves, traced.program.pressure())
         sizes = [int(np.prod(x.shape)) for x in self._results[self._carried :]]
@@ -60,6 +65,10 @@ class Kernel:
             run = pool.map(lambda a, b: self._run(int(a), int(b), members, rows, 1, [*given, *outputs]), ends, ends[1:])
             list(run)
         return jax.tree.unflatten(self._structure, outputs)
+
+
+def _shape_of(x):
+    return jax.ShapeDtypeStruct(np.shape(x), jax.dtypes.canonicalize_dtype(jax.numpy.result_type(x)))
 
 
 class MachineFunction:

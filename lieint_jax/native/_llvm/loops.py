@@ -72,7 +72,7 @@ class Loops(Operations):
             self.copy(loop.carries[k], loop.starts[k])
         carried = [k for k in carried if k not in arrays]
         masked = self.varies(loop.test)
-        starts = [self.into_phi(loop.starts[k], loop.carries[k]) for k in carried]
+        starts = [self.into_phi(self.value(loop.starts[k], self.varies(x := loop.carries[k])), x) for k in carried]
         before, head, body, exit_ = self.label, *(self.new_label(x) for x in ("loop.head", "loop.body", "loop.exit"))
         self.jump(head)
         self.begin(head)
@@ -99,10 +99,10 @@ class Loops(Operations):
             inside, after = loop.carries[k], loop.following[k]
             if masked and self.varies(inside):
                 kind = self.type_of(inside)
-                chosen = self.select(f"{mask} {going}", kind, self.value(after, True), self.names[inside])
-                following.append(self.as_mask(chosen) if inside.dtype.kind == "b" else chosen)
+                value = self.select(f"{mask} {going}", kind, self.value(after, True), self.names[inside])
             else:
-                following.append(self.into_phi(after, inside))
+                value = self.value(after, self.varies(inside))
+            following.append(self.into_phi(value, inside))
         for k in arrays:
             self.copy(loop.carries[k], loop.following[k], going)
         going = self.add(f"sext {mask} {going} to {self.mask_type}") if masked else ""
@@ -147,12 +147,8 @@ class Loops(Operations):
         self.names[item.index] = self.add(f"add <{self.lanes} x i64> {self.splat(self.first_row, np.int64)}, <{each}>")
         self.block(item.body)
         for x, rows in live:
-            kind, value = self.stored_type(x.dtype, True), self.value(x, True)
-            if x.dtype.kind == "b":
-                value = self.add(f"zext {self.type(bool, True)} {value} to {kind}")
-            scalar = self.stored_type(x.dtype)
-            at = self.add(f"getelementptr {scalar}, ptr {self.names[rows]}, i64 {self.first_row}")
-            self.lines.append(f"  store {kind} {value}, ptr {at}, align {x.dtype.itemsize}")
+            at = self.place(self.names[rows], x.dtype, self.first_row, False)
+            self.store(self.value(x, True), x.dtype, at, True, f", align {x.dtype.itemsize}")
         self.names, self.outside, self.lanes = self.outside, None, members
 
     def body(self, block: Block) -> None:
@@ -186,17 +182,13 @@ class Loops(Operations):
     def phi_type(self, carry: Value) -> str:
         return self.mask_type if carry.dtype.kind == "b" and self.varies(carry) else self.type_of(carry)
 
-    def as_mask(self, name: str) -> str:
-        return self.add(f"sext <{self.lanes} x i1> {name} to {self.mask_type}")
-
-    def into_phi(self, x: Value, carry: Value) -> str:
-        value = self.value(x, self.varies(carry))
-        return self.as_mask(value) if carry.dtype.kind == "b" and self.varies(carry) else value
+    def into_phi(self, value: str, carry: Value) -> str:
+        kind, mask = self.type_of(carry), self.phi_type(carry)
+        return value if kind == mask else self.add(f"sext {kind} {value} to {mask}")
 
     def out_of_phi(self, phi: str, carry: Value) -> str:
-        if carry.dtype.kind == "b" and self.varies(carry):
-            return self.add(f"trunc {self.mask_type} {phi} to <{self.lanes} x i1>")
-        return phi
+        kind, mask = self.type_of(carry), self.phi_type(carry)
+        return phi if kind == mask else self.add(f"trunc {mask} {phi} to {kind}")
 
     def branch(self, branch: Branch) -> None:
         live = self.program.needed_positions(branch.results)

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lieint_jax.native._llvm.instructions import instruction
 from lieint_jax.native._llvm.memory import Memory
-from lieint_jax.native._llvm.text import constant, literal, suffix
+from lieint_jax.native._llvm.text import constant, instruction, literal, suffix
 from lieint_jax.native._primitives.columns import NEXT
-from lieint_jax.native._program import Block, Program, Value, blocks_of, numbers_of
+from lieint_jax.native._program import Program, Value, all_items, numbers_of
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
 
@@ -248,41 +247,28 @@ class Operations(Memory):
         k = self.add(f"add i64 {k}, {first}") if first else k
         if self.outside is None:
             return self.entry(array, k, vector)
-        kind, scalar = self.stored_type(x.dtype, True), self.stored_type(x.dtype)
-        at = self.add(f"getelementptr {scalar}, ptr {self.names[array]}, i64 {k}")
+        at, scalar = self.place(self.names[array], x.dtype, k, False), self.stored_type(x.dtype)
         if stride != 1:
             each = ", ".join(f"i64 {j * stride}" for j in range(self.lanes))
             return self.gather_at(self.add(f"getelementptr {scalar}, ptr {at}, <{self.lanes} x i64> <{each}>"), x.dtype)
-        found = self.add(f"load {kind}, ptr {at}, align {x.dtype.itemsize}")
-        return found if x.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, True)}")
+        found = self.add(f"load {self.stored_type(x.dtype, True)}, ptr {at}, align {x.dtype.itemsize}")
+        return self.from_stored(found, x.dtype, True)
 
     def entry(self, array: Value, k: str, vector: bool) -> str:
-        kind, at = self.stored_type(array.dtype, vector), self.place(self.names[array], array.dtype, k, vector)
-        found = self.add(f"load {kind}, ptr {at}")
-        return found if array.dtype.kind != "b" else self.add(f"trunc {kind} {found} to {self.type(bool, vector)}")
+        return self.load(self.names[array], array.dtype, k, vector)
 
 
 def _fusions(program: Program) -> tuple[dict[Value, tuple[Value, Value, str]], set[Value]]:
     """The sums that are fused with a product, as (product, other term, which of them is negative), and the products."""
     uses: Counter[Value] = Counter([*program.outputs, *program.written])
-    items: list[Value] = []
-
-    def visit(block: Block) -> None:
-        for item in block.items:
-            if isinstance(item, Value):
-                if item in program.live and item not in program.given:
-                    uses.update(item.inputs)
-                    items.append(item)
-            else:
-                uses.update(numbers_of(item))
-                for inner in blocks_of(item):
-                    visit(inner)
-
-    visit(program.block)
+    needed = program.live - program.given
+    items = [x for x in all_items(program.block) if not isinstance(x, Value) or x in needed]
+    for item in items:
+        uses.update(numbers_of(item))
     fused: dict[Value, tuple[Value, Value, str]] = {}
     absorbed: set[Value] = set()
     for x in items:
-        if x.op not in ("add", "sub") or x.dtype.kind != "f":
+        if not isinstance(x, Value) or x.op not in ("add", "sub") or x.dtype.kind != "f":
             continue
         for n in (1, 0):
             product = x.inputs[n]

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 import jax
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.typing import ArrayLike, DTypeLike
 
@@ -59,6 +60,16 @@ def array_of(numbers: Sequence[object], shape: Sequence[int]) -> np.ndarray:
     return found.reshape(shape)
 
 
+def as_numbers(x: Any) -> Any:
+    """An array as one of numbers, which `Rows` make when they are read; a table as it is."""
+    return x if isinstance(x, np.ndarray | Table) else x.numbers()
+
+
+def shapes_of(variables: Sequence[Any]) -> list[ShapedArray]:
+    """The shapes and types of variables of a jaxpr."""
+    return [x.aval for x in variables]
+
+
 def names(words: str) -> list[str]:
     """The words of a text, one per primitive."""
     return words.split()
@@ -67,14 +78,15 @@ def names(words: str) -> list[str]:
 class AbstractWalk(abc.ABC):
     """What the formulas of primitives use of a walk through a jaxpr.
 
-    Args:
+    Attributes:
         builder: the program so far.
+        unrolled: the most numbers of a longer unrolled loop, in all iterations together.
+        rows_at_once: for which a formula is evaluated, inside a map.
     """
 
-    def __init__(self, builder: Builder):
-        self.builder = builder
-        self.unrolled = 400  # the most numbers of a longer unrolled loop, in all iterations together
-        self.rows_at_once = 1  # for which a formula is evaluated, inside a map
+    builder: Builder
+    unrolled: int
+    rows_at_once: int
 
     @abc.abstractmethod
     def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -106,21 +118,21 @@ class AbstractWalk(abc.ABC):
         index = self.number("convert", index, dtype=np.int64)
         return self.number("min", self.number("max", index, self.index(0)), self.index(last))
 
+    @abc.abstractmethod
     def long_axis(self, shape: Sequence[int]) -> int | None:
         """The axis of an array over whose rows there is a map."""
-        return None
 
+    @abc.abstractmethod
     def packed(self, x: Any, own: Sequence[Value] = ()) -> list[Value]:
         """The numbers, or arrays in memory, that a loop carries for an array; see `columns_of`."""
-        return list(x.flat)
 
+    @abc.abstractmethod
     def unpacked(self, numbers: list[Value], like: Any) -> Any:
         """The array for which a loop carries these numbers or arrays in memory."""
-        return array_of(numbers, like.shape)
 
+    @abc.abstractmethod
     def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
         """Arrays of the shapes of others, which have one row where these have all: the row of a map."""
-        return list(arrays[: len(like)])
 
     def select(self, test: Value, on_true: Any, on_false: Any) -> Any:
         """Numbers or arrays, by a boolean."""

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Table, UnsupportedError, array_of
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Table, UnsupportedError, array_of, as_numbers
 from lieint_jax.native._program import Value
 
 _COPIED = 256  # the longest array that is put together from numbers: LLVM needs 10 s for 400, minutes for 2000
@@ -22,9 +22,9 @@ def row_of(walk: AbstractWalk, x: np.ndarray | Rows | Table, k: Value) -> np.nda
     """x[k] of an array of numbers at an index that the program computes."""
     if isinstance(x, Table):
         return array_of([walk.number("table", k, dtype=x.dtype, data=x.data)], ())
-    x = as_numbers(x)
-    columns = x.reshape(len(x), -1).T
-    return array_of([entry_at(walk, list(column), k) for column in columns], x.shape[1:])
+    rows: np.ndarray = as_numbers(x)
+    columns = rows.reshape(len(rows), -1).T
+    return array_of([entry_at(walk, list(column), k) for column in columns], rows.shape[1:])
 
 
 def entry_at(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
@@ -116,11 +116,6 @@ class Rows:
     def _placed(self, rows: np.ndarray) -> np.ndarray:
         others = [n for d, n in enumerate(self.shape) if d != self.axis]
         return np.moveaxis(rows.reshape(len(rows), *others), 0, self.axis)
-
-
-def as_numbers(x: np.ndarray | Rows) -> np.ndarray:
-    """An array as one of numbers."""
-    return x.numbers() if isinstance(x, Rows) else x
 
 
 def columns_of(walk: AbstractWalk, x: np.ndarray | Rows, axis: int, own: Sequence[Value] = ()) -> list[Value]:

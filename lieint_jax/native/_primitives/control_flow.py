@@ -13,12 +13,12 @@ from typing import Any
 import jax
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, names
-from lieint_jax.native._primitives.columns import as_numbers, row_of
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, as_numbers, names, shapes_of
+from lieint_jax.native._primitives.columns import row_of
+from lieint_jax.native._primitives.elementwise import MOVES, stack
 from lieint_jax.native._primitives.indexing import empty_rows, rows_of, write_rows
-from lieint_jax.native._primitives.moves import MOVES, stack
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value
 
@@ -117,11 +117,11 @@ def _scan(
     return [*found[: len(starts)], *(rows_of(walk, length, *pair) for pair in rows)]
 
 
-def split_scan(items: list[Any], equation: Any) -> list[list[Any]]:
+def split_scan(items: list[Any], equation: JaxprEqn) -> list[list[Any]]:
     """What belongs to the constants of a scan, to its carries and to its rows."""
     step = equation.params["jaxpr"]
-    carried = sum(map(have_same_rank, [x.aval for x in equation.outvars], step.out_avals))
-    fixed = sum(map(have_same_rank, [x.aval for x in equation.invars], step.in_avals))
+    carried = sum(map(have_same_rank, shapes_of(equation.outvars), step.out_avals))
+    fixed = sum(map(have_same_rank, shapes_of(equation.invars), step.in_avals))
     return _split(items, fixed - carried, carried)
 
 
@@ -182,13 +182,13 @@ def _size(jaxpr: Any) -> int:
     return sum(map(size_of, jaxpr.eqns))
 
 
-def size_of(equation: Any) -> int:
+def size_of(equation: JaxprEqn) -> int:
     """About the number of operations of an equation."""
     inner = jaxprs_of(equation.params)
     if inner:
         repeats = equation.params.get("length", 1) if equation.primitive.name == "scan" else 1
         return sum(repeats * _size(getattr(x, "jaxpr", x)) for x in inner)
-    return 0 if equation.primitive.name in MOVES else sum(int(np.prod(x.aval.shape)) for x in equation.outvars)
+    return 0 if equation.primitive.name in MOVES else sum(int(np.prod(x.shape)) for x in shapes_of(equation.outvars))
 
 
 def jaxprs_of(parameters: Parameters) -> list[Any]:

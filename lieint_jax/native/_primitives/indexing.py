@@ -11,8 +11,15 @@ from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.typing import DTypeLike
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, Table, UnsupportedError, array_of
-from lieint_jax.native._primitives.columns import as_numbers, entry_at, offset_by, run_of
+from lieint_jax.native._primitives.abstract_walk import (
+    AbstractWalk,
+    Parameters,
+    Table,
+    UnsupportedError,
+    array_of,
+    as_numbers,
+)
+from lieint_jax.native._primitives.columns import entry_at, offset_by, run_of
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value
 

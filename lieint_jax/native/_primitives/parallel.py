@@ -10,21 +10,22 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from jax.extend.core import JaxprEqn
 
+from lieint_jax.native._primitives.abstract_walk import shapes_of
 from lieint_jax.native._primitives.control_flow import CALLS, jaxprs_of, split_scan, split_while
-from lieint_jax.native._primitives.elementwise import ELEMENTWISE
-from lieint_jax.native._primitives.moves import MOVES
+from lieint_jax.native._primitives.elementwise import ELEMENTWISE, MOVES
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 
 Axes = list[int | None]
-_Rule = Callable[[Any, Axes], tuple[Axes, Axes]]
+_Rule = Callable[[JaxprEqn, Axes], tuple[Axes, Axes]]
 
 
 class NotParallelError(Exception):
     """The rows of a result depend on several rows of the operands."""
 
 
-def rows_along(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def rows_along(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """The axes of the operands and of the results of an equation, from those of its operands, some of which are known.
 
     Raises:
@@ -49,12 +50,12 @@ def _one(axes: Axes) -> int:
 
 
 def _shapes(variables: Sequence[Any]) -> list[tuple[int, ...]]:
-    return [x.aval.shape for x in variables]
+    return [x.shape for x in shapes_of(variables)]
 
 
-def _alike(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _alike(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """Operands and results of one shape; operands may be scalars, or have one entry along some axes."""
-    d, shape = _one(axes), equation.outvars[0].aval.shape
+    d, shape = _one(axes), _shapes(equation.outvars)[0]
     return [d if s and s[d] == shape[d] else None for s in _shapes(equation.invars)], [d] * len(equation.outvars)
 
 
@@ -64,9 +65,9 @@ def _moved(place: Callable[[int, dict[str, Any], tuple[int, ...]], int | None]) 
     Other operands are the same for all rows.
     """
 
-    def rule(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+    def rule(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
         _check(axes[0] is not None and all(d is None for d in axes[1:]))
-        to = place(axes[0], equation.params, equation.invars[0].aval.shape)  # pyright: ignore[reportArgumentType]
+        to = place(axes[0], equation.params, _shapes(equation.invars)[0])  # pyright: ignore[reportArgumentType]
         _check(to is not None)
         return axes, [None if to is None else int(to) for _ in equation.outvars]
 
@@ -96,19 +97,19 @@ def _sliced(d: int, parameters: dict[str, Any], shape: tuple[int, ...]) -> int |
     return d if whole else None
 
 
-def _joined(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _joined(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """Operands that are put next to one another, along another axis."""
     d = _one(axes)
     _check(equation.params["dimension"] != d)
     return [d] * len(axes), [d]
 
 
-def _stacked(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _stacked(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     d = _one(axes)
     return [d] * len(axes), [d + (equation.params["axis"] <= d)]
 
 
-def _product(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _product(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     (a_sum, b_sum), (a_each, b_each) = equation.params["dimension_numbers"]
     for k, each in enumerate((a_each, b_each)):
         if axes[k] in each:
@@ -121,25 +122,25 @@ def _product(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
     _check(None in axes)
     k = int(axes[0] is None)
     own = [
-        [n for n in range(len(x.aval.shape)) if n not in (*each, *summed)]
-        for x, each, summed in zip(equation.invars, (a_each, b_each), (a_sum, b_sum), strict=True)
+        [n for n in range(len(s)) if n not in (*each, *summed)]
+        for s, each, summed in zip(_shapes(equation.invars), (a_each, b_each), (a_sum, b_sum), strict=True)
     ]
     _check(axes[k] in own[k])
     return axes, [len(a_each) + k * len(own[0]) + own[k].index(axes[k])]  # pyright: ignore[reportArgumentType]
 
 
-def _of_matrices(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _of_matrices(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """Linear algebra of the two last axes."""
     d = _one(axes)
     _check(all(d < len(s) - 2 for s in _shapes(equation.invars)))
     return [d] * len(axes), [d] * len(equation.outvars)
 
 
-def _gathered(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _gathered(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """Windows that contain all rows, or the same window of all rows at indices of each."""
     numbers, sizes = equation.params["dimension_numbers"], equation.params["slice_sizes"]
     shape, indices = _shapes(equation.invars)
-    batches = [n for n in range(len(equation.outvars[0].aval.shape)) if n not in numbers.offset_dims]
+    batches = [n for n in range(len(_shapes(equation.outvars)[0])) if n not in numbers.offset_dims]
     batching, of_indices = numbers.operand_batching_dims, numbers.start_indices_batching_dims
     x, k = axes
     if x is not None and x not in batching:
@@ -154,7 +155,7 @@ def _gathered(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
     return axes, [batches[k]]  # pyright: ignore[reportArgumentType, reportCallIssue]
 
 
-def _called(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _called(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     inner = jaxprs_of(equation.params)
     _check(len(inner) == 1)
     return axes, _results(inner[0], axes)
@@ -183,7 +184,7 @@ def _merged(first: Axes, second: Axes) -> Axes:
     return [b if a is None else a for a, b in zip(first, second, strict=True)]
 
 
-def _while(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _while(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """All that it carries has rows, if its test has."""
     cond, body = equation.params["cond_jaxpr"], equation.params["body_jaxpr"]
     of_test, of_body, carry = split_while(axes, cond, body, equation.outvars)
@@ -199,7 +200,7 @@ def _while(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
         carry, strict = after, after == carry
 
 
-def _scan(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _scan(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     step = equation.params["jaxpr"]
     consts, carry, series = split_scan(axes, equation)
     _check(0 not in series)
@@ -212,7 +213,7 @@ def _scan(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
         carry, strict = after, after == carry
 
 
-def _cond(equation: Any, axes: Axes) -> tuple[Axes, Axes]:
+def _cond(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     _check(axes[0] is None)
     found: Axes = [None] * len(equation.outvars)
     for side in equation.params["branches"]:

@@ -6,7 +6,7 @@ whose message is one sentence that names the file.
 
 from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._leaves import leaves_by_name
-from lieint_jax.runs.store._open_archive import TIME, Archive, open_archive, read_trajectory
+from lieint_jax.runs.store._open_archive import TIME, open_archive, read_trajectory
 from lieint_jax.runs.store._reading import check_system, load_store, open_run, step_from_store
 from lieint_jax.runs.store._storage import Address, Url, address
 from lieint_jax.runs.store._store_options import StoreOptions
@@ -16,7 +16,6 @@ __all__ = [
     "SUFFIXES",
     "TIME",
     "Address",
-    "Archive",
     "StoreOptions",
     "UnreadableError",
     "Url",

@@ -5,14 +5,17 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
 from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._storage import Address
+from lieint_jax.runs.store._storage import Address, Storage
 
 _MAX_FILES = 10**6  # of an array's row of chunks along time
+REQUESTS = 16  # at the same time
 _MAX_NAMED = 5  # sentences in a message
 
 
@@ -74,6 +77,52 @@ def checksum_of_bytes(data: bytes) -> int | str:
     import google_crc32c  # a dependency of zarr
 
     return tail(data) if len(data) >= 4 and google_crc32c.value(data[:-4]) == tail(data) else "altered"
+
+
+def checksum_of(storage: Storage, file: str, whole: bool) -> int | str:
+    """The checksum at the end of a chunk; a word if its file is missing, unreadable or, if `whole` is read, altered."""
+    try:
+        return checksum_of_bytes(storage.read(file)) if whole else tail(storage.tail(file))
+    except FileNotFoundError:
+        return "missing"
+    except OSError as error:
+        return f"unreadable ({error.strerror or error})"
+
+
+def damage_of_chunks(
+    storage: Storage, expected: Mapping[str, int | None], metas: Mapping[str, Table], whole: bool | None = None
+) -> Iterator[str]:
+    """A line for each chunk that is missing, altered or of another place, by the checksums that are known.
+
+    Of files in a folder all bytes are compared with the checksums at their ends; of objects, for which a request
+    transfers four bytes, these ends only.
+    """
+    whole = not storage.is_remote if whole is None else whole
+    checksums = in_threads(lambda file: checksum_of(storage, file, whole), expected, storage)
+    for (file, wanted), found in zip(expected.items(), checksums, strict=True):
+        if isinstance(found, str) or wanted not in (None, found):
+            what = found if isinstance(found, str) else "the chunk of another place or another run"
+            yield f"{file} is {what} ({part_of_array(file, metas)})"
+
+
+def damage_of_constants(storage: Storage, digests: Mapping[str, str], metas: Mapping[str, Table]) -> Iterator[str]:
+    """A line for each file of the arrays that a run does not change that is missing, altered or of another run."""
+    for name, expected in digests.items():
+        files = chunk_files(name, metas[name])
+        found = [checksum_of(storage, file, not storage.is_remote) for file in files]
+        lost = [(file, x) for file, x in zip(files, found, strict=True) if isinstance(x, str)]
+        yield from (f"{file} is {x} ({part_of_array(file, metas)})" for file, x in lost)
+        if not lost and digest_of(x for x in found if isinstance(x, int)) != expected:
+            yield f"{name} is not as the run wrote it: it was replaced, or copied while a run was writing it"
+
+
+def in_threads(function: Any, values: Iterable[Any], storage: Storage) -> Iterator[Any]:
+    """The results of a function that makes requests; many requests at the same time to object storage."""
+    if not storage.is_remote:
+        yield from map(function, values)
+        return
+    with ThreadPoolExecutor(REQUESTS) as pool:
+        yield from pool.map(function, values)
 
 
 def first_of(sentences: list[str]) -> str:

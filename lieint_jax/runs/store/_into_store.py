@@ -18,9 +18,9 @@ from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
 from lieint_jax.runs.store._description import describe
 from lieint_jax.runs.store._files import open_storage
-from lieint_jax.runs.store._leaves import Table
+from lieint_jax.runs.store._leaves import Stored, Table
 from lieint_jax.runs.store._open_store import check_store, described_root
-from lieint_jax.runs.store._reading import Stored, read_part
+from lieint_jax.runs.store._reading import read_part
 from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split
 from lieint_jax.runs.store._storage import Storage
 from lieint_jax.runs.store._store_options import StoreOptions, check_json, checked_path

@@ -1,8 +1,8 @@
-"""The arrays of states, by the names that stores and files have for them."""
+"""The arrays of states, by the names that stores and files have for them, and the run that they make."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,3 +43,18 @@ def states_in(arrays: Any, times: np.ndarray, metadata: Table) -> State:
     if "t" in leaves and "t" not in found:
         found["t"] = shared_time(times, metadata["members"])
     return state_from_leaves(found)
+
+
+class Stored(NamedTuple):
+    """A run in a store.
+
+    Attributes:
+        found: a `Trajectory` of arrays that are read where they are indexed; of a reduced run its arrays by name, or
+            the summary that is made of them.
+        failed: the first step of each member that did not converge, or −1; None if that is not known yet.
+        attributes: those of the store.
+    """
+
+    found: Any
+    failed: Any
+    attributes: Table

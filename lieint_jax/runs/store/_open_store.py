@@ -52,7 +52,7 @@ def check_store(path: Address) -> Root | Table:
     root = described_root(path)
     with wrap_errors(path):
         if not isinstance(root, Root):
-            lost = list(_legacy.damage(path, root))  # pyright: ignore[reportArgumentType]
+            lost = list(_legacy.damage(open_storage(path), root))
         elif not root.in_parts:
             lost = list(root.damage())
         elif lost := list(root.damage_of_root()):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,7 @@ from lieint_jax.runs.store._chunks import first_of
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._disk import Disk
 from lieint_jax.runs.store._files import open_storage
-from lieint_jax.runs.store._leaves import Table, states_in
-from lieint_jax.runs.store._legacy import Loaded
+from lieint_jax.runs.store._leaves import Stored, Table, states_in
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
 from lieint_jax.runs.store._root import PartStatus, Root, read_root
@@ -73,21 +72,6 @@ def open_with_step(path: Address, own: Mapping[str, object] | None = None) -> tu
     return stored, step
 
 
-class Stored(NamedTuple):
-    """A run in a store.
-
-    Attributes:
-        found: a `Trajectory` of arrays on disk, or a `Summary`.
-        failed: the first step of each member that did not converge, or −1; before the run is complete, the first step
-            between two of its saves.
-        attributes: those of the store.
-    """
-
-    found: Any
-    failed: np.ndarray
-    attributes: Table
-
-
 def read_run(path: Address) -> Stored:
     """The run in a store, checked as far as its arrays show."""
     loaded = _load(path)
@@ -118,7 +102,7 @@ def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]
     return loaded.found, loaded.attributes
 
 
-def _load(path: Address, thorough: bool | None = None) -> Loaded:
+def _load(path: Address, thorough: bool | None = None) -> Stored:
     root = check_store(path)
     with wrap_errors(path):
         if isinstance(root, Root):
@@ -192,7 +176,11 @@ def _constants(path: Address, names: Iterable[str]) -> dict[str, np.ndarray]:
     return {name: np.asarray(zarr.open_array(store, path=name, mode="r")[...]) for name in names}
 
 
-def _as_stored(loaded: Loaded) -> Stored:
+def _as_stored(loaded: Stored) -> Stored:
+    """The run with a summary of the arrays of a reduced one, and with the first failures as far as reports show them.
+
+    Before the run is complete, these are the first steps between two of its saves.
+    """
     found, failed, attributes = loaded
     if isinstance(found, Trajectory):
         failed = _failures(found, attributes["save_every"]) if failed is None else failed

@@ -19,20 +19,18 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from lieint_jax.runs.store._chunks import (
-    checksum_of_bytes,
     chunk_files,
+    damage_of_chunks,
+    damage_of_constants,
     digest,
-    digest_of,
     dims_of,
+    in_threads,
     is_along_time,
-    part_of_array,
-    tail,
 )
 from lieint_jax.runs.store._kinds import PROGRESS_KEYS, RUN_KEYS, check_table
 from lieint_jax.runs.store._leaves import Table
@@ -45,7 +43,6 @@ ROOT = "zarr.json"  # the metadata of a Zarr 3 group
 ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
 CARRY = "checkpoint/"  # begins the names of its other arrays
 START = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
-REQUESTS = 16  # at the same time
 
 
 class Split(NamedTuple):
@@ -242,30 +239,13 @@ class Root:
             )
 
     def damage_of_part(self, k: int, state: PartState) -> Iterator[str]:
-        """A line for each published file of part k that is missing, altered or of another place.
-
-        Of files in a folder all bytes are compared with their checksums; of objects the checksums at their ends with
-        those of the state, for which a request transfers four bytes.
-        """
+        """A line for each published file of part k that is missing, altered or of another place."""
         try:
             expected = dict(self.published_files(k, state))
         except (KeyError, IndexError, ValueError):
             yield f"{self.state_file(k)} does not fit the arrays of the store"
             return
-        for file, found in zip(expected, in_threads(self._checksum, expected, self.storage), strict=True):
-            if found != expected[file]:
-                what = found if isinstance(found, str) else "the chunk of another place or another run"
-                yield f"{file} is {what} ({part_of_array(file, self.metas)})"
-
-    def _checksum(self, file: str) -> int | str:
-        try:
-            if self.storage.is_remote:
-                return tail(self.storage.tail(file))
-            return checksum_of_bytes(self.storage.read(file))
-        except FileNotFoundError:
-            return "missing"
-        except OSError as error:
-            return f"unreadable ({error.strerror or error})"
+        yield from damage_of_chunks(self.storage, expected, self.metas)
 
     def damage_of_root(self) -> Iterator[str]:
         """A line for each file of the run's description that is missing or altered."""
@@ -276,13 +256,7 @@ class Root:
                 same = False
             if not same:
                 yield f"{name}/{ROOT} is missing or altered"
-        for name, expected in self.constants.items():
-            files = chunk_files(name, self.metas[name])
-            found = [self._checksum(file) for file in files]
-            lost = [(file, x) for file, x in zip(files, found, strict=True) if isinstance(x, str)]
-            yield from (f"{file} is {x} ({part_of_array(file, self.metas)})" for file, x in lost)
-            if not lost and digest_of(x for x in found if isinstance(x, int)) != expected:
-                yield f"{name} is not as the run wrote it: it was replaced, or copied while a run was writing it"
+        yield from damage_of_constants(self.storage, self.constants, self.metas)
 
     def statuses(self, thorough: bool) -> list[PartStatus]:
         """The state of every part; if `thorough`, with a look at each of its files."""
@@ -357,12 +331,3 @@ def _checked_root(data: bytes, path: Address) -> Table:
     if "checksum" in attributes and attributes["checksum"] != checksum(root):
         raise ValueError(f"{path}/{ROOT} is damaged: its checksum is wrong. The arrays next to it can still be read")
     return root
-
-
-def in_threads(function: Any, values: Iterable[Any], storage: Storage) -> Iterator[Any]:
-    """The results of a function that makes requests; many requests at the same time to object storage."""
-    if not storage.is_remote:
-        yield from map(function, values)
-        return
-    with ThreadPoolExecutor(REQUESTS) as pool:
-        yield from pool.map(function, values)

@@ -57,7 +57,7 @@ class StoreOutput:
         state = state_from_leaves({name: found[name] for name in leaves_by_name(self._job.states)})
         names = self._job.change_names
         carry = Carry(state, info, found["failed"], Change(**{name: found[name] for name in names}) if names else None)
-        return _layout.placed(self._layout, carry, part.start), done["steps"], done["entries"] - 1
+        return _layout.placed(self._layout, carry, first=part.start), done["steps"], done["entries"] - 1
 
     def begin(self, carry: Carry) -> None:
         """Receive the entry of the start."""

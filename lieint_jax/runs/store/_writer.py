@@ -11,10 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lieint_jax.runs.store._chunks import chunk_files, digest_of, dims_of, raise_if_damaged, tail
+from lieint_jax.runs.store._chunks import (
+    REQUESTS,
+    chunk_files,
+    digest_of,
+    dims_of,
+    in_threads,
+    raise_if_damaged,
+    tail,
+)
 from lieint_jax.runs.store._files import writable_arrays
 from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._root import CARRY, ENDS, REQUESTS, ROOT, ROWS, START, Root, encode_root, in_threads
+from lieint_jax.runs.store._root import CARRY, ENDS, ROOT, ROWS, START, Root, encode_root
 from lieint_jax.runs.store._state_file import PartState, UnusablePartError
 
 _LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations
