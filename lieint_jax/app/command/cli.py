@@ -7,6 +7,7 @@ import codecs
 import contextlib
 import importlib.metadata
 import io
+import os
 import platform
 import sys
 import threading
@@ -16,7 +17,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
+import jax
+
 from lieint_jax import _checks
+from lieint_jax._cache import cache_programs
 from lieint_jax._version import __version__
 from lieint_jax.app import printer
 from lieint_jax.app.printer import show
@@ -59,10 +63,6 @@ def main(arguments: list[str] | None = None) -> int:
     _print_in_any_encoding()
     options = _parser().parse_args(arguments)
     printer.choose(options.verbosity if options.writes or options.verbosity != "quiet" else "normal")
-    import jax
-
-    from lieint_jax.app.command.compilation import use_program_cache
-
     jax.config.update("jax_enable_x64", True)
     use_program_cache()
     warnings.showwarning = _show_once()
@@ -83,6 +83,19 @@ def main(arguments: list[str] | None = None) -> int:
         show(f"lieint: {stop if str(stop) else 'interrupted'}", error=True)
         return 130
     return 0
+
+
+def use_program_cache() -> None:
+    """Cache compiled programs in a folder under the user's cache directory, unless the environment selects another.
+
+    LIEINT_CACHE=0 switches the cache off, LIEINT_CACHE=FOLDER selects its folder; a folder that was given to JAX
+    (JAX_COMPILATION_CACHE_DIR) has priority. Where the folder cannot be created, programs are not cached.
+    """
+    folder = os.environ.get("LIEINT_CACHE", "")
+    if folder == "0" or jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
+        return
+    with contextlib.suppress(OSError):
+        cache_programs(folder or None)
 
 
 def _show_once() -> Callable[..., None]:
@@ -289,7 +302,8 @@ def _run(options: argparse.Namespace) -> None:
     group = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in group):
         raise ValueError("--coordinator, --processes and --process require --distributed")
-    cluster.check(options)
+    if options.parts or options.dask is not None or options.slurm is not None:
+        cluster.check(options)
     if options.slurm is not None:
         cluster.slurm(options)
         return

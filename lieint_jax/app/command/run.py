@@ -12,7 +12,7 @@ import numpy as np
 from lieint_jax import _checks, ensemble, runs
 from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import export, files, info, settings
+from lieint_jax.app.command import export, files, info
 from lieint_jax.app.printer import readable, show, show_time, show_written
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import nominal_state
@@ -59,7 +59,7 @@ def run(
     """
     resume = resume or part is not None or parts is not None  # a part always continues what it finds
     times = save_at and files.read_numbers(save_at)
-    scenario = settings.load(name, given, members=members, steps=steps, save_at=times)
+    scenario = scenarios.load(name, given, members=members, steps=steps, save_at=times)
     for path in exports:
         export.check(path, scenario)
     if exports and part is not None:
@@ -112,7 +112,8 @@ def run(
             show(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
         elif leader:
             show(info.contents(out))
-            export.write_all(exports, run, scenario)
+            for path in exports:
+                export.write(path, run, scenario)
             show_written(out, *exports, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
         return
     run = integrate()
@@ -123,7 +124,8 @@ def run(
     description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
     own = scenarios.members_numbers(scenario)
     files.save(out, run.trajectory, description, own)
-    export.write_all(exports, run, scenario)
+    for path in exports:
+        export.write(path, run, scenario)
     if scenario.save_at is not None:
         _report_outputs(out, pictures)
         return
