@@ -15,7 +15,7 @@ from documents import blocks, words
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import body_shapes, cli
+from lieint_jax.app.command import cli, meshes
 
 PAGES = Path(__file__).parents[2] / "docs" / "pages"
 TEXTS = {path.relative_to(PAGES).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PAGES.rglob("*.md"))}
@@ -104,7 +104,7 @@ def test_scenarios_in_pages_are_valid(name):
     for _, code in blocks(TEXTS[name], "toml"):
         table = tomllib.loads(code)
         if "parts" in table:
-            assert len(scenarios.validate(body_shapes.Parts, table, name).parts) > 1
+            assert len(scenarios.validate(meshes.Parts, table, name).parts) > 1
         elif ".py:" not in table["system"]:  # whose kind another test runs
             assert scenarios.parse(table, name).members >= 1
 

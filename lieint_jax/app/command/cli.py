@@ -7,7 +7,6 @@ import codecs
 import contextlib
 import importlib.metadata
 import io
-import os
 import platform
 import sys
 import threading
@@ -20,7 +19,7 @@ from typing import Any, NoReturn, TypeAlias
 import jax
 
 from lieint_jax import _checks
-from lieint_jax._cache import cache_programs
+from lieint_jax._cache import use_program_cache
 from lieint_jax._version import __version__
 from lieint_jax.app import printer
 from lieint_jax.app.printer import show
@@ -83,19 +82,6 @@ def main(arguments: list[str] | None = None) -> int:
         show(f"lieint: {stop if str(stop) else 'interrupted'}", error=True)
         return 130
     return 0
-
-
-def use_program_cache() -> None:
-    """Cache compiled programs in a folder under the user's cache directory, unless the environment selects another.
-
-    LIEINT_CACHE=0 switches the cache off, LIEINT_CACHE=FOLDER selects its folder; a folder that was given to JAX
-    (JAX_COMPILATION_CACHE_DIR) has priority. Where the folder cannot be created, programs are not cached.
-    """
-    folder = os.environ.get("LIEINT_CACHE", "")
-    if folder == "0" or jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
-        return
-    with contextlib.suppress(OSError):
-        cache_programs(folder or None)
 
 
 def _show_once() -> Callable[..., None]:
