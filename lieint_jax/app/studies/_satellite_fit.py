@@ -34,7 +34,6 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import schemes
-from lieint_jax.app.studies import inference
 from lieint_jax.app.studies._period_search import Search
 from lieint_jax.app.studies._satellite_sky import (
     Facets,
@@ -47,8 +46,8 @@ from lieint_jax.app.studies._satellite_sky import (
     magnitude,
 )
 from lieint_jax.app.studies._tumbling import mean_periods, model, rotate, rotation_between
-from lieint_jax.app.studies.inference import Params, Problem, Unknown
-from lieint_jax.fitting import Fit, inertia_ratios, principal_inertia
+from lieint_jax.fitting import Fit, inertia_ratios, inference, principal_inertia
+from lieint_jax.fitting.inference import Params, Problem, Unknown
 from lieint_jax.groups import so3
 from lieint_jax.runs import integrate, over_members
 from lieint_jax.systems import RigidBody

@@ -25,18 +25,20 @@ from matplotlib.figure import Figure
 from lieint_jax.app import plots, scenarios
 from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios.rigid_body import FreeBody
-from lieint_jax.app.studies import _flyby, _report, inference
+from lieint_jax.app.studies import _flyby, _report
 from lieint_jax.app.studies._flyby import Flyby
 from lieint_jax.app.studies._tumbling import mean_periods, model, rotate, rotation_between
-from lieint_jax.app.studies.inference import Coverage, Estimate, Params, Problem, Published, StudentT, Unknown
+from lieint_jax.app.studies.inference import published_lines
 from lieint_jax.fitting import (
     DEGREES_OF_FREEDOM,
     Fit,
     inertia_ratios,
+    inference,
     member_by_member,
     student_t_noise_error,
     student_t_weights,
 )
+from lieint_jax.fitting.inference import Coverage, Estimate, Params, Problem, Published, StudentT, Unknown
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import vectors
@@ -237,7 +239,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     residuals = {name: np.asarray(errors(p, data)) for name, p in compared.items()}
     e, noise = residuals["fitted"], estimate.noise[:, None]
     difference = np.stack([np.asarray(ravel_pytree(p)[0]) - estimate.x for p in given.values()])
-    distances = _report.squared_distances(difference, estimate.covariance[None])
+    distances = inference.squared_distances(difference, estimate.covariance[None])
     body, state = model(problem.unravel(estimate.x), data["begin"])
     assert found.starts is not None
     return SpinFit(
@@ -353,7 +355,7 @@ def _comparison(found: SpinFit) -> list[str]:
         "  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
         f"  and Takahashi: {beyond}",
         "\n  published values:",
-        *inference.published_lines(QUANTITIES, found.estimate, spin_problem().published),
+        *published_lines(QUANTITIES, found.estimate, spin_problem().published),
     ]
 
 
