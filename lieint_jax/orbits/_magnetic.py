@@ -175,7 +175,7 @@ def earth_field(
     angle = _checks.real_array("date", earth_rotation_angle(date), ())
     turning = R, angle, _checks.real_array("rate", rate, ())
     orbit = callable_pytree(orbit)
-    if np.ndim(coefficients) == 2:
+    if coefficients is not None and np.ndim(coefficients) == 2:
         rows = np.asarray(coefficients, float)
         orders, degree = rows[:, :2].astype(int), int(rows[:, 0].max())
         return HarmonicField(orbit, jnp.asarray(_weights(orders, rows[:, 2], degree)), *turning)

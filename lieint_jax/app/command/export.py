@@ -36,10 +36,6 @@ def write(path: Path, run: Run, scenario: Kind) -> None:
     _WRITERS[path.suffix](path, run, scenario)
 
 
-def _write_attitudes(path: Path, run: Run, scenario: Kind) -> None:
-    files.write_aem(path, run.member(0), body=_body(run), **_facts(scenario))
-
-
 def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
     facts = {"frame": "ICRF", **_facts(scenario), "unit_length": scenario.unit_km or 1.0}
     if (orbit := scenario.given_orbit()) is not None:
@@ -67,7 +63,7 @@ def _body(run: Run) -> int | None:
 
 
 _WRITERS: dict[str, Callable[[Path, Run, Kind], None]] = {
-    ".aem": _write_attitudes,
+    ".aem": lambda path, run, scenario: files.write_aem(path, run.member(0), body=_body(run), **_facts(scenario)),
     ".oem": _write_orbit,
     ".csv": lambda path, run, _: files.write_csv(path, run),
     ".nc": _write_dataset,

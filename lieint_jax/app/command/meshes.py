@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from lieint_jax import shapes
 from lieint_jax.app import plots, scenarios
-from lieint_jax.app.scenarios._keys import PositiveFloat, PositiveTriple, Table, Triple
+from lieint_jax.app.scenarios._keys import Pair, PositiveFloat, PositiveTriple, Table, Triple
 from lieint_jax.groups import so3
 from lieint_jax.runs import store as archives
 
@@ -178,7 +178,7 @@ class Part(Table):
 
     box: PositiveTriple | None = None
     """Full lengths along x, y and z."""
-    cylinder: Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)] | None = None
+    cylinder: Pair | None = None
     """Radius and full length; the axis is z."""
     ellipsoid: PositiveTriple | None = None
     """Semi-axes along x, y and z."""

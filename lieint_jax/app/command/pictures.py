@@ -13,12 +13,11 @@ from matplotlib.figure import Figure
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _pictures
 from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
-from lieint_jax.app.scenarios._runs import POINTS, kinetic_energy, series
+from lieint_jax.app.scenarios._runs import POINTS, energy, kinetic_energy, momentum, positive, series
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run, interpolate
 from lieint_jax.systems import LinearPotential
-from lieint_jax.types import State, System, Trajectory, counts_work, energy_less_work, labels
-from lieint_jax.types.shapes import MomentumMap, Scalar
+from lieint_jax.types import State, Trajectory, counts_work, energy_less_work, labels
 
 MAX_ROTATION = 2.6  # rad between saved states: interpolation then has an error of 0.3° (tumbling bodies)
 
@@ -62,12 +61,12 @@ def drawing_functions(states: State) -> dict[str, Callable[[Run, str], Figure]]:
 @plots.style()
 def draw_invariants(run: Run, title: str) -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
-    H, K, Phi = series(energy_less_work, run), series(kinetic_energy, run), series(_momentum, run)
+    H, K, Phi = series(energy_less_work, run), series(kinetic_energy, run), series(momentum, run)
     what = "error of energy less work" if counts_work(run.state) else "energy error"
-    errors = {f"{what}, relative": abs(H - H[0]) / _nonzero(np.maximum(abs(H[0]), K.max(axis=0)))}
+    errors = {f"{what}, relative": abs(H - H[0]) / positive(np.maximum(abs(H[0]), K.max(axis=0)))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
-        errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _nonzero(norm)
+        errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / positive(norm)
     fig, axes = plots.figure(len(errors))
     for ax, (label, error) in zip(axes[0], errors.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
@@ -83,7 +82,7 @@ def draw_works(run: Run, title: str) -> Figure:
     names = labels(run.system)
     if len(names) != works.shape[-1]:
         names = [f"law {k + 1}" for k in range(works.shape[-1])]
-    H = series(_energy, run)
+    H = series(energy, run)
     fig, axes = plots.figure(2)
     _pictures.draw_balance(axes[0], np.asarray(run.t), H, works, names, time_unit=unit_of(run))
     fig.suptitle(title)
@@ -195,15 +194,3 @@ def draw_change(reduced: Mapping[str, np.ndarray], title: str, time_unit: str) -
 def unit_of(run: Run) -> str:
     """The unit of a run's times; empty if there is none."""
     return "" if run.facts.time_unit == "1" else run.facts.time_unit
-
-
-def _energy(system: System, state: State) -> Scalar:
-    return system.energy(state)
-
-
-def _momentum(system: System, state: State) -> MomentumMap:
-    return system.momentum(state)
-
-
-def _nonzero(x: np.ndarray) -> np.ndarray:
-    return np.where(x > 0, x, 1)

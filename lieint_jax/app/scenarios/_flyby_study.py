@@ -12,6 +12,7 @@ from jax import Array
 from matplotlib.colors import LogNorm
 from matplotlib.patheffects import withStroke
 
+from lieint_jax import _free_body
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import direction, longitude_latitude
@@ -59,7 +60,7 @@ def _draw_member(seed: Array, k: Array, known: Array, phases: Array, long_axis: 
     least, middle, precession, rotation = drawn.T[:4]
     ordered = (least > 0) & (least < middle) & (middle < 1)
     J = jnp.stack([jnp.where(ordered, least, 0.5), jnp.where(ordered, middle, 0.75), jnp.ones_like(least)], axis=1)
-    exists = jax.vmap(lambda J, ratio: motion.mode_exists(J, ratio, long_axis))(J, rotation / precession)
+    exists = jax.vmap(lambda J, ratio: _free_body.mode_exists(J, ratio, long_axis))(J, rotation / precession)
     good = ordered & exists
     first = jnp.argmax(good)
     longitude, latitude = _along_great_circle(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))

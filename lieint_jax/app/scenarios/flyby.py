@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from lieint_jax import orbits
+from lieint_jax import _free_body, orbits
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.app.scenarios._flyby_study import (
@@ -177,7 +177,7 @@ class Tumbling(SpinValues):
         if not 0 < least < middle < 1:
             raise ValueError("must be 0 < least_moment < middle_moment < 1, over the greatest")
         ratio = self.rotation_period_h.value / self.precession_period_h.value
-        if not motion.mode_exists(jnp.asarray([least, middle, 1.0]), jnp.asarray(ratio), self.long_axis):
+        if not _free_body.mode_exists(jnp.asarray([least, middle, 1.0]), jnp.asarray(ratio), self.long_axis):
             raise ValueError(f"no {self.mode} mode of these moments has periods of the ratio {ratio:g}")
 
     def with_changes(self, changes: SpinValues) -> Tumbling:
@@ -223,17 +223,15 @@ class Known(Published):
     """Which quantity it is."""
 
 
-def _renamed(quantity: Any) -> Any:
-    """The name of a quantity, from its name in files of version 0.2."""
-    return "pole_angle" if quantity == "turn" else quantity
-
-
 class Expected(Table):
     """A published expectation of the change."""
 
     claim: Text
     """In short."""
-    quantity: Annotated[Literal["rate", "pole_angle", "longitude", "latitude", "mode"], BeforeValidator(_renamed)]
+    quantity: Annotated[
+        Literal["rate", "pole_angle", "longitude", "latitude", "mode"],
+        BeforeValidator(lambda x: "pole_angle" if x == "turn" else x),
+    ]
     """The measured quantity with which the report compares it."""
     source: str
     """A key of the table sources."""
