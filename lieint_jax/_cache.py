@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import platform
@@ -42,6 +43,19 @@ def cache_programs(path: str | os.PathLike[str] | None = None) -> Path:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     compilation_cache.reset_cache()  # otherwise JAX ignores the cache if it has already compiled a program
     return folder
+
+
+def use_program_cache() -> None:
+    """Call `cache_programs` as the command line does, unless the environment selects another folder or none.
+
+    LIEINT_CACHE=0 switches the cache off, LIEINT_CACHE=FOLDER selects its folder; a folder that was given to JAX
+    (JAX_COMPILATION_CACHE_DIR) has priority. Where the folder cannot be created, programs are not cached.
+    """
+    folder = os.environ.get("LIEINT_CACHE", "")
+    if folder == "0" or jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
+        return
+    with contextlib.suppress(OSError):
+        cache_programs(folder or None)
 
 
 def _user_folder() -> Path:

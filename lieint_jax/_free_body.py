@@ -72,6 +72,7 @@ from lieint_jax.types.vectors import Matrix, Vector, VectorLike, cross, dot, mat
 _Turns = list[tuple[int, Array]]
 _FAR = 1e7  # the ν from which Legendre's third integral is computed by its first term for large ν
 _BISECTIONS = 50  # of the energies of a mode, then one step of Newton's method, which has the derivative
+_EXCLUDED = 1e-12  # fraction of a mode's range of energies that has no ratio of periods, at either end
 _NEAR = 1e-5  # the f τ² below which S, cn, dn are computed by series, with an error of 1e-17
 
 
@@ -229,6 +230,32 @@ def momentum_of_ratio(moments: Array, ratio: Array, long_axis: bool) -> Array:
     s = (low + high) / 2
     _, slope = jax.jvp(lambda s: period_ratio(fixed, s, long_axis), (s,), (jnp.ones_like(s),))
     return on_axes(moments, s - (period_ratio(moments, s, long_axis) - ratio) / slope, long_axis)
+
+
+def mode_exists(moments: Array, ratio: Array, long_axis: bool) -> Array:
+    """Whether a mode of this body has the ratio P_ψ/P_φ.
+
+    The least ratio is that of a small wobble; the greatest is evaluated next to the separatrix, where the
+    ratio grows without bound, but rounding leaves no digits.
+    """
+    ends = jnp.asarray([1 - _EXCLUDED, _EXCLUDED] if long_axis else [_EXCLUDED, 1 - _EXCLUDED])
+    least, most = jax.vmap(lambda s: period_ratio(moments, s, long_axis))(ends)
+    return (least < ratio) & (ratio < most)
+
+
+def momentum_at_phase(J: Array, unit: Array, psi: Array) -> Array:
+    """The unit Π at the phase ψ, by Jacobi's functions of 2Kψ/π; `unit` is that at ψ = 0, in the x-z plane."""
+    (A, B, C), (x, _, z) = vectors.components(J), vectors.components(unit)
+    above, below = x * x * (C / A - 1), z * z * (1 - A / C)  # 2HC − 1 and 1 − 2HA
+    f, g = (B - A) * above, (C - B) * below
+    long_axis, fast = f > g, jnp.maximum(f, g)
+    m1 = jnp.abs(f - g) / fast
+    halves = lax.stop_gradient(jnp.round(psi / jnp.pi))
+    sn, cn, dn = elliptic.jacobi(elliptic.quarter_period(m1) * (psi - jnp.pi * halves) * 2 / jnp.pi, m1)
+    odd = 1 - 2 * jnp.abs(halves % 2)
+    y = jnp.sqrt(B * jnp.where(long_axis, below / (B - A), above / (C - B)))
+    ratios = jnp.where(long_axis, dn, odd * cn), odd * sn, jnp.where(long_axis, odd * cn, dn)
+    return jnp.stack([x * ratios[0], y * ratios[1], z * ratios[2]])
 
 
 def _less_third(m1: Array, nu: Array, K: Array) -> Array:

@@ -149,8 +149,9 @@ def earth_field(
     Args:
         orbit: t ↦ (position, velocity) from the Earth's center in inertial axes, z to the pole; t in seconds.
         date: the date at t = 0 in UT: a text such as "2026-03-01T12:00:00", an `Epoch`, or a Julian date.
-        coefficients: of another dipole, (g₁¹, h₁¹, g₁⁰), (3,), in the unit of the returned field; by default IGRF-14 at
-            this date, from 2000 to 2030, in tesla.
+        coefficients: of another dipole, (g₁¹, h₁¹, g₁⁰), (3,), or of another field, rows (n, m, g) of degree, order and
+            Schmidt's coefficient, an order < 0 that of h, (rows, 3), in the unit of the returned field; by default
+            IGRF-14 at this date, from 2000 to 2030, in tesla.
         radius: 6371.2 km in the orbit's unit of length.
         rate: the rate of the Earth's rotation, in radians per unit of time.
         degree: the degree to which the field is summed, from 1 to 13, which is all of IGRF. In machine code an
@@ -174,6 +175,10 @@ def earth_field(
     angle = _checks.real_array("date", earth_rotation_angle(date), ())
     turning = R, angle, _checks.real_array("rate", rate, ())
     orbit = callable_pytree(orbit)
+    if coefficients is not None and np.ndim(coefficients) == 2:
+        rows = np.asarray(coefficients, float)
+        orders, degree = rows[:, :2].astype(int), int(rows[:, 0].max())
+        return HarmonicField(orbit, jnp.asarray(_weights(orders, rows[:, 2], degree)), *turning)
     if degree > 1:
         return HarmonicField(orbit, jnp.asarray(_weights(*_gauss(date, degree), degree)), *turning)
     G = _gauss(date, 1)[1][[1, 2, 0]] if coefficients is None else coefficients

@@ -14,7 +14,7 @@ from PIL import Image
 
 import lieint_jax as li
 from lieint_jax.app import plots
-from lieint_jax.app.command import body_shapes, cli, meshes, pictures, scene
+from lieint_jax.app.command import cli, meshes, pictures, scene
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -326,7 +326,7 @@ def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
     """A cylinder of mass π/100 and a box of mass 0.192 above it, which is rotated by 90°."""
     path = tmp_path / "handle.toml"
     path.write_text(HANDLE)
-    found = body_shapes.read(path)
+    found = meshes.read(path)
     low, high = found.solid.corners.min(axis=0), found.solid.corners.max(axis=0)
     np.testing.assert_allclose(low, [-0.1, -0.3, -0.3], rtol=0, atol=1e-12)
     np.testing.assert_allclose(high, [0.1, 0.9, 1.0], rtol=0, atol=1e-12)
@@ -347,7 +347,7 @@ def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
 def test_a_shape_of_triangles_is_drawn_about_its_center_of_mass(tmp_path):
     path = tmp_path / "corner.obj"
     path.write_text("v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
-    found = body_shapes.read(path)
+    found = meshes.read(path)
     assert len(found.solid.faces) == 4
     assert area(found.solid) == pytest.approx(24 + 8 * np.sqrt(3), rel=1e-12)
     np.testing.assert_allclose(found.centered().corners.min(axis=0), [-1, -1, -1], rtol=0, atol=1e-12)
@@ -360,9 +360,7 @@ def test_the_axes_of_a_shape_are_compared_where_moments_differ():
 
     def brick(rotation):
         second = rotation @ np.diag([9.0, 4.0, 1.0]) @ rotation.T / 12
-        return body_shapes.BodyShape(
-            "brick", solid, li.shapes.Shape(zero, np.zeros(3), jnp.asarray(second), zero, zero)
-        )
+        return meshes.BodyShape("brick", solid, li.shapes.Shape(zero, np.zeros(3), jnp.asarray(second), zero, zero))
 
     turned = brick(R)
     assert brick(np.eye(3)).tilt(np.array([1.0, 2.0, 2.5])) == pytest.approx(0, abs=1e-12)
@@ -385,6 +383,6 @@ def test_the_axes_of_a_shape_are_compared_where_moments_differ():
 def test_a_bad_file_of_a_shape_is_refused_by_its_name(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=message):
-        body_shapes.read(tmp_path / name)
+        meshes.read(tmp_path / name)
     with pytest.raises(ValueError, match=r"there is no file nowhere\.toml"):
-        body_shapes.read(Path("nowhere.toml"))
+        meshes.read(Path("nowhere.toml"))

@@ -15,7 +15,7 @@ from documents import blocks, words
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import body_shapes, cli, settings
+from lieint_jax.app.command import cli, meshes
 
 PAGES = Path(__file__).parents[2] / "docs" / "pages"
 TEXTS = {path.relative_to(PAGES).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PAGES.rglob("*.md"))}
@@ -93,7 +93,7 @@ def test_commands_in_pages_parse_and_name_existing_files(page, command):
     options = cli._parser().parse_args(words)
     scenario = getattr(options, "scenario", "NAME")
     if getattr(options, "set", None) and scenario in scenarios.scenario_names():
-        assert settings.load(scenario, options.set)
+        assert scenarios.load(scenario, options.set)
     assert scenario in (*scenarios.scenario_names(), "NAME", "SCENARIO") or scenario.endswith(".toml")
 
 
@@ -104,7 +104,7 @@ def test_scenarios_in_pages_are_valid(name):
     for _, code in blocks(TEXTS[name], "toml"):
         table = tomllib.loads(code)
         if "parts" in table:
-            assert len(scenarios.validate(body_shapes.Parts, table, name).parts) > 1
+            assert len(scenarios.validate(meshes.Parts, table, name).parts) > 1
         elif ".py:" not in table["system"]:  # whose kind another test runs
             assert scenarios.parse(table, name).members >= 1
 

@@ -146,7 +146,7 @@ def test_half_a_turn_about_the_axis_that_the_momentum_goes_round_is_half_a_turn_
 @pytest.mark.long
 def test_a_ratio_of_periods_is_refused_where_no_mode_has_it():
     """Least is that of small wobbles; next to the separatrix rounding leaves no digits of an immense one."""
-    mode_exists = jax.jit(motion.mode_exists, static_argnums=2)
+    mode_exists = jax.jit(motion._free_body.mode_exists, static_argnums=2)
     J = jnp.asarray([0.61, 0.965, 1.0])
     wobble = 1 / np.sqrt((1 - 0.61) * (1 - 0.965) / (0.61 * 0.965))
     assert [bool(mode_exists(J, jnp.asarray(x), False)) for x in (0.999 * wobble, 1.001 * wobble, 50.0, 150.0)] == [

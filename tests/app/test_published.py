@@ -6,11 +6,9 @@ import re
 import numpy as np
 import pytest
 import reference_numbers
-from scipy.special import gammaln, lpmv
 
-from lieint_jax import orbits
 from lieint_jax.app import published
-from lieint_jax.app.published import _detumbling, _geomagnetic
+from lieint_jax.app.published import _detumbling
 
 BOUNDS = {  # what is observed, in the order of the published quantities
     # 1e-5, 1.4e-8, 2e-12, 2e-15
@@ -63,39 +61,6 @@ def test_every_published_number_has_its_source_its_date_and_its_changes(entries)
         for change in entry.get("changes", []):
             assert set(change) == {"date", "quantity", "was", "reason"}, name
             assert change["quantity"] in entry["numbers"], name
-
-
-def test_the_geomagnetic_field_is_the_gradient_of_its_potential():
-    """By differences of the potential with scipy's Legendre functions, in nT."""
-    table = np.loadtxt(_geomagnetic._TABLE, delimiter=",", skiprows=1)
-
-    def potential(x):
-        r = np.linalg.norm(x)
-        longitude, total = np.arctan2(x[1], x[0]), 0.0
-        for n, m, g, h, *_ in table:
-            size = (-1) ** m * np.sqrt((2 if m else 1) * np.exp(gammaln(n - m + 1) - gammaln(n + m + 1)))
-            part = g * np.cos(m * longitude) + h * np.sin(m * longitude)
-            total += (6371.2e3 / r) ** (n + 1) * part * size * lpmv(m, n, x[2] / r)
-        return 6371.2e3 * total
-
-    x = 6.8e6 * np.array([[0.6, 0.0, 0.8], [-0.36, 0.48, -0.8], [0.1, -0.99, 0.1]])
-    step = 100.0 * np.eye(3)
-    expected = [[(potential(y - e) - potential(y + e)) / 200 for e in step] for y in x]
-    np.testing.assert_allclose(_geomagnetic._field_on_earth(x, 2020.0), expected, rtol=0, atol=1e-3)
-
-
-def test_the_dipole_of_the_geomagnetic_field_is_that_of_earth_field(tmp_path, monkeypatch):
-    """Along a polar orbit. They differ by 20 years of precession, 0.0019 rad, which `earth_field` leaves out."""
-    rows = _geomagnetic._TABLE.read_text().splitlines()
-    (tmp_path / "dipole.csv").write_text("\n".join(rows[:3]))  # the head and n = 1
-    monkeypatch.setattr(_geomagnetic, "_TABLE", tmp_path / "dipole.csv")
-    date, orbit = orbits.julian_date(2020, 1, 1), orbits.kepler(orbits.EARTH_GM * 1e9, 6.8e6, 0.0, 1.5)
-    dipole = orbits.earth_field(orbit, date, radius=6371.2e3)
-    t = np.arange(0.0, 5600.0, 500.0)
-    positions = np.stack([np.asarray(orbit(s)[0]) for s in t])
-    expected = np.stack([np.asarray(dipole(s)) for s in t])
-    found = _geomagnetic.igrf(date, t, positions, 2020.0)
-    assert np.linalg.norm(found - expected, axis=1).max() < 0.004 * np.linalg.norm(expected, axis=1).mean()
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ import scenario_files
 
 import lieint_jax as li
 from lieint_jax.app import printer, scenarios
-from lieint_jax.app.command import cli, files, settings
+from lieint_jax.app.command import cli, files
 
 SHORT = dict(steps="steps = 100", save_every="save_every = 10", members="members = 4")
 
@@ -35,8 +35,8 @@ def test_values_are_those_of_a_file_that_has_them():
     Path("other.toml").write_text(scenario_files.book(**SHORT | changes))
     given = ["dt=0.25", "state.quaternion=[0.0, 1.0, 0.0, 0.0]", "title=The same body", 'scheme = "gauss"', "order=8"]
     given += ['sources."a.b"=a book', "spread.angular_velocity_deg="]
-    assert settings.load("book.toml", given) == scenarios.load("other.toml")
-    assert settings.load("book.toml", ["members=7", "dt=3", "dt=0.5"], members=2, steps=None).members == 2
+    assert scenarios.load("book.toml", given) == scenarios.load("other.toml")
+    assert scenarios.load("book.toml", ["members=7", "dt=3", "dt=0.5"], members=2, steps=None).members == 2
 
 
 @pytest.mark.long
@@ -50,7 +50,7 @@ def test_an_epoch_is_in_the_report_and_in_the_results(lieint):
         assert f"t = 0 … 10 s; t = 0 at {date}" in lieint("info", file)
     assert li.open("a.zarr").epoch == li.dates.epoch(date)
     with pytest.raises(ValueError, match=r"book\.toml: epoch: the date .* does not exist"):
-        settings.load("book.toml", ['epoch="2026-02-30"'])
+        scenarios.load("book.toml", ['epoch="2026-02-30"'])
     assert scenarios.load("apophis").date_of_zero().isoformat() == "2029-04-13T21:45:04+00:00"
     with pytest.raises(ValueError, match="t = 0 is the perigee"):
         scenarios.load("apophis", epoch=date)
@@ -58,7 +58,7 @@ def test_an_epoch_is_in_the_report_and_in_the_results(lieint):
 
 def test_a_table_of_a_list_is_named_or_counted():
     name, _, *_ = [body.name for body in scenarios.load("sn263").bodies]
-    by_name = settings.load("sn263", [f"bodies.{name}.mass_kg=2e12", "bodies.2.mass_kg=1e9"])
+    by_name = scenarios.load("sn263", [f"bodies.{name}.mass_kg=2e12", "bodies.2.mass_kg=1e9"])
     assert [body.mass_kg for body in by_name.bodies][:2] == [2e12, 1e9]
     assert by_name.bodies[2] == scenarios.load("sn263").bodies[2]
 
@@ -82,14 +82,14 @@ def test_a_table_of_a_list_is_named_or_counted():
 )
 def test_a_bad_value_is_named_as_in_a_file(setting, message):
     with pytest.raises(ValueError, match=message):
-        settings.load("book.toml", [setting])
+        scenarios.load("book.toml", [setting])
 
 
 def test_the_bodies_of_a_scenario_are_listed():
     with pytest.raises(
         ValueError, match=r"--set bodies\.Eve\.mass_kg: bodies is a list of tables: give a key of Alpha"
     ):
-        settings.load("sn263", ["bodies.Eve.mass_kg=1.0"])
+        scenarios.load("sn263", ["bodies.Eve.mass_kg=1.0"])
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import _body
-from lieint_jax.app.studies import _flyby, _toutatis, _tumbling, toutatis
+from lieint_jax.app.studies import _flyby, _tumbling, toutatis
 
 PUBLISHED = (("toutatis", 9.96, 3.9, 18.8), ("toutatis_takahashi", 7.70, 1.3, 15.9))
 
@@ -115,12 +115,12 @@ def test_the_hyperbola_has_the_distance_and_the_speed():
 
 @pytest.mark.long
 def test_errors_are_those_of_scipy_and_their_derivatives_those_of_differences():
-    data = _toutatis.radar_data()
-    params = _toutatis.published_params("toutatis_takahashi", data["begin"], -data["epoch"])
+    data = toutatis.radar_data()
+    params = toutatis.published_params("toutatis_takahashi", data["begin"], -data["epoch"])
     x, unravel = ravel_pytree(params)
 
     def ours(x):
-        return _toutatis.errors(unravel(x), data)
+        return toutatis.errors(unravel(x), data)
 
     def theirs(x):
         p = jax.tree.map(np.asarray, unravel(jnp.asarray(x)))
@@ -175,7 +175,7 @@ def study():
 @pytest.mark.long
 def test_the_estimate_agrees_with_scipy(study):
     """The same likelihood through DOP853 and BFGS by differences."""
-    data = _toutatis.radar_data()
+    data = toutatis.radar_data()
     assert study.fit.starts is not None
     params = jax.tree.map(lambda leaf: leaf[1], study.fit.starts.params)
     noise = np.asarray(params.pop("noise"))
@@ -200,14 +200,14 @@ def test_the_estimate_agrees_with_scipy(study):
 @pytest.mark.long
 def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
     """(ΣJᵀJ/σ²)⁻¹, with degrees of freedom taken off by kind, in numpy."""
-    data = _toutatis.radar_data()
-    params = _toutatis.published_params("toutatis", data["begin"], -data["epoch"])
+    data = toutatis.radar_data()
+    params = toutatis.published_params("toutatis", data["begin"], -data["epoch"])
     x, unravel = ravel_pytree(params)
-    both = jax.jit(jax.jacfwd(lambda x: (e := _toutatis.errors(unravel(x), data), e), has_aux=True))
+    both = jax.jit(jax.jacfwd(lambda x: (e := toutatis.errors(unravel(x), data), e), has_aux=True))
     J, e = (np.asarray(x) for x in both(x))
     noise = np.sqrt((e**2).mean(axis=(1, 2)))  # of maximum likelihood
     freedom = jnp.asarray(1e8)
-    normal = _toutatis.problem().estimate(params | {"noise": jnp.asarray(noise)}, jnp.zeros(()), data, freedom)
+    normal = toutatis.spin_problem().estimate(params | {"noise": jnp.asarray(noise)}, jnp.zeros(()), data, freedom)
     share = np.einsum("knci,kncj->kij", J, J) / noise[:, None, None] ** 2
     used = np.trace(np.linalg.solve(share.sum(axis=0), share), axis1=1, axis2=2)
     noise = noise * np.sqrt(51 / (51 - used))

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
+from lieint_jax._cache import use_program_cache
 from lieint_jax._xla import _compile
-from lieint_jax.app.command.compilation import use_program_cache
 from lieint_jax.native import _machine, _traced
 
 NAMES = (

@@ -2,6 +2,7 @@
 
 import dataclasses
 import datetime
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -112,3 +113,15 @@ def test_dates_of_other_scales_serve_the_sun_alone():
     with jax.enable_x64(False):  # in float32 a Julian date has the digits of a quarter of a day
         assert float(orbits.earth_rotation_angle("2025-01-01T06:00")) == pytest.approx(exact, rel=1e-7)
         assert float(orbits.earth_rotation_angle(2460676.75)) == pytest.approx(exact, rel=1e-7)
+
+
+@pytest.mark.parametrize("degree", [1, 4])
+def test_the_field_of_given_coefficients_is_that_of_igrf(degree):
+    """Those of 2025, from the file of the package; the dipole has another sum: observed 3e-16."""
+    table = np.loadtxt(Path(orbits.__file__).with_name("igrf14.csv"), delimiter=",", skiprows=3)
+    rows = table[table[:, 0] <= degree] * 1e-9
+    rows[:, :2] *= 1e9
+    found = orbits.earth_field(LOW, "2025-01-01", rows[:, [0, 1, 7]], R)
+    expected = orbits.earth_field(LOW, "2025-01-01", radius=R, degree=degree)
+    for t in (0.0, 3000.0):
+        np.testing.assert_allclose(found(t), expected(t), rtol=0, atol=1e-15 * np.linalg.norm(expected(t)))

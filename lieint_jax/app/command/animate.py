@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.command import body_shapes, files, info
+from lieint_jax.app.command import files, info, meshes
 from lieint_jax.app.command.scene import Scene, Span, scene_of
 from lieint_jax.app.printer import show, show_written
 from lieint_jax.types import Trajectory
@@ -44,7 +44,7 @@ def animate(
         fps: frames per second.
         force: replace an existing file.
         span: the times to show, from the first to the second, all of it. Without the second, as much as is smooth.
-        shapes: files with the shapes of the bodies, see `body_shapes.read`.
+        shapes: files with the shapes of the bodies, see `meshes.read`.
 
     Raises:
         ValueError: `out` cannot be written, the run has no rigid bodies or no states, or a program is not installed.
@@ -61,7 +61,7 @@ def animate(
     if not 0 <= member < run.state.p.shape[1]:
         raise ValueError(f"the run has members 0 to {run.state.p.shape[1] - 1}, got --member {member}")
     title, select = info.title_and_states(path, run, metadata)
-    one, found = select(members=slice(member, member + 1)).member(0), [body_shapes.read(file) for file in shapes]
+    one, found = select(members=slice(member, member + 1)).member(0), [meshes.read(file) for file in shapes]
     scene = scene_of(one, title, max(2, round((seconds or _SECONDS) * fps)), span, found)
     if seconds is None and span[1] is not None and scene.needed > len(scene.t):
         scene = scene_of(one, title, min(scene.needed, round(_LONGEST * fps)), span, found)

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import jax
 
 from lieint_jax import _discover, schemes, systems
+from lieint_jax._cache import use_program_cache
 from lieint_jax.app.command import check_groups
-from lieint_jax.app.command.compilation import use_program_cache
 from lieint_jax.app.printer import show
 from lieint_jax.diagnostics import certify
 from lieint_jax.runs import count_cores

@@ -16,7 +16,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
+import jax
+
 from lieint_jax import _checks
+from lieint_jax._cache import use_program_cache
 from lieint_jax._version import __version__
 from lieint_jax.app import printer
 from lieint_jax.app.printer import show
@@ -59,10 +62,6 @@ def main(arguments: list[str] | None = None) -> int:
     _print_in_any_encoding()
     options = _parser().parse_args(arguments)
     printer.choose(options.verbosity if options.writes or options.verbosity != "quiet" else "normal")
-    import jax
-
-    from lieint_jax.app.command.compilation import use_program_cache
-
     jax.config.update("jax_enable_x64", True)
     use_program_cache()
     warnings.showwarning = _show_once()
@@ -289,7 +288,8 @@ def _run(options: argparse.Namespace) -> None:
     group = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in group):
         raise ValueError("--coordinator, --processes and --process require --distributed")
-    cluster.check(options)
+    if options.parts or options.dask is not None or options.slurm is not None:
+        cluster.check(options)
     if options.slurm is not None:
         cluster.slurm(options)
         return

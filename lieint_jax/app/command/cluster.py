@@ -11,28 +11,26 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from lieint_jax.app.command import settings
+from lieint_jax.app import scenarios
 from lieint_jax.app.printer import show
 
 
 def check(options: argparse.Namespace) -> None:
     """Raise ValueError unless the options of a run in parts fit together, and its scenario is right."""
     engines = [f"--{name}" for name in ("dask", "slurm") if vars(options)[name] is not None]
-    if options.parts is None and engines:
+    if options.parts is None:
         raise ValueError(f"{engines[0]} runs a scenario in parts: give their number too, as in --parts 8")
-    if options.parts is not None and len(engines) != 1:
+    if len(engines) != 1:
         raise ValueError(
             "--parts needs one of --dask ADDRESS and --slurm OPTIONS; --part K/N is one part in this process"
         )
-    if options.parts is None:
-        return
     if options.part or options.distributed or options.devices:
         raise ValueError("--parts starts every part itself: leave out --part, --distributed and --devices")
     if options.out is None or options.out.suffix != ".zarr":
         raise ValueError("--parts needs --out NAME.zarr, a folder or URL that all workers reach")
     if options.slurm is not None and options.export:
         raise ValueError("--export writes the whole run: open the store of all parts in Python, with li.open")
-    scenario = settings.load(options.scenario, options.set, members=options.members, steps=options.steps)
+    scenario = scenarios.load(options.scenario, options.set, members=options.members, steps=options.steps)
     if options.dask is not None and ":" in scenario.system:
         raise ValueError(f"the workers of Dask do not have the file of {scenario.system}: use --slurm, or --part K/N")
 

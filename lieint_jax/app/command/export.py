@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +31,9 @@ def check(path: Path, scenario: Kind) -> None:
         raise ValueError(f"{path} is in km, and a scenario of the kind {scenario.system} has no unit of length")
 
 
-def write_all(paths: Sequence[Path], run: Run, scenario: Kind) -> None:
-    """Write a run to files; .aem and .oem hold the nominal member, of several bodies the second about the first."""
-    for path in paths:
-        _WRITERS[path.suffix](path, run, scenario)
-
-
-def _write_attitudes(path: Path, run: Run, scenario: Kind) -> None:
-    files.write_aem(path, run.member(0), body=_body(run), **_facts(scenario))
+def write(path: Path, run: Run, scenario: Kind) -> None:
+    """Write a run to a file; .aem and .oem hold the nominal member, of several bodies the second about the first."""
+    _WRITERS[path.suffix](path, run, scenario)
 
 
 def _write_orbit(path: Path, run: Run, scenario: Kind) -> None:
@@ -68,7 +63,7 @@ def _body(run: Run) -> int | None:
 
 
 _WRITERS: dict[str, Callable[[Path, Run, Kind], None]] = {
-    ".aem": _write_attitudes,
+    ".aem": lambda path, run, scenario: files.write_aem(path, run.member(0), body=_body(run), **_facts(scenario)),
     ".oem": _write_orbit,
     ".csv": lambda path, run, _: files.write_csv(path, run),
     ".nc": _write_dataset,

@@ -1,23 +1,52 @@
-"""Pictures of a run of any system, from its states alone; scenarios have their own pictures."""
+"""Pictures of a run of any system, from its states alone, interpolated where they can be; scenarios have their own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.command import interpolation
 from lieint_jax.app.scenarios import _pictures
 from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
-from lieint_jax.app.scenarios._runs import POINTS, kinetic_energy, series
+from lieint_jax.app.scenarios._runs import POINTS, energy, kinetic_energy, momentum, positive, series
 from lieint_jax.groups import so3
-from lieint_jax.runs import Run
-from lieint_jax.types import State, System, Trajectory, counts_work, energy_less_work, labels
-from lieint_jax.types.shapes import MomentumMap, Scalar
+from lieint_jax.runs import Run, interpolate
+from lieint_jax.systems import LinearPotential
+from lieint_jax.types import State, Trajectory, counts_work, energy_less_work, labels
+
+MAX_ROTATION = 2.6  # rad between saved states: interpolation then has an error of 0.3° (tumbling bodies)
+
+
+def rotation_angles(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Estimated angles of rotation between saved states, of the fastest body and of a top's axis, (saves − 1,), rad."""
+    rates = system.angular_velocities if hasattr(system, "angular_velocities") else system.angular_velocity
+    Omega = np.asarray(jax.jit(jax.vmap(rates))(jax.tree.map(jnp.asarray, run.state)))
+    Omega, axis = Omega.reshape(len(Omega), -1, 3), top_axis(system)
+    across = Omega if axis is None else np.cross(Omega, axis)
+
+    def largest_angles(rates: np.ndarray) -> np.ndarray:
+        speed = np.linalg.norm(rates, axis=-1).max(axis=1)
+        return np.maximum(speed[1:], speed[:-1]) * abs(np.diff(run.t))
+
+    return largest_angles(Omega), largest_angles(across)
+
+
+def interpolate_at(system: Any, run: Trajectory, times: np.ndarray) -> Trajectory:
+    """The trajectory at times inside it, by interpolation; bodies rotate by at most `MAX_ROTATION` between saves."""
+    return Trajectory(jnp.asarray(times), interpolate(system, run, times), run.info)
+
+
+def top_axis(system: Any) -> np.ndarray | None:
+    """The axis (3,) of a heavy top in the body, from the fixed point to the center of mass; None for other systems."""
+    potential = getattr(system, "potential", None)
+    weight = np.asarray(potential.weight) if isinstance(potential, LinearPotential) else np.zeros(3)
+    return weight / np.linalg.norm(weight) if weight.any() else None
+
 
 _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the next, where `POINTS` allows it
 
@@ -32,12 +61,12 @@ def drawing_functions(states: State) -> dict[str, Callable[[Run, str], Figure]]:
 @plots.style()
 def draw_invariants(run: Run, title: str) -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
-    H, K, Phi = series(energy_less_work, run), series(kinetic_energy, run), series(_momentum, run)
+    H, K, Phi = series(energy_less_work, run), series(kinetic_energy, run), series(momentum, run)
     what = "error of energy less work" if counts_work(run.state) else "energy error"
-    errors = {f"{what}, relative": abs(H - H[0]) / _nonzero(np.maximum(abs(H[0]), K.max(axis=0)))}
+    errors = {f"{what}, relative": abs(H - H[0]) / positive(np.maximum(abs(H[0]), K.max(axis=0)))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
-        errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _nonzero(norm)
+        errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / positive(norm)
     fig, axes = plots.figure(len(errors))
     for ax, (label, error) in zip(axes[0], errors.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
@@ -53,7 +82,7 @@ def draw_works(run: Run, title: str) -> Figure:
     names = labels(run.system)
     if len(names) != works.shape[-1]:
         names = [f"law {k + 1}" for k in range(works.shape[-1])]
-    H = series(_energy, run)
+    H = series(energy, run)
     fig, axes = plots.figure(2)
     _pictures.draw_balance(axes[0], np.asarray(run.t), H, works, names, time_unit=unit_of(run))
     fig.suptitle(title)
@@ -82,19 +111,19 @@ def _draw_body(whole: Run) -> Figure:
     system, run = whole.system, whole.trajectory
     joined = hasattr(system, "angular_velocity")
     if joined:
-        angles, _ = interpolation.rotation_angles(system, run)
-        joined = bool(angles.max() <= interpolation.MAX_ROTATION)
+        angles, _ = rotation_angles(system, run)
+        joined = bool(angles.max() <= MAX_ROTATION)
         if joined and angles.max() > _CHORD:
             parts = min(int(np.ceil(angles.max() / _CHORD)), max(1, POINTS // len(angles)))
             places = np.arange(len(angles) * parts + 1) / parts
-            run = interpolation.interpolate_at(system, run, np.interp(places, np.arange(len(run.t)), run.t))
+            run = interpolate_at(system, run, np.interp(places, np.arange(len(run.t)), run.t))
     axis, name = _drawn_axis(system, run)
     return _draw_direction(axis_in_space(np.asarray(run.state.q), axis), name, joined)
 
 
 def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
     """The body axis to draw, with its name: that of a top, or else the principal axis of the initial spin."""
-    axis = interpolation.top_axis(system)
+    axis = top_axis(system)
     if axis is not None:
         return axis, "the top's axis"
     if not hasattr(system, "inertia"):
@@ -165,15 +194,3 @@ def draw_change(reduced: Mapping[str, np.ndarray], title: str, time_unit: str) -
 def unit_of(run: Run) -> str:
     """The unit of a run's times; empty if there is none."""
     return "" if run.facts.time_unit == "1" else run.facts.time_unit
-
-
-def _energy(system: System, state: State) -> Scalar:
-    return system.energy(state)
-
-
-def _momentum(system: System, state: State) -> MomentumMap:
-    return system.momentum(state)
-
-
-def _nonzero(x: np.ndarray) -> np.ndarray:
-    return np.where(x > 0, x, 1)

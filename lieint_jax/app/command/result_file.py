@@ -19,18 +19,20 @@ from lieint_jax.types.shapes import PyTree
 _PACKAGE = __name__.partition(".")[0]
 _RENAMED = {  # since version 0.2
     "lieint_jax.studies.": "lieint_jax.app.studies.",
-    "studies._equivalents:": "studies._symmetric_solutions:",
+    "studies._equivalents:": "studies._satellite_fit:",
+    "studies._symmetric_solutions:": "studies._satellite_fit:",
     "studies._minima:": "studies._satellite_sky:",
     "studies._satellite_result:": "studies._satellite_fit:",
     "studies._spin_fit:": "studies.inference:",
-    "studies._toutatis_result:": "studies._toutatis:",
+    "studies._toutatis_result:": "studies.toutatis:",
+    "studies._toutatis:": "studies.toutatis:",
     "fitting._outcome:Starts": "fitting._outcome:MultiStartResult",
     "kappa:LearntKappas": "kappa:LearnedKappas",
 }
 _RENAMED_FIELDS = {  # of named tuples of the studies, since version 0.2
     "_satellite_fit:Estimate": {"turned": "facet_symmetry"},
     "inference:Coverage": {"distance": "mahalanobis_squared"},
-    "_symmetric_solutions:Change": {"turn": "symmetry"},
+    "_satellite_fit:Change": {"turn": "symmetry"},
     "gyro:GyroTrials": {"within": "within_2_sigma", "inside": "inside_ellipsoid"},
     "kappa:KappaErrors": {
         "learnt": "training_defect",
@@ -46,12 +48,12 @@ _RENAMED_FIELDS = {  # of named tuples of the studies, since version 0.2
         "short": "short_run",
         "independent": "variational",
     },
-    "_toutatis:Prediction": {
+    "toutatis:Prediction": {
         "off": "fix_angles",
         "members_off": "member_fix_angles",
         "farther": "farther_share",
     },
-    "_toutatis:SpinFit": {"apart": "mahalanobis_squared", "same": "share_at_minimum"},
+    "toutatis:SpinFit": {"apart": "mahalanobis_squared", "same": "share_at_minimum"},
 }
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from lieint_jax import _checks, ensemble, runs
 from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import export, files, info, settings
+from lieint_jax.app.command import export, files, info
 from lieint_jax.app.printer import readable, show, show_time, show_written
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import nominal_state
@@ -59,7 +59,7 @@ def run(
     """
     resume = resume or part is not None or parts is not None  # a part always continues what it finds
     times = save_at and files.read_numbers(save_at)
-    scenario = settings.load(name, given, members=members, steps=steps, save_at=times)
+    scenario = scenarios.load(name, given, members=members, steps=steps, save_at=times)
     for path in exports:
         export.check(path, scenario)
     if exports and part is not None:
@@ -100,30 +100,34 @@ def run(
     else:
         integrate = partial(runs.submit, parts=count, executor=executor)
     integrate = partial(integrate, step, states, **scenario.clock(), **options)
-    if out.suffix == ".zarr":
+    in_store = out.suffix == ".zarr"
+    if in_store:
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
-        try:
-            run = integrate(store=ensemble.StoreOptions(out, description, scenario.time_unit))
-            show_time("the run")
-        except KeyboardInterrupt as stop:
-            again = "the same command" if part or parts else "the same command with --resume"
-            raise KeyboardInterrupt(f"{stop}: {again}" if stop.args else "") from None
-        if part is not None and part[1] > 1:
-            show(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
-        elif leader:
-            show(info.contents(out))
-            export.write_all(exports, run, scenario)
-            show_written(out, *exports, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
-        return
-    run = integrate()
+        integrate = partial(integrate, store=ensemble.StoreOptions(out, description, scenario.time_unit))
+    try:
+        run = integrate()
+    except KeyboardInterrupt as stop:
+        if not in_store:
+            raise
+        again = "the same command" if part or parts else "the same command with --resume"
+        raise KeyboardInterrupt(f"{stop}: {again}" if stop.args else "") from None
     show_time("the run")
+    if part is not None and part[1] > 1:
+        show(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
+        return
     if not leader:
         return
-    assert not isinstance(out, Url)  # whose suffix is .zarr
-    description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
-    own = scenarios.members_numbers(scenario)
-    files.save(out, run.trajectory, description, own)
-    export.write_all(exports, run, scenario)
+    own = {} if in_store else scenarios.members_numbers(scenario)
+    if isinstance(out, Url) or in_store:
+        show(info.contents(out))
+    else:
+        description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
+        files.save(out, run.trajectory, description, own)
+    for path in exports:
+        export.write(path, run, scenario)
+    if isinstance(out, Url) or in_store:
+        show_written(out, *exports, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
+        return
     if scenario.save_at is not None:
         _report_outputs(out, pictures)
         return
@@ -134,15 +138,19 @@ def run(
     show(readable(scenario).report(run))
     show_time("the report")
     if certificate:
-        watched = min(scenario.steps, _WATCHED)
-        show(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
-        show(certify(run.member(0).step, nominal_state(run), scenario.dt, watched))
-        show_time("the certificate")
+        _certify(scenario, run)
     converged = int(np.asarray(run.info.converged).all(axis=0).sum())
     all_converged = converged == scenario.members
     show(f"  {converged} of {scenario.members} members converged at every step", error=not all_converged)
     arrays = ", ".join(["t, q, p, residual, converged, metadata", *(f"member.{name}" for name in own)])
     show_written(out, *drawn, *exports, about=f"{arrays}; {files.megabytes(out)}")
+
+
+def _certify(scenario: Kind, run: runs.Run) -> None:
+    watched = min(scenario.steps, _WATCHED)
+    show(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
+    show(certify(run.member(0).step, nominal_state(run), scenario.dt, watched))
+    show_time("the certificate")
 
 
 def _report_outputs(out: Path, pictures: bool) -> None:

@@ -10,10 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.app.command import interpolation, meshes
-from lieint_jax.app.command.body_shapes import BodyShape
-from lieint_jax.app.command.meshes import Solid
-from lieint_jax.app.command.pictures import unit_of
+from lieint_jax.app.command import meshes
+from lieint_jax.app.command.meshes import BodyShape, Solid
+from lieint_jax.app.command.pictures import MAX_ROTATION, interpolate_at, rotation_angles, top_axis, unit_of
 from lieint_jax.app.scenarios._body import spin_axis
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
@@ -133,8 +132,8 @@ def _drawable_span(
     """
     t = np.asarray(run.t)
     sign, (first, last) = np.sign(t[-1] - t[0]), _span(t, span, time_unit)
-    angles, tilts = interpolation.rotation_angles(system, run)
-    steps, per_frame = (angles, _MAX_ROTATION) if interpolation.top_axis(system) is None else (tilts, _MAX_TILT)
+    angles, tilts = rotation_angles(system, run)
+    steps, per_frame = (angles, _MAX_ROTATION) if top_axis(system) is None else (tilts, _MAX_TILT)
     total = np.concatenate([[0.0], np.cumsum(steps)])
     at_first, at_last = np.interp(sign * np.array([first, last]), sign * t, total)
     limit = at_last if span[1] is not None else at_first + (frames - 1) * per_frame
@@ -147,7 +146,7 @@ def _drawable_span(
         length = f"{abs(last - first):.4g} {time_unit}".rstrip()
         notes = (f"the first {abs(end - first):.4g} of {length}",)
     largest = angles[low:high].max()
-    if largest <= interpolation.MAX_ROTATION:
+    if largest <= MAX_ROTATION:
         in_frame = abs(np.diff(np.interp(sign * np.linspace(first, end, frames), sign * t, total))).max()
         if in_frame > 2 * per_frame:
             backward = ", which may seem backward" if in_frame > np.pi / 2 else ""
@@ -155,7 +154,7 @@ def _drawable_span(
         fine = max(_FINE, min(int(np.ceil(in_frame / per_frame * _FINE)), _MOST_POINTS // frames))
         times = np.linspace(first, end, (frames - 1) * fine + 1)
         part = jax.tree.map(lambda x: x[low : high + 1], run)
-        return interpolation.interpolate_at(system, part, times), fine, notes, needed
+        return interpolate_at(system, part, times), fine, notes, needed
     saved = np.flatnonzero((sign * (t - first) >= 0) & (sign * (last - t) >= 0))
     if len(saved) < 2:
         raise ValueError(f"fewer than two states are saved from t = {first:.6g} to {last:.6g}: save more often")
@@ -187,7 +186,7 @@ def _bodies(
     system: Any, rotations: np.ndarray, spins: np.ndarray, x: np.ndarray, shapes: Sequence[BodyShape]
 ) -> tuple[tuple[Solid, ...], np.ndarray, float]:
     """The surfaces of the bodies, the axis of each in the body (bodies, 3), and how many times they are enlarged."""
-    axis, single = interpolation.top_axis(system), not hasattr(system, "inertias")
+    axis, single = top_axis(system), not hasattr(system, "inertias")
     inertias = np.asarray(system.inertia)[None] if single else np.asarray(system.inertias)
     if len(shapes) > len(inertias):
         raise ValueError(f"--shape is given {len(shapes)} times, but the run has {len(inertias)} bodies")

@@ -17,7 +17,8 @@ from lieint_jax.app import plots, studies
 from lieint_jax.app._own_file import import_file
 from lieint_jax.app.command import files, result_file
 from lieint_jax.app.printer import readable, show, show_time, show_written
-from lieint_jax.app.studies import inference
+from lieint_jax.app.studies.inference import draw, text
+from lieint_jax.fitting.inference import Inference, Problem, infer
 from lieint_jax.runs import store as archives
 from lieint_jax.types.shapes import PyTree
 
@@ -68,15 +69,15 @@ def _find_study(name: str) -> Study:
 
 
 def _own_study(path: Path) -> Study:
-    """The study that a file declares: `PROBLEM`, an `inference.Problem`, or the functions run, text and draw."""
+    """The study that a file declares: `PROBLEM`, a `Problem`, or the functions run, text and draw."""
     if not path.is_file():
         raise ValueError(f"there is no file {path}")
     module = import_file(path, _OWN)
-    if isinstance(problem := getattr(module, "PROBLEM", None), inference.Problem):
-        return Study(partial(inference.infer, problem), inference.text, inference.draw)
+    if isinstance(problem := getattr(module, "PROBLEM", None), Problem):
+        return Study(partial(infer, problem), text, draw)
     if missing := [name for name in ("run", "text", "draw") if not callable(getattr(module, name, None))]:
         raise ValueError(
-            f"{path} declares no study: it needs PROBLEM = lieint_jax.app.studies.inference.Problem(…), or the "
+            f"{path} declares no study: it needs PROBLEM = lieint_jax.fitting.inference.Problem(…), or the "
             f"functions run, text and draw, of which it lacks {', '.join(missing)}"
         )
     return Study(module.run, module.text, module.draw, module)
@@ -112,16 +113,16 @@ def plot(path: Path, out: Path | None = None, force: bool = False, own: Path | N
     if own is not None:
         study = _own_study(own)
     elif _is_own(metadata):
-        study = Study(inference.infer, inference.text, inference.draw)
+        study = Study(infer, text, draw)
     else:
         study = _find_study(metadata["study"])
     files.check_replaceable(_pictures(plain), force)
     result = result_file.load(path, study.module)
-    if own is None and _is_own(metadata) and not isinstance(result, inference.Inference):
+    if own is None and _is_own(metadata) and not isinstance(result, Inference):
         raise ValueError(f"{path} holds results of your own study {name}, which lieint plot needs: add --study {name}")
     with archives.wrap_errors(path, f"holds no result of the study {name}"):
-        text, figure = study.text(result), study.draw(result)
-    show(text)
+        report, figure = study.text(result), study.draw(result)
+    show(report)
     drawn = plots.save(figure, plain.with_suffix(".png"))
     show_written(*drawn)
 

@@ -7,14 +7,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+Compute = Callable[[], Mapping[str, ArrayLike]]
+
 
 @cache
-def numbers() -> dict[str, dict]:
+def numbers() -> dict[str, dict[str, Any]]:
     """The entries of `numbers.toml`, which describes them."""
     return tomllib.loads(Path(__file__).with_name("numbers.toml").read_text(encoding="utf-8"))
 
@@ -58,22 +60,8 @@ class Case:
     scheme: str
     published: Mapping[str, ArrayLike]
     limit: str
-    compute: Callable[[], Mapping[str, ArrayLike]]
+    compute: Compute
     digits: float = 0.0
-
-    @classmethod
-    def of(cls, name: str, scheme: str, compute: Callable[[], Mapping[str, ArrayLike]]) -> Case:
-        """The case of this name in `numbers.toml`."""
-        entry = numbers()[name]
-        return cls(
-            entry["code"],
-            entry["source"],
-            scheme,
-            entry["numbers"],
-            entry["limit"],
-            compute,
-            entry.get("digits", 0.0),
-        )
 
     def compare(self) -> list[Comparison]:
         """Compute all quantities, and compare each with the published numbers."""
@@ -82,3 +70,18 @@ class Case:
             Comparison(name, np.asarray(value, float), np.asarray(ours[name], float), self.digits)
             for name, value in self.published.items()
         ]
+
+
+CASES: dict[str, Case] = {}
+
+
+def case(name: str, scheme: str) -> Callable[[Compute], Compute]:
+    """Declare that a function computes, by this scheme, the case of this name in `numbers.toml`."""
+
+    def declare(compute: Compute) -> Compute:
+        given = numbers()[name]
+        digits = given.get("digits", 0.0)
+        CASES[name] = Case(given["code"], given["source"], scheme, given["numbers"], given["limit"], compute, digits)
+        return compute
+
+    return declare

@@ -11,6 +11,7 @@ import difflib
 import importlib
 import inspect
 import pkgutil
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
@@ -23,6 +24,7 @@ from lieint_jax import _checks
 from lieint_jax.app._own_file import import_file
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._kind import Kind
+from lieint_jax.app.scenarios._settings import set_key
 from lieint_jax.runs import store as archives
 from lieint_jax.types import State, Step
 
@@ -80,8 +82,13 @@ def build_first(scenario: Kind, members: int) -> Step:
     return scenario.model_copy(update={"members": members if scenario.has_own_steps() else 1}).build()[0]
 
 
-def load(name: str, **changes: Any) -> Any:
-    """The scenario shipped under `name`, or the one in the file `name`, with `changes` to its keys.
+def load(name: str, settings: Sequence[str] = (), **changes: Any) -> Any:
+    """The scenario shipped under `name`, or the one in the file `name`, with other values of its keys.
+
+    Args:
+        name: a shipped scenario or a file.
+        settings: texts KEY=VALUE, applied in order: see `_settings.set_key`.
+        changes: values of keys, which replace those in `settings`; None for no change.
 
     Returns:
         A `Kind`, that which its `system` key names.
@@ -89,7 +96,10 @@ def load(name: str, **changes: Any) -> Any:
     Raises:
         ValueError: no such scenario, not TOML, or a key is missing, unknown or out of range: the message names it.
     """
-    return parse(table(name) | {key: value for key, value in changes.items() if value is not None}, name)
+    keys = table(name)
+    for text in settings:
+        set_key(keys, text)
+    return parse(keys | {key: value for key, value in changes.items() if value is not None}, name)
 
 
 def parse(table: dict[str, Any], name: str, reads_files: bool = True) -> Any:

@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
 from lieint_jax import _free_body, orbits, systems
-from lieint_jax._numerics import elliptic
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.scenarios._kind import step_of as step_by
 from lieint_jax.app.scenarios._runs import Numbers, map_on_local_devices
@@ -25,7 +24,6 @@ from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static, vectors
 
 _FREE_STEPS = 128  # of the torque-free motion, where it is differentiated
-_MARGIN = 1e-12  # fraction of a mode's range of energies that is excluded at either end
 
 
 class Spin(NamedTuple):
@@ -76,49 +74,18 @@ def moments(spin: Spin) -> Array:
     return jnp.stack([spin.least, spin.middle, jnp.ones_like(spin.least)])
 
 
-def mode_exists(J: Array, ratio: Array, long_axis: bool) -> Array:
-    """Whether a mode of this body has the ratio P_ψ/P_φ.
-
-    The least ratio is that of a small wobble; the greatest is evaluated next to the separatrix, where the
-    ratio grows without bound, but rounding leaves no digits.
-    """
-    ends = jnp.asarray([1 - _MARGIN, _MARGIN] if long_axis else [_MARGIN, 1 - _MARGIN])
-    least, most = jax.vmap(lambda s: _free_body.period_ratio(J, s, long_axis))(ends)
-    return (least < ratio) & (ratio < most)
-
-
-def momentum_on_polhode(J: Array, unit: Array, psi: Array) -> Array:
-    """The unit Π at the phase ψ, by Jacobi's functions of 2Kψ/π; `unit` is that at ψ = 0, in the x-z plane."""
-    (A, B, C), (x, _, z) = vectors.components(J), vectors.components(unit)
-    above, below = x * x * (C / A - 1), z * z * (1 - A / C)  # 2HC − 1 and 1 − 2HA
-    f, g = (B - A) * above, (C - B) * below
-    long_axis, fast = f > g, jnp.maximum(f, g)
-    m1 = jnp.abs(f - g) / fast
-    halves = lax.stop_gradient(jnp.round(psi / jnp.pi))
-    sn, cn, dn = elliptic.jacobi(elliptic.quarter_period(m1) * (psi - jnp.pi * halves) * 2 / jnp.pi, m1)
-    odd = 1 - 2 * jnp.abs(halves % 2)
-    y = jnp.sqrt(B * jnp.where(long_axis, below / (B - A), above / (C - B)))
-    ratios = jnp.where(long_axis, dn, odd * cn), odd * sn, jnp.where(long_axis, odd * cn, dn)
-    return jnp.stack([x * ratios[0], y * ratios[1], z * ratios[2]])
-
-
 def state_at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
     """The torque-free state at the perigee; `toward` is the direction of the body from the Earth there."""
     J = moments(spin)
     unit = _free_body.momentum_of_ratio(J, spin.rotation / spin.precession, long_axis)
     size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / spin.precession
     pole = direction(spin.longitude, spin.latitude)
-    in_body = _orthonormal_frame(_normalize(momentum_on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
+    in_body = _orthonormal_frame(_normalize(_free_body.momentum_at_phase(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
     x, y, z = _orthonormal_frame(pole, toward)
     across = jnp.cos(spin.phi) * y + jnp.sin(spin.phi) * z
     axis_in_space = jnp.stack([x, across, jnp.stack(vectors.cross(x, across))])
     R = jnp.stack([sum(axis_in_space[k, i] * in_body[k] for k in range(3)) for i in range(3)])
     return State(so3.from_matrix(R), size * pole)
-
-
-def initial_state(spin: Spin, toward: Array, t: Array, long_axis: bool) -> State:
-    """The state at the time t since the perigee, by the exact torque-free motion."""
-    return RigidBody(moments(spin)).solution(state_at_perigee(spin, toward, long_axis), t)
 
 
 def _orthonormal_frame(along: Array, near: Array) -> Array:
@@ -147,9 +114,10 @@ def step_of(J: Array, orbit: orbits.Kepler | GivenOrbit, order: int) -> Step:
 def step_and_state(
     spin: Spin, orbit: orbits.Kepler | GivenOrbit, t: Array, order: int, long_axis: bool
 ) -> tuple[Step, State]:
-    """The step of one member, and its state at the time t, with work 0."""
-    state = initial_state(spin, orbit(jnp.zeros_like(t))[0], t, long_axis)
-    return step_of(moments(spin), orbit, order), state._replace(t=t, work=jnp.zeros_like(t))
+    """The step of one member, and its state at the time t, with work 0; the motion until then is free."""
+    J, near = moments(spin), state_at_perigee(spin, orbit(jnp.zeros_like(t))[0], long_axis)
+    state = RigidBody(J).solution(near, t)
+    return step_of(J, orbit, order), state._replace(t=t, work=jnp.zeros_like(t))
 
 
 class Passage(NamedTuple):

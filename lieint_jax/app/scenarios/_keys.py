@@ -50,6 +50,7 @@ def _unit_quaternion(value: list[float]) -> list[float]:
 
 PositiveFloat = Annotated[float, Field(gt=0)]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+Pair = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
 PositiveTriple = Annotated[list[PositiveFloat], Field(min_length=3, max_length=3)]
 Direction = Annotated[Triple, checked(_check_not_zero)]
 UnitVector = Annotated[Triple, checked(_check_unit)]

@@ -11,7 +11,6 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from matplotlib.figure import Figure
 from pydantic import Field, model_validator
 
@@ -21,7 +20,16 @@ from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._keys import Date, PositiveInt, Table, Text
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity, join_members, text
-from lieint_jax.app.scenarios._runs import LONGEST, as_batch, drawn_run, length, nominal_state, series
+from lieint_jax.app.scenarios._runs import (
+    LONGEST,
+    as_batch,
+    drawn_run,
+    length,
+    momentum,
+    nominal_state,
+    positive,
+    series,
+)
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, System, energy_less_work
 
@@ -237,7 +245,7 @@ class Kind(Table):
 
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy, less the work that states count, and the momentum map, with what the scheme promises."""
-        found, Phi = list[Conserved](), series(_momentum, run)
+        found, Phi = list[Conserved](), series(momentum, run)
         if run.system.hamiltonian:
             H, name = series(energy_less_work, run), "energy" if run.state.work is None else "energy less work"
             found.append(Conserved(f"{name}, relative", H, positive(abs(H).max(axis=0)), self._promise(name)))
@@ -375,15 +383,6 @@ def for_last_run(method: Callable[[Any, Run], R]) -> Callable[[Any, Run], R]:
         return last[0][1]
 
     return cached
-
-
-def positive(size: np.ndarray) -> np.ndarray:
-    """Sizes to which changes are relative, 1 in place of 0."""
-    return np.where(size > 0, size, 1.0)
-
-
-def _momentum(system: System, state: State) -> Array:
-    return system.momentum(state)
 
 
 def _methods(kind: type[Kind]) -> list[FunctionType]:

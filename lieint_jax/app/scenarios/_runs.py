@@ -38,6 +38,19 @@ def _value(function: Callable[[Any, State], Any], step: Step, state: State) -> A
     return function(step.system, state)
 
 
+def energy(system: Any, state: State) -> Array:
+    return system.energy(state)
+
+
+def momentum(system: Any, state: State) -> Array:
+    return system.momentum(state)
+
+
+def positive(size: np.ndarray) -> np.ndarray:
+    """Sizes to which changes are relative, 1 in place of 0."""
+    return np.where(size > 0, size, 1.0)
+
+
 def kinetic_energy(system: Any, state: State) -> Array:
     """The kinetic energy, or 0: a size for errors of an energy that may itself be 0."""
     return system.kinetic_energy(state) if hasattr(system, "kinetic_energy") else jnp.zeros_like(system.energy(state))

@@ -7,7 +7,9 @@ member has its own masses and moments: the leaves of the step have the member ax
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, Self
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -17,18 +19,18 @@ from pydantic import model_validator
 
 from lieint_jax import measure, potentials, runs, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios import _binary_motion
+from lieint_jax.app.scenarios._body import ExtendedBody, MultibodyKind, member_bodies
 from lieint_jax.app.scenarios._keys import DAY, HOUR, NonNegative, NumberSpread, PositiveFloat, Published, Table
 from lieint_jax.app.scenarios._kind import check_order, for_last_run, picture, step_of
-from lieint_jax.app.scenarios._multibody import ExtendedBody, MultibodyKind, member_bodies
 from lieint_jax.app.scenarios._pictures import draw_errors
 from lieint_jax.app.scenarios._report import Conserved, Quantity, citation
 from lieint_jax.app.scenarios._runs import as_batch, drawn_steps, length, nominal_state, series, standard_deviation
 from lieint_jax.groups import so3
 from lieint_jax.measure import RelativeMotion, mean_rate
-from lieint_jax.runs import Run
+from lieint_jax.phase_spaces import frame
+from lieint_jax.runs import Run, integrate
 from lieint_jax.systems import RigidBodies
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, vectors
 
 _ENERGY, _MOMENTUM = "energy, over |energy|", "angular momentum, relative"
 _SHOWN = {_ENERGY: "H", _MOMENTUM: "L"}  # in the picture of errors
@@ -185,20 +187,20 @@ class Binary(MultibodyKind):
         duration = self.dt, self.steps, self.save_every
 
         def measure(change: Array) -> tuple[Array, Array]:
-            return _binary_motion.orbital_period(first, start, *duration, change)
+            return orbital_period(first, start, *duration, change)
 
         before, after = (self.published[key].value * HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
-        ends = [_binary_motion.speed_change_for(period, measure) for period in (before, after)]
-        d = float(jnp.linalg.norm(_binary_motion.relative_state(first.system, start)[0]))
+        ends = [speed_change_for(period, measure) for period in (before, after)]
+        d = float(jnp.linalg.norm(relative_state(first.system, start)[0]))
         mu = self.G * float(jnp.sum(first.system.masses))
         unchanged = float(measure(jnp.asarray(-self.orbit.speed_change_mm_s / 1000))[0])
         middle = (before + after) / 2
-        a, speed = (mu * (middle / (2 * np.pi)) ** 2) ** (1 / 3), _binary_motion.kepler_speed(mu, d, middle)
+        a, speed = (mu * (middle / (2 * np.pi)) ** 2) ** (1 / 3), kepler_speed(mu, d, middle)
         return Impact(
             unchanged / HOUR,
             1000 * (ends[1] - ends[0]),
             float(measure(jnp.asarray(sum(ends) / 2))[1]) / HOUR / 1000,
-            1000 * (_binary_motion.kepler_speed(mu, d, after) - _binary_motion.kepler_speed(mu, d, before)),
+            1000 * (kepler_speed(mu, d, after) - kepler_speed(mu, d, before)),
             3 * a * speed / mu * middle / HOUR / 1000,
         )
 
@@ -330,3 +332,68 @@ class Impact(NamedTuple):
     slope: float  # the derivative of the period by the speed half-way, h/(mm/s)
     kepler: float  # the change of speed for two points
     kepler_slope: float  # the derivative for two points, h/(mm/s)
+
+
+_MAX_ITERATIONS = 8  # of Newton's method for the speed
+_TOLERANCE = 1e-5  # largest last correction over the change; the error that Newton's method leaves is its square
+
+
+def relative_state(system: RigidBodies, state: State) -> tuple[Array, Array]:
+    """The relative position d and the relative velocity v."""
+    x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
+    return x[1] - x[0], v[1] - v[0]
+
+
+def with_speed_change(system: RigidBodies, state: State, change: Array) -> State:
+    """The state with `change` added to the speed of the relative motion, across the line of centers."""
+    m, (d, v) = system.masses, relative_state(system, state)
+    across = v - d * (vectors.dot(d, v) / vectors.dot(d, d))
+    push = m[0] * m[1] / (m[0] + m[1]) * change * across / vectors.norm(across)
+    return state._replace(p=state.p.at[:, :3].add(jnp.stack([-push, push])))
+
+
+@partial(jax.jit, static_argnames=("num_steps", "save_every"))
+def orbital_period(
+    step: Step, state: State, dt: float, num_steps: int, save_every: int, change: Array
+) -> tuple[Array, Array]:
+    """The orbital period after a change of the initial speed, and its derivative by that change.
+
+    The derivative is that of the whole model, by a tangent vector along the run, not of Kepler's formula.
+    """
+
+    def period_after(change: Array) -> Array:
+        system: Any = step.system
+        run = integrate(step, with_speed_change(system, state, change), dt, num_steps, save_every=save_every)
+        L = system.momentum(state)[3:]
+        up = L / vectors.norm(L)
+        e1, e2 = frame(up)
+
+        def longitude(state: State) -> Array:
+            d, _ = relative_state(system, state)
+            return jnp.arctan2(vectors.dot(e2, d), vectors.dot(e1, d))
+
+        angles = jax.vmap(longitude)(run.state)
+        return jnp.asarray(2 * jnp.pi / mean_rate(run.t, jnp.unwrap(angles)))
+
+    return jax.jvp(period_after, (change,), (jnp.ones_like(change),))
+
+
+def speed_change_for(target: float, measure: Callable[[Array], tuple[Array, Array]]) -> float:
+    """The change of speed that gives the orbital period `target`, by Newton's method; nan if it fails to converge.
+
+    `measure` returns the period and its derivative for a change of speed, as `orbital_period` does.
+    """
+    change = 0.0
+    for _ in range(_MAX_ITERATIONS):
+        found, slope = measure(jnp.asarray(change))
+        correction = (target - float(found)) / float(slope)
+        change += correction
+        if abs(correction) <= _TOLERANCE * abs(change):
+            return change
+    return float("nan")
+
+
+def kepler_speed(mu: float, r: float, period: float) -> float:
+    """The speed at the distance r, an apsis, of an orbit of two points with this period."""
+    a = (mu * (period / (2 * np.pi)) ** 2) ** (1 / 3)
+    return float(np.sqrt(mu * (2 / r - 1 / a)))

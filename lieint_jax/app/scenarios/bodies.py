@@ -19,11 +19,11 @@ from pydantic import Field, field_validator, model_validator
 from lieint_jax import measure, potentials, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _keys as keys
-from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, positive, step_of
-from lieint_jax.app.scenarios._multibody import BodySpread, ExtendedBody, MultibodyKind, member_bodies
+from lieint_jax.app.scenarios._body import BodySpread, ExtendedBody, MultibodyKind, member_bodies
+from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, step_of
 from lieint_jax.app.scenarios._pictures import draw_changes
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import length, nominal_system, series
+from lieint_jax.app.scenarios._runs import length, nominal_system, positive, series
 from lieint_jax.potentials import Potential, Springs
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBodies

@@ -8,31 +8,313 @@ have the member axis.
 from __future__ import annotations
 
 import textwrap
+from datetime import datetime, timedelta
 from functools import partial
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from lieint_jax import _free_body, orbits
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._flyby_keys import FlybyKeys
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
-from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
-from lieint_jax.app.scenarios._flyby_study import CHECKED, Study, change_of_spin, members, study, unknowns
-from lieint_jax.app.scenarios._keys import HOUR
+from lieint_jax.app.scenarios._flyby_study import (
+    CHECKED,
+    Study,
+    change_of_spin,
+    draw_after,
+    draw_map,
+    draw_sensitivity,
+    members,
+    study,
+    unknowns,
+)
+from lieint_jax.app.scenarios._keys import HOUR, PositiveFloat, PositiveInt, Published, Table, Text
+from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
 from lieint_jax.app.scenarios._runs import angles
+from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step
 
 _QUANTILES = (0.05, 0.5, 0.95)
+_OBLIQUITY = np.deg2rad(23.4392911)  # of the ecliptic at J2000, IAU 1976
+
+_Period = Literal["precession_period_h", "rotation_period_h", "lightcurve_period_h"]
+Mode = Literal["short_axis", "long_axis"]
+Frame = Literal["ecliptic", "equator"]
 
 
-class Flyby(FlybyKeys):
+class Measured(Table):
+    """A published value with its error, or with errors to both sides, of `sigmas` standard deviations."""
+
+    value: float
+    """In the unit that the key names."""
+    error: Annotated[float, Field(ge=0)] | None = None
+    """To both sides."""
+    below: Annotated[float, Field(ge=0)] | None = None
+    """To the lower side."""
+    above: Annotated[float, Field(ge=0)] | None = None
+    """To the upper side."""
+    source: str
+    """A key of the table sources."""
+
+    @model_validator(mode="after")
+    def _check_error(self) -> Self:
+        if (self.below is None) != (self.above is None) or (self.error is not None and self.below is not None):
+            raise ValueError("give error, or both below and above, or none of them")
+        return self
+
+    def sides(self) -> tuple[float, float]:
+        """The errors below and above."""
+        if self.below is not None and self.above is not None:
+            return self.below, self.above
+        error = self.error or 0.0
+        return error, error
+
+    def __str__(self) -> str:
+        below, above = self.sides()
+        return f"{self.value:g}" + (f" ± {above:g}" if below == above else f" −{below:g}/+{above:g}") * (above > 0)
+
+
+class Orbit(Table):
+    """A hyperbola about the planet."""
+
+    gm_km3_s2: PositiveFloat
+    """The gravitational parameter of the planet, in km³/s²."""
+    perigee_km: PositiveFloat
+    """The least distance from the planet's center, in km."""
+    eccentricity: Annotated[float, Field(gt=1)]
+    """Above 1."""
+    inclination_deg: float
+    """In degrees."""
+    node_deg: float
+    """The longitude of the ascending node, in degrees."""
+    argument_of_perigee_deg: float
+    """In degrees."""
+    perigee_utc: str
+    """The date of the perigee, as 2029-04-13T21:45:04Z."""
+    frame: Frame = "ecliptic"
+    """The frame of the elements, J2000; attitudes and poles are ecliptic."""
+
+    @field_validator("perigee_utc")
+    @classmethod
+    def _check_date(cls, value: str) -> str:
+        if datetime.fromisoformat(value).utcoffset() != timedelta(0):
+            raise ValueError("must be a date in UTC, such as 2029-04-13T21:45:04Z")
+        return value
+
+    @model_validator(mode="after")
+    def _check_perigee(self) -> Self:
+        if abs(self.gm_km3_s2 / orbits.EARTH_GM - 1) < 0.01 and self.perigee_km <= orbits.EARTH_RADIUS:
+            raise ValueError(
+                f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {orbits.EARTH_RADIUS:.0f} km: "
+                "give the distance from its center"
+            )
+        return self
+
+    def elements(self) -> tuple[float, ...]:
+        """The arguments of `orbits.kepler`, in km, h and rad, in ecliptic axes."""
+        angles = np.deg2rad([self.node_deg, self.inclination_deg, self.argument_of_perigee_deg])
+        if self.frame == "equator":
+            tilt = so3.exp(jnp.asarray([-_OBLIQUITY, 0.0, 0.0]))
+            angles = np.asarray(so3.to_euler_313(so3.multiply(tilt, so3.from_euler_313(jnp.asarray(angles)))))
+        node, inclination, argument = map(float, angles)
+        a = self.perigee_km / (1 - self.eccentricity)
+        return self.gm_km3_s2 * HOUR**2, a, self.eccentricity, inclination, node, argument, 0.0
+
+    def date(self, hours: float) -> datetime:
+        return datetime.fromisoformat(self.perigee_utc) + timedelta(hours=hours)
+
+
+class SpinValues(Table):
+    """Values of the tumbling; a variant may replace any of them."""
+
+    least_moment: Measured | None = None
+    """The least principal moment, about x, over the greatest, about z."""
+    middle_moment: Measured | None = None
+    """The middle one, about y, over the greatest."""
+    precession_period_h: Measured | None = None
+    """The period of the long axis about the angular momentum, in h."""
+    rotation_period_h: Measured | None = None
+    """The period of the angular momentum in the body, in h."""
+    momentum_longitude_deg: Measured | None = None
+    """The ecliptic longitude of the angular momentum, in degrees; its error along the parallel, in degrees of arc."""
+    momentum_latitude_deg: Measured | None = None
+    """The ecliptic latitude of the angular momentum, in degrees."""
+
+    def measured(self) -> dict[str, Any]:
+        """The values by their keys."""
+        return {name: x for name, x in self if name in SpinValues.model_fields}
+
+
+class Tumbling(SpinValues):
+    """The tumbling before the passage."""
+
+    mode: Mode
+    """Whether the angular momentum circles the axis of greatest or of least moment in the body."""
+    least_moment: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    middle_moment: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    precession_period_h: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    rotation_period_h: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    momentum_longitude_deg: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    momentum_latitude_deg: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    precession_phase_deg: float = 0.0
+    """φ of the nominal member at the perigee, in degrees."""
+    rotation_phase_deg: float = 0.0
+    """ψ of the nominal member at the perigee, in degrees."""
+
+    @model_validator(mode="after")
+    def _check_mode(self) -> Self:
+        self.check()
+        return self
+
+    def check(self) -> None:
+        """Raise ValueError unless the body has a mode with these periods."""
+        least, middle = self.least_moment.value, self.middle_moment.value
+        if not 0 < least < middle < 1:
+            raise ValueError("must be 0 < least_moment < middle_moment < 1, over the greatest")
+        ratio = self.rotation_period_h.value / self.precession_period_h.value
+        if not _free_body.mode_exists(jnp.asarray([least, middle, 1.0]), jnp.asarray(ratio), self.long_axis):
+            raise ValueError(f"no {self.mode} mode of these moments has periods of the ratio {ratio:g}")
+
+    def with_changes(self, changes: SpinValues) -> Tumbling:
+        """The tumbling with the given changes."""
+        return self.model_copy(update={name: x for name, x in changes.measured().items() if x is not None})
+
+    @property
+    def long_axis(self) -> bool:
+        return self.mode == "long_axis"
+
+    @property
+    def same_passage_deg(self) -> int:
+        """The change of φ, in degrees, that gives the same passage if ψ changes by 180°.
+
+        The body is then rotated by 180° about the axis that Π circles: its short axis, which reverses the long one, or
+        the long axis itself.
+        """
+        return 0 if self.long_axis else 180
+
+
+class Variant(SpinValues):
+    """A variant of the scenario with other assumptions."""
+
+    label: Text
+    """Shown in the report."""
+    frame: Frame | None = None
+    """The frame of the orbit's elements."""
+
+
+class Phases(Table):
+    """The grid of the map: φ over 360°, ψ over 180°."""
+
+    precession_phases: Annotated[int, Field(gt=0, multiple_of=2)]
+    """The number of values of φ, even."""
+    rotation_phases: PositiveInt
+    """The number of values of ψ."""
+
+
+class Known(Published):
+    """A published number, in the unit of the quantity's name."""
+
+    quantity: Literal["perigee_distance_km", "perigee_time_utc_h", _Period, "energy_ratio"]
+    """Which quantity it is."""
+
+
+class Expected(Table):
+    """A published expectation of the change."""
+
+    claim: Text
+    """In short."""
+    quantity: Annotated[
+        Literal["rate", "pole_angle", "longitude", "latitude", "mode"],
+        BeforeValidator(lambda x: "pole_angle" if x == "turn" else x),
+    ]
+    """The measured quantity with which the report compares it."""
+    source: str
+    """A key of the table sources."""
+
+
+class Flyby(Kind):
     """The keys of a scenario of this kind."""
 
+    time_unit: Literal["h"] = "h"  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Hours since the perigee."""
+    dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    """The mean step, which follows from hours and steps; files of results have it."""
+    order: Literal[2, 4, 6, 8] = 8
+    """The order of the symplectic splitting, above 2 by composition."""
+    hours: PositiveFloat
+    """The length of the run before and after the perigee, in h."""
+    arcs_hours: Annotated[list[PositiveFloat], Field(min_length=1)]
+    """The same for other runs: the report shows how the results converge with it."""
+    sigmas: PositiveFloat = 1.0
+    """The number of standard deviations of the errors of the spin."""
+    orbit: Orbit
+    spin: Tumbling
+    map: Phases
+    variant: list[Variant] = []
+    published: list[Known] = []
+    expected: list[Expected] = []
+    notes: list[Text] = []
+    """Paragraphs at the end of the report: assumptions, checks, and effects that the model omits."""
+
     own_step = True  # every member has its own body
-    draw_map, draw_after, draw_sensitivity = draw_map, draw_after, draw_sensitivity
+    no_spread: ClassVar[str] = "the members are spread by the errors in the keys of spin; they share the orbit"
+
+    @model_validator(mode="after")
+    def _check_variants(self) -> Self:
+        for variant in self.variant:
+            try:
+                self.spin.with_changes(variant).check()
+            except ValueError as error:
+                raise ValueError(f"variant {variant.label!r}: {error}") from None
+        return self
+
+    @model_validator(mode="after")
+    def _set_mean_step(self) -> Self:
+        dt = 2 * self.hours / self.steps
+        if self.dt is not None and self.dt != dt:
+            raise ValueError("dt is given by hours and steps: leave it out")
+        self.dt = dt  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self
+
+    @model_validator(mode="after")
+    def _check_epoch(self) -> Self:
+        if self.epoch is not None:
+            raise ValueError("epoch: t = 0 is the perigee, whose date is orbit.perigee_utc: leave epoch out")
+        return self
+
+    def date_of_zero(self) -> datetime:
+        """That of the perigee."""
+        return self.orbit.date(0)
+
+    def times(self, hours: float | None = None, steps: int | None = None) -> np.ndarray:
+        """The boundaries of the steps, graded along the orbit."""
+        hours = self.hours if hours is None else hours
+        return orbits.graded_times(GivenOrbit(self.orbit.elements()), -hours, hours, steps or self.steps)
+
+    def every_second_phase(self, grid: Any) -> Any:
+        """Every second value of both phases of a tree of values at all of them."""
+        n, m = self.map.precession_phases, self.map.rotation_phases
+        return jax.tree.map(lambda x: x.reshape(n, m)[::2, ::2].ravel(), grid)
+
+    def clock(self) -> dict[str, Any]:
+        return {"times": self.times()}
+
+    def describe_steps(self) -> str:
+        sizes = np.diff(self.times())
+        return f"{self.steps} graded steps of {sizes.min():.2g} to {sizes.max():.2g} h, ± {self.hours:g} h"
+
+    def assumption(self) -> str:
+        spin = self.spin
+        return (
+            f"members: both phases uniform; moments {spin.least_moment}, {spin.middle_moment}, 1; periods "
+            f"{spin.precession_period_h} h, {spin.rotation_period_h} h;\n  pole ({spin.momentum_longitude_deg}°, "
+            f"{spin.momentum_latitude_deg}°), errors along parallel and meridian; all errors {self.sigmas:g} sigma"
+        )
 
     def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
         """The step, whose leaves have the member axis, and the states at the start, which share their time."""
@@ -57,8 +339,10 @@ class Flyby(FlybyKeys):
         ]
         return "\n".join(line.rstrip() for line in lines)
 
+    draw_map, draw_after, draw_sensitivity = draw_map, draw_after, draw_sensitivity
 
-def facts(scenario: FlybyKeys, before: Outcome) -> list[Quantity]:
+
+def facts(scenario: Flyby, before: Outcome) -> list[Quantity]:
     """Quantities of the orbit and of the members before the passage, with published values."""
     position, velocity = (np.asarray(x) for x in GivenOrbit(scenario.orbit.elements())(jnp.zeros(())))
     date, a = scenario.orbit.date(0), scenario.orbit.elements()[1]
@@ -82,7 +366,7 @@ def facts(scenario: FlybyKeys, before: Outcome) -> list[Quantity]:
     ]
 
 
-def _published_lines(scenario: FlybyKeys, found: Study) -> list[str]:
+def _published_lines(scenario: Flyby, found: Study) -> list[str]:
     date, hours = scenario.orbit.date, scenario.hours
     redrawn = 1 - members(scenario)[1].mean()
     return [
@@ -98,7 +382,7 @@ def _row(name: str, x: np.ndarray, form: str = "9.3f") -> str:
     return f"  {name:<52}" + "".join(f"{value:>{form}}" for value in found)
 
 
-def _change_lines(scenario: FlybyKeys, found: Study) -> list[str]:
+def _change_lines(scenario: Flyby, found: Study) -> list[str]:
     changed, after = change_of_spin(found.before, found.after), found.after
     short = ~after.long_axis
     return [
@@ -117,7 +401,7 @@ def _change_lines(scenario: FlybyKeys, found: Study) -> list[str]:
     ]
 
 
-def _expectations(scenario: FlybyKeys, found: Study) -> list[str]:
+def _expectations(scenario: Flyby, found: Study) -> list[str]:
     x = change_of_spin(found.before, found.after)
     share = lambda condition: f"{100 * np.mean(condition):.3g} %"  # noqa: E731
     low, high = np.quantile(x.rate, (0.05, 0.95))
@@ -136,7 +420,7 @@ def _expectations(scenario: FlybyKeys, found: Study) -> list[str]:
     return lines
 
 
-def _by_phase(scenario: FlybyKeys, found: Study) -> list[str]:
+def _by_phase(scenario: Flyby, found: Study) -> list[str]:
     x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
     phi, psi = (np.rad2deg(np.asarray(x)) for x in (found.grid.phi, found.grid.psi))
     shift = scenario.spin.same_passage_deg
@@ -171,7 +455,7 @@ def _interval(phi: np.ndarray, modulo: int) -> str:
     return f"{first if last >= first else first - modulo:.0f}° to {last:.0f}°"
 
 
-def _sensitivity(scenario: FlybyKeys, found: Study) -> list[str]:
+def _sensitivity(scenario: Flyby, found: Study) -> list[str]:
     lines = [
         "\n  sensitivities over the map, by forward differentiation of the whole passage: median and largest",
         f"  {'by':<28}{'dP_φ (h)':>18}{'dP_ψ (h)':>22}{'d ln(spin rate)':>22}{'d pole (°)':>20}",
@@ -184,7 +468,7 @@ def _sensitivity(scenario: FlybyKeys, found: Study) -> list[str]:
     return lines
 
 
-def _errors(scenario: FlybyKeys, found: Study) -> list[str]:
+def _errors(scenario: Flyby, found: Study) -> list[str]:
     longest = max(found.arcs)
     best = found.arcs[longest].after
     heads = ("P_φ (h)", "P_ψ (%)", "2H/|L| (%)", "pole (°)")
@@ -208,7 +492,7 @@ def _errors(scenario: FlybyKeys, found: Study) -> list[str]:
     return lines
 
 
-def _variants(scenario: FlybyKeys, found: Study) -> list[str]:
+def _variants(scenario: Flyby, found: Study) -> list[str]:
     heads = {"P_φ (h)": 22, "spin rate": 20, "pole rotated (°)": 22, "same mode": 11}
     title = "other assumptions: 5 %, median, 95 %"
     lines = [f"\n  {title:<42}" + "".join(f"{head:>{width}}" for head, width in heads.items())]

@@ -14,9 +14,9 @@ from lieint_jax import _checks, diagnostics, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _keys as keys
-from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture, positive, step_of
+from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture, step_of
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
-from lieint_jax.app.scenarios._runs import length, series
+from lieint_jax.app.scenarios._runs import length, positive, series
 from lieint_jax.app.scenarios._spread import POSITIVE_DETERMINANT, SECOND_MOMENTS
 from lieint_jax.runs import Run
 from lieint_jax.systems import PseudoRigidBody

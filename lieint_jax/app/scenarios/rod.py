@@ -13,16 +13,15 @@ from pydantic import Field, model_validator
 
 from lieint_jax import systems
 from lieint_jax.app.scenarios import _keys as keys
-from lieint_jax.app.scenarios._kind import Kind, picture, positive
+from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._pictures import draw_balance
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import length, series
+from lieint_jax.app.scenarios._runs import energy, length, positive, series
 from lieint_jax.runs import Run
 from lieint_jax.systems import DissipativeRod, ElasticRod
 from lieint_jax.types import State, energy_less_work
 
 _SHAPES = 13  # in a picture
-_Pair = Annotated[list[keys.PositiveFloat], Field(min_length=2, max_length=2)]
 _End = Literal["free", "clamped"]
 
 
@@ -31,7 +30,7 @@ class Section(keys.Table):
 
     mass: keys.PositiveFloat
     """Per unit of length."""
-    inertia: _Pair
+    inertia: keys.Pair
     """About the axes 1 and 2, per unit of length."""
     stretching: keys.PositiveTriple
     """The stiffness GA₁, GA₂ against shear and EA against extension."""
@@ -142,7 +141,7 @@ class Rod(Kind):
 
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy less work, and P and L in free flight."""
-        H, balance = series(_energy, run), series(energy_less_work, run)
+        H, balance = series(energy, run), series(energy_less_work, run)
         name = "energy" if run.state.work is None else "energy less work"
         found = [Conserved(f"{name}, relative", balance, positive(abs(H).max(axis=0)), ROUND_OFF)]
         flying = self.in_flight(run)
@@ -185,13 +184,9 @@ class Rod(Kind):
     @picture(2)
     def draw_energy(self, axes: np.ndarray, run: Run) -> None:
         """Plot the change of energy and the work in time, and the change of energy less work."""
-        H, work = series(_energy, run), run.state.work
+        H, work = series(energy, run), run.state.work
         works = np.zeros_like(H) if work is None else np.asarray(work)
         draw_balance(axes, np.asarray(run.t), H, works[..., None], ["work"], time_unit=self.time_unit)
-
-
-def _energy(system: ElasticRod | DissipativeRod, state: State) -> Array:
-    return system.energy(state)
 
 
 def _momentum(system: ElasticRod | DissipativeRod, state: State) -> Array:

@@ -12,14 +12,13 @@ from pydantic import Field
 
 from lieint_jax import potentials, schemes, systems, tides
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._keys import DAY, NonNegative, NumberSpread, PositiveFloat, Published, Table
+from lieint_jax.app.scenarios._keys import DAY, NonNegative, NumberSpread, Pair, PositiveFloat, Published, Table
 from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._runs import series, standard_deviation
 from lieint_jax.app.scenarios._spread import member_values
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, energy_less_work
 
-Pair = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]
 Names = Annotated[list[str], Field(min_length=2, max_length=2)]
 NonNegativePair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
 

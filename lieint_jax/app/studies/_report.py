@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jax.typing import ArrayLike
 from matplotlib.axes import Axes
 
 from lieint_jax.app import plots
@@ -21,12 +20,6 @@ class Shares(NamedTuple):
     within_1: np.ndarray  # percentages within one standard error; 68.3 are expected
     within_2: np.ndarray  # percentages within two; 95.4 are expected
     rms: np.ndarray  # the root mean square; 1 is expected
-
-
-def squared_distances(errors: np.ndarray, covariances: ArrayLike) -> np.ndarray:
-    """The squared Mahalanobis distances eᵀC⁻¹e, (n,), of errors (n, parameters) with covariances (n, …, …)."""
-    errors = np.asarray(errors)
-    return np.einsum("ti,ti->t", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
 
 
 def chi_square_point(parameters: int) -> float:

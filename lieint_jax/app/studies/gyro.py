@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 
 from lieint_jax import schemes
 from lieint_jax.app import plots
-from lieint_jax.app.studies import _report, inference
-from lieint_jax.app.studies.inference import Estimate, Params, Problem, Unknown
-from lieint_jax.fitting import Fit, inertia_ratios
+from lieint_jax.app.studies import _report
+from lieint_jax.fitting import Fit, inertia_ratios, inference
+from lieint_jax.fitting.inference import Estimate, Params, Problem, Unknown
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
 
@@ -131,7 +131,7 @@ def draw(found: GyroTrials) -> Figure:
     left.set_title("readings of the first trial and the fitted motion")
     radius, ratios = np.sqrt(-2 * np.log(0.05)), slice(3, 5)  # 95 % of χ² with two degrees of freedom
     estimates, truth, covariance = found.estimates[:, ratios], found.truth[ratios], found.covariance[ratios, ratios]
-    inside = int((_report.squared_distances(estimates - truth, covariance[None]) <= radius**2).sum())
+    inside = int((inference.squared_distances(estimates - truth, covariance[None]) <= radius**2).sum())
     right.plot(*estimates.T, ".", ms=4, color=plots.BLUE, label="estimates")
     right.plot(*truth, "x", ms=9, mew=2, color=plots.RED, label="truth")
     label = f"95 % ellipse of the mean reported\ncovariance: {inside} of {len(estimates)} inside"

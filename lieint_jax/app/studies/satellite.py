@@ -23,11 +23,32 @@ from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.studies import _period_search as search
-from lieint_jax.app.studies import _report, _satellite_fit, _symmetric_solutions
-from lieint_jax.app.studies._facets import Facets, brightness, facets, magnitude
-from lieint_jax.app.studies._satellite_fit import QUANTITIES, STEP, UNKNOWNS, Ends, SatelliteFit
-from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, closed_form, observe, scene, scene_minima
-from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, changes, classify, solutions
+from lieint_jax.app.studies import _report, _satellite_fit
+from lieint_jax.app.studies._satellite_fit import (
+    QUANTITIES,
+    SPACE,
+    STEP,
+    UNKNOWNS,
+    Change,
+    Ends,
+    SatelliteFit,
+    Solutions,
+    changes,
+    classify,
+    solutions,
+)
+from lieint_jax.app.studies._satellite_sky import (
+    Facets,
+    Lightcurve,
+    Scene,
+    brightness,
+    closed_form,
+    facets,
+    magnitude,
+    observe,
+    scene,
+    scene_minima,
+)
 from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.fitting import Fit
 
@@ -58,7 +79,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     images = _images(ends.select(order[0]), every)
     several, truth = _join(ends.select(order[:continued]), images), _satellite_fit.true_solution(made)
     # the light curve, and synthetic sets from the truth
-    guess, begin = _symmetric_solutions.parameters(_join(several, *[truth] * sets))
+    guess, begin = _satellite_fit.parameters(_join(several, *[truth] * sets))
     data = np.concatenate([np.tile(curve.magnitude, (len(several.q), 1)), synthetic])
     night = _satellite_fit.fit_magnitudes(guess, begin, data, made.facets, curve, progress)
     clock.append(time.perf_counter())
@@ -104,7 +125,7 @@ def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndar
     middle = len(first.t) // 2
     held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
     q = np.asarray(closed_form(made, night.t)[0])
-    change = _symmetric_solutions.light_differences
+    change = _satellite_fit.light_differences
     return np.stack([change(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
 
 

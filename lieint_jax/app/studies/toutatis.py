@@ -10,7 +10,9 @@ The covariance is tested on synthetic data sets of the fitted model; the predict
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cache
+from importlib import resources
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,13 +23,185 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots, scenarios
-from lieint_jax.app.studies import _flyby, _report, _toutatis, inference
-from lieint_jax.app.studies._toutatis import FITTED, MIDDLE, QUANTITIES, STATES, RadarEpochs, SpinFit, radar_epochs
-from lieint_jax.app.studies._tumbling import model
-from lieint_jax.app.studies.inference import Estimate, Params, Problem
-from lieint_jax.fitting import DEGREES_OF_FREEDOM, student_t_noise_error, student_t_weights
+from lieint_jax.app.scenarios._body import longitude_latitude
+from lieint_jax.app.scenarios.rigid_body import FreeBody
+from lieint_jax.app.studies import _flyby, _report
+from lieint_jax.app.studies._flyby import Flyby
+from lieint_jax.app.studies._tumbling import mean_periods, model, rotate, rotation_between
+from lieint_jax.app.studies.inference import published_lines
+from lieint_jax.fitting import (
+    DEGREES_OF_FREEDOM,
+    Fit,
+    inertia_ratios,
+    inference,
+    member_by_member,
+    student_t_noise_error,
+    student_t_weights,
+)
+from lieint_jax.fitting.inference import Coverage, Estimate, Params, Problem, Published, StudentT, Unknown
 from lieint_jax.groups import so3
+from lieint_jax.systems import RigidBody
 from lieint_jax.types import vectors
+
+FITTED, MIDDLE = 17, 8  # number of fixes of 1992; index of the middle one, the epoch of the parameters
+STATES = {"Zhao et al. 2015": "toutatis", "Takahashi et al. 2013": "toutatis_takahashi"}  # published, as scenarios
+QUANTITIES = (
+    *("precession period (d)", "rotation period (d)", "momentum, longitude (°)", "momentum, latitude (°)"),
+    *("inertia ratio Jx/Jz", "inertia ratio Jy/Jz", "Euler angle α (°)", "Euler angle β (°)", "Euler angle γ (°)"),
+    *("body rate x (°/d)", "body rate y (°/d)", "body rate z (°/d)"),
+)
+HUDSON_OSTRO = (7.35, 5.41)  # precession and rotation period, d; Hudson & Ostro 1995, Science 270:84
+_EPOCH = np.datetime64("1992-11-09T17:49:47")
+
+
+class RadarEpochs(NamedTuple):
+    """All published radar fixes of Toutatis: 17 of 1992, one of 2004 and one of 2008."""
+
+    t: np.ndarray  # days since 1992-11-09 17:49:47 UTC, the epoch of the published states, (19,)
+    q: np.ndarray  # attitudes as unit quaternions, (19, 4)
+    euler_313_deg: np.ndarray  # the same as Euler 3-1-3 angles, as published (°), (19, 3)
+    angular_velocity_deg: np.ndarray  # body rates (°/d), (19, 3)
+    date: list[str]  # dates, UTC, to the minute
+
+
+def radar_epochs() -> RadarEpochs:
+    """The radar fixes. Source: Takahashi, Busch & Scheeres 2013, AJ 146:95, where no errors are given."""
+    lines = resources.files(scenarios).joinpath("toutatis_radar.csv").read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines if line[0].isdigit()]
+    days = np.array([np.datetime64(row[0]) - _EPOCH for row in rows]) / np.timedelta64(1, "D")
+    numbers = np.array([row[1:] for row in rows], float)
+    q = np.asarray(jax.vmap(so3.from_euler_313)(jnp.deg2rad(numbers[:, :3])))
+    return RadarEpochs(days, q, numbers[:, :3], numbers[:, 3:], [row[0].replace("T", " ") for row in rows])
+
+
+def later_fixes() -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Dates, days since the published epoch, (3,), and attitudes, (3, 4), of the radar fixes of 2004 and 2008, and of
+    Chang'e-2 in 2012: −20.1°, 27.6°, 42.2°, each ± 1° (Zhao et al. 2015).
+
+    The angles of Chang'e-2 are read in the convention of the radar fixes. The inverse rotation is excluded: with the
+    direction of the momentum, 2H/|π|² would be 1.5 times as large as in the published states.
+    """
+    fixes = radar_epochs()
+    t = (np.datetime64("2012-12-13T08:30") - _EPOCH) / np.timedelta64(1, "D")
+    q = so3.from_euler_313(jnp.deg2rad(jnp.array([-20.1, 27.6, 42.2])))
+    dates = [*(day[:10] for day in fixes.date[FITTED:]), "2012-12-13"]
+    return dates, np.append(fixes.t[FITTED:], t), np.vstack([fixes.q[FITTED:], q])
+
+
+def radar_data() -> dict[str, Array]:
+    """The fixes of 1992 for the fit, with times in days from the middle one, and the epoch of the published states."""
+    fixes = radar_epochs()
+    t, q, rate = fixes.t - fixes.t[MIDDLE], fixes.q, fixes.angular_velocity_deg
+    data = {"begin": q[MIDDLE], "epoch": -fixes.t[MIDDLE], "q": q[:FITTED], "rate": rate[:FITTED], "t": t[:FITTED]}
+    return {name: jnp.asarray(x) for name, x in data.items()}
+
+
+def published_params(name: str, begin: Array, t: Array) -> Params:
+    """The published state of a scenario after time t, as parameters of `model`."""
+    scenario = scenarios.load(name)
+    body = RigidBody(jnp.asarray(scenario.inertia) / scenario.inertia[2])
+    later = body.solution(body.state(scenario.state.attitude(), angular_velocity=scenario.state.rate()), t)
+    rate = jnp.rad2deg(body.angular_velocity(later))
+    return {"attitude": rotation_between(later.q, begin), "inertia": body.inertia[:2], "rate": rate}
+
+
+@jax.jit
+def path(params: Params, data: dict[str, Array]) -> Array:
+    """Attitudes and body rates (°/d), (n, 7), at data["t"], (n,); data["begin"] as in `model`."""
+    body, state = model(params, data["begin"])
+
+    def spin_at(t: Array) -> Array:
+        later = body.solution(state, t)
+        return jnp.concatenate([later.q, jnp.rad2deg(body.angular_velocity(later))])
+
+    return jax.lax.map(spin_at, data["t"])
+
+
+path_of_fits = member_by_member(path)
+
+
+def errors(params: Params, data: dict[str, Array]) -> Array:
+    """Calculated less observed: rotation vectors in space (°) and body rates (°/d), (2, n, 3)."""
+    found = path_of_fits(params, {"begin": data["begin"], "t": data["t"]})
+    return jnp.stack([jax.vmap(rotation_between)(found[:, :4], data["q"]), found[:, 4:] - data["rate"]])
+
+
+def derived(params: Params, data: dict[str, Array]) -> Array:
+    """`QUANTITIES`, (12,): the Euler 3-1-3 angles and the body rate are those at the published epoch."""
+    body, state = model(params, data["begin"])
+    at_epoch = path_of_fits(params, {"begin": data["begin"], "t": data["epoch"][None]})[0]
+    euler = jnp.rad2deg(so3.to_euler_313(at_epoch[:4])) % 360
+    pole = longitude_latitude(state.p)
+    return jnp.concatenate([mean_periods(body, state), pole, params["inertia"], euler, at_epoch[4:]])
+
+
+def simulate(params: Params, data: dict[str, Array], noise: Array) -> dict[str, Array]:
+    """The fixes of a model, rotated and changed by noise, (2, n, 3)."""
+    found = path(params, {"begin": data["begin"], "t": data["t"]})
+    return data | {"q": jax.vmap(rotate)(noise[0], found[:, :4]), "rate": found[:, 4:] + noise[1]}
+
+
+@cache
+def spin_problem() -> Problem:
+    """The unknowns with the published state of Takahashi et al. as first guess, the fixes, and published values."""
+    data, scenario = radar_data(), scenarios.load("toutatis")
+    start = published_params(STATES["Takahashi et al. 2013"], data["begin"], -data["epoch"])
+    unknowns = {
+        "attitude": Unknown(("attitude x", "attitude y", "attitude z"), start["attitude"], scatter=10.0),
+        "inertia": Unknown(("Jx/Jz", "Jy/Jz"), start["inertia"], inertia_ratios, 0.15),
+        "rate": Unknown(("rate x", "rate y", "rate z"), start["rate"], scatter=5.0),
+    }
+    known = [(p.value, p.error or 0.0, scenario.source(p.source)) for p in scenario.published.values()]
+    known += [(period, 0.0, "Hudson & Ostro 1995, Science 270:84") for period in HUDSON_OSTRO]
+    published = [Published(QUANTITIES[k % 4], *value) for k, value in enumerate(known)]
+    options = {"derived": derived, "quantities": QUANTITIES, "published": published, "simulate": simulate}
+    return Problem(unknowns, errors, data, StudentT((8.0, 8.0), 0.01, 100.0), **options)
+
+
+class Prediction(NamedTuple):
+    """Torque-free motion after the fixes of 1992."""
+
+    t: np.ndarray  # days from the middle fix, (times,)
+    spread: np.ndarray  # the 5, 50 and 95 % quantiles of the members' angles from the estimate (°), (3, times)
+    rms: np.ndarray  # the root mean square of these angles (°), (times,)
+    # the angles (°) of the estimate and the published states from the later fixes, by name, (3,) each
+    fix_angles: dict[str, np.ndarray]
+    member_fix_angles: np.ndarray  # the angles (°) of the members from the later fixes, (members, 3)
+    # the share of the members that are farther from the estimate than the later fix is, (3,): small where the fix is
+    # outside the spread
+    farther_share: np.ndarray
+    pole: np.ndarray  # the angle (°) between the momentum of each single radar fix and the fitted one, (19,)
+    energy: np.ndarray  # 2H Jz/|π|² of the estimate, and of each attitude with the fitted direction of π, (1 + 20,)
+
+
+class SpinFit(NamedTuple):
+    """The results of the study."""
+
+    fit: Fit  # the fits from the two published states, from one of them with normal errors, and from random starts
+    share_at_minimum: float  # the share of the random starts that end in the minimum of the first fit
+    estimate: Estimate  # the spin state with its uncertainty
+    normal: Estimate  # the estimate for normal errors, by least squares that are not robust
+    # calculated less observed attitudes (°) and rates (°/d), by name of the state, (2, 17, 3) each
+    residuals: dict[str, np.ndarray]
+    weights: np.ndarray  # the weights of attitudes and rates in the fit, (2, 17)
+    outlier: np.ndarray  # whether each is an outlier, (2, 17)
+    published: dict[str, np.ndarray]  # the derived quantities of the published states, by name, (12,) each
+    # the squared distance of each published state from the estimate, by its covariance, by name; for the truth it would
+    # be χ² of 8 degrees of freedom
+    mahalanobis_squared: dict[str, float]
+    prediction: Prediction  # the prediction for 2004, 2008 and 2012
+    flyby: Flyby  # the effect of the Earth's torque on 2004-09-29
+    # the factors by which the errors of the parameters, and of the noise levels, are enlarged: the ratio of scatter to
+    # reported error in the first half of the synthetic sets
+    factors: np.ndarray
+    coverage: Coverage  # how often the enlarged errors include the truth in the second half
+    scenario: FreeBody  # the scenario that holds the published values
+
+    @property
+    def periods(self) -> np.ndarray:
+        """The mean precession and rotation periods in days, with their standard errors, (2, 2)."""
+        return np.stack([self.estimate.values[8:10], self.estimate.sigmas[8:10]], axis=1)
+
 
 __all__ = ["RadarEpochs", "SpinFit", "draw", "model", "radar_epochs", "run", "text"]
 
@@ -45,9 +219,9 @@ _TO_2008 = 1516.0  # days from that flyby, 2004-09-29, to the fix of 2008-11-23
 def run(quick: bool = False, progress: bool = True) -> SpinFit:
     """Fit, compare, predict, and test the uncertainty; `quick` uses a fifth of the synthetic sets and members."""
     sets, members = (20, 200) if quick else (100, 1000)
-    problem, data = _toutatis.problem(), _toutatis.radar_data()
+    problem, data = spin_problem(), radar_data()
     origin = data["begin"], -data["epoch"]
-    given = {name: _toutatis.published_params(scenario, *origin) for name, scenario in STATES.items()}
+    given = {name: published_params(scenario, *origin) for name, scenario in STATES.items()}
     # From both published states, from the first with normal errors, and from random states about the second. Their
     # number is that of synthetic sets, so that one compiled program fits both.
     zhao, takahashi = (p | {"noise": problem.levels["noise"]} for p in given.values())
@@ -62,10 +236,10 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     factors, test = inference.calibrate_errors(problem, estimate, sets, 1992, progress)
     estimate = inference.enlarge_errors(estimate, factors[0])
     compared = {"fitted": problem.unravel(estimate.x), **given}
-    residuals = {name: np.asarray(_toutatis.errors(p, data)) for name, p in compared.items()}
+    residuals = {name: np.asarray(errors(p, data)) for name, p in compared.items()}
     e, noise = residuals["fitted"], estimate.noise[:, None]
     difference = np.stack([np.asarray(ravel_pytree(p)[0]) - estimate.x for p in given.values()])
-    distances = _report.squared_distances(difference, estimate.covariance[None])
+    distances = inference.squared_distances(difference, estimate.covariance[None])
     body, state = model(problem.unravel(estimate.x), data["begin"])
     assert found.starts is not None
     return SpinFit(
@@ -76,7 +250,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
         residuals,
         np.asarray(student_t_weights(jnp.asarray(e), jnp.asarray(noise))),
         (e**2).sum(axis=-1) > _FAR * noise**2,
-        {name: np.asarray(_toutatis.derived(p, data)) for name, p in given.items()},
+        {name: np.asarray(derived(p, data)) for name, p in given.items()},
         dict(zip(given, distances.tolist(), strict=True)),
         _predict(problem, estimate, given, members),
         _flyby.passage(body, state, _FLYBY_DISTANCE, _flyby.speed_at_infinity(**_ELEMENTS), members),
@@ -86,9 +260,9 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     )
 
 
-def _predict(problem: Problem, estimate: Estimate, given: dict[str, Params], members: int) -> _toutatis.Prediction:
+def _predict(problem: Problem, estimate: Estimate, given: dict[str, Params], members: int) -> Prediction:
     """Predict the motion of the estimate, of both published states, and of members drawn from the covariance."""
-    fixes, begin, (_, later_t, later_q) = radar_epochs(), problem.data["begin"], _toutatis.later_fixes()
+    fixes, begin, (_, later_t, later_q) = radar_epochs(), problem.data["begin"], later_fixes()
     t = np.append(np.geomspace(1, 8000, 60), later_t - fixes.t[MIDDLE])
 
     def attitudes(params: Params) -> Array:
@@ -105,7 +279,7 @@ def _predict(problem: Problem, estimate: Estimate, given: dict[str, Params], mem
     p = jax.vmap(so3.Ad)(jnp.asarray(fixes.q), body.inertia * rate)
     every = jnp.concatenate([state.q[None], jnp.asarray(fixes.q), jnp.asarray(later_q[-1:])])
     Pi = np.asarray(jax.vmap(so3.Ad_star, (0, None))(every, state.p / jnp.linalg.norm(state.p)))
-    return _toutatis.Prediction(
+    return Prediction(
         t[:-3],
         np.percentile(angles[:, :-3], (5, 50, 95), axis=0),
         np.sqrt((angles[:, :-3] ** 2).mean(axis=0)),
@@ -181,14 +355,14 @@ def _comparison(found: SpinFit) -> list[str]:
         "  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
         f"  and Takahashi: {beyond}",
         "\n  published values:",
-        *inference.published_lines(QUANTITIES, found.estimate, _toutatis.problem().published),
+        *published_lines(QUANTITIES, found.estimate, spin_problem().published),
     ]
 
 
 def _prediction(found: SpinFit) -> list[str]:
     p = found.prediction
     low, high = np.percentile(p.member_fix_angles, (5, 95), axis=0)
-    rows = [("", *_toutatis.later_fixes()[0])]
+    rows = [("", *later_fixes()[0])]
     rows += [(name, *(f"{x:.1f}" for x in off)) for name, off in p.fix_angles.items()]
     rows += [("members, 5 to 95 %", *(f"{a:.0f} to {b:.0f}" for a, b in zip(low, high, strict=True)))]
     rows += [("members farther off", *(f"{100 * share:.0f} %" for share in p.farther_share))]
@@ -227,7 +401,7 @@ def _torque(found: SpinFit) -> list[str]:
 
 
 def _coverage(found: SpinFit) -> list[str]:
-    c, names = found.coverage, _toutatis.problem().names
+    c, names = found.coverage, spin_problem().names
     one, two, _ = _report.shares(c.pulls[:, :8])
     labels = (*names, "log noise, attitudes", "log noise, rates", *QUANTITIES[:4])
     sets, chance = len(c.pulls), _report.chance_errors(len(c.pulls))
@@ -270,7 +444,7 @@ def draw(found: SpinFit) -> Figure:
         _draw_residuals(ax, found, kind, label)
     _draw_prediction(axes[0, 2], found)
     _draw_pair(axes[1, 0], found, 0, "precession of the long axis (d)", "rotation about the long axis (d)")
-    axes[1, 0].plot(*_toutatis.HUDSON_OSTRO, "D", color=plots.GRAY, mec=plots.INK, ms=6, label="Hudson & Ostro 1995")
+    axes[1, 0].plot(*HUDSON_OSTRO, "D", color=plots.GRAY, mec=plots.INK, ms=6, label="Hudson & Ostro 1995")
     _draw_pair(axes[1, 1], found, 2, "ecliptic longitude (°)", "ecliptic latitude (°)")
     for ax in axes[1, :2]:
         ax.legend(loc="best")
@@ -304,7 +478,7 @@ def _draw_residuals(ax: Axes, found: SpinFit, kind: int, label: str) -> None:
 
 def _draw_prediction(ax: Axes, found: SpinFit) -> None:
     """Plot the spread of the members against time, and the angles of predictions from the later fixes."""
-    p, (dates, t, _) = found.prediction, _toutatis.later_fixes()
+    p, (dates, t, _) = found.prediction, later_fixes()
     label = "members about the estimate, 5–95 %"
     ax.fill_between(p.t, p.spread[0], p.spread[2], color=plots.GRAY, alpha=0.5, lw=0, label=label)
     ax.plot(p.t, p.rms, color=plots.INK, lw=1.2, label="the same, rms")

@@ -7,37 +7,29 @@ from collections.abc import Sequence
 from typing import Any
 
 from lieint_jax import _checks
-from lieint_jax.app import scenarios
 from lieint_jax.runs import store as archives
 
 _PART = re.compile(r'"([^"]*)"|([^."]+)')  # of a key
 _WORDS = re.compile(r"([^\W\d]|\d{4}-)[^\[\]{}\"'=#\n]*")  # a text or a date without quotes
 
 
-def load(name: str, settings: Sequence[str], **changes: object) -> Any:
-    """The scenario of a name or a file with other values of its keys.
+def set_key(table: dict[str, Any], text: str) -> None:
+    """Give a key of a table the value of a text KEY=VALUE.
 
-    Args:
-        name: a shipped scenario or a file.
-        settings: texts KEY=VALUE, applied in order. KEY is a path such as `state.quaternion`; a table of a list has its
-            `name` or number, from 1, as in `[spread]`, and a part that contains dots is quoted. VALUE is a value of
-            TOML or a text without quotes; an empty one removes the key.
-        changes: values of keys, which replace those in `settings`; None for no change.
+    KEY is a path such as `state.quaternion`; a table of a list has its `name` or number, from 1, as in `[spread]`, and
+    a part that contains dots is quoted. VALUE is a value of TOML or a text without quotes; an empty one removes it.
 
     Raises:
-        ValueError: no such table of a list, no value, or an error of `scenarios.load`; the message names the key.
+        ValueError: no such table of a list, or no value; the message names the key.
     """
-    table = scenarios.table(name)
-    for text in settings:
-        key, equals, value = (part.strip() for part in text.partition("="))
-        path = [quoted or plain for quoted, plain in _PART.findall(key)]
-        if not equals or not path:
-            raise ValueError(f"--set {_checks.printable(text)}: give KEY=VALUE, such as dt=0.1")
-        try:
-            _assign(table, path, value)
-        except ValueError as error:
-            raise ValueError(f"--set {_checks.printable(key)}: {error}") from error
-    return scenarios.parse(table | {key: x for key, x in changes.items() if x is not None}, name)
+    key, equals, value = (part.strip() for part in text.partition("="))
+    path = [quoted or plain for quoted, plain in _PART.findall(key)]
+    if not equals or not path:
+        raise ValueError(f"--set {_checks.printable(text)}: give KEY=VALUE, such as dt=0.1")
+    try:
+        _assign(table, path, value)
+    except ValueError as error:
+        raise ValueError(f"--set {_checks.printable(key)}: {error}") from error
 
 
 def _assign(table: dict[str, Any], path: Sequence[str], text: str) -> None:
