@@ -50,35 +50,6 @@ def test_members_have_bodies_of_their_own_and_the_first_is_the_nominal_one():
     np.testing.assert_array_equal(fewer.system.inertias, moments[:2])
 
 
-BAD = [
-    (dict(orbit=dict(separation_m=-1.0)), "orbit.separation_m: .*greater than 0"),
-    (
-        dict(primary=dict(density_kg_m3=1.0)),
-        "primary: give mass_kg and moments_kg_m2, or semi_axes_m",
-    ),
-    (dict(secondary=dict(moments_kg_m2=[1.0, 1.0, -3.0])), r"secondary\.moments_kg_m2: .*positive"),
-    (dict(secondary=dict(angular_velocity_deg=[0.0, 0.0, 1.0])), "angular_velocity_rad or angular_velocity_deg"),
-    (dict(secondary=dict(mass=1.0)), "secondary.mass: unknown key; did you mean mass_kg"),
-    (dict(published=dict(period=dict(value=1.0, source="thomas"))), "published.period"),
-]
-
-
-@pytest.mark.parametrize(("tables", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_of_a_binary_is_named(tables, message):
-    with pytest.raises(ValueError, match=message):
-        changed("didymos", **tables)
-
-
-def test_an_order_that_the_scheme_lacks_is_refused():
-    for scheme, order, known in (
-        ("nystrom", 2, "6 or 4"),
-        ("splitting", [8, 4], "2 or 4"),
-        ("kepler_splitting", 4, "2"),
-    ):
-        with pytest.raises(ValueError, match=f"order of {scheme} is .*{known}.*, got"):
-            scenarios.load("kw4", scheme=scheme, order=order)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("scheme", "error"),

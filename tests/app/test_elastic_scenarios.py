@@ -89,27 +89,6 @@ def test_a_nominal_velocity_is_that_of_all_members():
     np.testing.assert_allclose(states.p[0], 2 * np.diag([0.1, 0.0, -0.2]), rtol=0, atol=1e-15)
 
 
-BALL = [
-    (dict(inertia=[1.0, 2.0]), "inertia: inertia must have shape"),
-    (dict(inertia=[1.0, 2.0, -1.0]), "inertia: inertia must be positive definite"),
-    (dict(material={"law": "rubber", "lam": 1.0, "mu": 1.0}), "material.law: .*neo_hookean"),
-    (dict(material={"lam": 1.0, "mu": 0.0}), "material.mu: .*greater than 0"),
-    (dict(rule="printed"), "rule: .*'energy_momentum'"),
-    (dict(alpha=0.3), "alpha: the rule 'average' conserves energy for 0.5 only"),
-    (dict(rule="symplectic", alpha=1.5), "alpha: .*less than or equal to 1"),
-    (dict(steps=4), "steps = 4 must be more than 2·lag = 6"),
-    (dict(state={}), "state: give exactly one of angular_velocity_rad, angular_velocity_deg, velocity, momentum"),
-    (dict(state={"deformation": (-np.eye(3)).tolist(), "angular_velocity_rad": [0.0] * 3}), "positive determinant"),
-    (dict(state={"momentum": [[1.0, 0.0]]}), "state.momentum"),
-]
-
-
-@pytest.mark.parametrize(("changes", "message"), BALL, ids=[m[:30] for _, m in BALL])
-def test_bad_keys_of_pseudo_rigid_are_named(changes, message):
-    with pytest.raises(ValueError, match=message):
-        scenarios.load("pseudo_rigid", **changes)
-
-
 # The spherical pendulum -----------------------------------------------------------------------------------------------
 
 
@@ -166,20 +145,3 @@ def test_the_pendulum_as_a_top_has_its_energy_and_momentum():
     np.testing.assert_allclose(energies, ours[0], rtol=0, atol=1e-13)
     np.testing.assert_allclose(Pi[:, 2], 0, rtol=0, atol=1e-14)
     np.testing.assert_allclose(momenta, -ours[1], rtol=0, atol=1e-14)
-
-
-BOB = [
-    (dict(mass=0.0), "mass: .*greater than 0"),
-    (dict(gravity=0.0), "gravity must not be 0"),
-    (dict(axis=[0.0, 0.0, -2.0]), "axis: must be a unit vector"),
-    (dict(state={"direction": [1.0, 1.0, 0.0], "velocity": [0.0, 0.0, 1.0]}), "state.direction: must be a unit vector"),
-    (dict(state={"direction": [1.0, 0.0, 0.0]}), "state.velocity: key missing"),
-    (dict(normalized="yes"), "normalized: "),
-    (dict(spread={"velocity": -1.0}), "spread.velocity: .*greater than or equal to 0"),
-]
-
-
-@pytest.mark.parametrize(("changes", "message"), BOB, ids=[m[:30] for _, m in BOB])
-def test_bad_keys_of_pendulum_are_named(changes, message):
-    with pytest.raises(ValueError, match=message):
-        scenarios.load("pendulum", **changes)

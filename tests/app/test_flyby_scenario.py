@@ -237,32 +237,6 @@ def test_a_passage_agrees_with_another_integrator():
     assert abs(after / before - 1) > 0.05  # it is no free motion
 
 
-BAD = [
-    (dict(orbit=dict(eccentricity=0.9)), "orbit.eccentricity: .*greater than 1"),
-    (dict(orbit=dict(perigee_utc="2029-04-13T21:45:04+02:00")), "orbit.perigee_utc: must be a date in UTC"),
-    (dict(orbit=dict(perigee_km=400.0)), "perigee_km = 400 lies in the Earth, whose radius is 6378 km: give the dist"),
-    (dict(orbit=dict(frame="galactic")), "orbit.frame: .*'ecliptic' or 'equator'"),
-    (dict(dt=0.5), "dt is given by hours and steps: leave it out"),
-    (dict(steps=641), "steps = 641 must be a multiple of save_every = 40"),
-    (dict(spin=dict(least_moment=dict(value=0.99, source="lee"))), "spin: must be 0 < least_moment < middle_moment"),
-    (dict(spin=dict(middle_moment=dict(value=0.999, source="lee"))), "spin: no short_axis mode of these moments"),
-    (dict(spin=dict(rotation_period_h=dict(value=263.0, below=1.0, source="lee"))), "give error, or both below and"),
-    (dict(spin=dict(rotation_period_h=dict(value=263.0, source="nobody"))), "source 'nobody' is not one of the keys"),
-    (
-        dict(variant=[dict(label="round", middle_moment=dict(value=0.999, source="lee"))]),
-        "variant 'round': no short_axis mode of these moments",
-    ),
-    (dict(map=dict(phases=3)), "map.phases: unknown key"),
-]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("tables", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_of_a_flyby_is_named(tables, message):
-    with pytest.raises(ValueError, match=message):
-        changed(**tables)
-
-
 SMALL = dict(members=256, map=dict(precession_phases=8, rotation_phases=4))
 
 

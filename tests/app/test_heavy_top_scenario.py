@@ -127,35 +127,3 @@ def test_tops_without_closed_form_report_what_they_have():
     assert found["γ·π, relative to |π|"] < 1e-14
     assert "Π₃, relative to |π|" not in found
     assert np.isnan([row.closed_form for row in scenario.quantities(run)]).all()
-
-
-SCENARIO = """
-title = "a top"
-system = "heavy_top"
-inertia = [5.0, 5.0, 1.0]
-weight = [0.0, 0.0, 20.0]
-scheme = "splitting"
-dt = 0.01
-steps = 100
-[state]
-quaternion = [1.0, 0.0, 0.0, 0.0]
-angular_velocity_rad = [0.0, 1.0, 5.0]
-"""
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("weight = [0.0, 0.0, 20.0]", "weight = [0.0, 0.0, 0.0]", "weight: must not be zero"),
-        ("weight = [0.0, 0.0, 20.0]", "", "weight: key missing"),
-        ("dt = 0.01", 'dt = 0.01\nkappa = "cayley"', "kappa is a key of top_energy_momentum"),
-        ("dt = 0.01", "dt = 0.01\norder = 3", "order: "),
-        ('"splitting"', '"nystrom"', "order of nystrom is 6 or 4, got 2"),
-        ('"splitting"', '"rk4"', "scheme: .*'nystrom', 'top_energy_momentum' or 'splitting'"),
-        ("dt = 0.01", "dt = 0.01\naxis = [0.0, 1.0]", "axis: "),
-    ],
-)
-def test_a_bad_key_of_a_heavy_top_is_named_in_one_line(old, new, message, tmp_path):
-    (tmp_path / "top.toml").write_text(SCENARIO.replace(old, new))
-    with pytest.raises(ValueError, match=message):
-        scenarios.load(str(tmp_path / "top.toml"))

@@ -51,21 +51,3 @@ def test_kirchhoff_s_members_have_the_given_spread():
     np.testing.assert_allclose(velocities[0], [0, 0, 8, 0, 0, 1], rtol=0, atol=1e-15)
     assert np.std(velocities[1:, :3]) == pytest.approx(np.hypot(0.05, 8 * np.sqrt(2) / 3), rel=0.01)
     assert np.std(velocities[1:, 3]) == pytest.approx(0.02, rel=0.1)
-
-
-BAD = [
-    (dict(semi_axes=[1.0, 2.0]), "semi_axes: "),
-    (dict(semi_axes=[1.0, 2.0, 0.0]), "semi_axes.2: .*greater than 0"),
-    (dict(map="arcsine"), "map: .*'exponential' or 'cayley'"),
-    (
-        dict(state={"velocity": [0.0, 0.0, 1.0]}),
-        "state: give exactly one of angular_velocity_rad and angular_velocity_deg",
-    ),
-    (dict(spread={"velocity": -1.0}), "spread.velocity: .*greater than or equal to 0"),
-]
-
-
-@pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:20] for _, m in BAD])
-def test_bad_keys_of_kirchhoff_are_named(changes, message):
-    with pytest.raises(ValueError, match=message):
-        scenarios.load("kirchhoff", **changes)

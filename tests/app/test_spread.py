@@ -136,32 +136,6 @@ def test_every_draw_belongs_to_a_body_an_orbit_a_direction():
     np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1, rtol=0, atol=1e-15)
 
 
-ERRORS = [
-    (
-        "toutatis",
-        {"inertai": 0.1},
-        r"spread\.inertai: no number .*did you mean inertia\? these can be spread: .*state\.",
-    ),
-    ("toutatis", {"dt": 0.1}, r"spread\.dt: all members have the same steps"),
-    ("toutatis", {"inertia": -0.1}, r"spread\.inertia: must be a standard deviation, 0 or above \(got -0\.1\)"),
-    ("toutatis", {"inertia": "1 %"}, r"spread\.inertia: must be a standard deviation"),
-    ("toutatis", {"inertia": [0.1, 0.2]}, r"spread\.inertia: must be one number, or 3 of them"),
-    ("toutatis", {"inertia": 0.1, "inertia_percent": 1.0}, r"give inertia or inertia_percent, not both"),
-    ("driven", {"state.t": 0.1}, r"spread\.state\.t: all members share their time"),
-    ("cubesat", {"orbit.perigee_km": 1.0}, r"spread\.orbit\.perigee_km: all members share the orbit, field and air"),
-    ("cubesat", {"inertia_percent": 1.0}, r"spread\.inertia_percent: \[spread\] has a key for it"),
-    ("maclaurin", {"bar": 0.1}, r"maclaurin: spread: the members are spheroids"),
-    ("apophis", {"hours": 0.1}, r"apophis: spread: the members are spread by the errors"),
-    ("hyperion", {"inertia": 0.1}, r"hyperion: spread: the members are a grid"),
-]
-
-
-@pytest.mark.parametrize(("name", "spread", "message"), ERRORS, ids=[f"{n}-{next(iter(s))}" for n, s, _ in ERRORS])
-def test_numbers_without_a_spread_are_refused_with_the_reason(name, spread, message):
-    with pytest.raises(ValueError, match=message):
-        load(name, spread)
-
-
 def test_a_spread_that_leaves_members_without_a_value_is_refused():
     scenario = load("driven", {"orbit.eccentricity": 1e6}, members=50)
     with pytest.raises(ValueError, match=r"spread\.orbit\.eccentricity: \d+ of 50 members found no value"):
