@@ -1,8 +1,9 @@
 """The order of every scheme, in one table: two runs, of n and of 2n steps, next to DOP853 of scipy.
 
-A row of `tests/data/orders.txt` is a step of the system s, an example of the grid; the time T; n; and the order. The error is the largest of q, of
-p relative to its largest, and of the work. `test_long_runs.py` measures the order of every pair of the grid; these are
-the families, compositions and rules that the grid lacks, and each scheme once. Rows after the blank line run in shards.
+A row of `tests/data/orders.txt` is a step of the system s, an example of the grid; the time T; n; and the order. The
+error is the largest of q, of p relative to its largest, and of the work. `test_long_runs.py` measures the order of
+every pair of the grid; these are the families, compositions and rules that the grid lacks, and each scheme once. Rows
+after the blank line run in shards.
 """
 
 import functools
