@@ -29,7 +29,7 @@ def small(*changes):
     return written("small.toml", data_files.text("scenarios/small_satellite.toml"), *changes)
 
 
-pytestmark = pytest.mark.usefixtures("fresh_folder")
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("fresh_folder")]
 
 
 @functools.cache
@@ -39,7 +39,6 @@ def small_run():
     return scenario, run(scenario)
 
 
-@pytest.mark.long
 def test_members_share_their_time_and_start_relative_to_the_orbit():
     scenario, path = small_run()
     states = scenario.build()[1]
@@ -64,7 +63,6 @@ def _rate(t, y, J):
     return np.concatenate([turning.ravel(), (np.cross(J * Omega, Omega) + torque) / J, v, -2.0 * r / size**3])
 
 
-@pytest.mark.long
 def test_an_orbit_of_the_driven_satellite_agrees_with_another_integrator():
     """Splitting with 200 steps an orbit: 8e-4 rad off by its order. DOP853 moves the center along, without Kepler."""
     scenario, path = small_run()
@@ -98,7 +96,6 @@ def test_an_orbit_of_the_driven_satellite_agrees_with_another_integrator():
     assert measure.is_librating(measure.orbit_angles(path).vertical).tolist() == [bool((angle < 90).all())] * 3
 
 
-@pytest.mark.long
 def test_driven_runs_and_plots_from_the_command_line(lieint):
     """The energy-momentum scheme: 2.1e-14 over an orbit; the energy itself changes by its own size."""
     out = lieint("run", "driven", "--members", "3", "--steps", "400")
@@ -112,7 +109,6 @@ def test_driven_runs_and_plots_from_the_command_line(lieint):
     assert "3 of 3 members librate" in lieint("plot", "driven.npz", "--force")
 
 
-@pytest.mark.long
 def test_an_interrupted_store_resumes_to_the_same_bits(monkeypatch, capsys, lieint):
     """On a circle, where Jacobi's integral is reported too: 1.8e-4 by the splitting."""
     commit_every(monkeypatch, 4)

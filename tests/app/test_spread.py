@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import data_files
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,31 +15,7 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import _spread, water
 from lieint_jax.ensemble import archives
 
-KINDS = {  # a scenario of each kind with a spread of numbers, and the paths of all those that it has
-    "toutatis": "inertia state.angular_velocity_deg state.euler_313_deg",
-    "heavy_top": "inertia state.angular_velocity_rad state.euler_313_deg weight axis",
-    "pendulum": "mass gravity axis state.direction state.velocity",
-    "driven": "inertia state.angular_velocity_deg state.euler_313_deg orbit.mu orbit.semi_major_axis "
-    "orbit.eccentricity orbit.inclination_deg orbit.node_deg orbit.periapsis_deg orbit.periapsis_time",
-    "kirchhoff": "semi_axes center_of_mass state.angular_velocity_rad state.velocity",
-    "pseudo_rigid": "inertia material.lam material.mu state.angular_velocity_rad state.deformation",
-    "pluto_charon": "masses_kg radii_km moment_factors love_numbers lags_s distance_km rotation_periods_h",
-    "kw4": "G orbit.separation_m orbit.speed_change_mm_s primary.angular_velocity_deg primary.semi_axes_m "
-    "primary.density_kg_m3 primary.euler_313_deg secondary.angular_velocity_deg secondary.semi_axes_m "
-    "secondary.density_kg_m3 secondary.euler_313_deg",
-    "sn263": " ".join(
-        f"bodies.{body}.{key}"
-        for body in ("Alpha", "Beta", "Gamma")
-        for key in ("angular_velocity_deg", "mass_kg", "semi_axes_m", "euler_313_deg", "position_m", "velocity_m_s")
-    ),
-    "cubesat": "state.angular_velocity_deg max_dipole drag.box_m drag.center_m drag.coefficient "
-    "rods.axes rods.saturation rods.slope rods.coercivity detumbling.gain wheels.inertia_kg_m2 wheels.max_torque "
-    "wheels.max_momentum pointing.frequency pointing.damping_ratio unloading.gain",
-    "spaghetti": "length section.mass section.inertia section.stretching section.bending natural_curvature position "
-    "loads.1.force loads.1.moment",
-    "water": "settling.spacing_nm settling.temperature_kelvin",
-}
-KINDS = {name: tuple(paths.split()) for name, paths in KINDS.items()}
+KINDS = data_files.table("spreads")  # of a scenario of each kind, the paths of all numbers that can be spread
 UNCERTAIN = {key: value for key, value in KINDS.items() if key != "water"}  # whose members are systems of their own
 
 

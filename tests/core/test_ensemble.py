@@ -82,11 +82,6 @@ def test_the_first_failure_of_each_member_is_found():
     np.testing.assert_array_equal(run.unconverged[1:4], failing[:3])  # later, what has failed is chaos
 
 
-def test_a_failure_of_the_first_step_is_an_error():
-    with pytest.raises(ValueError, match=r"first step fails for 4 member\(s\): 0, 1, 2, 3\. Member 0: .*smaller dt"):
-        ensemble.run(STEP, states(4), 3.0, 10, progress=False)
-
-
 def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch):
     ensemble.run(STEP, states(2), 0.1, 200)
     assert capfd.readouterr() == ("", "")

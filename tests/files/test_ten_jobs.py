@@ -1,8 +1,10 @@
 """Ten jobs that begin and end with files of other software, each in at most six lines."""
 
+import shutil
 import textwrap
 from pathlib import Path
 
+import data_files
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,23 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import lieint_jax as li
 
-TLE = """ISS (ZARYA)
-1 25544U 98067A   24061.50000000  .00016717  00000-0  10270-3 0  9005
-2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49560532    19
-"""
-ROBOT = """<robot name="arm"><link name="hand"><inertial><origin xyz="0 0 1"/><mass value="2"/>
-<inertia ixx="3" iyy="4" izz="5" ixy="0" ixz="0" iyz="0.1"/></inertial></link></robot>"""
 TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
 CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4]])
-PDB = """HETATM    1  O   HOH A   1       0.000   0.000   0.000  1.00  0.00           O
-HETATM    2  H1  HOH A   1       0.957   0.000   0.000  1.00  0.00           H
-HETATM    3  H2  HOH A   1      -0.240   0.927   0.000  1.00  0.00           H
-HETATM    4  O   HOH A   2       2.800   0.000   0.300  1.00  0.00           O
-HETATM    5  H1  HOH A   2       3.100   0.900   0.400  1.00  0.00           H
-HETATM    6  H2  HOH A   2       3.100  -0.500   1.050  1.00  0.00           H
-END
-"""
-
 JOBS = {
     "the inertia of a body from the log of its gyro": """
         log = li.files.read_csv_log("gyro.csv", time="t", rates=["x", "y", "z"], units={"rates": "deg/s"})
@@ -103,9 +90,7 @@ JOBS = {
 
 def write_files():
     """What each job begins with, made by the exact motion where it is data."""
-    Path("iss.tle").write_text(TLE, encoding="utf-8")
-    Path("arm.urdf").write_text(ROBOT, encoding="utf-8")
-    Path("dimer.pdb").write_text(PDB, encoding="utf-8")
+    shutil.copytree(data_files.FOLDER / "samples" / "jobs", ".", dirs_exist_ok=True)
     rng = np.random.default_rng(0)
     body = li.systems.rigid_body([0.6, 0.8, 1.0])
     start, t = body.state(angular_velocity=[0.5, 0.3, 0.4]), np.linspace(0.0, 12.0, 25)

@@ -58,7 +58,6 @@ TOPS = {"linear": li.systems.heavy_top(FULL, [0.5, 0.4, 1.0], AXIS)} | {
 }
 ATTITUDE = np.array([0.3, 0.8, -0.4, 0.5]) / np.sqrt(1.14)
 flow = jax.jit(diagnostics.flow, static_argnums=3)
-linearization = jax.jit(diagnostics.linearization)
 defect = jax.jit(diagnostics.symplectic_defect)
 
 
@@ -69,11 +68,6 @@ def _state(inertia, q, Omega):
 
 def start(top, q=ATTITUDE, Omega=(0.4, 0.6, -0.5)):
     return _state(top.inertia, q, np.array(Omega))
-
-
-@jax.jit
-def three_wells():
-    return examples_of("potential_top")["three_wells"][:2]
 
 
 @functools.partial(jax.jit, static_argnums=(3, 4))
@@ -314,14 +308,6 @@ def test_a_top_made_inside_jit_checks_what_is_concrete():
     assert jax.jit(energy)(J, axis) == pytest.approx(float(outside), rel=1e-15)
     with pytest.raises(ValueError, match="axis must not be zero"):
         jax.jit(lambda J: energy(J, [0.0, 0.0, 0.0]))(J)
-
-
-@pytest.mark.long
-def test_steps_of_tops_that_are_too_large_are_refused():
-    with pytest.raises(ValueError, match=r"does not converge at dt = 9.0"):
-        li.integrate(top_energy_momentum(TOPS["linear"]), start(TOPS["linear"]), 9.0, 1)
-    with pytest.raises(ValueError, match=r"splitting.*so3_midpoint.*does not converge"):
-        li.integrate(splitting(TOPS["linear"]), start(TOPS["linear"]), 9.0, 1)
 
 
 def test_declared_gradients_of_potentials_agree_with_autodiff():

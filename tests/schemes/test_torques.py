@@ -589,15 +589,6 @@ def test_a_torque_that_becomes_nan_is_flagged_and_at_the_start_refused():
 
 
 @pytest.mark.long
-def test_a_step_too_large_for_the_torque_is_refused_with_advice():
-    start = moving(J, [0.5, 3.0, 0.2])._replace(t=jnp.array(0.0))
-    with pytest.raises(ValueError, match=r"does not converge at dt = 9.0.* the torque is too stiff.* smaller dt"):
-        torqued_midpoint(BODIES["viscous"]).check(start, 9.0)
-    with pytest.raises(ValueError, match=r"does not converge at dt = 2.0.* the friction is too strong.* smaller dt"):
-        torqued_midpoint(BODIES["internal friction"]).check(start, 2.0)
-
-
-@pytest.mark.long
 def test_work_is_counted_on_request_only_and_other_extra_arrays_are_preserved():
     for name in ("viscous", "kane_damper", "internal friction"):
         start = BODIES[name].state(Q, angular_velocity=OMEGA, work=0.0)
