@@ -103,11 +103,7 @@ def test_observations_are_those_of_a_log():
             "shape: there is no file 'ball.obj', neither here",
         ),
         ("driven", {"inertia": None, "shape": {"file": "box.obj", "weight": 1}}, "shape: weight: unknown key"),
-        (
-            "driven",
-            {"orbit": {"file": "box.obj"}},
-            "orbit: an orbit is read from OEM, .*; this is shape",
-        ),
+        ("driven", {"orbit": {"file": "box.obj"}}, "orbit: an orbit is read from OEM, .*; this is shape"),
         ("driven", {"orbit": {"file": "sat.oem"}}, "steps_per_orbit is a key of ellipses"),
         (
             "driven",
@@ -115,11 +111,7 @@ def test_observations_are_those_of_a_log():
             "the orbit is given from t = 0 to 950, the run 0 to 20000",
         ),
         ("toutatis", {"observation": {"file": "box.obj"}}, "observation: .*box.obj"),
-        (
-            "toutatis",
-            {"time_unit": "year", "observation": {"file": "box.obj"}},
-            "time_unit must be one of s, min",
-        ),
+        ("toutatis", {"time_unit": "year", "observation": {"file": "box.obj"}}, "time_unit must be one of s, min"),
         ("toutatis", {"title": {"file": "box.obj"}}, "title: Input should be a valid string"),
     ],
 )

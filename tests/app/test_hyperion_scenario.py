@@ -130,12 +130,7 @@ def planar_growth(e, squared, theta, rate, span):
         x, z = np.cos(E) - e, np.sqrt(1 - e * e) * np.sin(E)
         r, f = np.hypot(x, z), np.arctan2(z, x)
         strength = squared / r**3
-        return [
-            y[1],
-            -0.5 * strength * np.sin(2 * (y[0] - f)),
-            y[3],
-            -strength * np.cos(2 * (y[0] - f)) * y[2],
-        ]
+        return [y[1], -0.5 * strength * np.sin(2 * (y[0] - f)), y[3], -strength * np.cos(2 * (y[0] - f)) * y[2]]
 
     return solve_ivp(slope, (0, span), [theta, rate, 1.0, 0.0], "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
 

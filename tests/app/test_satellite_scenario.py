@@ -53,11 +53,7 @@ def test_laws_of_control_act_in_their_windows(short):
     assert not wheels[~after].any()
     assert not unloading[t[:-1] < 200.0].any()
     assert np.median(c.nadir_angle[-1]) < 15 < np.median(c.nadir_angle[20])  # the wheels point the camera
-    assert [name for name, *_ in scenario.phases(t)] == [
-        "detumbling",
-        "pointing",
-        "pointing and unloading",
-    ]
+    assert [name for name, *_ in scenario.phases(t)] == ["detumbling", "pointing", "pointing and unloading"]
 
 
 @pytest.mark.long

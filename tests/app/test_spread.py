@@ -220,11 +220,7 @@ def test_a_report_measures_every_member_in_its_own_system():
     scenario = load("heavy_top", {"weight": [0.0, 0.0, 1.0]}, members=4, steps=3000)
     made = run(scenario)
     conserved, rows = scenario.measured(made)
-    assert {x.name for x in conserved} == {
-        "energy, relative",
-        "γ·π, relative to |π|",
-        "Π₃, relative to |π|",
-    }
+    assert {x.name for x in conserved} == {"energy, relative", "γ·π, relative to |π|", "Π₃, relative to |π|"}
     assert all(x.change().shape == (len(made.t), 4) and x.change().max() < 1e-6 for x in conserved)
     weights = _spread.draw_members(scenario)[("weight",)][:, 2]
     precession = rows[1]

@@ -297,10 +297,7 @@ CASES = {
     "maps.scaled_cayley": (lambda theta: maps.scaled_cayley(maps.kappa_symplectic)(so3, theta), dict(theta=THETA)),
     "maps.derivative": (lambda theta: maps.derivative(maps.cayley, so3, theta), dict(theta=THETA)),
     **{
-        f"shapes.{name}": (
-            lambda name=name, **given: getattr(shapes, name)(**given),
-            dict(mass=2.0, **x),
-        )
+        f"shapes.{name}": (lambda name=name, **given: getattr(shapes, name)(**given), dict(mass=2.0, **x))
         for name, x in {
             "box": dict(edges=J),
             "ellipsoid": dict(semi_axes=J),

@@ -604,10 +604,7 @@ RUNS = [
     *rows(lambda n: integrate(0.1, n), "num_steps must be an integer", 10.0, True),
     (lambda: integrate(0.1, 10, save_every=0), "save_every must be an integer ≥ 1, got 0"),
     *rows(lambda state: integrate(0.1, 2, state=state), "state must be a State", (STATE.q, STATE.p), None, STATE.q),
-    (
-        lambda: integrate(0.1, 9, state=STATE._replace(q=STATE.q * 1.001)),
-        r"state\.q must be a unit quat.*1\.001",
-    ),
+    (lambda: integrate(0.1, 9, state=STATE._replace(q=STATE.q * 1.001)), r"state\.q must be a unit quat.*1\.001"),
     (lambda: integrate(0.1, 9, state=STATE._replace(p=STATE.p[:2])), r"state\.p must have shape \(3,\)"),
     (lambda: integrate(0.1, 9, state=STATE._replace(p=STATE.p * np.nan)), r"state\.p must be finite"),
     (lambda: integrate(0.1, 10, save_at=[0.2, 0.1]), "save_at must be in the order of the run, from 0.0 to 1.0"),
@@ -622,10 +619,7 @@ RUNS = [
     (lambda: integrate(times=[0.0, np.inf]), "times must be finite"),
     (lambda: integrate(times=[[0.0]]), r"times must have shape \(N\+1,\)"),
     (lambda: integrate(0.1), "give dt and num_steps, or times"),
-    (
-        lambda: integrate(times=GRADED, state=STATE._replace(t=jnp.array(3.0))),
-        "at the time of the state, 3.0, got 0.0",
-    ),
+    (lambda: integrate(times=GRADED, state=STATE._replace(t=jnp.array(3.0))), "at the time of the state, 3.0, got 0.0"),
     (lambda: integrate(0.05, 12, save_at=[0.1], adjoint=REVERSIBLE), "with adjoint=ReversibleAdjoint.*li.observe"),
     (lambda: integrate(times=GRADED, adjoint=REVERSIBLE), "steps of one size.*RecursiveCheckpointAdjoint"),
     (lambda: integrate(0.05, 12, adjoint="reversible"), "adjoint must be None.*got 'reversible'"),

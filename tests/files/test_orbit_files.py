@@ -263,11 +263,7 @@ def test_secular_rates_stay_near_sgp4_for_a_day(inclination, revolutions):
 
 def test_the_table_of_sgp4_is_smooth_and_spans_what_is_asked():
     found = files.read_tle(ISS)
-    assert (found.name, found.catalog_number, found.epoch.iso()) == (
-        "ISS (ZARYA)",
-        25544,
-        "2008-09-20T12:25:40.104192",
-    )
+    assert (found.name, found.catalog_number, found.epoch.iso()) == ("ISS (ZARYA)", 25544, "2008-09-20T12:25:40.104192")
     assert found.elements == files.Elements(
         15.72125391, 0.0006703, 51.6416, 247.4627, 130.536, 325.0288, -1.1606e-5, -2.182e-5
     )

@@ -48,10 +48,7 @@ KAPPAS = {
         lambda x: np.tan(np.sqrt(x) / 2) / (np.sqrt(x) / 2),
         lambda x: (1 / (2 * np.cos(np.sqrt(x) / 2) ** 2) - np.tan(np.sqrt(x) / 2) / np.sqrt(x)) / x,
     ),
-    "symplectic": (
-        lambda x: 2 / (1 + np.sqrt(1 - x)),
-        lambda x: 1 / (np.sqrt(1 - x) * (1 + np.sqrt(1 - x)) ** 2),
-    ),
+    "symplectic": (lambda x: 2 / (1 + np.sqrt(1 - x)), lambda x: 1 / (np.sqrt(1 - x) * (1 + np.sqrt(1 - x)) ** 2)),
 }  # κ and κ′
 
 
