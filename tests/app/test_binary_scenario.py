@@ -1,22 +1,16 @@
 """`lieint run didymos` and `lieint run kw4`: their keys and members, what is measured, files and resumed stores."""
 
-import math
-import re
 from functools import cache, partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from internals import commit_every
 from scenario_runs import run
-from stores import disk_for
 from two_bodies import reference
 
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli, files
-from lieint_jax.app.scenarios import _binary_motion, _report, _runs, binary
+from lieint_jax.app.scenarios import _binary_motion, _report, _runs
 from lieint_jax.app.scenarios._keys import Published
 
 pytestmark = pytest.mark.usefixtures("fresh_folder")
@@ -169,33 +163,3 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
     assert slope == pytest.approx(3 * true * a * v / mu, rel=3e-3)
     change = _binary_motion.speed_change_for(1.05 * true, measure)
     assert change == pytest.approx(_binary_motion.kepler_speed(mu, 1180.0, 1.05 * true) - v, rel=3e-3)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["didymos", "kw4"])
-def test_shipped_binaries_run_and_plot_from_the_command_line(name, lieint):
-    out = lieint("run", name, "--members", "3", "--steps", "288", "--out", "x.npz")
-    assert "3 of 3 members converged" in out
-    assert re.search(r"orbital period \(h\) +1[18]\.\d+ ", out)
-    assert ("change of speed between" in out) == (name == "didymos")
-    lieint.drew(*(f"x-{picture}.png" for picture in binary.Binary.pictures()))
-    kept = re.search(r"largest change of energy.*\((\S+) of the largest", lieint("info", "x.npz"))
-    assert float(kept[1]) < 1e-10  # with each member's own bodies
-    assert "3 of 3 members: one end" in lieint("plot", "x.npz", "--force")
-
-
-@pytest.mark.long
-def test_a_thousand_systems_whose_store_broke_off_are_resumed_to_the_same_bits(monkeypatch, capsys, lieint):
-    commit_every(monkeypatch, 2)
-    arguments = ["run", "didymos", "--steps", "24", "--out"]
-    with disk_for(math.inf) as waits:
-        assert cli.main([*arguments, "whole.zarr"]) == 0
-    with disk_for(3 * len(waits) // 4, OSError("the disk is gone")):
-        assert cli.main([*arguments, "part.zarr"]) == 2
-    capsys.readouterr()
-    assert re.search(r"\d+ of 24 steps; --resume continues it", lieint("info", "part.zarr"))
-    assert cli.main([*arguments, "part.zarr", "--resume"]) == 0
-    whole, part = (files.load(Path(f"{which}.zarr"))[0] for which in ("whole", "part"))
-    assert whole.state.q.shape == (13, 1000, 2, 7)
-    for a, b in zip(jax.tree.leaves(whole.state), jax.tree.leaves(part.state), strict=True):
-        np.testing.assert_array_equal(a[...], b[...])

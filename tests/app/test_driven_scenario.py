@@ -1,24 +1,19 @@
 """`lieint run driven`: a satellite under gravity's gradient, its keys, its orbit and what the run is reported to do."""
 
 import functools
-import math
 import re
-from pathlib import Path
 
 import data_files
 import jax
 import numpy as np
 import pytest
-from internals import commit_every
 from scenario_files import written
 from scenario_runs import run
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from stores import disk_for
 
 from lieint_jax import measure
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
 from lieint_jax.app.scenarios import driven
 
 N = np.sqrt(2.0 / 1.5**3)  # its mean motion
@@ -109,21 +104,7 @@ def test_driven_runs_and_plots_from_the_command_line(lieint):
     assert "3 of 3 members librate" in lieint("plot", "driven.npz", "--force")
 
 
-def test_an_interrupted_store_resumes_to_the_same_bits(monkeypatch, capsys, lieint):
-    """On a circle, where Jacobi's integral is reported too: 1.8e-4 by the splitting."""
-    commit_every(monkeypatch, 4)
-    name = small(CIRCLE)
-    with disk_for(math.inf) as waits:
-        assert cli.main(["run", name, "--out", "whole.zarr"]) == 0
-    with disk_for(3 * len(waits) // 4, OSError("the disk is gone")):
-        assert cli.main(["run", name, "--out", "part.zarr"]) == 2
-    capsys.readouterr()
-    assert re.search(r"\d+ of 200 steps; --resume continues it", lieint("info", "part.zarr"))
-    assert cli.main(["run", name, "--out", "part.zarr", "--resume"]) == 0
-    from lieint_jax.app.command import files
-
-    whole, part = (files.load(Path(f"{which}.zarr"))[0] for which in ("whole", "part"))
-    for a, b in zip(jax.tree.leaves(whole.state), jax.tree.leaves(part.state), strict=True):
-        np.testing.assert_array_equal(a[...], b[...])
-    out = lieint("plot", "part.zarr")
+def test_jacobi_s_integral_is_reported_on_a_circle(lieint):
+    """1.8e-4 by the splitting."""
+    out = lieint("run", small(CIRCLE))
     assert float(re.search(r"Jacobi's integral H − n·π +(\S+)", out)[1]) < 5e-4

@@ -104,15 +104,6 @@ def test_nutation_of_sparsely_saved_states_is_not_measured():
     assert 17 < np.rad2deg(least) < np.rad2deg(greatest) < 19
 
 
-def test_heavy_top_runs_from_the_command_line(lieint):
-    out = lieint("run", "heavy_top", "--members", "3", "--steps", "500")
-    assert "3 of 3 members converged" in out
-    nutation = re.search(r"nutation period \(s\) +([\d.]+) +[\d.]+ +([\d.]+)", out)
-    assert float(nutation[1]) == float(nutation[2]) == 0.6822560158
-    assert float(re.search(r"γ·π, relative to \|π\| +(\S+)", out)[1]) == 0
-    lieint.drew("heavy_top-path.png", "heavy_top-energy.png")
-
-
 def test_tops_without_closed_form_report_what_they_have():
     top, state = jax.jit(lambda: examples_of("heavy_top")["kovalevskaya"][:2])()
     assert not heavy_top.is_lagrange(top)
