@@ -5,12 +5,12 @@ and files, and those of a run, are in the tests of these.
 """
 
 import functools
-import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cubes import CUBE, FACES
 
 import lieint_jax as li
 from lieint_jax import groups, maps, orbits, potentials, schemes, shapes, systems, tides, torques
@@ -186,9 +186,6 @@ LUMPS = [[[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], [[0.1, 0, 0]]]
 WEIGHTS = [[1.0, 1.0, 1.0], [1.0]]
 MASSES = potentials.point_masses(2.0, WEIGHTS, LUMPS)
 FIELD = potentials.uniform_field([0.3, -0.2, -1.0], [1.0, 2.0, 1.0])
-CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-FACES = [[a, b, c] for q in QUADS for a, b, c in (q[:3], (q[0], *q[2:]))]
 SOLID = potentials.polyhedron(2.0, (CUBE, FACES), 1.5)
 BOX_SHAPE, NEEDLE = shapes.box([1, 2, 1], mass=1.0), shapes.ellipsoid([2.0, 1.0, 1.0], mass=1.0)
 PAIR = np.zeros((1, 2, 3))

@@ -9,28 +9,21 @@ import numpy as np
 import paper
 import pytest
 from grid import examples_of
+from kappas import chosen
 from repeated import state_after
 
 import lieint_jax as li
-from lieint_jax import diagnostics
+from lieint_jax import diagnostics, maps
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.groups import so3
-from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes import compose, exact, splitting, top_energy_momentum
 from lieint_jax.systems import LinearPotential, QuadraticPotential, clebsch_integral, kovalevskaya_integral
 from lieint_jax.types import State, gradient
 
-KAPPAS = {k.name: k for k in (kappa_cayley, kappa_exponential, kappa_symplectic)}
+KAPPAS = {kappa.name: kappa for kappa in maps.KAPPAS}
 
 
-def one_of(which, x):
-    """One of the three κ's: the coefficients are leaves, so all share a compilation."""
-    return sum(w * kappa(x) for w, kappa in zip(which, KAPPAS.values(), strict=True))
-
-
-SHARED = {
-    name: Kappa(jax.tree_util.Partial(one_of, row), "shared") for name, row in zip(KAPPAS, np.eye(3), strict=True)
-}
+SHARED = {name: chosen(row) for name, row in zip(KAPPAS, np.eye(3), strict=True)}
 AXIS = [0.3, 0.5, 0.8]
 TURN = paper.exp(np.array([0.3, -0.5, 0.4]))
 FULL = TURN @ np.diag([1.0, 2.0, 3.0]) @ TURN.T
