@@ -5,6 +5,11 @@ import numpy as np
 ONE = np.eye(3)
 
 
+def close(a, b):
+    """The largest difference."""
+    return np.max(np.abs(np.asarray(a) - np.asarray(b)))
+
+
 def hat(v):
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 

@@ -1,5 +1,7 @@
 """Nutation and precession of tops and pendulums, against their motion in closed form."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,8 +14,7 @@ from lieint_jax.groups import so3
 TILTED = so3.exp(jnp.array([0.5, -0.2, 0.3]))
 
 
-def go(step, states, dt, num_steps, **options):
-    return li.run(step, states, dt, num_steps, progress=False, **options)
+go = functools.partial(li.run, progress=False)
 
 
 @jax.vmap
