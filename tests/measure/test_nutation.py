@@ -1,7 +1,5 @@
 """Nutation and precession of tops and pendulums, against their motion in closed form."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +12,8 @@ from lieint_jax.groups import so3
 TILTED = so3.exp(jnp.array([0.5, -0.2, 0.3]))
 
 
-go = functools.partial(li.run, progress=False)
+def go(step, states, dt, num_steps, **options):
+    return li.run(step, states, dt, num_steps, progress=False, **options)
 
 
 @jax.vmap
