@@ -1,6 +1,7 @@
 """Keys that no scenario can have, of every kind: each is refused in one line that names it."""
 
 import functools
+from typing import Any
 
 import data_files
 import pytest
@@ -15,7 +16,7 @@ ROWS = [
 ]
 
 
-def place(table, path):
+def place(table: Any, path: str) -> tuple[Any, Any]:
     """The inner table or list of a dotted key, and its last part: a key or an index."""
     *outer, last = [int(part) if part.isdecimal() else part for part in path.split(".")]
     return functools.reduce(lambda t, k: t[k] if isinstance(t, list) else t.setdefault(k, {}), outer, table), last
