@@ -1,21 +1,15 @@
 """`lieint run didymos` and `lieint run kw4`: their keys and members, what is measured, files and resumed stores."""
 
-import math
-import re
 from functools import cache, partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from internals import commit_every
 from scenario_runs import run
-from stores import disk_for
 from two_bodies import reference
 
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli, files
 from lieint_jax.app.scenarios import _report, _runs, binary
 from lieint_jax.app.scenarios._keys import Published
 
@@ -48,35 +42,6 @@ def test_members_have_bodies_of_their_own_and_the_first_is_the_nominal_one():
     np.testing.assert_allclose(x[0, 1] - x[0, 0], [1180.0, 0, 0], rtol=1e-15)
     fewer = scenarios.build_first(scenario, 2)
     np.testing.assert_array_equal(fewer.system.inertias, moments[:2])
-
-
-BAD = [
-    (dict(orbit=dict(separation_m=-1.0)), "orbit.separation_m: .*greater than 0"),
-    (
-        dict(primary=dict(density_kg_m3=1.0)),
-        "primary: give mass_kg and moments_kg_m2, or semi_axes_m",
-    ),
-    (dict(secondary=dict(moments_kg_m2=[1.0, 1.0, -3.0])), r"secondary\.moments_kg_m2: .*positive"),
-    (dict(secondary=dict(angular_velocity_deg=[0.0, 0.0, 1.0])), "angular_velocity_rad or angular_velocity_deg"),
-    (dict(secondary=dict(mass=1.0)), "secondary.mass: unknown key; did you mean mass_kg"),
-    (dict(published=dict(period=dict(value=1.0, source="thomas"))), "published.period"),
-]
-
-
-@pytest.mark.parametrize(("tables", "message"), BAD, ids=[message[:30] for _, message in BAD])
-def test_a_bad_key_of_a_binary_is_named(tables, message):
-    with pytest.raises(ValueError, match=message):
-        changed("didymos", **tables)
-
-
-def test_an_order_that_the_scheme_lacks_is_refused():
-    for scheme, order, known in (
-        ("nystrom", 2, "6 or 4"),
-        ("splitting", [8, 4], "2 or 4"),
-        ("kepler_splitting", 4, "2"),
-    ):
-        with pytest.raises(ValueError, match=f"order of {scheme} is .*{known}.*, got"):
-            scenarios.load("kw4", scheme=scheme, order=order)
 
 
 @pytest.mark.long
@@ -211,20 +176,3 @@ def test_shipped_binaries_run_and_plot_from_the_command_line(name, lieint):
     kept = re.search(r"largest change of energy.*\((\S+) of the largest", lieint("info", "x.npz"))
     assert float(kept[1]) < 1e-10  # with each member's own bodies
     assert "3 of 3 members: one end" in lieint("plot", "x.npz", "--force")
-
-
-@pytest.mark.long
-def test_a_thousand_systems_whose_store_broke_off_are_resumed_to_the_same_bits(monkeypatch, capsys, lieint):
-    commit_every(monkeypatch, 2)
-    arguments = ["run", "didymos", "--steps", "24", "--out"]
-    with disk_for(math.inf) as waits:
-        assert cli.main([*arguments, "whole.zarr"]) == 0
-    with disk_for(3 * len(waits) // 4, OSError("the disk is gone")):
-        assert cli.main([*arguments, "part.zarr"]) == 2
-    capsys.readouterr()
-    assert re.search(r"\d+ of 24 steps; --resume continues it", lieint("info", "part.zarr"))
-    assert cli.main([*arguments, "part.zarr", "--resume"]) == 0
-    whole, part = (files.load(Path(f"{which}.zarr"))[0] for which in ("whole", "part"))
-    assert whole.state.q.shape == (13, 1000, 2, 7)
-    for a, b in zip(jax.tree.leaves(whole.state), jax.tree.leaves(part.state), strict=True):
-        np.testing.assert_array_equal(a[...], b[...])

@@ -57,16 +57,6 @@ def test_toutatis_reaches_the_radar_epoch_and_meets_the_independent_prediction(t
 
 
 @pytest.mark.long
-def test_the_report_of_toutatis_states_its_assumptions_and_sources(toutatis):
-    _, out = toutatis
-    for text in ("an assumption", "7.4 ± 0.03", "5.38 ± 0.03", "180.2", "-54.75", "arXiv 1504.02024"):
-        assert text in out
-    assert "Takahashi" in out
-    assert "4 of 4 members converged" in out
-    assert "exact to round-off" in out
-
-
-@pytest.mark.long
 def test_toutatis_writes_results_and_pictures(toutatis):
     folder, _ = toutatis
     run, metadata = files.load(folder / "toutatis.npz")
@@ -160,61 +150,17 @@ def test_the_same_seed_is_the_same_ensemble():
     np.testing.assert_array_equal(a.p[0], nominal.p[0])  # member 0 is the nominal state
 
 
-BAD = [
-    (dict(dt="dt = 0"), "dt must not be 0"),
-    (dict(dt='dt = "fast"'), "dt: .*number.*'fast'"),
-    (dict(dt="dt = nan"), "dt: .*finite"),
-    (dict(dt=""), "dt: key missing"),
-    (dict(steps="steps = 55"), "steps = 55 must be a multiple of save_every = 10"),
-    (dict(members="members = 0"), "members: .*greater than 0.*got 0"),
-    (dict(members="members = 1.5"), "members: .*integer"),
-    (dict(seed="sed = 1"), r"sed: unknown key; did you mean seed\?; allowed: title, about, time_unit, system, dt"),
-    (dict(system='system = "heavy"'), "system: .*'rigid_body'.*got 'heavy'"),
-    (dict(system='system = ["rigid_body"]'), r"system: .*'rigid_body'.*got \['rigid_body'\]"),
-    (dict(seed='published.precession_period = {value = 1.0, error = 0, source = "x"}'), "error: .*greater than 0"),
-    (
-        dict(seed='published.precession_period = {value = 1.0, source = "x"}\nsources = {y = "a book"}'),
-        r"source 'x' is not one of the keys of \[sources\]: y",
-    ),
-    (dict(scheme='scheme = "rk4"'), "scheme: .*so3_midpoint"),
-    (dict(inertia="inertia = [1.0, 2.0]"), r"inertia: inertia must have shape \(3,\) or \(3, 3\), got \(2,\) \(got"),
+BAD = [  # beside those of test_bad_keys.py
     (dict(scheme="scheme = exact # closed form"), r'not valid TOML: .*; text must be in quotes: scheme = "exact"$'),
-    (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia: inertia must be positive definite"),
-    (dict(angular_velocity_rad=""), "state: give exactly one of angular_velocity_rad and angular_velocity_deg"),
-    (dict(quaternion=""), "state: give the attitude by exactly one of quaternion and euler_313_deg"),
-    (
-        dict(angular_velocity_rad="angular_velocity = [0.01, 1.0, 0.0]"),
-        r"state.angular_velocity: unknown key; did you mean angular_velocity_rad or angular_velocity_deg\?",
-    ),
-    (dict(scheme='scheme = "exact"\nkappa = "cayley"'), "kappa is a key of so3_midpoint; exact has none"),
-    (dict(scheme='scheme = "exact"\norder = 4'), "order of exact is none, since it is exact, got 4"),
-    (dict(scheme='scheme = "preprocessed"\norder = 2'), "order of preprocessed is 4 or 6 or 8 or 10, got 2"),
-    (dict(scheme='scheme = "extrapolate"\norder = 2'), "order of extrapolate is 12 or 4 or .* or 20, got 2"),
-    (
-        dict(angular_velocity_deg="angular_velocity_deg = -1.0"),
-        "spread.angular_velocity_deg: .*greater than or equal to 0",
-    ),
-    (dict(dt="dt = 3.0"), "first step fails for 4 member"),
     (dict(title="title = "), "not valid TOML"),
-    (
-        dict(quaternion="quaternion = [2.0, 0.0, 0.0, 0.0]"),
-        r"state\.quaternion: quaternion must be a unit quaternion",
-    ),
-    (dict(dt='dt = "0.1"'), "dt: .*'0.1'"),
-    (
-        dict(angular_velocity_deg="angular_velocity_rad = [1.0, 2.0, 3.0]"),
-        r"spread.angular_velocity_rad: .*number \(got \[1.0, 2.0, 3.0\]\); "
-        r"in \[spread\], state.angular_velocity_rad accepts a list$",
-    ),
-    (dict(members="members = true"), "members: .*integer"),
-    (dict(seed="seed = 9223372036854775808"), "seed: "),
-    (dict(title='title = "$\\\\foo$"'), "title: "),
+    (dict(dt="dt = 0"), "dt must not be 0"),
+    (dict(dt="dt = 3.0"), "first step fails for 4 member"),
 ]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:30] for _, m in BAD])
-def test_a_bad_key_of_a_rigid_body_is_named_in_one_line(changes, message, lieint):
+def test_a_file_that_cannot_be_run_is_refused_in_one_line(changes, message, lieint):
     err = lieint.refuse("run", book(**changes))
     assert err.count("\n") == 1
     assert re.search(message, err)

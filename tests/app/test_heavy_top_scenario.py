@@ -17,6 +17,8 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import heavy_top
 from lieint_jax.groups import so3
 
+pytestmark = pytest.mark.long
+
 TOPS = [  # weight, axis, angular velocity; the third passes 0.9° from hanging, the fourth swings through a loop
     (20.0, [0.0, 0.0, 1.0], [0.0, 0.0, 50.0]),
     (20.0, [0.0, 0.6, 0.8], [1.0, 0.5, 4.0]),
@@ -36,7 +38,6 @@ def _facts(top, Omega):
     return found, top.momentum(state)[0], top.body_momentum(state), top.energy(state), east
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("case", TOPS, ids=["fast", "tilted", "hanging", "looping"])
 def test_lagrange_s_top_agrees_with_quadrature_in_30_digits_and_with_the_flow(case):
     """Floors: period 3e-16, precession 3e-13 (roots close together), recurrence 2e-15."""
@@ -83,7 +84,6 @@ def as_shipped():
     return run(scenarios.load("heavy_top", members=2, steps=2000))
 
 
-@pytest.mark.long
 def test_the_shipped_run_shows_the_closed_form():
     """By nystrom of order 6 at dt = 0.01, from states saved 14 times in a nutation: all to ten digits."""
     scenario = scenarios.load("heavy_top", members=2, steps=2000)
@@ -96,7 +96,6 @@ def test_the_shipped_run_shows_the_closed_form():
     assert re.search(r"nutation period \(s\) +0.6822560158 +0.0\d+ +0.6822560158 +-?[\d.]+e(-1\d|\+00) *$", text, re.M)
 
 
-@pytest.mark.long
 def test_nutation_of_sparsely_saved_states_is_not_measured():
     one = as_shipped().member(0)
     sparse = li.Run.of(one.step, jax.tree.map(lambda x: x[::4], one.trajectory))
@@ -105,17 +104,6 @@ def test_nutation_of_sparsely_saved_states_is_not_measured():
     assert 17 < np.rad2deg(least) < np.rad2deg(greatest) < 19
 
 
-@pytest.mark.long
-def test_heavy_top_runs_from_the_command_line(lieint):
-    out = lieint("run", "heavy_top", "--members", "3", "--steps", "500")
-    assert "3 of 3 members converged" in out
-    nutation = re.search(r"nutation period \(s\) +([\d.]+) +[\d.]+ +([\d.]+)", out)
-    assert float(nutation[1]) == float(nutation[2]) == 0.6822560158
-    assert float(re.search(r"γ·π, relative to \|π\| +(\S+)", out)[1]) == 0
-    lieint.drew("heavy_top-path.png", "heavy_top-energy.png")
-
-
-@pytest.mark.long
 def test_tops_without_closed_form_report_what_they_have():
     top, state = jax.jit(lambda: examples_of("heavy_top")["kovalevskaya"][:2])()
     assert not heavy_top.is_lagrange(top)
@@ -127,35 +115,3 @@ def test_tops_without_closed_form_report_what_they_have():
     assert found["γ·π, relative to |π|"] < 1e-14
     assert "Π₃, relative to |π|" not in found
     assert np.isnan([row.closed_form for row in scenario.quantities(run)]).all()
-
-
-SCENARIO = """
-title = "a top"
-system = "heavy_top"
-inertia = [5.0, 5.0, 1.0]
-weight = [0.0, 0.0, 20.0]
-scheme = "splitting"
-dt = 0.01
-steps = 100
-[state]
-quaternion = [1.0, 0.0, 0.0, 0.0]
-angular_velocity_rad = [0.0, 1.0, 5.0]
-"""
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("weight = [0.0, 0.0, 20.0]", "weight = [0.0, 0.0, 0.0]", "weight: must not be zero"),
-        ("weight = [0.0, 0.0, 20.0]", "", "weight: key missing"),
-        ("dt = 0.01", 'dt = 0.01\nkappa = "cayley"', "kappa is a key of top_energy_momentum"),
-        ("dt = 0.01", "dt = 0.01\norder = 3", "order: "),
-        ('"splitting"', '"nystrom"', "order of nystrom is 6 or 4, got 2"),
-        ('"splitting"', '"rk4"', "scheme: .*'nystrom', 'top_energy_momentum' or 'splitting'"),
-        ("dt = 0.01", "dt = 0.01\naxis = [0.0, 1.0]", "axis: "),
-    ],
-)
-def test_a_bad_key_of_a_heavy_top_is_named_in_one_line(old, new, message, tmp_path):
-    (tmp_path / "top.toml").write_text(SCENARIO.replace(old, new))
-    with pytest.raises(ValueError, match=message):
-        scenarios.load(str(tmp_path / "top.toml"))

@@ -53,8 +53,3 @@ def test_the_shipped_scenario_agrees_to_its_fourth_order():
     off = abs(maclaurin.measured_modes(made) - maclaurin._ordered(maclaurin.bar_modes(e)))
     away = abs(e - maclaurin.DYNAMICAL) > 0.01  # where the two rates of a bar can be told apart
     assert off[away].max() < 1e-6  # 1e-7
-
-
-def test_members_need_a_last_eccentricity():
-    with pytest.raises(ValueError, match="last_eccentricity and members > 1 go together"):
-        scenarios.load("maclaurin", members=1)

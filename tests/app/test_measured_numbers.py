@@ -4,11 +4,13 @@ import json
 import re
 from pathlib import Path
 
+import data_files
 import pytest
 
 ROOT = Path(__file__).parents[2]
 MODES = ("forward", "reverse")
 RESULTS = ROOT / "benchmarks" / "results"
+QUOTED = data_files.table("quoted_numbers")
 if not RESULTS.exists():
     pytest.skip("the sdist has no benchmarks", allow_module_level=True)
 
@@ -83,8 +85,8 @@ def rod_first_calls():
     return [min(first.values()), max(first.values())]
 
 
-def quoted():
-    """(page, text around the numbers, the measured numbers in its order)."""
+def measured_names():
+    """What the rows of `tests/data/quoted_numbers.toml` are computed from."""
     ours = rate("so3_midpoint, symplectic κ")
     [explicit] = [x["ours"] for x in result("ensemble")["cpp"] if x["name"] == "so3_explicit"]
     gradient = {x["name"]: x for x in result("gradients")}
@@ -98,140 +100,7 @@ def quoted():
     cpp = over_cpp()
     stage, few = result("attitude")["rows"], result("one_body")["gradients"]
     alone = [x["integrate"] / x["ensemble"] for x in result("one_body")["runs"]]
-    return [
-        ("README.md", r"One core computes (\d+) million steps of tumbling bodies a second", [ours / 1e6]),
-        ("README.md", r"\((\d+) million by `so3_explicit`\)", [explicit / 1e6]),
-        ("README.md", r"(\d+) times as many as diffrax's Tsit5", [ours / peers()["diffrax Tsit5, vmapped"]]),
-        ("README.md", r"(\d+) times as many as MuJoCo", [ours / peers()["MuJoCo RK4, rollout"]]),
-        ("README.md", r"C\+\+ of the same schemes|and ([\d.]+) to", [cpp["so3_midpoint, symplectic κ"]]),
-        ("README.md", r"satellites run in ([\d.]+) of the time", [best["gravity gradient", "1e-06"]]),
-        (
-            "README.md",
-            r"tops in ([\d.]+) to ([\d.]+) and binary asteroids in ([\d.]*\d)",
-            [best["heavy top", "1e-06"], best["heavy top", "1e-09"], best["Didymos and Dimorphos", "1e-06"]],
-        ),
-        ("README.md", r"needs ([\d.]+) MiB", [undone["MiB"]]),
-        ("README.md", r"and ([\d.]+) times the time of the forward run", [undone["seconds"] / forward["seconds"]]),
-        (
-            "docs/pages/index.md",
-            r"which need (\d+) and (\d+) times as long",
-            [ours / peers()["diffrax Tsit5, vmapped"], ours / peers()["MuJoCo RK4, rollout"]],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"`so3_midpoint`, symplectic κ \| (\d+) \| (\d+) \(Newton form\) \| ([\d.]+)",
-            [ours / 1e6, ours / 1e6 / cpp["so3_midpoint, symplectic κ"], cpp["so3_midpoint, symplectic κ"]],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"splitting of a heavy top \| \d+ \| \d+ \| ([\d.]+)",
-            [cpp["splitting of a heavy top"]],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"with `increments=False` \| – \| ([\d.]+) \| ([\d.]+)",
-            [best["heavy top", "1e-06"], best["heavy top", "1e-09"]],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"increments=False\)` \| – \| ([\d.]+) \| ([\d.]+)",
-            [best["gravity gradient", "1e-06"], best["gravity gradient", "1e-09"]],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"`extrapolate\(bodies, 14\)` \| – \| ([\d.]+) \| ([\d.]+)",
-            [best["Didymos and Dimorphos", "1e-06"], best["Didymos and Dimorphos", "1e-09"]],
-        ),
-        ("docs/pages/speed.md", r"attitude costs ([\d.]+) times as much", [table("ensemble", "of the attitude")[3]]),
-        (
-            "docs/pages/speed.md",
-            r"flyby of the Earth \| `extrapolate` \| – \| ([\d.]+) \| ([\d.]+)",
-            [over_peer("flyby", "best of ours", k) for k in (3, 6)],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"diffrax's Dopri8 \| – \| ([\d.]+) \| ([\d.]+) \| \| \| astrojax's RK4 \| – \| ([\d.]+)",
-            [
-                *(over_peer("gravity gradient", "diffrax", k) for k in (3, 6)),
-                over_peer("gravity gradient", "astrojax", 3),
-            ],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"needs ([\d.]+) of heyoka's time for an error of 1e-6, and ([\d.]+) for 1e-9",
-            [over_peer("free body", "closed form", k) for k in (3, 6)],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"`preprocessed\(body, 10\)` needs ([\d.]+) and ([\d.]+) of it",
-            [over_peer("free body", "preprocessed", k) for k in (3, 6)],
-        ),
-        (
-            "docs/pages/limits.md",
-            r"need ([\d.]+) of heyoka's time for an error of 1e-6, and ([\d.]+) for 1e-9",
-            [over_peer("free body", "closed form", k) for k in (3, 6)],
-        ),
-        (
-            "docs/pages/which_scheme.md",
-            r"`torqued_midpoint\(body\)` \| 4 \| (\S+) \| (\S+) \| (\S+) \| \| \| 1 \| (\S+) \| (\S+) \| \|",
-            [*(stage[0][key] for key in ("median", "ns", "first")), stage[1]["median"], stage[1]["ns"]],
-        ),
-        (
-            "docs/pages/which_scheme.md",
-            r"`extrapolate\(body, 12\)` \| 4 \| (\S+) \| (\S+) \| (\S+) \|",
-            [stage[2][key] for key in ("median", "ns", "first")],
-        ),
-        ("docs/pages/faq.md", r"`integrate` needs ([\d.]+) to ([\d.]+) times", [min(alone), max(alone)]),
-        (
-            "docs/pages/speed.md",
-            r"the gradient of one body needs ([\d.]+) and that of 100 bodies ([\d.]*\d)",
-            [few[k]["jax"] / few[k]["forward"] for k in (0, 1)],
-        ),
-        (
-            "docs/pages/speed.md",
-            r"the gradient of 1000 bodies needs ([\d.]+) times the time of `jax.jit`",
-            [few[2]["li"] / few[2]["jax"]],
-        ),
-        ("docs/pages/speed.md", r"The first `li.run` costs ([\d.]+) to", [min(first)]),
-        ("docs/pages/howto/rods.md", r"one rod, `splitting` \| ([\d.]+) and ([\d.]+)", over_elastica("splitting")),
-        (
-            "docs/pages/howto/rods.md",
-            r"for small rotations in a step \| ([\d.]+) and ([\d.]+)",
-            over_elastica("splitting, preprocessed drift"),
-        ),
-        (
-            "docs/pages/howto/rods.md",
-            r"`nystrom` of order 4 \| ([\d.]+) and ([\d.]+)",
-            over_elastica("nystrom, order 4"),
-        ),
-        (
-            "docs/pages/howto/rods.md",
-            r"Newton's method, 200 steps \| ([\d.]+) and ([\d.]+)",
-            over_elastica("bodies_energy_momentum, newton", 200),
-        ),
-        ("docs/pages/howto/rods.md", r"theirs in one block \| ([\d.]+)", many_over_elastica("in one block")),
-        ("docs/pages/howto/rods.md", r"theirs one after another \| ([\d.]+)", many_over_elastica("another")),
-        (
-            "docs/pages/howto/rods.md",
-            r"energy changes by ([\d.]+) %, .* changes by ([\de.-]+\d) with `splitting` and by ([\de.-]+\d) with",
-            [
-                100 * min(energies("PyElastica")),
-                max(energies("ours, splitting")),
-                max(energies("ours, bodies_energy_momentum")),
-            ],
-        ),
-        (
-            "docs/pages/howto/rods.md",
-            r"agrees with differences to ([\de.-]+\d)",
-            [max(abs(result("rods")["gradients"][x] / result("rods")["gradients"]["differences"] - 1) for x in MODES)],
-        ),
-        ("docs/pages/howto/rods.md", r"first calls take ([\d.]+) to ([\d.]+) s", rod_first_calls()),
-        (
-            "docs/pages/speed.md",
-            r"SE\(3\) and elastic bodies \(\[table\]|and [\d.]+ to ([\d.]+) for binaries",
-            [max(first)],
-        ),
-    ]
+    return globals() | locals()
 
 
 # for each quantity that several pages quote, the words around it; every page must print one number
@@ -264,10 +133,11 @@ def test_all_pages_print_one_number_for_a_quantity(patterns):
         assert all(value == other for other, same in numbers if same == unit), printed
 
 
-@pytest.mark.parametrize(("where", "pattern", "measured"), [pytest.param(*x, id=x[1][:40]) for x in quoted()])
+@pytest.mark.parametrize(("where", "pattern", "measured"), [pytest.param(*x, id=x[1][:40]) for x in QUOTED["quoted"]])
 def test_pages_quote_the_measured_numbers(where, pattern, measured):
     """To within the last digit that the page prints."""
     found = next(match for match in re.finditer(pattern, page(where)) if match.groups() and match[1])
+    measured = eval(measured, measured_names())
     assert len(found.groups()) == len(measured)
     for text, value in zip(found.groups(), measured, strict=True):
         printed, unit = number(text)
@@ -321,62 +191,8 @@ def test_the_page_for_engines_quotes_its_long_run():
         assert abs(float(text) - value) <= 0.0501
 
 
-def step_columns():
-    """(section and first cell of a row of `which_scheme.md`, its numbers of ns a step, those of seconds)."""
-    free, top = "rigid_body.asymmetric", "heavy_top.asymmetric_top"
-    splitting = "splitting[so3_midpoint[symplectic]]"
-    return [
-        ("The free rigid body", "`so3_explicit(", [f"{free}, so3_explicit"], ("rigid_body", "so3_explicit")),
-        (
-            "The free rigid body",
-            "`so3_midpoint(",
-            [f"{free}, so3_midpoint[cayley]"],
-            ("rigid_body", "so3_midpoint[cayley]"),
-        ),
-        ("The free rigid body", "`calibrated(", [f"{free}, calibrated"], ("rigid_body", "calibrated")),
-        ("The free rigid body", "`preprocessed(", [f"{free}, preprocessed[4]"], ("rigid_body", "preprocessed[4]")),
-        ("The free rigid body", "`exact(", [f"{free}, exact"], ("rigid_body", "exact")),
-        (
-            "Tops and satellites",
-            "`splitting(",
-            [f"{top}, {splitting}", f"potential_top.brun, {splitting}"],
-            ("potential_top", splitting),
-        ),
-        (
-            "Tops and satellites",
-            "`top_energy_momentum(",
-            [f"{top}, top_energy_momentum[cayley]", "potential_top.brun, top_energy_momentum[cayley]"],
-            ("potential_top", "top_energy_momentum[cayley]"),
-        ),
-        (
-            "Elastic bodies",
-            '`additive(body, "average"',
-            ["pseudo_rigid_body.ball, additive[average]"],
-            ("pseudo_rigid_body", "additive[average]"),
-        ),
-        (
-            "Any matrix group",
-            "`systems.euler",
-            ["euler.kirchhoff, group_midpoint[exponential]"],
-            ("euler", "group_midpoint[exponential]"),
-        ),
-        (
-            "Any matrix group",
-            "`systems.group_potential",
-            ["group_potential.bottom_heavy, group_energy_momentum"],
-            ("group_potential", "group_energy_momentum"),
-        ),
-        (
-            "The spherical pendulum",
-            "`sphere_midpoint(pendulum)",
-            ["pendulum.uniform, sphere_midpoint[plain]"],
-            ("pendulum", "sphere_midpoint[plain]"),
-        ),
-    ]
-
-
 @pytest.mark.parametrize(
-    ("section", "row", "rates", "call"), step_columns(), ids=lambda x: x if isinstance(x, str) else ""
+    ("section", "row", "rates", "call"), QUOTED["steps"], ids=lambda x: x if isinstance(x, str) else ""
 )
 def test_the_page_which_scheme_quotes_times_of_steps_and_of_first_calls(section, row, rates, call):
     text = (ROOT / "docs" / "pages" / "which_scheme.md").read_text(encoding="utf-8")

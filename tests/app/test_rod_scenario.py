@@ -43,21 +43,6 @@ def test_a_clamped_rod_under_gravity_reports_its_energy_alone():
     assert [x.name for x in scenario.quantities(path)] == ["largest turn of an element (°)"]
 
 
-BAD = [
-    (dict(elements=0), "elements: .*greater than 0"),
-    (dict(ends=["free", "loose"]), "ends.1: .*'free' or 'clamped'"),
-    (dict(loads=[{"section": 0, "times": [0.0, 0.0], "factors": [1.0, 0.0]}]), "loads.0: times must increase"),
-    (dict(loads=[{"section": k, "times": [0.0, 1.0], "factors": [1.0, 0.0]} for k in (4, -1)]), "the same section"),
-    (dict(spread={"quaternion": 0.1}), "spread.quaternion: all members start with the same attitude"),
-]
-
-
-@pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:20] for _, m in BAD])
-def test_bad_keys_of_a_rod_are_named(changes, message):
-    with pytest.raises(ValueError, match=message):
-        small(**changes)
-
-
 @pytest.mark.long
 def test_spaghetti_runs_from_the_command_line(lieint):
     out = lieint("run", "spaghetti", "--members", "3")

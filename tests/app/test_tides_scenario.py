@@ -93,5 +93,3 @@ def test_pictures_show_small_changes_relative_to_themselves_and_large_ones_as_th
 
 def test_the_names_of_both_bodies_are_keys_of_the_file():
     assert scenarios.load("moon_tides").names == ["Earth", "Moon"]
-    with pytest.raises(ValueError, match="names"):
-        scenarios.load("moon_tides", names=["Earth"])

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import data_files
 import pytest
 from documents import blocks
 
@@ -19,45 +20,7 @@ in_bath = li.schemes.langevin(body, temperature=1.0, friction=[0.1, 0.1, 0.2])
 reduced = li.run(step, state, dt=0.05, num_steps=1000, reduce="energy", per="member")
 found = li.fit(lambda guess: guess["mass"] - 1.0, {{"mass": 2.0}})
 """
-TYPES = {
-    "body": "RigidBody",
-    "step": "SO3Midpoint",
-    "state": "State",
-    "run": "Run[Trajectory, None]",
-    "later": "State",
-    "certificate": "Certificate",
-    "certificate.energy": "float",
-    "run.t": "Array",
-    "run.state.q": "Array",
-    "run.at([0.5, 1.5])": "State",
-    "run.energy_error()": "Array",
-    "run.periods().rotation": "Array",
-    "run.map(lambda step, state: (state.p, state.t))": "tuple[Array, Array | None]",
-    "run.member(3).extend(100)": "Run[Trajectory, None]",
-    "reduced.summary": "MemberSummary",
-    "li.run(step, state, dt=0.05, num_steps=10, reduce='energy').summary": "Summary",
-    "li.open('moon.zarr')": "Run[Trajectory | None, Summary | MemberSummary | None]",
-    "step(state, 0.05)": "tuple[State, StepInfo]",
-    "li.integrate(step, state, dt=0.05, num_steps=10, save_at=[0.1, 0.2]).state.p": "Array",
-    "li.observe(step, state, dt=0.05, times=[0.1, 0.2])": "tuple[State, StepInfo]",
-    "li.diagnostics.certify(in_bath, state, dt=0.05, num_steps=10)": "ThermalCertificate",
-    "li.scan(lambda x, _: (x / 2, x), 1.0, length=3)": "tuple[float, float]",
-    "found.params": "dict[str, Array]",
-    "found.standard_errors['mass']": "Array",
-    "li.fit(lambda x: x - 1.0, 2.0).params": "Array",
-    "li.fit(lambda x: x - 1.0, state).params": "State",
-    "body.energy(state)": "Array",
-    "li.schemes.compose(li.schemes.splitting(top), 4)": "Composition",
-}
-MISTAKES = {
-    "a system in place of its step": "li.run(body, state, dt=0.05, num_steps=10)",
-    "an argument of another name": "li.run(step, state, dt=0.05, steps=10)",
-    "state and step exchanged": "li.diagnostics.certify(state, step, dt=0.05, num_steps=10)",
-    "a scheme for other systems": "li.schemes.top_energy_momentum(body)",
-    "a method of another name": "run.energy_eror()",
-    "a summary of a run that has none": "run.summary.least",
-    "a key in place of the parameters": "found.params.mass",
-}
+TYPES, MISTAKES = data_files.table("types_of_users").values()
 
 
 def by_pyright(path):

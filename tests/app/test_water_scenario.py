@@ -67,8 +67,3 @@ def test_distances_are_between_oxygens():
     assert distance().item() == pytest.approx(0.3, rel=1e-15)
     q[0, 0, 1, 3:] = [0, 1, 0, 0]  # its oxygen now lies 2 · 0.00656 nm farther off
     assert distance().item() == pytest.approx(0.3 + 2 * 0.00655627, abs=1e-7)
-
-
-def test_nystrom_has_no_order_two():
-    with pytest.raises(ValueError, match="nystrom has order = 4 and order = 6"):
-        scenarios.load("water", scheme="nystrom")

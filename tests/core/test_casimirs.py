@@ -11,11 +11,7 @@ import lieint_jax as li
 from lieint_jax import _discover, groups
 
 MATRIX = _discover.modules_with("examples", groups)["matrix"]
-THREE = {
-    "SU(3)": groups.special_unitary(3),
-    "Sp(4)": groups.symplectic(4),
-    "SE(3)": groups.special_euclidean(3),
-}
+THREE = {"SU(3)": groups.special_unitary(3), "Sp(4)": groups.symplectic(4), "SE(3)": groups.special_euclidean(3)}
 ALL = THREE | groups.catalogue.examples() | MATRIX.examples()
 ALL |= {"SO(5)": groups.special_orthogonal(5), "SE(4)": groups.special_euclidean(4), "Aff(2)": groups.affine(2)}
 MISSING = {"T(3)": 1, "Bianchi V": 1, "Bianchi IV": 1}  # those that are no polynomials

@@ -274,12 +274,3 @@ def test_a_section_of_an_ensemble_against_the_events_of_another_integrator():
 
 def _of(states, m):
     return jax.tree.map(lambda x: x[m], states)
-
-
-@pytest.mark.long
-def test_a_section_refuses_one_body_and_a_first_step_that_fails():
-    step, state = REGULAR["free"]
-    with pytest.raises(ValueError, match="leading member axis"):
-        diagnostics.section(step, state, 0.1, lambda z: z.q[0], max_steps=10, count=1)
-    with pytest.raises(ValueError, match="does not converge"):
-        diagnostics.section(step, jax.tree.map(lambda x: x[None], state), 3.0, lambda z: z.q[0], max_steps=10, count=1)

@@ -51,20 +51,6 @@ def test_an_ensemble_may_save_the_last_state_only_and_give_each_member_an_inerti
     np.testing.assert_allclose(np.asarray(run.state.q)[-1, 1], one.state.q[1], rtol=0, atol=1e-14)
 
 
-def test_a_late_failure_names_member_and_step():
-    """A spin-up along the trajectory takes two members past the branch; the run goes on and says who and when."""
-    batch, step = states(4), li.schemes.so3_midpoint(BODY, iterations=8)
-    q, p = np.array(batch.q), np.array(batch.p)
-    q[2], p[2] = [1.0, 0, 0, 0], J123 * [0.0, 1.0, 1e-4]  # about the intermediate axis: Ω grows in the flip
-    batch = State(jnp.array(q), jnp.array(p))
-    single = alone(step, State(q[2], p[2]), 0.99, 100, save_every=1)
-    first = int(np.argmin(np.asarray(single.info.converged))) - 1
-    assert first > 0
-    with pytest.warns(RuntimeWarning, match=rf"member 2 at step {first}"):
-        run = ensemble.run(step, batch, 0.99, 100, save_every=10, progress=False)
-    assert not np.asarray(run.info.converged)[:, 2].all()
-
-
 @pytest.mark.long
 def test_the_first_failure_of_each_member_is_found():
     """Bodies that hang from a heavy point fall faster than the scheme can turn, each after its own number of steps."""
@@ -80,11 +66,6 @@ def test_the_first_failure_of_each_member_is_found():
     np.testing.assert_array_equal(run.failed, first)
     failing = np.sum(~np.asarray(each).reshape(70, 10, 4).all(axis=2), axis=0)
     np.testing.assert_array_equal(run.unconverged[1:4], failing[:3])  # later, what has failed is chaos
-
-
-def test_a_failure_of_the_first_step_is_an_error():
-    with pytest.raises(ValueError, match=r"first step fails for 4 member\(s\): 0, 1, 2, 3\. Member 0: .*smaller dt"):
-        ensemble.run(STEP, states(4), 3.0, 10, progress=False)
 
 
 def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch):

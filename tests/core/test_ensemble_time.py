@@ -13,7 +13,6 @@ from stores import Crash, disk_for
 
 import lieint_jax as li
 from lieint_jax import ensemble, schemes, systems
-from lieint_jax.app.command import files
 
 MEMBERS = 12
 UNIFORM = {"dt": 0.05, "num_steps": 60, "save_every": 5}
@@ -168,22 +167,6 @@ def test_a_reduced_quantity_is_that_of_the_states_at_their_own_times():
     found = run(step=Rests(TOP), reduce=lambda step, state: state.t, uniform=options)
     np.testing.assert_allclose(found.least[1:], [0.05, 0.2], rtol=1e-14)
     np.testing.assert_allclose(found.greatest[1:], [0.15, 0.3], rtol=1e-14)
-
-
-@pytest.mark.long
-def test_a_store_and_a_file_hold_what_memory_would(tmp_path, small_chunks):
-    memory, stored = run(), run(tmp_path / "run.zarr")
-    opened, system = ensemble.open(
-        tmp_path / "run.zarr", own={f"{f.__module__}.{f.__name__}": f for f in (tilted, turning)}
-    )
-    files.save(tmp_path / "run.npz", memory, {"a": 1})
-    loaded, _ = files.load(tmp_path / "run.npz")
-    for other in (stored, opened, loaded):
-        for name in ("q", "p", "t", "work"):
-            np.testing.assert_array_equal(getattr(other.state, name)[...], getattr(memory.state, name), err_msg=name)
-        np.testing.assert_array_equal(other.t[...], memory.t)
-        assert other.state.extra is None
-    assert isinstance(system, systems.DrivenTop)
 
 
 def controlled():

@@ -8,6 +8,8 @@ import pytest
 import lieint_jax as li
 from lieint_jax.groups import so3
 
+pytestmark = pytest.mark.long
+
 CIRCLE = li.orbits.kepler(1.0, 1.0, 0.0)
 
 
@@ -25,7 +27,6 @@ def satellite_modes(J):
     return np.sort(np.sqrt(squares).real), stable, B > A and k1 > 0 and k3 > 0 and C > B
 
 
-@pytest.mark.long
 def test_a_satellite_in_the_regions_of_debra_and_delp():
     """48 inertias: frequencies, verdict, and the extremum of K (the region of Lagrange). Observed 3e-15."""
     random = np.random.default_rng(1)
@@ -49,7 +50,6 @@ def test_a_satellite_in_the_regions_of_debra_and_delp():
     assert min(seen.values()) >= 4, seen
 
 
-@pytest.mark.long
 def test_an_equilibrium_reports_how_far_it_is_from_the_guess():
     """Of a satellite at 0.9 of its orbit's rate the momentum is a tenth too small; at the equilibrium nothing moves."""
     body = li.systems.gravity_gradient([1.0, 2.0, 2.5], CIRCLE)
@@ -58,7 +58,6 @@ def test_an_equilibrium_reports_how_far_it_is_from_the_guess():
     assert float(li.equilibrium(body, found.state).moved) < 1e-14
 
 
-@pytest.mark.long
 def test_newton_finds_the_satellite_at_rest_in_its_orbit():
     """From 0.2 rad off, at another time and in an inclined orbit; a wrong frame is refused."""
     orbit = li.orbits.kepler(1.0, 1.0, 0.0, inclination=0.4, node=0.3)
@@ -77,7 +76,6 @@ def test_newton_finds_the_satellite_at_rest_in_its_orbit():
         li.equilibrium(eccentric, eccentric.state(angular_velocity=[0.0, 0.0, 1.0], t=0.0))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("over", [0.999, 1.001, 1.5])
 def test_a_sleeping_top_wakes_at_its_threshold(over):
     """Π₃² = 4J₁Mgl; above it, tilts rotate in space at (Π₃ ± √(Π₃² − 4J₁Mgl))/2J₁, here in axes that spin at Ω₃."""
@@ -101,7 +99,6 @@ def test_a_sleeping_top_wakes_at_its_threshold(over):
         assert modes.margin == pytest.approx(-abs(root) / (2 * J1), rel=1e-8)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("wheel", [-3.0, -0.5, 0.0, 1.1])
 def test_a_wheel_steadies_a_spin_about_the_middle_axis(wheel):
     """Stable if (λ − J₁Ω)(λ − J₂Ω) > 0 with λ = J₃Ω + h; that product is the frequency squared times J₁J₂."""
@@ -146,7 +143,6 @@ def planar_binary(m, J, radius):
     return rate, np.sort(values.imag[values.imag > 0])
 
 
-@pytest.mark.long
 def test_a_synchronous_binary_librates_as_its_planar_problem():
     """The naive √(3(B − A)/C · m₁/M), with the orbit held, is off by 7 %. Observed 1e-9."""
     m, J, radius = np.array([1.0, 3.0]), np.array([0.30, 0.42, 0.48]), 6.0
@@ -182,7 +178,6 @@ def apart(state):
     return np.linalg.norm(state.q[..., 1, :3] - state.q[..., 0, :3], axis=-1)
 
 
-@pytest.mark.long
 def test_a_symmetric_primary_may_spin_faster_than_its_synchronous_secondary():
     """n² = GM/r³ (1 + 3/2r² ((C − A)/m₁ + (B + C − 2A)/m₂)), to 1e-14; over 1000 steps r is constant to 5e-15."""
     bodies, guess = fast_primary()
@@ -203,7 +198,6 @@ def test_a_symmetric_primary_may_spin_faster_than_its_synchronous_secondary():
     assert np.abs(apart(path.state) - r).max() < 1e-13
 
 
-@pytest.mark.long
 def test_modes_do_not_depend_on_the_spin_of_a_spherical_primary():
     bodies, guess = fast_primary(oblate=0.04, distance=1.5)
     found = li.equilibrium(bodies, guess, spinning=[0], free=range(12, 24))
@@ -214,7 +208,6 @@ def test_modes_do_not_depend_on_the_spin_of_a_spherical_primary():
         assert np.abs(frequencies / frequency - 1).min() < 1e-6
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("more", "spinning", "message"),
     [
@@ -233,7 +226,6 @@ def test_bodies_that_are_not_symmetric_cannot_spin_at_rates_of_their_own(more, s
         li.equilibrium(top, top.state(body_momentum=[0.0, 0.0, 1.0]), spinning=(0,))
 
 
-@pytest.mark.long
 def test_a_free_body_has_rates_and_a_spin_about_the_middle_axis_grows():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     modes = li.normal_modes(body, body.state(angular_velocity=[0.0, 1.0, 0.0]))
@@ -251,7 +243,6 @@ def test_a_free_body_has_rates_and_a_spin_about_the_middle_axis_grows():
         jax.jit(lambda z: li.normal_modes(body, z).frequencies)(body.state(angular_velocity=[0.0, 1.0, 0.0]))
 
 
-@pytest.mark.long
 def test_modes_are_those_of_the_motion():
     """A small displacement along a mode of a Kirchhoff-like system on SE(3) returns after its period."""
     top = li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, -1.0])

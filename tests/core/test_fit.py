@@ -63,11 +63,7 @@ PUBLISHED = {
         [0.5, -2.0],
         48.9842,
     ),
-    "bard": (
-        lambda x: BARD - x[0] - U / ((16 - U) * x[1] + np.minimum(U, 16 - U) * x[2]),
-        [1.0, 1.0, 1.0],
-        8.21487e-3,
-    ),
+    "bard": (lambda x: BARD - x[0] - U / ((16 - U) * x[1] + np.minimum(U, 16 - U) * x[2]), [1.0, 1.0, 1.0], 8.21487e-3),
     "meyer": (
         lambda x: x[0] * jnp.exp(x[1] / (45 + 5 * jnp.arange(1.0, 17.0) + x[2])) - jnp.array(MEYER),
         [0.02, 4000.0, 250.0],

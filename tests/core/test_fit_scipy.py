@@ -196,12 +196,7 @@ PROBLEMS = {
         {"rate": RATE, "rotor": np.array([0.1, 0.1, 0.3])},
         0.01,
     ),
-    "pendulum": Problem(
-        pendulum,
-        {"gravity": 9.81, "speed": 1.0},
-        {"gravity": 8.0, "speed": 0.5},
-        0.01,
-    ),
+    "pendulum": Problem(pendulum, {"gravity": 9.81, "speed": 1.0}, {"gravity": 8.0, "speed": 0.5}, 0.01),
 }
 
 

@@ -10,6 +10,8 @@ import pytest
 import lieint_jax as li
 from lieint_jax.types import State, StepInfo, Trajectory
 
+pytestmark = pytest.mark.long
+
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 T = np.linspace(0, 3, 5)
 RATES = np.array([[0.2, 0.0, 1.0], [0.1, 1.0, 0.3]])
@@ -24,7 +26,6 @@ def run(*members):
     return both if members else both._replace(**jax.tree.map(lambda x: x[:, 0], both._asdict() | {"t": T[:, None]}))
 
 
-@pytest.mark.long
 def test_a_run_becomes_a_dataset_with_coordinates():
     found = run().to_xarray(BODY, units={"time": "d", "energy": "J"})
     assert found.q.dims == ("time", "quaternion")
@@ -42,14 +43,12 @@ def test_a_run_becomes_a_dataset_with_coordinates():
         run().to_xarray(units={"t": "s"})
 
 
-@pytest.mark.long
 def test_a_batch_as_a_dataset_has_members():
     found = run("members").to_xarray(BODY)
     assert dict(found.sizes) == {"time": 5, "member": 2, "quaternion": 4, "axis": 3, "momentum_map_component": 3}
     assert found.energy.dims == found.residual.dims == ("time", "member")
 
 
-@pytest.mark.long
 def test_several_bodies_and_matrices_have_axes_of_their_own():
     flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
     two = Trajectory(T, State(jnp.ones((5, 2, 7)), jnp.zeros((5, 2, 6)), jnp.asarray(T)), flags).to_xarray()
@@ -61,7 +60,6 @@ def test_several_bodies_and_matrices_have_axes_of_their_own():
     assert elastic.extra_rotor.dims == ("time", "extra_rotor_component")
 
 
-@pytest.mark.long
 def test_attitudes_become_rotations_and_euler_angles():
     path = run()
     turns = path.rotations()
@@ -77,7 +75,6 @@ def test_attitudes_become_rotations_and_euler_angles():
             Trajectory(T, State(jnp.ones(shape), jnp.zeros((5, 3))), flags).rotations()
 
 
-@pytest.mark.long
 def test_states_print_in_a_line(capsys):
     state = State(np.array([1.0, 0, 0, 0]), np.array([0.2, 0, 3]), extra={"rho": np.float64(0.5)})
     assert str(state) == "State(q=[1., 0., 0., 0.], p=[0.2, 0. , 3. ], extra={rho: 0.5})"
@@ -91,7 +88,6 @@ def test_states_print_in_a_line(capsys):
     assert "1 not converged" in str(run()._replace(info=StepInfo(np.zeros(5), np.arange(5) > 0)))
 
 
-@pytest.mark.long
 def test_a_missing_package_is_named_in_a_sentence(monkeypatch):
     def missing(name):
         raise ModuleNotFoundError(name)

@@ -115,12 +115,6 @@ def test_the_run_of_one_body_with_the_systems_of_all_is_refused():
         li.interpolate(systems_and_run(members=3)[0], run, [1.0])
 
 
-def test_interpolate_takes_one_member():
-    bodies, run, *_ = batch(5)
-    with pytest.raises(ValueError, match="the trajectory is of 5 members, and interpolate accepts one"):
-        li.interpolate(bodies, run, [1.0])
-
-
 @pytest.mark.parametrize("members", [3, 5])
 def test_steps_with_a_member_axis_need_step_axis_0(members):
     bodies, run, *_ = batch(members)

@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import re
 
 import pytest
 from mutate import ROOT, mutations, part
@@ -9,10 +10,11 @@ from mutate import ROOT, mutations, part
 
 @functools.cache
 def functions(file):
-    """The test functions of a file, and whether each is marked `long` as a whole."""
-    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+    """The test functions of a file, and whether each is marked `long` as a whole, or with its file."""
+    text = (ROOT / file).read_text(encoding="utf-8")
+    tree, all_long = ast.parse(text), re.search(r"^pytestmark = .*pytest\.mark\.long", text, re.M)
     return {
-        node.name: any(ast.unparse(mark) == "pytest.mark.long" for mark in node.decorator_list)
+        node.name: bool(all_long) or any(ast.unparse(mark) == "pytest.mark.long" for mark in node.decorator_list)
         for node in tree.body
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
     }

@@ -6,6 +6,7 @@ floating argument in turn is NaN, and every output that it changes must be NaN. 
 
 import inspect
 
+import data_files
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -297,10 +298,7 @@ CASES = {
     "maps.scaled_cayley": (lambda theta: maps.scaled_cayley(maps.kappa_symplectic)(so3, theta), dict(theta=THETA)),
     "maps.derivative": (lambda theta: maps.derivative(maps.cayley, so3, theta), dict(theta=THETA)),
     **{
-        f"shapes.{name}": (
-            lambda name=name, **given: getattr(shapes, name)(**given),
-            dict(mass=2.0, **x),
-        )
+        f"shapes.{name}": (lambda name=name, **given: getattr(shapes, name)(**given), dict(mass=2.0, **x))
         for name, x in {
             "box": dict(edges=J),
             "ellipsoid": dict(semi_axes=J),
@@ -328,36 +326,7 @@ CASES = {
         for name, law in {"constant_lag": dict(lags=0.1), "constant_q": dict(Q=30.0, threshold=0.1)}.items()
     },
 }
-OUTSIDE = """
-measure.apsides measure.captured_since measure.distances measure.first_below measure.is_librating measure.librations
-measure.light_curve measure.line measure.nutation measure.orbit_angles measure.pair_density measure.pair_energies
-measure.periodogram measure.periods measure.pole measure.relative_motion measure.rotation_rates measure.spectrum
-measure.tilt measure.unwrapped
-"""
-NO_NUMBERS = {
-    "orbits.graded_times": "numbers outside of jit only; the orbit's are those of its function",
-    "orbits.julian_date": "numbers outside of jit only",
-    "potentials.count": "an integer",
-    "potentials.at_time": "a potential",
-    "potentials.given_poses": "the values of a function",
-    "potentials.invariant_form": "functions",
-    "potentials.domain": "a text",
-    "potentials.is_chain": "a flag",
-    "potentials.is_driven": "a flag",
-    "potentials.molecule": "numbers outside of jit only",
-    "potentials.symmetry": "axes that are known without numbers",
-    "potentials.water": "no argument is a number",
-    "maps.as_kappa": "a function",
-    "maps.as_tau": "a function",
-    "maps.axis_residual": "a check of a function",
-    "maps.symplectic_residual": "a check of a function",
-    "maps.is_symplectic": "a check of a function",
-    "maps.cayley_lands": "a property of a group",
-    "maps.examples": "functions",
-    "shapes.obj": "a file",
-    **dict.fromkeys(OUTSIDE.split(), "a run, or a series outside of jit, as in tests/measure/test_measured_series.py"),
-    "shapes.surface": "a file",
-}
+NO_NUMBERS = data_files.table("no_numbers")
 
 
 def public_functions():

@@ -11,6 +11,8 @@ from native_members import MEMBERS, bits, compiled
 
 from lieint_jax import ensemble
 
+pytestmark = pytest.mark.long
+
 QUICK = {
     "rigid_body.free-so3_midpoint[exponential]",
     "driven_top.moving_axis-splitting[so3_midpoint[symplectic]]",
@@ -35,7 +37,6 @@ def cases():
     return [pytest.param(*rest, id=name, marks=marks[name]) for name, *rest in grid.steps()]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("step", "state", "dt"), cases())
 def test_members_step_as_by_jax(step, state, dt):
     """Round-off apart, with the same verdicts; members that fail or are NaN change no bit of the others."""
@@ -69,7 +70,6 @@ def in_time():
     ]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("step", "state", "dt"), in_time())
 def test_an_ensemble_that_shares_its_time_steps_as_by_jax(step, state, dt):
     states, count = members(state), 3
@@ -82,7 +82,6 @@ def test_an_ensemble_that_shares_its_time_steps_as_by_jax(step, state, dt):
         np.testing.assert_allclose(x[-1], wanted, rtol=0, atol=1e-12 * max(1, np.abs(wanted).max(initial=0)))
 
 
-@pytest.mark.long
 @pytest.mark.compared
 @pytest.mark.parametrize(("step", "state", "dt"), cases())
 def test_no_machine_code_is_refused_for_its_rounding(step, state, dt, caplog):

@@ -12,6 +12,8 @@ import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
 from lieint_jax.diagnostics.tangent import distance, value_and_jacobian
 
+pytestmark = pytest.mark.long
+
 TOP = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
 STATE = TOP.state(angular_velocity=[0.3, 0.5, 0.8])
 SPLITTING = schemes.splitting(TOP)
@@ -19,7 +21,6 @@ OUTPUTS = np.array([0.0, 0.07, 0.07, 0.3, 0.44, 1.0])
 GRADED = 2 * np.sinh(np.linspace(0, 1.2, 13)) / np.sinh(1.2)
 
 
-@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):
@@ -33,7 +34,6 @@ def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):
         assert distance(jax.tree.map(lambda x: x[k + 1], seen.state), one) < 2e-16  # noqa: B023
 
 
-@pytest.mark.long
 def test_times_of_another_epoch_are_refused_in_a_sentence():
     """In seconds since 1970, for a state without a time; traced ones are flagged."""
     sentence = r"{}: 3\.4e\+10 steps lead there.*and 2147483647 are too many.*count from t = 0\.0, .*at their epoch"
@@ -45,7 +45,6 @@ def test_times_of_another_epoch_are_refused_in_a_sentence():
     assert info.converged.tolist() == [True, False]
 
 
-@pytest.mark.long
 def test_the_clock_is_that_of_the_state():
     start = STATE._replace(t=jnp.asarray(3.0))
     seen = li.integrate(SPLITTING, start, 0.1, 10, save_at=3 + OUTPUTS)
@@ -56,7 +55,6 @@ def test_the_clock_is_that_of_the_state():
     np.testing.assert_array_equal(path.state.t, path.t)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("order", "expected"), [(2, 3), (4, 5)])
 def test_between_exact_nodes_the_error_is_one_order_above_the_scheme_s(order, expected):
     """Observed 3.2 and 5.3 from the largest of steps of 0.4 to 0.05 of themselves."""
@@ -73,7 +71,6 @@ def test_between_exact_nodes_the_error_is_one_order_above_the_scheme_s(order, ex
     assert np.log(coarse / fine) / np.log(8) == pytest.approx(expected, abs=0.35)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["splitting", "top_energy_momentum"])
 def test_steps_between_given_times_conserve_what_the_step_conserves(scheme):
     step = getattr(schemes, scheme)(TOP)
@@ -94,7 +91,6 @@ def test_steps_between_given_times_conserve_what_the_step_conserves(scheme):
     assert np.abs(gamma_pi - gamma_pi[0]).max() < 1e-15
 
 
-@pytest.mark.long
 def test_derivatives_by_output_times_and_step_boundaries():
     weights = jnp.array([0.3, -1.0, 0.5, 2.0])
 
@@ -114,7 +110,6 @@ def test_derivatives_by_output_times_and_step_boundaries():
     assert float(slope) == pytest.approx(float(forward), rel=1e-9)
 
 
-@pytest.mark.long
 def test_observe_is_the_same_function():
     seen = li.integrate(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), 0.1, 10, save_at=3 + OUTPUTS)
     state, info = li.observe(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), 0.1, 3 + OUTPUTS[::-1])
@@ -123,7 +118,6 @@ def test_observe_is_the_same_function():
         np.testing.assert_allclose(a[::-1], b[1:], rtol=0, atol=5e-16)
 
 
-@pytest.mark.long
 def test_traced_times_outside_the_run_are_flagged():
     run = jax.jit(lambda t: li.integrate(SPLITTING, STATE, 0.1, 10, save_at=t))
     seen = run(jnp.array([-0.1, 0.5, 0.3, 1.2, jnp.nan, 0.7]))

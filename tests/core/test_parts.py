@@ -358,18 +358,6 @@ def test_an_unfinished_file_of_a_killed_part_is_removed_when_the_part_starts_aga
         assert not list(tmp_path.rglob("*.partial"))
 
 
-@pytest.mark.long
-def test_a_creator_that_is_killed_leaves_a_store_that_the_next_part_completes(place, monkeypatch):
-    mortal = Mortal(monkeypatch)
-    mortal.left = 5
-    with pytest.raises(Crash):
-        run(place, (0, 2))
-    mortal.left = math.inf
-    for k in (1, 0):
-        run(place, (k, 2))
-    assert_same(ensemble.open(place)[0], run())
-
-
 def copied(storage, source, target):
     storage.put(target, storage.read(source))
 

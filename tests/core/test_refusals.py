@@ -5,12 +5,12 @@ and files, and those of a run, are in the tests of these.
 """
 
 import functools
-import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cubes import CUBE, FACES
 
 import lieint_jax as li
 from lieint_jax import groups, maps, orbits, potentials, schemes, shapes, systems, tides, torques
@@ -126,7 +126,7 @@ SATELLITES = [
     (lambda: torques.sliding_mode(orbits.lvlh(circle), J, 1.0, 1.0, layer=0.0), "layer must be positive"),
 ]
 LOW, FLYBY = orbits.kepler(orbits.EARTH_GM, 6878.137, 0.001, 0.9), orbits.kepler(398600.4418, -28400.0, 2.35)
-DAY = 2460676.5
+DAY, NAN_LAST = 2460676.5, np.array([[0.0] * 3, [0.0] * 3, [0.0, np.nan, 0.0]])
 
 
 def traced(*elements):
@@ -142,6 +142,10 @@ ORBITS = [
     (lambda: orbits.table([0.0, 1, 1], EYE, EYE), "times must increase.*1 and 2"),
     (lambda: orbits.table([0.0], EYE[:1], EYE[:1]), "with n ≥ 2"),
     (lambda: orbits.table([0.0, 1], EYE, EYE[:2]), "positions must have shape"),
+    (
+        lambda: orbits.table([0.0, 1, 2], EYE + NAN_LAST, EYE),
+        "^positions must be finite, got nan in entry 2, component 1$",
+    ),
     (lambda: orbits.secular_j2(orbits.EARTH_GM, 6700.0, 0.1, 1.0), "the periapsis is below the ground"),
     (lambda: orbits.secular_j2(orbits.EARTH_GM, -9e3, 1.1, 1.0), "secular rates are those of an ellipse"),
     (lambda: orbits.earth_field(orbits.kepler(1.0, 1.0, 0.1), DAY), "the orbit is below the ground"),
@@ -182,9 +186,6 @@ LUMPS = [[[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], [[0.1, 0, 0]]]
 WEIGHTS = [[1.0, 1.0, 1.0], [1.0]]
 MASSES = potentials.point_masses(2.0, WEIGHTS, LUMPS)
 FIELD = potentials.uniform_field([0.3, -0.2, -1.0], [1.0, 2.0, 1.0])
-CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-FACES = [[a, b, c] for q in QUADS for a, b, c in (q[:3], (q[0], *q[2:]))]
 SOLID = potentials.polyhedron(2.0, (CUBE, FACES), 1.5)
 BOX_SHAPE, NEEDLE = shapes.box([1, 2, 1], mass=1.0), shapes.ellipsoid([2.0, 1.0, 1.0], mass=1.0)
 PAIR = np.zeros((1, 2, 3))
@@ -600,10 +601,7 @@ RUNS = [
     *rows(lambda n: integrate(0.1, n), "num_steps must be an integer", 10.0, True),
     (lambda: integrate(0.1, 10, save_every=0), "save_every must be an integer ≥ 1, got 0"),
     *rows(lambda state: integrate(0.1, 2, state=state), "state must be a State", (STATE.q, STATE.p), None, STATE.q),
-    (
-        lambda: integrate(0.1, 9, state=STATE._replace(q=STATE.q * 1.001)),
-        r"state\.q must be a unit quat.*1\.001",
-    ),
+    (lambda: integrate(0.1, 9, state=STATE._replace(q=STATE.q * 1.001)), r"state\.q must be a unit quat.*1\.001"),
     (lambda: integrate(0.1, 9, state=STATE._replace(p=STATE.p[:2])), r"state\.p must have shape \(3,\)"),
     (lambda: integrate(0.1, 9, state=STATE._replace(p=STATE.p * np.nan)), r"state\.p must be finite"),
     (lambda: integrate(0.1, 10, save_at=[0.2, 0.1]), "save_at must be in the order of the run, from 0.0 to 1.0"),
@@ -618,10 +616,7 @@ RUNS = [
     (lambda: integrate(times=[0.0, np.inf]), "times must be finite"),
     (lambda: integrate(times=[[0.0]]), r"times must have shape \(N\+1,\)"),
     (lambda: integrate(0.1), "give dt and num_steps, or times"),
-    (
-        lambda: integrate(times=GRADED, state=STATE._replace(t=jnp.array(3.0))),
-        "at the time of the state, 3.0, got 0.0",
-    ),
+    (lambda: integrate(times=GRADED, state=STATE._replace(t=jnp.array(3.0))), "at the time of the state, 3.0, got 0.0"),
     (lambda: integrate(0.05, 12, save_at=[0.1], adjoint=REVERSIBLE), "with adjoint=ReversibleAdjoint.*li.observe"),
     (lambda: integrate(times=GRADED, adjoint=REVERSIBLE), "steps of one size.*RecursiveCheckpointAdjoint"),
     (lambda: integrate(0.05, 12, adjoint="reversible"), "adjoint must be None.*got 'reversible'"),
@@ -751,7 +746,70 @@ OTHERS = [
     (lambda: li.attitude.from_euler("XXZ", [0.1, 0.2, 0.3]), "of which neighbors differ"),
     (lambda: li.attitude.to_euler("zyX", ONE), "of which neighbors differ"),
 ]
-LONG = [
+VISCOUS_BODY, RUBBED = torqued_body(J, torques.viscous([0.3, 0.1, 0.2])), damped_body(J, 0.3)
+SHRINKING = systems.inertia_in_time(lambda t: jnp.array([1.0, 2.0, 2.5]) - t)
+FAST = systems.kinematics(groups.so3, lambda t: 8 * jnp.stack([jnp.cos(3 * t), jnp.sin(3 * t), 0 * t]))
+SPUN = dict(angular_velocity=[0.5, 3.0, 0.2])
+LONG_WAYS = r"what `times` are apart, 4, and a step of 1/8 of it converges: give about 8 times as many times"
+
+
+def section(states, dt):
+    li.diagnostics.section(STEP, states, dt, lambda z: z.q[0], max_steps=10, count=1)
+
+
+def residuals():
+    return li.diagnostics.conditions(STEP, STATE, 0.1)
+
+
+LONG = [  # the others are steps that are too large, with advice
+    (lambda: section(STATE, 0.1), "leading member axis"),
+    (lambda: section(MANY, 3.0), "does not converge"),
+    (lambda: ensemble(dt=3.0), r"first step fails for 3 member\(s\): 0, 1, 2\. Member 0: .*smaller dt"),
+    (
+        lambda: li.diagnostics.conditions(schemes.sphere_midpoint(BOB), BOB.phase_space.origin, 0.1),
+        "paper for left-in.*got Pen",
+    ),
+    (lambda: residuals().keeps("group"), "no condition here is one of 'group'"),
+    (lambda: li.interpolate(BODY, ensemble(), [1.0]), "the trajectory is of 3 members, and interpolate accepts one"),
+    (lambda: integrate(2.0, 10), r"so3_midpoint\[symplectic\] does not converge: \|Δt Ω\| = 2.\d+ at dt = 2"),
+    (lambda: integrate(times=[0.0, 4.0, 8.0]), LONG_WAYS),
+    (
+        lambda: ensemble(num_steps=None, dt=None, times=[0.0, 4.0, 8.0]),
+        rf"the first step fails for 3 member.*{LONG_WAYS}",
+    ),
+    (
+        lambda: integrate(times=[0.0, 4.0], state=STATE._replace(q=STATE.q * 1.001)),
+        r"1.001, allowed is 1 ± 1e-06[^`]*$",
+    ),
+    (lambda: DENSE.check(STATE, float("inf")), "exact lost its digits at dt = inf"),
+    (
+        lambda: integrate(3.0, 1, step=schemes.preprocessed(BODY, 4)),
+        r"preprocessed\[4\]: the series .* do not hold at dt = 3.0",
+    ),
+    (lambda: schemes.group_alpha(LEFT).check(LEFT.state(velocity=SPIN), 30.0), "smaller dt"),
+    (lambda: li.integrate(schemes.top_energy_momentum(TOP), STILL, 9.0, 1), "does not converge at dt = 9.0"),
+    (lambda: li.integrate(KICKED, STILL, 9.0, 1), "splitting.*so3_midpoint.*does not converge"),
+    (
+        lambda: schemes.torqued_midpoint(VISCOUS_BODY).check(VISCOUS_BODY.state(**SPUN), 9.0),
+        "does not converge at dt = 9.0.* the torque is too stiff.* smaller dt",
+    ),
+    (
+        lambda: schemes.torqued_midpoint(RUBBED).check(RUBBED.state(**SPUN), 2.0),
+        "does not converge at dt = 2.0.* the friction is too strong.* smaller dt",
+    ),
+    (
+        lambda: schemes.so3_midpoint(GYROSTAT).check(GYROSTAT.state(angular_velocity=[3.0, 0, 0]), 1.0),
+        r"\|Δt Ω\| = 3 at dt = 1.0",
+    ),
+    (lambda: splitting(gyrostat(J, [6e11, 0, 0])).check(STATE, 1.0), "the rotor turns the body by 6e"),
+    (
+        lambda: schemes.so3_midpoint(SHRINKING).check(SHRINKING.state(angular_velocity=SPIN, t=0.99), 0.1),
+        "not positive definite at t = 1.04, where the function of time returns",
+    ),
+    (
+        lambda: schemes.magnus(FAST).check(FAST.state(), 1.0),
+        r"magnus\[4\]: the Magnus series does not converge at dt = 1",
+    ),
     (lambda: lyapunov(dt=30.0), "does not converge"),
     (lambda: group_midpoint(LEFT, twisted), r"Ad_τ\(Θ\) Θ = Θ must hold .*maps\.Tau"),
     (lambda: li.observe(STEP, STATE, -0.05, np.array([0.3, 1.0])), "side of the start"),

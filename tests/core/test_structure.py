@@ -8,6 +8,7 @@ import tokenize
 from functools import cache
 from pathlib import Path
 
+import data_files
 import jax
 import pytest
 import stubs
@@ -184,37 +185,7 @@ def test_dir_lists_the_public_names_only():
         assert all(hasattr(module, name) for name in module.__all__)
 
 
-CONTRACT = """
-State Step StepInfo Trajectory Event pytree static integrate interpolate event jit cache_programs
-systems.rigid_body systems.heavy_top
-systems.potential_top orbits.graded_times
-systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
-systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat systems.torqued_body
-systems.inertia_in_time torques.eddy_current torques.sampled
-systems.damped_body systems.driven_top systems.gravity_gradient schemes.torqued_midpoint schemes.so3_alpha
-schemes.group_alpha schemes.sphere_chart groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean
-groups.special_linear groups.symplectic groups.special_unitary groups.affine groups.heisenberg groups.product
-maps.exponential maps.cayley maps.arcsine maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic
-schemes.so3_midpoint schemes.so3_explicit schemes.compose schemes.exact schemes.calibrated schemes.preprocessed
-schemes.top_energy_momentum schemes.splitting schemes.group_midpoint schemes.group_energy_momentum schemes.additive
-schemes.sphere_midpoint ensemble.run ensemble.compiler_options reversible observe fit
-ensemble.over_members diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error
-diagnostics.energy_error diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility
-diagnostics.certify diagnostics.conditions diagnostics.lyapunov diagnostics.megno diagnostics.section
-orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
-torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
-schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
-schemes.gauss schemes.extrapolate
-systems.rigid_bodies potentials.maccullagh potentials.point_masses potentials.point_charges potentials.lennard_jones
-potentials.sites potentials.springs potentials.uniform_field potentials.outer_field potentials.ellipsoid_sphere
-potentials.polyhedron potentials.mutual_gravity
-potentials.water elliptic.K elliptic.E elliptic.F elliptic.Pi elliptic.sn elliptic.cn elliptic.dn elliptic.RF
-elliptic.RC elliptic.RD elliptic.RJ shapes.ellipsoid shapes.box shapes.cylinder shapes.sites shapes.mesh shapes.obj
-schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting tides.constant_lag tides.constant_q
-"""
-
-
-@pytest.mark.parametrize("name", CONTRACT.split())
+@pytest.mark.parametrize("name", data_files.text("contract.txt").split())
 def test_every_name_of_the_contract_exists(name):
     found = li
     for part in name.split("."):

@@ -141,10 +141,7 @@ def test_lost_workers_are_replaced_by_the_engine_or_named_and_the_same_call_comp
 def test_a_part_that_another_process_writes_may_be_repeated(tmp_path):
     submit(tmp_path / "run.zarr", Engine())
     lock = li.ensemble.archives.open_storage(tmp_path / "run.zarr").lock("parts/1")
-    with (
-        lock,
-        pytest.raises(processes.LostProcess, match="Part 1: BlockingIOError: another run is writing"),
-    ):
+    with lock, pytest.raises(processes.LostProcess, match="Part 1: BlockingIOError: another run is writing"):
         submit(tmp_path / "run.zarr", Engine())
 
 

@@ -11,6 +11,8 @@ import lieint_jax as li
 from lieint_jax.groups import so3
 from lieint_jax.types import State
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = dict(all_systems())
 SATELLITE, TILTED, _ = EXAMPLES["gravity_gradient.satellite"]
 TOP, SPINNING, _ = EXAMPLES["heavy_top.asymmetric_top"]
@@ -28,7 +30,6 @@ def step_of(name):
     return (li.schemes.so3_midpoint if name.startswith("rigid_body.") else li.schemes.splitting)(system), state, dt
 
 
-@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
@@ -54,7 +55,6 @@ def test_the_matrix_of_a_symplectic_step_is_symplectic(name):
         assert float(jnp.max(jnp.abs(defect))) < 2e-13 * scale
 
 
-@pytest.mark.long
 def test_the_matrix_of_another_step_is_not_symplectic():
     body, state, dt = EXAMPLES["rigid_body.asymmetric"]
     step = li.schemes.so3_midpoint(body, li.maps.kappa_cayley)
@@ -64,7 +64,6 @@ def test_the_matrix_of_another_step_is_not_symplectic():
     assert float(jnp.max(jnp.abs(defect))) > 1e-4
 
 
-@pytest.mark.long
 def test_three_derivatives_of_a_driven_run_agree():
     """Against differences of sixth order (observed 1e-12 of the largest) and `reversible` in reverse mode (5e-15)."""
     space, J = SATELLITE.phase_space, SATELLITE.inertia
@@ -87,7 +86,6 @@ def test_three_derivatives_of_a_driven_run_agree():
     assert float(found.t) == pytest.approx(float(TILTED.t) + DT * STEPS, abs=1e-13)
 
 
-@pytest.mark.long
 def test_names_stand_for_every_copy_of_a_number():
     """A splitting holds the inertia twice, in the system and in its drift; both vary."""
     step, values = li.schemes.splitting(TOP), {"inertia": TOP.inertia, "potential.weight": TOP.potential.weight}
@@ -103,7 +101,6 @@ def test_names_stand_for_every_copy_of_a_number():
     np.testing.assert_array_equal(named.matrix, function.matrix)
 
 
-@pytest.mark.long
 def test_a_state_may_depend_on_the_parameters():
     """Of a body given by its angular velocity: ∂x(t)/∂p = S + Φ ∂x(0)/∂p."""
     step, Omega = li.schemes.splitting(TOP), jnp.array([0.4, 0.9, 0.6])
@@ -118,7 +115,6 @@ def test_a_state_may_depend_on_the_parameters():
     np.testing.assert_allclose(found.by_parameters, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.long
 def test_extra_arrays_of_a_state_are_differentiated_too():
     """Wheels whose motors follow the body's rates; their momenta at the start are parameters. Observed 3e-12."""
 
@@ -147,7 +143,6 @@ def test_extra_arrays_of_a_state_are_differentiated_too():
     assert np.abs(held - found.matrix).max() > 1e-2
 
 
-@pytest.mark.long
 def test_covariance_and_ellipse_are_those_of_the_linear_map():
     step = li.schemes.splitting(TOP)
     found = li.transition(step, SPINNING, DT, STEPS, parameters="inertia", save_every=STEPS)
@@ -163,7 +158,6 @@ def test_covariance_and_ellipse_are_those_of_the_linear_map():
     np.testing.assert_allclose(spread, P[-1][np.ix_([1, 4], [1, 4])], rtol=1e-12)
 
 
-@pytest.mark.long
 def test_transition_can_be_vmapped_and_keeps_its_dtype():
     step, states = li.schemes.splitting(TOP), jax.tree.map(lambda x: jnp.stack([x, x]), SPINNING)
     states = states._replace(p=states.p * jnp.array([[1.0], [1.1]]))

@@ -2,6 +2,7 @@
 
 import json
 
+import data_files
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,32 +81,8 @@ def test_an_ellipsoid_is_found_from_its_own_curve_in_a_file(form, tmp_path):
     np.testing.assert_allclose(fit.x, true, rtol=0, atol=1e-7)
 
 
-ALCDEF = """# ALCDEF
-STARTMETADATA
-OBJECTNUMBER=433
-OBJECTNAME=Eros
-FILTER=V
-DELIMITER=PIPE
-DIFFERMAGS=TRUE
-LTCAPP=NONE
-LTCTYPE=None
-ENDMETADATA
-DATA=2457000.500000|14.25|0.01|1.2
-DATA=2457000.510000|14.00|0.02
-ENDDATA
-STARTMETADATA
-ObjectName=Eros
-LTCAPP=POINT
-ENDMETADATA
-DATA=2457001.5|13.1
-ENDDATA
-"""
-
-
-def test_sessions_of_alcdef(tmp_path):
-    path = tmp_path / "alcdef.txt"
-    path.write_text(ALCDEF)
-    first, second = files.read_light_curves(path)
+def test_sessions_of_alcdef():
+    first, second = files.read_light_curves(data_files.FOLDER / "samples" / "sessions.alcdef")
     np.testing.assert_array_equal(first.dates, [2457000.5, 2457000.51])
     np.testing.assert_array_equal(first.errors, [0.01, 0.02])
     assert first.intensity[1] / first.intensity[0] == pytest.approx(10**0.1, rel=1e-13)

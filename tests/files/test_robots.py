@@ -1,5 +1,6 @@
 """Inertias of URDF and MJCF: closed forms, and what MuJoCo's own compiler makes of the same numbers."""
 
+import data_files
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,27 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from lieint_jax import files, shapes
 
-URDF = """<?xml version="1.0" encoding="utf-8"?>
-<robot name="arm">
-  <link name="base"/>
-  <link name="upper">
-    <inertial>
-      <origin xyz="0.1 -0.2 0.3" rpy="{rpy}"/>
-      <mass value="2.5"/>
-      <inertia ixx="1.1" ixy="0.1" ixz="-0.05" iyy="1.3" iyz="0.02" izz="0.9"/>
-    </inertial>
-  </link>
-</robot>
-"""
-MJCF = """<mujoco>
-  <worldbody>
-    <body name="arm" pos="1 2 3" quat="0 1 0 0">
-      <inertial pos="0.1 -0.2 0.3" mass="2.5" {inertia}/>
-      <body name="hand"><geom type="box" size="0.1 0.2 0.3" density="100" pos="0 0.1 0"/></body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+URDF, MJCF = data_files.text("samples/arm.urdf"), data_files.text("samples/arm.mjcf")
 J = np.array([[1.1, 0.1, -0.05], [0.1, 1.3, 0.02], [-0.05, 0.02, 0.9]])
 angles = st.lists(st.floats(-7, 7), min_size=3, max_size=3)
 

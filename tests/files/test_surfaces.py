@@ -1,11 +1,12 @@
 """Surfaces from files: one body in every format, what archives write, and another package as reference."""
 
 import gzip
-import itertools
 import re
 
+import cubes
 import numpy as np
 import pytest
+from cubes import CUBE, QUADS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
@@ -13,9 +14,7 @@ from scipy.spatial import ConvexHull
 import lieint_jax as li
 from lieint_jax import files, shapes
 
-CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-FACES = np.array([[a, b, c] for q in QUADS for a, b, c in (q[:3], (q[0], *q[2:]))])
+FACES = np.array(cubes.FACES)
 
 
 def rows(table, prefix=""):

@@ -1,8 +1,9 @@
 """Ten jobs that begin and end with files of other software, each in at most six lines."""
 
-import textwrap
+import shutil
 from pathlib import Path
 
+import data_files
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,100 +13,14 @@ from scipy.spatial.transform import Rotation
 
 import lieint_jax as li
 
-TLE = """ISS (ZARYA)
-1 25544U 98067A   24061.50000000  .00016717  00000-0  10270-3 0  9005
-2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49560532    19
-"""
-ROBOT = """<robot name="arm"><link name="hand"><inertial><origin xyz="0 0 1"/><mass value="2"/>
-<inertia ixx="3" iyy="4" izz="5" ixy="0" ixz="0" iyz="0.1"/></inertial></link></robot>"""
 TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
 CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4]])
-PDB = """HETATM    1  O   HOH A   1       0.000   0.000   0.000  1.00  0.00           O
-HETATM    2  H1  HOH A   1       0.957   0.000   0.000  1.00  0.00           H
-HETATM    3  H2  HOH A   1      -0.240   0.927   0.000  1.00  0.00           H
-HETATM    4  O   HOH A   2       2.800   0.000   0.300  1.00  0.00           O
-HETATM    5  H1  HOH A   2       3.100   0.900   0.400  1.00  0.00           H
-HETATM    6  H2  HOH A   2       3.100  -0.500   1.050  1.00  0.00           H
-END
-"""
-
-JOBS = {
-    "the inertia of a body from the log of its gyro": """
-        log = li.files.read_csv_log("gyro.csv", time="t", rates=["x", "y", "z"], units={"rates": "deg/s"})
-        def errors(p):
-            body = li.systems.RigidBody(jnp.append(p["ratios"], 1.0))
-            start = body.state(angular_velocity=p["rate"])
-            return (jax.vmap(lambda t: body.angular_velocity(body.solution(start, t)))(log.times) - log.rates) / 0.002
-        fit = li.fit(errors, guess, bounds=bounds, standardized=True, progress=False)
-    """,
-    "attitudes along the orbit of an OEM, as AEM": """
-        orbit = li.files.read_oem("sat.oem")
-        body = li.systems.gravity_gradient([1.0, 10.0, 10.5], orbit, mu=li.orbits.EARTH_GM)
-        start = body.state(angular_velocity=[0.0, 0.0, 1e-3], t=0.0, work=0.0)
-        run = li.run(li.schemes.splitting(body), start, 10.0, 90, epoch=orbit.epoch, progress=False)
-        li.files.write_aem("sat.aem", run, object=orbit.object)
-    """,
-    "detumbling along the orbit of a TLE": """
-        tle = li.files.read_tle("iss.tle")
-        field = li.orbits.earth_field(tle.orbit(3600.0), tle.epoch)
-        body = li.systems.torqued_body([0.1, 0.11, 0.08], li.torques.bdot(1e4, field))
-        start = body.state(angular_velocity=[0.1, 0.02, 0.05], t=0.0, work=0.0)
-        run = li.run(li.schemes.torqued_midpoint(body), start, 5.0, 700, progress=False)
-    """,
-    "the light curve of a DAMIT shape beside an ALCDEF one": """
-        corners, faces = li.shapes.surface("shape.txt")
-        seen = li.files.read_light_curve("seen.alcdef")
-        body = li.systems.rigid_body(li.shapes.mesh(corners, faces, density=1.0).aligned())
-        start, days = body.state(angular_velocity=[0.0, 0.0, 25.0]), seen.dates - seen.dates[0]
-        run = li.run(li.schemes.exact(body), start, times=days, progress=False)
-        light = li.measure.light_curve(run, li.shapes.facets(corners, faces), [1.0, 0, 0], [1.0, 0.2, 0])
-    """,
-    "the free flight of a part of a robot": """
-        hand = li.files.read_urdf_inertia("arm.urdf", "hand")
-        body = li.systems.rigid_body(hand)
-        start = body.state(angular_velocity=[0.1, 2.0, 0.1])
-        run = li.run(li.schemes.so3_midpoint(body), start, 0.01, 500, progress=False)
-    """,
-    "a flyby along a table of Horizons": """
-        orbit = li.files.read_horizons("flyby.txt")
-        body = li.systems.gravity_gradient([0.6, 0.9, 1.0], orbit, mu=li.orbits.EARTH_GM)
-        start = body.state(angular_velocity=[0.0, 0.0, 1e-4], t=0.0, work=0.0)
-        run = li.run(li.schemes.splitting(body), start, 60.0, 1000, save_every=100, progress=False)
-    """,
-    "the energy of a dimer of a PDB": """
-        water, dimer = li.potentials.water(), li.files.read_molecules("dimer.pdb", scale=0.1)
-        placed = [molecule.superpose(water.points[:3]) for molecule in dimer]
-        bodies = li.systems.rigid_bodies([water.mass] * 2, [water.inertia] * 2, water.potential(2))
-        start = bodies.state([p.position for p in placed], [p.attitude for p in placed])
-        energy = bodies.potential_energy(start.q)
-    """,
-    "the covariance of a rate from attitudes with the scalar last": """
-        log = li.files.read_csv_log("star.csv", time="t", attitudes=["x", "y", "z", "w"], scalar="last")
-        body = li.systems.rigid_body([1.0, 2.0, 3.0])
-        def errors(rate):
-            start = body.state(log.attitudes[0], angular_velocity=rate)
-            return jax.vmap(lambda t, q: angle(body.solution(start, t).q, q))(log.times, log.attitudes) / 1e-4
-        fit = li.fit(errors, jnp.array([0.1, 0.0, 0.9]), standardized=True, progress=False)
-    """,
-    "a run as pandas, CSV and netCDF": """
-        body = li.systems.rigid_body([1.0, 2.0, 3.0])
-        run = li.run(li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, 0, 1]), 0.1, 20, progress=False)
-        frame = run.to_dataframe()
-        li.files.write_csv("run.csv", run)
-        run.to_xarray().to_netcdf("run.nc")
-    """,
-    "the moments of a body of an STL": """
-        body = li.files.read_shape("part.stl", density=2700.0, scale=1e-3)
-        moments, axes = body.principal_axes()
-    """,
-}
+JOBS = [*data_files.table("ten_jobs").values()]
 
 
 def write_files():
     """What each job begins with, made by the exact motion where it is data."""
-    Path("iss.tle").write_text(TLE, encoding="utf-8")
-    Path("arm.urdf").write_text(ROBOT, encoding="utf-8")
-    Path("dimer.pdb").write_text(PDB, encoding="utf-8")
+    shutil.copytree(data_files.FOLDER / "samples" / "jobs", ".", dirs_exist_ok=True)
     rng = np.random.default_rng(0)
     body = li.systems.rigid_body([0.6, 0.8, 1.0])
     start, t = body.state(angular_velocity=[0.5, 0.3, 0.4]), np.linspace(0.0, 12.0, 25)
@@ -167,7 +82,7 @@ def folder(tmp_path_factory):
 def do(number, folder, patch, **given):
     """The names that a job defines, run in the folder."""
     patch.chdir(folder)
-    code = textwrap.dedent([*JOBS.values()][number]).strip()
+    code = JOBS[number]
     assert len(code.splitlines()) <= 6
     names = {"li": li, "jax": jax, "jnp": jnp, **given}
     exec(code, names)

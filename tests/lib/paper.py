@@ -5,6 +5,11 @@ import numpy as np
 ONE = np.eye(3)
 
 
+def close(a, b):
+    """The largest difference."""
+    return np.max(np.abs(np.asarray(a) - np.asarray(b)))
+
+
 def hat(v):
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
@@ -48,10 +53,7 @@ KAPPAS = {
         lambda x: np.tan(np.sqrt(x) / 2) / (np.sqrt(x) / 2),
         lambda x: (1 / (2 * np.cos(np.sqrt(x) / 2) ** 2) - np.tan(np.sqrt(x) / 2) / np.sqrt(x)) / x,
     ),
-    "symplectic": (
-        lambda x: 2 / (1 + np.sqrt(1 - x)),
-        lambda x: 1 / (np.sqrt(1 - x) * (1 + np.sqrt(1 - x)) ** 2),
-    ),
+    "symplectic": (lambda x: 2 / (1 + np.sqrt(1 - x)), lambda x: 1 / (np.sqrt(1 - x) * (1 + np.sqrt(1 - x)) ** 2)),
 }  # κ and κ′
 
 

@@ -1,9 +1,8 @@
 """The published numbers of `tests/data/reference_numbers.toml`."""
 
-import tomllib
-from pathlib import Path
+import data_files
 
-ENTRIES = tomllib.loads((Path(__file__).parents[1] / "data" / "reference_numbers.toml").read_text(encoding="utf-8"))
+ENTRIES = data_files.table("reference_numbers")
 
 
 def numbers(name):

@@ -166,14 +166,3 @@ def test_conditions_work_in_float32_and_under_vmap():
     kept, lost = jax.jit(jax.vmap(found))(states)
     assert kept.all()
     assert not lost.any()
-
-
-@pytest.mark.long
-def test_steps_without_conditions_are_refused():
-    pendulum = li.systems.pendulum(1.0, 9.81)
-    state = pendulum.phase_space.origin
-    with pytest.raises(ValueError, match=r"conditions are those of the paper for left-invariant .*got Pendulum"):
-        diagnostics.conditions(schemes.sphere_midpoint(pendulum), state, 0.1)
-    found, _ = both(*case("cayley")[:3])
-    with pytest.raises(ValueError, match="no condition here is one of 'group'"):
-        found.keeps("group")

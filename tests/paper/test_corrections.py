@@ -10,7 +10,7 @@ import mpmath
 import numpy as np
 import paper
 import pytest
-from paper import KAPPAS, ONE, H, cay, hat, omega, omega_inverse, rot, skew
+from paper import KAPPAS, ONE, H, cay, close, hat, omega, omega_inverse, rot, skew
 
 import lieint_jax as li
 from lieint_jax.diagnostics import poisson_error
@@ -21,10 +21,6 @@ J = np.diag([1.0, 2.0, 3.0])
 DT = 0.3
 NAMES = sorted(KAPPAS, key=lambda name: name != "symplectic")
 QUICK = ("symplectic", "cayley")  # each compiles a step and its derivative
-
-
-def close(a, b):
-    return np.max(np.abs(np.asarray(a) - np.asarray(b)))
 
 
 @jax.jit

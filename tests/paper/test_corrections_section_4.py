@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import paper
 import pytest
-from paper import KAPPAS, ONE, H, cay, hat, omega_inverse, rot, skew
+from paper import KAPPAS, ONE, H, cay, close, hat, omega_inverse, rot, skew
 
 import lieint_jax as li
 from lieint_jax.diagnostics.tangent import value_and_jacobian
@@ -18,10 +18,6 @@ from lieint_jax.groups import so3
 
 DT = 0.3
 E, GAMMA = np.array([0.4, -0.7, 0.9]), np.array([0.3, 0.5, 0.8])
-
-
-def close(a, b):
-    return np.max(np.abs(np.asarray(a) - np.asarray(b)))
 
 
 def force(kappa, bar, Q):

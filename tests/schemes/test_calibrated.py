@@ -18,6 +18,8 @@ from lieint_jax.schemes import calibrated, preprocessed
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 
+pytestmark = pytest.mark.long
+
 J123 = jnp.array([1.0, 2.0, 3.0])
 FULL = turned([1.0, 2.0, 3.0])
 
@@ -60,7 +62,6 @@ def both_derivatives(J, Pi, dt):
     return jax.lax.map(lambda case: derivatives(*case), (Pi, dt))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "J", [*itertools.permutations([1.0, 2.0, 3.0], 3), [1, 1, 2], [2, 1, 1], [1, 1, 1], [1, 2, 9], FULL]
 )
@@ -71,7 +72,6 @@ def test_calibrated_steps_are_exact_where_they_converge_up_to_70_degrees(J):
     assert error[converged].max() < 1e-13  # floor 2e-14, at 90°; 3e-15 up to 80°
 
 
-@pytest.mark.long
 def test_long_runs_with_constants_computed_once_stay_exact():
     @jax.jit
     def measured(step, state):
@@ -91,7 +91,6 @@ def test_long_runs_with_constants_computed_once_stay_exact():
 @pytest.mark.paper(
     "1.2", "the symplectic step is the exact flow but for one time scale and one turn about π", "schemes/_calibrated.py"
 )
-@pytest.mark.long
 def test_constants_are_those_of_the_trajectory_and_the_preprocessed_ones_approach_them():
     body, state = RigidBody(J123), moving(J123)
     steps = np.array([0.2, 0.1])
@@ -110,7 +109,6 @@ def test_constants_are_those_of_the_trajectory_and_the_preprocessed_ones_approac
     np.testing.assert_allclose(np.log2(ratio), 6, rtol=0, atol=0.1)
 
 
-@pytest.mark.long
 def test_calibrated_steps_are_symplectic_with_fixed_or_recomputed_constants():
     state, dt, step = moving(FULL), 0.7, calibrated(RigidBody(FULL))
     for each in (step, prepared(step, state, dt)):
@@ -119,7 +117,6 @@ def test_calibrated_steps_are_symplectic_with_fixed_or_recomputed_constants():
         assert distance(back, state) < 3e-15
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("J", [[1, 2, 3], [1, 1, 2], [2, 1, 1], [1, 1, 1], [1, 1, 1 + 1e-9]])
 def test_derivatives_of_calibrated_steps_are_those_of_the_exact_flow(J):
     """In J, Π and dt, where moments are equal too, and about every axis."""
@@ -133,7 +130,6 @@ def test_derivatives_of_calibrated_steps_are_those_of_the_exact_flow(J):
 prepared = jax.jit(lambda step, state, dt: step.prepare(state, dt))
 
 
-@pytest.mark.long
 def test_a_step_prepared_for_another_run_does_not_converge():
     body = RigidBody(J123)
     state = with_momentum([0.3, 0.4, 0.5])
@@ -152,7 +148,6 @@ def test_a_step_prepared_for_another_run_does_not_converge():
     assert not once(calibrated(body), State(state.q, state.p * jnp.nan), 0.5)[1].converged
 
 
-@pytest.mark.long
 def test_calibrated_steps_in_single_precision_have_its_accuracy():
     J, Pi = jnp.array([1, 2, 3], "float32"), momenta().astype("float32")
     q = jnp.array(Q, "float32")

@@ -6,6 +6,7 @@ import inspect
 import re
 from typing import Any
 
+import data_files
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,54 +21,14 @@ J = jnp.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J)
 TOP = li.systems.heavy_top(J, [0.3, -0.2, 1.0])
 ARGUMENTS = {"nystrom": {"order": 4}, "preprocessed": {"order": 4}, "langevin": {"temperature": 1.0, "friction": 0.1}}
-INTEGRATES = {  # how a message begins
-    "additive": "elastic bodies",
-    "bodies_energy_momentum": "bodies that act on one another",
-    "calibrated": "free rigid bodies",
-    "exact": "free rigid bodies",
-    "gauss": r"free rigid bodies \(systems.rigid_body\), gyrostats",
-    "group_alpha": "geodesics on groups",
-    "group_energy_momentum": "a metric and a potential",
-    "group_midpoint": "geodesics on groups",
-    "kepler_splitting": "bodies that act on one another",
-    "langevin": "free rigid bodies",
-    "log_hamiltonian": "rigid bodies in a potential .*, whose free motion is known exactly",
-    "magnus": "motions with given rates",
-    "nystrom": "rigid bodies in a potential",
-    "preprocessed": "free rigid bodies",
-    "so3_alpha": "free rigid bodies with an attitude in .*systems.embedded_body",
-    "so3_explicit": "free rigid bodies",
-    "so3_midpoint": "free rigid bodies",
-    "sphere_chart": "pendulums",
-    "sphere_midpoint": "pendulums",
-    "splitting": "systems with a potential .*without viscosity",
-    "top_energy_momentum": "rigid bodies in a potential with an axis",
-    "torqued_midpoint": "rigid bodies with a torque",
-}
 SCHEMES = {
     entry: functools.partial(getattr(schemes, entry.name), **ARGUMENTS.get(entry.name, {}))
     for entry in schemes.catalogue()
     if entry.name not in ("compose", "reversible_control", "extrapolate")  # two accept steps, one every system
 }
 KINDS = {type(system).__name__: system for _, (system, *_) in reversed(systems())}
-FITTING = {  # the schemes that a message names, those of a system that few accept; found for systems that are not here
-    "DampedBody": "torqued_midpoint",
-    "DissipativeBodies": "bodies_energy_momentum",
-    "DrivenGroupPotential": "nystrom or splitting",
-    "DrivenGyrostat": "so3_midpoint",
-    "EmbeddedBody": "so3_alpha",
-    "Euler": "group_alpha or group_midpoint",
-    "Gyrostat": "gauss or so3_midpoint or splitting",
-    "IncompressibleBody": "additive",
-    "InertiaInTime": "so3_midpoint",
-    "Kinematics": "magnus",
-    "Pendulum": "sphere_chart or sphere_midpoint",
-    "PseudoRigidBody": "additive or gauss or splitting",
-    "RightEuler": "group_midpoint",
-    "TorquedBody": "torqued_midpoint",
-    "TorquedInertiaInTime": "torqued_midpoint",
-    "ViscousBody": "additive",
-}
+# the beginnings of messages, and the schemes that they name; those of systems that are not here are found
+INTEGRATES, FITTING = data_files.table("accepted_systems").values()
 OTHERWISE = {  # the end of a message about the systems that many accept
     "group_midpoint": "; with a potential use group_energy_momentum",
     "so3_alpha": "; for a body that stays on SO(3), which α = 1/2 does, use so3_midpoint",

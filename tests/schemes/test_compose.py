@@ -108,15 +108,6 @@ def test_steps_of_the_symplectic_scheme_commute_and_others_do_not():
     assert not compose(CAYLEY, 4).commuting
 
 
-@jax.jit
-def _measured(step, dt):
-    """300 steps; their errors of energy, momentum and constraint; the defect and the reversibility of the first."""
-    run = li.integrate(step, STATE, dt, 300)
-    errors = (diagnostics.energy_error, diagnostics.momentum_error, diagnostics.constraint_error)
-    first = diagnostics.symplectic_defect(step, STATE, dt), diagnostics.reversibility(step, STATE, dt)
-    return run, [abs(error(BODY, run)).max() for error in errors], first
-
-
 def errors_at(t, step, counts):
     return [float(np.abs(after(step, STATE, t / n, n)[0].q - exact(t)).max()) for n in counts]
 

@@ -216,9 +216,3 @@ def test_exact_works_at_rest_and_in_single_precision():
     q = solve(J.astype("float32"), jax.tree.map(lambda x: x.astype("float32"), state), np.float32(20)).q
     assert q.dtype == jnp.float32
     assert difference(q, solve(J, state, 20.0).q) < 2e-5
-
-
-def test_an_infinite_step_is_refused():
-    J, state = setting([1, 2, 3], [0.3, 0.6, 0.8])
-    with pytest.raises(ValueError, match=r"exact lost its digits at dt = inf"):
-        exact(RigidBody(jnp.array(J))).check(state, float("inf"))

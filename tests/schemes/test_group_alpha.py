@@ -149,9 +149,3 @@ def test_any_group_and_derivatives_by_alpha_dt_and_the_metric():
     system = li.systems.group_potential(groups.special_linear(2), [1.0, 2.0, 3.0], lambda q: 0.2 * jnp.sum(q * q))
     state = li.State(jnp.eye(2), jnp.array([0.5, -0.8, 1.8]))
     slopes.assert_agree(li.schemes.group_alpha(system, 0.4), state, 0.2)
-
-
-@pytest.mark.long
-def test_a_step_that_is_too_large_is_refused_with_advice():
-    with pytest.raises(ValueError, match="smaller dt"):
-        li.schemes.group_alpha(FREE).check(SPIN, 30.0)

@@ -13,14 +13,7 @@ from scipy.linalg import expm
 import lieint_jax as li
 from lieint_jax import _discover, groups, maps
 from lieint_jax.app.command import check_groups
-from lieint_jax.diagnostics import (
-    energy_error,
-    flow,
-    order,
-    poisson_error,
-    reversibility,
-    symplectic_defect,
-)
+from lieint_jax.diagnostics import energy_error, flow, order, poisson_error, reversibility, symplectic_defect
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.types import State
@@ -86,8 +79,7 @@ def measured(step, state, dt):
 @pytest.mark.long
 @pytest.mark.paper("5.2: (5.23)–(5.27), Results 9, 10", "energy and momentum on a group", "schemes/_group_midpoint.py")
 @pytest.mark.parametrize(
-    ("name", "tau"),
-    [pytest.param(*pair, marks=pytest.mark.long) if pair != CHEAP else pair for pair in PAIRS + MORE],
+    ("name", "tau"), [pytest.param(*pair, marks=pytest.mark.long) if pair != CHEAP else pair for pair in PAIRS + MORE]
 )
 def test_results_9_10_11_momentum_energy_order_and_form(name, tau):
     """Spatial momentum bit for bit, energy, order 2, reversibility; the form exactly where the map is symplectic."""

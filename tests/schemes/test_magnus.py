@@ -311,13 +311,6 @@ def test_a_bias_of_a_gyro_is_found_from_star_trackers_with_its_covariance():
     assert np.linalg.eigvalsh(P).min() > 1e-6
 
 
-def test_a_step_with_too_many_turns_is_flagged():
-    """Perpendicular rates of 8 rad at the nodes: commutators exceed half of the rotation."""
-    system = systems.kinematics(so3, lambda t: 8 * jnp.stack([jnp.cos(3 * t), jnp.sin(3 * t), 0 * t]))
-    with pytest.raises(ValueError, match=r"magnus\[4\]: the Magnus series does not converge at dt = 1"):
-        li.run(made(system), system.state(), 1.0, 2)
-
-
 @pytest.mark.long
 def test_runs_are_stored_and_extended_and_give_tables(tmp_path):
     """Their momenta are arrays of no entries."""

@@ -12,6 +12,8 @@ from lieint_jax import diagnostics, schemes, systems, torques
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS
 
+pytestmark = pytest.mark.long
+
 E3 = np.array([0.0, 0.0, 1.0])
 CIRCLE = li.orbits.kepler(1.0, 1.0, 0.0)
 
@@ -52,7 +54,6 @@ def power_sums(squares):
     return np.stack([np.real(squares**k).sum(axis=1) for k in (1, 2, 3)])
 
 
-@pytest.mark.long
 def test_the_linearized_step_has_the_roots_of_the_characteristic_equation():
     """λ² = −3(A − C)/B of pitch, λ⁴ + (1 + 3k₁ + k₁k₃)λ² + 4k₁k₃ = 0 of roll and yaw: to order Δt².
 
@@ -90,7 +91,6 @@ def swing(moments):
     return 2 * jnp.arcsin(jnp.minimum(jnp.linalg.norm(error, axis=1), 1)).max(), run.info.converged.all()
 
 
-@pytest.mark.long
 def test_stable_satellites_swing_a_little_and_the_others_turn_over():
     """In the nonlinear equations, both regions. Observed: at most 7.1e-3 rad, and at least 1.5."""
     several = [
@@ -124,7 +124,6 @@ class Wheel:
         return kappa * jnp.cross(self.rotor, omega)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_a_wheel_as_a_torque_is_the_gyrostat(kappa):
     """Its power is zero, body and wheel together keep their momentum, and the motion is that of `gyrostat`.
@@ -151,7 +150,6 @@ def test_a_wheel_as_a_torque_is_the_gyrostat(kappa):
     assert np.abs(ours.state.p - ours.state.p[0]).max() > 0.1  # the body alone does not keep it
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["internal friction", "Kane's damper"])
 def test_with_a_damper_only_the_axis_of_largest_inertia_is_stable(name):
     """A spin that wobbles by 0.01 rad, about each axis of three bodies, each twice: observed 3e-8 and

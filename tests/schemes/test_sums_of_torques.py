@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import slopes
 from repeated import last
-from scipy.integrate import solve_ivp
 
 import lieint_jax as li
 from lieint_jax import orbits, torques
@@ -247,42 +246,6 @@ def test_the_rates_at_a_limit_of_momentum_conserve_the_momentum_of_body_and_whee
     np.testing.assert_allclose(rate.extra["wheels"], wanted.at[0].set(0), rtol=0, atol=1e-16)
     moving = rate._replace(t=jnp.ones_like(state.t))
     np.testing.assert_allclose(jax.jvp(body.momentum, (state,), (moving,))[1], 0, rtol=0, atol=1e-16)
-
-
-def rhs(body, template):
-    """The vector field as a function of a vector, for scipy."""
-    names = sorted(k for k in (template.extra or {}) if k != "works")
-    sizes = [template.extra[k].size for k in names]
-
-    @jax.jit
-    def f(t, y):
-        parts = dict(zip(names, jnp.split(y[7:], np.cumsum(sizes)[:-1]), strict=True)) if names else None
-        extra = None if parts is None else {k: v.reshape(template.extra[k].shape) for k, v in parts.items()}
-        rate = body.vector_field(li.State(y[:4], y[4:7], t, None, extra))
-        more = [jnp.ravel(rate.extra[k]) for k in names] if names else []
-        return jnp.concatenate([rate.q, rate.p, *more])
-
-    return f, lambda z: np.concatenate([z.q, z.p, *(np.ravel(z.extra[k]) for k in names)])
-
-
-@pytest.mark.long
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [2, 4])
-def test_sums_of_torques_have_the_order_of_the_step_against_another_package(order):
-    """Nine laws, all but the rod, without limits and with a plate that stays lit, as switches have no order."""
-    switching = ("bdot", "hysteresis", "wheels", "pd_trace", "solar_plate")
-    chosen = [law for name, law in LAWS.items() if name not in switching]
-    plate = torques.solar_plate(0.05, [0.6, 0.0, 0.8], [0.3, -0.2, 0.1], sun, specular=0.5, diffuse=0.2)
-    free = [torques.bdot(0.3, field), torques.pd_trace(0.3, 0.1), wheels(), MORE["potential"], plate]
-    law = torques.total([*chosen, *free])
-    body, state = start(law, works=False)
-    step = li.schemes.compose(torqued_midpoint(body), order) if order > 2 else torqued_midpoint(body)
-    f, flat = rhs(body, state)
-    end = solve_ivp(lambda t, y: np.asarray(f(t, y)), (0, 2.0), flat(state), "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    final = jax.jit(lambda dt, n: li.integrate(step, state, dt, n, save_every=n).state, static_argnums=1)
-    errors = [np.abs(flat(jax.tree.map(lambda x: x[-1], final(2.0 / n, n))) - end).max() for n in (40, 80)]
-    assert errors[1] < 1e-3
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.05)
 
 
 @pytest.mark.long

@@ -259,29 +259,6 @@ def test_the_error_is_of_second_order_against_dop853(law, lag):
 
 
 @pytest.mark.long
-def test_the_rate_of_the_work_is_that_of_the_vector_field():
-    """`extrapolate`, which integrates any vector field, agrees in work and position, to Richardson's error."""
-    step, state = case()
-    exact = li.integrate(schemes.extrapolate(step.system, 12), state, 0.1, 50, save_every=50).state
-    found = [li.integrate(step, state, 5.0 / n, n, save_every=n).state for n in (200, 400)]
-    for part in (lambda z: z.work[-1], lambda z: z.q[-1]):
-        better = (4 * part(found[1]) - part(found[0])) / 3
-        np.testing.assert_allclose(better, part(exact), rtol=0, atol=2e-5 * float(jnp.abs(part(exact)).max()))
-
-
-@pytest.mark.long
-def test_compositions_are_balanced_too():
-    """Observed: H + lost 3e-16, P 0, L 6e-16."""
-    base, state = case()
-    step = schemes.compose(base, 4)
-    H, P, L, lost = balances(step, state, 0.1, 200)
-    assert H < 2e-15
-    assert P < 1e-16
-    assert L < 3e-15
-    assert lost.sum() > 5e-4
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("law", [LAW, LAW_Q], ids=["constant_lag", "constant_q"])
 def test_derivatives_forward_reverse_and_by_differences_agree(law):
     """Of the path and the loss, in every number of the bodies and the tides."""

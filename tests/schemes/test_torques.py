@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import slopes
 from free_bodies import Q, moving, rows, turned
+from kappas import chosen
 from repeated import after
 from scipy.integrate import solve_ivp
 
@@ -17,7 +18,7 @@ import lieint_jax as li
 from lieint_jax import State, _discover, schemes, torques
 from lieint_jax.diagnostics.tangent import distance
 from lieint_jax.groups import so3
-from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
+from lieint_jax.maps import kappa_exponential
 from lieint_jax.schemes import torqued_midpoint
 from lieint_jax.systems import damped_body, torqued_body
 from lieint_jax.types import StepInfo
@@ -25,7 +26,6 @@ from lieint_jax.types.vectors import Vector
 
 EQUATION = _discover.modules_with("examples", schemes)["torqued_midpoint"]._Equation
 
-KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 J = np.array([1.0, 2.0, 2.7])
 FULL = turned(J)
 D = np.array(turned([0.3, 0.1, 0.2]))
@@ -34,15 +34,6 @@ PRINCIPAL = np.array(rows(*Q))  # Λᵀ of Q: its rows are the axes of the body 
 ARM, NORMAL = np.array([0.3, -0.2, 0.9]), np.array([0.6, 0.0, 0.8])
 SUN = np.array([0.0, 0.6, 0.8])
 OMEGA = np.array([0.5, -0.3, 0.6])
-
-
-def one_of(which, x):
-    """One of the three κ's: the coefficients are leaves, so all share a compilation."""
-    return sum(w * kappa(x) for w, kappa in zip(which, KAPPAS, strict=True))
-
-
-def chosen(which):
-    return Kappa(jax.tree_util.Partial(one_of, which), "chosen")
 
 
 def field(t):
@@ -586,15 +577,6 @@ def test_a_torque_that_becomes_nan_is_flagged_and_at_the_start_refused():
     with pytest.raises(ValueError, match=r"the torque must be finite, got \[nan nan nan\] at t = 0.* fix the law"):
         li.integrate(steps_to[-0.1], start, 0.1, 6)
     assert not after(steps_to[-0.1], start, jnp.array(0.1), 1)[1].converged  # inside jit nothing raises
-
-
-@pytest.mark.long
-def test_a_step_too_large_for_the_torque_is_refused_with_advice():
-    start = moving(J, [0.5, 3.0, 0.2])._replace(t=jnp.array(0.0))
-    with pytest.raises(ValueError, match=r"does not converge at dt = 9.0.* the torque is too stiff.* smaller dt"):
-        torqued_midpoint(BODIES["viscous"]).check(start, 9.0)
-    with pytest.raises(ValueError, match=r"does not converge at dt = 2.0.* the friction is too strong.* smaller dt"):
-        torqued_midpoint(BODIES["internal friction"]).check(start, 2.0)
 
 
 @pytest.mark.long

@@ -65,12 +65,6 @@ def _rotation(q):
     ]
 
 
-def error(run, every):
-    """The largest error of q at the run's own times, against DOP853 there."""
-    t, q = np.asarray(run.t)[every::every], np.asarray(run.state.q)[every::every]
-    return np.abs(q - dop853(t)).max()
-
-
 @pytest.mark.long
 def test_the_form_is_conserved_with_the_exact_drift_only():
     """Observed 6e-15; 1.1e-2 and 8e-4 with steps of Lewis & Simo for the free motion, near the charge."""
@@ -85,17 +79,6 @@ def test_the_form_is_conserved_with_the_exact_drift_only():
     coarse, fine = (float(defect(erring, state, dt)) for dt in (0.8, 0.4))
     assert coarse > 1e-3
     assert 6 < coarse / fine < 20
-
-
-@pytest.mark.long
-@both
-@pytest.mark.parametrize("order", [2, 4])
-def test_the_order_is_that_of_the_states_at_their_own_times(step, dt, order):
-    """Observed 2.00 and 4.00."""
-    scheme, n = (step, 200) if order == 2 else (composed(step), 50)
-    errors = [error(li.integrate(scheme, step.start(START), 8 / k, k), k // 10) for k in (n, 2 * n)]
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
-    assert diagnostics.order(scheme, step.start(START), dt) == pytest.approx(order, abs=0.1)
 
 
 def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():

@@ -9,6 +9,8 @@ from scipy.integrate import solve_ivp
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
 
+pytestmark = pytest.mark.long
+
 MATERIAL = systems.mooney_rivlin(20.0, 6.0)
 BODY = systems.pseudo_rigid_body([2.0, 1.5, 1.0], MATERIAL, 0.5)
 STEP = schemes.additive(BODY)
@@ -17,7 +19,6 @@ START = BODY.state(
 )
 
 
-@pytest.mark.long
 def test_momentum_and_the_energy_with_what_is_lost_are_conserved_and_every_step_loses_some():
     """Observed over 500 steps: H + lost 4e-15 with 0.68 lost, momentum 1e-15; least loss 1e-5 a step."""
     path = jax.jit(lambda z: li.integrate(STEP, z, 0.02, 500))(START)
@@ -38,7 +39,6 @@ def rates(t, y):
     return np.concatenate([V.ravel(), (-F @ (S + 0.5 * (V.T @ F + F.T @ V))).ravel()])
 
 
-@pytest.mark.long
 def test_the_error_is_of_second_order_against_dop853():
     exact = solve_ivp(
         rates, (0, 2.0), np.concatenate([np.ravel(x) for x in START[:2]]), "DOP853", rtol=1e-12, atol=1e-13
@@ -50,7 +50,6 @@ def test_the_error_is_of_second_order_against_dop853():
     assert fine < 1e-3
 
 
-@pytest.mark.long
 def test_a_small_wobble_decays_at_the_rate_of_the_closed_form():
     """To a rotation about the axis of the greatest moment, at the rate of quasi-static shear.
 

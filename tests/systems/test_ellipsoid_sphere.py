@@ -10,6 +10,8 @@ import pytest
 
 from lieint_jax.potentials import _ellipsoid_sphere, ellipsoid_sphere
 
+pytestmark = pytest.mark.long
+
 ASPECTS = [1.0, 3.0, 30.0, 100.0, 1000.0]
 SHAPES = {
     "oblate": lambda k: [1.0, 1.0, 1 / k],
@@ -48,7 +50,6 @@ def force(x, a):
     return jax.grad(ellipsoid_sphere(1.0, [1.0, 1.0], a).value)(x)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("shape", ["triaxial", "oblate", "prolate"])
 def test_the_potential_and_the_force_of_any_ellipsoid(shape):
     """V to 1e-14 (observed: 3e-15); the force to what roundings of the point and the axes change (observed: 10 eps)."""
@@ -68,7 +69,6 @@ def test_the_potential_and_the_force_of_any_ellipsoid(shape):
     assert (np.abs(F - slope) <= 16 * np.finfo(float).eps * (np.abs(slope) + change)).all()
 
 
-@pytest.mark.long
 def test_second_derivatives_obey_laplace():
     """The trace of the Hessian is 0 outside and 4πGρ inside, forward over reverse and reverse over forward."""
     a = jnp.array([1.0, 0.6, 0.3])
@@ -80,7 +80,6 @@ def test_second_derivatives_obey_laplace():
         np.testing.assert_allclose(trace[-3:], 3 / jnp.prod(a), rtol=1e-13)
 
 
-@pytest.mark.long
 def test_a_root_that_is_not_found_is_nan(monkeypatch):
     """So that a step reports it."""
     monkeypatch.setattr(_ellipsoid_sphere, "_MOST", 2)

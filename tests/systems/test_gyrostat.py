@@ -353,12 +353,3 @@ def test_a_driven_state_without_time_or_rotor_is_refused():
     with pytest.raises(ValueError, match=r"the motor's torque at t = 0.0 must be finite"):
         li.integrate(schemes.so3_midpoint(nowhere), START, 0.1, 2)
     assert not after(schemes.so3_midpoint(nowhere), START, 0.1, 1)[1].converged
-
-
-@pytest.mark.long
-def test_advice_says_how_fast_the_body_turns():
-    fast = moving(J, H_R, np.array([3.0, 0, 0]))
-    with pytest.raises(ValueError, match=r"\|Δt Ω\| = 3 at dt = 1.0"):
-        schemes.so3_midpoint(GYROSTAT).check(fast, 1.0)
-    with pytest.raises(ValueError, match="the rotor turns the body by 6e"):
-        schemes.splitting(systems.gyrostat(J, [6e11, 0, 0])).check(State(STATE.q, STATE.p), 1.0)

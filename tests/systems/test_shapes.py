@@ -7,13 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cubes import CUBE, FACES, QUADS
 
 import lieint_jax as li
 from lieint_jax import shapes
-
-CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-FACES = [[a, b, c] for q in QUADS for a, b, c in (q[:3], (q[0], *q[2:]))]
 
 
 def sphere(levels):
