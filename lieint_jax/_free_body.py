@@ -367,10 +367,12 @@ def _tangent_of_increment(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -
         return (e, _end(b, e, m), b.b_o + m.R), m
 
     (_, f, h), (de, df, dh), m = jvp_of_varied(end, primals, tangents)
-    _, f_max, _, m1 = _frequencies(b.rm, b.mo, m.R, m.h, m.away)
-    _, W = _integrals(m.S, m.cn, m.dn, f_max, m1, m.halves)
+    _, greater, _, m1 = _frequencies(b.rm, b.mo, m.R, m.h, m.away)
+    _, W = _integrals(m.S, m.cn, m.dn, greater, m1, m.halves)
     about_m = m.R * m.h * W + m.S * e[1] * f[1] * m.signs[1]
-    about_r = e[0] * e[0] * tau + where(b.ro == 0, 0, b.mo / where(b.ro == 0, 1, b.ro)) * (e[1] * e[1] * tau - about_m)
+    sphere, y = b.ro == 0, e[1] * e[1]
+    growth = where(sphere, tau * tau * e[0] * e[1] * e[2], (about_m - y * tau) / where(sphere, 1, b.ro))
+    about_r = e[0] * e[0] * tau - b.mo * growth
 
     def explicit(b: _Labels, _: Vector, t: Array) -> tuple[Array, None]:
         return b.b_o * tau + b.ro * about_r + b.mo * about_m + 2 * h * t, None
