@@ -53,8 +53,10 @@ Sources: Jacobi 1850; for the addition theorems DLMF 22.8 and 19.11; the form wi
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -63,7 +65,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import elliptic
 from lieint_jax._numerics.select import where
-from lieint_jax._xla import materialized
+from lieint_jax._xla import forward_mode, jvp_of_varied, materialized
 from lieint_jax.groups import so3
 from lieint_jax.types import vectors
 from lieint_jax.types.shapes import Inertia, Quaternion, Vector3
@@ -368,10 +370,59 @@ def _ascending_increment(J: VectorLike, e: Vector, tau: Array) -> tuple[Array, V
     return w, _relabel(first, v), accuracy
 
 
+@jax.custom_jvp
 def _labeled_increment(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, times a positive number, and its rounding errors, in the axes r, m, o."""
+    return _from_motion(b, e, _motion(b, e, tau))
+
+
+@functools.partial(_labeled_increment.defjvp, symbolic_zeros=True)
+def _tangent_of_increment(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+    """The tangent, by the conservation of momentum and the principle of least action.
+
+    Momentum is constant in space, Λ e(τ) = e: so the rotation η of the end, in body axes, has η × e(τ) = Λᵀδe − δe(τ).
+    The action is ∫½Ω·JΩ dτ = hτ with 2h = b_o + R: so
+
+        e(τ)·η = δ(hτ) + h δτ + ½ Σ δb_i ∫e_i² dτ,    ∫e_m² dτ = R (b_r − b_o − R) W + S e_m e_m(τ)
+
+    with W = ∫S² dτ; ∫e_r² dτ follows as R is constant, and ∫e_o² dτ as |e| is 1.
+    """
+    b, e, tau = primals
+
+    def end(b: _Labels, e: Vector, tau: Array) -> tuple[tuple[Vector, Vector, Array], _Motion]:
+        m = _motion(b, e, tau)
+        return (e, _end(b, e, m), b.b_o + m.R), m
+
+    (_, f, h), (de, df, dh), m = jvp_of_varied(end, primals, tangents)
+    _, greater, _, m1 = _frequencies(b.rm, b.mo, m.R, m.h, m.away)
+    _, W = _integrals(m.S, m.cn, m.dn, greater, m1, m.halves)
+    about_m = m.R * m.h * W + m.S * e[1] * f[1] * m.signs[1]
+    sphere, y = b.ro == 0, e[1] * e[1]
+    growth = where(sphere, tau * tau * e[0] * e[1] * e[2], (about_m - y * tau) / where(sphere, 1, b.ro))
+    about_r = e[0] * e[0] * tau - b.mo * growth
+
+    def explicit(b: _Labels, _: Vector, t: Array) -> tuple[Array, None]:
+        return b.b_o * tau + b.ro * about_r + b.mo * about_m + 2 * h * t, None
+
+    w, v, accuracy = _from_motion(b, e, m)
+    turned = 2 / (w * w + dot(v, v)) * cross(v, cross(v, de) - w * de)  # Λᵀδe − δe
+    _, along, _ = jvp_of_varied(explicit, primals, tangents)
+    eta = cross(f, turned + de - df) + (dh * tau + along) / 2 * f
+    tangent = -dot(v, eta) / 2, (w * eta + cross(v, eta)) / 2, jax.tree.map(jnp.zeros_like, accuracy)
+    return (w, v, accuracy), tangent
+
+
+def _end(b: _Labels, e: Vector, m: _Motion) -> Vector:
+    """e(τ), with an error of a few eps even for small τ."""
     er, em, eo = e
-    m = _motion(b, e, tau)
+    rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
+    D = m.cn * m.cn + m.S * m.S * b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo)
+    f = er * m.q_r + m.S * m.q_o * rate[0], em * m.cn * m.dn + m.S * rate[1], eo * m.q_o + m.S * m.q_r * rate[2]
+    return Vector(s * x / D for s, x in zip(m.signs, f, strict=True))
+
+
+def _from_motion(b: _Labels, e: Vector, m: _Motion) -> tuple[Array, Vector, Accuracy]:
+    er, em, eo = e
     rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
     k = b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo)
     common, together = b.rm * b.mo * em * em, m.cn + m.dn
@@ -389,12 +440,10 @@ def _labeled_increment(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector
     fr, fm, fo = f = e + change
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
     length = jnp.abs(dot(f, f) - 1)
-    odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
-    sign = where(m.about_r, odd, 1)
-    signs = (where(m.about_r, 1, odd), odd, sign)
+    signs = m.signs
     change = Vector(s * x + (s - 1) * y for s, x, y in zip(signs, change, e, strict=True))
     _, fm, fo = e + change
-    azimuth = jnp.arctan2(sign * (em * change[2] - eo * change[1]), sign * (em * fm + eo * fo))
+    azimuth = jnp.arctan2(signs[2] * (em * change[2] - eo * change[1]), signs[2] * (em * fm + eo * fo))
     azimuth = azimuth - where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
     w, v = _rotation_between(e, change, *materialized((jnp.cos(twist), jnp.sin(twist))))
@@ -439,6 +488,8 @@ class _Motion(NamedTuple):
 
     about_r: Array
     R: Array
+    h: Array
+    away: Array
     nu: Array
     S: Array
     cn: Array
@@ -458,45 +509,122 @@ class _Motion(NamedTuple):
     def q_o(self) -> Array:
         return where(self.about_r, self.cn, self.dn)
 
+    @property
+    def signs(self) -> tuple[Array, Array, Array]:
+        """Of e(τ): sn and cn change sign every half period."""
+        odd = 1 - 2 * jnp.abs(self.halves % 2)
+        return where(self.about_r, 1, odd), odd, where(self.about_r, odd, 1)
+
 
 def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     x, y, z = (c * c for c in e)
-    R, excess = materialized((b.ro * x + b.mo * y, b.ro * (b.rm * x - b.mo * z)))  # excess = f_r − f_o
-    f_r, f_o, nu = materialized((b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R))
+    R, h, away = materialized((b.ro * x + b.mo * y, b.ro * z + b.rm * y, b.rm * x - b.mo * z))
+    f_r, f_o, nu, excess = materialized((b.rm * R, b.mo * h, b.mo * R, b.ro * away))  # excess = f_r − f_o
+    S, cn, dn, turn, halves = _phases(b.rm, b.mo, R, h, away, tau)
+    lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
+    condition = jnp.abs(halves) * where(halves == 0, 0, lever / where(halves == 0, 1, jnp.abs(excess)))
+    return _Motion(excess > 0, R, h, away, nu, S, cn, dn, f_r, f_o, excess, halves, b.b_o * tau + turn, condition)
+
+
+def _frequencies(rm: Array, mo: Array, R: Array, h: Array, away: Array) -> tuple[Array, Array, Array, Array]:
+    """Whether π circulates about r; f; f − f′ ≥ 0; and m1 = (f − f′)/f, which is 1 for f = 0."""
+    excess = (rm + mo) * away
     about_r = excess > 0
-    f, g = where(about_r, f_r, f_o), where(about_r, f_o, f_r)
-    # XLA may work out f τ² more than once, rounded differently: both branches are right on both sides of `near`
-    near, nearer, about = (f * tau * tau < c * _NEAR for c in (1, 0.5, 2))
-    [f_far] = materialized((where(nearer, 1, f),))
-    m1 = where(nearer, 1, where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
+    f, apart = where(about_r, rm * R, mo * h), where(about_r, excess, -excess)
+    return about_r, f, apart, where(f == 0, 1, apart / where(f == 0, 1, f))
+
+
+def _slopes_of_phases(
+    value: tuple[Array, ...], rm: Array, mo: Array, R: Array, h: Array, away: Array, tau: Array
+) -> list[tuple[Array, ...]]:
+    """The slopes of `_phases` by b_r − b_m, b_m − b_o, R and τ, with h and `away` as functions of these.
+
+    With W = ∫₀^τ S² dτ and W′ = ∫₀^τ S²/dn² dτ, S is a function of f, of a = f − f′ and of τ that changes by
+
+        dS = cn dn (dτ + ½ W df + ½ W′ da) − ½ S³ df
+
+    as follows from τ = ∫₀^S dS/(cn dn); so do the others. X is in none of these slopes: the flow is symplectic.
+    """
+    S, cn, dn, _, halves = value
+    about_r, f, apart, m1 = _frequencies(rm, mo, R, h, away)
+    ro, nu, sign = rm + mo, mo * R, where(about_r, 1, -1)
+    W_g, W = _integrals(S, cn, dn, f, m1, halves)
+    P, square, ratio = 1 + nu * S * S, S * S, cn / dn
+    c_f, c_g = where(about_r, mo, R), where(about_r, R, mo)
+    by_f = (c_f * (ratio * S**3 - cn * cn * W) / P + sign * away * W_g) / 2
+    by_apart = -c_g * dn * dn * W_g / (2 * P)
+    flat = ro == 0
+    by_nu = where(flat, 0, tau - S * cn * dn / P + rm * h * W) / (2 * where(flat, 1, ro))
+    speed = cn * dn, -f * S * dn, -(f - apart) * S * cn, ro * nu * square / P
+
+    def slope(of_f: Array, of_apart: Array, of_nu: Array, of_tau: Array | float = 0) -> tuple[Array, ...]:
+        shift, less = of_tau + (W * of_f + W_g * of_apart) / 2, square * of_f / 2
+        return (
+            shift * speed[0] - less * S,
+            shift * speed[1] - less * cn,
+            shift * speed[2] - less * dn + square * of_apart / (2 * dn),
+            of_tau * speed[3] + by_f * of_f + by_apart * of_apart + by_nu * of_nu,
+            0 * S,
+        )
+
+    zero = 0 * S
+    return [
+        slope(where(about_r, R, mo), sign * away, zero),
+        slope(where(about_r, 0, h + mo), sign * (away - ro), R),
+        slope(where(about_r, rm, -mo), sign * ro, mo),
+        (zero,) * 5,
+        (zero,) * 5,
+        slope(zero, zero, zero, 1),
+    ]
+
+
+@functools.partial(forward_mode, slopes=_slopes_of_phases)
+def _phases(rm: Array, mo: Array, R: Array, h: Array, away: Array, tau: Array) -> tuple[Array, ...]:
+    """S, cn, dn of τ less `halves` half periods, (b_r − b_o) ν X of all of τ, and `halves`.
+
+    Args:
+        rm, mo: b_r − b_m and b_m − b_o.
+        R: (b_r − b_o)e_r² + (b_m − b_o)e_m².
+        h, away: b_r − b_o − R and R − (b_m − b_o), computed so that nothing cancels.
+        tau: τ.
+    """
+    about_r, f, apart, m1 = _frequencies(rm, mo, R, h, away)
+    nu, x, y = mo * R, f * tau * tau, (f - apart) * tau * tau
+    near = x < _NEAR
+    f_far, m1 = where(near, 1, f), where(near, 1, m1)
     frequency = jnp.sqrt(f_far)
     K = elliptic.quarter_period(m1)
-    u = where(nearer, 0, frequency * tau)
-    halves = lax.stop_gradient(jnp.round(u / (2 * K)))
+    u = where(near, 0, frequency * tau)
+    halves = jnp.round(u / (2 * K))
     sn, cn, dn = elliptic.jacobi(u - 2 * K * halves, m1)
-    x, y, time = *(where(about, k * tau * tau, 0) for k in (f, g)), where(about, tau, 0)
-    x, y, time = materialized((x, y, time))
-    S = where(near, time * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
+    S = where(near, tau * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
     cn = where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
     dn = where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
     S, cn, dn = materialized((S, cn, dn))
-    part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far, halves != 0)
-    X = S**3 * part + where(nearer, 0, 2 * halves * quarter / (f_far * frequency))
-    lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
-    condition = jnp.abs(halves) * where(halves == 0, 0, lever / where(halves == 0, 1, jnp.abs(excess)))
-    return _Motion(about_r, R, nu, S, cn, dn, f_r, f_o, excess, halves, b.b_o * tau + b.ro * nu * X, condition)
+    X = _integral(lambda squares, *roots: elliptic.carlson_rj(*roots, 1 + nu * squares), S, cn, dn, f_far, m1, halves)
+    return S, cn, dn, (rm + mo) * nu * X, halves
 
 
-def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: Array) -> tuple[Array, Array]:
-    """R_J/3 of (cn², dn², 1, 1 + n), and that of a quarter period, (0, m1, 1, 1 + n_quarter): one loop for both.
+def _integrals(S: Array, cn: Array, dn: Array, f: Array, m1: Array, halves: Array) -> tuple[Array, Array]:
+    """∫S²/dn² dτ and ∫S² dτ from 0 to τ."""
+    return _integral(lambda _, *roots: elliptic.carlson_rds(*roots), S, cn, dn, f, m1, halves)
 
-    Where the quarter period is not needed, its arguments are set to 1, which need no duplication.
+
+def _integral(
+    carlson: Callable[..., Any], S: Array, cn: Array, dn: Array, f: Array, m1: Array, halves: Array
+) -> Any:
+    """An integral of S² from 0 to τ, by one of Carlson's functions of S² and of the roots cn, dn, 1.
+
+    That of a quarter period has 1/f, 0, √m1, 1. Where it is not needed, its arguments need no duplication.
     """
-    one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
-    zero, root, p = (where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
-    x, y, p = (jnp.stack(pair) for pair in ((cn, zero), (dn, root), (1 + n, p)))
-    part, quarter = materialized(vectors.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
-    return part, quarter
+    one, needed = jnp.ones_like(S), halves != 0
+    root = jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
+    f, zero, root = (where(needed, x, 1) for x in (f, 0 * one, root))
+    pairs = (S * S, where(needed, 1 / f, 0)), (cn, zero), (dn, root), (one, one)
+    factors = S**3 / 3, 2 * halves / (3 * f * jnp.sqrt(f))
+    return jax.tree.map(
+        lambda both: dot(factors, materialized(vectors.components(both))), carlson(*(jnp.stack(x) for x in pairs))
+    )
 
 
 def _rotation_between(e: Vector, change: Vector, c: Array, s: Array) -> tuple[Array, Vector]:

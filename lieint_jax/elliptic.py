@@ -286,7 +286,7 @@ def _complete_first(m: Array) -> Array:
     return _in_domain(_over_zero(numerics.quarter_period(m1), m1 > 0), m <= 1)
 
 
-def _slope_of_complete_second(m1: Array) -> list[Array]:
+def _slope_of_complete_second(_: Array, m1: Array) -> list[Array]:
     """∂E/∂m1 = R_D(0, m1, 1)/6, which is (K − E)/2m."""
     root, one = jnp.sqrt(where(m1 > 0, m1, 1)), jnp.ones_like(m1)
     return [_over_zero(_rd(jnp.zeros_like(m1), root, one) / 6, m1 > 0)]
@@ -350,11 +350,11 @@ def _incomplete_second_of(phi: Array, m: Array) -> Array:
     return at.with_periods(at.s * where(positive, above, at.rf() - m * rd), _complete_second(m))
 
 
-def _slopes_of_incomplete_second(phi: Array, m: Array) -> list[Array]:
+def _slopes_of_incomplete_second(_: Array, phi: Array, m: Array) -> list[Array]:
     """√(1 − m sin²φ) and (E − F)/2m, which is −sin³φ R_D(cos²φ, 1 − m sin²φ, 1)/6, without a difference."""
     at = _Reduced(phi, m)
     part = at.s**3 * _rd(at.c, at.q, jnp.ones_like(at.q)) / 6
-    return [at.q, -at.with_periods(part, _slope_of_complete_second(at.m1)[0])]
+    return [at.q, -at.with_periods(part, _slope_of_complete_second(at.m1, at.m1)[0])]
 
 
 _second_of_amplitude = forward_mode(_incomplete_second_of, slopes=_slopes_of_incomplete_second)

@@ -8,6 +8,7 @@ m = k² is the parameter; the argument is always its complement m1 = 1 − m, so
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -20,6 +21,7 @@ from lieint_jax._xla import forward_mode, materialized
 
 _MEANS, _LANDEN, _DUPLICATIONS, _HALVINGS = 13, 5, 13, 8
 _MOST = 24  # duplications of R_F for arguments of any ratio in the range of float64
+_Duplicating = tuple[tuple[Array, ...], tuple[Array, ...], Array, Array]  # three arguments, two sums, 4⁻ⁿ, go on
 _CLOSE = 0.1  # relative distance of the arguments of R_C, below which a series is summed
 
 
@@ -34,7 +36,7 @@ def quarter_period(m1: Array) -> Array:
     return jnp.pi / 2 / a
 
 
-def _jacobi_slopes(u: Array, m1: Array) -> tuple[Any, Any]:
+def _jacobi_slopes(_: Any, u: Array, m1: Array) -> tuple[Any, Any]:
     """The slopes of `jacobi` by u and by m1, the latter by that of the amplitude, ∂am: one number, not three."""
     (sn, cn, dn), (by_sn, by_cn, _) = jax.jvp(lambda m1: _jacobi(u, m1), (m1,), (jnp.ones_like(m1),))
     [turn] = materialized((cn * by_sn - sn * by_cn,))
@@ -258,6 +260,45 @@ def _rf_rd(first: tuple[Array, Array, Array], duplications: int) -> tuple[Array,
         X, Y = 1 - at[k - 2] / A, 1 - at[k - 1] / A
         found.append(scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * totals[k])
     return found[0], found[1], found[2], found[3]
+
+
+def _smooth_rds(root_x: Array, root_y: Array, root_z: Array) -> tuple[Array, Array]:
+    return _rds((root_x, root_y, root_z), more=2)
+
+
+@functools.partial(forward_mode, smooth=_smooth_rds)
+def carlson_rds(root_x: Array, root_y: Array, root_z: Array) -> tuple[Array, Array]:
+    """R_D(x, z, y) and R_D(x, y, z), given the square roots of x ≥ 0, which may be slightly negative, and of y, z > 0.
+
+    By duplication until a series of degree 7 is good enough. Source: DLMF 19.26(iii), 19.36(i).
+    """
+    return _rds((root_x, root_y, root_z))
+
+
+def _rds(first: tuple[Array, Array, Array], more: int = 0) -> tuple[Array, Array]:
+    small = 0.25**more * (float(jnp.finfo(first[0].dtype).eps) / 8) ** 0.125
+
+    def duplicate(roots: Sequence[Array], at: Sequence[Array], totals: Sequence[Array], scale: Array) -> _Duplicating:
+        a, b, c = roots
+        shift = a * b + b * c + c * a
+        totals = tuple(
+            total + scale / (root * (x + shift)) for total, root, x in zip(totals, roots[1:], at[1:], strict=True)
+        )
+        at = tuple((x + shift) / 4 for x in at)
+        least, most = functools.reduce(jnp.minimum, at), functools.reduce(jnp.maximum, at)
+        return at, totals, scale / 4, most - least > small * least
+
+    zero = jnp.zeros_like(first[0])
+    start = duplicate(first, tuple(root * root for root in first), (zero, zero), zero + 1)
+    (x, y, z), totals, scale, _ = lax.while_loop(
+        lambda state: jnp.any(state[3]), lambda state: duplicate([jnp.sqrt(v) for v in state[0]], *state[:3]), start
+    )
+    found = []
+    for other, last, total in ((z, y, totals[0]), (y, z, totals[1])):
+        A = (x + other + 3 * last) / 5
+        X, Y = 1 - x / A, 1 - other / A
+        found.append(scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * total)
+    return found[0], found[1]
 
 
 def _rj_series(X: Array, Y: Array, Z: Array) -> Array:

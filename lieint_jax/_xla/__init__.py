@@ -26,9 +26,8 @@ those of users.
 """
 
 from lieint_jax._xla._compile import compiled, compiled_for, jit
-from lieint_jax._xla._forward_mode import forward_mode
+from lieint_jax._xla._forward_mode import forward_mode, jvp_of_varied
 from lieint_jax._xla._materialize import (
-    UNKNOWN_ONE,
     materialized,
     materialized_arrays,
     rematerialized,
@@ -39,12 +38,12 @@ from lieint_jax._xla._materialize import (
 from lieint_jax._xla._varying import differ, result_like, unchecked, with_common_axes
 
 __all__ = [
-    "UNKNOWN_ONE",
     "compiled",
     "compiled_for",
     "differ",
     "forward_mode",
     "jit",
+    "jvp_of_varied",
     "materialized",
     "materialized_arrays",
     "rematerialized",

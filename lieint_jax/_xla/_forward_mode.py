@@ -27,7 +27,7 @@ def forward_mode(function: _Function, smooth: _Function | None = None, slopes: _
     Args:
         function: of a few arrays of one shape; its value may be a tuple of them.
         smooth: the same function in a form with accurate derivatives, if those of `function` are not accurate.
-        slopes: the slopes of all values by each argument, where a formula is available.
+        slopes: the slopes of all values by each argument, where a formula in the value and the arguments is available.
     """
     sloped = jax.custom_jvp(function)
     sloped.defjvp(partial(_value_and_tangent, function, smooth or function, slopes), symbolic_zeros=True)
@@ -43,8 +43,9 @@ def _value_and_tangent(
     def value_and_slopes(*arguments: Tree) -> tuple[Tree, list[Tree]]:
         if slopes is None:
             return _slopes_by_jvp(form, arguments, varied)
-        each = slopes(*arguments)
-        return function(*arguments), [each[k] for k in varied]
+        value = function(*arguments)
+        each = slopes(value, *arguments)
+        return value, [_computed_once(each[k]) for k in varied]
 
     def second_derivatives(primals: Tree, tangents: Tree) -> tuple[Tree, Tree]:
         def slopes_only(*arguments: Tree) -> list[Tree]:
@@ -60,6 +61,21 @@ def _value_and_tangent(
     return value, total
 
 
+def jvp_of_varied(
+    function: Callable[..., tuple[Tree, Tree]], primals: tuple[Tree, ...], tangents: tuple[Tree, ...]
+) -> tuple[Tree, Tree, Tree]:
+    """`jax.jvp(…, has_aux=True)` of a function, where tangents may be symbolic zeros."""
+    arguments, structure = jax.tree.flatten(primals)
+    slopes = jax.tree.leaves(tangents, is_leaf=lambda t: isinstance(t, SymbolicZero))
+    varied = {k: t for k, t in enumerate(slopes) if not isinstance(t, SymbolicZero)}
+
+    def function_of_varied(*values: Tree) -> tuple[Tree, Tree]:
+        replaced = dict(enumerate(arguments)) | dict(zip(varied, values, strict=True))
+        return function(*jax.tree.unflatten(structure, replaced.values()))
+
+    return jax.jvp(function_of_varied, tuple(arguments[k] for k in varied), tuple(varied.values()), has_aux=True)
+
+
 def _slopes_by_jvp(
     function: Callable[..., Tree], arguments: tuple[Tree, ...], varied: list[int]
 ) -> tuple[Tree, list[Tree]]:
@@ -72,6 +88,11 @@ def _slopes_by_jvp(
 
     seeds = (jnp.stack([jnp.full_like(arguments[k], float(k == n)) for n in varied]) for k in varied)
     value, stacked = jax.vmap(jvp, out_axes=(None, 0))(*seeds)
-    # materialized: otherwise XLA computes a slope again in each of the many sums that reverse mode builds from it
-    stacked = jax.tree.map(lambda s: materialized((s,))[0], stacked)
+    stacked = _computed_once(stacked)
     return value, [jax.tree.map(lambda s, n=n: s[n], stacked) for n in range(len(varied))]
+
+
+def _computed_once(slopes: Tree) -> Tree:
+    """The same: otherwise XLA computes a slope again in each of the many sums that are built from it."""
+    leaves, structure = jax.tree.flatten(slopes)
+    return jax.tree.unflatten(structure, materialized(leaves))

@@ -13,25 +13,20 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.ad_checkpoint import checkpoint_name
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 
 from lieint_jax._xla._compile import Tree
 
-UNKNOWN_ONE = "lieint_jax: 1"  # by this name machine code, which needs none of this, knows the number
+once_p = Primitive("once")  # the same array, computed once
 _SAVED = "lieint_jax"
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
 _Tree = TypeVar("_Tree")
 
 
 def materialized(numbers: Tree) -> Tree:
-    """The same numbers, an array (n,) or a list of arrays of one shape, each computed once and stored in memory.
-
-    XLA on CPUs has no barrier that persists until fusion, but it does not duplicate expensive operations such as
-    division. So each number is divided by a 1 that is unknown at compile time and computed from the first number.
-    """
-    first = numbers[0] / _unknown_one(numbers[0])
-    one = _unknown_one(first)
-    return (first, *(x / one for x in numbers[1:]))
+    """The same numbers, an array (n,) or a list of arrays of one shape, each computed once and stored in memory."""
+    return tuple(map(once_p.bind, numbers))
 
 
 def unfused(x: Tree) -> Tree:
@@ -41,7 +36,7 @@ def unfused(x: Tree) -> Tree:
 
 def materialized_arrays(tree: Tree) -> Tree:
     """The same arrays, those of real numbers each computed once and stored in memory."""
-    return jax.tree.map(lambda x: x / _unknown_one(x) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)
+    return jax.tree.map(lambda x: once_p.bind(x) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)
 
 
 def with_materialized_derivatives(tree: Tree) -> Tree:
@@ -59,14 +54,28 @@ def _identity(x: Array) -> Array:
 
 @_identity.defjvp
 def _identity_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    (x,), (slope,) = primals, tangents
-    one = _unknown_one(x)
-    return x / one, slope / one
+    return once_p.bind(*primals), once_p.bind(*tangents)
 
 
-def _unknown_one(x: Array) -> Array:
-    """1 in the shape of x, which the compiler cannot know, since x may be NaN."""
-    return checkpoint_name(1 + 0 * lax.stop_gradient(x), UNKNOWN_ONE)
+def _once(x: Array) -> Array:
+    return x
+
+
+def _over_one(x: Array) -> Array:
+    """x/1 with a 1 that the compiler cannot know, since x may be NaN.
+
+    XLA on CPUs has no barrier that persists until fusion, but it does not compute a division twice. A divisor that is a
+    broadcast array would not do: XLA multiplies by its reciprocal. So this is a primitive, which sees its final shape.
+    """
+    return x / (1 + 0 * x)
+
+
+once_p.def_impl(_once)
+once_p.def_abstract_eval(_once)
+ad.deflinear2(once_p, lambda ct, _: [once_p.bind(ct)])
+batching.defvectorized(once_p)
+mlir.register_lowering(once_p, mlir.lower_fun(_once, multiple_results=False))
+mlir.register_lowering(once_p, mlir.lower_fun(_over_one, multiple_results=False), platform="cpu")
 
 
 def rematerialized(function: _Function) -> _Function:

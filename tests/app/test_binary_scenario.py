@@ -1,5 +1,6 @@
 """`lieint run didymos` and `lieint run kw4`: their keys and members, what is measured, files and resumed stores."""
 
+import re
 from functools import cache, partial
 
 import jax

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from lieint_jax._xla import UNKNOWN_ONE
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of, names
 from lieint_jax.native._program import Value
 
@@ -105,10 +104,6 @@ def _polynomial(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Valu
     return functools.reduce(lambda y, c: walk.number("add", walk.number("mul", y, at), c), coefficients[::-1])
 
 
-def _name(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, *, name: str) -> Value:
-    return walk.builder.constant(1, dtype) if name == UNKNOWN_ONE else x[0]
-
-
 def _is_finite(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
@@ -145,7 +140,8 @@ ELEMENTWISE: dict[str, Callable[..., Value]] = {
     "is_finite": _is_finite,
     "log2": _log2,
     "lt_to": _is_before,
-    "name": _name,
+    "name": lambda walk, x, dtype, *, name: x[0],
+    "once": lambda walk, x, dtype: x[0],
     "one_minus_square": _one_minus_square,
     "polynomial": _polynomial,
     "pow": _power,
