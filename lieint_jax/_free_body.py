@@ -48,6 +48,9 @@ long axis goes round π at the mean rate of φ̇ = L (2H − Π_x²/A)/(L² − 
 
     L [1/C + (1/A − 1/C)(1 − Π(−ν, m)/K)],    ν = A(C − B)/(C(B − A)) if f > g, else A(2HC − L²)/(C(L² − 2HA))
 
+**Tangents** need two more integrals, W = ∫S² dτ and W_dn = ∫S²/dn² dτ, by R_D: see `_slopes_of_phases` for those of
+S, cn, dn, and `_tangent_of_increment` for that of the attitude.
+
 Sources: Jacobi 1850; for the addition theorems DLMF 22.8 and 19.11; the form without phases and cases: this package.
 """
 
@@ -56,7 +59,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -68,7 +71,7 @@ from lieint_jax._numerics.select import where
 from lieint_jax._xla import forward_mode, jvp_of_varied, materialized
 from lieint_jax.groups import so3
 from lieint_jax.types import vectors
-from lieint_jax.types.shapes import Inertia, Quaternion, Vector3
+from lieint_jax.types.shapes import Inertia, PyTree, Quaternion, Vector3
 from lieint_jax.types.vectors import Matrix, Vector, VectorLike, cross, dot, matrix, norm
 
 _Turns = list[tuple[int, Array]]
@@ -377,7 +380,7 @@ def _labeled_increment(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector
 
 
 @functools.partial(_labeled_increment.defjvp, symbolic_zeros=True)
-def _tangent_of_increment(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+def _tangent_of_increment(primals: tuple[PyTree, ...], tangents: tuple[PyTree, ...]) -> tuple[PyTree, PyTree]:
     """The tangent, by the conservation of momentum and the principle of least action.
 
     Momentum is constant in space, Λ e(τ) = e: so the rotation η of the end, in body axes, has η × e(τ) = Λᵀδe − δe(τ).
@@ -539,26 +542,26 @@ def _slopes_of_phases(
 ) -> list[tuple[Array, ...]]:
     """The slopes of `_phases` by b_r − b_m, b_m − b_o, R and τ, with h and `away` as functions of these.
 
-    With W = ∫₀^τ S² dτ and W′ = ∫₀^τ S²/dn² dτ, S is a function of f, of a = f − f′ and of τ that changes by
+    With W = ∫₀^τ S² dτ and W_dn = ∫₀^τ S²/dn² dτ, S is a function of f, of a = f − f′ and of τ that changes by
 
-        dS = cn dn (dτ + ½ W df + ½ W′ da) − ½ S³ df
+        dS = cn dn (dτ + ½ W df + ½ W_dn da) − ½ S³ df
 
     as follows from τ = ∫₀^S dS/(cn dn); so do the others. X is in none of these slopes: the flow is symplectic.
     """
     S, cn, dn, _, halves = value
     about_r, f, apart, m1 = _frequencies(rm, mo, R, h, away)
     ro, nu, sign = rm + mo, mo * R, where(about_r, 1, -1)
-    W_g, W = _integrals(S, cn, dn, f, m1, halves)
+    W_dn, W = _integrals(S, cn, dn, f, m1, halves)
     P, square, ratio = 1 + nu * S * S, S * S, cn / dn
     c_f, c_g = where(about_r, mo, R), where(about_r, R, mo)
-    by_f = (c_f * (ratio * S**3 - cn * cn * W) / P + sign * away * W_g) / 2
-    by_apart = -c_g * dn * dn * W_g / (2 * P)
+    by_f = (c_f * (ratio * S**3 - cn * cn * W) / P + sign * away * W_dn) / 2
+    by_apart = -c_g * dn * dn * W_dn / (2 * P)
     flat = ro == 0
     by_nu = where(flat, 0, tau - S * cn * dn / P + rm * h * W) / (2 * where(flat, 1, ro))
     speed = cn * dn, -f * S * dn, -(f - apart) * S * cn, ro * nu * square / P
 
     def slope(of_f: Array, of_apart: Array, of_nu: Array, of_tau: Array | float = 0) -> tuple[Array, ...]:
-        shift, less = of_tau + (W * of_f + W_g * of_apart) / 2, square * of_f / 2
+        shift, less = of_tau + (W * of_f + W_dn * of_apart) / 2, square * of_f / 2
         return (
             shift * speed[0] - less * S,
             shift * speed[1] - less * cn,
@@ -588,7 +591,7 @@ def _phases(rm: Array, mo: Array, R: Array, h: Array, away: Array, tau: Array) -
         h, away: b_r − b_o − R and R − (b_m − b_o), computed so that nothing cancels.
         tau: τ.
     """
-    about_r, f, apart, m1 = _frequencies(rm, mo, R, h, away)
+    _, f, apart, m1 = _frequencies(rm, mo, R, h, away)
     nu, x, y = mo * R, f * tau * tau, (f - apart) * tau * tau
     near = x < _NEAR
     f_far, m1 = where(near, 1, f), where(near, 1, m1)
@@ -611,8 +614,8 @@ def _integrals(S: Array, cn: Array, dn: Array, f: Array, m1: Array, halves: Arra
 
 
 def _integral(
-    carlson: Callable[..., Any], S: Array, cn: Array, dn: Array, f: Array, m1: Array, halves: Array
-) -> Any:
+    carlson: Callable[..., PyTree], S: Array, cn: Array, dn: Array, f: Array, m1: Array, halves: Array
+) -> PyTree:
     """An integral of S² from 0 to τ, by one of Carlson's functions of S² and of the roots cn, dn, 1.
 
     That of a quarter period has 1/f, 0, √m1, 1. Where it is not needed, its arguments need no duplication.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +36,7 @@ def quarter_period(m1: Array) -> Array:
     return jnp.pi / 2 / a
 
 
-def _jacobi_slopes(_: Any, u: Array, m1: Array) -> tuple[Any, Any]:
+def _jacobi_slopes(_: object, u: Array, m1: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """The slopes of `jacobi` by u and by m1, the latter by that of the amplitude, ∂am: one number, not three."""
     (sn, cn, dn), (by_sn, by_cn, _) = jax.jvp(lambda m1: _jacobi(u, m1), (m1,), (jnp.ones_like(m1),))
     [turn] = materialized((cn * by_sn - sn * by_cn,))

@@ -109,3 +109,13 @@ def test_elliptic_functions_are_finite_in_float32():
     for x in (*elliptic.jacobi(jnp.full_like(m1, 1.3), m1), elliptic.quarter_period(m1)):
         assert x.dtype == jnp.float32
         assert np.isfinite(x).all()
+
+
+def test_r_d_of_two_orders_agrees_with_mpmath():
+    """R_D(x, z, y) and R_D(x, y, z): a quarter period, also of m = 1 − 1e-77, all arguments equal, a tiny root below 0."""
+    cases = [(0.0, 1.0, 1.0), (0.0, 1e-3, 1.0), (0.0, 1e-77, 1.0), (0.5, 0.7, 1.0), (1.0, 1.0, 1.0), (0.9, 0.99, 1.0)]
+    found = np.array(jax.jit(jax.vmap(elliptic.carlson_rds))(*np.array(cases).T)).T
+    for (x, y, z), values in zip(cases, found, strict=True):
+        x, y, z = (mpmath.mpf(r) ** 2 for r in (x, y, z))
+        for value, exact in zip(values, (mpmath.elliprj(x, z, y, y), mpmath.elliprj(x, y, z, z)), strict=True):
+            assert float(mpmath.mpf(float(value)) / exact - 1) == pytest.approx(0, abs=1e-15)

@@ -11,7 +11,14 @@ from jax import lax
 import lieint_jax as li
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax._xla import forward_mode, materialized_arrays, rematerialized, saved, with_materialized_derivatives
+from lieint_jax._xla import (
+    forward_mode,
+    materialized,
+    materialized_arrays,
+    rematerialized,
+    saved,
+    with_materialized_derivatives,
+)
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 TOP = li.systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
@@ -140,3 +147,13 @@ def test_a_value_and_its_slopes_share_a_loop():
     assert str(jax.make_jaxpr(jax.value_and_grad(function, (0, 1)))(*at)).count(" while[") == 1
     for mixed in (jax.grad(jax.grad(function, 0), 1), jax.jacfwd(jax.jacfwd(function, 1), 0)):
         assert mixed(*at) == pytest.approx(6 * 0.49 * 1.3, rel=1e-15)
+
+
+def test_tangents_along_many_vectors_are_computed_once():
+    """XLA replaces a division by a broadcast array, which is no barrier to fusion."""
+
+    def vectors(mark):
+        jacobian = jax.jacfwd(lambda x: mark(x * jnp.sin(x[0])))
+        return jax.jit(jax.vmap(jacobian)).lower(jnp.ones((64, 3))).compile().as_text().count(" divide(")
+
+    assert vectors(lambda x: jnp.stack(materialized(x))) > vectors(lambda x: x) == 0

@@ -119,6 +119,25 @@ def test_exact_steps_have_values_and_derivatives_for_every_ordering_and_symmetry
         assert difference(np.asarray(found[1].q) @ tangent, np.asarray(expected[1].q) @ tangent) < 1e-12
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("moments", [[1, 2, 3], [1, 1, 2], [1, 2, 2], [1, 1, 1]])
+def test_second_derivatives_are_right_for_every_symmetry(moments):
+    """Against differences of order 4 of the first ones, in J, π and t."""
+
+    def first(x):
+        J, p, t = jnp.split(x, (3, 6))
+        return jax.jacfwd(lambda J, p, t: RigidBody(J).solution(State(jnp.array(Q), p), t[0]).q, (0, 1, 2))(J, p, t)
+
+    def rows(x):
+        return jnp.concatenate(first(x), axis=1)
+
+    x, step = np.array([*moments, 0.3, 0.8, -0.5, 1.7], float), 1e-3
+    second = jax.jit(jax.jacfwd(rows))(x)
+    shifted = jax.jit(jax.vmap(lambda shift: jax.vmap(lambda e: rows(x + shift * e), out_axes=-1)(jnp.eye(7))))
+    low2, low, high, high2 = shifted(step * np.array([-2.0, -1.0, 1.0, 2.0]))
+    assert difference(second, (8 * (high - low) - (high2 - low2)) / (12 * step)) < 1e-9  # observed 2e-11
+
+
 @jax.jit
 def closed_form(J, state, t):
     """exp(tπ̂/J₁) Λ exp(t(1/J₃ − 1/J₁)Π₃ ê₃), for J₁ = J₂."""
@@ -171,9 +190,10 @@ def test_the_exact_flow_has_its_invariants_group_law_and_form(full):
     sizes, again = np.array([3.0] * 300 + [20.0, -20.0]), np.arange(302) == 300
     after, energy, unit, converged = walk(RigidBody(J), state, sizes, again)
     assert converged.all()
-    assert np.abs(energy[:300]).max() < 1e-13  # floor 4e-15; full 3e-14, half an eps per step
+    # the rounding of a full tensor's axes depends on the processor, and is the same at every step: it adds up
+    assert np.abs(energy[:300]).max() < (4e-13 if full else 3e-14)  # observed 7e-15; full 3e-14 to 1.1e-13
     assert np.abs(after.p - state.p).max() == 0
-    assert difference(after.q[29], solve(J, state, 90.0).q) < 1e-13
+    assert difference(after.q[29], solve(J, state, 90.0).q) < (1e-12 if full else 1e-13)  # 2e-14; full 1.4 to 3.2e-13
     assert difference(after.q[301], Q) < 5e-14
     if not full:
         assert defect(RigidBody(J), state, 3.0) < 5e-14
