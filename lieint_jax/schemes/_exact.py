@@ -78,9 +78,9 @@ def exact(system: AbstractFreeBody | AbstractFreeBodies) -> Exact | FreeFlight:
 
     Args:
         system: `systems.rigid_body(...)`, or `systems.rigid_bodies(...).free`. For a full tensor each step computes the
-            principal axes, which is slower, and energy drifts by eps/2 per step. For a full tensor with moments equal
-            to within √eps, derivatives with respect to the inertia omit its off-diagonal elements between the equal
-            axes.
+            principal axes, which is slower, and energy drifts by up to 2 eps per step. For a full tensor with moments
+            equal to within √eps, derivatives with respect to the inertia omit its off-diagonal elements between the
+            equal axes.
 
     Raises:
         ValueError: not a free rigid body.
