@@ -4,15 +4,13 @@ It asks in its condition, and again where it keeps or drops the turn of each mem
 may be compiled differently in the two places. A case of the attack looped for ever so, in float32.
 """
 
-from types import SimpleNamespace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid import steps
 
-from lieint_jax._numerics import elliptic, newton
+from lieint_jax._numerics import elliptic, newton, small_linalg
 
 
 def conditions(jaxpr):
@@ -45,7 +43,7 @@ def test_duplications_of_rj_go_on_by_a_flag():
 
 def test_newton_s_method_goes_on_by_flags():
     def factored(x, *_):
-        return SimpleNamespace(solve=lambda F: F / (2 * x), positive=x > 0)
+        return small_linalg.Factored(lambda F: F / (2 * x), x > 0)
 
     def solve(x):
         F = lambda x: x * x - 2  # noqa: E731
