@@ -244,14 +244,19 @@ def chords(
 
 
 class _Chord(NamedTuple):
-    """A state of `repeated_chords`: x, its last two corrections, the monitor, their number, if the matrix is new."""
+    """A state of `repeated_chords`: x, its last two corrections, the monitor, and the number of corrections.
+
+    Two flags state whether more corrections are needed, and by this matrix. The conditions of the loops only read them:
+    XLA may compile arithmetic differently in a condition and where it selects the members that go on.
+    """
 
     x: Any
     change: Array
     before: Array
     monitor: ContractionMonitor
     n: Array
-    new: Array
+    unfinished: Array
+    serves: Array
 
     @property
     def ratio(self) -> Array:
@@ -294,32 +299,28 @@ def repeated_chords(
         not positive.
     """
 
-    def is_stalled(c: _Chord) -> Array:
-        return (c.change <= _STALLED * unit) & (c.ratio > 0.5)
-
-    def is_unfinished(c: _Chord) -> Array:
-        return (c.n < most) & (c.missing > _ENOUGH * unit) & ~is_stalled(c) & (c.monitor.growth < jnp.inf)
-
-    def serves(c: _Chord) -> Array:
-        enough = (c.change * c.ratio**_MORE <= _ENOUGH * unit) | (c.change <= _STALLED * unit)
-        return c.new | is_unfinished(c) & enough
-
     def with_matrix(c: _Chord) -> _Chord:
         K = factored(c.x)
 
         def correct(c: _Chord) -> _Chord:
             step = K.solve(residual(c.x))
             change = lax.stop_gradient(length(step))
-            found = _Chord(c.x, change, c.change, c.monitor.update(change), c.n + 1, jnp.zeros((), bool))
-            part = jnp.where(is_stalled(found), 0.5, 1).astype(change.dtype)
-            return found._replace(x=jax.tree.map(lambda x, s: x - part * s, c.x, step))
+            found = c._replace(change=change, before=c.change, monitor=c.monitor.update(change), n=c.n + 1)
+            small, ratio = change <= _STALLED * unit, found.ratio
+            stalled = small & (ratio > 0.5)
+            unfinished = (found.n < most) & (found.missing > _ENOUGH * unit) & ~stalled
+            unfinished &= found.monitor.growth < jnp.inf
+            serves = unfinished & (small | (change * ratio**_MORE <= _ENOUGH * unit))
+            part = jnp.where(stalled, 0.5, 1).astype(change.dtype)
+            x = jax.tree.map(lambda x, s: x - part * s, c.x, step)
+            return found._replace(x=x, unfinished=unfinished, serves=serves)
 
         good = c.monitor._replace(growth=jnp.where(K.positive, c.monitor.growth, jnp.inf))
-        return lax.while_loop(serves, correct, c._replace(monitor=good, new=jnp.ones((), bool)))
+        return lax.while_loop(lambda c: c.serves, correct, c._replace(monitor=good, serves=yes))
 
-    far = jnp.full_like(unit, jnp.finfo(unit.dtype).max)
-    start = _Chord(x, far, far, ContractionMonitor.start(first), jnp.zeros((), int), jnp.zeros((), bool))
-    end = lax.while_loop(is_unfinished, with_matrix, start)
+    far, yes = jnp.full_like(unit, jnp.finfo(unit.dtype).max), jnp.ones((), bool)
+    start = _Chord(x, far, far, ContractionMonitor.start(first), jnp.zeros((), int), yes, yes)
+    end = lax.while_loop(lambda c: c.unfinished, with_matrix, start)
     return end.x, jnp.where(_steady(end.monitor.growth), end.missing, jnp.inf)
 
 

@@ -6,10 +6,11 @@ may be compiled differently in the two places. A case of the attack looped for e
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from grid import steps
 
-from lieint_jax._numerics import elliptic
+from lieint_jax._numerics import elliptic, newton, small_linalg
 
 
 def conditions(jaxpr):
@@ -38,6 +39,20 @@ def test_the_search_finds_arithmetic():
 def test_duplications_of_rj_go_on_by_a_flag():
     [condition] = conditions(jax.make_jaxpr(jax.vmap(elliptic.carlson_rj))(*jnp.ones((4, 2))).jaxpr)
     assert computed(condition) == []
+
+
+def test_newton_s_method_goes_on_by_flags():
+    def factored(x, *_):
+        return small_linalg.Factored(lambda F: F / (2 * x), x > 0)
+
+    def solve(x):
+        F = lambda x: x * x - 2  # noqa: E731
+        once = newton.chords(F, factored, jnp.abs, jnp.abs, x, 9)
+        return once, newton.repeated_chords(F, factored, jnp.abs, x, x, 1e-16 * x, 9)
+
+    found = list(conditions(jax.make_jaxpr(solve)(1.5).jaxpr))
+    assert [computed(c) for c in found] == [[], [], []]
+    assert abs(jax.jit(solve)(1.5)[1][0] - np.sqrt(2)) < 5e-16
 
 
 @pytest.mark.long
