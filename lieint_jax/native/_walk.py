@@ -116,8 +116,9 @@ class Walk(AbstractWalk):
         results = {}
         for x in needed:
             shape, axis = found[x].shape, region.axes[x]
-            if axis is None:
-                results[x] = array_of([next(arrays) for _ in range(found[x].size)], shape)
+            if axis is None:  # by a loop with rows in other results: any row has it
+                same = [next(arrays) for _ in range(found[x].size)]
+                results[x] = array_of([self.builder.entries(n)[0] if n.is_array else n for n in same], shape)
                 continue
             columns = [next(arrays) for _ in range(found[x].size)]
             results[x] = Rows(self, columns, (*shape[:axis], region.length, *shape[axis + 1 :]), axis)

@@ -54,7 +54,9 @@ def repeated(x):
     total, sums = lax.scan(lambda c, row: (c + jnp.cos(row * c), c), jnp.ones(3), x)
     settled = lax.while_loop(lambda y: jnp.max(jnp.abs(y)) > 0.3, lambda y: jnp.sin(y) / 2 - jnp.roll(y, 1, 0) / 9, x)
     side = lax.cond(x[0, 0] > 0, lambda y: jnp.exp(y) + 1, lambda y: y * jnp.ones((N, 3)), mean)
-    found = {"root": jax.vmap(root_of)(1 + jnp.sum(x * x, axis=1)), "mean": mean, "means": means[::3], "side": side}
+    one, rows = lax.while_loop(lambda c: c[0] < 2, lambda c: (c[0] + 0.3, jnp.sin(c[1] + c[0])), (x[0, 0], x))
+    found = {"mean": mean, "means": means[::3], "side": side, "one": one + jnp.exp(one), "rows": rows}
+    found |= {"root": jax.vmap(root_of)(1 + jnp.sum(x * x, axis=1))}
     return found | {"total": total, "sums": sums, "settled": settled}
 
 
