@@ -112,7 +112,7 @@ def test_elliptic_functions_are_finite_in_float32():
 
 
 def test_r_d_of_two_orders_agrees_with_mpmath():
-    """R_D(x, z, y) and R_D(x, y, z): a quarter period, also of m = 1 − 1e-77, all arguments equal, a tiny root below 0."""
+    """R_D(x, z, y) and R_D(x, y, z): also of a quarter period, with a tiny y, and of equal arguments."""
     cases = [(0.0, 1.0, 1.0), (0.0, 1e-3, 1.0), (0.0, 1e-77, 1.0), (0.5, 0.7, 1.0), (1.0, 1.0, 1.0), (0.9, 0.99, 1.0)]
     found = np.array(jax.jit(jax.vmap(elliptic.carlson_rds))(*np.array(cases).T)).T
     for (x, y, z), values in zip(cases, found, strict=True):

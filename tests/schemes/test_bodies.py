@@ -238,6 +238,23 @@ NYSTROM = {4: schemes.nystrom(BINARY, 4), 6: schemes.nystrom(BINARY, 6)}
 KEPLER = {method: schemes.kepler_splitting(BINARY, method) for method in (2, (8, 4), (8, 6, 4))}
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("step", "dt"),
+    [(NYSTROM[4], 0.4), (NYSTROM[6], 0.4), (KEPLER[2], 0.4), (KEPLER[8, 4], 0.4), (KEPLER[8, 6, 4], 0.8)],
+    ids=lambda x: getattr(x, "name", None),
+)
+def test_splittings_of_high_order_conserve_momenta_and_form(step, dt):
+    """P 0, L 2e-14 at most over 5000 steps."""
+    assert diagnostics.reversibility(step, START, dt) < 2e-15
+    _, P, L = errors(step, START, 0.2, 5000, 100)
+    assert P < 1e-15
+    assert L < 4e-14
+    L = diagnostics.linearization(step, START, dt)
+    omega = BINARY.phase_space.omega
+    assert jnp.abs(L.T @ omega(step(START, dt)[0]) @ L - omega(START)).max() < 5e-13
+
+
 TURNS = schemes.preprocessed(BINARY.free, 10)
 
 

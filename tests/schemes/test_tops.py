@@ -118,6 +118,13 @@ def test_result_07_holds_for_a_custom_kappa():
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
+def test_a_step_back_undoes_a_step(name, kappas):
+    for step in (top_energy_momentum(TOPS[name], kappas["cayley"]), splitting(TOPS[name])):
+        assert diagnostics.reversibility(step, start(TOPS[name]), 0.1) < 1e-15
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS)
 @pytest.mark.parametrize("kappas", [SHARED, pytest.param(KAPPAS, marks=pytest.mark.long)], ids=["shared", "own"])
 def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):

@@ -225,6 +225,14 @@ def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
 
 
 @pytest.mark.long
+def test_a_step_back_undoes_a_step():
+    for normalized in (False, True):
+        step = li.schemes.sphere_midpoint(BOBS["cubic"], normalized)
+        there = state_after(run(step, start(), 0.1)[0], 1)
+        np.testing.assert_allclose(state_after(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
+
+
+@pytest.mark.long
 @pytest.mark.paper("1.1: (1.4)", "the form of T*S²", "phase_spaces.py")
 def test_the_flow_is_symplectic_for_the_form_of_1_4():
     """The exact flow preserves the frame form, so the form is the right one; with its blocks exchanged it would not."""
