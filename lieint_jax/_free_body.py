@@ -604,13 +604,13 @@ def _phases(rm: Array, mo: Array, R: Array, h: Array, away: Array, tau: Array) -
     cn = where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
     dn = where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
     S, cn, dn = materialized((S, cn, dn))
-    X = _integral(lambda squares, *roots: elliptic.carlson_rj(*roots, 1 + nu * squares), S, cn, dn, f_far, m1, halves)
+    X = _integral(lambda s2, x, y, z: elliptic.carlson_rj(x, y, z, 1 + nu * s2), S, cn, dn, f_far, m1, halves)
     return S, cn, dn, (rm + mo) * nu * X, halves
 
 
 def _integrals(S: Array, cn: Array, dn: Array, f: Array, m1: Array, halves: Array) -> tuple[Array, Array]:
     """∫S²/dn² dτ and ∫S² dτ from 0 to τ."""
-    return _integral(lambda _, *roots: elliptic.carlson_rds(*roots), S, cn, dn, f, m1, halves)
+    return _integral(lambda _, x, y, z: elliptic.carlson_rds(x, y, z), S, cn, dn, f, m1, halves)
 
 
 def _integral(
