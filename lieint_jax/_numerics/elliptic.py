@@ -8,7 +8,6 @@ m = k² is the parameter; the argument is always its complement m1 = 1 − m, so
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -21,7 +20,7 @@ from lieint_jax._xla import forward_mode, materialized
 
 _MEANS, _LANDEN, _DUPLICATIONS, _HALVINGS = 13, 5, 13, 8
 _MOST = 24  # duplications of R_F for arguments of any ratio in the range of float64
-_Duplicating = tuple[tuple[Array, ...], tuple[Array, ...], Array, Array]  # three arguments, two sums, 4⁻ⁿ, go on
+_Duplicates = tuple[Array, Array, Array]  # three arguments, sums split off for the last of them, 4⁻ⁿ
 _CLOSE = 0.1  # relative distance of the arguments of R_C, below which a series is summed
 
 
@@ -241,25 +240,34 @@ def carlson_rf_rd(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array, Ar
 
 
 def _rf_rd(first: tuple[Array, Array, Array], duplications: int) -> tuple[Array, Array, Array, Array]:
-    def duplicate(roots: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        at, totals, scale = carry
-        a, b, c = roots
-        shift = a * b + b * c + c * a
-        return (at + shift) / 4, totals + scale / (roots * (at + shift)), scale / 4
-
-    roots = jnp.stack(first)
-    start = duplicate(roots, (roots * roots, jnp.zeros_like(roots), jnp.ones_like(first[0])))
-    at, totals, scale = lax.fori_loop(1, duplications, lambda _, carry: duplicate(jnp.sqrt(carry[0]), carry), start)
+    at, totals, scale = lax.fori_loop(
+        1, duplications, lambda _, carry: _duplicate_all(jnp.sqrt(carry[0]), carry), _first_duplicate(first, 3)
+    )
     A = (at[0] + at[1] + at[2]) / 3
     X, Y = 1 - at[0] / A, 1 - at[1] / A
     E2, E3 = -X * X - X * Y - Y * Y, -X * Y * (X + Y)
     series = 1 - E2 / 10 + E3 / 14 + E2 * E2 / 24 - 3 * E2 * E3 / 44 - 5 * E2**3 / 208 + 3 * E3 * E3 / 104
-    found = [(series + E2 * E2 * E3 / 16) / jnp.sqrt(A)]
-    for k in range(3):
-        A = (at[0] + at[1] + at[2] + 2 * at[k]) / 5
-        X, Y = 1 - at[k - 2] / A, 1 - at[k - 1] / A
-        found.append(scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * totals[k])
-    return found[0], found[1], found[2], found[3]
+    RF = (series + E2 * E2 * E3 / 16) / jnp.sqrt(A)
+    return RF, *(_rd_value(at, k, totals[k], scale) for k in range(3))
+
+
+def _first_duplicate(first: tuple[Array, Array, Array], sums: int) -> _Duplicates:
+    roots = jnp.stack(first)
+    return _duplicate_all(roots, (roots * roots, jnp.zeros_like(roots[:sums]), jnp.ones_like(first[0])))
+
+
+def _duplicate_all(roots: Array, duplicates: _Duplicates) -> _Duplicates:
+    at, totals, scale = duplicates
+    a, b, c = roots
+    shift, n = a * b + b * c + c * a, len(totals)
+    return (at + shift) / 4, totals + scale / (roots[-n:] * (at[-n:] + shift)), scale / 4
+
+
+def _rd_value(at: Array, k: int, total: Array, scale: Array) -> Array:
+    """R_D with the argument k as its last one."""
+    A = (at[0] + at[1] + at[2] + 2 * at[k]) / 5
+    X, Y = 1 - at[k - 2] / A, 1 - at[k - 1] / A
+    return scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * total
 
 
 def _smooth_rds(root_x: Array, root_y: Array, root_z: Array) -> tuple[Array, Array]:
@@ -278,27 +286,16 @@ def carlson_rds(root_x: Array, root_y: Array, root_z: Array) -> tuple[Array, Arr
 def _rds(first: tuple[Array, Array, Array], more: int = 0) -> tuple[Array, Array]:
     small = 0.25**more * (float(jnp.finfo(first[0].dtype).eps) / 8) ** 0.125
 
-    def duplicate(roots: Sequence[Array], at: Sequence[Array], totals: Sequence[Array], scale: Array) -> _Duplicating:
-        a, b, c = roots
-        shift = a * b + b * c + c * a
-        totals = tuple(
-            total + scale / (root * (x + shift)) for total, root, x in zip(totals, roots[1:], at[1:], strict=True)
-        )
-        at = tuple((x + shift) / 4 for x in at)
-        least, most = functools.reduce(jnp.minimum, at), functools.reduce(jnp.maximum, at)
-        return at, totals, scale / 4, most - least > small * least
+    def with_flag(duplicates: _Duplicates) -> tuple[_Duplicates, Array]:
+        least, most = (functools.reduce(choose, duplicates[0]) for choose in (jnp.minimum, jnp.maximum))
+        return duplicates, most - least > small * least
 
-    zero = jnp.zeros_like(first[0])
-    start = duplicate(first, tuple(root * root for root in first), (zero, zero), zero + 1)
-    (x, y, z), totals, scale, _ = lax.while_loop(
-        lambda state: jnp.any(state[3]), lambda state: duplicate([jnp.sqrt(v) for v in state[0]], *state[:3]), start
+    (at, totals, scale), _ = lax.while_loop(
+        lambda state: jnp.any(state[1]),
+        lambda state: with_flag(_duplicate_all(jnp.sqrt(state[0][0]), state[0])),
+        with_flag(_first_duplicate(first, 2)),
     )
-    found = []
-    for other, last, total in ((z, y, totals[0]), (y, z, totals[1])):
-        A = (x + other + 3 * last) / 5
-        X, Y = 1 - x / A, 1 - other / A
-        found.append(scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * total)
-    return found[0], found[1]
+    return _rd_value(at, 1, totals[0], scale), _rd_value(at, 2, totals[1], scale)
 
 
 def _rj_series(X: Array, Y: Array, Z: Array) -> Array:

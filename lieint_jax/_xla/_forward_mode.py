@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from lieint_jax._xla._compile import Tree
-from lieint_jax._xla._materialize import materialized, saved
+from lieint_jax._xla._materialize import materialized_arrays, saved
 
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
 _Slopes = Callable[..., Sequence[Tree]] | None
@@ -45,7 +45,7 @@ def _value_and_tangent(
             return _slopes_by_jvp(form, arguments, varied)
         value = function(*arguments)
         each = slopes(value, *arguments)
-        return value, [_computed_once(each[k]) for k in varied]
+        return value, [each[k] for k in varied]
 
     def second_derivatives(primals: Tree, tangents: Tree) -> tuple[Tree, Tree]:
         def slopes_only(*arguments: Tree) -> list[Tree]:
@@ -67,32 +67,29 @@ def jvp_of_varied(
     """`jax.jvp(…, has_aux=True)` of a function, where tangents may be symbolic zeros."""
     arguments, structure = jax.tree.flatten(primals)
     slopes = jax.tree.leaves(tangents, is_leaf=lambda t: isinstance(t, SymbolicZero))
-    varied = {k: t for k, t in enumerate(slopes) if not isinstance(t, SymbolicZero)}
+    varied = [k for k, t in enumerate(slopes) if not isinstance(t, SymbolicZero)]
+    of_varied = _of_varied(lambda *leaves: function(*jax.tree.unflatten(structure, leaves)), arguments, varied)
+    return jax.jvp(of_varied, tuple(arguments[k] for k in varied), tuple(slopes[k] for k in varied), has_aux=True)
 
-    def function_of_varied(*values: Tree) -> tuple[Tree, Tree]:
+
+def _of_varied(function: Callable[..., Tree], arguments: Sequence[Tree], varied: list[int]) -> Callable[..., Tree]:
+    """The function of those of its arguments that vary."""
+
+    def function_of_varied(*values: Tree) -> Tree:
         replaced = dict(enumerate(arguments)) | dict(zip(varied, values, strict=True))
-        return function(*jax.tree.unflatten(structure, replaced.values()))
+        return function(*replaced.values())
 
-    return jax.jvp(function_of_varied, tuple(arguments[k] for k in varied), tuple(varied.values()), has_aux=True)
+    return function_of_varied
 
 
 def _slopes_by_jvp(
     function: Callable[..., Tree], arguments: tuple[Tree, ...], varied: list[int]
 ) -> tuple[Tree, list[Tree]]:
-    def function_of_varied(*values: Tree) -> Tree:
-        replaced = dict(enumerate(arguments)) | dict(zip(varied, values, strict=True))
-        return function(*replaced.values())
-
     def jvp(*seeds: Tree) -> Tree:
-        return jax.jvp(function_of_varied, tuple(arguments[k] for k in varied), seeds)
+        return jax.jvp(_of_varied(function, arguments, varied), tuple(arguments[k] for k in varied), seeds)
 
     seeds = (jnp.stack([jnp.full_like(arguments[k], float(k == n)) for n in varied]) for k in varied)
     value, stacked = jax.vmap(jvp, out_axes=(None, 0))(*seeds)
-    stacked = _computed_once(stacked)
+    # otherwise XLA computes a slope again in each of the many sums that reverse mode builds from it
+    stacked = materialized_arrays(stacked)
     return value, [jax.tree.map(lambda s, n=n: s[n], stacked) for n in range(len(varied))]
-
-
-def _computed_once(slopes: Tree) -> Tree:
-    """The same: otherwise XLA computes a slope again in each of the many sums that are built from it."""
-    leaves, structure = jax.tree.flatten(slopes)
-    return jax.tree.unflatten(structure, materialized(leaves))

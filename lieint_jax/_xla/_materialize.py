@@ -58,11 +58,7 @@ def _identity_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array,
     return once_p.bind(*primals), once_p.bind(*tangents)
 
 
-def _once(x: Array) -> Array:
-    return x
-
-
-def _over_one(x: Array) -> Array:
+def _divide_by_one(x: Array) -> Array:
     """x/1 with a 1 that the compiler cannot know, since x may be NaN.
 
     XLA on CPUs has no barrier that persists until fusion, but it does not compute a division twice. A divisor that is a
@@ -71,12 +67,12 @@ def _over_one(x: Array) -> Array:
     return x / (1 + 0 * x)
 
 
-once_p.def_impl(_once)
-once_p.def_abstract_eval(_once)
+once_p.def_impl(lambda x: x)
+once_p.def_abstract_eval(lambda aval: aval)
 ad.deflinear2(once_p, lambda ct, _: [once_p.bind(ct)])
 batching.defvectorized(once_p)
-mlir.register_lowering(once_p, mlir.lower_fun(_once, multiple_results=False))
-mlir.register_lowering(once_p, mlir.lower_fun(_over_one, multiple_results=False), platform="cpu")
+mlir.register_lowering(once_p, mlir.lower_fun(lambda x: x, multiple_results=False))
+mlir.register_lowering(once_p, mlir.lower_fun(_divide_by_one, multiple_results=False), platform="cpu")
 
 
 def rematerialized(function: _Function) -> _Function:
