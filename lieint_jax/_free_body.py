@@ -257,7 +257,7 @@ def momentum_at_phase(J: Array, unit: Array, psi: Array) -> Array:
     m1 = jnp.abs(f - g) / fast
     halves = lax.stop_gradient(jnp.round(psi / jnp.pi))
     sn, cn, dn = elliptic.jacobi(elliptic.quarter_period(m1) * (psi - jnp.pi * halves) * 2 / jnp.pi, m1)
-    odd = 1 - 2 * jnp.abs(halves % 2)
+    odd = _sign_after(halves)
     y = jnp.sqrt(B * jnp.where(long_axis, below / (B - A), above / (C - B)))
     ratios = jnp.where(long_axis, dn, odd * cn), odd * sn, jnp.where(long_axis, odd * cn, dn)
     return jnp.stack([x * ratios[0], y * ratios[1], z * ratios[2]])
@@ -415,19 +415,29 @@ def _tangent_of_increment(primals: tuple[PyTree, ...], tangents: tuple[PyTree, .
     return (w, v, accuracy), tangent
 
 
+def _euler(b: _Labels, e: Vector) -> tuple[Array, Array, Array]:
+    """ė by Euler's equations."""
+    er, em, eo = e
+    return -b.mo * em * eo, b.ro * eo * er, -b.rm * er * em
+
+
+def _divisor_term(b: _Labels, e: Vector, m: _Motion) -> Array:
+    """(D − cn²)/S²."""
+    return b.ro * where(m.about_r, b.rm * e[0] * e[0], b.mo * e[2] * e[2])
+
+
 def _end(b: _Labels, e: Vector, m: _Motion) -> Vector:
     """e(τ), with an error of a few eps even for small τ."""
     er, em, eo = e
-    rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
-    D = m.cn * m.cn + m.S * m.S * b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo)
+    rate, k = _euler(b, e), _divisor_term(b, e, m)
+    D = m.cn * m.cn + m.S * m.S * k
     f = er * m.q_r + m.S * m.q_o * rate[0], em * m.cn * m.dn + m.S * rate[1], eo * m.q_o + m.S * m.q_r * rate[2]
     return Vector(s * x / D for s, x in zip(m.signs, f, strict=True))
 
 
 def _from_motion(b: _Labels, e: Vector, m: _Motion) -> tuple[Array, Vector, Accuracy]:
     er, em, eo = e
-    rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
-    k = b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo)
+    rate, k = _euler(b, e), _divisor_term(b, e, m)
     common, together = b.rm * b.mo * em * em, m.cn + m.dn
     middle = jnp.abs(m.excess) * m.cn / where(together == 0, 1, together) - k
     # e(τ) − e, free of cancellation: q_r − D = S²(common − f_o/(1 + q_r)), and so on
@@ -482,6 +492,11 @@ def _ascending_clock(J: VectorLike, e: Vector, tau: Array) -> tuple[Array, Array
     return scale, s * lag / half - scale * b.b_o, small_turn
 
 
+def _sign_after(halves: Array) -> Array:
+    """The sign that sn and cn have after so many half periods."""
+    return 1 - 2 * jnp.abs(halves % 2)
+
+
 class _Motion(NamedTuple):
     """The functions of τ that move e, less `halves` half periods, and turn = b_o τ − (b_o − b_r) ν X.
 
@@ -514,8 +529,8 @@ class _Motion(NamedTuple):
 
     @property
     def signs(self) -> tuple[Array, Array, Array]:
-        """Of e(τ): sn and cn change sign every half period."""
-        odd = 1 - 2 * jnp.abs(self.halves % 2)
+        """Of e(τ), in which `halves` half periods are missing."""
+        odd = _sign_after(self.halves)
         return where(self.about_r, 1, odd), odd, where(self.about_r, odd, 1)
 
 
