@@ -248,7 +248,8 @@ def _rf_rd(first: tuple[Array, Array, Array], duplications: int) -> tuple[Array,
     E2, E3 = -X * X - X * Y - Y * Y, -X * Y * (X + Y)
     series = 1 - E2 / 10 + E3 / 14 + E2 * E2 / 24 - 3 * E2 * E3 / 44 - 5 * E2**3 / 208 + 3 * E3 * E3 / 104
     RF = (series + E2 * E2 * E3 / 16) / jnp.sqrt(A)
-    return RF, *(_rd_value(at, k, totals[k], scale) for k in range(3))
+    x, y, z = (_rd_value(at, k, totals[k], scale) for k in range(3))
+    return RF, x, y, z
 
 
 def _first_duplicate(first: tuple[Array, Array, Array], sums: int) -> _Duplicates:
