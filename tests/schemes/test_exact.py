@@ -119,6 +119,18 @@ def test_exact_steps_have_values_and_derivatives_for_every_ordering_and_symmetry
         assert difference(np.asarray(found[1].q) @ tangent, np.asarray(expected[1].q) @ tangent) < 1e-12
 
 
+def test_a_tangent_is_the_difference_of_near_motions():
+    """In J, π and t at once, after more than a period; against differences of order 4."""
+
+    def end(x):
+        return solve(x[:3], State(jnp.array(Q), x[3:6]), x[6]).q
+
+    x, direction = np.array([1.0, 2.0, 3.0, 0.3, 0.8, -0.5, 11.0]), np.array([0.3, -0.2, 0.5, 0.4, -0.1, 0.2, 0.6])
+    tangent = jax.jit(lambda: jax.jvp(end, (x,), (direction,))[1])()
+    low2, low, high, high2 = (end(x + shift * direction) for shift in (-2e-3, -1e-3, 1e-3, 2e-3))
+    assert difference(tangent, (8 * (high - low) - (high2 - low2)) / 12e-3) < 2e-10  # observed 5e-11
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("moments", [[1, 2, 3], [1, 1, 2], [1, 2, 2], [1, 1, 1]])
 def test_second_derivatives_are_right_for_every_symmetry(moments):
