@@ -394,9 +394,10 @@ def _tangent_of_increment(primals: tuple[PyTree, ...], tangents: tuple[PyTree, .
 
     def end(b: _Labels, e: Vector, tau: Array) -> tuple[tuple[Vector, Vector, Array], _Motion]:
         m = _motion(b, e, tau)
-        return (e, _end(b, e, m), b.b_o + m.R), m
+        return (e, _change(b, e, m), b.b_o + m.R), m
 
-    (_, f, h), (de, df, dh), m = jvp_of_varied(end, primals, tangents)
+    (_, change, h), (de, dchange, dh), m = jvp_of_varied(end, primals, tangents)
+    f = e + _signed(m, change, e)
     _, greater, _, m1 = _frequencies(b.rm, b.mo, m.R, m.h, m.away)
     _, W = _integrals(m.S, m.cn, m.dn, greater, m1, m.halves)
     about_m = m.R * m.h * W + m.S * e[1] * f[1] * m.signs[1]
@@ -410,7 +411,7 @@ def _tangent_of_increment(primals: tuple[PyTree, ...], tangents: tuple[PyTree, .
     w, v, accuracy = _from_motion(b, e, m)
     turned = 2 / (w * w + dot(v, v)) * cross(v, cross(v, de) - w * de)  # Λᵀδe − δe
     _, along, _ = jvp_of_varied(explicit, primals, tangents)
-    eta = cross(f, turned + de - df) + (dh * tau + along) / 2 * f
+    eta = cross(f, turned - _signed(m, dchange, de)) + (dh * tau + along) / 2 * f
     tangent = -dot(v, eta) / 2, (w * eta + cross(v, eta)) / 2, jax.tree.map(jnp.zeros_like, accuracy)
     return (w, v, accuracy), tangent
 
@@ -421,40 +422,33 @@ def _euler(b: _Labels, e: Vector) -> tuple[Array, Array, Array]:
     return -b.mo * em * eo, b.ro * eo * er, -b.rm * er * em
 
 
-def _divisor_term(b: _Labels, e: Vector, m: _Motion) -> Array:
-    """(D − cn²)/S²."""
-    return b.ro * where(m.about_r, b.rm * e[0] * e[0], b.mo * e[2] * e[2])
-
-
-def _end(b: _Labels, e: Vector, m: _Motion) -> Vector:
-    """e(τ), with an error of a few eps even for small τ."""
+def _change(b: _Labels, e: Vector, m: _Motion) -> Vector:
+    """e(τ) − e free of cancellation, less the signs of half periods."""
     er, em, eo = e
-    rate, k = _euler(b, e), _divisor_term(b, e, m)
-    D = m.cn * m.cn + m.S * m.S * k
-    f = er * m.q_r + m.S * m.q_o * rate[0], em * m.cn * m.dn + m.S * rate[1], eo * m.q_o + m.S * m.q_r * rate[2]
-    return Vector(s * x / D for s, x in zip(m.signs, f, strict=True))
+    rate, k = _euler(b, e), b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo)  # k = (D − cn²)/S²
+    common, together = b.rm * b.mo * em * em, m.cn + m.dn
+    middle = jnp.abs(m.excess) * m.cn / where(together == 0, 1, together) - k
+    r = m.S / (m.cn * m.cn + m.S * m.S * k)
+    change = (  # q_r − D = S²(common − f_o/(1 + q_r)), and so on
+        r * (er * m.S * (common - m.f_o / (1 + m.q_r)) + m.q_o * rate[0]),
+        r * (em * m.S * middle + rate[1]),
+        r * (eo * m.S * (common - m.f_r / (1 + m.q_o)) + m.q_r * rate[2]),
+    )
+    return Vector(materialized(change))
+
+
+def _signed(m: _Motion, change: Vector, e: Vector) -> Vector:
+    """e(τ) − e with the signs of half periods."""
+    return Vector(s * x + (s - 1) * y for s, x, y in zip(m.signs, change, e, strict=True))
 
 
 def _from_motion(b: _Labels, e: Vector, m: _Motion) -> tuple[Array, Vector, Accuracy]:
     er, em, eo = e
-    rate, k = _euler(b, e), _divisor_term(b, e, m)
-    common, together = b.rm * b.mo * em * em, m.cn + m.dn
-    middle = jnp.abs(m.excess) * m.cn / where(together == 0, 1, together) - k
-    # e(τ) − e, free of cancellation: q_r − D = S²(common − f_o/(1 + q_r)), and so on
-    r = m.S / (m.cn * m.cn + m.S * m.S * k)
-    change = materialized(
-        (
-            r * (er * m.S * (common - m.f_o / (1 + m.q_r)) + m.q_o * rate[0]),
-            r * (em * m.S * middle + rate[1]),
-            r * (eo * m.S * (common - m.f_r / (1 + m.q_o)) + m.q_r * rate[2]),
-        )
-    )
-    change = Vector(materialized(_on_polhode(b, m.R, e, Vector(change))))
+    change = Vector(materialized(_on_polhode(b, m.R, e, _change(b, e, m))))
     fr, fm, fo = f = e + change
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
-    length = jnp.abs(dot(f, f) - 1)
-    signs = m.signs
-    change = Vector(s * x + (s - 1) * y for s, x, y in zip(signs, change, e, strict=True))
+    length, signs = jnp.abs(dot(f, f) - 1), m.signs
+    change = _signed(m, change, e)
     _, fm, fo = e + change
     azimuth = jnp.arctan2(signs[2] * (em * change[2] - eo * change[1]), signs[2] * (em * fm + eo * fo))
     azimuth = azimuth - where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
