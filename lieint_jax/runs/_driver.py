@@ -146,14 +146,18 @@ def saved_states(
         t, here = (clock.time(n), clock) if node is None else node
         begin = at.state._replace(t=t) if timed else at.state
         state, info = step_at_node(step, here, begin, n)
-        info = info_since(n, save_every, at.info, info)
-        return Progress(without_time(state), info), (state, info)
+        state, info = without_time(state), info_since(n, save_every, at.info, info)
+        return Progress(state, info), (state, info)
 
     def without_time(state: State) -> State:
         return state._replace(t=None) if timed else state
 
     start = Progress.begin(without_time(state))
-    return native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
+    states, info = native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
+    if not timed:
+        return states, info
+    saved = save_every * (1 + jnp.arange(num_saves if most is None else most))
+    return states._replace(t=clock.time(saved)), info
 
 
 def info_since(n: Array, every: ArrayLike, so_far: StepInfo, info: StepInfo) -> StepInfo:
