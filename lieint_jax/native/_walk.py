@@ -39,7 +39,7 @@ from lieint_jax.native._regions import Region, long_axis, walk_regions
 _UNROLLED = (400, 6000)  # without and with maps: see `AbstractWalk.unrolled`
 _LARGEST_WITH_MAPS = 80_000  # the most entries of an array, most of which maps never make numbers of the program
 LONGEST = 100_000  # the most operations of a program
-_TYPES = {f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {"bool", "float32", "float64"}
+_TYPES = set(map(np.dtype, "bool i1 i2 i4 i8 u1 u2 u4 u8 f4 f8".split()))
 # They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
 _HARMLESS = {"accuracy", "indices_are_sorted", "out_sharding", "sharding", "unique_indices", "weak_type"}
 
@@ -177,10 +177,10 @@ class Walk(AbstractWalk):
         name = equation.primitive.name
         if out and all(x.dtype == jax.dtypes.float0 for x in out):  # tangents of integers, which nothing reads
             return [self.constant_array(np.zeros(x.shape), x.dtype) for x in out]
-        other = {str(x.dtype) for x in (*shapes_of(equation.invars), *out)} - _TYPES
+        other = {x.dtype for x in (*shapes_of(equation.invars), *out)} - _TYPES
         if other:
-            raise UnsupportedError(f"{name} of {', '.join(sorted(other))}")
-        if any(np.prod(x.shape) > (_LARGEST_WITH_MAPS if self._with_maps else LARGEST) for x in out):
+            raise UnsupportedError(f"{name} of {', '.join(sorted(map(str, other)))}")
+        if any(x.size > (_LARGEST_WITH_MAPS if self._with_maps else LARGEST) for x in out):
             raise UnsupportedError(f"an array of shape {out[0].shape}")
         if name not in READ_ROWS:
             inputs = [as_numbers(x) for x in inputs]
