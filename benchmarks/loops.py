@@ -3,8 +3,8 @@
 CPU time of one core, contestants in turn in one process, the least of the rounds. Runs of 1000 members by
 `ensemble.run` and by `jax.jit(jax.vmap(integrate))`; gradients of a mean over their ends with respect to all numbers of
 the step, such as the inertia, by undoing steps and by checkpoints (the default); the same of one body. Short calls, of
-one step of free bodies, over a jitted addition. First calls in fresh processes with nothing cached; imports are not
-counted. Last, `li.fit` of the same function twice.
+one step of free bodies, over a jitted addition; what the step itself takes is found from a longer run. First calls in
+fresh processes with nothing cached; imports are not counted. Last, `li.fit` of the same function twice.
 
     python benchmarks/loops.py [--quick] [--out DIR]
 """
@@ -38,6 +38,7 @@ FIRST = {  # bars of first calls in seconds: of a value, and of a gradient
     "satellite, three laws": (3.0, 8.0),
 }
 SIZES = (1, 64, 1000)  # members of a short call
+MORE = 100  # steps of a longer run
 
 
 def main() -> None:
@@ -138,7 +139,7 @@ def one(step: Any, state: Any, steps: int, short: int, rounds: int) -> dict[str,
 
 
 def short_calls(step: Any, state: Any, rounds: int, calls: int = 500) -> list[dict[str, Any]]:
-    """Microseconds of a jitted call of one step over those of an addition, for each number of members."""
+    """Microseconds of a jitted call of one step, of an addition and of a step in a longer run, by number of members."""
     import jax
 
     def repeated(function: Callable[..., Any], *given: Any) -> Callable[[], Any]:
@@ -149,13 +150,21 @@ def short_calls(step: Any, state: Any, rounds: int, calls: int = 500) -> list[di
 
         return call
 
-    run, empty, found = contestants(step, state, 1)[VALUE], jax.jit(lambda _, p: p + 1), []
+    runs = {"empty": jax.jit(lambda _, p: p + 1)}
+    runs |= {name: contestants(step, state, steps)[VALUE] for name, steps in (("ours", 1), ("longer", MORE + 1))}
+    found = []
     for members in SIZES:
         given = arguments(step, state, members)
-        timed = {"ours": repeated(run, *given), "empty": repeated(empty, *given)}
-        least = command.least_cpu_times(timed, rounds)
-        found.append({"members": members, **{name: x / calls * 1e6 for name, x in least.items()}})
+        least = command.least_cpu_times({name: repeated(run, *given) for name, run in runs.items()}, rounds)
+        each = {name: x / calls * 1e6 for name, x in least.items()}
+        each["step"] = (each["longer"] - each["ours"]) / MORE
+        found.append({"members": members, **each})
     return found
+
+
+def of_call(x: dict[str, float]) -> float:
+    """What a call takes beside an addition and the step."""
+    return x["ours"] - x["empty"] - x["step"]
 
 
 def first_call(name: str, what: str) -> dict[str, float]:
@@ -233,7 +242,7 @@ def render(data: dict[str, Any]) -> list[str]:
         for x in data["first"]
     ]
     short = [
-        [f"{x['members']}", f"{x['empty']:.1f}", f"{x['ours']:.1f}", over(x["ours"] - x["empty"], 15)]
+        [*(f"{x[name]:.4g}" for name in ("members", "empty", "ours", "step")), over(of_call(x), 15)]
         for x in data["short"]
     ]
     fit = data["fit"]
@@ -247,8 +256,8 @@ def render(data: dict[str, Any]) -> list[str]:
         f"One body: {data['one'][0]['steps']} steps, gradients {data['one'][0]['short']}. Bars: 1.2 × `ensemble.run`; "
         "gradients 12 × the run",
         report.table(["", "÷ ensemble.run", "by undoing ÷ run", "by checkpoints ÷ run"], alone),
-        "A call of one step, microseconds. Bar: 15 over an addition",
-        report.table(["members", "addition", "one step", "difference"], short),
+        "A call of one step, microseconds. Bar: 15 over an addition and the step",
+        report.table(["members", "addition", "one step", "in a longer run", "difference"], short),
         "First calls in fresh processes, CPU seconds. Bars: values 1 s (3 s), gradients 2.5, 2.5, 5 and 8 s",
         report.table(["", "", "first", "second"], first),
         f"`li.fit`: {fit['first']:.2f} s, again {fit['again']:.3f} s: {over(fit['again'] / fit['first'], 0.2)} of it, "
