@@ -41,6 +41,20 @@ def test_pieces_and_rest_of_a_gradient_are_the_same_machine_code():
     assert len({(loop.reverse, loop.operations) for loop in loops}) == 2, loops
 
 
+def test_pieces_and_rest_of_a_run_with_time_are_the_same_machine_code():
+    """The time follows from the number of steps: it is no result of the loop, which would be that of the rest only."""
+    body = li.systems.RigidBody(J)
+
+    def end(w):
+        state = body.state(angular_velocity=w)._replace(t=jnp.zeros(()))
+        return li.integrate(li.schemes.so3_midpoint(body), state, 0.05, 200, save_every=200).state
+
+    assert end(W[0]).t[-1] == 10.0
+    loops = li.explain(jax.grad(lambda w: end(w).q[-1, 0]), W[0]).loops
+    assert {loop.steps for loop in loops} == {5, 15}
+    assert len({(loop.reverse, loop.operations) for loop in loops}) == 2, loops
+
+
 def test_loops_that_xla_runs_are_explained():
     def mixed(x):
         y, _ = jax.lax.scan(lambda x, _: (x / 2, None), x, None, length=3)
