@@ -5,7 +5,7 @@
 
 L is the derivative of the step itself (`Step.tangent`), so these are the exponents of the discrete flow. The momentum
 coordinates of a tangent vector are in units of the largest component of the initial momentum: the limits of the
-exponents do not depend on this, and they converge for any units of the state.
+exponents do not depend on this, and the results are the same in any units of the state.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.diagnostics.tangent import orthonormalize, units
 from lieint_jax.runs import Event, counted, events, saves, step_at_node, uniform_clock
 from lieint_jax.types import State, Step, StepInfo, checked_step, promoted
-from lieint_jax.types.shapes import PhaseVector, PyTree, TangentVectors
+from lieint_jax.types.shapes import PyTree, TangentVectors
 
 
 class Lyapunov(NamedTuple):
@@ -92,7 +92,7 @@ def lyapunov(
         exponents: how many of the largest, 1 to 2d; by default 2d, the spectrum.
         every: steps between two QR decompositions. Errors of rounding grow with the vectors in between.
         vectors: initial tangent vectors (2d, k) in the phase space's coordinates, in place of `exponents`, such as
-            those of an invariant subspace. By default fixed vectors of generic directions.
+            those of an invariant subspace. By default fixed vectors of generic directions in units of the state.
         batches: the number of parts of the run whose growth is returned, of equal length up to one QR decomposition.
             The standard errors use windows from one part to a quarter of the run.
 
@@ -120,13 +120,15 @@ def lyapunov(
             f"from 1 to {dim} tangent vectors are allowed, an array ({dim}, k), got "
             + (f"exponents = {count}" if vectors is None else f"shape {frame.shape}")
         )
+    unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
+    frame = frame if vectors is None else frame / unit
     if concrete(frame) and np.linalg.matrix_rank(np.asarray(frame)) < frame.shape[1]:
         raise ValueError("the tangent vectors must be linearly independent")
     every, batches = _checks.count("every", every, 1), _checks.count("batches", batches, 1)
     rounds = saves(_checks.count("num_steps", num_steps, 1), every)
     step.check(state, dt)
     h = jnp.asarray(_checks.step_size(dt), dtype)
-    return _lyapunov(step, state, h, jnp.asarray(frame, dtype), rounds, every, min(batches, rounds))
+    return _lyapunov(step, state, h, unit, jnp.asarray(frame, dtype), rounds, every, min(batches, rounds))
 
 
 def _in_time(step: Step) -> Step:
@@ -136,9 +138,9 @@ def _in_time(step: Step) -> Step:
     return step
 
 
-@partial(compiled, static_argnums=(4, 5, 6))
+@partial(compiled, static_argnums=(5, 6, 7))
 def _lyapunov(
-    step: Step, state: State, dt: Array, frame: TangentVectors, rounds: int, every: int, batches: int
+    step: Step, state: State, dt: Array, unit: Array, frame: TangentVectors, rounds: int, every: int, batches: int
 ) -> Lyapunov:
     def orthonormal_interval(
         n: Array,
@@ -164,9 +166,8 @@ def _lyapunov(
         growth = jnp.where(n % of == 0, 0, growth) + gain
         return (state, frame, info, growth), growth
 
-    unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
     consts = step, uniform_clock(step, state, dt), unit, 1 / unit
-    carry = (state, orthonormalize(frame / unit)[0], StepInfo.empty(state.p), jnp.zeros_like(frame[0]))
+    carry = (state, orthonormalize(frame)[0], StepInfo.empty(state.p), jnp.zeros_like(frame[0]))
     rest, parts = rounds % batches, []
     lengths = np.repeat([rounds // batches + 1, rounds // batches], [rest, batches - rest])  # rounds of each batch
     for first, end in ((0, rest), (rest, batches)):
@@ -218,7 +219,8 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: np
 
     Args:
         step, state, dt, num_steps: as in `integrate`.
-        vector: the initial tangent vector (2d,) in the phase space's coordinates; by default of a generic direction.
+        vector: the initial tangent vector (2d,) in the phase space's coordinates; by default of a
+            generic direction in units of the state.
 
     Returns:
         A `Megno`.
@@ -231,15 +233,16 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: np
     """
     step, state, dtype = promoted(_in_time(checked_step(step)), state)
     dim = step.system.phase_space.dim
-    given = _generic(dim)[:, 0] if vector is None else _checks.real_array("vector", vector, (dim,))
+    unit = jnp.concatenate(units(step.system.phase_space, state))
+    given = _generic(dim)[:, 0] if vector is None else _checks.real_array("vector", vector, (dim,)) / unit
     num_steps = _checks.count("num_steps", num_steps, 1)
     step.check(state, dt)
-    return _megno(step, state, jnp.asarray(_checks.step_size(dt), dtype), jnp.asarray(given, dtype), num_steps)
+    h = jnp.asarray(_checks.step_size(dt), dtype)
+    return _megno(step, state, h, unit[:, None], jnp.asarray(given, dtype)[:, None], num_steps)
 
 
-@partial(compiled, static_argnums=4)
-def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: int) -> Megno:
-    unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
+@partial(compiled, static_argnums=5)
+def _megno(step: Step, state: State, dt: Array, unit: Array, vector: TangentVectors, num_steps: int) -> Megno:
     inverse = 1 / unit
     advance_vector = partial(step_at_node, step.tangent, uniform_clock(step, state, dt))
 
@@ -252,7 +255,7 @@ def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: 
         return (state, W, Y, mean + (Y - mean) / k, info.merge(last)), None
 
     zero = jnp.zeros((), vector.dtype)
-    first = orthonormalize(vector[:, None] / unit)[0]
+    first = orthonormalize(vector)[0]
     begin = (state, first, zero, zero, StepInfo.empty(state.p))
     (_, _, Y, mean, info), _ = native.march(step_once, begin, rows=1, every=num_steps)
     return Megno(Y, mean, info)

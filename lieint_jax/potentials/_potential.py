@@ -191,7 +191,7 @@ def invariant_form(potential: Callable[[Array, Array], Array]) -> InvariantForm:
 
 
 def _quadrature(value: Callable[[Array], Array]) -> Callable[[Array, Array], Array]:
-    return lambda start, end: discrete_gradient(value, start, end, _APART * jnp.sum(start * start))
+    return lambda start, end: discrete_gradient(value, start, end, _APART)
 
 
 def relative(x: Positions, R: Rotations) -> Array:

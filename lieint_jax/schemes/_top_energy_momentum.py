@@ -53,7 +53,7 @@ from lieint_jax.types.vectors import (
 
 __all__ = ["TopEnergyMomentum", "top_energy_momentum"]
 
-_APART = 1e-4  # above this |ΔΓ|² the quadrature is corrected so that D̄·ΔΓ = ΔṼ exactly
+_APART = 1e-4  # above this |ΔΓ|²/|Γ|² the quadrature is corrected so that D̄·ΔΓ = ΔṼ exactly
 
 
 @pytree
@@ -268,7 +268,8 @@ class _Equation(ImplicitEquation[Vector]):
         for (field, s), D in zip(self.fields, self.gradients(self.turn(y)[1]), strict=True):
             step = 2 * cross(field.Gamma, y)
             square = dot(step, step)
-            corrected = (square > _APART / 4) & (not hasattr(field.potential, "discrete_gradient"))
+            near = _APART / 4 * dot(field.Gamma, field.Gamma)
+            corrected = (square > near) & (not hasattr(field.potential, "discrete_gradient"))
             noise = jnp.abs(field.value(field.Gamma)) / jnp.sqrt(jnp.where(corrected, square, 1))
             total = total + s * max_abs(field.Gamma) * (max_abs(D) + jnp.where(corrected, noise, 0))
         return total

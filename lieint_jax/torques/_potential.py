@@ -167,8 +167,7 @@ class AnyPotential(DirectionalPotential):
 
     def gradient(self, a: Array, b: Array, t: Array) -> Array:
         """The discrete gradient of Gonzalez with the mean of four Gauss nodes."""
-        near = 1e-6 * jnp.maximum(dot(a, a), dot(b, b))
-        return discrete_gradient(self.function, a, b, near, t)
+        return discrete_gradient(self.function, a, b, 1e-6, t)
 
 
 def potential(V: Callable[..., Array], axis: Any) -> AnyPotential:

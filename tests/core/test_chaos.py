@@ -212,6 +212,17 @@ def test_the_errors_of_exponents_are_those_of_their_batches():
     np.testing.assert_allclose(found.growth.sum(axis=0), 2000 * found.exponents, rtol=1e-9, atol=1e-12)
 
 
+def test_exponents_and_megno_do_not_depend_on_the_unit_of_mass():
+    """With directions in the unit of the momentum, the vectors of a body of 1e24 were parallel to round-off."""
+    found = []
+    for mass in (1.0, 2.0**80):
+        body = systems.rigid_body(mass * jnp.array([1.0, 2.0, 3.0]))
+        run = schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, 0.3, 1.0]), 0.1
+        found.append((diagnostics.lyapunov(*run, 64).exponents, diagnostics.megno(*run, 64).mean))
+    for x, y in zip(*found, strict=True):
+        assert (x == y).all()
+
+
 @pytest.mark.long
 def test_exponents_work_in_float32_and_under_vmap_with_a_flag_for_failures():
     step, state = jax.tree.map(lambda x: x.astype(jnp.float32), REGULAR["free"])

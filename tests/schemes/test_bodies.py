@@ -15,6 +15,7 @@ import lieint_jax as li
 from lieint_jax import _discover, diagnostics, potentials, schemes, systems
 from lieint_jax.capabilities import AbstractRigidBodies
 from lieint_jax.groups import so3
+from lieint_jax.schemes._shared.kepler_flow import kepler_flow as flow_of_two_points
 
 EXAMPLES = {k: x for k, x in examples_of("rigid_bodies").items() if isinstance(x[0], AbstractRigidBodies)}
 BINARY, START, DT = EXAMPLES["binary"]
@@ -352,6 +353,15 @@ def test_kepler_s_flow_is_exact_on_every_conic(speed):
         atol=1e-14,
     ).y[:, -1]
     np.testing.assert_allclose(np.concatenate([moved, faster]), end, rtol=0, atol=3e-14)
+
+
+def test_the_residual_of_kepler_s_flow_does_not_depend_on_the_unit_of_time():
+    d, v = jnp.array([1.0, 0.2, -0.1]), jnp.array([0.1, 0.9, 0.2])
+    solve = jax.jit(lambda unit, dt: flow_of_two_points(d, v / unit, 1 / unit**2, dt * unit)[2])
+    for unit, dt in ((1.0, 0.7), (2.0**30, 0.7), (2.0**-30, 0.7), (1.0, 0.0)):
+        info = solve(unit, dt)
+        assert info.converged
+        assert info.residual < 1e-15  # observed 2e-16
 
 
 @pytest.mark.long

@@ -7,6 +7,7 @@ from jax import Array
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.power_series import stumpff
+from lieint_jax._numerics.select import where
 from lieint_jax.types import StepInfo
 from lieint_jax.types.shapes import Scalar, Vector3
 from lieint_jax.types.vectors import dot, norm
@@ -15,7 +16,7 @@ _ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
 
 
 def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, Array, StepInfo]:
-    """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, and the report, with the residual of the equation for s.
+    """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, and the report: the residual of the equation for s over Δt.
 
     By universal variables: r₀G₁ + ηG₂ + μG₃ = Δt with G_k = sᵏc_k(βs²), β = 2μ/r₀ − |v|², η = d·v; on every conic.
     """
@@ -46,4 +47,4 @@ def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, A
     r = r0 * G0 + eta * G1 + mu * G2
     moved = -mu * G2 / r0 * d + (dt - mu * G3) * v
     faster = -mu * G1 / (r0 * r) * d - mu * G2 / r * v
-    return moved, faster, newton.report(jnp.abs(F), steady & (r > 0), jnp.abs(dt))
+    return moved, faster, newton.report(jnp.abs(F / where(dt == 0, 1, dt)), steady & (r > 0))
