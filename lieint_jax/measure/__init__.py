@@ -13,6 +13,8 @@
 | `light_curve`, `brightness`, `lambert` | the light that a convex body of facets reflects (`shapes.facets`) |
 | `spectrum`, `line` | frequencies and amplitudes at even times |
 | `periodogram` | periods at uneven times, with false-alarm probabilities |
+| `sines`, `double_periods` | the sines of such a series one by one; the two frequencies of a tumbler's light |
+| `combinations`, `combination`, `chance_of_match`, `equivalent_pairs` | of two frequencies, and what they generate |
 | `mean_rate`, `unwrapped` | of an angle |
 | `is_librating`, `captured_since`, `first_below` | whether, and since when, a series stays within a bound |
 
@@ -21,6 +23,17 @@ and (times, members), also where each member has its own step. What a run does n
 """
 
 from lieint_jax.measure._attitude import MeasuredPeriods, Pole, periods, pole, rotation_rates, tilt
+from lieint_jax.measure._combinations import (
+    Combination,
+    DoublePeriods,
+    Sine,
+    chance_of_match,
+    combination,
+    combinations,
+    double_periods,
+    equivalent_pairs,
+    sines,
+)
 from lieint_jax.measure._distances import PairDensity, distances, pair_density
 from lieint_jax.measure._light import brightness, lambert, light_curve
 from lieint_jax.measure._nutation import Nutation, nutation
@@ -40,6 +53,8 @@ from lieint_jax.measure._spectrum import Line, Periodogram, Spectrum, line, peri
 
 __all__ = [
     "Apsides",
+    "Combination",
+    "DoublePeriods",
     "Librations",
     "Line",
     "MeasuredPeriods",
@@ -50,11 +65,17 @@ __all__ = [
     "Periodogram",
     "Pole",
     "RelativeMotion",
+    "Sine",
     "Spectrum",
     "apsides",
     "brightness",
     "captured_since",
+    "chance_of_match",
+    "combination",
+    "combinations",
     "distances",
+    "double_periods",
+    "equivalent_pairs",
     "first_below",
     "is_librating",
     "lambert",
@@ -72,6 +93,7 @@ __all__ = [
     "pole",
     "relative_motion",
     "rotation_rates",
+    "sines",
     "spectrum",
     "tilt",
     "unwrapped",

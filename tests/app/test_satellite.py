@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax.app.studies import _period_search, satellite
 from lieint_jax.app.studies import _satellite_fit as fits
 from lieint_jax.app.studies import _satellite_sky as sky
+from lieint_jax.app.studies import satellite
 from lieint_jax.app.studies._tumbling import mean_periods, model
 from lieint_jax.groups import so3
 
@@ -183,40 +183,6 @@ def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_
     assert names[own.index("mirror")] == "as it is"
 
 
-@pytest.mark.long
-def test_periods_of_a_double_series_are_found_from_irregular_data():
-    rng = np.random.default_rng(6)
-    t, true = np.sort(rng.uniform(0, 400, 150)), np.array([0.0613, 0.0771])
-    lines = ((1, 0, 1.0), (1, 1, 0.8), (2, 1, 0.5), (0, 1, 0.4), (2, -1, 0.3))
-    y = sum(a * np.cos(2 * np.pi * (j * true[0] + k * true[1]) * t + 3 * a) for j, k, a in lines)
-    found = _period_search.search(t, y + 0.02 * rng.normal(size=150))
-    named = [_period_search.find_combination(p.frequency, true, 3, 1 / 400)[:2] for p in found.peaks[:5]]
-    assert set(named) == {line[:2] for line in lines}
-    assert np.abs(found.lines - true).max(axis=1).min() < 2e-4
-    assert found.pairs.left[0] < 0.05  # 0.017: the grid's nearest frequencies are off by up to 1/8 of 1/400
-    left = _period_search.fit_two_periods(t, y, 1e-4, np.array([[613, 771], [600, 771]]), 2).left
-    assert left[0] < 4e-6 < 0.1 < left[1]  # 1e-6, of the ridge
-
-
-def test_the_false_alarm_probability_is_the_share_of_matching_frequencies():
-    """Beside frequencies at random; intervals that overlap count once, and only inside the band."""
-    jk, pair, f = _period_search.combinations(3), np.array([0.061, 0.038]), np.linspace(0.01, 0.3, 20001)
-    near = np.abs(jk @ pair - f[:, None]).min(axis=1) < 0.002
-    assert _period_search.coincidence(jk @ pair, (0.01, 0.3), 0.002) == pytest.approx(near.mean(), abs=1e-3)
-
-
-def test_all_bases_generate_the_same_combinations():
-    pair = np.array([0.05, 0.08])
-    found = _period_search.bases(pair, 2, (0.01, 0.2))
-    assert any(np.allclose(b, pair) for b in found)
-    assert any(np.allclose(b, pair[::-1]) for b in found)
-    for basis in found:
-        a = np.rint(
-            [next(x for x in itertools.product(range(-2, 3), repeat=2) if np.isclose(x @ pair, f)) for f in basis]
-        )
-        assert abs(np.linalg.det(a)) == pytest.approx(1)
-
-
 BAD = [
     (lambda: sky.facets([]), "at least one facet"),
     (
@@ -271,10 +237,8 @@ def test_the_period_search_finds_the_true_combinations():
     """All strong sines are combinations, as good as all with an even k; one candidate pair is the true one."""
     curve, _ = sky.observe(SCENE)
     true = 1 / np.asarray(mean_periods(SCENE.body, SCENE.state))
-    found, width = _period_search.search(curve.t, curve.magnitude), 1 / curve.t[-1]
-    named = [
-        _period_search.find_combination(p.frequency, true, _period_search.HARMONICS, width) for p in found.peaks[:9]
-    ]
+    found, width = fits.search(curve.t, curve.magnitude), 1 / curve.t[-1]
+    named = [li.measure.combination(p.frequency, true, fits.HARMONICS, width) for p in found.peaks[:9]]
     assert max(abs(off) for *_, off in named) < width
     assert all(k % 2 == 0 for _, k, _ in named)
     assert np.abs(found.candidates - true).max(axis=1).min() < width / 2

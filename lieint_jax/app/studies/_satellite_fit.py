@@ -34,7 +34,6 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import schemes
-from lieint_jax.app.studies._period_search import Search
 from lieint_jax.app.studies._satellite_sky import (
     Facets,
     Lightcurve,
@@ -49,6 +48,7 @@ from lieint_jax.app.studies._tumbling import mean_periods, model, rotate, rotati
 from lieint_jax.fitting import Fit, inertia_ratios, inference, principal_inertia
 from lieint_jax.fitting.inference import Params, Problem, Unknown
 from lieint_jax.groups import so3
+from lieint_jax.measure import DoublePeriods, Sine, double_periods, equivalent_pairs, periodogram, sines
 from lieint_jax.runs import integrate, over_members
 from lieint_jax.systems import RigidBody
 
@@ -179,6 +179,35 @@ def light_differences(facets: Facets, q: np.ndarray, sun: np.ndarray, observer: 
 
 
 _magnitudes = jax.jit(jax.vmap(magnitude, (None, 0, 0, 0)))
+
+
+BAND, SPECTRUM = (0.01, 0.16), (0.005, 0.35)  # 1/min, the ranges of the pairs of frequencies and of the spectrum
+HARMONICS = 6  # largest |j| and |k| of the combinations by which a sine is identified
+_SEPARATION = 0.004  # 1/min; pairs of frequencies that are closer are one peak
+_SHOWN = 10  # number of sines and pairs in the result
+
+
+class Search(NamedTuple):
+    """The search for the periods of a light curve."""
+
+    frequencies: np.ndarray  # the frequencies of the spectrum, 1/min, (k,)
+    power: np.ndarray  # the share of the variance that each frequency explains alone, (k,)
+    peaks: list[Sine]  # the strongest sines, one after the other
+    pairs: DoublePeriods  # the best pairs of frequencies, best first
+    lines: np.ndarray  # pairs of frequencies that generate the same combinations as the best pair, (c, 2)
+
+    @property
+    def candidates(self) -> np.ndarray:
+        """Candidates for the frequencies of (precession, rotation), 1/min, (c, 2): half a rotation has equal light."""
+        return self.lines / np.array([1.0, 2.0])
+
+
+def search(t: np.ndarray, y: np.ndarray) -> Search:
+    """The spectrum of magnitudes y at times t (min), its peaks, and pairs of frequencies."""
+    spectrum = periodogram(t, y, frequencies=np.arange(*SPECTRUM, 1 / (6 * (t[-1] - t[0]))))
+    pairs = double_periods(t, y, *BAND, separation=_SEPARATION, count=_SHOWN)
+    found = sines(t, y, spectrum.frequency, _SHOWN)
+    return Search(spectrum.frequency, spectrum.power, found, pairs, equivalent_pairs(pairs.pairs[0], *BAND))
 
 
 UNKNOWNS = {

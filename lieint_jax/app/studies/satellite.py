@@ -22,11 +22,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.studies import _period_search as search
 from lieint_jax.app.studies import _report, _satellite_fit
 from lieint_jax.app.studies._satellite_fit import (
+    HARMONICS,
     QUANTITIES,
     SPACE,
+    SPECTRUM,
     STEP,
     UNKNOWNS,
     Change,
@@ -35,6 +36,7 @@ from lieint_jax.app.studies._satellite_fit import (
     Solutions,
     changes,
     classify,
+    search,
     solutions,
 )
 from lieint_jax.app.studies._satellite_sky import (
@@ -51,6 +53,7 @@ from lieint_jax.app.studies._satellite_sky import (
 )
 from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.fitting import Fit
+from lieint_jax.measure import chance_of_match, combination, combinations
 
 __all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
 
@@ -63,7 +66,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     made = scene()
     session = made.exposures["sessions_min"][0][1]
     curve, synthetic = observe(made, sets)
-    found = search.search(curve.t, curve.magnitude)
+    found = search(curve.t, curve.magnitude)
     first = curve.truncate(session)
     clock, key = [time.perf_counter()], jax.random.key(made.exposures["seed"])
     guess, begin, candidate = _satellite_fit.random_guesses(found.candidates, guesses, key)
@@ -159,22 +162,22 @@ def _head(found: SatelliteFit) -> list[str]:
 
 def _periods(found: SatelliteFit) -> list[str]:
     s, true, width = found.search, 1 / found.periods, float(1 / found.curve.t[-1])  # width: the resolution, 1/min
-    jk = search.combinations(search.HARMONICS)
-    by_chance = [100 * search.coincidence(part @ true, search.SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
+    jk = combinations(HARMONICS)
+    by_chance = [100 * chance_of_match(part @ true, *SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
     rows = [("1/min", "period (min)", "variance", "j", "k", "off (1/min)")]
     for f, share in s.peaks:
-        j, k, off = search.find_combination(f, true, search.HARMONICS, width)
+        j, k, off = combination(f, true, HARMONICS, width)
         rows.append((f"{f:.5f}", f"{1 / f:.2f}", f"{100 * share:.1f}%", str(j), str(k), f"{off:.5f}"))
     lines = [
         "\n  sines in the light, the strongest first, each with the simplest j f_precession + k f_rotation, |j|, |k| ≤ "
-        f"{search.HARMONICS}",
+        f"{HARMONICS}",
         f"  within {width:.4f} per min (by chance {by_chance[0]:.0f} % of all frequencies are as near to one, "
         f"{by_chance[1]:.0f} % to one with even k)",
         *_report.table(rows, "    "),
         "  pairs of frequencies of a double Fourier series of order 2, the best first, with their true combinations",
     ]
-    for pair, left in list(zip(s.pairs.pairs, s.pairs.left, strict=True))[:6]:
-        names = [(f, *search.find_combination(f, true, search.HARMONICS, width)) for f in pair]
+    for pair, left in list(zip(*s.pairs, strict=True))[:6]:
+        names = [(f, *combination(f, true, HARMONICS, width)) for f in pair]
         each = "  and  ".join(f"{f:.5f} = ({j:>2}, {k:>2}) {off:+.5f}" for f, j, k, off in names)
         lines.append(f"    {each}   leaves {100 * left:.1f} % of the variance")
     off = np.abs(s.candidates - true).max(axis=1)
@@ -276,7 +279,7 @@ def _estimate(found: SatelliteFit) -> list[str]:
 
 def _published(found: SatelliteFit) -> list[str]:
     width, true, named = float(1 / found.curve.t[-1]), 1 / found.periods, _named(found)
-    names = [search.find_combination(p.frequency, true, search.HARMONICS, width) for p in found.search.peaks]
+    names = [combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]
     best, mirror = named[SPACE[0]], named[SPACE[1]]
     before, after = 2 * (mirror.before - best.before), 2 * (mirror.after - best.after)
@@ -351,7 +354,7 @@ def _draw_spectrum(ax: Axes, found: SatelliteFit) -> None:
 
 
 def _draw_pairs(ax: Axes, found: SatelliteFit) -> None:
-    pairs, left = found.search.pairs.pairs, 100 * found.search.pairs.left
+    pairs, left = found.search.pairs.pairs, 100 * found.search.pairs.unexplained
     y = np.arange(len(pairs))[::-1]
     ax.barh(y, left, color=plots.BLUE, height=0.6)
     for height, pair, value in zip(y, pairs, left, strict=True):
@@ -364,7 +367,7 @@ def _draw_pairs(ax: Axes, found: SatelliteFit) -> None:
 
 def _name(found: SatelliteFit, frequency: float) -> str:
     """The combination (j, k) of the true frequencies that a frequency is."""
-    j, k, _ = search.find_combination(frequency, 1 / found.periods, search.HARMONICS, 1 / found.curve.t[-1])
+    j, k, _ = combination(frequency, 1 / found.periods, HARMONICS, 1 / found.curve.t[-1])
     return f"({j}, {k})".replace("-", "−")
 
 
