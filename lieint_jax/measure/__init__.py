@@ -11,6 +11,9 @@
 | `apsides`, `librations` | mean orbit and precession of its apsides; forced and free libration |
 | `pair_energies` | how two bodies exchange energy |
 | `light_curve`, `brightness`, `lambert` | the light that a convex body of facets reflects (`shapes.facets`) |
+| `glossy_brightness` | the same of facets with a lobe, with all derivatives |
+| `light_changes`, `light_differences` | other spin states that have the same light, and how much they differ |
+| `is_light_symmetry`, `classify_light` | whether a rotation leaves the light unchanged; which of them a fit has found |
 | `spectrum`, `line` | frequencies and amplitudes at even times |
 | `periodogram` | periods at uneven times, with false-alarm probabilities |
 | `sines`, `double_periods` | the sines of such a series one by one; the two frequencies of a tumbler's light |
@@ -35,7 +38,16 @@ from lieint_jax.measure._combinations import (
     sines,
 )
 from lieint_jax.measure._distances import PairDensity, distances, pair_density
-from lieint_jax.measure._light import brightness, lambert, light_curve
+from lieint_jax.measure._equal_light import (
+    SPACE_CHANGES,
+    LightChange,
+    SpinStates,
+    classify_light,
+    is_light_symmetry,
+    light_changes,
+    light_differences,
+)
+from lieint_jax.measure._light import SUN_RADIUS, brightness, glossy_brightness, lambert, light_curve
 from lieint_jax.measure._nutation import Nutation, nutation
 from lieint_jax.measure._orbit import OrbitAngles, orbit_angles, orbit_axes
 from lieint_jax.measure._relative_motion import (
@@ -52,10 +64,13 @@ from lieint_jax.measure._series import captured_since, first_below, is_librating
 from lieint_jax.measure._spectrum import Line, Periodogram, Spectrum, line, periodogram, spectrum
 
 __all__ = [
+    "SPACE_CHANGES",
+    "SUN_RADIUS",
     "Apsides",
     "Combination",
     "DoublePeriods",
     "Librations",
+    "LightChange",
     "Line",
     "MeasuredPeriods",
     "Nutation",
@@ -67,20 +82,26 @@ __all__ = [
     "RelativeMotion",
     "Sine",
     "Spectrum",
+    "SpinStates",
     "apsides",
     "brightness",
     "captured_since",
     "chance_of_match",
+    "classify_light",
     "combination",
     "combinations",
     "distances",
     "double_periods",
     "equivalent_pairs",
     "first_below",
+    "glossy_brightness",
     "is_librating",
+    "is_light_symmetry",
     "lambert",
     "librations",
+    "light_changes",
     "light_curve",
+    "light_differences",
     "line",
     "mean_rate",
     "nutation",

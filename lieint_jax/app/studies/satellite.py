@@ -26,36 +26,37 @@ from lieint_jax.app.studies import _report, _satellite_fit
 from lieint_jax.app.studies._satellite_fit import (
     HARMONICS,
     QUANTITIES,
-    SPACE,
     SPECTRUM,
     STEP,
     UNKNOWNS,
-    Change,
     Ends,
     SatelliteFit,
-    Solutions,
-    changes,
-    classify,
     search,
     solutions,
 )
 from lieint_jax.app.studies._satellite_sky import (
-    Facets,
     Lightcurve,
     Scene,
-    brightness,
     closed_form,
-    facets,
-    magnitude,
     observe,
     scene,
     scene_minima,
 )
 from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.fitting import Fit
-from lieint_jax.measure import chance_of_match, combination, combinations
+from lieint_jax.measure import (
+    SPACE_CHANGES,
+    LightChange,
+    SpinStates,
+    chance_of_match,
+    classify_light,
+    combination,
+    combinations,
+    light_changes,
+    light_differences,
+)
 
-__all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
+__all__ = ["SatelliteFit", "draw", "run", "scene", "text"]
 
 _MOST_MINIMA = 60  # more than the first session has
 
@@ -77,7 +78,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     fits = _satellite_fit.fit_magnitudes(guess, begin, observed, made.facets, first, progress)
     clock.append(time.perf_counter())
     assert fits.starts is not None
-    every = changes(made.facets, first.sun, first.observer)
+    every = light_changes(made.facets, first.sun, first.observer)
     ends, order = solutions(fits.starts.params, begin), np.argsort(fits.starts.loss)
     images = _images(ends.select(order[0]), every)
     several, truth = _join(ends.select(order[:continued]), images), _satellite_fit.true_solution(made)
@@ -93,7 +94,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     of_night = _ends(night, after, best, every)
     return SatelliteFit(
         title=made.title,
-        facets=len(made.facets.area),
+        facets=len(made.facets.areas),
         rate=float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
         curve=curve,
         session=session,
@@ -106,7 +107,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
         candidate=candidate,
         night=Ends(*(leaf[:continued] for leaf in of_night)),
         images=Ends(*(leaf[continued:count] for leaf in of_night)),
-        named=classify(images, best, every),
+        named=classify_light(images, best, every),
         fit=night,
         estimate=_satellite_fit.estimate(made, curve, night, begin, chosen, count, every),
         light_changes=_light_changes(made, first, curve),
@@ -115,26 +116,26 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     )
 
 
-def _images(best: Solutions, every: list[Change]) -> Solutions:
+def _images(best: SpinStates, every: list[LightChange]) -> SpinStates:
     """The images of a solution under the changes of every kind, including the solution itself."""
     return _join(*(change(best) for change in every if change.symmetry == 0))
 
 
-def _join(*parts: Solutions) -> Solutions:
-    return Solutions(*map(np.concatenate, zip(*parts, strict=True)))
+def _join(*parts: SpinStates) -> SpinStates:
+    return SpinStates(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndarray:
     middle = len(first.t) // 2
     held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
     q = np.asarray(closed_form(made, night.t)[0])
-    change = _satellite_fit.light_differences
+    change = light_differences
     return np.stack([change(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
 
 
-def _ends(fit: Fit, ends: Solutions, best: Solutions, every: list[Change]) -> Ends:
+def _ends(fit: Fit, ends: SpinStates, best: SpinStates, every: list[LightChange]) -> Ends:
     assert fit.starts is not None
-    return Ends(fit.starts.loss, classify(ends, best, every), fit.starts.success)
+    return Ends(fit.starts.loss, classify_light(ends, best, every), fit.starts.success)
 
 
 def text(found: SatelliteFit) -> str:
@@ -220,7 +221,7 @@ def _solutions(found: SatelliteFit) -> list[str]:
             seen = f"{2 * before:.1f}" if np.isfinite(before) else ""
             rows += [(name, counts.sum(), *counts, seen, f"{2 * after:.1f}" if np.isfinite(after) else "none")]
     rows += [("elsewhere", len(other), *[""] * 4, f"{2 * other.min():.1f}" if len(other) else "")]
-    right = [k for k, change in enumerate(found.changes) if change.name == SPACE[0]]
+    right = [k for k, change in enumerate(found.changes) if change.name == SPACE_CHANGES[0]]
     same, some = (100 * share.mean() for share in (np.isin(first.change, right), first.change >= 0))
     return [
         f"\n  {found.guesses} random bodies of these periods compared with the first session: {a:.0f} s on "
@@ -281,7 +282,7 @@ def _published(found: SatelliteFit) -> list[str]:
     width, true, named = float(1 / found.curve.t[-1]), 1 / found.periods, _named(found)
     names = [combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]
-    best, mirror = named[SPACE[0]], named[SPACE[1]]
+    best, mirror = named[SPACE_CHANGES[0]], named[SPACE_CHANGES[1]]
     before, after = 2 * (mirror.before - best.before), 2 * (mirror.after - best.after)
     return [
         "\n  published statements and this fit:",
