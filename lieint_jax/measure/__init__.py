@@ -14,7 +14,7 @@
 | `glossy_brightness` | the same of facets with a lobe, with all derivatives |
 | `light_changes`, `light_differences` | other spin states that have the same light, and how much they differ |
 | `is_light_symmetry`, `classify_light` | whether a rotation leaves the light unchanged; which of them a fit has found |
-| `spectrum`, `line` | frequencies and amplitudes at even times |
+| `spectrum`, `line`, `complex_rates` | frequencies, amplitudes and growth at even times |
 | `periodogram` | periods at uneven times, with false-alarm probabilities |
 | `sines`, `double_periods` | the sines of such a series one by one; the two frequencies of a tumbler's light |
 | `combinations`, `combination`, `chance_of_match`, `equivalent_pairs` | of two frequencies, and what they generate |
@@ -61,7 +61,7 @@ from lieint_jax.measure._relative_motion import (
     relative_motion,
 )
 from lieint_jax.measure._series import captured_since, first_below, is_librating, mean_rate, unwrapped
-from lieint_jax.measure._spectrum import Line, Periodogram, Spectrum, line, periodogram, spectrum
+from lieint_jax.measure._spectrum import Line, Periodogram, Spectrum, complex_rates, line, periodogram, spectrum
 
 __all__ = [
     "SPACE_CHANGES",
@@ -90,6 +90,7 @@ __all__ = [
     "classify_light",
     "combination",
     "combinations",
+    "complex_rates",
     "distances",
     "double_periods",
     "equivalent_pairs",
