@@ -323,7 +323,7 @@ def test_groups_are_found_by_any_spelling_of_their_names():
     assert check_groups.find_group("E8") is None
     with pytest.raises(ValueError, match="no scheme 'rk4' on SL\\(3\\), where group_midpoint has the maps exponential"):
         check_groups.certificates(check_groups.find_group("sl3"), "rk4")
-    assert {name for name, group in check_groups.catalogue().items() if check_groups.has_bounded_adjoint(group)} == {
+    assert {name for name, group in check_groups.catalogue().items() if group.has_bounded_adjoint} == {
         *("SO(3)", "SO(4)", "SU(2)", "Heis(3)", "Heis(5)", "R^3")
     }
 

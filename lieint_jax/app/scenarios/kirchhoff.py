@@ -15,8 +15,8 @@ from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, picture, quantity
 from lieint_jax.app.scenarios._pictures import draw_errors, draw_members
 from lieint_jax.app.scenarios._report import Conserved
-from lieint_jax.app.scenarios._runge_kutta import RungeKutta
 from lieint_jax.app.scenarios._runs import length, nominal_state, nominal_system, positive, series
+from lieint_jax.diagnostics import RungeKutta
 from lieint_jax.runs import Run
 from lieint_jax.systems import Euler
 from lieint_jax.types import State
