@@ -9,6 +9,7 @@
 | `flow` | the motion by collocation of order 16, as a reference |
 | `RungeKutta`, `step_cost` | a step that conserves nothing, to compare with; the seconds that a step takes |
 | `lyapunov`, `megno`, `section`, `delay` | chaos: exponents, MEGNO, Poincaré sections, delay plots |
+| `exponents_of_flow`, `exponent_of_neighbors` | exponents without the tangent flow of a step, to verify them |
 | `modified_energy` | the first terms of the Hamiltonian that a symplectic splitting conserves |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability with its margin |
 | `group_conservation`, `random_geodesic` | what each map conserves on a matrix group, over random metrics |
@@ -22,6 +23,7 @@ from lieint_jax.diagnostics._equilibrium import Equilibrium, equilibrium
 from lieint_jax.diagnostics._group_conservation import GroupConservation, group_conservation, random_geodesic
 from lieint_jax.diagnostics._local_error import local_error
 from lieint_jax.diagnostics._modified_energy import modified_energy
+from lieint_jax.diagnostics._neighbors import exponent_of_neighbors, exponents_of_flow
 from lieint_jax.diagnostics._normal_modes import NormalModes, normal_modes
 from lieint_jax.diagnostics._order import flow, order, reversibility
 from lieint_jax.diagnostics._poisson import poisson_error
@@ -46,6 +48,8 @@ __all__ = [
     "delay",
     "energy_error",
     "equilibrium",
+    "exponent_of_neighbors",
+    "exponents_of_flow",
     "flow",
     "group_conservation",
     "linearization",

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax.groups import so3
@@ -21,6 +23,7 @@ __all__ = ["brightness", "glossy_brightness", "lambert", "light_curve"]
 
 SUN_RADIUS = 0.00465  # rad, from the Earth
 ScatteringLaw = Callable[[Array, Array], Array]  # (μ0, μ) ↦ reflectance
+_Scene = tuple[GlossyFacets, Array, Array]  # facets, directions to Sun and observer
 
 
 def lambert(mu0: Array, mu: Array) -> Array:
@@ -76,15 +79,38 @@ def glossy_brightness(facets: GlossyFacets, q: Array, sun: Array, observer: Arra
         sun, observer: unit vectors in space, from the body, (3,); not opposite to each other.
 
     Returns:
-        The light relative to a white Lambert facet of area π lit and seen face-on.
+        The light relative to a white Lambert facet of area π lit and seen face-on. Forward derivatives by the attitude
+        are those of a gradient: eight directions cost little more than the light itself.
 
     Source of the lobe: Blinn 1977, Proc. SIGGRAPH, 192.
     """
+    return _glossy(q, (facets, sun, observer))
+
+
+@jax.custom_jvp
+def _glossy(q: Array, scene: _Scene) -> Array:
+    facets, sun, observer = scene
     s, o = so3.Ad_star(q, sun), so3.Ad_star(q, observer)
     between = s + o
     h = between / jnp.sqrt(jnp.sum(between * between))
     lit, seen, mirrored = (_ramp(jnp.sum(facets.normals * v, axis=1)) for v in (s, o, h))
     return jnp.sum(facets.areas / jnp.pi * lit * seen * (facets.diffuse + facets.specular * mirrored**facets.exponent))
+
+
+@partial(_glossy.defjvp, symbolic_zeros=True)
+def _glossy_jvp(primals: tuple[Array, _Scene], tangents: Any) -> tuple[Array, Array]:
+    (q, scene), (dq, *changes) = primals, jax.tree.leaves(tangents, is_leaf=_is_zero)
+    light, gradient = jax.value_and_grad(_glossy.fun)(q, scene)
+    along = jnp.zeros_like(light) if _is_zero(dq) else jnp.vdot(gradient, dq)
+    if all(map(_is_zero, changes)):
+        return light, along
+    full = [jnp.zeros(x.shape, x.dtype) if _is_zero(x) else x for x in changes]
+    change = jax.tree.unflatten(jax.tree.structure(scene), full)
+    return light, along + jax.jvp(lambda scene: _glossy.fun(q, scene), (scene,), (change,))[1]
+
+
+def _is_zero(tangent: Any) -> bool:
+    return isinstance(tangent, SymbolicZero)
 
 
 def _ramp(x: Array) -> Array:

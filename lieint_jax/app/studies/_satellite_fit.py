@@ -10,14 +10,12 @@ Other spin states have the same light, or nearly so: see `measure.light_changes`
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import schemes
@@ -112,33 +110,8 @@ def magnitudes(params: Params, begin: ArrayLike, facets: GlossyFacets, curve: Li
     body, state = model(params, jnp.asarray(begin))
     steps = int(np.ceil(curve.t[-1] / STEP))
     path = integrate(schemes.preprocessed(body, 6), state, STEP, steps, save_at=jnp.asarray(curve.t))
-    scene = facets, jnp.asarray(curve.sun), jnp.asarray(curve.observer)
-    return jax.vmap(_light, (0, (None, 0, 0)))(path.state.q[1:], scene), jnp.all(path.info.converged)
-
-
-def _magnitude(q: Array, scene: tuple[GlossyFacets, Array, Array]) -> Array:
-    facets, sun, observer = scene
-    return magnitude(facets, q, sun, observer)
-
-
-_light = jax.custom_jvp(_magnitude)
-
-
-@partial(_light.defjvp, symbolic_zeros=True)
-def _light_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    """The derivative, by the gradient in the attitude: eight directions then cost little more than the light itself."""
-    (q, scene), (dq, *changes) = primals, jax.tree.leaves(tangents, is_leaf=_is_zero)
-    light, gradient = jax.value_and_grad(_magnitude)(q, scene)
-    along = jnp.zeros(()) if _is_zero(dq) else jnp.vdot(gradient, dq)
-    if all(map(_is_zero, changes)):
-        return light, along
-    full = [jnp.zeros(x.shape, x.dtype) if _is_zero(x) else x for x in changes]
-    change = jax.tree.unflatten(jax.tree.structure(scene), full)
-    return light, along + jax.jvp(lambda scene: _magnitude(q, scene), (scene,), (change,))[1]
-
-
-def _is_zero(tangent: Any) -> bool:
-    return isinstance(tangent, SymbolicZero)
+    seen = path.state.q[1:], jnp.asarray(curve.sun), jnp.asarray(curve.observer)
+    return jax.vmap(magnitude, (None, 0, 0, 0))(facets, *seen), jnp.all(path.info.converged)
 
 
 def problem(facets: GlossyFacets, curve: Lightcurve) -> Problem:

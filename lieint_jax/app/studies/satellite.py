@@ -43,7 +43,7 @@ from lieint_jax.app.studies._satellite_sky import (
     scene_minima,
 )
 from lieint_jax.app.studies._tumbling import mean_periods
-from lieint_jax.fitting import Fit
+from lieint_jax.fitting import Fit, inference
 from lieint_jax.measure import (
     SPACE_CHANGES,
     LightChange,
@@ -250,7 +250,7 @@ def _symmetries(found: SatelliteFit) -> list[str]:
 
 
 def _estimate(found: SatelliteFit) -> list[str]:
-    e, chance = found.estimate, _report.chance_errors(len(found.estimate.errors))
+    e, chance = found.estimate, inference.chance_errors(len(found.estimate.errors))
     values = np.append(e.value, e.periods), np.append(e.sigma, e.periods_sigma), np.append(e.truth, found.periods)
     names = [*(name for unknown in UNKNOWNS.values() for name in unknown.names), *QUANTITIES]
     compared = [
