@@ -41,7 +41,7 @@ def exponents_of_flow(system: System, state: State, t: float, pieces: int) -> Ar
 
 
 def exponent_of_neighbors(
-    step: Step, state: State, dt: float, num_steps: int, every: int = 20, distance: float = 1e-8
+    step: Step, state: State, dt: float, num_steps: int, *, every: int = 20, distance: float = 1e-8
 ) -> Array:
     """The largest Lyapunov exponent from two neighboring trajectories, without derivatives: another test of `lyapunov`.
 

@@ -73,6 +73,9 @@ def sines(t: ArrayLike, x: ArrayLike, frequencies: ArrayLike, count: int) -> lis
         frequencies: those that are tried, > 0, (frequencies,), some per resolution 1/duration.
         count: the number of sines.
 
+    Raises:
+        ValueError: times or values that are not finite, or not as many of both.
+
     Example:
         >>> t = np.sort(np.random.default_rng(0).uniform(0, 100, 200))
         >>> found = sines(t, 2 * np.cos(3 * t) + np.sin(t), np.arange(0.02, 1, 1e-3), 2)
@@ -81,7 +84,7 @@ def sines(t: ArrayLike, x: ArrayLike, frequencies: ArrayLike, count: int) -> lis
 
     Source: prewhitening, as in Lenz & Breger 2005, Commun. Asteroseismol. 146, 53.
     """
-    t, y = np.asarray(t, float), np.asarray(x, float)
+    t, y = _finite_series(t, x)
     found: list[Sine] = []
     rest, unexplained = y, 1.0
     for _ in range(count):
@@ -124,11 +127,12 @@ def double_periods(
         step: of the frequencies that are tried; by default a quarter of the resolution 1/duration.
 
     Raises:
-        ValueError: the band has no two frequencies that differ by more than `separation`.
+        ValueError: the band has no two frequencies that differ by more than `separation`; times or values that are not
+            finite, or not as many of both.
 
     Source: Pravec et al. 2005, Icarus 173, 108.
     """
-    t, y = np.asarray(t, float), np.asarray(x, float)
+    t, y = _finite_series(t, x)
     step = float(1 / (_PER_RESOLUTION * np.ptp(t))) if step is None else step
     numbers = np.arange(int(low / step) + 1, int(high / step))
     f, g = np.meshgrid(numbers, numbers, indexing="ij")
@@ -144,6 +148,14 @@ def double_periods(
         if len(chosen) == count:
             break
     return DoublePeriods(pairs[chosen], unexplained[chosen])
+
+
+def _finite_series(t: ArrayLike, x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values, (times,), checked."""
+    t, y = np.asarray(t, float), np.asarray(x, float)
+    if t.ndim != 1 or y.shape != t.shape or not np.isfinite([t, y]).all():
+        raise ValueError(f"t and x must be finite, (times,) both, got shapes {t.shape} and {y.shape}, or a NaN")
+    return t, y
 
 
 def _unexplained_shares(t: np.ndarray, y: np.ndarray, step: float, multiples: np.ndarray, order: int) -> np.ndarray:

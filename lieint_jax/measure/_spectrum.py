@@ -113,7 +113,7 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
         count: the number of terms; a real oscillation has two.
 
     Returns:
-        The rates in radians per unit of time; NaN for fewer than 4 × `count` times.
+        The rates in radians per unit of time; NaN for fewer than 4 × `count` times, and where z has a NaN.
 
     Source: Prony 1795; Marple 1987, Digital Spectral Analysis, § 11.3.
 
@@ -123,7 +123,7 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
         [(2-0.1j), (-1+0j)]
     """
     z = np.asarray(z)
-    if len(z) < 4 * count:
+    if len(z) < 4 * count or not np.isfinite(z).all():
         return np.full(count, np.nan + 0j)
     columns = np.stack([z[count - k : len(z) - k] for k in range(1, count + 1)], axis=1)
     coefficients = np.linalg.lstsq(columns, z[count:], rcond=None)[0]

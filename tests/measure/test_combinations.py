@@ -67,7 +67,11 @@ def test_equivalent_pairs_generate_the_same_combinations():
         assert abs(np.linalg.det(a)) == pytest.approx(1)
 
 
-def test_a_band_without_pairs_is_refused_with_a_sentence():
+def test_a_band_without_pairs_and_a_nan_are_refused_with_a_sentence():
     t, y, _ = series()
     with pytest.raises(ValueError, match=r"no two frequencies from 0.01 to 0.02, .* differ by 0.1"):
         measure.double_periods(t, y, 0.01, 0.02, separation=0.1)
+    y[3] = np.nan
+    for find in (lambda: measure.sines(t, y, [0.1], 1), lambda: measure.double_periods(t, y, *BAND, separation=0.004)):
+        with pytest.raises(ValueError, match="must be finite"):
+            find()
