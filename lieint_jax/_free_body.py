@@ -168,6 +168,14 @@ class Periods(NamedTuple):
     rotation: Array
     long_axis: Array
 
+    @property
+    def of_circled_axis(self) -> Array:
+        """The mean time in which the axis that Π goes around, the long or the short one, goes once around π.
+
+        The short axis precesses by one more revolution in each rotation than the long one.
+        """
+        return where(self.long_axis, self.precession, 1 / (1 / self.precession + 1 / self.rotation))
+
 
 def periods(inertia: Inertia, Pi: Vector3) -> Periods:
     """The mean periods of a free body of body momentum Π, (3,); `inertia` as in `attitude`."""

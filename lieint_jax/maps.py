@@ -34,8 +34,8 @@ from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupEle
 
 __all__ = [
     "KAPPAS", "Kappa", "Map", "Tau", "arcsine", "arcsine_forms", "as_kappa", "as_tau", "axis_residual", "cayley",
-    "cayley_lands", "derivative", "examples", "exponential", "is_symplectic", "kappa_cayley", "kappa_exponential",
-    "kappa_symplectic", "scaled_cayley", "symplectic_residual",
+    "cayley_lands", "defined_on", "derivative", "examples", "exponential", "is_symplectic", "kappa_cayley",
+    "kappa_exponential", "kappa_symplectic", "scaled_cayley", "symplectic_residual",
 ]  # fmt: skip
 
 # Scalings κ of SO(3) --------------------------------------------------------------------------------------------------
@@ -191,6 +191,18 @@ def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
         forms.append((factor, np.zeros((d, d))))
         forms[-1][1][np.ix_(factor, factor)] = -form
     return forms
+
+
+def defined_on(group: Group) -> dict[str, Map]:
+    """The maps τ that are defined on a group, by name: exponential, cayley, arcsine."""
+    found: dict[str, Map] = {"exponential": exponential}
+    if cayley_lands(group):
+        found["cayley"] = cayley
+    try:
+        arcsine_forms(group)
+    except ValueError:
+        return found
+    return found | {"arcsine": arcsine}
 
 
 def _arcsine_scales(group: Group, theta: la.Vector) -> list[Array]:

@@ -4,6 +4,7 @@
 |---|---|
 | `constant_lag` | the tide of each body lags by a constant time (Mignard) |
 | `constant_q` | by a constant angle, at a constant quality factor Q (MacDonald; Goldreich & Soter) |
+| `double_synchronous` | where tides come to an end: both bodies locked, in closed form |
 
 Pass a law to `systems.rigid_bodies(…, dissipation=law)`, and add its conservative part, `law.potential`, to the
 potential of the bodies. `schemes.bodies_energy_momentum` conserves linear and angular momentum and energy less work,
@@ -11,6 +12,8 @@ all to round-off. A custom law inherits `PairLaw`, or is a function (r, v, ω_i,
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +25,16 @@ from lieint_jax._checks import concrete
 from lieint_jax.potentials import Potential
 from lieint_jax.types import PairLaw, pytree
 
-__all__ = ["LaggingTides", "PairLaw", "PairOfTides", "TidalPotential", "constant_lag", "constant_q"]
+__all__ = [
+    "LaggingTides",
+    "LockedOrbit",
+    "PairLaw",
+    "PairOfTides",
+    "TidalPotential",
+    "constant_lag",
+    "constant_q",
+    "double_synchronous",
+]
 
 
 @pytree
@@ -218,6 +230,48 @@ def constant_q(
         if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
             raise ValueError(f"{name} must be positive, got {np.asarray(x)}; a body without a tide has k2 = 0")
     return LaggingTides(*bodies, 1 / (2 * quality * slow), 1 / slow)
+
+
+class LockedOrbit(NamedTuple):
+    """Two bodies on a circle that always show each other the same faces.
+
+    Attributes:
+        distance: that of their centers.
+        period: of the circle and of both rotations.
+    """
+
+    distance: float
+    period: float
+
+
+def double_synchronous(G: float, masses: ArrayLike, inertia: float, momentum: float) -> LockedOrbit:
+    """The outer locked motion of two bodies with a given angular momentum: where tides come to an end.
+
+    The greater root a of L = μ√(GMa) + J√(GM/a³), with μ the reduced mass. NaN below the least value of L, which it has
+    where the orbit's part is three times that of the bodies.
+
+    Args:
+        G: the constant of gravity.
+        masses: (2,).
+        inertia: J, the sum of both moments of inertia about the normal of the orbit.
+        momentum: L, of the orbit and the bodies.
+
+    Source: Hut 1980, Astron. Astrophys. 92, 167.
+
+    Example: a body of mass 0.1 about one of mass 1, without moments of inertia of their own.
+
+        >>> found = double_synchronous(1.0, [1.0, 0.1], 0.0, 0.1 / 1.1 * 1.1**0.5)
+        >>> round(found.distance, 9), round(found.period, 6)
+        (1.0, 5.990749)
+    """
+    m = np.asarray(masses, float)
+    GM, mu = G * m.sum(), m.prod() / m.sum()
+    least = np.sqrt(3 * inertia / mu)
+    if inertia and mu * np.sqrt(GM * least) + inertia * np.sqrt(GM / least**3) > momentum:
+        return LockedOrbit(np.nan, np.nan)
+    roots = np.roots([mu, -momentum / np.sqrt(GM), 0, 0, inertia])  # of the equation for √a, times a^(3/2)
+    a = float(roots.real.max() ** 2)
+    return LockedOrbit(a, float(2 * np.pi * np.sqrt(a**3 / GM)))
 
 
 def _bodies(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike) -> tuple[Array, Array, Array, Array]:

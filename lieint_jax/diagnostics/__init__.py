@@ -7,9 +7,12 @@
 | `linearization`, `symplectic_defect`, `poisson_error` | Lₙ of a step by `jacfwd`, and whether it is symplectic |
 | `order`, `local_error`, `reversibility` | accuracy of runs, and of one step; time symmetry |
 | `flow` | the motion by collocation of order 16, as a reference |
+| `RungeKutta`, `step_cost` | a step that conserves nothing, to compare with; the seconds that a step takes |
 | `lyapunov`, `megno`, `section`, `delay` | chaos: exponents, MEGNO, Poincaré sections, delay plots |
+| `exponents_of_flow`, `exponent_of_neighbors` | exponents without the tangent flow of a step, to verify them |
 | `modified_energy` | the first terms of the Hamiltonian that a symplectic splitting conserves |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability with its margin |
+| `group_conservation`, `random_geodesic` | what each map conserves on a matrix group, over random metrics |
 | `conditions` | the residuals of the paper's own conditions, by equation number |
 """
 
@@ -17,11 +20,14 @@ from lieint_jax.diagnostics._certify import Certificate, certify
 from lieint_jax.diagnostics._chaos import Lyapunov, Megno, lyapunov, megno, section
 from lieint_jax.diagnostics._conditions import Conditions, conditions
 from lieint_jax.diagnostics._equilibrium import Equilibrium, equilibrium
+from lieint_jax.diagnostics._group_conservation import GroupConservation, group_conservation, random_geodesic
 from lieint_jax.diagnostics._local_error import local_error
 from lieint_jax.diagnostics._modified_energy import modified_energy
+from lieint_jax.diagnostics._neighbors import exponent_of_neighbors, exponents_of_flow
 from lieint_jax.diagnostics._normal_modes import NormalModes, normal_modes
 from lieint_jax.diagnostics._order import flow, order, reversibility
 from lieint_jax.diagnostics._poisson import poisson_error
+from lieint_jax.diagnostics._runge_kutta import RungeKutta, step_cost
 from lieint_jax.diagnostics._series import constraint_error, delay, energy_error, momentum_error
 from lieint_jax.diagnostics._symplectic import linearization, symplectic_defect
 from lieint_jax.diagnostics._thermal import ThermalCertificate
@@ -30,9 +36,11 @@ __all__ = [
     "Certificate",
     "Conditions",
     "Equilibrium",
+    "GroupConservation",
     "Lyapunov",
     "Megno",
     "NormalModes",
+    "RungeKutta",
     "ThermalCertificate",
     "certify",
     "conditions",
@@ -40,7 +48,10 @@ __all__ = [
     "delay",
     "energy_error",
     "equilibrium",
+    "exponent_of_neighbors",
+    "exponents_of_flow",
     "flow",
+    "group_conservation",
     "linearization",
     "local_error",
     "lyapunov",
@@ -50,7 +61,9 @@ __all__ = [
     "normal_modes",
     "order",
     "poisson_error",
+    "random_geodesic",
     "reversibility",
     "section",
+    "step_cost",
     "symplectic_defect",
 ]

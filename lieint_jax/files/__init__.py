@@ -2,7 +2,7 @@
 
 | file | read | written |
 |---|---|---|
-| any of these: what it is | `identify` | |
+| any of these: what it is, and what can be done with it | `identify`, `describe` | |
 | an orbit: CCSDS OEM | `read_oem` | `write_oem` |
 | attitudes: CCSDS AEM | `read_aem` | `write_aem` |
 | mean elements of SGP4: TLE, CCSDS OMM | `read_tle`, `read_omm` | |
@@ -16,6 +16,7 @@
 
 from lieint_jax.files._aem import Attitudes, read_aem, write_aem
 from lieint_jax.files._csv_log import Log, read_csv_log, write_csv
+from lieint_jax.files._describe import describe
 from lieint_jax.files._horizons import read_ephemeris_csv, read_horizons
 from lieint_jax.files._identify import identify
 from lieint_jax.files._light_curves import LightCurve, read_light_curve, read_light_curves
@@ -35,6 +36,7 @@ __all__ = [
     "MeanElements",
     "OrbitTable",
     "Superposition",
+    "describe",
     "identify",
     "read_aem",
     "read_csv_log",

@@ -37,12 +37,16 @@ __all__ = [
     "Inference",
     "Problem",
     "Published",
+    "Shares",
     "StudentT",
     "Unknown",
     "calibrate_errors",
+    "chance_errors",
+    "chi_square_point",
     "compare",
     "coverage",
     "draw_members",
+    "ellipse",
     "enlarge_errors",
     "estimates",
     "fit_starts",
@@ -51,6 +55,7 @@ __all__ = [
     "pull",
     "random_starts",
     "repeat",
+    "shares",
     "squared_distances",
     "synthetic",
 ]
@@ -263,6 +268,60 @@ class Coverage(NamedTuple):
         column = np.arange(self.pulls.shape[1])
         each = np.where((column >= parameters) & (column < parameters + levels), factors[1], factors[0])
         return Coverage(self.pulls / each, self.mahalanobis_squared / factors[0] ** 2, self.success)
+
+
+class Shares(NamedTuple):
+    """The scatter of pulls, (estimate − truth)/reported standard error, over synthetic data sets.
+
+    Attributes:
+        within_1: percentages within one standard error; 68.3 are expected.
+        within_2: percentages within two; 95.4 are expected.
+        rms: the root mean square; 1 is expected.
+    """
+
+    within_1: np.ndarray
+    within_2: np.ndarray
+    rms: np.ndarray
+
+
+def shares(pulls: np.ndarray, axis: int | None = 0) -> Shares:
+    """The shares of pulls (sets, parameters), for each parameter, or with `axis=None` for all together.
+
+    Example:
+        >>> shares(np.array([[0.5], [-0.5], [1.5], [3.0]])).within_1.tolist()
+        [50.0]
+    """
+    one, two = (100 * (np.abs(pulls) <= limit).mean(axis=axis) for limit in (1, 2))
+    return Shares(one, two, np.sqrt((pulls**2).mean(axis=axis)))
+
+
+def chance_errors(sets: int) -> Shares:
+    """The standard errors of the shares of one parameter, for a number of synthetic sets."""
+    one, two = (100 * np.sqrt(p * (1 - p) / sets) for p in (0.683, 0.954))
+    return Shares(one, two, 1 / np.sqrt(2 * sets))
+
+
+def chi_square_point(parameters: int) -> float:
+    """The 95 % point of χ²: the squared distance at the joint ellipsoid of 95 % probability.
+
+    Example:
+        >>> round(chi_square_point(2), 3)
+        5.991
+    """
+    from scipy.special import chdtri
+
+    return float(chdtri(parameters, 0.05))
+
+
+def ellipse(center: np.ndarray, covariance: np.ndarray, radius: float) -> np.ndarray:
+    """The points of two numbers at `radius` standard errors from their center, (145, 2).
+
+    Example:
+        >>> ellipse(np.zeros(2), np.diag([4.0, 1.0]), 1.0).max(axis=0).tolist()
+        [2.0, 1.0]
+    """
+    angle = np.linspace(0, 2 * np.pi, 145)
+    return center + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(covariance).T
 
 
 def _split_noise(params: Params) -> tuple[Params, Array]:

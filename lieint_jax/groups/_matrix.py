@@ -74,6 +74,18 @@ class MatrixGroup:
         return self.basis.shape[1]
 
     @cached_property
+    def has_bounded_adjoint(self) -> bool:
+        """Whether Ad_q stays bounded along every motion, as on compact, abelian and nilpotent groups.
+
+        Elsewhere Ad_q may grow, and the error of Π = Ad*_q π grows like ε‖Ad_q‖².
+        """
+        ad = np.tensordot(np.random.default_rng(0).normal(size=(8, self.dim)), self.structure.transpose(0, 2, 1), 1)
+        ad /= max(np.linalg.norm(ad, 2, axis=(1, 2)).max(), 1e-300)
+        nilpotent = np.abs(np.linalg.matrix_power(ad, self.dim)).max() <= 1e-12
+        killing = np.einsum("iab,jba->ij", self.structure, self.structure)
+        return bool(nilpotent or np.linalg.eigvalsh(killing).max() < -1e-9)
+
+    @cached_property
     def corank(self) -> int:
         """The number of independent Casimirs: the codimension of generic coadjoint orbits, the index of the algebra."""
         return _casimirs.corank(self._normalized[1])

@@ -11,8 +11,13 @@
 | `apsides`, `librations` | mean orbit and precession of its apsides; forced and free libration |
 | `pair_energies` | how two bodies exchange energy |
 | `light_curve`, `brightness`, `lambert` | the light that a convex body of facets reflects (`shapes.facets`) |
-| `spectrum`, `line` | frequencies and amplitudes at even times |
+| `glossy_brightness` | the same of facets with a lobe, with all derivatives |
+| `light_changes`, `light_differences` | other spin states that have the same light, and how much they differ |
+| `is_light_symmetry`, `classify_light` | whether a rotation leaves the light unchanged; which of them a fit has found |
+| `spectrum`, `line`, `complex_rates` | frequencies, amplitudes and growth at even times |
 | `periodogram` | periods at uneven times, with false-alarm probabilities |
+| `sines`, `double_periods` | the sines of such a series one by one; the two frequencies of a tumbler's light |
+| `combinations`, `combination`, `chance_of_match`, `equivalent_pairs` | of two frequencies, and what they generate |
 | `mean_rate`, `unwrapped` | of an angle |
 | `is_librating`, `captured_since`, `first_below` | whether, and since when, a series stays within a bound |
 
@@ -21,8 +26,28 @@ and (times, members), also where each member has its own step. What a run does n
 """
 
 from lieint_jax.measure._attitude import MeasuredPeriods, Pole, periods, pole, rotation_rates, tilt
+from lieint_jax.measure._combinations import (
+    Combination,
+    DoublePeriods,
+    Sine,
+    chance_of_match,
+    combination,
+    combinations,
+    double_periods,
+    equivalent_pairs,
+    sines,
+)
 from lieint_jax.measure._distances import PairDensity, distances, pair_density
-from lieint_jax.measure._light import brightness, lambert, light_curve
+from lieint_jax.measure._equal_light import (
+    SPACE_CHANGES,
+    LightChange,
+    SpinStates,
+    classify_light,
+    is_light_symmetry,
+    light_changes,
+    light_differences,
+)
+from lieint_jax.measure._light import SUN_RADIUS, brightness, glossy_brightness, lambert, light_curve
 from lieint_jax.measure._nutation import Nutation, nutation
 from lieint_jax.measure._orbit import OrbitAngles, orbit_angles, orbit_axes
 from lieint_jax.measure._relative_motion import (
@@ -36,11 +61,16 @@ from lieint_jax.measure._relative_motion import (
     relative_motion,
 )
 from lieint_jax.measure._series import captured_since, first_below, is_librating, mean_rate, unwrapped
-from lieint_jax.measure._spectrum import Line, Periodogram, Spectrum, line, periodogram, spectrum
+from lieint_jax.measure._spectrum import Line, Periodogram, Spectrum, complex_rates, line, periodogram, spectrum
 
 __all__ = [
+    "SPACE_CHANGES",
+    "SUN_RADIUS",
     "Apsides",
+    "Combination",
+    "DoublePeriods",
     "Librations",
+    "LightChange",
     "Line",
     "MeasuredPeriods",
     "Nutation",
@@ -50,16 +80,29 @@ __all__ = [
     "Periodogram",
     "Pole",
     "RelativeMotion",
+    "Sine",
     "Spectrum",
+    "SpinStates",
     "apsides",
     "brightness",
     "captured_since",
+    "chance_of_match",
+    "classify_light",
+    "combination",
+    "combinations",
+    "complex_rates",
     "distances",
+    "double_periods",
+    "equivalent_pairs",
     "first_below",
+    "glossy_brightness",
     "is_librating",
+    "is_light_symmetry",
     "lambert",
     "librations",
+    "light_changes",
     "light_curve",
+    "light_differences",
     "line",
     "mean_rate",
     "nutation",
@@ -72,6 +115,7 @@ __all__ = [
     "pole",
     "relative_motion",
     "rotation_rates",
+    "sines",
     "spectrum",
     "tilt",
     "unwrapped",

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax.groups import so3
 from lieint_jax.measure._states import Directions, directions, map_run, rotate, rotation
 from lieint_jax.runs import Run
-from lieint_jax.shapes import Facets
+from lieint_jax.shapes import Facets, GlossyFacets
 from lieint_jax.types import callable_pytree, vectors
 from lieint_jax.types.shapes import Scalar, Vector3
 
-__all__ = ["brightness", "lambert", "light_curve"]
+__all__ = ["brightness", "glossy_brightness", "lambert", "light_curve"]
 
+SUN_RADIUS = 0.00465  # rad, from the Earth
 ScatteringLaw = Callable[[Array, Array], Array]  # (μ0, μ) ↦ reflectance
+_Scene = tuple[GlossyFacets, Array, Array]  # facets, directions to Sun and observer
 
 
 def lambert(mu0: Array, mu: Array) -> Array:
@@ -59,6 +63,60 @@ def brightness(
 
 def _to_body(q: Array, v: Array) -> Vector3:
     return so3.Ad_star(q, v) if q.shape == (4,) else rotate(q[:3, :3].T, v)
+
+
+def glossy_brightness(facets: GlossyFacets, q: Array, sun: Array, observer: Array) -> Array:
+    """The light of facets with a lobe toward an observer, with all derivatives: Σ A/π r(μ0) r(μ)[d + s r(n·h)^p].
+
+    Here h = (s + o)/|s + o|, with s and o the directions to Sun and observer, which may be exchanged. The ramp
+    r(x) = (x + √(x² + ε²))/2 replaces max(0, x), whose derivative jumps where a facet is seen edge-on. Its width ε is
+    the angular radius of the Sun, which smears that edge about as much. A facet that faces away counts with a cosine of
+    ε²/4|x|, about 1e-5. Facets do not shade each other.
+
+    Args:
+        facets: of the body, in body axes.
+        q: its attitude, a unit quaternion, (4,).
+        sun, observer: unit vectors in space, from the body, (3,); not opposite to each other.
+
+    Returns:
+        The light relative to a white Lambert facet of area π lit and seen face-on. Forward derivatives by the attitude
+        are those of a gradient: eight directions cost little more than the light itself.
+
+    Source of the lobe: Blinn 1977, Proc. SIGGRAPH, 192.
+    """
+    return _glossy(q, (facets, sun, observer))
+
+
+@jax.custom_jvp
+def _glossy(q: Array, scene: _Scene) -> Array:
+    facets, sun, observer = scene
+    s, o = so3.Ad_star(q, sun), so3.Ad_star(q, observer)
+    between = s + o
+    h = between / jnp.sqrt(jnp.sum(between * between))
+    lit, seen, mirrored = (_ramp(jnp.sum(facets.normals * v, axis=1)) for v in (s, o, h))
+    return jnp.sum(facets.areas / jnp.pi * lit * seen * (facets.diffuse + facets.specular * mirrored**facets.exponent))
+
+
+@partial(_glossy.defjvp, symbolic_zeros=True)
+def _glossy_jvp(primals: tuple[Array, _Scene], tangents: Any) -> tuple[Array, Array]:
+    (q, scene), (dq, *changes) = primals, jax.tree.leaves(tangents, is_leaf=_is_zero)
+    light, gradient = jax.value_and_grad(_glossy.fun)(q, scene)
+    along = jnp.zeros_like(light) if _is_zero(dq) else jnp.vdot(gradient, dq)
+    if all(map(_is_zero, changes)):
+        return light, along
+    full = [jnp.zeros(x.shape, x.dtype) if _is_zero(x) else x for x in changes]
+    change = jax.tree.unflatten(jax.tree.structure(scene), full)
+    return light, along + jax.jvp(lambda scene: _glossy.fun(q, scene), (scene,), (change,))[1]
+
+
+def _is_zero(tangent: Any) -> bool:
+    return isinstance(tangent, SymbolicZero)
+
+
+def _ramp(x: Array) -> Array:
+    """A smooth max(0, x), positive everywhere, without cancellation for x < 0."""
+    root = jnp.sqrt(x * x + SUN_RADIUS**2)
+    return jnp.where(x > 0, (x + root) / 2, SUN_RADIUS**2 / (2 * (root - jnp.minimum(x, 0))))
 
 
 def light_curve(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["Line", "Periodogram", "Spectrum", "line", "periodogram", "spectrum"]
+__all__ = ["Line", "Periodogram", "Spectrum", "complex_rates", "line", "periodogram", "spectrum"]
 
 _REFINEMENTS = 6  # of a frequency, each by the parabola through three values of the transform
 _FEWEST = 4  # times of a spectrum
@@ -100,6 +100,35 @@ def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
     amplitude = 2 * height(found) / weight
     exists = np.any(inside, axis=0) & ~np.isnan(amplitude)
     return Line(np.where(exists, found, np.nan)[()], np.where(exists, amplitude, np.nan)[()])
+
+
+def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
+    """The rates σ of a series Σ a_k exp(iσ_k t), (count,), complex, by Prony's method: Im σ < 0 grows.
+
+    The fastest, by the real part, is first; of two of one speed the growing one.
+
+    Args:
+        t: evenly spaced times, (times,), so short a time from each other that |σ| Δt < π.
+        z: real or complex, (times,), almost without noise, which the method amplifies.
+        count: the number of terms; a real oscillation has two.
+
+    Returns:
+        The rates in radians per unit of time; NaN for fewer than 4 × `count` times, and where z has a NaN.
+
+    Source: Prony 1795; Marple 1987, Digital Spectral Analysis, § 11.3.
+
+    Example:
+        >>> t = np.linspace(0, 10, 100)
+        >>> complex_rates(t, np.exp((0.1 + 2j) * t) + np.exp(-1j * t)).round(9).tolist()
+        [(2-0.1j), (-1+0j)]
+    """
+    z = np.asarray(z)
+    if len(z) < 4 * count or not np.isfinite(z).all():
+        return np.full(count, np.nan + 0j)
+    columns = np.stack([z[count - k : len(z) - k] for k in range(1, count + 1)], axis=1)
+    coefficients = np.linalg.lstsq(columns, z[count:], rcond=None)[0]
+    rates = -1j * np.log(np.roots([1, *-coefficients]).astype(complex)) / even_spacing(t)
+    return np.array(sorted(rates, key=lambda rate: (-round(rate.real, 6), rate.imag)))
 
 
 def even_spacing(t: ArrayLike) -> float:

@@ -10,6 +10,7 @@
 | `atmosphere` | the density of the air, and the velocity relative to it |
 | `sun_direction`, `eclipse` | the direction of the Sun, the part of its light that reaches a satellite |
 | `julian_date`, `earth_rotation_angle` | days, and the rotation of the Earth |
+| `shared` | any of these, computed once for all members of an ensemble |
 | `graded_times` | step times that are short where a flyby is close |
 
 An orbit is any function t ↦ (position, velocity) that JAX can trace. Any consistent units may be used; the Earth's
@@ -33,6 +34,7 @@ from lieint_jax.orbits._graded_times import graded_times
 from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.orbits._magnetic import EarthField, HarmonicField, earth_field
 from lieint_jax.orbits._secular import SecularJ2, secular_j2
+from lieint_jax.orbits._shared import SharedFrame, SharedFunction, shared
 from lieint_jax.orbits._sun import Eclipse, SunDirection, eclipse, sun_direction
 from lieint_jax.orbits._table import Table, VectorTable, table, vector_table
 
@@ -50,6 +52,8 @@ __all__ = [
     "KeplerFromState",
     "LocalFrame",
     "SecularJ2",
+    "SharedFrame",
+    "SharedFunction",
     "SunDirection",
     "Table",
     "VectorTable",
@@ -63,6 +67,7 @@ __all__ = [
     "kepler",
     "lvlh",
     "secular_j2",
+    "shared",
     "sun_direction",
     "table",
     "vector_table",

@@ -14,7 +14,7 @@ from lieint_jax._checks import concrete
 from lieint_jax.shapes._solids import closed_surface
 from lieint_jax.types import pytree
 
-__all__ = ["Facets", "box_facets", "ellipsoid_facets", "facets"]
+__all__ = ["Facets", "GlossyFacets", "box_facets", "ellipsoid_facets", "facets"]
 
 _DEPTH = 1e-3  # of a hollow that is no rounding of the vertices, over the size of the body
 _AT_ONCE = 2**22  # pairs of a facet and a vertex whose heights are compared together
@@ -31,6 +31,23 @@ class Facets:
 
     normals: Array
     areas: Array
+
+
+@pytree
+class GlossyFacets(Facets):
+    """Facets that scatter light diffusely, and in a lobe about the mirror direction: see `measure.glossy_brightness`.
+
+    A thin panel is two facets, back to back.
+
+    Attributes:
+        diffuse: Lambert's albedo of each, (F,).
+        specular: the height of the lobe, on the scale of `diffuse`, (F,).
+        exponent: of the lobe's cosine, ≥ 1, (F,).
+    """
+
+    diffuse: Array
+    specular: Array
+    exponent: Array
 
 
 def facets(vertices: ArrayLike, faces: Any) -> Facets:

@@ -13,6 +13,7 @@ from lieint_jax.systems._heavy_top import *
 from lieint_jax.systems._incompressible_body import *
 from lieint_jax.systems._inertia_in_time import *
 from lieint_jax.systems._kinematics import *
+from lieint_jax.systems._maclaurin import *
 from lieint_jax.systems._pendulum import *
 from lieint_jax.systems._potential_top import *
 from lieint_jax.systems._pseudo_rigid_body import *

@@ -17,7 +17,7 @@ from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import Group, State, pytree, static, vectors
 from lieint_jax.types.shapes import DualVector, MomentumMap, Scalar, Vector6
 
-__all__ = ["Euler", "RightEuler", "euler", "kirchhoff", "manakov", "manakov_integrals"]
+__all__ = ["Euler", "RightEuler", "euler", "kirchhoff", "kirchhoff_spin", "manakov", "manakov_integrals"]
 
 
 @pytree
@@ -124,6 +124,28 @@ def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of
     skew = np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
     J = np.diag(inertia + added_inertia) - skew @ skew
     return euler(special_euclidean(3), np.block([[J, skew], [-skew, np.diag(1 + added_mass)]]))
+
+
+def kirchhoff_spin(body: Euler) -> float:
+    """The least |Π₃/P₃| with which a body of revolution in a fluid moves stably along its axis, 0 if it needs no spin.
+
+    It is 2√(I₁(1/m₃ − 1/m₁)) with the moments and masses of body and fluid. NaN unless it is a body of revolution about
+    the third axis with a central mass, whose spin is known in closed form.
+
+    Args:
+        body: a `kirchhoff`.
+
+    Source: Lamb, Hydrodynamics, 6th ed., § 128.
+
+    Example:
+        >>> round(kirchhoff_spin(kirchhoff((1.0, 1.0, 2.99))), 4)
+        1.9785
+    """
+    m = np.asarray(body.metric)
+    I1, I2, _, m1, m2, m3 = np.diag(m)
+    if max(abs(I1 - I2), abs(m1 - m2), abs(m - np.diag(np.diag(m))).max()) > 1e-12 * m.max():
+        return float("nan")
+    return float(2 * np.sqrt(max(I1 * (1 / m3 - 1 / m1), 0.0)))
 
 
 def manakov(a: ArrayLike = (1.0, 2.0, 3.5, 5.0)) -> Euler:

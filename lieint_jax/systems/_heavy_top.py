@@ -11,12 +11,21 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import elliptic
 from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import frame
+from lieint_jax.systems._pendulum import Pendulum
 from lieint_jax.systems._potential_top import PotentialTop, potential_top
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import PotentialWithGradient, State, System, pytree, static, vectors
 from lieint_jax.types.shapes import Scalar, Time, Vector3
 
-__all__ = ["LagrangeMotion", "LinearPotential", "heavy_top", "kovalevskaya_integral", "lagrange_motion"]
+__all__ = [
+    "LagrangeMotion",
+    "LinearPotential",
+    "heavy_top",
+    "kovalevskaya_integral",
+    "lagrange_motion",
+    "pendulum_as_top",
+]
 
 
 @pytree
@@ -111,6 +120,17 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
     up, down = (b - c) / (1 - u1) * third_kind(swing / (1 - u1)), (b + c) / (1 + u1) * third_kind(-swing / (1 + u1))
     period, turned = slow * K, slow * (up + down) / 2
     return LagrangeMotion(period, turned / period, jnp.arccos(jnp.clip(jnp.stack([u2, u1]), -1, 1)))
+
+
+def pendulum_as_top(bob: Pendulum, state: State) -> tuple[PotentialTop, State]:
+    """A pendulum in a uniform field as Lagrange's top without spin, whose closed form is `lagrange_motion`.
+
+    Its third axis is the bob, Λe₃ = q, Π₃ = q·π = 0. The axis of the top, from which inclinations are measured and
+    about which it precesses, is −γ.
+    """
+    depth = -bob.potential(bob.axis)
+    top = heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
+    return top, State(so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1)), state.p)
 
 
 def _real_roots(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:

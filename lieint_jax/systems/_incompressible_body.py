@@ -14,7 +14,7 @@ from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
 from lieint_jax.types import State, StoredEnergy, argument, pytree
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 __all__ = ["IncompressibleBody", "incompressible_body"]
 
@@ -90,6 +90,15 @@ class IncompressibleBody(capabilities.AbstractIncompressibleBody):
     def momentum(self, state: State) -> MomentumMap:
         """Φ = rot[PFᵀ] (6.4), shape (3,), half the angular momentum."""
         return self.compressible.momentum(state)
+
+    def circulation(self, state: State) -> Vector3:
+        """rot[FᵀP], shape (3,): the vorticity in the reference state, which a liquid of equal particles conserves.
+
+        It is conserved where E and W depend on no direction in the body, as for `self_gravity` of a ball. The additive
+        schemes conserve it to their order.
+        """
+        K = state.q.T @ state.p
+        return jnp.stack([K[2, 1] - K[1, 2], K[0, 2] - K[2, 0], K[1, 0] - K[0, 1]])
 
     def volume_rate(self, state: State) -> Scalar:
         """tr(VF⁻¹), which is 0 on T*SL(3), and O(Δt²) after a step, see `schemes.additive`."""

@@ -12,9 +12,9 @@ from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.types import State, pytree
+from lieint_jax.types import State, pytree, vectors
 
-__all__ = ["RigidBody", "rigid_body"]
+__all__ = ["RigidBody", "rigid_body", "tumbling_state"]
 
 
 @pytree
@@ -54,6 +54,58 @@ def rigid_body(inertia: ArrayLike) -> RigidBody:
         1.52
     """
     return RigidBody(_checks.inertia(inertia))
+
+
+def tumbling_state(
+    moments: ArrayLike,
+    precession: ArrayLike,
+    rotation: ArrayLike,
+    pole: ArrayLike,
+    *,
+    long_axis: bool,
+    phi: ArrayLike = 0.0,
+    psi: ArrayLike = 0.0,
+    toward: ArrayLike = (1.0, 0.0, 0.0),
+) -> State:
+    """The state of a free body that tumbles with given mean periods, as light curves and radar report them.
+
+    A pure function, with derivatives: the inverse of `RigidBody.periods`, which defines the periods and both modes.
+
+    Args:
+        moments: principal moments about the body axes x, y, z, in ascending order, (3,). Only ratios count.
+        precession: P_φ, that of the long axis x about the angular momentum.
+        rotation: P_ψ, that of the angular momentum in the body. There is no state of a mode, and the result is wrong,
+            unless it has this ratio of periods.
+        pole: the direction of the angular momentum, a unit vector in space, (3,).
+        long_axis: the mode: whether the angular momentum circles the axis of least or of greatest moment.
+        phi: the angle in radians about the angular momentum from the direction `toward` to the long axis.
+        psi: 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x.
+        toward: a direction in space, not along the pole, (3,).
+
+    Example:
+        >>> moments = [0.55, 0.8, 1.0]
+        >>> state = tumbling_state(moments, 20.0, 60.0, [0.0, 0.0, 1.0], long_axis=False, psi=0.3)
+        >>> found = rigid_body(moments).periods(state)
+        >>> round(float(found.precession), 9), round(float(found.rotation), 9), bool(found.long_axis)
+        (20.0, 60.0, False)
+    """
+    J, P_phi, P_psi, along = (jnp.asarray(x) for x in (moments, precession, rotation, pole))
+    unit, angle = _free_body.momentum_of_ratio(J, P_psi / P_phi, long_axis), jnp.asarray(phi)
+    size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / P_phi
+    Pi = _free_body.momentum_at_phase(J, unit, jnp.asarray(psi))
+    in_body = _orthonormal(Pi / vectors.norm(Pi), jnp.asarray([1.0, 0, 0]))
+    x, y, z = _orthonormal(along, jnp.asarray(toward))
+    across = jnp.cos(angle) * y + jnp.sin(angle) * z
+    in_space = jnp.stack([x, across, jnp.stack(vectors.cross(x, across))])
+    R = jnp.stack([sum(in_space[k, i] * in_body[k] for k in range(3)) for i in range(3)])
+    return State(so3.from_matrix(R), size * along)
+
+
+def _orthonormal(along: Array, near: Array) -> Array:
+    """The unit vector `along`, the direction of `near` across it, and their cross product: rows of a rotation."""
+    across = near - vectors.dot(near, along) * along
+    across = across / vectors.norm(across)
+    return jnp.stack([along, across, jnp.stack(vectors.cross(along, across))])
 
 
 PROPERTIES = SystemProperties(

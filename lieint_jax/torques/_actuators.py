@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -88,21 +89,29 @@ class WheelMotor:
         control: laws that give the torque.
         axes: of the wheels, (m, 3).
         allocation: from a torque to those of the wheels, (m, 3).
+        window: the times from and to which they act, or None.
         gyroscopic: whether Ω × h of the wheels is canceled.
     """
 
     control: tuple[Law, ...]
     axes: Array
     allocation: Array
+    window: tuple[Array, Array] | None = None
     gyroscopic: bool = static(default=False)
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
         """The torques dh_j/dt on the wheels, (m,)."""
         momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
-        return -(self.allocation @ (control_torque(self.control, t, q, Omega) + momentum))
+        torques = -(self.allocation @ (control_torque(self.control, t, q, Omega) + momentum))
+        if self.window is None:
+            return torques
+        begin, end = self.window
+        return jnp.where((begin <= t) & (t < end), torques, 0)
 
 
-def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> WheelMotor:
+def wheel_motor(
+    axes: ArrayLike, control: Any, gyroscopic: bool = False, window: Sequence[ArrayLike] | None = None
+) -> WheelMotor:
     """The motors that let wheels carry out a control law: `wheels(axes, inertias, wheel_motor(axes, control))`.
 
     Args:
@@ -110,11 +119,19 @@ def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> Whee
         control: the torque that the body shall get: a law without an internal state such as `pointing`, a sum of such
             laws, or a function (t, q, Ω) ↦ (3,) in the body.
         gyroscopic: whether the motors also cancel Ω × Σg_jh_j, which the wheels' momentum does to the body.
+        window: the times from and to which the motors act; outside the wheels rotate freely. By default always.
 
     Raises:
-        ValueError: axes that are not of unit length or do not span all directions, a law with an internal state.
+        ValueError: axes that are not of unit length or do not span all directions, a law with an internal state, a
+            window that does not end after it begins.
     """
-    return WheelMotor(control_laws(control), wheel_axes(axes), allocation(axes), bool(gyroscopic))
+    times = None
+    if window is not None:
+        begin, end = (_checks.real_array("window", x, ()) for x in window)
+        if concrete(begin, end) and not float(begin) < float(end):
+            raise ValueError(f"the window of a motor must end after it begins, got {begin} to {end}")
+        times = begin, end
+    return WheelMotor(control_laws(control), wheel_axes(axes), allocation(axes), times, bool(gyroscopic))
 
 
 @pytree

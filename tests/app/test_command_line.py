@@ -14,9 +14,10 @@ import scenario_runs
 
 from lieint_jax import _discover, measure, schemes, systems
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import check, check_groups, cli, files
+from lieint_jax.app.command import check, check_groups, cli
 from lieint_jax.app.command import info as info_command
 from lieint_jax.app.scenarios import rigid_body
+from lieint_jax.runs import store as archives
 from lieint_jax.types import State, StepInfo, Trajectory
 
 pytestmark = pytest.mark.usefixtures("fresh_folder")
@@ -59,7 +60,7 @@ def test_toutatis_reaches_the_radar_epoch_and_meets_the_independent_prediction(t
 @pytest.mark.long
 def test_toutatis_writes_results_and_pictures(toutatis):
     folder, _ = toutatis
-    run, metadata = files.load(folder / "toutatis.npz")
+    run, metadata = archives.load_results(folder / "toutatis.npz")
     assert run.state.q.shape == (31, 4, 4)
     assert metadata["scenario"]["members"] == 4
     assert abs(run.t[29] - 23.159873) < 1e-9  # the radar epoch is one of the saved times
@@ -109,12 +110,12 @@ def test_measured_periods_of_symmetric_bodies_are_the_closed_form():
 def test_a_custom_scenario_file_runs(lieint, monkeypatch):
     out = lieint("run", book())
     assert "4 member(s), 100 steps of 0.1" in out
-    run, _ = files.load(scenarios.Path("book.npz"))
+    run, _ = archives.load_results(scenarios.Path("book.npz"))
     assert run.state.q.shape == (11, 4, 4)
     monkeypatch.setattr(info_command, "draw", lambda *_: [])  # the second run's, for time
     assert cli.main(["run", book(), "--steps", "50", "--no-certificate"]) == 0  # a second run loses nothing
-    assert files.load(scenarios.Path("book.npz"))[0].state.q.shape == (11, 4, 4)
-    assert files.load(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
+    assert archives.load_results(scenarios.Path("book.npz"))[0].state.q.shape == (11, 4, 4)
+    assert archives.load_results(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
 
 
 @pytest.mark.long
@@ -203,7 +204,7 @@ def test_a_file_that_holds_no_result_is_refused_in_one_line(lieint):
     np.savez("z.npz", p=np.array([None]))
     for name, metadata in (("e.npz", {}), ("t.npz", {"title": "mine"})):
         info = StepInfo(np.zeros((2, 3)), np.ones((2, 3), bool))
-        files.save(
+        archives.write_trajectory(
             Path(name), Trajectory(np.arange(2.0), State(np.ones((2, 3, 4)), np.ones((2, 3, 3))), info), metadata
         )
     for name in ("x.npz", "y.npz", "z.npz", "e.npz", "t.npz"):
@@ -215,7 +216,9 @@ def test_a_file_that_holds_no_result_is_refused_in_one_line(lieint):
 def test_info_describes_a_file_without_a_scenario(lieint):
     info = StepInfo(np.zeros((2, 3)), np.ones((2, 3), bool))
     states = State(np.ones((2, 3, 4)), np.ones((2, 3, 3)))
-    files.save(scenarios.Path("mine.npz"), Trajectory(np.array([0.0, 0.5]), states, info), {"lieint_jax": "0.1"})
+    archives.write_trajectory(
+        scenarios.Path("mine.npz"), Trajectory(np.array([0.0, 0.5]), states, info), {"lieint_jax": "0.1"}
+    )
     out = lieint("info", "mine.npz")
     for text in ("mine.npz", "3 member(s), 2 entries; lieint_jax 0.1", "t = 0 … 0.5"):
         assert text in out
@@ -323,7 +326,7 @@ def test_groups_are_found_by_any_spelling_of_their_names():
     assert check_groups.find_group("E8") is None
     with pytest.raises(ValueError, match="no scheme 'rk4' on SL\\(3\\), where group_midpoint has the maps exponential"):
         check_groups.certificates(check_groups.find_group("sl3"), "rk4")
-    assert {name for name, group in check_groups.catalogue().items() if check_groups.has_bounded_adjoint(group)} == {
+    assert {name for name, group in check_groups.catalogue().items() if group.has_bounded_adjoint} == {
         *("SO(3)", "SO(4)", "SU(2)", "Heis(3)", "Heis(5)", "R^3")
     }
 

@@ -10,7 +10,7 @@ from scenario_runs import run
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.scenarios import pendulum, pseudo_rigid
+from lieint_jax.app.scenarios import pseudo_rigid
 from lieint_jax.types import State, StepInfo, Trajectory
 
 pytestmark = pytest.mark.long
@@ -129,7 +129,7 @@ def test_the_pendulum_as_a_top_has_its_energy_and_momentum():
     scenario = scenarios.load("pendulum", members=5, axis=[0.6, 0.0, 0.8], mass=2.0)
     step, states = scenario.build()
     bob = step.system
-    top, as_top = jax.vmap(pendulum.as_top, (None, 0), (None, 0))(bob, states)
+    top, as_top = jax.vmap(li.systems.pendulum_as_top, (None, 0), (None, 0))(bob, states)
 
     def measured(system, states):
         return jax.vmap(system.energy)(states), jax.vmap(system.momentum)(states)

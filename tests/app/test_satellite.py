@@ -1,7 +1,4 @@
-"""The study of a satellite: light against hand-made cases, symmetric solutions, periods, minima, the fit."""
-
-import itertools
-from functools import partial
+"""The study of a satellite: symmetric solutions, periods, minima, the fit."""
 
 import jax
 import jax.numpy as jnp
@@ -9,19 +6,13 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax.app.studies import _period_search, satellite
 from lieint_jax.app.studies import _satellite_fit as fits
 from lieint_jax.app.studies import _satellite_sky as sky
+from lieint_jax.app.studies import satellite
 from lieint_jax.app.studies._tumbling import mean_periods, model
-from lieint_jax.groups import so3
 
-ONE = jnp.array([1.0, 0.0, 0.0, 0.0])
 PLATE = {"normal": [0.0, 0.0, 2.0], "area_m2": np.pi, "diffuse": 0.5, "specular": 0.25, "exponent": 3.0}
 SCENE = sky.scene()
-
-
-def unit(*v):
-    return np.array(v) / np.linalg.norm(v)
 
 
 def directions(seed, count=40):
@@ -33,86 +24,6 @@ def directions(seed, count=40):
     return q, sun, observer / np.linalg.norm(observer, axis=1, keepdims=True)
 
 
-def test_a_plate_has_lambert_s_light_and_a_lobe_in_the_mirror_direction():
-    """cos² 60° (0.5 + 0.25), the lobe at its top; 0.5 + 0.25 face on; nearly nothing from behind."""
-    body = sky.facets([PLATE])
-    left, right, top = unit(-np.sqrt(3), 0, 1), unit(np.sqrt(3), 0, 1), np.array([0.0, 0.0, 1.0])
-    light = jax.jit(lambda s, o: sky.brightness(body, ONE, s, o))
-    edge = sky.SUN_RADIUS**2  # what the ramp adds, relative, is of this size
-    assert float(light(left, right)) == pytest.approx(0.75 / 4, rel=4 * edge)
-    assert float(light(top, top)) == pytest.approx(0.75, rel=2 * edge)
-    assert 0 < float(light(-top, right)) < edge
-
-
-@pytest.mark.long
-def test_the_light_of_the_satellite_is_the_sum_over_its_facets():
-    """Beside a loop in NumPy with max(0, x); the ramp differs from it by ε/2 of a facet at an edge, here by 1e-3."""
-    f = SCENE.facets
-    q, sun, observer = directions(1)
-    ours = jax.vmap(sky.brightness, (None, 0, 0, 0))(f, q, sun, observer)
-    for light, attitude, s, o in zip(ours, q, sun, observer, strict=True):
-        R = np.asarray(so3.to_matrix(jnp.asarray(attitude)))
-        theirs = 0.0
-        for n, area, diffuse, specular, exponent in zip(*(np.asarray(x) for x in jax.tree.leaves(f)), strict=True):
-            lit, seen, mirrored = (max(0.0, float(R @ n @ v)) for v in (s, o, unit(*(s + o))))
-            theirs += area / np.pi * lit * seen * (diffuse + specular * mirrored**exponent)
-        assert float(light) == pytest.approx(theirs, abs=3e-3 * float(jnp.max(ours)))
-
-
-@pytest.mark.long
-def test_derivatives_of_the_light_are_those_of_differences():
-    q, sun, observer = (x[0] for x in directions(2))
-
-    def light(turn, sun):
-        return sky.magnitude(SCENE.facets, so3.multiply(so3.exp(turn), jnp.asarray(q)), sun, jnp.asarray(observer))
-
-    both = jax.jit(jax.value_and_grad(light, (0, 1)))
-    zero, h = jnp.zeros(3), 1e-6
-    _, (of_turn, of_sun) = both(zero, jnp.asarray(sun))
-    for k, axis in enumerate(jnp.eye(3)):
-        for found, change in ((of_turn[k], (h * axis, 0 * axis)), (of_sun[k], (0 * axis, h * axis))):
-            more, less = (both(zero + s * change[0], sun + s * change[1])[0] for s in (1, -1))
-            assert float(found) == pytest.approx(float(more - less) / (2 * h), abs=2e-8)  # seen: 1e-9
-
-
-@pytest.mark.long
-def test_derivatives_of_the_fit_by_the_gradient_are_those_of_the_light():
-    """By the attitude alone, and by all at once."""
-    q, sun, observer = (jnp.asarray(x[0]) for x in directions(8))
-    at = q, (SCENE.facets, sun, observer)
-
-    @partial(jax.jit, static_argnums=0)
-    def derivatives(light):
-        alone = jax.jvp(lambda q: light(q, at[1]), at[:1], (jnp.ones(4),))[1]
-        return alone, jax.jvp(light, at, at)[1]
-
-    ours, plain = map(derivatives, (fits._light, fits._magnitude))
-    np.testing.assert_allclose(ours, plain, rtol=1e-13)  # seen: 1e-15
-
-
-def test_the_symmetries_of_the_facets_are_found():
-    half_turns = [g for g in sky.axis_rotations() if sky.is_symmetry(SCENE.facets, g)]
-    np.testing.assert_array_equal(half_turns, [np.diag(d) for d in ([1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1])])
-    assert sky.is_symmetry(SCENE.facets, -np.eye(3))
-    rows = [PLATE | {"normal": list(n)} for n in (*np.eye(3), *-np.eye(3))]
-    assert sum(sky.is_symmetry(sky.facets(rows), g) for g in sky.axis_rotations()) == 24  # a cube
-    rows[0] |= {"diffuse": 0.6}
-    painted = sky.facets(rows)
-    assert sum(sky.is_symmetry(painted, g) for g in sky.axis_rotations()) == 4  # about the painted side
-    assert not sky.is_symmetry(painted, -np.eye(3))
-
-
-@pytest.mark.long
-def test_symmetric_solutions_have_the_same_light_to_round_off():
-    """Under directions that are held; under moving ones mirror and exchange alter it, half turns of the body never."""
-    q, sun, observer = directions(3)
-    held = np.repeat(sun[:1], len(q), axis=0), np.repeat(observer[:1], len(q), axis=0)
-    assert fits.light_differences(SCENE.facets, q, *held).max() < 2e-14  # seen: 3e-15
-    moving = fits.light_differences(SCENE.facets, q, sun, observer)
-    assert moving[0] < 2e-14
-    assert moving[1:].min() > 0.1
-
-
 @pytest.mark.long
 def test_every_change_of_a_motion_is_a_motion():
     """Turned in space, relabeled in the body: still a solution of Euler's equations, with the moments relabeled."""
@@ -120,7 +31,7 @@ def test_every_change_of_a_motion_is_a_motion():
     begin = fits.true_solution(SCENE)
     later = jax.jit(lambda J, q, rate: _later(J, q, rate, 7.0))
     end = np.asarray(later(*(jnp.asarray(x[0]) for x in (begin.inertia, begin.q, begin.rate))))
-    every = fits.changes(SCENE.facets, sun, observer)
+    every = li.measure.light_changes(SCENE.facets, sun, observer)
     assert len(every) == 4 * 24
     for change in every[::5]:
         image = change(begin)
@@ -135,86 +46,17 @@ def _later(J, q, rate, t):
     return li.integrate(step, state, t / 20, 20).state.q[-1]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("normals", [[0, 2], [1, 2, 3]])
-def test_relabeled_bodies_have_the_light_that_their_turns_leave(normals):
-    """Facets without the satellite's symmetries: all turns of one change have one light, and no two changes a name."""
-    sides = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1]]
-    body = sky.facets([PLATE | {"normal": sides[k], "diffuse": 0.1 + 0.2 * (k >= 2)} for k in normals])
-    cube = sky.facets([PLATE | {"normal": list(n), "diffuse": 0.7} for n in (*np.eye(3), *-np.eye(3))])
-    body = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), body, cube)
-    q, sun, observer = directions(9)
-    every = fits.changes(body, sun[:1], observer[:1])
-    lights = {}
-    for change in every[:24]:
-        lights.setdefault(change.name, []).append(
-            fits._magnitudes(body, jnp.asarray(change.attitudes(q)), sun, observer)
-        )
-    turns = sum(sky.is_symmetry(body, g) for g in sky.axis_rotations())
-    assert len(lights) == 24 // turns
-    for same in lights.values():
-        assert len(same) == turns
-        assert max(float(jnp.abs(light - same[0]).max()) for light in same) < 1e-13  # seen: 4e-15
-    first = [same[0] for same in lights.values()]
-    assert min(float(jnp.abs(a - b).max()) for a, b in itertools.combinations(first, 2)) > 1e-3
-
-
-def test_ends_of_fits_are_classified_by_their_symmetry():
-    _, sun, observer = directions(5, 1)
-    every = fits.changes(SCENE.facets, sun, observer)
-    best = fits.true_solution(SCENE)
-    images = [every[k](best) for k in (0, 17, 50, 95)]
-    found = fits.Solutions(*map(np.concatenate, zip(*images, strict=True)))
-    assert fits.classify(found, best, every).tolist() == [0, 17, 50, 95]
-    off = found._replace(rate=-found.rate)
-    assert fits.classify(off, best, every)[0] == -1
-
-
 def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_shadow():
     """There the mirror solution's χ² may be the lower one: its image in the mirror is the true motion."""
     _, sun, observer = directions(5, 1)
-    every = fits.changes(SCENE.facets, sun, observer)
+    every = li.measure.light_changes(SCENE.facets, sun, observer)
     truth = fits.true_solution(SCENE)
     mirror = next(change for change in every if change.name == "mirror")
-    names = [every[k].name for k in fits.classify(satellite._images(mirror(truth), every), truth, every)]
+    names = [every[k].name for k in li.measure.classify_light(satellite._images(mirror(truth), every), truth, every)]
     own = [change.name for change in every if change.symmetry == 0]
     assert sorted(names) == sorted(own)
     assert names[own.index("as it is")] == "mirror"
     assert names[own.index("mirror")] == "as it is"
-
-
-@pytest.mark.long
-def test_periods_of_a_double_series_are_found_from_irregular_data():
-    rng = np.random.default_rng(6)
-    t, true = np.sort(rng.uniform(0, 400, 150)), np.array([0.0613, 0.0771])
-    lines = ((1, 0, 1.0), (1, 1, 0.8), (2, 1, 0.5), (0, 1, 0.4), (2, -1, 0.3))
-    y = sum(a * np.cos(2 * np.pi * (j * true[0] + k * true[1]) * t + 3 * a) for j, k, a in lines)
-    found = _period_search.search(t, y + 0.02 * rng.normal(size=150))
-    named = [_period_search.find_combination(p.frequency, true, 3, 1 / 400)[:2] for p in found.peaks[:5]]
-    assert set(named) == {line[:2] for line in lines}
-    assert np.abs(found.lines - true).max(axis=1).min() < 2e-4
-    assert found.pairs.left[0] < 0.05  # 0.017: the grid's nearest frequencies are off by up to 1/8 of 1/400
-    left = _period_search.fit_two_periods(t, y, 1e-4, np.array([[613, 771], [600, 771]]), 2).left
-    assert left[0] < 4e-6 < 0.1 < left[1]  # 1e-6, of the ridge
-
-
-def test_the_false_alarm_probability_is_the_share_of_matching_frequencies():
-    """Beside frequencies at random; intervals that overlap count once, and only inside the band."""
-    jk, pair, f = _period_search.combinations(3), np.array([0.061, 0.038]), np.linspace(0.01, 0.3, 20001)
-    near = np.abs(jk @ pair - f[:, None]).min(axis=1) < 0.002
-    assert _period_search.coincidence(jk @ pair, (0.01, 0.3), 0.002) == pytest.approx(near.mean(), abs=1e-3)
-
-
-def test_all_bases_generate_the_same_combinations():
-    pair = np.array([0.05, 0.08])
-    found = _period_search.bases(pair, 2, (0.01, 0.2))
-    assert any(np.allclose(b, pair) for b in found)
-    assert any(np.allclose(b, pair[::-1]) for b in found)
-    for basis in found:
-        a = np.rint(
-            [next(x for x in itertools.product(range(-2, 3), repeat=2) if np.isclose(x @ pair, f)) for f in basis]
-        )
-        assert abs(np.linalg.det(a)) == pytest.approx(1)
 
 
 BAD = [
@@ -271,10 +113,8 @@ def test_the_period_search_finds_the_true_combinations():
     """All strong sines are combinations, as good as all with an even k; one candidate pair is the true one."""
     curve, _ = sky.observe(SCENE)
     true = 1 / np.asarray(mean_periods(SCENE.body, SCENE.state))
-    found, width = _period_search.search(curve.t, curve.magnitude), 1 / curve.t[-1]
-    named = [
-        _period_search.find_combination(p.frequency, true, _period_search.HARMONICS, width) for p in found.peaks[:9]
-    ]
+    found, width = fits.search(curve.t, curve.magnitude), 1 / curve.t[-1]
+    named = [li.measure.combination(p.frequency, true, fits.HARMONICS, width) for p in found.peaks[:9]]
     assert max(abs(off) for *_, off in named) < width
     assert all(k % 2 == 0 for _, k, _ in named)
     assert np.abs(found.candidates - true).max(axis=1).min() < width / 2

@@ -9,7 +9,8 @@ import scenario_files
 
 import lieint_jax as li
 from lieint_jax.app import printer, scenarios
-from lieint_jax.app.command import cli, files
+from lieint_jax.app.command import cli
+from lieint_jax.runs import store as archives
 
 SHORT = dict(steps="steps = 100", save_every="save_every = 10", members="members = 4")
 
@@ -98,7 +99,7 @@ def test_a_run_stores_the_scenario_with_these_values_and_quiet_prints_paths_only
     out, err = capfd.readouterr()
     assert [Path(line).is_file() for line in out.splitlines()] == [True] * 5
     assert not err
-    stored = files.load(Path("book.npz"))[1]["scenario"]
+    stored = archives.load_results(Path("book.npz"))[1]["scenario"]
     assert stored["state"]["angular_velocity_rad"] == [0.0, 0.0, 1.0]
 
 

@@ -23,12 +23,12 @@ def test_the_closed_form_of_the_locked_state_is_the_outer_root():
     least = np.sqrt(3 * J / mu)
     for a in (1.01 * least, 10 * least, 19596.0):
         L = mu * np.sqrt(GM * a) + J * np.sqrt(GM / a**3)
-        found, period = scenario.double_synchronous(L)
+        found, period = scenario.locked(L)
         assert found == pytest.approx(a, rel=1e-9)
         exact = brentq(lambda x, L=L: mu * np.sqrt(GM * x) + J * np.sqrt(GM / x**3) - L, least, 20 * a)
         assert found == pytest.approx(exact, rel=1e-9)
         assert period == pytest.approx(2 * np.pi * np.sqrt(a**3 / GM), rel=1e-9)
-    assert np.isnan(scenario.double_synchronous(0.99 * mu * np.sqrt(GM * least))).all()
+    assert np.isnan(scenario.locked(0.99 * mu * np.sqrt(GM * least))).all()
 
 
 @pytest.mark.long

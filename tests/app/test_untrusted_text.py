@@ -19,7 +19,7 @@ from internals import write_root
 
 import lieint_jax as li
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli, files
+from lieint_jax.app.command import cli
 from lieint_jax.ensemble import archives
 from lieint_jax.types import State, StepInfo, Trajectory
 
@@ -139,7 +139,7 @@ def test_info_of_an_archive_prints_no_control_characters(capsys):
             {"lieint_jax": "1", "jax": "1", "study": odd, "quick": True, "tree": 3},
             {"lieint_jax": "1", odd: 1, "title": {odd: [odd]}},
         ):
-            files.save(Path("odd.npz"), run, metadata)
+            archives.write_trajectory(Path("odd.npz"), run, metadata)
             shown(capsys, "info", "odd.npz")
             Path("odd.npz").unlink()
         name = odd[:50].encode(errors="ignore").decode().translate({0: None, ord("/"): None})

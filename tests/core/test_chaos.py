@@ -285,3 +285,15 @@ def test_a_section_of_an_ensemble_against_the_events_of_another_integrator():
 
 def _of(states, m):
     return jax.tree.map(lambda x: x[m], states)
+
+
+def test_two_other_ways_find_the_exponent_of_an_unstable_rotation():
+    """About the middle axis, in closed form Ω√((J₂ − J₁)(J₃ − J₂)/(J₁J₃)); the transient adds up to 1/t."""
+    body = systems.rigid_body([1.0, 2.0, 3.0])
+    state = body.state(angular_velocity=[0.0, 1.0, 0.0])
+    step, exact = schemes.so3_midpoint(body), np.sqrt(1 / 3)
+    of_flow = np.sort(diagnostics.exponents_of_flow(body, state, 40.0, 80))
+    np.testing.assert_allclose(of_flow[[0, -1]], [-exact, exact], rtol=0, atol=0.04)  # observed: 0.014
+    assert abs(of_flow.sum()) < 1e-10
+    of_neighbors = float(diagnostics.exponent_of_neighbors(step, state, 0.05, 800))
+    assert of_neighbors == pytest.approx(exact, abs=0.04)  # observed: 0.013

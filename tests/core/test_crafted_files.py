@@ -16,7 +16,8 @@ import pytest
 from internals import write_root
 
 import lieint_jax as li
-from lieint_jax.app.command import cli, files
+from lieint_jax.app.command import cli
+from lieint_jax.runs import store
 
 DATA = Path(__file__).parents[1] / "data" / "toutatis-0.1.npz"
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -162,7 +163,7 @@ def bounded():
 def test_the_unaltered_run_is_read(tmp_path):
     for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # np.savez and np.savez_compressed
         (tmp_path / "run.npz").write_bytes(packed(method=method))
-        assert files.load(tmp_path / "run.npz")[0].state.q.shape == (11, 2, 4)
+        assert store.load_results(tmp_path / "run.npz")[0].state.q.shape == (11, 2, 4)
 
 
 @pytest.mark.long

@@ -156,6 +156,18 @@ def test_a_certificate_has_no_number_for_a_momentum_that_the_system_lacks():
     assert diagnostics.certify(Euler(BODY), STATE, 0.05, 4).momentum_map
 
 
+def test_runge_kutta_has_order_four_and_loses_energy():
+    """Against the flow by collocation: halving the step divides the error by 16."""
+    step = diagnostics.RungeKutta(BODY)
+    exact = flow(BODY, STATE, 1.0, 8)
+    ends = [li.integrate(step, STATE, 1.0 / n, n, save_every=n).state for n in (20, 40)]
+    coarse, fine = (float(np.linalg.norm(np.asarray(end.q[-1] - exact.q))) for end in ends)
+    assert np.log2(coarse / fine) == pytest.approx(4, abs=0.1)
+    lost = [abs(float(BODY.energy(jax.tree.map(lambda x: x[-1], end)) / BODY.energy(STATE)) - 1) for end in ends]
+    assert lost[0] > 10 * lost[1] > 1e-9  # of order 4 too
+    assert 0 < diagnostics.step_cost(step, STATE, 0.05) < 1e-3
+
+
 def test_order_of_explicit_euler_and_its_certificate_shows_every_loss():
     certificate = diagnostics.certify(Euler(BODY), STATE, 0.05, 100)
     assert certificate.order == pytest.approx(1, abs=0.1)

@@ -9,6 +9,7 @@ from free_bodies import rows
 import lieint_jax as li
 from lieint_jax import State, ensemble
 from lieint_jax.app.command import files
+from lieint_jax.runs import store as archives
 
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)
@@ -105,15 +106,15 @@ def test_a_notebook_shows_a_bar_below_the_cell_of_a_run_that_takes_long():
 def test_a_result_file_reads_back_and_is_not_overwritten(tmp_path):
     run = ensemble.run(STEP, states(3), 0.1, 20, save_every=10, progress=False)
     path = files.check_writable(tmp_path / "run.npz")
-    files.save(path, run, {"seed": 4})
-    again, metadata = files.load(path)
+    archives.write_trajectory(path, run, {"seed": 4})
+    again, metadata = archives.load_results(path)
     jax.tree.map(np.testing.assert_array_equal, again, run)
     assert metadata == {"seed": 4}
     before = path.read_bytes()
     with pytest.raises(ValueError, match="exists and is not overwritten"):
         files.check_writable(path)
     with pytest.raises(FileExistsError):
-        files.save(path, run, {})
+        archives.write_trajectory(path, run, {})
     assert path.read_bytes() == before
     with pytest.raises(ValueError, match=r"\.npz"):
         files.check_writable(tmp_path / "run.txt")

@@ -77,8 +77,8 @@ def unusable(tmp_path, monkeypatch):
         Path(f"{name}.zarr/zarr.json").write_text(json.dumps({"attributes": found}), encoding="utf-8")
     info = StepInfo(np.zeros((1, 1)), np.ones((1, 1), bool))
     start = Trajectory(np.zeros(1), State(np.ones((1, 1, 4)), np.ones((1, 1, 3))), info)
-    files.save(Path("bare.npz"), jax.tree.map(lambda x: np.concatenate([x, x]), start), {})
-    files.save(Path("start.npz"), start, {"scenario": {}})
+    archives.write_trajectory(Path("bare.npz"), jax.tree.map(lambda x: np.concatenate([x, x]), start), {})
+    archives.write_trajectory(Path("start.npz"), start, {"scenario": {}})
 
 
 @pytest.mark.slow

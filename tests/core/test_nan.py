@@ -312,6 +312,14 @@ CASES = {
         lambda q, sun, observer, a: measure.brightness(shapes.ellipsoid_facets(a, 2), so3.normalize(q), sun, observer),
         dict(q=Q, sun=SUN, observer=THETA, a=J),
     ),
+    "measure.glossy_brightness": (
+        lambda q, sun, observer, surfaces: measure.glossy_brightness(
+            shapes.GlossyFacets(jnp.eye(3), *surfaces), so3.normalize(q), sun, observer
+        ),
+        dict(
+            q=Q, sun=SUN, observer=OMEGA, surfaces=jnp.array([[1, 2, 3], [0.3, 0.4, 0.5], [0.1, 0.2, 0.3], [2, 3, 4]])
+        ),
+    ),
     "measure.lambert": (measure.lambert, dict(mu0=0.3, mu=0.4)),
     "measure.mean_rate": (measure.mean_rate, dict(t=TIMES, angle=ROWS)),
     "measure.orbit_axes": (lambda t, r: measure.orbit_axes(circle(r), t), dict(t=T, r=1.2)),

@@ -15,7 +15,8 @@ import pytest
 import xarray
 
 import lieint_jax as li
-from lieint_jax.app.command import cli, files
+from lieint_jax.app.command import cli
+from lieint_jax.runs import store as archives
 from lieint_jax.runs.store._description import describe, make
 from lieint_jax.systems._pseudo_rigid_body import examples as pseudo_rigid_bodies
 from lieint_jax.systems._shared.older_laws import OlderLaw
@@ -147,7 +148,7 @@ def old(tmp_path, name):
 @pytest.mark.long
 def test_results_of_version_0_1_still_open(tmp_path, lieint):
     path = old(tmp_path, "toutatis-0.1.npz")
-    run, _ = files.load(Path(path))
+    run, _ = archives.load_results(Path(path))
     assert run.state.q.shape == (11, 2, 4)
     assert "2 of 2 members converged at every step" in lieint("info", str(path))
 

@@ -163,3 +163,16 @@ def test_a_periodogram_of_nothing_is_nan_and_bad_arguments_raise():
     for frequencies in ([0.0, 0.1], [], [[0.1]]):
         with pytest.raises(ValueError, match="frequencies must be finite and positive"):
             measure.periodogram(t, t, frequencies=frequencies)
+
+
+def test_complex_rates_are_those_of_the_terms():
+    """A growing and a decaying oscillation; a series that is too short has none."""
+    t = np.linspace(0, 20, 300)
+    z = 1e-3 * np.exp((0.2 + 1.5j) * t) + 0.5 * np.exp((-0.05 - 0.7j) * t)
+    np.testing.assert_allclose(
+        measure.complex_rates(t, z), [1.5 - 0.2j, -0.7 + 0.05j], rtol=0, atol=1e-11
+    )  # observed: 2e-13
+    cosine = measure.complex_rates(t, np.cos(1.3 * t))
+    np.testing.assert_allclose(cosine, [1.3, -1.3], rtol=0, atol=1e-13)  # observed: 2e-15
+    for short_or_bad in (z[:7], np.where(t > 5, np.nan, z)):
+        assert np.isnan(measure.complex_rates(t[: len(short_or_bad)], short_or_bad)).all()

@@ -12,8 +12,15 @@ from scipy.linalg import expm
 
 import lieint_jax as li
 from lieint_jax import _discover, groups, maps
-from lieint_jax.app.command import check_groups
-from lieint_jax.diagnostics import energy_error, flow, order, poisson_error, reversibility, symplectic_defect
+from lieint_jax.diagnostics import (
+    energy_error,
+    flow,
+    group_conservation,
+    order,
+    poisson_error,
+    reversibility,
+    symplectic_defect,
+)
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.types import State
@@ -109,7 +116,7 @@ def test_results_9_10_11_momentum_energy_order_and_form(name, tau):
 @pytest.mark.parametrize(("name", "tau"), PAIRS + [pytest.param(*pair, marks=pytest.mark.slow) for pair in MORE])
 def test_the_energy_bar_over_random_metrics(name, tau):
     """Four metrics: 1000 steps of 0.1 where Ad_q is bounded, else 100 of 0.05 over max(1, ‖Ad_q‖²). Floor 1e-14."""
-    kept = check_groups.measure(CATALOGUE[name], TAUS[tau])
+    kept = group_conservation(CATALOGUE[name], TAUS[tau])
     assert kept.converged
     assert kept.momentum == 0
     assert kept.energy < 1e-13

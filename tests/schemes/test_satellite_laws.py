@@ -301,3 +301,14 @@ def test_directions_and_attitudes_from_functions_are_normalized():
         control = torques.pointing(lambda t, c=length: c * jnp.stack([jnp.cos(t), 0 * t, jnp.sin(t), 0 * t]), 8.0, 6.0)
         pairs.append([jax.jit(law)(t, Q, OMEGA) for law in (plate, control)])
     np.testing.assert_allclose(pairs[1], pairs[0], rtol=1e-14)
+
+
+def test_motors_with_a_window_act_in_it_only():
+    """From its beginning until before its end; a window that does not end is refused."""
+    always, law = (torques.wheel_motor(AXES, POINTING, window=window) for window in (None, (1.0, 3.0)))
+    h = jnp.array([0.1, -0.2, 0.3, 0.0])
+    for t, acts in ((0.5, False), (1.0, True), (2.9, True), (3.0, False)):
+        expected = always(jnp.asarray(t), Q, OMEGA, h) if acts else jnp.zeros(4)
+        np.testing.assert_array_equal(law(jnp.asarray(t), Q, OMEGA, h), expected)
+    with pytest.raises(ValueError, match="must end after it begins"):
+        torques.wheel_motor(AXES, POINTING, window=(2.0, 2.0))

@@ -181,3 +181,18 @@ def test_manakov_energy_exact_and_the_extra_integrals_bounded():
         z = jax.tree.map(lambda x: jnp.array(np.asarray(x)[-1]), out.state)
     assert min(worst) > 1e-6
     assert max(worst) < 3e-4  # 2.1e-4, and no more in 10 000 steps
+
+
+def test_the_spin_needed_is_where_the_linearized_equations_turn_unstable():
+    """Kirchhoff's equations Π' = Π × Ω + P × v, P' = P × Ω about a steady motion, by autodiff: growth or none."""
+    body = li.systems.kirchhoff((1.0, 1.0, 2.99))
+    need = li.systems.kirchhoff_spin(body)
+    assert need == pytest.approx(1.9785, abs=1e-4)
+
+    metric = np.diag(body.metric)
+    slope = jax.jit(jax.jacfwd(lambda mu: body.group.ad_star(mu / metric, mu)))
+    for spin, stable in ((1.01 * need, True), (0.99 * need, False)):
+        slopes = np.linalg.eigvals(slope(np.array([0.0, 0.0, spin, 0.0, 0.0, 1.0])))
+        assert (np.abs(slopes.real).max() < 1e-6) == stable
+    assert li.systems.kirchhoff_spin(li.systems.kirchhoff((2.0, 2.0, 1.0))) == 0  # broadside on, a disc needs no spin
+    assert np.isnan(li.systems.kirchhoff_spin(li.systems.kirchhoff((3.0, 2.0, 1.0))))  # no body of revolution

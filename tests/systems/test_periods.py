@@ -183,3 +183,25 @@ def test_the_periods_of_a_run_are_those_of_each_state():
     assert not found.long_axis.any()
     with pytest.raises(ValueError, match="must have periods"):
         run.periods(li.systems.pendulum(1.0, 1.0))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("long_axis", [False, True])
+def test_a_tumbling_state_has_its_periods_and_phases_in_both_modes(long_axis):
+    """φ is the angle of the long axis from the given direction about π; ψ grows by 2π in P_ψ; the motion is free."""
+    J, toward, pole = jnp.array([0.55, 0.8, 1.0]), jnp.array([0.3, -0.9, 0.2]), jnp.array([0.48, -0.6, 0.64])
+    options = {"long_axis": long_axis, "toward": toward, "phi": 2.0}
+    at = jax.jit(lambda psi: systems.tumbling_state(J, 20.0, 60.0, pole, psi=psi, **options))
+    near, body = at(4.5), systems.RigidBody(J)
+    found = body.periods(near)
+    np.testing.assert_allclose([found.precession, found.rotation], [20.0, 60.0], rtol=1e-12)
+    assert bool(found.long_axis) == long_axis
+    np.testing.assert_allclose(near.p / np.linalg.norm(near.p), pole, rtol=0, atol=1e-15)
+    e1, e2 = (v - v @ pole * pole for v in (np.asarray(toward), np.asarray(so3.to_matrix(near.q))[:, 0]))
+    angle = np.arctan2(np.cross(e1, e2) @ pole, e1 @ e2)
+    assert angle % (2 * np.pi) == pytest.approx(2.0, abs=1e-12)
+    later, there = body.solution(near, 60.0 * 1.1 / (2 * np.pi)), at(4.5 + 1.1)
+    np.testing.assert_allclose(body.body_momentum(later), body.body_momentum(there), rtol=0, atol=1e-13)
+    x, y, _ = body.body_momentum(at(0.0))
+    assert x > 0
+    assert abs(y) < 1e-15

@@ -160,6 +160,21 @@ def test_the_local_frame_points_down_and_rotates_as_it_says():
     np.testing.assert_allclose(orbits.lvlh(circle).angular_velocity(0.3), [0, -1, 0], rtol=0, atol=1e-15)
 
 
+def test_a_shared_function_has_the_values_but_no_leaves():
+    """Two of the same numbers are equal, so a program is compiled once for them; a frame remains a frame."""
+    orbit, other = (orbits.kepler(398600.4418, 7000.0 + height, 0.01, 0.9) for height in (0.0, 1.0))
+    frame, t = orbits.lvlh(orbit), jnp.asarray(1234.5)
+    for function in (orbit, frame):
+        same, again = orbits.shared(function), orbits.shared(function)
+        assert not jax.tree.leaves(same)
+        assert jax.tree.structure(same) == jax.tree.structure(again)
+        for found, expected in zip(jax.tree.leaves(same(t)), jax.tree.leaves(function(t)), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-14)
+    assert jax.tree.structure(orbits.shared(orbit)) != jax.tree.structure(orbits.shared(other))
+    rate = orbits.shared(frame).angular_velocity(t)
+    np.testing.assert_allclose(rate, frame.angular_velocity(t), rtol=0, atol=1e-16)
+
+
 def test_days_and_the_rotation_of_the_earth():
     """IERS Conventions 2010: the angle at J2000 is 0.7790572732640 of a turn; it gains a turn in a sidereal day."""
     assert orbits.julian_date(2000, 1, 1, 12.0) == 2451545.0

@@ -14,6 +14,7 @@ from lieint_jax.app import plots
 from lieint_jax.app.command import files, info, meshes
 from lieint_jax.app.command.scene import Scene, Span, scene_of
 from lieint_jax.app.printer import show, show_written
+from lieint_jax.runs import store as archives
 from lieint_jax.types import Trajectory
 
 SUFFIXES = (".gif", ".mp4", ".html")
@@ -53,7 +54,7 @@ def animate(
     _check(out, force)
     if seconds is not None and not 0 < seconds < float("inf"):
         raise ValueError(f"--seconds must be positive, got {seconds:g}")
-    run, metadata = files.load(path)
+    run, metadata = archives.load_results(path)
     if not isinstance(run, Trajectory):
         raise ValueError(f"{path} holds a run with `reduce`, which stores no states: there is nothing to animate")
     if len(run.t) < 2:

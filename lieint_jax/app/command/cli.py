@@ -385,9 +385,9 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _files(options: argparse.Namespace) -> None:
-    from lieint_jax.app.command import foreign_files
+    from lieint_jax import files
 
-    show("\n".join(map(foreign_files.describe, options.paths)))
+    show("\n".join(map(files.describe, options.paths)))
 
 
 def _figure(options: argparse.Namespace) -> None:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lieint_jax.app import plots
 from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import Address, Url
-from lieint_jax.types import Trajectory
-
-_NO_PATH = str.maketrans("/\\", "__")  # of the characters that the name of an array cannot have
 
 
 def check_writable(path: Address, kinds: Iterable[str] = (), resume: bool = False) -> Address:
@@ -74,40 +69,6 @@ def check_replaceable(found: Iterable[Path], force: bool) -> None:
     for file in found:
         if file.exists() and not force:
             raise ValueError(f"{file} exists and is not overwritten; --force replaces it, --out chooses another folder")
-
-
-def save(
-    path: Path, trajectory: Trajectory, metadata: dict[str, Any], members: Mapping[str, np.ndarray] | None = None
-) -> None:
-    """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text.
-
-    Further arrays are written if the states have these leaves: work, extra.NAME, and state.t, (entries, members), or
-    (entries, 1) if all members have the same times. The members' own numbers are written as member.NAME, (members, …).
-    """
-    own: dict[str, Any] = {f"member.{name.translate(_NO_PATH)}": values for name, values in (members or {}).items()}
-    arrays = archives.leaves_by_name(trajectory.state)
-    if "t" in arrays:
-        t = np.asarray(arrays.pop("t"))
-        arrays[archives.TIME] = t[:, :1] if (t == t[:, :1]).all() else t
-    arrays |= own | trajectory.info._asdict() | {"metadata": np.array(json.dumps(metadata))}
-    with path.open("xb") as file:
-        np.savez(file, allow_pickle=False, t=trajectory.t, **arrays)
-
-
-def load(path: Address, thorough: bool | None = None) -> tuple[Any, dict[str, Any]]:
-    """Read a run and its metadata: the run that `save` wrote, or the complete part of a store.
-
-    For the form of a store's results, and `thorough`, see `ensemble.archives.load_store`.
-
-    Raises:
-        ValueError: the store is damaged (the message names the file and what can still be read), or `path` holds no
-            results.
-    """
-    if path.suffix == ".zarr":
-        return archives.load_store(path, thorough)
-    assert not isinstance(path, Url)
-    found = archives.open_archive(path)
-    return archives.read_trajectory(found), found.metadata
 
 
 def read_numbers(path: Path) -> list[float]:

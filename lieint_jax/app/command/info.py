@@ -18,6 +18,7 @@ from lieint_jax.app.printer import readable, show, show_written
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import POINTS, kinetic_energy, series
 from lieint_jax.runs import Run
+from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import Address, UnreadableError, check_system, step_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
@@ -37,7 +38,7 @@ def plot(path: Address, out: Path | None = None, force: bool = False, own_kind: 
         force: replace existing pictures.
         own_kind: the kind of its scenario, FILE.py:CLASS, if it is a user's.
     """
-    run, metadata = files.load(path)
+    run, metadata = archives.load_results(path)
     if len(_times(run)) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
     plain = files.path_in_folder(path, out)
@@ -161,7 +162,7 @@ def _time_unit(metadata: dict[str, Any]) -> str:
 def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
     """A description of a file of results, as text."""
     if run is None:
-        run, metadata = files.load(path, thorough=True)
+        run, metadata = archives.load_results(path, thorough=True)
     title = metadata.get("title") or _table(metadata).get("title", str(path))
     lines = [_checks.printable(title), *_origin(path, run, metadata)]
     t = _times(run)

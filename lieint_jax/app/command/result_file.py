@@ -28,11 +28,16 @@ _RENAMED = {  # since version 0.2
     "studies._toutatis:": "studies.toutatis:",
     "fitting._outcome:Starts": "fitting._outcome:MultiStartResult",
     "kappa:LearntKappas": "kappa:LearnedKappas",
+    "app.studies._period_search:Peak": "measure._combinations:Sine",
+    "app.studies._period_search:TwoPeriods": "measure._combinations:DoublePeriods",
+    "studies._period_search:": "studies._satellite_fit:",
+    "app.studies._satellite_fit:Change": "measure._equal_light:LightChange",
 }
 _RENAMED_FIELDS = {  # of named tuples of the studies, since version 0.2
+    "_combinations:DoublePeriods": {"left": "unexplained"},
     "_satellite_fit:Estimate": {"turned": "facet_symmetry"},
     "inference:Coverage": {"distance": "mahalanobis_squared"},
-    "_satellite_fit:Change": {"turn": "symmetry"},
+    "_equal_light:LightChange": {"turn": "symmetry"},
     "gyro:GyroTrials": {"within": "within_2_sigma", "inside": "inside_ellipsoid"},
     "kappa:KappaErrors": {
         "learnt": "training_defect",

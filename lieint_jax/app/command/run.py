@@ -17,6 +17,7 @@ from lieint_jax.app.printer import readable, show, show_time, show_written
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import nominal_state
 from lieint_jax.diagnostics import certify
+from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import Address, Url
 
 _NOTED = 10**8  # bytes; the command prints the memory that it needs, if it is more
@@ -122,7 +123,7 @@ def run(
         show(info.contents(out))
     else:
         description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
-        files.save(out, run.trajectory, description, own)
+        archives.write_trajectory(out, run.trajectory, description, own)
     for path in exports:
         export.write(path, run, scenario)
     if isinstance(out, Url) or in_store:

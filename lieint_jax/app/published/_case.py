@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -12,13 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieint_jax.runs import store as archives
+
 Compute = Callable[[], Mapping[str, ArrayLike]]
 
 
 @cache
 def numbers() -> dict[str, dict[str, Any]]:
     """The entries of `numbers.toml`, which describes them."""
-    return tomllib.loads(Path(__file__).with_name("numbers.toml").read_text(encoding="utf-8"))
+    return archives.read_toml(Path(__file__).with_name("numbers.toml"), "numbers.toml")
 
 
 class Comparison(NamedTuple):

@@ -14,11 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax import _free_body, orbits, systems
+from lieint_jax import orbits, systems
 from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.scenarios._kind import step_of as step_by
 from lieint_jax.app.scenarios._runs import Numbers, map_on_local_devices
-from lieint_jax.groups import so3
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static, vectors
@@ -76,26 +75,9 @@ def moments(spin: Spin) -> Array:
 
 def state_at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
     """The torque-free state at the perigee; `toward` is the direction of the body from the Earth there."""
-    J = moments(spin)
-    unit = _free_body.momentum_of_ratio(J, spin.rotation / spin.precession, long_axis)
-    size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / spin.precession
     pole = direction(spin.longitude, spin.latitude)
-    in_body = _orthonormal_frame(_normalize(_free_body.momentum_at_phase(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
-    x, y, z = _orthonormal_frame(pole, toward)
-    across = jnp.cos(spin.phi) * y + jnp.sin(spin.phi) * z
-    axis_in_space = jnp.stack([x, across, jnp.stack(vectors.cross(x, across))])
-    R = jnp.stack([sum(axis_in_space[k, i] * in_body[k] for k in range(3)) for i in range(3)])
-    return State(so3.from_matrix(R), size * pole)
-
-
-def _orthonormal_frame(along: Array, near: Array) -> Array:
-    """The unit vector `along`, the direction of `near` across it, and their cross product: rows of a rotation."""
-    across = _normalize(near - vectors.dot(near, along) * along)
-    return jnp.stack([along, across, jnp.stack(vectors.cross(along, across))])
-
-
-def _normalize(v: Array) -> Array:
-    return v / vectors.norm(v)
+    phases = {"phi": spin.phi, "psi": spin.psi, "toward": toward}
+    return systems.tumbling_state(moments(spin), spin.precession, spin.rotation, pole, long_axis=long_axis, **phases)
 
 
 def outcome(J: Array, state: State) -> Outcome:

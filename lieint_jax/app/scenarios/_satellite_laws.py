@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any, NamedTuple, Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -15,7 +12,7 @@ from pydantic import Field, model_validator
 from lieint_jax import orbits, torques
 from lieint_jax.app.scenarios._keys import NonNegative, PositiveFloat, PositiveTriple, Table, Triple, UnitVector
 from lieint_jax.app.scenarios._spread import DIRECTION
-from lieint_jax.types import Law, pytree, static
+from lieint_jax.types import Law
 
 _KM = 1e3  # m
 _FIELD_RADIUS = 6371.2e3  # m, of the coefficients of IGRF
@@ -129,55 +126,13 @@ class Unloading(Control):
     """In 1/s: the rate at which the momentum across the field falls."""
 
 
-@dataclass(frozen=True, eq=False)
-class Constant:
-    """A pytree whose arrays are constants of the programs that use it, compared by their values."""
-
-    value: Any
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Constant) and self._identity == other._identity
-
-    def __hash__(self) -> int:
-        return hash(self._identity)
-
-    @property
-    def _identity(self) -> tuple[Any, ...]:
-        leaves, structure = jax.tree.flatten(self.value)
-        return structure, *((str(x.dtype), x.tobytes()) for x in map(np.asarray, leaves))
-
-
-@pytree
-class Given:
-    """A function of time, the same for all members, traced once although every iteration of a step calls it."""
-
-    function: Constant = static()
-
-    def __call__(self, t: Any) -> Any:
-        return _call(self.function, "__call__", t)
-
-
-@pytree
-class Frame(Given):
-    """A frame."""
-
-    def angular_velocity(self, t: Any) -> Array:
-        """The angular velocity in the axes of the frame."""
-        return _call(self.function, "angular_velocity", t)
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _call(function: Constant, method: str, t: Any) -> Any:
-    return getattr(function.value, method)(t)
-
-
 class Surroundings(NamedTuple):
     """Functions of time along the orbit, the same for all members."""
 
     orbit: Any  # position and velocity, m and m/s
     mu: float  # the gravitational parameter, m³/s²
     field: Any  # the Earth's magnetic field in space, T
-    frame: Frame  # the local vertical, local horizontal frame: z down, x forward
+    frame: orbits.SharedFrame  # the local vertical, local horizontal frame: z down, x forward
     air: Any  # density and relative velocity of the air, or None
 
 
@@ -188,21 +143,9 @@ def surroundings(motion: Any, date: str, drag: Drag | None) -> Surroundings:
     if drag is not None:
         height, scale = drag.height_km * _KM, drag.scale_height_km * _KM
         air = orbits.atmosphere(motion, drag.density_kg_m3, scale, height, radius=orbits.EARTH_RADIUS * _KM)
-    orbit = Given(Constant(motion))
-    frame = Frame(Constant(orbits.lvlh(orbit)))
-    return Surroundings(orbit, float(motion.mu), Given(Constant(field)), frame, air and Given(Constant(air)))
-
-
-@pytree
-class WindowedMotors:
-    """Motors of wheels that act in a window of time; outside of it the wheels rotate freely."""
-
-    motor: torques.WheelMotor
-    begin: Array
-    end: Array
-
-    def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
-        return jnp.where((self.begin <= t) & (t < self.end), self.motor(t, q, Omega, h), 0)
+    orbit = orbits.shared(motion)
+    frame: Any = orbits.shared(orbits.lvlh(orbit))
+    return Surroundings(orbit, float(motion.mu), orbits.shared(field), frame, air and orbits.shared(air))
 
 
 def laws(scenario: Any, around: Surroundings, inertia: Array, dipole: Array) -> list[Law]:
@@ -239,6 +182,6 @@ def _wheels_with_motors(wheels: Wheels, pointing: Pointing | None, around: Surro
         control = torques.pointing(
             around.frame, 2 * rate**2 * moments, 2 * pointing.damping_ratio * rate * moments, inertia
         )
-        motor = WindowedMotors(torques.wheel_motor(axes, control, gyroscopic=True), *map(jnp.asarray, pointing.window))
+        motor = torques.wheel_motor(axes, control, gyroscopic=True, window=pointing.window)
     limits = {"max_torque": wheels.max_torque, "max_momentum": wheels.max_momentum, "period": wheels.period}
     return torques.wheels(axes, wheels.inertia_kg_m2, motor, **limits)

@@ -14,8 +14,8 @@ from lieint_jax.app.scenarios._keys import Direction, Triple, checked
 from lieint_jax.app.scenarios._kind import check_order, for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_on_sphere
 from lieint_jax.app.scenarios._report import CLOSED_FORM, Conserved, Quantity
-from lieint_jax.app.scenarios._runge_kutta import RungeKutta, cost
 from lieint_jax.app.scenarios._runs import LONGEST, POINTS, drawn_run, length, nominal_state, nominal_system, series
+from lieint_jax.diagnostics import RungeKutta, step_cost
 from lieint_jax.measure import Nutation
 from lieint_jax.runs import Run
 from lieint_jax.systems import LagrangeMotion, PotentialTop, kovalevskaya_integral, lagrange_motion
@@ -106,7 +106,7 @@ class HeavyTop(TopKind):
         top, z = nominal_system(one), nominal_state(one)
         names = ["nystrom"] * (self.order in (4, 6)) + ["top_energy_momentum", "splitting"]
         found, peer = [self.step_by(name, top) for name in names], RungeKutta(top)
-        ratio = cost(peer, z, dt) / max(cost(step, z, dt) for step in found)
+        ratio = step_cost(peer, z, dt) / max(step_cost(step, z, dt) for step in found)
         end = dt * min(_LONG * self.steps, LONGEST)
         t, curves = np.linspace(0, end, POINTS + 1)[1:], {}
         for step, h in [*((step, dt) for step in found), (peer, dt * ratio)]:

@@ -15,8 +15,8 @@ from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, picture, quantity
 from lieint_jax.app.scenarios._pictures import draw_errors, draw_members
 from lieint_jax.app.scenarios._report import Conserved
-from lieint_jax.app.scenarios._runge_kutta import RungeKutta
 from lieint_jax.app.scenarios._runs import length, nominal_state, nominal_system, positive, series
+from lieint_jax.diagnostics import RungeKutta
 from lieint_jax.runs import Run
 from lieint_jax.systems import Euler
 from lieint_jax.types import State
@@ -92,8 +92,8 @@ class Kirchhoff(Kind):
     def remarks(self, run: Run) -> list[str]:
         """Whether the spin is stable, and the added mass and inertia of the fluid."""
         body = nominal_system(run)
-        needed = spin_needed(body)
-        if needed is None:
+        needed = systems.kirchhoff_spin(body)
+        if np.isnan(needed):
             lines = ["  (the needed spin is known in closed form for a body of revolution about the third axis)"]
         else:
             Pi = np.asarray(body.body_momentum(nominal_state(run)))
@@ -136,15 +136,3 @@ class Kirchhoff(Kind):
         draw_errors(axes[0], self, one, steps, {"energy": ""}, "energy error, relative")
         t, tilts = np.asarray(run.t), np.rad2deg(measure.tilt(run))
         draw_members(axes[1], t, tilts, "third axis strays by (°)", self.time_unit)
-
-
-def spin_needed(body: Euler) -> float | None:
-    """The least |Π₃/P₃| with which a body of revolution moves stably along its axis, 0 if it needs no spin.
-
-    It is 2√(I₁(1/m₃ − 1/m₁)). None unless it is a body of revolution about the third axis with a central mass.
-    """
-    m = np.asarray(body.metric)
-    I1, I2, _, m1, m2, m3 = np.diag(m)
-    if max(abs(I1 - I2), abs(m1 - m2), abs(m - np.diag(np.diag(m))).max()) > 1e-12 * m.max():
-        return None
-    return float(2 * np.sqrt(max(I1 * (1 / m3 - 1 / m1), 0.0)))

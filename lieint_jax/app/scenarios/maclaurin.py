@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from pydantic import Field, model_validator
 
-from lieint_jax import systems
+from lieint_jax import measure, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, change_lines
@@ -61,7 +61,7 @@ class Maclaurin(Kind):
     def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
         """The step and the spheroids with a small bar, each in its rotation."""
         step, e = self.make_step(), self.eccentricities()[self.indices(indices)]
-        a, Omega = spheroid(e)
+        a, Omega = systems.maclaurin_spheroid(e)
         axes = np.stack([a * (1 + self.bar), a / (1 + self.bar), a * np.sqrt(1 - e * e)], axis=1)
 
         def member(axes: Array, Omega: Array) -> State:
@@ -72,7 +72,7 @@ class Maclaurin(Kind):
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy, angular momentum, circulation and volume."""
         H, L = (series(f, run) for f in (IncompressibleBody.energy, IncompressibleBody.momentum))
-        K, volume = series(circulation, run), np.linalg.det(run.state.q)
+        K, volume = series(IncompressibleBody.circulation, run), np.linalg.det(run.state.q)
         return [
             Conserved("energy, relative", H, abs(H[0]), ROUND_OFF),
             Conserved("angular momentum, relative", L, length(L[0]), ROUND_OFF),
@@ -83,12 +83,12 @@ class Maclaurin(Kind):
     def report(self, run: Run) -> str:
         """The conserved quantities, and the modes of some members next to the closed form."""
         e, modes = self.eccentricities(), measured_modes(run)
-        known = _ordered(bar_modes(e))
+        known, Omega = systems.maclaurin_modes(e), systems.maclaurin_spheroid(e).angular_velocity
         lines = change_lines(self.conserved(run))
         lines.append(f"\n  {'e':>8}{'Ω':>10}{'σ measured':>26}{'closed form':>26}{'difference':>12}")
         for m in np.unique(np.linspace(0, len(e) - 1, min(len(e), _ROWS)).round().astype(int)):
             for k in range(2):
-                first = f"{e[m]:>8.4f}{float(spheroid(e[m])[1]):>10.6f}" if k == 0 else " " * 18
+                first = f"{e[m]:>8.4f}{Omega[m]:>10.6f}" if k == 0 else " " * 18
                 off = abs(modes[m, k] - known[m, k])
                 lines.append(f"  {first}{_complex(modes[m, k])}{_complex(known[m, k])}{off:>12.1e}")
         limits = f"a bar may grow by friction for e > {SECULAR}, must grow for e > {DYNAMICAL}"
@@ -99,7 +99,7 @@ class Maclaurin(Kind):
         """Plot the rates of the bar against the eccentricity, and the growth of the bars of three members."""
         left, right = axes
         e, fine = self.eccentricities(), np.linspace(0.02, 0.985, 1000)
-        known, modes = bar_modes(fine), measured_modes(run)
+        known, modes = systems.maclaurin_modes(fine), measured_modes(run)
         growth, measured = np.abs(np.imag(known[:, 0])), np.abs(np.imag(modes)).max(axis=1)
         left.plot(fine, np.real(known), color=plots.INK, lw=0.9)
         left.plot([], [], color=plots.INK, lw=0.9, label="rotation rate σ, closed form")
@@ -123,35 +123,6 @@ class Maclaurin(Kind):
         right.legend()
 
 
-def spheroid(e: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The equatorial semi-axis and the angular velocity Ω of Maclaurin's spheroids."""
-    e = np.asarray(e, float)
-    q = np.sqrt(1 - e * e)
-    square = 2 * q / e**3 * (3 - 2 * e * e) * np.arcsin(e) - 6 * q * q / e**2  # over πGρ = 3/4
-    return q ** (-1 / 3), np.sqrt(0.75 * square)
-
-
-def bar_modes(e: Any) -> np.ndarray:
-    """Ω ± √(4B₁₁ − Ω²), (…, 2), complex: the rates at which the bar e^{iσt} rotates in space, twice those of its axes.
-
-    Source: Chandrasekhar 1969, Ellipsoidal Figures of Equilibrium, § 33 (105), in space.
-    """
-    e = np.asarray(e, float)
-    Omega, q = spheroid(e)[1], np.sqrt(1 - e * e)
-    A1 = q / e**3 * np.arcsin(e) - q * q / e**2
-    A3 = 2 / e**2 - 2 * q / e**3 * np.arcsin(e)
-    A13 = (A1 - A3) / (q * q - 1)  # times a², and so are A₁₁ and B₁₁
-    B11 = A1 - (2 - A13) / 4
-    root = np.sqrt(3 * B11 - Omega**2 + 0j)  # 4B₁₁ over πGρ
-    return np.stack([Omega + root, Omega - root], axis=-1)
-
-
-def circulation(body: IncompressibleBody, state: State) -> Any:
-    """rot[FᵀP], which a liquid's equal particles conserve: the vorticity in the reference state."""
-    K = state.q.T @ state.p
-    return jnp.stack([K[2, 1] - K[1, 2], K[0, 2] - K[2, 0], K[1, 0] - K[0, 1]])
-
-
 def bars(run: Run) -> np.ndarray:
     """B_xx − B_yy + 2iB_xy with B = FFᵀ, the shape in space: (times, members), complex."""
     F = np.asarray(run.state.q)
@@ -160,25 +131,13 @@ def bars(run: Run) -> np.ndarray:
 
 
 def measured_modes(run: Run) -> np.ndarray:
-    """The two rates of each member's bar, (members, 2), by Prony's method while it is small; nan for a short series."""
-    z, t = bars(run), np.asarray(run.t)
-    found = np.full((z.shape[1], 2), np.nan + 0j)
-    for m, series_of_member in enumerate(z.T):
-        large = abs(series_of_member) > _MAX_BAR
-        x = series_of_member[: int(large.argmax()) if large.any() else None]
-        if len(x) < 8:
-            continue
-        pairs = np.stack([x[1:-1], x[:-2]], axis=1)
-        coefficients = np.linalg.lstsq(pairs, x[2:], rcond=None)[0]
-        roots = np.roots([1, *-coefficients])
-        rates = -1j * np.log(roots) / (t[1] - t[0])
-        found[m] = sorted(rates, key=lambda rate: (-round(rate.real, 6), rate.imag))
-    return found
-
-
-def _ordered(modes: np.ndarray) -> np.ndarray:
-    """Sort modes as in `measured_modes`: the faster first, and of two with the same speed the growing one."""
-    return np.array([sorted(pair, key=lambda rate: (-round(rate.real, 6), rate.imag)) for pair in modes])
+    """The two rates of each member's bar, (members, 2), while it is small; nan for a short series."""
+    found = []
+    for z in bars(run).T:
+        large = abs(z) > _MAX_BAR
+        end = int(large.argmax()) if large.any() else len(z)
+        found.append(measure.complex_rates(run.t[:end], z[:end]))
+    return np.array(found)
 
 
 def _complex(rate: complex) -> str:

@@ -16,9 +16,8 @@ from lieint_jax.app.scenarios._report import CLOSED_FORM, ROUND_OFF, Conserved, 
 from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
 from lieint_jax.app.scenarios._spread import DIRECTION, same_side_of
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
-from lieint_jax.systems import Pendulum, PotentialTop, lagrange_motion
+from lieint_jax.systems import LagrangeMotion, Pendulum, lagrange_motion, pendulum_as_top
 from lieint_jax.types import State
 
 _FINE = 4  # steps of the drawn path per step of the scenario, so that it reaches its bounds
@@ -90,7 +89,7 @@ class SphericalPendulum(Kind):
 
     def quantities(self, run: Run) -> list[Quantity]:
         """Period, precession and bounds of the swing, measured for every member, and in closed form."""
-        found, exact = measure.nutation(run), lagrange_motion(*as_top(nominal_system(run), nominal_state(run)))
+        found, exact = measure.nutation(run), self._closed_form(run)
         least, greatest = self._bounds(run)
         rows = [
             (f"lowest point to lowest point ({self.time_unit})", found.period, exact.nutation_period),
@@ -100,9 +99,13 @@ class SphericalPendulum(Kind):
         ]
         return [Quantity(name, x, closed_form=float(closed)) for name, x, closed in rows]
 
+    def _closed_form(self, run: Run) -> LagrangeMotion:
+        """That of the nominal member; the top's inclination is that from −γ."""
+        return lagrange_motion(*pendulum_as_top(nominal_system(run), nominal_state(run)))
+
     def _bounds(self, run: Run) -> np.ndarray:
-        """The least and the greatest angle from γ in closed form, in degrees. The top's inclination is that from −γ."""
-        angles = np.rad2deg(lagrange_motion(*as_top(nominal_system(run), nominal_state(run))).inclination)
+        """The least and the greatest angle from γ in closed form, in degrees."""
+        angles = np.rad2deg(self._closed_form(run).inclination)
         return angles if self.gravity < 0 else 180 - angles[::-1]
 
     def remarks(self, run: Run) -> list[str]:
@@ -136,10 +139,3 @@ class SphericalPendulum(Kind):
 
 def _defect(bob: Pendulum, state: State) -> Any:
     return bob.phase_space.defect(state)
-
-
-def as_top(bob: Pendulum, state: State) -> tuple[PotentialTop, State]:
-    """The pendulum as Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
-    depth = -bob.potential(bob.axis)
-    top = systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
-    return top, State(so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1)), state.p)

@@ -125,20 +125,10 @@ class Tides(Kind):
         gained = -((found.spins[-1] - found.spins[0]) * self.moments()).sum(axis=-1)
         return 2 * member_values(self, "distance_km") * gained / found.orbital[0] / (float(run.t[-1]) / _YEAR)
 
-    def double_synchronous(self, L: float) -> tuple[float, float]:
-        """The distance in km and the period in d of the outer locked motion with the angular momentum L.
-
-        The root of L = μ√(GMa) + (J₁ + J₂)√(GM/a³) above its least value, which it has where the orbit's part is three
-        times the bodies'; nan if there is none.
-        """
-        m, R, factors = (np.asarray(x) for x in (self.masses_kg, self.radii_km, self.moment_factors))
-        GM, mu, J = _G * m.sum(), m.prod() / m.sum(), (factors * m * R**2).sum()
-        least = np.sqrt(3 * J / mu)
-        if mu * np.sqrt(GM * least) + J * np.sqrt(GM / least**3) > L:
-            return np.nan, np.nan
-        roots = np.roots([mu, -L / np.sqrt(GM), 0, 0, J])  # of the equation for √a, times a^(3/2)
-        a = float(roots.real.max() ** 2)
-        return a, 2 * np.pi * np.sqrt(a**3 / GM)
+    def locked(self, L: float) -> tides.LockedOrbit:
+        """The outer locked motion of the nominal bodies with the angular momentum L, in km and d."""
+        R, factors = (np.asarray(x) for x in (self.radii_km, self.moment_factors))
+        return tides.double_synchronous(_G, self.masses_kg, (factors * self.masses_kg * R**2).sum(), L)
 
     def report(self, run: Run) -> str:
         """The largest errors of the balances over the members; rates of recession and braking; the locked state."""
@@ -158,7 +148,7 @@ class Tides(Kind):
             f"  {name:<54}{x[0]:>16.9g}" + (f" ± {standard_deviation(x):.2g}" if several else "")
             for name, x in rows.items()
         ]
-        distance, period = self.double_synchronous(L[0, 0])
+        distance, period = self.locked(L[0, 0])
         lines += [f"  {'closed form: both locked at (km)':<54}{distance:>16.9g}"]
         lines += [f"  {'with the period (d)':<54}{period:>16.9g}"]
         names = {
@@ -199,7 +189,7 @@ class Tides(Kind):
         """Plot the distance and the angular rates of the nominal member, and its balances."""
         found, t = self.course(run), np.asarray(run.t)
         L, H = found.momentum[:, 0], found.balance[:, 0]
-        _draw_distance(axes[0], t, found.distance[:, 0], self.double_synchronous(float(L[0]))[0])
+        _draw_distance(axes[0], t, found.distance[:, 0], self.locked(float(L[0]))[0])
         spins = {f"rotation, {name}": found.spins[:, 0, k] for k, name in enumerate(self.names)}
         _draw_rates(axes[1], t, spins | {"orbit": np.sqrt(_G * sum(self.masses_kg) / found.distance[:, 0] ** 3)})
         curves = {"angular momentum L": L / L[0] - 1, "energy H plus the energy lost": H / H[0] - 1}

@@ -1,44 +1,14 @@
-"""Pulls, (estimate − truth)/reported standard error, and the tables and pictures of studies.
-
-Pulls over synthetic data sets test reported uncertainties.
-"""
+"""The tables and pictures of studies."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from lieint_jax.app import plots
-
-
-class Shares(NamedTuple):
-    """The scatter of pulls."""
-
-    within_1: np.ndarray  # percentages within one standard error; 68.3 are expected
-    within_2: np.ndarray  # percentages within two; 95.4 are expected
-    rms: np.ndarray  # the root mean square; 1 is expected
-
-
-def chi_square_point(parameters: int) -> float:
-    """The 95 % point of χ²: the squared distance at the joint ellipsoid of 95 % probability."""
-    from scipy.special import chdtri
-
-    return float(chdtri(parameters, 0.05))
-
-
-def shares(pulls: np.ndarray, axis: int | None = 0) -> Shares:
-    """The shares of pulls (sets, parameters), for each parameter, or with `axis=None` for all together."""
-    one, two = (100 * (np.abs(pulls) <= limit).mean(axis=axis) for limit in (1, 2))
-    return Shares(one, two, np.sqrt((pulls**2).mean(axis=axis)))
-
-
-def chance_errors(sets: int) -> Shares:
-    """The standard errors of the shares of one parameter, for a number of synthetic sets."""
-    one, two = (100 * np.sqrt(p * (1 - p) / sets) for p in (0.683, 0.954))
-    return Shares(one, two, 1 / np.sqrt(2 * sets))
+from lieint_jax.fitting.inference import shares
 
 
 def table(rows: Iterable[Sequence[object]], indent: str = "  ") -> list[str]:
@@ -70,9 +40,3 @@ def draw_pulls(ax: Axes, pulls: np.ndarray, own: np.ndarray | None = None) -> No
     ax.text(0.03, 0.97, note, transform=ax.transAxes, va="top", fontsize="x-small")
     ax.set(xlabel=f"(estimate − truth)/σ, {sets} synthetic sets", ylabel="density", ylim=(0, 0.6))
     ax.legend(frameon=False, fontsize="x-small", loc="upper right")
-
-
-def ellipse(center: np.ndarray, covariance: np.ndarray, radius: float) -> np.ndarray:
-    """The points of two numbers at `radius` standard errors from their center, (145, 2)."""
-    angle = np.linspace(0, 2 * np.pi, 145)
-    return center + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(covariance).T

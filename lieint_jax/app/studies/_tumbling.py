@@ -35,9 +35,7 @@ def rotation_between(q: Array, origin: Array) -> Array:
 def mean_periods(body: RigidBody, state: State) -> Array:
     """Mean precession and rotation period, (2,), in units of time, with derivatives.
 
-    The angular momentum circles an axis of the body, that of least or of greatest moment, in the period of rotation;
-    this axis circles the angular momentum in the period of precession. `RigidBody.periods` returns the precession of
-    the long axis in both modes; the short axis precesses by one more revolution in each rotation.
+    The precession is that of the axis which the angular momentum circles in the body, in the period of rotation.
     """
-    precession, rotation, long_axis = body.periods(state)
-    return jnp.stack([jnp.where(long_axis, precession, 1 / (1 / precession + 1 / rotation)), rotation])
+    found = body.periods(state)
+    return jnp.stack([found.of_circled_axis, found.rotation])

@@ -93,7 +93,10 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
     each, truth = inference.estimates(PROBLEM, best, data), np.asarray(ravel_pytree(TRUTH)[0])
     assert best.starts is not None
     test = inference.compare(PROBLEM, Estimate.exact(truth), each, best.starts.success)
-    within, inside = _report.shares(test.pulls).within_2 / 100, test.mahalanobis_squared <= _report.chi_square_point(8)
+    within, inside = (
+        inference.shares(test.pulls).within_2 / 100,
+        test.mahalanobis_squared <= inference.chi_square_point(8),
+    )
     fitted = np.asarray(rates(PROBLEM.unravel(each.x[0]))[0])
     readings = _EVERY * np.arange(1, _READINGS + 1), np.asarray(data[0]), fitted
     mean = each.covariance.mean(axis=0)
@@ -135,7 +138,7 @@ def draw(found: GyroTrials) -> Figure:
     right.plot(*estimates.T, ".", ms=4, color=plots.BLUE, label="estimates")
     right.plot(*truth, "x", ms=9, mew=2, color=plots.RED, label="truth")
     label = f"95 % ellipse of the mean reported\ncovariance: {inside} of {len(estimates)} inside"
-    right.plot(*_report.ellipse(truth, covariance, radius).T, color=plots.INK, lw=1, label=label)
+    right.plot(*inference.ellipse(truth, covariance, radius).T, color=plots.INK, lw=1, label=label)
     right.set(xlabel="$J_x/J_z$", ylabel="$J_y/J_z$", title=f"inertia ratios, {len(estimates)} trials")
     right.locator_params(axis="x", nbins=5)
     right.margins(y=0.1)

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.studies._report import chi_square_point, coverage_cells, table
+from lieint_jax.app.studies._report import coverage_cells, table
 from lieint_jax.fitting.inference import *  # noqa: F403  by this path too
-from lieint_jax.fitting.inference import Estimate, Inference, Published, pull
+from lieint_jax.fitting.inference import Estimate, Inference, Published, chi_square_point, pull
 
 __all__ = ["draw", "published_lines", "text"]
 

@@ -22,37 +22,41 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.studies import _period_search as search
 from lieint_jax.app.studies import _report, _satellite_fit
 from lieint_jax.app.studies._satellite_fit import (
+    HARMONICS,
     QUANTITIES,
-    SPACE,
+    SPECTRUM,
     STEP,
     UNKNOWNS,
-    Change,
     Ends,
     SatelliteFit,
-    Solutions,
-    changes,
-    classify,
+    search,
     solutions,
 )
 from lieint_jax.app.studies._satellite_sky import (
-    Facets,
     Lightcurve,
     Scene,
-    brightness,
     closed_form,
-    facets,
-    magnitude,
     observe,
     scene,
     scene_minima,
 )
 from lieint_jax.app.studies._tumbling import mean_periods
-from lieint_jax.fitting import Fit
+from lieint_jax.fitting import Fit, inference
+from lieint_jax.measure import (
+    SPACE_CHANGES,
+    LightChange,
+    SpinStates,
+    chance_of_match,
+    classify_light,
+    combination,
+    combinations,
+    light_changes,
+    light_differences,
+)
 
-__all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
+__all__ = ["SatelliteFit", "draw", "run", "scene", "text"]
 
 _MOST_MINIMA = 60  # more than the first session has
 
@@ -63,7 +67,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     made = scene()
     session = made.exposures["sessions_min"][0][1]
     curve, synthetic = observe(made, sets)
-    found = search.search(curve.t, curve.magnitude)
+    found = search(curve.t, curve.magnitude)
     first = curve.truncate(session)
     clock, key = [time.perf_counter()], jax.random.key(made.exposures["seed"])
     guess, begin, candidate = _satellite_fit.random_guesses(found.candidates, guesses, key)
@@ -74,7 +78,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     fits = _satellite_fit.fit_magnitudes(guess, begin, observed, made.facets, first, progress)
     clock.append(time.perf_counter())
     assert fits.starts is not None
-    every = changes(made.facets, first.sun, first.observer)
+    every = light_changes(made.facets, first.sun, first.observer)
     ends, order = solutions(fits.starts.params, begin), np.argsort(fits.starts.loss)
     images = _images(ends.select(order[0]), every)
     several, truth = _join(ends.select(order[:continued]), images), _satellite_fit.true_solution(made)
@@ -90,7 +94,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     of_night = _ends(night, after, best, every)
     return SatelliteFit(
         title=made.title,
-        facets=len(made.facets.area),
+        facets=len(made.facets.areas),
         rate=float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
         curve=curve,
         session=session,
@@ -103,7 +107,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
         candidate=candidate,
         night=Ends(*(leaf[:continued] for leaf in of_night)),
         images=Ends(*(leaf[continued:count] for leaf in of_night)),
-        named=classify(images, best, every),
+        named=classify_light(images, best, every),
         fit=night,
         estimate=_satellite_fit.estimate(made, curve, night, begin, chosen, count, every),
         light_changes=_light_changes(made, first, curve),
@@ -112,26 +116,26 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     )
 
 
-def _images(best: Solutions, every: list[Change]) -> Solutions:
+def _images(best: SpinStates, every: list[LightChange]) -> SpinStates:
     """The images of a solution under the changes of every kind, including the solution itself."""
     return _join(*(change(best) for change in every if change.symmetry == 0))
 
 
-def _join(*parts: Solutions) -> Solutions:
-    return Solutions(*map(np.concatenate, zip(*parts, strict=True)))
+def _join(*parts: SpinStates) -> SpinStates:
+    return SpinStates(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndarray:
     middle = len(first.t) // 2
     held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
     q = np.asarray(closed_form(made, night.t)[0])
-    change = _satellite_fit.light_differences
+    change = light_differences
     return np.stack([change(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
 
 
-def _ends(fit: Fit, ends: Solutions, best: Solutions, every: list[Change]) -> Ends:
+def _ends(fit: Fit, ends: SpinStates, best: SpinStates, every: list[LightChange]) -> Ends:
     assert fit.starts is not None
-    return Ends(fit.starts.loss, classify(ends, best, every), fit.starts.success)
+    return Ends(fit.starts.loss, classify_light(ends, best, every), fit.starts.success)
 
 
 def text(found: SatelliteFit) -> str:
@@ -159,22 +163,22 @@ def _head(found: SatelliteFit) -> list[str]:
 
 def _periods(found: SatelliteFit) -> list[str]:
     s, true, width = found.search, 1 / found.periods, float(1 / found.curve.t[-1])  # width: the resolution, 1/min
-    jk = search.combinations(search.HARMONICS)
-    by_chance = [100 * search.coincidence(part @ true, search.SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
+    jk = combinations(HARMONICS)
+    by_chance = [100 * chance_of_match(part @ true, *SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
     rows = [("1/min", "period (min)", "variance", "j", "k", "off (1/min)")]
     for f, share in s.peaks:
-        j, k, off = search.find_combination(f, true, search.HARMONICS, width)
+        j, k, off = combination(f, true, HARMONICS, width)
         rows.append((f"{f:.5f}", f"{1 / f:.2f}", f"{100 * share:.1f}%", str(j), str(k), f"{off:.5f}"))
     lines = [
         "\n  sines in the light, the strongest first, each with the simplest j f_precession + k f_rotation, |j|, |k| ≤ "
-        f"{search.HARMONICS}",
+        f"{HARMONICS}",
         f"  within {width:.4f} per min (by chance {by_chance[0]:.0f} % of all frequencies are as near to one, "
         f"{by_chance[1]:.0f} % to one with even k)",
         *_report.table(rows, "    "),
         "  pairs of frequencies of a double Fourier series of order 2, the best first, with their true combinations",
     ]
-    for pair, left in list(zip(s.pairs.pairs, s.pairs.left, strict=True))[:6]:
-        names = [(f, *search.find_combination(f, true, search.HARMONICS, width)) for f in pair]
+    for pair, left in list(zip(*s.pairs, strict=True))[:6]:
+        names = [(f, *combination(f, true, HARMONICS, width)) for f in pair]
         each = "  and  ".join(f"{f:.5f} = ({j:>2}, {k:>2}) {off:+.5f}" for f, j, k, off in names)
         lines.append(f"    {each}   leaves {100 * left:.1f} % of the variance")
     off = np.abs(s.candidates - true).max(axis=1)
@@ -217,7 +221,7 @@ def _solutions(found: SatelliteFit) -> list[str]:
             seen = f"{2 * before:.1f}" if np.isfinite(before) else ""
             rows += [(name, counts.sum(), *counts, seen, f"{2 * after:.1f}" if np.isfinite(after) else "none")]
     rows += [("elsewhere", len(other), *[""] * 4, f"{2 * other.min():.1f}" if len(other) else "")]
-    right = [k for k, change in enumerate(found.changes) if change.name == SPACE[0]]
+    right = [k for k, change in enumerate(found.changes) if change.name == SPACE_CHANGES[0]]
     same, some = (100 * share.mean() for share in (np.isin(first.change, right), first.change >= 0))
     return [
         f"\n  {found.guesses} random bodies of these periods compared with the first session: {a:.0f} s on "
@@ -246,7 +250,7 @@ def _symmetries(found: SatelliteFit) -> list[str]:
 
 
 def _estimate(found: SatelliteFit) -> list[str]:
-    e, chance = found.estimate, _report.chance_errors(len(found.estimate.errors))
+    e, chance = found.estimate, inference.chance_errors(len(found.estimate.errors))
     values = np.append(e.value, e.periods), np.append(e.sigma, e.periods_sigma), np.append(e.truth, found.periods)
     names = [*(name for unknown in UNKNOWNS.values() for name in unknown.names), *QUANTITIES]
     compared = [
@@ -276,9 +280,9 @@ def _estimate(found: SatelliteFit) -> list[str]:
 
 def _published(found: SatelliteFit) -> list[str]:
     width, true, named = float(1 / found.curve.t[-1]), 1 / found.periods, _named(found)
-    names = [search.find_combination(p.frequency, true, search.HARMONICS, width) for p in found.search.peaks]
+    names = [combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]
-    best, mirror = named[SPACE[0]], named[SPACE[1]]
+    best, mirror = named[SPACE_CHANGES[0]], named[SPACE_CHANGES[1]]
     before, after = 2 * (mirror.before - best.before), 2 * (mirror.after - best.after)
     return [
         "\n  published statements and this fit:",
@@ -351,7 +355,7 @@ def _draw_spectrum(ax: Axes, found: SatelliteFit) -> None:
 
 
 def _draw_pairs(ax: Axes, found: SatelliteFit) -> None:
-    pairs, left = found.search.pairs.pairs, 100 * found.search.pairs.left
+    pairs, left = found.search.pairs.pairs, 100 * found.search.pairs.unexplained
     y = np.arange(len(pairs))[::-1]
     ax.barh(y, left, color=plots.BLUE, height=0.6)
     for height, pair, value in zip(y, pairs, left, strict=True):
@@ -364,7 +368,7 @@ def _draw_pairs(ax: Axes, found: SatelliteFit) -> None:
 
 def _name(found: SatelliteFit, frequency: float) -> str:
     """The combination (j, k) of the true frequencies that a frequency is."""
-    j, k, _ = search.find_combination(frequency, 1 / found.periods, search.HARMONICS, 1 / found.curve.t[-1])
+    j, k, _ = combination(frequency, 1 / found.periods, HARMONICS, 1 / found.curve.t[-1])
     return f"({j}, {k})".replace("-", "−")
 
 

@@ -7,7 +7,7 @@ in the limit; the others tend to zero like log(t)/t: one belongs to the flow's d
 about the vertical and its momentum.
 
 Two independent methods check the exponents: the variational equations of the vector field, by another integrator
-(`reference`), and two neighboring trajectories that separate and are rescaled (`shadow`).
+(`exponents_of_flow`), and two neighboring trajectories that separate and are rescaled (`exponent_of_neighbors`).
 """
 
 from __future__ import annotations
@@ -17,15 +17,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from matplotlib.figure import Figure
 
 from lieint_jax import _discover, diagnostics, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.diagnostics import flow
-from lieint_jax.diagnostics.tangent import orthonormalize, units, value_and_jacobian
 from lieint_jax.runs import saves
-from lieint_jax.types import State, Step, System
+from lieint_jax.types import State, Step
 
 _BLOCKS = 10
 
@@ -38,8 +36,8 @@ class LyapunovSpectrum(NamedTuple):
     total: float  # sum of the exponents at the end
     pair_defect: float  # largest |λ_i + λ_{7−i}| at the end, with the exponents in descending order
     short_run: np.ndarray  # exponents at the end of a short run by `exponents`, (6,)
-    variational: np.ndarray  # exponents at the same time from the variational equations, by `reference`, (6,)
-    two_trajectories: float  # the largest exponent over the whole run by `shadow`
+    variational: np.ndarray  # exponents at the same time from the variational equations, (6,)
+    two_trajectories: float  # the largest exponent over the whole run by two neighbors
     # the largest exponent over the second half of the run, and its standard error from `_BLOCKS` blocks
     limit: tuple[float, float]
 
@@ -56,44 +54,6 @@ def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: i
     return t, jnp.cumsum(found.growth, axis=0) / t[:, None]
 
 
-def reference(system: System, state: State, t: float, pieces: int) -> Array:
-    """The exponents at time t, (2d,), from the vector field alone, by autodiff through collocation of order 16."""
-    space = system.phase_space
-    unit = jnp.concatenate(units(space, state))[:, None]
-
-    def step_once(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
-        state, frame, sums = carry
-        end, _, L = value_and_jacobian(space, lambda z: (flow(system, z, t / pieces, 2), None), state)
-        frame, growth = orthonormalize(L @ (unit * frame) / unit)
-        return (end, frame, sums + growth), None
-
-    start = (state, jnp.eye(space.dim), jnp.zeros(space.dim))
-    return lax.scan(step_once, start, None, length=pieces)[0][2] / t
-
-
-def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20, distance: float = 1e-8) -> Array:
-    """The largest exponent from two neighboring trajectories, rescaled to `distance` after every `every` steps.
-
-    Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14.
-    """
-    space = step.system.phase_space
-    unit = jnp.concatenate(units(space, state))
-
-    def separation(a: State, b: State) -> Array:
-        return space.trivialize(a, jax.tree.map(jnp.subtract, b, a)) / unit
-
-    def step_once(carry: tuple[State, State, Array], _: None) -> tuple[tuple[State, State, Array], None]:
-        a, b, total = carry
-        a, b = lax.fori_loop(0, every, lambda _, z: (step(z[0], dt)[0], step(z[1], dt)[0]), (a, b))
-        delta = separation(a, b)
-        size = jnp.linalg.norm(delta)
-        return (a, space.perturb(a, unit * delta * (distance / size)), total + jnp.log(size / distance)), None
-
-    first = jnp.zeros(space.dim).at[0].set(distance)
-    start, count = (state, space.perturb(state, first), jnp.zeros(())), num_steps // every
-    return lax.scan(step_once, start, None, length=count)[0][2] / (dt * every * count)
-
-
 def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
     """Compute the exponents of an asymmetric heavy top by Strang splitting; `quick` runs for a fifth of the time."""
     from tqdm import tqdm  # where it is used: the package imports in a moment
@@ -107,8 +67,8 @@ def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
     parts = (
         lambda: compute(step, state, dt, steps, steps // 200),
         lambda: compute(precise, state, 10 * fine, round(short / fine / 10), 1)[1][-1],
-        lambda: jax.jit(reference, static_argnums=(2, 3))(top, state, short, 100),
-        lambda: jax.jit(shadow, static_argnums=(2, 3))(step, state, dt, steps),
+        lambda: jax.jit(diagnostics.exponents_of_flow, static_argnums=(2, 3))(top, state, short, 100),
+        lambda: jax.jit(diagnostics.exponent_of_neighbors, static_argnums=(2, 3))(step, state, dt, steps),
     )
     bar = tqdm(parts, unit="part", disable=None if progress else True, leave=False)
     (t, values), short_values, independent, neighbors = (jax.block_until_ready(part()) for part in bar)

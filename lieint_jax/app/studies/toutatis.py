@@ -402,9 +402,9 @@ def _torque(found: SpinFit) -> list[str]:
 
 def _coverage(found: SpinFit) -> list[str]:
     c, names = found.coverage, spin_problem().names
-    one, two, _ = _report.shares(c.pulls[:, :8])
+    one, two, _ = inference.shares(c.pulls[:, :8])
     labels = (*names, "log noise, attitudes", "log noise, rates", *QUANTITIES[:4])
-    sets, chance = len(c.pulls), _report.chance_errors(len(c.pulls))
+    sets, chance = len(c.pulls), inference.chance_errors(len(c.pulls))
     rows = [
         ("", "within 1σ", "within 2σ", "rms/σ"),
         *((label, *cells) for label, cells in zip(labels, _report.coverage_cells(c.pulls), strict=False)),
@@ -412,7 +412,7 @@ def _coverage(found: SpinFit) -> list[str]:
         ("expected of each", "68.3%", "95.4%", "1"),
     ]
     lines = _report.table(rows)
-    inside = 100 * (c.mahalanobis_squared <= _report.chi_square_point(8)).mean()
+    inside = 100 * (c.mahalanobis_squared <= inference.chi_square_point(8)).mean()
     return [
         f"\n  errors: those of the observed information, enlarged by {found.factors[0]:.3f} (noise levels: "
         f"{found.factors[1]:.3f}), which is",
@@ -499,7 +499,7 @@ def _draw_pair(ax: Axes, found: SpinFit, first: int, xlabel: str, ylabel: str) -
     pair = slice(first, first + 2)
     center, matrix = found.estimate.derived[pair], found.estimate.derived_covariance[pair, pair]
     for radius, dashes in ((1, "-"), (2, "--")):
-        ax.plot(*_report.ellipse(center, matrix, radius).T, dashes, color=plots.INK, lw=1)
+        ax.plot(*inference.ellipse(center, matrix, radius).T, dashes, color=plots.INK, lw=1)
     ax.plot(*center, "o", color=plots.INK, ms=5, label="fitted, ellipses of 1σ, 2σ")
     for name, values in found.published.items():
         mark, look = _look(name)

@@ -6,8 +6,8 @@ whose message is one sentence that names the file.
 
 from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._leaves import leaves_by_name
-from lieint_jax.runs.store._open_archive import TIME, open_archive, read_trajectory
-from lieint_jax.runs.store._reading import check_system, load_store, open_run, step_from_store
+from lieint_jax.runs.store._open_archive import TIME, open_archive, read_trajectory, write_trajectory
+from lieint_jax.runs.store._reading import check_system, load_results, load_store, open_run, step_from_store
 from lieint_jax.runs.store._storage import Address, Url, address
 from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.runs.store._untrusted import SUFFIXES, UnreadableError, parse_toml, read_toml, wrap_errors
@@ -22,6 +22,7 @@ __all__ = [
     "address",
     "check_system",
     "leaves_by_name",
+    "load_results",
     "load_store",
     "open_archive",
     "open_run",
@@ -31,4 +32,5 @@ __all__ = [
     "read_trajectory",
     "step_from_store",
     "wrap_errors",
+    "write_trajectory",
 ]

@@ -1,12 +1,14 @@
-"""Archives NAME.npz of `lieint run` and `lieint study`, checked before their numbers are read."""
+"""Archives NAME.npz of `lieint run` and `lieint study`, written, and checked before their numbers are read."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,11 +23,12 @@ from lieint_jax.runs.store._kinds import (
     check_times,
     expect,
 )
-from lieint_jax.runs.store._leaves import Table, state_from_leaves
+from lieint_jax.runs.store._leaves import Table, leaves_by_name, state_from_leaves
 from lieint_jax.runs.store._untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
 from lieint_jax.types import StepInfo, Trajectory
 
 TIME = "state.t"  # the times of the states in an .npz, where t is the time of the trajectory
+_NO_PATH = str.maketrans("/\\", "__")  # of the characters that the name of an array cannot have
 _MAX_RATIO, _SMALL = 100, 2**20  # an archive may expand by this factor, or to this many bytes
 _ZIP_ENCRYPTED = 0x1
 
@@ -117,6 +120,25 @@ def read_trajectory(found: Archive) -> Trajectory:
             leaves["t"] = np.broadcast_to(read[TIME], leaves["p"].shape[:2])
         check_times(read["t"])
         return Trajectory(read["t"], state_from_leaves(leaves), StepInfo(read["residual"], read["converged"]))  # pyright: ignore[reportArgumentType]
+
+
+def write_trajectory(
+    path: Path, trajectory: Trajectory, metadata: dict[str, Any], members: Mapping[str, np.ndarray] | None = None
+) -> None:
+    """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text.
+
+    Further arrays are written if the states have these leaves: work, extra.NAME, and state.t, (entries, members), or
+    (entries, 1) if all members have the same times. The members' own numbers are written as member.NAME, (members, …).
+    An existing file is not replaced.
+    """
+    own: dict[str, Any] = {f"member.{name.translate(_NO_PATH)}": values for name, values in (members or {}).items()}
+    arrays = leaves_by_name(trajectory.state)
+    if "t" in arrays:
+        t = np.asarray(arrays.pop("t"))
+        arrays[TIME] = t[:, :1] if (t == t[:, :1]).all() else t
+    arrays |= own | trajectory.info._asdict() | {"metadata": np.array(json.dumps(metadata))}
+    with path.open("xb") as file:
+        np.savez(file, allow_pickle=False, t=trajectory.t, **arrays)
 
 
 def _check_scenario(scenario: Table, entries: int, members: int) -> None:

@@ -19,10 +19,11 @@ from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._disk import Disk
 from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._leaves import Stored, Table, states_in
+from lieint_jax.runs.store._open_archive import open_archive, read_trajectory
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
 from lieint_jax.runs.store._root import PartStatus, Root, read_root
-from lieint_jax.runs.store._storage import Address, address
+from lieint_jax.runs.store._storage import Address, Url, address
 from lieint_jax.runs.store._untrusted import wrap_errors
 from lieint_jax.types import Step, System, Trajectory, pytree, static
 
@@ -87,6 +88,22 @@ def read_run(path: Address) -> Stored:
 def _check_states(path: Address, system: System, stored: Stored) -> None:
     if isinstance(stored.found, Trajectory) and len(stored.found.t):
         check_system(path, system, stored.found, stored.attributes["run"]["step_axis"] == 0)
+
+
+def load_results(path: Address, thorough: bool | None = None) -> tuple[Any, dict[str, Any]]:
+    """Read a run and its metadata: the run that `write_trajectory` wrote, or the complete part of a store.
+
+    For the form of a store's results, and `thorough`, see `load_store`.
+
+    Raises:
+        ValueError: the store is damaged (the message names the file and what can still be read), or `path` holds no
+            results.
+    """
+    if path.suffix == ".zarr":
+        return load_store(path, thorough)
+    assert not isinstance(path, Url)
+    found = open_archive(path)
+    return read_trajectory(found), found.metadata
 
 
 def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]:

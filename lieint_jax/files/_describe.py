@@ -1,16 +1,27 @@
-"""The command `files`: what a file of other software is, and what can be done with it."""
+"""What a file of other software is, and what can be done with it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from lieint_jax import files, shapes
+from lieint_jax import shapes
 from lieint_jax._checks import printable
 from lieint_jax._text import read_text
+from lieint_jax.files._aem import read_aem
+from lieint_jax.files._horizons import read_horizons
+from lieint_jax.files._identify import identify
+from lieint_jax.files._light_curves import read_light_curves
+from lieint_jax.files._molecules import read_molecules
+from lieint_jax.files._oem import read_oem
+from lieint_jax.files._orbit_table import OrbitTable
+from lieint_jax.files._tle import MeanElements, read_omm, read_tle
+
+__all__ = ["describe"]
 
 _COLUMNS = 20  # the most that are listed
 
@@ -25,13 +36,17 @@ class Format(NamedTuple):
     key: tuple[str, str, str] | None = None
 
 
-def describe(path: Path) -> str:
-    """What a file is, what is in it, and what reads it, as text.
+def describe(path: str | PathLike[str]) -> str:
+    """What a file is, what is in it, and what reads it, as text: `lieint files` prints it.
+
+    Args:
+        path: a file of one of the formats of `li.files`.
 
     Raises:
         ValueError: a file of none of the formats, or what is wrong with it.
     """
-    form = files.identify(path)
+    path = Path(path)
+    form = identify(path)
     if form not in FORMATS:
         known = ", ".join(FORMATS)
         raise ValueError(f"{path} has none of the formats {known}; lieint info describes the results of lieint run")
@@ -43,7 +58,7 @@ def describe(path: Path) -> str:
     return "\n  ".join(lines)
 
 
-def _orbit(read: Callable[[Path], files.OrbitTable]) -> Callable[[Path], list[str]]:
+def _orbit(read: Callable[[Path], OrbitTable]) -> Callable[[Path], list[str]]:
     def contents(path: Path) -> list[str]:
         found = read(path)
         t, r = np.asarray(found.times), np.linalg.norm(np.asarray(found.positions), axis=1)
@@ -56,13 +71,13 @@ def _orbit(read: Callable[[Path], files.OrbitTable]) -> Callable[[Path], list[st
 
 
 def _attitudes(path: Path) -> list[str]:
-    found = files.read_aem(path)
+    found = read_aem(path)
     frames = f"axes {printable(found.frame_b)} of the body in {printable(found.frame_a)}"
     span = f"{len(found.times)} attitudes from {found.epoch} over {found.times[-1] - found.times[0]:.6g} s"
     return [f"{printable(found.object)}, {frames}", span + (", with rates" if found.rates is not None else "")]
 
 
-def _elements(read: Callable[[Path], files.MeanElements]) -> Callable[[Path], list[str]]:
+def _elements(read: Callable[[Path], MeanElements]) -> Callable[[Path], list[str]]:
     def contents(path: Path) -> list[str]:
         found = read(path)
         e = found.elements
@@ -84,12 +99,12 @@ def _surface(path: Path) -> list[str]:
 
 
 def _molecules(path: Path) -> list[str]:
-    found = files.read_molecules(path)
+    found = read_molecules(path)
     return [f"{len(found)} molecule(s), the first of {len(found[0].names)} atoms and {found[0].masses.sum():.6g} u"]
 
 
 def _curves(path: Path) -> list[str]:
-    found = files.read_light_curves(path)
+    found = read_light_curves(path)
     first, last = (f(f(curve.dates) for curve in found) for f in (min, max))
     return [f"{len(found)} curve(s) of {sum(len(c.dates) for c in found)} points, JD {first:.5f} to {last:.5f}"]
 
@@ -109,11 +124,11 @@ _ORBIT, _LINK = ("orbit", "", "driven or satellite"), ("shape", ', link = "…"'
 _SHAPE = ("shape", ", density = 1.0", "rigid_body, heavy_top, driven, satellite or bodies")
 _LOG = ("observation", ', time = "…"', "rigid_body")
 FORMATS = {
-    "OEM": Format("an orbit, CCSDS OEM", _orbit(files.read_oem), "read_oem({})", _ORBIT),
+    "OEM": Format("an orbit, CCSDS OEM", _orbit(read_oem), "read_oem({})", _ORBIT),
     "AEM": Format("attitudes, CCSDS AEM", _attitudes, "read_aem({})"),
-    "TLE": Format("mean elements of SGP4, TLE", _elements(files.read_tle), "read_tle({})", _ORBIT),
-    "OMM": Format("mean elements of SGP4, CCSDS OMM", _elements(files.read_omm), "read_omm({})", _ORBIT),
-    "Horizons": Format("an orbit of JPL Horizons", _orbit(files.read_horizons), "read_horizons({})", _ORBIT),
+    "TLE": Format("mean elements of SGP4, TLE", _elements(read_tle), "read_tle({})", _ORBIT),
+    "OMM": Format("mean elements of SGP4, CCSDS OMM", _elements(read_omm), "read_omm({})", _ORBIT),
+    "Horizons": Format("an orbit of JPL Horizons", _orbit(read_horizons), "read_horizons({})", _ORBIT),
     "shape": Format("a surface of triangles", _surface, "read_shape({}, density=…)", _SHAPE),
     "URDF": Format("a robot, URDF", _robot, "read_urdf_inertia({}, link)", _LINK),
     "MJCF": Format("a robot, MJCF", _robot, "read_mjcf_inertia({}, body)", _LINK),

@@ -1,4 +1,4 @@
-"""The classical Runge–Kutta method, which conserves nothing, for comparison in pictures."""
+"""The classical Runge–Kutta method, to compare with, and the cost of a step."""
 
 from __future__ import annotations
 
@@ -14,12 +14,29 @@ from lieint_jax.groups import so3
 from lieint_jax.runs import compiler_options, integrate
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
+__all__ = ["RungeKutta", "step_cost"]
+
 _BODIES, _STEPS, _ROUNDS = 256, 50, 5
 
 
 @pytree
 class RungeKutta(Step):
-    """The step of order 4: four evaluations of the vector field; a quaternion is normalized after each step."""
+    """The classical Runge–Kutta step of order 4, which conserves nothing: what a scheme of this package improves on.
+
+    It evaluates the vector field four times, and normalizes a quaternion after each step.
+
+    Args:
+        system: any system with a vector field.
+
+    Example:
+        >>> from lieint_jax import systems
+        >>> body = systems.rigid_body([1.0, 2.0, 3.0])
+        >>> start = body.state(angular_velocity=[0.2, 0.0, 1.0])
+        >>> run = integrate(RungeKutta(body), start, 0.2, 1000, save_every=1000)
+        >>> lost = 1 - body.energy(jax.tree.map(lambda x: x[-1], run.state)) / body.energy(start)
+        >>> bool(1e-6 < lost < 1e-3)
+        True
+    """
 
     system: System
     order: float = static(default=4)
@@ -42,8 +59,14 @@ class RungeKutta(Step):
         return end._replace(q=q), StepInfo(jnp.zeros_like(dt), jnp.isfinite(end.p).all())
 
 
-def cost(step: Step, state: State, dt: float) -> float:
-    """Measure the seconds per step of a batch of `_BODIES` bodies."""
+def step_cost(step: Step, state: State, dt: float) -> float:
+    """Measure the seconds per step of a batch of 256 members, without compilation: the least of five rounds.
+
+    Args:
+        step: the step.
+        state: the state from which all members start.
+        dt: the step size.
+    """
 
     @partial(jax.jit, compiler_options=compiler_options())
     def run(states: State) -> Any:
