@@ -435,7 +435,7 @@ def _change(b: _Labels, e: Vector, m: _Motion) -> Vector:
     er, em, eo = e
     rate, k = _euler(b, e), b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo)  # k = (D − cn²)/S²
     common, together = b.rm * b.mo * em * em, m.cn + m.dn
-    middle = jnp.abs(m.excess) * m.cn / where(together == 0, 1, together) - k
+    middle = where(m.about_r, m.excess, -m.excess) * m.cn / where(together == 0, 1, together) - k
     r = m.S / (m.cn * m.cn + m.S * m.S * k)
     change = (  # q_r − D = S²(common − f_o/(1 + q_r)), and so on
         r * (er * m.S * (common - m.f_o / (1 + m.q_r)) + m.q_o * rate[0]),

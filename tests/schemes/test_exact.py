@@ -152,6 +152,24 @@ def test_tangents_of_short_steps_keep_all_digits():
     assert difference(found, expected) < 1e-15 * np.abs(expected).max()  # observed 1e-16
 
 
+def test_a_second_derivative_of_a_sphere_is_the_difference_of_first_ones():
+    """In directions of J, π and t; against differences of order 4."""
+
+    @jax.jit
+    @jax.vmap
+    def second(shift):
+        return jax.jvp(lambda shift: first(x + shift * other), (shift,), (1.0,))
+
+    def first(x):
+        return jax.jvp(lambda x: solve(x[:3], State(jnp.array(Q), x[3:6]), x[6]).q, (x,), (direction,))[1]
+
+    x, direction = np.array([1.0, 1.0, 1.0, 0.3, 0.8, -0.5, 1.7]), np.array([0.3, -0.2, 0.5, 0.4, -0.1, 0.2, 0.6])
+    other, size = np.array([-0.1, 0.4, 0.3, 0.1, 0.5, -0.3, 0.2]), 1e-3
+    slopes, seconds = second(size * np.array([-2.0, -1.0, 1.0, 2.0, 0.0]))
+    low2, low, high, high2 = slopes[:4]
+    assert difference(seconds[4], (8 * (high - low) - (high2 - low2)) / (12 * size)) < 1e-12  # observed 1.2e-13
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("moments", [[1, 2, 3], [1, 1, 2], [1, 2, 2], [1, 1, 1]])
 def test_second_derivatives_are_right_for_every_symmetry(moments):
