@@ -197,17 +197,19 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
     def ad_star(mu: Array) -> Array:
         return jax.vmap(group.ad_star, (1, None), 1)(one, mu)
 
+    of_p = size(state.p)  # a unit: rounding errors are estimated by the largest entries of L
+    L, m, p0, p1 = _in_units(L, of_p), m / of_p, state.p / of_p, end.p / of_p
     inverse = group.inverse(state.q)
     Ad0, Ad1 = matrix(group.Ad, state.q), matrix(group.Ad, end.q)
     turn = group.multiply(inverse, end.q)
     forth, back = matrix(group.Ad, turn), matrix(group.Ad, group.inverse(turn))
-    Pi0, Pi1 = Ad0.T @ state.p, Ad1.T @ end.p
+    Pi0, Pi1 = Ad0.T @ p0, Ad1.T @ p1
     Omega = solve(m, (Pi0 + Pi1) / 2)
     unit = size(Pi0)
     kinetic = Pi0 @ solve(m, Pi0) / 2
 
-    d_Pi0 = Ad0.T @ jnp.hstack([ad_star(state.p), one])
-    d_Pi1 = Ad1.T @ jnp.hstack([ad_star(end.p), one]) @ L
+    d_Pi0 = Ad0.T @ jnp.hstack([ad_star(p0), one])
+    d_Pi1 = Ad1.T @ jnp.hstack([ad_star(p1), one]) @ L
     d_Theta = dt * solve(m, (1 - w) * d_Pi0 + w * d_Pi1)
     moved = solve(Ad1, L[:d] - jnp.hstack([one, 0 * one]))
     by_pi = jnp.linalg.inv(d_Theta[:, d:])
@@ -239,14 +241,14 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
     ones = jnp.ones_like(unit)
     if not isinstance(system, AbstractForcedSystem):
         half = 2 * solve(one + forth, Omega) - Omega
-        found["2.18"] = (_largest(end.p - state.p) / size(state.p), ones)
+        found["2.18"] = (_largest(p1 - p0), ones)
         found["5.25"] = (jnp.abs(Omega @ m @ half) / kinetic, jnp.linalg.cond(one + forth) * _largest(forth))
         if not midpoint:
             found["14.1"] = first
         return found
 
-    force = (end.p - state.p) / dt
-    V0, V1 = (system.energy(z) - system.free.energy(z) for z in (state, end))
+    force = (p1 - p0) / dt
+    V0, V1 = ((system.energy(z) - system.free.energy(z)) / of_p for z in (state, end))
     energy = kinetic + jnp.abs(V1 - V0)
     terms = (jnp.abs(V0) + jnp.abs(V1) + kinetic) / energy * _largest(forth)
     pushed_ = (L[d:] - jnp.hstack([0 * one, one])) / dt
@@ -259,7 +261,7 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
     third_unit = _nonzero(jnp.maximum(_largest(ad_star(force)), _largest(F)))
     work = (dt * force @ (Ad0 @ Omega) + V1 - V0, (Pi1 - Pi0) @ Omega + V1 - V0)
     found["6.22"] = (jnp.abs(work[1]) / energy, terms)
-    momentum = jnp.max(jnp.abs(system.momentum(end) - system.momentum(state)), initial=0) / size(state.p)
+    momentum = jnp.max(jnp.abs(system.momentum(end) - system.momentum(state)), initial=0) / of_p
     if spatial and isinstance(system, AbstractTop):
         found["4.3"], found["4.5"] = (momentum, ones), (jnp.abs(work[0]) / energy, terms)
         theta = 2 * turn[1:] / turn[0]  # Θ of T = cay Θ
@@ -279,23 +281,25 @@ def _elastic(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
     """The conditions of Section 6, whose group is abelian: H = 1."""
     system, b = step.system, jnp.asarray(step.velocity_weight, L.dtype)
     E = jnp.diag(system.inertia) if jnp.ndim(system.inertia) == 1 else system.inertia
+    of_p = size(state.p)  # a unit: rounding errors are estimated by the largest entries of L
+    L, E, p0, p1 = _in_units(L, of_p), E / of_p, state.p / of_p, end.p / of_p
     E_inverse = jnp.linalg.inv(E)
     one, scale = jnp.eye(9, dtype=L.dtype), _largest(L)
-    U, dP = end.q - state.q, end.p - state.p
-    mean = (1 - b) * state.p + b * end.p
+    U, dP = end.q - state.q, p1 - p0
+    mean = (1 - b) * p0 + b * p1
     Psi = dt * jnp.kron(jnp.eye(3, dtype=L.dtype), E_inverse)
     Psi0, Psi1 = (1 - b) * Psi, b * Psi
     by_P = jnp.linalg.inv(L[:9, 9:])
     after = (L[9:, 9:] - one) / dt @ by_P  # ∂𝓕/∂F_{n+1}
     before = L[9:, :9] / dt - after @ L[:9, :9]  # ∂𝓕/∂F_n
-    unit = _largest(state.p) + _largest(dP)
+    unit = _largest(p0) + _largest(dP)
     stiff = _nonzero(jnp.maximum(_largest(before), _largest(after)))
     blur = scale / jnp.abs(dt) * (1 + _largest(by_P) * scale) / stiff
     torque = dP @ ((1 - b) * end.q + b * state.q).T
-    W0, W1 = (system.stored_energy(z.q.T @ z.q) for z in (state, end))
+    W0, W1 = (system.stored_energy(z.q.T @ z.q) / of_p for z in (state, end))
     kinetic = jnp.sum(mean @ E_inverse * mean) / 2
     energy = kinetic + jnp.abs(W1 - W0)
-    V = (state.p + end.p) / 2 @ E_inverse
+    V = (p0 + p1) / 2 @ E_inverse
     total = Psi0 + Psi1
     return {
         "6.5": (
@@ -311,6 +315,12 @@ def _elastic(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
         "14.2″": (_largest(before @ Psi0.T - after @ Psi1.T) / (stiff * _largest(Psi)), blur),
         "14.3″": (_largest(before + after - (before + after).T) / stiff, blur),
     }
+
+
+def _in_units(L: Array, momentum: Array) -> Array:
+    """The linearization L, (2d, 2d), with momenta in this unit."""
+    units = jnp.repeat(jnp.stack([jnp.ones_like(momentum), momentum]), len(L) // 2)
+    return L * units / units[:, None]
 
 
 def _largest(x: Array) -> Array:

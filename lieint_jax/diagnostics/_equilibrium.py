@@ -32,6 +32,7 @@ from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import State, System, promoted
 
 _ITERATIONS, _HALVINGS = 60, 12
+_WEIGHT = 0.1  # a change of the rates in the length of a correction; Newton's method fails sooner with more than 0.3
 _RANK = 1e-9  # singular values below this part of the largest one count as 0: those of symmetries are round-off
 
 
@@ -97,8 +98,15 @@ class Derivatives(NamedTuple):
 
     def rates(self) -> np.ndarray:
         """The ξ, (k,), with which |dK| is least."""
-        A = (self.unit * self.momentum).T
-        return np.linalg.lstsq(A, self.unit * self.energy, rcond=_RANK)[0] if A.size else np.zeros(0)
+        directions, sizes = self.directions()
+        return np.linalg.lstsq(directions.T, self.unit * self.energy, rcond=_RANK)[0] / sizes if sizes.size else sizes
+
+    def directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """dΦ in units of the state, (k, 2d), each over its length, and the lengths: no unit mixes P with L."""
+        along = self.momentum * self.unit
+        sizes = np.linalg.norm(along, axis=1)
+        sizes[sizes == 0] = 1
+        return along / sizes[:, None], sizes
 
     def gradient(self, rates: np.ndarray) -> np.ndarray:
         """dK in units of the state, (2d,)."""
@@ -270,8 +278,9 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray, spins:
     rates = found.rates()
     residual, eps = found.residual(rates), float(np.finfo(state.p.dtype).eps)
     for _ in range(_ITERATIONS):
-        matrix = np.concatenate([found.hessian(rates)[:, free], -(found.unit * found.momentum).T], axis=1)
-        size = np.linalg.norm(matrix, axis=0).max()
+        hessian, (directions, _) = found.hessian(rates)[:, free], found.directions()
+        size = np.linalg.norm(hessian, axis=0).max()
+        matrix = np.concatenate([hessian, _WEIGHT * (size or 1) * directions.T], axis=1)
         correction = -np.linalg.lstsq(matrix, found.gradient(rates), rcond=_RANK)[0][: free.size]
         correction *= min(1.0, 0.5 / max(float(np.abs(correction).max()), 1e-300))
         for _ in range(_HALVINGS):
@@ -366,7 +375,7 @@ def _defects(system: System, state: State, omega: Array) -> tuple[Array, Array]:
         s = part / jnp.where(rate > 0, rate, 1)
         slope = jax.jacfwd(energy, 1)(z, s)
         gradient = jax.grad(lambda delta: system.energy(space.perturb(z, delta)))(jnp.zeros_like(unit))
-        field = -jnp.linalg.solve(space.omega(z), gradient) / unit
+        field = -jnp.linalg.solve(unit[:, None] * space.omega(z) * unit, unit * gradient)
         moving = system.vector_field(z)
         actual = space.trivialize(z, State(moving.q, moving.p)) / unit
         size = jnp.max(jnp.abs(gradient * unit))

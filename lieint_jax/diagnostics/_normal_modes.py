@@ -109,7 +109,7 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
 def _modes(found: Derivatives, rates: np.ndarray, small: float) -> NormalModes:
     """The modes, computed in units of the state, in which no coordinate is large."""
     S, unit = found.hessian(rates), found.unit
-    omega, along = unit[:, None] * found.omega * unit, found.momentum * unit
+    omega, along = unit[:, None] * found.omega * unit, found.directions()[0]
     A = -np.linalg.solve(omega, S)
     slice_, orbit = _slice(omega, along)
     form, energy = slice_.T @ omega @ slice_, slice_.T @ S @ slice_

@@ -208,6 +208,23 @@ def test_modes_do_not_depend_on_the_spin_of_a_spherical_primary():
         assert np.abs(frequencies / frequency - 1).min() < 1e-6
 
 
+@pytest.mark.parametrize("unit", [(2.0**80, 2.0**30, 2.0**17), (2.0**-87, 2.0**-33, 2.0**-43)], ids=["planet", "atom"])
+def test_equilibria_and_modes_do_not_depend_on_the_units(unit):
+    """A synchronous binary in kg, m and s: linear and angular momenta differ by the length, states by far more."""
+
+    def modes(mass, length, time):
+        m, J = mass * np.array([1.0, 0.1]), mass * length**2 * np.array([[0.04, 0.05, 0.06], [0.0008, 0.0010, 0.0011]])
+        x, rate = np.array([[-0.1, 0, 0], [1.0, 0, 0]]) * length, np.array([0, 0, 0.95]) / time
+        law = li.potentials.maccullagh(length**3 / (mass * time**2), m, J)
+        bodies = li.systems.rigid_bodies(m, J, law)
+        guess = bodies.state(x, velocities=np.cross(rate, x), angular_velocities=[rate, rate])
+        found = li.equilibrium(bodies, guess)
+        return found.state.q / np.repeat([length, 1], [3, 4]), time * li.normal_modes(bodies, found).frequencies
+
+    for x, y in zip(modes(*unit), modes(1.0, 1.0, 1.0), strict=True):
+        np.testing.assert_allclose(x, y, rtol=0, atol=1e-13)  # observed 0: the units are powers of 2
+
+
 @pytest.mark.parametrize(
     ("more", "spinning", "message"),
     [

@@ -150,6 +150,25 @@ def test_the_residual_of_3_5_falls_as_dt():
     assert np.log2(coarse / fine) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.long
+def test_conditions_do_not_depend_on_the_unit_of_mass():
+    """Of a body of 1e-12 the form of a step that is not symplectic held, and of one of 1e12 nothing was known."""
+
+    @jax.jit
+    def found(mass):
+        top = li.systems.heavy_top(mass * jnp.array([1.0, 2.0, 3.0]), mass * jnp.array([0.3, -0.2, 1.0]))
+        state = top.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.3, 1.0])
+        return diagnostics.conditions(schemes.top_energy_momentum(top), state, 0.2)
+
+    one = found(1.0)
+    assert one.keeps("class")
+    assert not one.keeps("form")
+    for mass in (2.0**-40, 2.0**40):
+        other = found(mass)
+        for x, y in zip(jax.tree.leaves(other), jax.tree.leaves(one), strict=True):
+            np.testing.assert_allclose(x, y, rtol=1e-12, atol=0)  # observed 0
+
+
 def test_the_report_of_conditions_lists_residuals_and_verdicts():
     text = str(both(*case("cayley")[:3])[0])
     assert text.splitlines()[0] == "so3_midpoint[cayley]"
