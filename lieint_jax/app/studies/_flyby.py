@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import orbits, schemes, systems
-from lieint_jax.app.studies._tumbling import mean_periods
+from lieint_jax.fitting.tumbling import mean_periods
 from lieint_jax.groups import so3
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody

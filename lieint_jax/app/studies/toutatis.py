@@ -28,7 +28,6 @@ from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios.rigid_body import FreeBody
 from lieint_jax.app.studies import _flyby, _report
 from lieint_jax.app.studies._flyby import Flyby
-from lieint_jax.app.studies._tumbling import mean_periods, model, rotate, rotation_between
 from lieint_jax.app.studies.inference import published_lines
 from lieint_jax.fitting import (
     DEGREES_OF_FREEDOM,
@@ -40,6 +39,7 @@ from lieint_jax.fitting import (
     student_t_weights,
 )
 from lieint_jax.fitting.inference import Coverage, Estimate, Params, Problem, Published, StudentT, Unknown
+from lieint_jax.fitting.tumbling import mean_periods, model, rotate, rotation_between
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import vectors
