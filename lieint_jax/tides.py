@@ -262,7 +262,7 @@ def double_synchronous(G: float, masses: ArrayLike, inertia: float, momentum: fl
 
         >>> found = double_synchronous(1.0, [1.0, 0.1], 0.0, 0.1 / 1.1 * 1.1**0.5)
         >>> round(found.distance, 9), round(found.period, 6)
-        (1.0, 5.990749)
+        (1.0, 5.990782)
     """
     m = np.asarray(masses, float)
     GM, mu = G * m.sum(), m.prod() / m.sum()

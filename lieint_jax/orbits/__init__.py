@@ -3,6 +3,7 @@
 | function | gives |
 |---|---|
 | `kepler`, `from_state` | the Kepler orbit by its elements; through a position and a velocity |
+| `hyperbola`, `encounter_speed` | a flyby by its least distance and speed; the speed at which an orbit meets a planet |
 | `table` | the orbit through the entries of an ephemeris |
 | `secular_j2` | an ellipse about an oblate center, with its secular rates |
 | `lvlh` | local vertical, local horizontal along an orbit: the attitude to point to the nadir |
@@ -31,7 +32,7 @@ from lieint_jax.orbits._earth import (
 from lieint_jax.orbits._frames import LocalFrame, lvlh
 from lieint_jax.orbits._from_state import KeplerFromState, from_state
 from lieint_jax.orbits._graded_times import graded_times
-from lieint_jax.orbits._kepler import Kepler, kepler
+from lieint_jax.orbits._kepler import Kepler, encounter_speed, hyperbola, kepler
 from lieint_jax.orbits._magnetic import EarthField, HarmonicField, earth_field
 from lieint_jax.orbits._secular import SecularJ2, secular_j2
 from lieint_jax.orbits._shared import SharedFrame, SharedFunction, shared
@@ -61,8 +62,10 @@ __all__ = [
     "earth_field",
     "earth_rotation_angle",
     "eclipse",
+    "encounter_speed",
     "from_state",
     "graded_times",
+    "hyperbola",
     "julian_date",
     "kepler",
     "lvlh",

@@ -145,6 +145,42 @@ def kepler(
     return Kepler(**elements, closed=bool(float(e) < 1) if concrete(e) else None)
 
 
+def hyperbola(mu: ArrayLike, distance: ArrayLike, speed: ArrayLike) -> Kepler:
+    """The Kepler orbit of a flyby in the x-y plane, with its periapsis on the x axis at t = 0.
+
+    Args:
+        mu: the gravitational parameter GM, > 0, in length³ / time².
+        distance: that of the periapsis, > 0.
+        speed: that at infinity, > 0.
+
+    Example:
+        >>> position, velocity = hyperbola(1.0, 2.0, 3.0)(0.0)
+        >>> position.tolist(), round(float(velocity[1]) ** 2, 9)  # v² = v∞² + 2μ/r
+        ([2.0, 0.0, 0.0], 10.0)
+    """
+    square = jnp.asarray(speed) ** 2
+    return kepler(mu, -jnp.asarray(mu) / square, 1 + distance * square / mu)
+
+
+def encounter_speed(semi_major_axis: ArrayLike, eccentricity: ArrayLike, inclination: ArrayLike) -> Array:
+    """The speed at infinity with which an orbit meets a planet on a circle, over the planet's speed.
+
+    Args:
+        semi_major_axis: of the orbit, over the radius of the planet's.
+        eccentricity: of the orbit.
+        inclination: to the plane of the planet's orbit, in radians.
+
+    Source: Öpik 1951, Proc. R. Irish Acad. 54A: U² = 3 − 1/a − 2√(a(1 − e²)) cos i.
+
+    Example: Apophis and the Earth, at 29.78 km/s on a circle, in km/s.
+
+        >>> round(float(encounter_speed(0.9224, 0.1914, 0.0583)) * 29.78, 1)
+        5.5
+    """
+    a, e, i = map(jnp.asarray, (semi_major_axis, eccentricity, inclination))
+    return jnp.sqrt(3 - 1 / a - 2 * jnp.sqrt(a * (1 - e * e)) * jnp.cos(i))
+
+
 def _check_elements(mu: float | None, a: float | None, e: float | None) -> None:
     """ValueError if no orbit has these elements; None stands for a tracer."""
     if mu is not None and not mu > 0:

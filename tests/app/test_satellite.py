@@ -9,7 +9,7 @@ import lieint_jax as li
 from lieint_jax.app.studies import _satellite_fit as fits
 from lieint_jax.app.studies import _satellite_sky as sky
 from lieint_jax.app.studies import satellite
-from lieint_jax.app.studies._tumbling import mean_periods, model
+from lieint_jax.fitting.tumbling import mean_periods, model
 
 PLATE = {"normal": [0.0, 0.0, 2.0], "area_m2": np.pi, "diffuse": 0.5, "specular": 0.25, "exponent": 3.0}
 SCENE = sky.scene()

@@ -107,6 +107,8 @@ CASES = {
         lambda mu, r, v: jax.tree.leaves(orbits.from_state(mu, r, v).elements),
         dict(mu=1.3, r=ROWS[0], v=ROWS[1]),
     ),
+    "orbits.hyperbola": orbit_case(orbits.hyperbola, mu=1.3, distance=0.4, speed=0.7),
+    "orbits.encounter_speed": (orbits.encounter_speed, dict(semi_major_axis=1.1, eccentricity=0.3, inclination=0.2)),
     "orbits.secular_j2": orbit_case(orbits.secular_j2, **ELEMENTS, **ANGLES, J2=0.1, radius=0.3),
     "orbits.table": orbit_case(orbits.table, times=TIMES, positions=ROWS, velocities=ROWS[::-1]),
     "orbits.vector_table": orbit_case(orbits.vector_table, times=TIMES, values=ROWS),

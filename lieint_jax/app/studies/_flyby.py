@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import orbits, schemes, systems
-from lieint_jax.app.studies._tumbling import mean_periods
+from lieint_jax.fitting.tumbling import mean_periods
 from lieint_jax.groups import so3
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
@@ -23,7 +23,7 @@ from lieint_jax.types import State, vectors
 
 MU = orbits.EARTH_GM * 86400.0**2  # km³/d²
 AU = 149597870.7  # km
-_EARTH_SPEED = 29.7847  # km/s, of a circular orbit of 1 au
+EARTH_SPEED = 29.7847  # km/s, of a circular orbit of 1 au
 _HALF, _STEPS = 12.0, 800  # days before and after the least distance; number of steps over both
 
 
@@ -37,21 +37,6 @@ class Flyby(NamedTuple):
     rates: np.ndarray  # the changes of the mean rates of precession and rotation, 360°/period, in °/d, (members, 2)
 
 
-def speed_at_infinity(semi_major_axis: float, eccentricity: float, inclination_deg: float) -> float:
-    """The speed (km/s) at which an orbit about the Sun, with these elements in au, meets the Earth on a circular orbit.
-
-    Source: Öpik 1951, Proc. R. Irish Acad. 54A: U² = 3 − 1/a − 2 √(a(1 − e²)) cos i, in units of the Earth's speed.
-    """
-    along = np.sqrt(semi_major_axis * (1 - eccentricity**2)) * np.cos(np.deg2rad(inclination_deg))
-    return float(_EARTH_SPEED * np.sqrt(3 - 1 / semi_major_axis - 2 * along))
-
-
-def hyperbola(distance: float, speed: float) -> orbits.Kepler:
-    """The orbit about the Earth with this least distance (km), at t = 0, and speed at infinity (km/s); days, km."""
-    square = (speed * 86400.0) ** 2
-    return orbits.kepler(MU, -MU / square, 1 + distance * square / MU)
-
-
 def passage(body: RigidBody, state: State, distance: float, speed: float, members: int, seed: int = 2004) -> Flyby:
     """Integrate an ensemble of flybys of a free body whose energy and momentum are those of `state`.
 
@@ -62,7 +47,7 @@ def passage(body: RigidBody, state: State, distance: float, speed: float, member
     times = jnp.asarray(rng.uniform(0, 1000, members))
     rotations = rng.normal(size=(members, 4))
     rotations = jnp.asarray(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
-    orbit = hyperbola(distance, speed)
+    orbit = orbits.hyperbola(MU, distance, speed * 86400.0)  # days, km
 
     def member_changes(t: Array, rotation: Array) -> tuple[Array, Array, Array]:
         before = State(so3.multiply(rotation, body.solution(state, t).q), so3.Ad(rotation, state.p))

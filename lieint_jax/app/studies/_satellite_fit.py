@@ -26,10 +26,9 @@ from lieint_jax.app.studies._satellite_sky import (
     closed_form,
     magnitude,
 )
-from lieint_jax.app.studies._tumbling import mean_periods, model, rotate, rotation_between
-from lieint_jax.fitting import Fit, inertia_ratios, inference, principal_inertia
+from lieint_jax.fitting import Fit, inertia_ratios, inference
 from lieint_jax.fitting.inference import Params, Problem, Unknown
-from lieint_jax.groups import so3
+from lieint_jax.fitting.tumbling import mean_periods, model, rotate, rotation_between
 from lieint_jax.measure import (
     SPACE_CHANGES,
     DoublePeriods,
@@ -43,7 +42,6 @@ from lieint_jax.measure import (
 )
 from lieint_jax.runs import integrate, over_members
 from lieint_jax.shapes import GlossyFacets
-from lieint_jax.systems import RigidBody
 
 
 def solutions(params: dict[str, np.ndarray], begin: np.ndarray) -> SpinStates:
@@ -101,12 +99,10 @@ Guesses = dict[str, np.ndarray]  # parameters of many fits
 STEP = 0.75  # min
 _FINE = 4000
 _AT_ONCE = 10_000  # guesses that are evaluated together
-_POOL, _NEAR = 50_000, 500  # number of random bodies, and of those used for a candidate
-_SCATTER = 0.8  # standard deviation of the logarithms of second moments
 
 
 def magnitudes(params: Params, begin: ArrayLike, facets: GlossyFacets, curve: Lightcurve) -> tuple[Array, Array]:
-    """The model's magnitudes, (n,), and whether all steps converged; `params` and `begin` as in `_tumbling.model`."""
+    """The model's magnitudes, (n,), and whether all steps converged; parameters as in `fitting.tumbling.model`."""
     body, state = model(params, jnp.asarray(begin))
     steps = int(np.ceil(curve.t[-1] / STEP))
     path = integrate(schemes.preprocessed(body, 6), state, STEP, steps, save_at=jnp.asarray(curve.t))
@@ -142,42 +138,6 @@ def fit_magnitudes(
     """
     options = {"progress": progress, "tolerance": 1e-6, "iterations": 50}
     return inference.fit_starts(problem(facets, curve), guesses, (begin, observed), **options)
-
-
-def random_guesses(frequencies: np.ndarray, count: int, key: Array) -> tuple[Guesses, np.ndarray, np.ndarray]:
-    """Random guesses whose mean precession and rotation frequencies are near given candidates.
-
-    The inertia is that of random second moments; the directions of the body momentum and the attitudes are uniform.
-    From a pool of such bodies, each candidate uses those with the nearest ratio of the two frequencies, and scales
-    their rates to its frequencies, (candidates, 2) in 1/min. All candidates have the same number of guesses.
-
-    Returns:
-        The guesses and their attitudes `begin`, (count, 4), for `fit_magnitudes`; the candidate of each, (count,).
-    """
-    keys = jax.random.split(key, 4)
-    J, Pi, of_pool = (np.asarray(x) for x in _pool(keys[:2]))
-    ratio, wanted = of_pool[:, 1] / of_pool[:, 0], frequencies[:, 1] / frequencies[:, 0]
-    near = np.argsort(np.abs(np.log(ratio[:, None] / wanted)), axis=0)[:_NEAR]
-    which = np.arange(count) % len(frequencies)
-    chosen = near[np.asarray(jax.random.randint(keys[2], (count,), 0, _NEAR)), which]
-    speed = (frequencies[which] / of_pool[chosen]).mean(axis=1)
-    rate = np.rad2deg(speed[:, None] * Pi[chosen] / J[chosen])
-    begin = jax.jit(lambda key: jax.vmap(so3.normalize)(jax.random.normal(key, (count, 4))))(keys[3])
-    return {"attitude": np.zeros((count, 3)), "inertia": J[chosen, :2], "rate": rate}, np.asarray(begin), which
-
-
-@jax.jit
-def _pool(keys: Array) -> tuple[Array, Array, Array]:
-    """Random bodies: moments over the third, body momenta, and mean frequencies of precession and rotation."""
-    J = jax.vmap(principal_inertia.inside)(_SCATTER * jax.random.normal(keys[0], (_POOL, 3)))
-    J = J / J[:, 2:]
-    Pi = jax.random.normal(keys[1], (_POOL, 3))
-
-    def frequencies(J: Array, Pi: Array) -> Array:
-        body = RigidBody(J)
-        return 1 / mean_periods(body, body.state(body_momentum=Pi))
-
-    return J, Pi, jax.vmap(frequencies)(J, Pi)
 
 
 def losses(

@@ -42,8 +42,8 @@ from lieint_jax.app.studies._satellite_sky import (
     scene,
     scene_minima,
 )
-from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.fitting import Fit, inference
+from lieint_jax.fitting.tumbling import mean_periods, random_guesses
 from lieint_jax.measure import (
     SPACE_CHANGES,
     LightChange,
@@ -70,7 +70,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     found = search(curve.t, curve.magnitude)
     first = curve.truncate(session)
     clock, key = [time.perf_counter()], jax.random.key(made.exposures["seed"])
-    guess, begin, candidate = _satellite_fit.random_guesses(found.candidates, guesses, key)
+    guess, begin, candidate = random_guesses(found.candidates, guesses, key)
     order = np.argsort(_satellite_fit.losses(guess, begin, made.facets, first, progress))[:starts]
     guess, begin, candidate = jax.tree.map(lambda leaf: leaf[order], (guess, begin, candidate))
     clock.append(time.perf_counter())

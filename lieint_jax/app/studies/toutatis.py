@@ -22,12 +22,12 @@ from jax.flatten_util import ravel_pytree
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lieint_jax import orbits
 from lieint_jax.app import plots, scenarios
 from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios.rigid_body import FreeBody
 from lieint_jax.app.studies import _flyby, _report
 from lieint_jax.app.studies._flyby import Flyby
-from lieint_jax.app.studies._tumbling import mean_periods, model, rotate, rotation_between
 from lieint_jax.app.studies.inference import published_lines
 from lieint_jax.fitting import (
     DEGREES_OF_FREEDOM,
@@ -39,6 +39,7 @@ from lieint_jax.fitting import (
     student_t_weights,
 )
 from lieint_jax.fitting.inference import Coverage, Estimate, Params, Problem, Published, StudentT, Unknown
+from lieint_jax.fitting.tumbling import mean_periods, model, rotate, rotation_between
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import vectors
@@ -211,7 +212,7 @@ _FAR = 18.8  # |e|²/σ²: any of 34 normal vectors of three components exceeds 
 # Least distance: Busch et al. 2012, AGU Fall Meeting, P31A-1873. Elements of the orbit about the Sun at JD 2454797.5 as
 # encyclopaedias quote them from JPL's Small-Body Database: enough for an order of magnitude, not checked there.
 _FLYBY_DISTANCE = 0.01036 * _flyby.AU
-_ELEMENTS = {"semi_major_axis": 2.5321, "eccentricity": 0.6288, "inclination_deg": 0.446}
+_ELEMENTS = 2.5321, 0.6288, np.deg2rad(0.446)  # semi-major axis (au), eccentricity, inclination
 _CHANGE = 0.08  # °/d, the largest change of the spin by the flyby of 2004: Busch et al. 2012, AGU, P31A-1873
 _TO_2008 = 1516.0  # days from that flyby, 2004-09-29, to the fix of 2008-11-23
 
@@ -241,6 +242,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     difference = np.stack([np.asarray(ravel_pytree(p)[0]) - estimate.x for p in given.values()])
     distances = inference.squared_distances(difference, estimate.covariance[None])
     body, state = model(problem.unravel(estimate.x), data["begin"])
+    speed = _flyby.EARTH_SPEED * float(orbits.encounter_speed(*_ELEMENTS))
     assert found.starts is not None
     return SpinFit(
         found,
@@ -253,7 +255,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
         {name: np.asarray(derived(p, data)) for name, p in given.items()},
         dict(zip(given, distances.tolist(), strict=True)),
         _predict(problem, estimate, given, members),
-        _flyby.passage(body, state, _FLYBY_DISTANCE, _flyby.speed_at_infinity(**_ELEMENTS), members),
+        _flyby.passage(body, state, _FLYBY_DISTANCE, speed, members),
         factors,
         test,
         scenarios.load("toutatis"),
