@@ -283,10 +283,11 @@ def repeated_chords(
 
     For many unknowns, where a matrix costs as much as several corrections. It is computed again when six more
     corrections would not do, by the ratio of the last two. A solve is steady if each correction was at most half as
-    long as the last one by a new matrix: others do not limit the next, which a new matrix may need to correct them. The iteration ends when what is missing is 1e-4
-    units of rounding, or when a correction below 2¹⁶ units is more than half as long as the one before. This is
-    rounding, by which x oscillates about the root, so half of it is applied: the whole would leave x more often on
-    one side of the root than on the other, and the energy of a stiff rod would fall by 0.02 ulp a step.
+    long as the last one by a new matrix: those by an old one may have helped little, and do not limit the next. The
+    iteration ends when what is missing is 1e-4 units of rounding, or when a correction below 2¹⁶ units is more than
+    half as long as the one before. This is rounding, by which x oscillates about the root, so half of it is applied:
+    the whole would leave x more often on one side of the root than on the other, and the energy of a stiff rod would
+    fall by 0.02 ulp a step.
 
     Args:
         residual: x ↦ F(x), as in `root`.
