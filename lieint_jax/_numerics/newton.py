@@ -246,8 +246,9 @@ def chords(
 class _Chord(NamedTuple):
     """A state of `repeated_chords`: x, its last two corrections, the monitor, and the number of corrections.
 
-    Two flags state whether more corrections are needed, and by this matrix. The conditions of the loops only read them:
-    XLA may compile arithmetic differently in a condition and where it selects the members that go on.
+    Three flags state whether more corrections are needed, whether by this matrix, and whether it is new. The conditions
+    of the loops only read them: XLA may compile arithmetic differently in a condition and where it selects the members
+    that go on.
     """
 
     x: Any
@@ -257,6 +258,7 @@ class _Chord(NamedTuple):
     n: Array
     unfinished: Array
     serves: Array
+    is_new: Array
 
     @property
     def ratio(self) -> Array:
@@ -280,10 +282,12 @@ def repeated_chords(
     """The root of `residual` near x by Newton's method that uses a matrix as long as it serves.
 
     For many unknowns, where a matrix costs as much as several corrections. It is computed again when six more
-    corrections would not do, by the ratio of the last two. The iteration ends when what is missing is 1e-4
-    units of rounding, or when a correction below 2¹⁶ units is more than half as long as the one before. This is
-    rounding, by which x oscillates about the root, so half of it is applied: the whole would leave x more often on
-    one side of the root than on the other, and the energy of a stiff rod would fall by 0.02 ulp a step.
+    corrections would not do, by the ratio of the last two. A solve is steady if each correction was at most half as
+    long as the last one by a new matrix: those by an old one may have helped little, and do not limit the next. The
+    iteration ends when what is missing is 1e-4 units of rounding, or when a correction below 2¹⁶ units is more than
+    half as long as the one before. This is rounding, by which x oscillates about the root, so half of it is applied:
+    the whole would leave x more often on one side of the root than on the other, and the energy of a stiff rod would
+    fall by 0.02 ulp a step.
 
     Args:
         residual: x ↦ F(x), as in `root`.
@@ -305,7 +309,9 @@ def repeated_chords(
         def correct(c: _Chord) -> _Chord:
             step = K.solve(residual(c.x))
             change = lax.stop_gradient(length(step))
-            found = c._replace(change=change, before=c.change, monitor=c.monitor.update(change), n=c.n + 1)
+            monitor = c.monitor.update(change)
+            monitor = monitor._replace(limit=jnp.where(c.is_new, monitor.limit, c.monitor.limit))
+            found = c._replace(change=change, before=c.change, monitor=monitor, n=c.n + 1, is_new=~yes)
             small, ratio = change <= _STALLED * unit, found.ratio
             stalled = small & (ratio > 0.5)
             unfinished = (found.n < most) & (found.missing > _ENOUGH * unit) & ~stalled
@@ -316,10 +322,10 @@ def repeated_chords(
             return found._replace(x=x, unfinished=unfinished, serves=serves)
 
         good = c.monitor._replace(growth=jnp.where(K.positive, c.monitor.growth, jnp.inf))
-        return lax.while_loop(lambda c: c.serves, correct, c._replace(monitor=good, serves=yes))
+        return lax.while_loop(lambda c: c.serves, correct, c._replace(monitor=good, serves=yes, is_new=yes))
 
     far, yes = jnp.full_like(unit, jnp.finfo(unit.dtype).max), jnp.ones((), bool)
-    start = _Chord(x, far, far, ContractionMonitor.start(first), jnp.zeros((), int), yes, yes)
+    start = _Chord(x, far, far, ContractionMonitor.start(first), jnp.zeros((), int), yes, yes, yes)
     end = lax.while_loop(lambda c: c.unfinished, with_matrix, start)
     return end.x, jnp.where(_steady(end.monitor.growth), end.missing, jnp.inf)
 

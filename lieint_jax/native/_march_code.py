@@ -64,7 +64,7 @@ class LoopCode:
         from lieint_jax.native._pieces import modules
 
         begin = time.perf_counter()
-        traced = Traced(jaxpr_of(body.step), kinds, with_maps=True)
+        traced = Traced(jaxpr_of(body.step), kinds, with_maps=True, runs_once=body.runs_once)
         self._outside, self._leaves = traced.outside, traced.leaves
         with unsupported_if_it_fails():
             results = body.step.out_avals
@@ -105,12 +105,13 @@ class LoopCode:
 
 
 class _Body(NamedTuple):
-    """What machine code has of a loop; `is_single`: whether it has one member."""
+    """What machine code has of a loop; `is_single`: whether it has one member; `runs_once`: whether it is one step."""
 
     step: ClosedJaxpr | Deferred
     carried: int
     reverse: bool
     is_single: bool
+    runs_once: bool
 
 
 def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | str:
@@ -133,7 +134,8 @@ def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | s
     try:
         if platform != "cpu" or chosen == _KERNEL:
             return make_once(KernelCode, loop.step, kinds, shapes)
-        body = _Body(loop.step, loop.carried, loop.reverse, loop.members in (None, 1))
+        runs_once = (loop.rows, loop.every) == (1, 1)
+        body = _Body(loop.step, loop.carried, loop.reverse, loop.members in (None, 1), runs_once)
         return make_once(LoopCode, body, kinds, shapes)
     except (ImportError, UnsupportedError) as reason:  # no llvmlite, or on a GPU no Pallas; no program of numbers
         return str(reason)

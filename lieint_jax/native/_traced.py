@@ -31,6 +31,7 @@ from lieint_jax.native._walk import LONGEST, Walk
 _Compiled = TypeVar("_Compiled")
 Tree = Any  # a tree of arrays, of shapes, or of the kinds of arguments
 _UNROLLED = 20_000  # the most numbers of a program without maps, if it may have them
+_UNROLLED_ONCE = 2_000  # of one that runs once, and costs its compilation only
 _LONGEST_SHARED = 256  # the most entries of a shared array that are numbers of a program without maps, not a table
 _IN_COLUMNS = ("carry", "member", "shared")  # kinds of leaves that a program with maps has as arrays in memory
 
@@ -74,6 +75,7 @@ class Traced:
             has its own), "shared", "row" (shared, another one for each row), "series" (each member has its own for each
             row), or "counter" (the number of the row).
         with_maps: whether a long program has maps over long axes.
+        runs_once: whether it is a single step, of which a shorter program is long.
 
     Attributes:
         leaves: the arrays of the arguments; the data of an argument of the program is (number of the leaf, of the
@@ -88,13 +90,14 @@ class Traced:
         UnsupportedError: the function cannot be a program of numbers.
     """
 
-    def __init__(self, jaxpr: ClosedJaxpr, kinds: Sequence[str], with_maps: bool = False):
+    def __init__(self, jaxpr: ClosedJaxpr, kinds: Sequence[str], with_maps: bool = False, runs_once: bool = False):
         for x in jaxpr.in_avals:
             if jax.numpy.issubdtype(x.dtype, jax.dtypes.extended):
                 raise UnsupportedError(f"an argument of type {x.dtype}")
         with unsupported_if_it_fails():
             try:
-                self._walk(jaxpr, kinds, _UNROLLED if with_maps else LONGEST, False)
+                unrolled = _UNROLLED_ONCE if runs_once else _UNROLLED
+                self._walk(jaxpr, kinds, unrolled if with_maps else LONGEST, False)
             except UnsupportedError as reason:
                 has_tables = any(leaf.kind == "table" for leaf in self.leaves)
                 if not with_maps or not (isinstance(reason, TooLongError) or has_tables):

@@ -53,7 +53,7 @@ def step_at_node(
     """The step from node n, where `state` is: the state at the next node, and the step's report.
 
     Args:
-        step: (state, dt, …) ↦ state, report, …: a step, or its `tangent`.
+        step: (state, dt, …) ↦ state, report, …: a step, or its `continued` or `tangent`.
         clock, state, n: the times of the nodes, the state at node n, and n.
         more: further arguments of `step`, such as tangent vectors.
     """
@@ -142,22 +142,33 @@ def saved_states(
         nodes = clock.times[:-1], _Node(clock.times[1:] - clock.times[:-1], clock.times[1:])
     timed = state.t is not None and not isinstance(clock, StateClock)
 
-    def step_once(n: Array, at: Progress, node: tuple[Array, _Node] | None) -> tuple[Progress, tuple[State, StepInfo]]:
+    def step_once(
+        n: Array, carry: tuple[Progress, Tree], node: tuple[Array, _Node] | None
+    ) -> tuple[tuple[Progress, Tree], tuple[State, StepInfo]]:
+        at, known = carry
         t, here = (clock.time(n), clock) if node is None else node
         begin = at.state._replace(t=t) if timed else at.state
-        state, info = step_at_node(step, here, begin, n)
+        state, info, known = step_at_node(step.continued, here, begin, n, known)
         state, info = without_time(state), info_since(n, save_every, at.info, info)
-        return Progress(state, info), (state, info)
+        return (Progress(state, info), known), (state, info)
 
     def without_time(state: State) -> State:
         return state._replace(t=None) if timed else state
 
-    start = Progress.begin(without_time(state))
+    start = Progress.begin(without_time(state)), _reusable(step, state)
     states, info = native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
     if not timed:
         return states, info
     saved = save_every * (1 + jnp.arange(num_saves if most is None else most))
     return states._replace(t=clock.time(saved)), info
+
+
+def _reusable(step: Step, state: State) -> Tree:
+    """What a step reuses at the start of a run, in machine code; None if it reuses nothing."""
+    if not step.reuses:
+        return None
+    found = native.scan(lambda state, _: (state, step.reusable(state)), state, length=1)[1]
+    return jax.tree.map(lambda x: x[0], found)
 
 
 def info_since(n: Array, every: ArrayLike, so_far: StepInfo, info: StepInfo) -> StepInfo:

@@ -236,12 +236,14 @@ class Intervals:
             lambda new, old: jnp.where(span.begins, new, old), fresh, (carry.info, carry.change)
         )
 
-        def step_once(n: Array, at: Carry) -> Carry:
-            end, info = step(given.add_time(n, at.state), clock.size(n))
+        def step_once(n: Array, carry: tuple[Carry, Tree]) -> tuple[Carry, Tree]:
+            at, known = carry
+            end, info, known = step.continued(given.add_time(n, at.state), clock.size(n), known)
             state, failed = given.remove_time(end), _first_failure(at.failed, n, info)
-            return Carry(state, at.info.merge(info), failed, self._changed(n + 1, state, at.change, given))
+            return Carry(state, at.info.merge(info), failed, self._changed(n + 1, state, at.change, given)), known
 
-        after = lax.fori_loop(span.first, span.end, step_once, carry._replace(info=info, change=change))
+        start = carry._replace(info=info, change=change), step.reusable(given.add_time(span.first, carry.state))
+        after, _ = lax.fori_loop(span.first, span.end, step_once, start)
         output, worst, failed = after.state, after.info, after.failed
         if span.rest is not None:
             plain = step if given.plain is None else given.plain

@@ -44,6 +44,7 @@ class Step:
         order: order of accuracy; infinite for the exact flow.
         symmetric: whether step(·, −dt) is the inverse of step(·, dt).
         own_time: whether the step itself advances `state.t`, which it then requires; dt is a step of a fictitious time.
+        reuses: whether the end of a step computes what the next one begins with, so that a run computes it once.
         approximate: whether fewer iterations are set than convergence requires: a run reports the residual and
             continues.
         velocity_weight: α of the momentum at n+α from which the step computes Θ, for `diagnostics.conditions`.
@@ -53,6 +54,7 @@ class Step:
     order: float
     symmetric: bool
     own_time: bool = False
+    reuses: bool = False
     approximate: bool = False
     velocity_weight: ArrayLike = 0.5
 
@@ -81,9 +83,29 @@ class Step:
         step, state, dt = _in_one_type(self, state, dt)
         _check_time(step, state)
         end, info = step.advance(state, dt)
-        end = _on_time(step, state, dt, end)
-        q, p = with_materialized_derivatives((end.q, end.p))  # XLA computes tangents once, not again for each number
-        return end._replace(q=q, p=p), info
+        return _completed(step, state, dt, end), info
+
+    @final
+    def continued(self, state: State, dt: ArrayLike, known: PyTree) -> tuple[State, StepInfo, PyTree]:
+        """A call in a loop of steps, of which the first is given `reusable(state)`, and each other what the last found.
+
+        Between two steps the state may change in its time only.
+        """
+        if not self.reuses:
+            return *self(state, dt), None
+        step, state, dt = _in_one_type(self, state, dt)
+        _check_time(step, state)
+        end, info, known = step.advance_reusing(state, dt, known)
+        end = _completed(step, state, dt, end)
+        return end, _finite_or_flagged(info, end), known
+
+    def reusable(self, state: State) -> PyTree:
+        """What a step that `reuses` computes first, and the step that ends at `state` computes last; others None."""
+        return None
+
+    def advance_reusing(self, state: State, dt: ArrayLike, known: PyTree) -> tuple[State, StepInfo, PyTree]:
+        """`advance` with what is `reusable` at the state `known`, and that at the end; of a step that `reuses`."""
+        raise NotImplementedError(f"{type(self).__name__} reuses nothing")
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """What a scheme defines: `state` with the new q and p, and the report. Callers use `__call__` or `substep`."""
@@ -192,6 +214,13 @@ def _check_time(step: Step, state: State) -> None:
     """Raise ValueError if a step that advances the time itself is called without one."""
     if step.own_time and state.t is None:
         raise ValueError(f"{step.name} advances the time, which this state lacks: use step.start(state)")
+
+
+def _completed(step: Step, state: State, dt: Array, end: State) -> State:
+    """The state that `advance` has returned, at its time."""
+    end = _on_time(step, state, dt, end)
+    q, p = with_materialized_derivatives((end.q, end.p))  # XLA computes tangents once, not again for each number
+    return end._replace(q=q, p=p)
 
 
 def _on_time(step: Step, state: State, dt: Array, end: State) -> State:

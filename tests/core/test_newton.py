@@ -113,6 +113,31 @@ def test_chords_too_few_show_in_the_residual():
     assert np.abs(np.stack(F)).max() > 1e-6
 
 
+@pytest.mark.parametrize("push, is_steady", [(0.01, True), (0.6, False)])
+def test_a_correction_by_an_old_matrix_does_not_limit_the_next(push, is_steady):
+    """x = 1, y (1 + 1.2 x) = push x² from 0: the matrix of the start gives y = push, a new one corrects 0.55 of it.
+
+    If push > ½, the second correction is more than half of the first.
+    """
+
+    def residual(z):
+        x, y = z
+        return jnp.stack([x - 1, y * (1 + 1.2 * x) - push * x * x])
+
+    def factored(z):
+        x, y = z
+        slopes = 1.2 * y - 2 * push * x, 1 + 1.2 * x
+        return la.Factored(lambda F: jnp.stack([F[0], (F[1] - slopes[0] * F[0]) / slopes[1]]), jnp.asarray(True))
+
+    def largest(step):
+        return jnp.max(jnp.abs(step))
+
+    eps = jnp.asarray(np.finfo(float).eps)
+    z, missing = jax.jit(lambda z: newton.repeated_chords(residual, factored, largest, z, 1.0, eps, 50))(np.zeros(2))
+    np.testing.assert_allclose(z, [1, push / 2.2], rtol=0, atol=1e-15)
+    assert (missing <= eps) == is_steady
+
+
 def test_a_fixed_count_that_is_too_small_shows_in_the_residual():
     _, residual, _ = jax.jit(lambda c: cubic_root(c, iterations=1))(np.array([3.0, -5.0, 4.0]))
     assert np.abs(residual).max() > 0.1
