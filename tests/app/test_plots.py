@@ -244,6 +244,19 @@ def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, nam
     np.testing.assert_allclose(np.ravel(near.get_data_3d()), expected, rtol=1e-12)
 
 
+@pytest.mark.long
+def test_the_motion_of_a_rod_is_drawn_by_its_shapes():
+    """The first of them, in the plane of the longest extent, is that of the start."""
+    rod, start, _ = li.systems._rod.examples()["free"]
+    fig = pictures.draw_motion(alone(li.schemes.splitting(rod), start), "a rod")
+    drawn = {label: ax.get_lines() for ax in fig.axes for label in [ax.get_ylabel()]}
+    assert [len(lines) for lines in drawn.values()] == [13, 13]
+    along = "xyz".index(fig.axes[1].get_xlabel())
+    for label, lines in drawn.items():
+        expected = np.asarray(start.q)[:, [along, "xyz".index(label)]]
+        np.testing.assert_allclose(lines[0].get_xydata(), expected, rtol=0, atol=1e-15)
+
+
 def test_works_are_drawn_by_law_and_the_least_of_many_together():
     """Nothing is lost: the curves add up to the whole work. Works of one size have a linear axis."""
     t = np.linspace(0, 1, 9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import matplotlib
 import numpy as np
 
 from lieint_jax.app import plots
@@ -13,6 +14,7 @@ from lieint_jax.app.scenarios._report import Conserved
 from lieint_jax.runs import Run
 from lieint_jax.types import Step
 
+_SHAPES = 13  # of a chain in a picture
 _FEW = 20  # members whose lines are drawn as clearly as those of others
 
 
@@ -87,6 +89,22 @@ def draw_balance(
     curves = curves if change.shape[1] > 1 else {"": change[:, 0]}
     plots.log_error(right, t, curves, "H − ΣW, relative change", time_unit)
     right.set_title("energy less the work of all laws")
+
+
+def draw_chain(axes: np.ndarray, t: np.ndarray, x: np.ndarray, name: str) -> None:
+    """Plot the line of centers (times, bodies, 3) of a chain at several times, in two of the planes of the space axes."""
+    shown = np.unique(np.linspace(0, len(t) - 1, _SHAPES).astype(int))
+    x, t = x[shown], t[shown]
+    extent = np.ptp(x, axis=(0, 1))
+    along, *across = np.argsort(-extent)
+    half = 0.55 * max(extent[across].max(), extent[along] / 8)
+    for k, axis in zip(across, axes, strict=True):
+        for line, color in zip(x, matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(t))), strict=True):
+            axis.plot(line[:, along], line[:, k], color=color, marker=".", ms=3, lw=1.2)
+        middle = (x[..., k].min() + x[..., k].max()) / 2
+        axis.set(ylabel="xyz"[k], ylim=(middle - half, middle + half), aspect="equal")
+    axes[0].set_title(f"{name} at equal intervals, from t = {t[0]:.4g} (dark) to {t[-1]:.4g}")
+    axes[1].set_xlabel("xyz"[along])
 
 
 def draw_on_sphere(

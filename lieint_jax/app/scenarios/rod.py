@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 from jax import Array
 from jax.tree_util import Partial
@@ -14,14 +13,13 @@ from pydantic import Field, model_validator
 from lieint_jax import systems
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, picture
-from lieint_jax.app.scenarios._pictures import draw_balance
+from lieint_jax.app.scenarios._pictures import draw_balance, draw_chain
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
 from lieint_jax.app.scenarios._runs import energy, length, positive, series
 from lieint_jax.runs import Run
 from lieint_jax.systems import DissipativeRod, ElasticRod
 from lieint_jax.types import State, energy_less_work
 
-_SHAPES = 13  # in a picture
 _End = Literal["free", "clamped"]
 
 
@@ -168,18 +166,7 @@ class Rod(Kind):
     @picture(rows=2, size=(8.0, 2.2), sharex=True)
     def draw_shape(self, axes: np.ndarray, run: Run) -> None:
         """Plot the line of centers of the nominal member at several times, in two of the planes of the space axes."""
-        shown = np.unique(np.linspace(0, len(run.t) - 1, _SHAPES).astype(int))
-        x, t = np.asarray(run.member(0).state.q)[shown, :, :3], np.asarray(run.t)[shown]
-        extent = np.ptp(x, axis=(0, 1))
-        along, *across = np.argsort(-extent)
-        half = 0.55 * max(extent[across].max(), extent[along] / 8)
-        for k, axis in zip(across, axes, strict=True):
-            for line, color in zip(x, matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(t))), strict=True):
-                axis.plot(line[:, along], line[:, k], color=color, marker=".", ms=3, lw=1.2)
-            middle = (x[..., k].min() + x[..., k].max()) / 2
-            axis.set(ylabel="xyz"[k], ylim=(middle - half, middle + half), aspect="equal")
-        axes[0].set_title(f"the nominal rod at equal intervals, from t = {t[0]:.4g} (dark) to {t[-1]:.4g}")
-        axes[1].set_xlabel("xyz"[along])
+        draw_chain(axes, np.asarray(run.t), np.asarray(run.member(0).state.q)[..., :3], "the nominal rod")
 
     @picture(2)
     def draw_energy(self, axes: np.ndarray, run: Run) -> None:
