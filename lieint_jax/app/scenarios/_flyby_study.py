@@ -178,21 +178,31 @@ def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
     )
 
 
-def unknowns(scenario: Flyby) -> dict[str, tuple[str, float, float]]:
-    """By name of `Study.slopes`: the label of the change in the report, its size, and one standard deviation."""
+class Unknown(NamedTuple):
+    """What the passage depends on."""
+
+    change: str  # a change of it, for the report
+    size: float  # the size of that change
+    name: str  # for the picture
+    sigma: float  # one standard deviation; 0 if it is known
+
+
+def unknowns(scenario: Flyby) -> dict[str, Unknown]:
+    """The unknowns by the names of `Study.slopes`."""
     given, degree = scenario.spin, np.deg2rad(1.0)
     sigma = {name: sum(x.sides()) / 2 / scenario.sigmas for name, x in given.measured().items()}
     east = sigma["momentum_longitude_deg"] / np.cos(np.deg2rad(given.momentum_latitude_deg.value))
+    north, phase = np.deg2rad(sigma["momentum_latitude_deg"]), np.pi / np.sqrt(3)
     return {
-        "phi": ("1° of φ", degree, np.pi / np.sqrt(3)),
-        "psi": ("1° of ψ", degree, np.pi / np.sqrt(3)),
-        "least": ("0.01 of I₁/I₃", 0.01, sigma["least_moment"]),
-        "middle": ("0.001 of I₂/I₃", 0.001, sigma["middle_moment"]),
-        "precession": ("0.01 h of P_φ before", 0.01, sigma["precession_period_h"]),
-        "rotation": ("1 h of P_ψ before", 1.0, sigma["rotation_period_h"]),
-        "longitude": ("1° of the pole's longitude", degree, np.deg2rad(east)),
-        "latitude": ("1° of the pole's latitude", degree, np.deg2rad(sigma["momentum_latitude_deg"])),
-        "perigee": ("1 km of the perigee", 1.0, 0.0),
+        "phi": Unknown("1° of φ", degree, "$\\phi$, uniform", phase),
+        "psi": Unknown("1° of ψ", degree, "$\\psi$, uniform", phase),
+        "least": Unknown("0.01 of I₁/I₃", 0.01, "moment $I_1/I_3$", sigma["least_moment"]),
+        "middle": Unknown("0.001 of I₂/I₃", 0.001, "moment $I_2/I_3$", sigma["middle_moment"]),
+        "precession": Unknown("0.01 h of P_φ before", 0.01, "$P_\\phi$ before", sigma["precession_period_h"]),
+        "rotation": Unknown("1 h of P_ψ before", 1.0, "$P_\\psi$ before", sigma["rotation_period_h"]),
+        "longitude": Unknown("1° of the pole's longitude", degree, "pole's longitude", np.deg2rad(east)),
+        "latitude": Unknown("1° of the pole's latitude", degree, "pole's latitude", north),
+        "perigee": Unknown("1 km of the perigee", 1.0, "perigee", 0.0),
     }
 
 
@@ -304,21 +314,11 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
 def draw_sensitivity(scenario: Flyby, axes: np.ndarray, run: Run) -> None:
     """Plot the change of the periods by one standard deviation of each unknown, to first order, over the phases."""
     found = study(scenario, run)
-    names = {
-        "phi": "$\\phi$, uniform",
-        "psi": "$\\psi$, uniform",
-        "least": "moment $I_1/I_3$",
-        "middle": "moment $I_2/I_3$",
-        "precession": "$P_\\phi$ before",
-        "rotation": "$P_\\psi$ before",
-        "longitude": "pole's longitude",
-        "latitude": "pole's latitude",
-    }
-    sizes = {name: sigma for name, (_, _, sigma) in unknowns(scenario).items() if sigma > 0}
+    shown = {key: x for key, x in unknowns(scenario).items() if x.sigma > 0}
     look: dict[str, Any] = {"orientation": "horizontal", "whis": (5, 95), "showfliers": False}
-    look |= {"medianprops": {"color": plots.RED}, "tick_labels": [names[name] for name in names if name in sizes]}
+    look |= {"medianprops": {"color": plots.RED}, "tick_labels": [x.name for x in shown.values()]}
     for k, (ax, period) in enumerate(zip(axes, ("$P_\\phi$", "$P_\\psi$"), strict=True)):
-        changes = [abs(found.slopes[name][:, k]) * sizes[name] for name in names if name in sizes]
+        changes = [abs(found.slopes[key][:, k]) * x.sigma for key, x in shown.items()]
         ax.boxplot([x[x > 0] for x in changes], **look)  # a logarithmic axis has no zero
         ax.invert_yaxis()
         ax.set(xscale="log", xlabel=f"change of {period} after the passage (h)")

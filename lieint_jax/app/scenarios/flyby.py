@@ -461,10 +461,10 @@ def _sensitivity(scenario: Flyby, found: Study) -> list[str]:
         f"  {'by':<28}{'dP_φ (h)':>18}{'dP_ψ (h)':>22}{'d ln(spin rate)':>22}{'d pole (°)':>20}",
     ]
     rate = scenario.every_second_phase(found.mapped.after.rate)
-    for name, (unit, size, _) in unknowns(scenario).items():
-        x = abs(found.slopes[name]) * size
+    for name, unknown in unknowns(scenario).items():
+        x = abs(found.slopes[name]) * unknown.size
         scaled = (x[:, 0], x[:, 1], x[:, 2] / rate, np.rad2deg(x[:, 3]))
-        lines.append(f"  {unit:<28}" + "".join(f"{np.median(v):>11.3g} {v.max():>9.3g}" for v in scaled))
+        lines.append(f"  {unknown.change:<28}" + "".join(f"{np.median(v):>11.3g} {v.max():>9.3g}" for v in scaled))
     return lines
 
 
