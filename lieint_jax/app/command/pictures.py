@@ -91,7 +91,7 @@ def draw_works(run: Run, title: str) -> Figure:
 
 @plots.style()
 def draw_motion(run: Run, title: str) -> Figure:
-    """Plot the motion of the first member: a direction on the sphere, shapes of a chain, centers, or components of q."""
+    """Plot the motion of the first member: a direction on a sphere, shapes of a chain, centers, or components of q."""
     run = run if run.members is None else run.member(0)
     q = np.asarray(run.state.q)
     if q.shape[1:] == (4,):
