@@ -75,7 +75,7 @@ class Splitting(Step):
 
     @property
     def reuses(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Whether the force at the end is that at the start of the next step: of several bodies, of which it is slow."""
+        """Whether the force at the end serves the next step, too: for several bodies, of which it is expensive."""
         return self.kick_first and isinstance(self.system, AbstractRigidBodies)
 
     def reusable(self, state: State) -> Array:

@@ -113,7 +113,7 @@ def test_chords_too_few_show_in_the_residual():
     assert np.abs(np.stack(F)).max() > 1e-6
 
 
-@pytest.mark.parametrize("push, is_steady", [(0.01, True), (0.6, False)])
+@pytest.mark.parametrize(("push", "is_steady"), [(0.01, True), (0.6, False)])
 def test_a_correction_by_an_old_matrix_does_not_limit_the_next(push, is_steady):
     """x = 1, y (1 + 1.2 x) = push x² from 0: the matrix of the start gives y = push, a new one corrects 0.55 of it.
 

@@ -88,7 +88,6 @@ def test_damping_of_a_rod_conserves_its_momenta_and_never_adds_energy():
     assert path.state.work[-1] < -0.01
 
 
-@pytest.mark.long
 def test_a_run_evaluates_the_forces_of_a_rod_once_per_step():
     """Its end is that of a loop of single steps, which evaluate them twice; observed: equal, 0.81 of the operations."""
     rod, start = thrown(1)

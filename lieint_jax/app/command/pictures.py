@@ -15,7 +15,6 @@ from lieint_jax.app.scenarios import _pictures
 from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
 from lieint_jax.app.scenarios._runs import POINTS, energy, kinetic_energy, momentum, positive, series
 from lieint_jax.groups import so3
-from lieint_jax.potentials import is_chain
 from lieint_jax.runs import Run, interpolate
 from lieint_jax.systems import LinearPotential
 from lieint_jax.types import State, Trajectory, counts_work, energy_less_work, labels
@@ -92,14 +91,14 @@ def draw_works(run: Run, title: str) -> Figure:
 
 @plots.style()
 def draw_motion(run: Run, title: str) -> Figure:
-    """Plot the motion of the first member: a direction on the sphere, shapes of a chain, centers of bodies, or components of q."""
+    """Plot the motion of the first member: a direction on a sphere, shapes of a chain, centers, or components of q."""
     run = run if run.members is None else run.member(0)
     q = np.asarray(run.state.q)
     if q.shape[1:] == (4,):
         fig = _draw_body(run)
     elif q.shape[1:] == (3,):
         fig = _draw_direction(q, "q")
-    elif q.shape[2:] == (7,) and is_chain(getattr(run.system, "potential", None)) and q.shape[1] > 1:
+    elif q.shape[2:] == (7,) and q.shape[1] > 1 and getattr(getattr(run.system, "potential", None), "chain", False):
         fig, axes = plots.figure(rows=2, size=(8.0, 2.2), sharex=True)
         _pictures.draw_chain(axes[:, 0], np.asarray(run.t), q[..., :3], "centers of the first member")
     elif q.shape[2:] == (7,):

@@ -92,7 +92,7 @@ def draw_balance(
 
 
 def draw_chain(axes: np.ndarray, t: np.ndarray, x: np.ndarray, name: str) -> None:
-    """Plot the line of centers (times, bodies, 3) of a chain at several times, in two of the planes of the space axes."""
+    """Plot the line of centers (times, bodies, 3) of a chain at several times, in two planes of the space axes."""
     shown = np.unique(np.linspace(0, len(t) - 1, _SHAPES).astype(int))
     x, t = x[shown], t[shown]
     extent = np.ptp(x, axis=(0, 1))
