@@ -89,9 +89,9 @@ def test_damping_of_a_rod_conserves_its_momenta_and_never_adds_energy():
 
 
 def test_a_run_evaluates_the_forces_of_a_rod_once_per_step():
-    """Its end is that of a loop of single steps, which evaluate them twice; observed: equal, 0.81 of the operations."""
+    """Its end is that of a loop of single steps, which evaluate them twice; observed: to 3e-17, 0.76 of the operations."""
     rod, start = thrown(1)
-    step = schemes.splitting(rod, schemes.preprocessed(rod.free, 10))
+    step = schemes.splitting(rod, schemes.preprocessed(rod.free, 4))
 
     def single_steps(state):
         return li.scan(lambda state, _: (step(state, 0.01)[0], None), state, length=10)[0]
