@@ -39,7 +39,7 @@ from lieint_jax.native._regions import Region, long_axis, walk_regions
 _UNROLLED = (400, 6000)  # without and with maps: see `AbstractWalk.unrolled`
 _LARGEST_WITH_MAPS = 80_000  # the most entries of an array, most of which maps never make numbers of the program
 LONGEST = 100_000  # the most operations of a program
-_TYPES = set(map(np.dtype, "bool i1 i2 i4 i8 u1 u2 u4 u8 f4 f8".split()))
+_TYPES = set(map(np.dtype, ["bool", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"]))
 # They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
 _HARMLESS = {"accuracy", "indices_are_sorted", "out_sharding", "sharding", "unique_indices", "weak_type"}
 

@@ -89,7 +89,7 @@ def test_damping_of_a_rod_conserves_its_momenta_and_never_adds_energy():
 
 
 def test_a_run_evaluates_the_forces_of_a_rod_once_per_step():
-    """Its end is that of a loop of single steps, which evaluate them twice; observed: to 3e-17, 0.76 of the operations."""
+    """Its end is that of a loop of single steps, which evaluate them twice; observed: 3e-17, 0.76 of the operations."""
     rod, start = thrown(1)
     step = schemes.splitting(rod, schemes.preprocessed(rod.free, 4))
 
