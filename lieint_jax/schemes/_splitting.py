@@ -76,7 +76,8 @@ class Splitting(Step):
     @property
     def reuses(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Whether the force at the end serves the next step, too: for several bodies, of which it is expensive."""
-        return self.kick_first and isinstance(self.system, AbstractRigidBodies)
+        of_bodies = isinstance(self.system, AbstractRigidBodies) and not isinstance(self.system, AbstractDrivenSystem)
+        return type(self) is Splitting and self.kick_first and of_bodies  # a subclass may have an `advance` of its own
 
     def reusable(self, state: State) -> Array:
         return _force(self.system, state)
