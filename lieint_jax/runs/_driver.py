@@ -167,7 +167,7 @@ def _reusable(step: Step, state: State) -> Tree:
     """What a step reuses at the start of a run, in machine code; None if it reuses nothing."""
     if not step.reuses:
         return None
-    found = native.scan(lambda state, _: (state, step.reusable(state)), state, length=1)[1]
+    found = native.scan(lambda state, _: (state, step.known_at(state)), state, length=1)[1]
     return jax.tree.map(lambda x: x[0], found)
 
 

@@ -242,7 +242,7 @@ class Intervals:
             state, failed = given.remove_time(end), _first_failure(at.failed, n, info)
             return Carry(state, at.info.merge(info), failed, self._changed(n + 1, state, at.change, given)), known
 
-        start = carry._replace(info=info, change=change), step.reusable(given.add_time(span.first, carry.state))
+        start = carry._replace(info=info, change=change), step.known_at(given.add_time(span.first, carry.state))
         after, _ = lax.fori_loop(span.first, span.end, step_once, start)
         output, worst, failed = after.state, after.info, after.failed
         if span.rest is not None:

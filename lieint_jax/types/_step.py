@@ -87,7 +87,7 @@ class Step:
 
     @final
     def continued(self, state: State, dt: ArrayLike, known: PyTree) -> tuple[State, StepInfo, PyTree]:
-        """A call in a loop of steps, of which the first is given `reusable(state)`, and each other what the last found.
+        """A call in a loop of steps, of which the first is given `known_at(state)`, and each other what the last found.
 
         Between two steps the state may change in its time only.
         """
@@ -99,9 +99,14 @@ class Step:
         end = _completed(step, state, dt, end)
         return end, _finite_or_flagged(info, end), known
 
+    @final
+    def known_at(self, state: State) -> PyTree:
+        """What is `reusable` at a state; None of a step that reuses nothing."""
+        return self.reusable(state) if self.reuses else None
+
     def reusable(self, state: State) -> PyTree:
-        """What a step that `reuses` computes first, and the step that ends at `state` computes last; others None."""
-        return None
+        """What a step that `reuses` computes first, and the step that ends at `state` computes last."""
+        raise NotImplementedError(f"{type(self).__name__} reuses nothing")
 
     def advance_reusing(self, state: State, dt: ArrayLike, known: PyTree) -> tuple[State, StepInfo, PyTree]:
         """`advance` with what is `reusable` at the state `known`, and that at the end; of a step that `reuses`."""
