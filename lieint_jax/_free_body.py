@@ -78,6 +78,7 @@ _Turns = list[tuple[int, Array]]
 _FAR = 1e7  # the ν from which Legendre's third integral is computed by its first term for large ν
 _BISECTIONS = 50  # of the energies of a mode, then one step of Newton's method, which has the derivative
 _EXCLUDED = 1e-12  # fraction of a mode's range of energies that has no ratio of periods, at either end
+_ROUNDING = 100  # the errors of R in eps that are those of rounding
 _NEAR = 1e-5  # the f τ² below which S, cn, dn are computed by series, with an error of 1e-17
 
 
@@ -468,7 +469,8 @@ def _from_motion(b: _Labels, e: Vector, m: _Motion) -> tuple[Array, Vector, Accu
 def _on_polhode(b: _Labels, R: Array, e: Vector, change: Vector) -> Vector:
     """f − e without its rounding errors in |f|² and R: those of S, cn, dn are the same at every step, and add up.
 
-    Where the gradient of R along the sphere vanishes, an error of f does not change R, and R is not corrected.
+    Where the gradient of R along the sphere vanishes, an error of f does not change R, and R is not corrected, unless
+    its error is more than rounding: beside the middle axis, to all digits, those of S, cn, dn cancel.
     """
     e, given, b, R = lax.stop_gradient((e, change, b, R))
     f = e + given
@@ -476,9 +478,13 @@ def _on_polhode(b: _Labels, R: Array, e: Vector, change: Vector) -> Vector:
     long = sum(squares) / 2
     x, y, z = f - long * f
     g = Vector((2 * (b.ro - R) * x, 2 * (b.mo - R) * y, -2 * R * z))
-    floor = where(b.ro == 0, 1, b.ro * b.ro / 4)
-    off = (b.ro * squares[0] + b.mo * squares[1] - 2 * long * R) / jnp.maximum(dot(g, g), floor)
-    return change - long * f - off * g
+    off = b.ro * squares[0] + b.mo * squares[1] - 2 * long * R
+    precision = jnp.finfo(off.dtype)
+    rounding = jnp.abs(off) <= _ROUNDING * precision.eps * jnp.abs(R)
+    floor = where(rounding, where(b.ro == 0, 1, b.ro * b.ro / 4), jnp.abs(off * b.ro) + precision.tiny)
+    square = jnp.maximum(dot(g, g), floor)
+    by, bent = off / square, b.ro * g[0] * g[0] + b.mo * g[1] * g[1] - R * dot(g, g)  # off = by·g² − by²·bent
+    return change - long * f - by * (1 + by * bent / square) * g
 
 
 def _ascending_clock(J: VectorLike, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
