@@ -62,8 +62,10 @@ def everything(quick: bool) -> dict[str, Any]:
     names = ALONE if quick else STEPS
     return {
         "machine": measure.machine(),
-        "many": [{"name": x, **many(*cases[x], STEPS[x] // part, members, rounds)} for x in names],
-        "one": [{"name": x, **one(*cases[x], 1_000_000 // part**2, 100_000 // part**2, rounds)} for x in ALONE],
+        "many": [{"name": x, **time_members(*cases[x], STEPS[x] // part, members, rounds)} for x in names],
+        "one": [
+            {"name": x, **time_one_body(*cases[x], 1_000_000 // part**2, 100_000 // part**2, rounds)} for x in ALONE
+        ],
         "short": short_calls(*cases[ALONE[0]], rounds),
         "first": [in_a_process(name, what) for name in FIRST if name in names for what in (VALUE, UNDONE, STORED)],
         "fit": fitted_twice(),
@@ -106,7 +108,7 @@ def arguments(step: Any, state: Any, members: int | None) -> tuple[Any, Any]:
     return leaves, p if members else p[0]
 
 
-def many(step: Any, state: Any, steps: int, members: int, rounds: int) -> dict[str, Any]:
+def time_members(step: Any, state: Any, steps: int, members: int, rounds: int) -> dict[str, Any]:
     """Seconds of runs and gradients, and the engines."""
     import jax
     import jax.numpy as jnp
@@ -123,7 +125,7 @@ def many(step: Any, state: Any, steps: int, members: int, rounds: int) -> dict[s
     return {"steps": steps, "members": members, "engines": engines, **command.least_cpu_times(timed, rounds)}
 
 
-def one(step: Any, state: Any, steps: int, short: int, rounds: int) -> dict[str, Any]:
+def time_one_body(step: Any, state: Any, steps: int, short: int, rounds: int) -> dict[str, Any]:
     """Seconds of a long run of one body, and of its gradient over fewer steps."""
     import jax
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from lights import directions
 
 import lieint_jax as li
 from lieint_jax.app.studies import _satellite_fit as fits
@@ -13,15 +14,6 @@ from lieint_jax.fitting.tumbling import mean_periods, model
 
 PLATE = {"normal": [0.0, 0.0, 2.0], "area_m2": np.pi, "diffuse": 0.5, "specular": 0.25, "exponent": 3.0}
 SCENE = sky.scene()
-
-
-def directions(seed, count=40):
-    """Attitudes, and directions to Sun and observer at phase angles below 90°."""
-    rng = np.random.default_rng(seed)
-    q, sun, observer = (rng.normal(size=(count, k)) for k in (4, 3, 3))
-    q, sun = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (q, sun))
-    observer = sun + 0.9 * observer / np.linalg.norm(observer, axis=1, keepdims=True)
-    return q, sun, observer / np.linalg.norm(observer, axis=1, keepdims=True)
 
 
 @pytest.mark.long

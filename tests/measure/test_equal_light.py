@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from lights import directions
 from scipy.spatial.transform import Rotation
 
 from lieint_jax import measure, shapes
@@ -29,15 +30,6 @@ def painted(normals, area=np.pi, diffuse=0.5, specular=0.25, exponent=3.0):
 def box():
     """Three pairs of equal sides: half turns are its symmetries."""
     return painted(SIDES, area=[1.0, 2.0, 3.0, 1.0, 2.0, 3.0], diffuse=0.3, specular=0.4, exponent=20.0)
-
-
-def directions(seed, count=40):
-    """Attitudes, and directions to Sun and observer at phase angles below 90°."""
-    rng = np.random.default_rng(seed)
-    q, sun, observer = (rng.normal(size=(count, k)) for k in (4, 3, 3))
-    q, sun = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (q, sun))
-    observer = sun + 0.9 * observer / np.linalg.norm(observer, axis=1, keepdims=True)
-    return q, sun, observer / np.linalg.norm(observer, axis=1, keepdims=True)
 
 
 def test_a_plate_has_lambert_s_light_and_a_lobe_in_the_mirror_direction():

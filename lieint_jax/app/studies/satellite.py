@@ -202,7 +202,7 @@ class _Named(NamedTuple):
     after: float
 
 
-def _named(found: SatelliteFit) -> dict[str, _Named]:
+def _ends_by_name(found: SatelliteFit) -> dict[str, _Named]:
     rows = {}
     for name in dict.fromkeys(change.name for change in found.changes):
         alike = [i for i, change in enumerate(found.changes) if change.name == name]
@@ -212,7 +212,7 @@ def _named(found: SatelliteFit) -> dict[str, _Named]:
 
 
 def _solutions(found: SatelliteFit) -> list[str]:
-    named, (a, b, c) = _named(found), found.seconds
+    named, (a, b, c) = _ends_by_name(found), found.seconds
     first, other = found.first, found.first.loss[found.first.change < 0]
     n, night = (found.curve.t < found.session).sum(), len(found.curve.t)
     rows = [("", "all", "identity", *(f"180° {axis}" for axis in "xyz"), "χ² first", "χ² night")]
@@ -279,7 +279,7 @@ def _estimate(found: SatelliteFit) -> list[str]:
 
 
 def _published(found: SatelliteFit) -> list[str]:
-    width, true, named = float(1 / found.curve.t[-1]), 1 / found.periods, _named(found)
+    width, true, named = float(1 / found.curve.t[-1]), 1 / found.periods, _ends_by_name(found)
     names = [combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]
     best, mirror = named[SPACE_CHANGES[0]], named[SPACE_CHANGES[1]]
