@@ -371,26 +371,31 @@ def gradients(n: int) -> dict[str, float]:
     }
 
 
-def elements(sizes: Sequence[int], steps: int = RUN_STEPS, rounds: int = 5) -> list[list[Any]]:
-    """Microseconds per element and step, by scheme and number of elements."""
+def elements(sizes: Sequence[int], rounds: int = 5) -> list[list[Any]]:
+    """Microseconds per element and step, by scheme and number of elements: the longest rod's RUN_STEPS steps, and of
+    shorter rods as many more, so that a call's own microseconds weigh equally. Δt times the highest frequency is the
+    same for all, and with it Newton's iterations.
+    """
     import jax
 
     import lieint_jax as li
 
-    calls: dict[tuple[str, int], Callable[[], Any]] = {}
+    calls: dict[tuple[str, int, int], Callable[[], Any]] = {}
     for n in sizes:
-        for name, dt in (("splitting", 1 / steps_of(n, "splitting")), (NEWTON, 1 / 800)):
-            run = jax.jit(lambda step, z, dt: li.integrate(step, z, dt, steps, save_every=steps))
-            calls[name, n] = partial(run, our_step(n, name), our_start(n), dt)
-            assert bool(calls[name, n]().info.converged.all()), (name, n)
+        steps = RUN_STEPS * max(sizes) // n
+        for name, dt in (("splitting", 1 / steps_of(n, "splitting")), (NEWTON, 1 / (50 * n))):
+            run = jax.jit(lambda step, z, dt, k=steps: li.integrate(step, z, dt, k, save_every=k))
+            calls[name, n, steps] = partial(run, our_step(n, name), our_start(n), dt)
+            assert bool(calls[name, n, steps]().info.converged.all()), (name, n)
     seconds = command.least_cpu_times(calls, rounds)  # pyright: ignore[reportArgumentType]
-    return [[*key, 1e6 * x / (key[1] * steps)] for key, x in seconds.items()]  # pyright: ignore
+    return [[*key, 1e6 * x / (key[1] * key[2])] for key, x in seconds.items()]  # pyright: ignore
 
 
 def elements_table(rows: Sequence[Sequence[Any]]) -> str:
     from lib import report
 
-    return report.table(["", "elements", "µs per element and step"], [[r[0], str(r[1]), f"{r[2]:.2g}"] for r in rows])
+    head = ["", "elements", "steps", "µs per element and step"]
+    return report.table(head, [[*map(str, r[:3]), f"{r[3]:.2g}"] for r in rows])
 
 
 def sections(result: dict[str, Any]) -> list[str]:
@@ -413,7 +418,7 @@ def sections(result: dict[str, Any]) -> list[str]:
         report.table(["", "elements", "steps", "of all, m", "ms", "PyElastica, ms", "÷ ours"], equal),
         "Many rods of different stiffness, on one core (one after another: one rod, times their number)",
         report.table(["", "s", "÷ ours"], [[name, f"{x:.3g}", f"{x / ours:.2g}"] for name, x in result["many"]]),
-        f"Time by the number of elements, {RUN_STEPS} steps of one rod",
+        "Time by the number of elements of one rod",
         elements_table(result["elements"]),
         "The derivative of the tip's mean distance from the middle by ln E (`nystrom`, order 4), less that by "
         "differences of sixth order, relative. PyElastica has none.",

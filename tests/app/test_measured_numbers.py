@@ -63,10 +63,10 @@ def over_elastica(scheme, steps=None):
     return [x[-1] for x in rows if x[1] == f"ours, {scheme}" and steps in (None, x[2])]
 
 
-def many_over_elastica(how):
-    """The same for 1000 rods: of PyElastica's 24 elements, to our 16 by `splitting`."""
+def many_over_elastica(how, drift="890"):
+    """The same for 1000 rods: of PyElastica's 24 elements, to our 16 by `splitting` of 890 steps."""
     seconds = dict(result("rods")["many"])
-    [ours] = [x for name, x in seconds.items() if name.startswith("ours") and "splitting, 890" in name]
+    [ours] = [x for name, x in seconds.items() if name.startswith("ours") and f"splitting, {drift}" in name]
     [theirs] = [x for name, x in seconds.items() if name.startswith("PyElastica, 24") and name.endswith(how)]
     return [theirs / ours]
 
