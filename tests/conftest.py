@@ -153,13 +153,19 @@ def _shard(items, k, n):
     return items[k - 1 :: n], [item for i, item in enumerate(items) if i % n != k - 1]
 
 
+def _is_long(item):
+    """Whether it is marked `long`, itself or with its file; one marked `quick` is not for its file's sake."""
+    own = {mark.name for mark in item.own_markers}
+    return "long" in own or ("quick" not in own and item.get_closest_marker("long") is not None)
+
+
 def _sample(items):
     """All items but those marked `long`, and of each function marked `slow` the first case."""
     seen, kept, others = set(), [], []
     for item in items:
         function = (item.path, item.originalname)
         later = item.get_closest_marker("slow") and function in seen
-        if item.get_closest_marker("long") or later:
+        if _is_long(item) or later:
             others.append(item)
         else:
             seen.add(function)

@@ -14,7 +14,7 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import _report, _runs, binary
 from lieint_jax.app.scenarios._keys import Published
 
-pytestmark = pytest.mark.usefixtures("fresh_folder")
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("fresh_folder")]
 
 
 def changed(name, **tables):
@@ -23,7 +23,6 @@ def changed(name, **tables):
     return scenarios.parse(given | {key: given.get(key, {}) | keys for key, keys in tables.items()}, name)
 
 
-@pytest.mark.long
 def test_members_have_bodies_of_their_own_and_the_first_is_the_nominal_one():
     scenario = scenarios.load("didymos", members=3)
     step, states = scenario.build()
@@ -45,7 +44,6 @@ def test_members_have_bodies_of_their_own_and_the_first_is_the_nominal_one():
     np.testing.assert_array_equal(fewer.system.inertias, moments[:2])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("scheme", "error"),
     [("kepler_splitting", 0.01), ("nystrom", 0.01), ("splitting", 0.01), ("bodies_energy_momentum", 0.1)],
@@ -76,7 +74,6 @@ def apsides(scenario, path):
     return np.rad2deg(np.polyfit(path.t, angle, 1)[0]) * 86400
 
 
-@pytest.mark.long
 def test_the_report_of_didymos_has_the_published_periods_and_the_rate_of_its_apsides():
     """The nominal one; the apsides' rate beside that of the vector of Laplace, Runge and Lenz."""
     scenario, path = nominal_didymos()
@@ -92,6 +89,7 @@ def test_the_report_of_didymos_has_the_published_periods_and_the_rate_of_its_aps
     assert kept["angular momentum, relative"] < 5e-14
 
 
+@pytest.mark.quick
 def test_the_report_notes_a_spread_beyond_the_published_error_and_a_wrong_sign():
     published = Published(value=6.7, error=0.2, source="a book", remark="The primary is rounder.")
     scenario = scenarios.load("didymos", members=1)
@@ -111,7 +109,6 @@ def test_the_report_notes_a_spread_beyond_the_published_error_and_a_wrong_sign()
     assert notes([6.6, 6.7, 6.65, 6.6]) == ""
 
 
-@pytest.mark.long
 def test_the_spread_of_the_apsides_of_didymos_is_that_of_the_librations():
     """Of its members, by the vector of Laplace, Runge and Lenz too: no noise of the measurement."""
     scenario = scenarios.load("didymos", members=12)
@@ -125,7 +122,6 @@ def test_the_spread_of_the_apsides_of_didymos_is_that_of_the_librations():
     assert np.corrcoef(rates, swing)[0, 1] < -0.8
 
 
-@pytest.mark.long
 def test_didymos_in_steps_of_half_an_hour_agrees_with_dop853():
     """Five days; observed 2e-5 m."""
     _, path = nominal_didymos()
@@ -136,7 +132,6 @@ def test_didymos_in_steps_of_half_an_hour_agrees_with_dop853():
     assert np.linalg.norm((q[1] - q[0]) - (x[1] - x[0])) < 1e-4
 
 
-@pytest.mark.long
 def test_a_change_of_the_period_determines_the_change_of_speed():
     scenario, path = nominal_didymos()
     found = scenario.impact(path)
@@ -146,7 +141,6 @@ def test_a_change_of_the_period_determines_the_change_of_speed():
     assert found.change * found.slope == pytest.approx(11.372 - 11.9216, rel=5e-3)
 
 
-@pytest.mark.long
 def test_spheres_have_kepler_s_period_and_its_derivative():
     """Two spheres: T = 2π√(a³/GM), dT/dv = 3Tav/GM. Forty orbits; observed 2e-6 and 9e-4, which the fit leaves."""
     sphere = dict(moments_kg_m2=[1e13, 1e13, 1e13])
@@ -166,7 +160,6 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
     assert change == pytest.approx(binary.kepler_speed(mu, 1180.0, 1.05 * true) - v, rel=3e-3)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["didymos", "kw4"])
 def test_shipped_binaries_run_and_plot_from_the_command_line(name, lieint):
     out = lieint("run", name, "--members", "3", "--steps", "288", "--out", "x.npz")

@@ -263,6 +263,12 @@ def test_bad_commands_end_with_a_message_that_helps(lieint):
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
         (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
+        (["run", "toutatis", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
+        (["run", "toutatis", "--processes", "2"], "require --distributed"),
+        (["run", "toutatis", "--devices", "99"], "99 devices were requested"),
+        (["run", "toutatis", "--distributed", "--processes", "2"], "pass all of coordinator"),
+        (["check", "rigid_body", "--published"], "--published has its own cases"),
+        (["study", "pluto"], "study 'pluto' is not one of gyro, kappa"),
         (["figure", "9"], "figure 9 is not one of those recomputed; lieint figure 1 2 3 4 5"),
     ):
         assert re.search(message, lieint.refuse(*arguments))

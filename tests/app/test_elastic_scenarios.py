@@ -24,9 +24,6 @@ def still(step, states):
     return li.Run.of(step, Trajectory(np.zeros(1), start, info))
 
 
-# Pseudo-rigid bodies --------------------------------------------------------------------------------------------------
-
-
 def test_pseudo_rigid_has_the_energy_variation_of_figure_3c_in_its_first_quarter(lieint):
     """The first quarter of Figure 3c's midpoint run already has the variation of its caption."""
     text = (
@@ -85,9 +82,6 @@ def test_a_nominal_velocity_is_that_of_all_members():
     for x in states[:2]:
         np.testing.assert_allclose(x, np.broadcast_to(x[0], x.shape), rtol=0, atol=1e-15)
     np.testing.assert_allclose(states.p[0], 2 * np.diag([0.1, 0.0, -0.2]), rtol=0, atol=1e-15)
-
-
-# The spherical pendulum -----------------------------------------------------------------------------------------------
 
 
 def test_pendulum_runs_from_the_command_line(lieint):

@@ -10,6 +10,8 @@ import lieint_jax as li
 from lieint_jax.app import plots
 from lieint_jax.app.command import figures
 
+pytestmark = pytest.mark.long
+
 # largest |σ| read off an independent integration with the corrected formulas; 100 times smaller at a tenth of the step
 free_body_run = functools.cache(figures.free_body_run)
 LARGEST = {("A", 0): 5.88e-3, ("A", 1): 3.92e-3, ("S", 0): 6.24e-3, ("S", 1): 4.17e-3}
@@ -17,7 +19,6 @@ LARGEST = {("A", 0): 5.88e-3, ("A", 1): 3.92e-3, ("S", 0): 6.24e-3, ("S", 1): 4.
 
 @pytest.mark.paper("3.3: Figs. 1, 2", "Poisson errors of three κ's", "app/command/figures.py")
 @pytest.mark.parametrize(("body", "kappa"), LARGEST)
-@pytest.mark.long
 def test_figure_1_largest_poisson_errors(body, kappa):
     run = free_body_run(body, kappa, 0.05)
     assert len(run.poisson) == 1001
@@ -25,20 +26,17 @@ def test_figure_1_largest_poisson_errors(body, kappa):
     assert np.ptp(run.energy) < 8e-15  # floor 1.8e-15, of energies of size 1.5
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("body", ["A", "S"])
 def test_figure_1_the_symplectic_kappa_is_at_round_off(body):
     assert free_body_run(body, 2, 0.05).poisson.max() < 1e-14  # floor 2.4e-15
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("body", "kappa"), LARGEST)
 def test_figure_2_a_tenth_of_the_step_is_a_hundredth_of_the_error(body, kappa):
     run = free_body_run(body, kappa, 0.005)
     assert run.poisson.max() == pytest.approx(LARGEST[body, kappa] / 100, rel=0.003)
 
 
-@pytest.mark.long
 def test_figures_are_written_with_their_tables(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "free_body_run", free_body_run)
     table = figures.FIGURES["1"](tmp_path)
@@ -49,7 +47,6 @@ def test_figures_are_written_with_their_tables(tmp_path, monkeypatch):
 
 
 @pytest.mark.paper("App. A: showtop", "tips of the body axes, with H and σ", "app/command/figures.py")
-@pytest.mark.long
 def test_showtop_draws_the_tips_of_the_body_axes(tmp_path, monkeypatch):
     """The tips are those of the exact motion, up to the error of the step at t = 50, 0.011."""
     monkeypatch.setattr(figures, "free_body_run", free_body_run)
@@ -60,7 +57,6 @@ def test_showtop_draws_the_tips_of_the_body_axes(tmp_path, monkeypatch):
     np.testing.assert_allclose(run.rotations[-1], exact, rtol=0, atol=0.03)
 
 
-@pytest.mark.long
 def test_figure_2_is_written_with_its_table(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "free_body_run", free_body_run)
     rows = figures.FIGURES["2"](tmp_path).splitlines()[2:]
@@ -74,6 +70,7 @@ def test_figure_2_is_written_with_its_table(tmp_path, monkeypatch):
     assert (tmp_path / "figure-2.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.quick
 def test_lines_of_error_against_cost_accept_styles():
     _, axes = plots.figure()
     curves = {"ours": (np.array([1.0, 2.0]), np.array([1e-2, 1e-4])), "theirs": (np.array([1.0, 3.0]), np.ones(2))}
@@ -105,6 +102,7 @@ CAPTIONS = {  # time-step, delay, angular momentum, as printed under Figures 3 t
 }
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("figure", CAPTIONS)
 def test_panels_are_those_of_the_captions(figure):
     for letter, printed in zip("abcd", CAPTIONS[figure], strict=True):
@@ -113,7 +111,6 @@ def test_panels_are_those_of_the_captions(figure):
 
 
 @pytest.mark.paper("6.3, Figs. 3 to 5", "delay plots", "app/command/figures.py")
-@pytest.mark.long
 @pytest.mark.parametrize("name", VARIATIONS)
 def test_figures_3_4_5_have_the_variations_of_their_captions(name):
     ours, printed = VARIATIONS[name]
@@ -124,7 +121,6 @@ def test_figures_3_4_5_have_the_variations_of_their_captions(name):
     assert PANELS[name].printed == pytest.approx(float(printed), rel=4e-3)
 
 
-@pytest.mark.long
 def test_figure_5c_is_not_reproduced_and_the_table_says_so():
     run = delay_run(PANELS["5c"])
     assert run.converged
@@ -133,6 +129,7 @@ def test_figure_5c_is_not_reproduced_and_the_table_says_so():
     assert "not reproduced" in PANELS["5c"].note
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("F", "variation"),
     [(np.array([[1.01, 0.01, 0], [0.01, 1.01, 0], [0, 0, 0.99]]), 5.030e-4), (np.diag([1.01, 1.01, 0.99]), 3.000e-4)],
@@ -152,14 +149,12 @@ def test_the_exact_motion_of_figure_5c_has_another_variation_than_its_caption(F,
     assert np.ptp(displacement) == pytest.approx(variation, rel=2e-4)
 
 
-@pytest.mark.long
 def test_the_printed_initial_configuration_of_5a_gives_another_variation():
     """With F₃₃ = 0.99 as printed neither caption is met."""
     run = delay_run(PANELS["5a"]._replace(F33=0.99))
     assert not any(np.ptp(run.series) == pytest.approx(printed, rel=0.1) for printed in (1.6, 2.0e-2))
 
 
-@pytest.mark.long
 def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
     """The points (x_n, x_{n+N}, x_{n+2N}) for the delay N of its panel."""
     series, drawn = np.arange(50.0) ** 2, []
@@ -171,7 +166,6 @@ def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
         np.testing.assert_array_equal(points, expected)
 
 
-@pytest.mark.long
 def test_a_delay_figure_is_written_with_its_table(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "delay_run", delay_run)
     table = figures.FIGURES["3"](tmp_path)

@@ -72,7 +72,3 @@ def test_the_detumbling_starts_along_the_field_of_the_published_one():
     assert momentum == pytest.approx(first[0], rel=1e-5)
     across = 1e3 * np.linalg.norm(_detumbling._INERTIA @ np.array(_detumbling._RATES))
     assert abs(across / momentum - 1) > 0.01  # another direction has another momentum
-
-
-def test_the_option_published_is_refused_with_a_system(lieint):
-    assert "--published has its own cases" in lieint.refuse("check", "rigid_body", "--published")

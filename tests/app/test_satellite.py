@@ -53,15 +53,9 @@ def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_
 
 BAD = [
     (lambda: sky.facets([]), "at least one facet"),
-    (
-        lambda: sky.facets([PLATE | {"color": 1}]),
-        "facet 0: color: unknown key; allowed: name, normal, area_m2",
-    ),
+    (lambda: sky.facets([PLATE | {"color": 1}]), "facet 0: color: unknown key; allowed: name, normal, area_m2"),
     (lambda: sky.facets([{k: v for k, v in PLATE.items() if k != "diffuse"}]), "diffuse: key missing"),
-    (
-        lambda: sky.facets([PLATE | {"name": "lid", "normal": [0, 0, 0]}]),
-        "facet 'lid': normal: must not be zero",
-    ),
+    (lambda: sky.facets([PLATE | {"name": "lid", "normal": [0, 0, 0]}]), "facet 'lid': normal: must not be zero"),
     (lambda: sky.facets([PLATE | {"normal": [1.0, 2.0]}]), "normal: .*at least 3 items"),
     (lambda: sky.facets([PLATE | {"area_m2": -1.0}]), "area_m2: .*greater than or equal to 0"),
     (lambda: sky.facets([PLATE | {"area_m2": np.inf}]), "area_m2: .*finite number"),

@@ -21,10 +21,6 @@ def test_every_study_has_run_text_and_draw():
     assert all(callable(getattr(m, part)) for m in found.values() for part in ("run", "text", "draw"))
 
 
-def test_an_unknown_study_is_refused_in_one_line(lieint):
-    assert "study 'pluto' is not one of gyro, kappa" in lieint.refuse("study", "pluto")
-
-
 @pytest.mark.long
 def test_ratios_of_inertia_satisfy_the_triangle_inequality():
     x = 3 * jax.random.normal(jax.random.key(1), (50, 2))

@@ -15,6 +15,8 @@ from lieint_jax.app.scenarios import _body
 from lieint_jax.app.studies import _flyby, toutatis
 from lieint_jax.fitting import tumbling
 
+pytestmark = pytest.mark.long
+
 PUBLISHED = (("toutatis", 9.96, 3.9, 18.8), ("toutatis_takahashi", 7.70, 1.3, 15.9))
 
 
@@ -52,7 +54,6 @@ def published(name):
     return np.array(scenario.inertia), body_to_space(scenario.state.attitude()), np.rad2deg(scenario.state.rate())
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "rms", "least", "most"), PUBLISHED)
 def test_residuals_of_radar_fixes_agree_with_scipy_for_both_published_states(name, rms, least, most):
     """Torque-free, at the 17 epochs of 1992; and no other convention of angles or rates would do."""
@@ -79,7 +80,6 @@ def test_residuals_of_radar_fixes_agree_with_scipy_for_both_published_states(nam
 MODES = {"long axis": ([3.0836, 3.235, 1.0], [0.25, 0.59, -1.72]), "short axis": ([0.61, 0.965, 1.0], [0.3, 0.2, 1.0])}
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("mode", MODES)
 def test_mean_periods_in_closed_form_are_those_of_a_trajectory(mode):
     J, rate = MODES[mode]
@@ -91,7 +91,6 @@ def test_mean_periods_in_closed_form_are_those_of_a_trajectory(mode):
     np.testing.assert_allclose([precession, rotation], measured, rtol=1e-12)
 
 
-@pytest.mark.long
 def test_the_published_periods_are_those_of_the_published_state():
     """7.40 ± 0.03 d and 5.38 ± 0.03 d (Zhao et al. 2015); the other state's are no farther from 7.35 and 5.41."""
     values = {}
@@ -105,6 +104,7 @@ def test_the_published_periods_are_those_of_the_published_state():
     np.testing.assert_allclose(values["toutatis_takahashi"], [7.41165, 5.36853, 181.030, -53.621], rtol=0, atol=6e-4)
 
 
+@pytest.mark.quick
 def test_the_hyperbola_has_the_distance_and_the_speed():
     speed = _flyby.EARTH_SPEED * float(li.orbits.encounter_speed(2.5321, 0.6288, np.deg2rad(0.446)))
     assert speed == pytest.approx(10.76, abs=0.01)
@@ -114,7 +114,6 @@ def test_the_hyperbola_has_the_distance_and_the_speed():
     assert float(jnp.linalg.norm(far[1])) / 86400 == pytest.approx(speed, rel=1e-3)
 
 
-@pytest.mark.long
 def test_errors_are_those_of_scipy_and_their_derivatives_those_of_differences():
     data = toutatis.radar_data()
     params = toutatis.published_params("toutatis_takahashi", data["begin"], -data["epoch"])
@@ -136,7 +135,6 @@ def test_errors_are_those_of_scipy_and_their_derivatives_those_of_differences():
         np.testing.assert_allclose(J[..., k], difference, rtol=0, atol=1e-6)  # 2e-7, of 40
 
 
-@pytest.mark.long
 def test_the_change_of_spin_in_a_flyby_agrees_with_scipy():
     """One passage, by DOP853 of the torque; and without an Earth nothing changes."""
     J, begin, rate = published("toutatis")
@@ -173,7 +171,6 @@ def study():
     return toutatis.run(progress=False)
 
 
-@pytest.mark.long
 def test_the_estimate_agrees_with_scipy(study):
     """The same likelihood through DOP853 and BFGS by differences."""
     data = toutatis.radar_data()
@@ -198,7 +195,6 @@ def test_the_estimate_agrees_with_scipy(study):
     np.testing.assert_array_less(np.abs(theirs.x - best) / sigma, 5e-3)
 
 
-@pytest.mark.long
 def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
     """(ΣJᵀJ/σ²)⁻¹, with degrees of freedom taken off by kind, in numpy."""
     data = toutatis.radar_data()
@@ -219,7 +215,6 @@ def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
     np.testing.assert_allclose(product, np.eye(8), rtol=0, atol=1e-5)
 
 
-@pytest.mark.long
 def test_the_study_finds_one_minimum_its_noise_and_the_outliers(study):
     assert study.fit.success
     assert study.share_at_minimum == 1  # all random starts end in the minimum

@@ -27,7 +27,7 @@ BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 CONTROL = [chr(c) for c in range(sys.maxunicode + 1) if unicodedata.category(chr(c)) in ("Cc", "Cf", "Zl", "Zp")]
 WORST = "\x1b]0;owned\x07\x1b[2J\u202egnp.txt\n\rlieint: all is well\u2028\x9b31m"
 
-pytestmark = pytest.mark.usefixtures("fresh_folder")
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("fresh_folder")]
 
 
 def texts(seed, surrogates=False):
@@ -56,7 +56,6 @@ def shown(capsys, *arguments):
     return code, out
 
 
-@pytest.mark.long
 def test_a_report_of_a_scenario_prints_no_control_characters(capsys):
     """A run with odd texts in every key that is printed: title, unit, sources, remarks and labels."""
     text = texts(1)
@@ -82,7 +81,6 @@ angular_velocity_deg = [1.0, 2.0, 3.0]"""
         Path("odd.npz").unlink()
 
 
-@pytest.mark.long
 def test_errors_of_scenario_files_print_no_control_characters(capsys):
     text = texts(2)
     for _ in range(12):
@@ -110,6 +108,7 @@ def test_errors_of_scenario_files_print_no_control_characters(capsys):
             assert out.startswith("lieint: odd.toml")
 
 
+@pytest.mark.quick
 def test_names_of_files_and_arguments_print_no_control_characters(capsys):
     odd = "a\x1b[2J\u202e\nb"
     Path(f"{odd}.npz").write_bytes(b"no archive")
@@ -120,7 +119,6 @@ def test_names_of_files_and_arguments_print_no_control_characters(capsys):
     assert "\x1b" not in capsys.readouterr().err
 
 
-@pytest.mark.long
 def test_info_of_an_archive_prints_no_control_characters(capsys):
     text = texts(3, surrogates=True)
     run = Trajectory(
@@ -148,7 +146,6 @@ def test_info_of_an_archive_prints_no_control_characters(capsys):
         Path("odd.npz").unlink()
 
 
-@pytest.mark.long
 def test_info_of_a_store_prints_no_control_characters(capsys):
     states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
     step = li.schemes.so3_midpoint(BODY)
@@ -173,7 +170,6 @@ def test_info_of_a_store_prints_no_control_characters(capsys):
             shutil.rmtree("odd.zarr")
 
 
-@pytest.mark.long
 def test_list_and_warnings_print_no_control_characters(capsys):
     assert shown(capsys, "list")[0] == 0
     with warnings.catch_warnings():  # the command has replaced how they are shown
@@ -182,7 +178,6 @@ def test_list_and_warnings_print_no_control_characters(capsys):
     assert "\x1b" not in capsys.readouterr().err
 
 
-@pytest.mark.long
 def test_the_application_prints_in_one_place_and_one_module_reads_toml():
     root = Path(li.__file__).parent
     prints, readers = set(), set()
@@ -241,6 +236,7 @@ BOMBS = {
 }
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BOMBS)
 def test_no_toml_file_stops_python(name, capsys):
@@ -262,7 +258,6 @@ def test_no_toml_file_stops_python(name, capsys):
     assert memory < 60e6
 
 
-@pytest.mark.long
 def test_honest_toml_is_read():
     """At the limits: 16 brackets, keys of 16 parts, marks in strings and comments, and 9000 times."""
     many = "".join(f"{k / 7!r}, " for k in range(9000))

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import pytest
 
 import lieint_jax as li
-from lieint_jax.orbits import kepler, secular_j2
+from lieint_jax.orbits import secular_j2
 
 
 def test_a_capability_is_found_in_types_with_a_warning():
@@ -25,12 +25,6 @@ def test_an_argument_by_position_has_the_value_of_its_name():
     with pytest.warns(DeprecationWarning, match="secular_j2: pass node, periapsis by name; by position"):
         orbit = secular_j2(li.orbits.EARTH_GM, 7e3, 0.01, 0.2, 0.3, 0.4).osculating
     assert (float(orbit.node), float(orbit.periapsis)) == (0.3, 0.4)
-
-
-@pytest.mark.parametrize("call", [lambda: secular_j2(*[0.1] * 10), lambda: kepler(*[0.1] * 8)])
-def test_too_many_arguments_by_position_are_a_type_error(call):
-    with pytest.raises(TypeError, match="positional arguments but"):
-        call()
 
 
 def test_both_spellings_of_normalized_are_accepted():

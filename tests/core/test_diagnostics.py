@@ -231,19 +231,6 @@ def test_verdicts_do_not_depend_on_units(scale):
         assert c.reversibility < 1e-15
 
 
-@pytest.mark.long
-def test_diagnostics_past_the_branch_raise_errors():
-    step = li.schemes.so3_midpoint(BODY)
-    for measure in (
-        diagnostics.linearization,
-        diagnostics.symplectic_defect,
-        diagnostics.reversibility,
-        lambda *a: diagnostics.poisson_error(*a, 3),
-    ):
-        with pytest.raises(ValueError, match="does not converge"):
-            measure(step, STATE, 2.0)
-
-
 def test_delay_lists_values_at_equal_distances():
     points = diagnostics.delay(jnp.arange(10.0), 3)
     np.testing.assert_array_equal(points, [[k, k + 3, k + 6] for k in range(4)])

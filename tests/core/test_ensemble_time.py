@@ -119,23 +119,6 @@ def test_outputs_of_members_that_start_at_different_times_count_from_the_start()
     agree(found, 5, path)
 
 
-def test_times_that_make_no_run_are_refused():
-    for uniform, message in [
-        ({"times": GRADED, "dt": 0.1}, "give dt and num_steps, or times, not both"),
-        ({"dt": 0.1}, "give dt and num_steps, or times"),
-        ({"times": GRADED - 0.1}, "times must begin at the time of the state"),
-        ({"times": GRADED[::2][::-1]}, "times must begin at the time of the state"),
-        ({"times": GRADED, "save_at": [1, 0.9]}, "save_at must be in the order of the run"),
-        ({"times": GRADED, "save_at": [4.0]}, "save_at must lie in the run"),
-        ({"times": GRADED, "save_at": [1.0], "save_every": 5}, "pass save_at or save_every, not both"),
-        ({"times": GRADED, "save_at": [1.0], "reduce": "energy"}, "pass save_at or reduce, not both"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            run(uniform=uniform)
-    with pytest.raises(ValueError, match=r"times hold for all members: give all members the same states\.t, or none"):
-        run(states=started(np.arange(MEMBERS)), uniform={"times": GRADED})
-
-
 @pytest.mark.long
 def test_extra_arrays_and_work_of_each_member():
     step = schemes.so3_midpoint(WHEEL)

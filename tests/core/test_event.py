@@ -11,6 +11,8 @@ from small_steps import Leapfrog, Oscillators
 import lieint_jax as li
 from lieint_jax import schemes, systems
 
+pytestmark = pytest.mark.long
+
 TOP = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
 TURN = jnp.array([0.9, 0.1, 0.3, 0.2]) / np.sqrt(0.95)
 STATE = TOP.state(TURN, angular_velocity=[0.3, 0.5, 0.8])
@@ -31,6 +33,7 @@ def spinning(start=SPIN, **options):
     return li.event(schemes.exact(BODY), start, 0.3, attitude, max_steps=100, **options)
 
 
+@pytest.mark.quick
 def test_crossings_of_either_direction_are_distinguished():
     """q = cos t of an oscillator falls through 0 first at π/2 and rises at 3π/2; with steps of 0.1, to 4e-3."""
     step, start = Leapfrog(Oscillators(jnp.array(1.0))), li.State(jnp.eye(3), jnp.zeros((3, 3)))
@@ -40,7 +43,6 @@ def test_crossings_of_either_direction_are_distinguished():
         assert found.t == pytest.approx(quarters * np.pi / 2, abs=4e-3)
 
 
-@pytest.mark.long
 def test_a_spin_about_an_axis_crosses_at_the_exact_times():
     """q₀ = cos 0.35 t vanishes at π/0.7 and each 2π/0.7 after, falling first; observed 4e-16 off."""
     for options, quarter in (({}, 1), (dict(direction=1), 3), (dict(direction=-1, count=2), 5)):
@@ -52,7 +54,6 @@ def test_a_spin_about_an_axis_crosses_at_the_exact_times():
     assert later.t == later.state.t == pytest.approx(10 + np.pi / 0.7, rel=4e-15)
 
 
-@pytest.mark.long
 def test_where_the_condition_begins_at_zero_the_sign_just_after_counts():
     start = SPIN._replace(q=jnp.array([0.0, 0.0, 0.0, 1.0]))  # q₀ = −sin 0.35 t
     assert spinning(start).t == pytest.approx(2 * np.pi / 0.7, rel=4e-15)
@@ -60,7 +61,6 @@ def test_where_the_condition_begins_at_zero_the_sign_just_after_counts():
     assert spinning(start, direction=-1).t == pytest.approx(4 * np.pi / 0.7, rel=4e-15)
 
 
-@pytest.mark.long
 def test_without_a_crossing_nothing_is_found_and_no_derivative_is_nan():
     def time(w):
         found = li.event(SPLITTING, TOP.state(TURN, angular_velocity=w), 0.05, lambda z: z.p[0] - 100, max_steps=20)
@@ -75,7 +75,6 @@ def test_without_a_crossing_nothing_is_found_and_no_derivative_is_nan():
     assert too_far.found == path.info.converged[: int(too_far.t / 0.5) + 2].all()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("order", [2, 4])
 def test_the_time_is_of_the_order_of_the_scheme(order):
     """Observed 2.02 and 4.02; 1e-18 of the condition at the event."""
@@ -86,7 +85,6 @@ def test_the_time_is_of_the_order_of_the_scheme(order):
     assert np.log2((coarse - exact) / (fine - exact)) == pytest.approx(order, abs=0.15)
 
 
-@pytest.mark.long
 def test_derivatives_forward_reverse_and_by_differences():
     def time(w):
         return li.event(SPLITTING, TOP.state(TURN, angular_velocity=w), 0.05, level, max_steps=200, count=2).t
@@ -104,7 +102,6 @@ def test_derivatives_forward_reverse_and_by_differences():
     assert by_dt == pytest.approx(float(jax.jit(jax.grad(at))(0.05)), rel=1e-6)
 
 
-@pytest.mark.long
 def test_events_of_many_members_are_found_at_once_and_in_order():
     """A batch finds what each member finds; the events in turn are those of `count`."""
     starts = jax.vmap(lambda w: TOP.state(TURN, angular_velocity=w))(jnp.array([[0.3, 0.5, 0.8], [0.1, -0.4, 0.9]]))
@@ -119,7 +116,6 @@ def test_events_of_many_members_are_found_at_once_and_in_order():
             )
 
 
-@pytest.mark.long
 def test_the_event_of_a_falling_top_lies_on_its_trajectory():
     """The energy at the event is that of the steps, and its time lies between two of them."""
     found = jax.jit(lambda z: li.event(SPLITTING, z, 0.05, level, max_steps=200, count=2))(STATE)
@@ -163,7 +159,6 @@ def crossings(dtype):
     return jax.jit(jax.vmap(event_of))(jnp.arange(len(CONDITIONS)))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("dtype", "tolerance"),
     [
@@ -184,7 +179,6 @@ def test_the_time_of_a_root_is_right_and_what_is_no_root_is_not_found(dtype, tol
     np.testing.assert_allclose(event.t[right], time, rtol=0, atol=tolerance)
 
 
-@pytest.mark.long
 def test_late_on_a_clock_the_time_is_right_to_its_rounding():
     """At t = 1e7 numbers are 1.9e-9 apart, which is more than 1e-9 dt: the condition is a staircase there."""
     start = SPIN._replace(t=jnp.asarray(1e7))

@@ -10,7 +10,7 @@ import lieint_jax as li
 from lieint_jax.fitting import _trust_region
 from lieint_jax.fitting._least_squares import spread
 
-pytestmark = pytest.mark.filterwarnings("ignore:the fit did not converge")
+pytestmark = [pytest.mark.long, pytest.mark.filterwarnings("ignore:the fit did not converge")]
 T = np.linspace(0, 3, 40)
 
 
@@ -27,6 +27,7 @@ def residuals(p):
     return (decay(p) - DATA - NOISE) / 0.01
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton", "scipy"])
 def test_least_squares_finds_what_scipy_finds(optimizer):
@@ -73,7 +74,6 @@ PUBLISHED = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_levenberg_marquardt_needs_as_many_evaluations_as_minpack(name):
     from scipy.optimize import least_squares
@@ -91,7 +91,6 @@ def test_levenberg_marquardt_needs_as_many_evaluations_as_minpack(name):
     assert found.iterations + 1 <= 1.8 * theirs.nfev  # 0.75 to 1.7
 
 
-@pytest.mark.long
 def test_what_the_residuals_do_not_determine_has_an_infinite_variance():
     found = li.fit(lambda x: jnp.array([x[0] + x[1] - 3, x[2] - 1, 2 * x[2] - 2]), jnp.zeros(3))
     assert found.success
@@ -113,7 +112,6 @@ CASES = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_no_success_where_the_gradient_has_not_vanished(name):
     loss, optimizer = CASES[name]
@@ -122,7 +120,6 @@ def test_no_success_where_the_gradient_has_not_vanished(name):
     assert found.params[0] <= 1
 
 
-@pytest.mark.long
 def test_the_unit_of_a_loss_does_not_matter():
     for unit, dtype in ((1e-12, jnp.float64), (1e-9, jnp.float32)):
         found = li.fit(lambda x, u=unit: u * jnp.sum((x - 0.3) ** 4), jnp.ones(2, dtype), "lbfgs")
@@ -130,13 +127,11 @@ def test_the_unit_of_a_loss_does_not_matter():
         np.testing.assert_allclose(found.params, 0.3, rtol=0, atol=2e-3 if dtype == jnp.float64 else 1e-2)
 
 
-@pytest.mark.long
 def test_the_best_parameters_of_the_search_are_returned():
     found = li.fit(lambda x: jnp.sum((x - 0.3) ** 2), jnp.ones(2), optax.adam(1.0), iterations=11)
     assert found.loss == found.history.min() < found.history[-1]
 
 
-@pytest.mark.long
 def test_a_pair_of_residuals_is_no_value_with_a_flag():
     found = li.fit(lambda x: (x - 1, x - 3), jnp.array(0.0))
     assert float(found.params) == pytest.approx(2)
@@ -147,7 +142,6 @@ def rosenbrock(p):
     return (1 - p[0]) ** 2 + 100 * (p[1] - p[0] ** 2) ** 2
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("optimizer", "iterations"), [("lbfgs", 60), (optax.adam(0.05), 1500)], ids=["lbfgs", "adam"])
 def test_scalar_losses_are_minimized_without_a_covariance(optimizer, iterations):
     found = li.fit(rosenbrock, jnp.array([0.5, 0.5]), optimizer, iterations=iterations)
@@ -157,7 +151,6 @@ def test_scalar_losses_are_minimized_without_a_covariance(optimizer, iterations)
         _ = found.standard_errors
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "optimizer",
     [
@@ -189,7 +182,6 @@ def test_a_failed_trial_never_poisons_the_fit(optimizer):
             assert found.failures > 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "scipy"])
 def test_a_first_guess_that_fails_is_reported(optimizer):
     found = li.fit(lambda x: jnp.sqrt(x), jnp.array([-1.0]), optimizer)
@@ -198,7 +190,6 @@ def test_a_first_guess_that_fails_is_reported(optimizer):
     assert found.params[0] == -1
 
 
-@pytest.mark.long
 def test_many_starts_are_fitted_at_once_and_the_best_is_returned():
     def loss(x):
         return jnp.array([jnp.sin(3 * x) + 0.2 * x**2 + 0.1 * x + 2])  # minima of different depths
@@ -211,6 +202,7 @@ def test_many_starts_are_fitted_at_once_and_the_best_is_returned():
     assert float(found.params) == pytest.approx(-0.53, abs=0.05)
 
 
+@pytest.mark.quick
 def test_each_start_may_have_data_of_its_own():
     def loss(p, data):
         return jnp.stack([p - data, data])
@@ -234,7 +226,6 @@ def test_each_start_may_have_data_of_its_own():
     ]
 
 
-@pytest.mark.long
 def test_scipy_keeps_to_bounds_trials_and_one_start():
     bounds = {"a": li.fitting.interval(0.5, 1.9), "k": li.fitting.positive}
     ours, theirs = (
@@ -251,7 +242,6 @@ def test_scipy_keeps_to_bounds_trials_and_one_start():
         li.fit(residuals, {"a": np.ones(2), "k": np.ones(2)}, "scipy", starts=True)
 
 
-@pytest.mark.long
 def test_a_fit_stops_at_its_target_and_at_its_number_of_iterations():
     far = li.fit(rosenbrock, jnp.array([-1.0, 1.0]), "lbfgs", iterations=3)
     assert (far.iterations, far.success, len(far.history)) == (3, False, 4)
@@ -269,6 +259,7 @@ BOUNDS = {
 }
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("name", BOUNDS)
 def test_bounds_are_inverse_maps_onto_their_domain(name):
     bound, inside = BOUNDS[name]
@@ -288,7 +279,6 @@ def test_bounds_are_inverse_maps_onto_their_domain(name):
         assert (moments[:, 2] <= (1 + 1e-12) * (moments[:, 0] + moments[:, 1])).all()
 
 
-@pytest.mark.long
 def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
     def loss(p):
         return {"a": p["a"] + 1, "b": p["b"] - 3}  # the minimum of a is at −1, outside
@@ -303,7 +293,6 @@ def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
         li.fit(loss, {"a": -1.0, "b": 0.0}, bounds=bounds)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("bound", "edge", "condition", "inside"),
     [
@@ -322,6 +311,7 @@ def test_a_guess_on_the_edge_of_a_bound_is_refused_with_its_condition_and_a_cure
     assert li.fit(loss, jnp.array(inside), bounds=bound, iterations=2).success
 
 
+@pytest.mark.quick
 def test_the_covariance_is_that_of_the_parameters_not_of_their_coordinates():
     """B (JᵀJ)⁻¹ Bᵀ, with J by the coordinates and B the derivative of the parameters by them."""
     J, B = np.random.default_rng(3).normal(size=(5, 2)), np.array([[2.0, 0.3], [0.0, 0.5]])
@@ -333,7 +323,6 @@ def test_the_covariance_is_that_of_the_parameters_not_of_their_coordinates():
 A = np.array([[1.0, 0.2], [0.3, 2.0], [0.5, -0.4]])
 
 
-@pytest.mark.long
 def test_a_bound_changes_neither_steps_nor_covariance_where_it_is_not_active():
     """A linear problem in coordinates that are no parameters: the covariance is (AᵀA)⁻¹."""
     found = li.fit(lambda p: A @ p - A @ np.array([0.5, 0.7]), jnp.array([0.6, 0.8]), bounds=li.fitting.inertia_ratios)
@@ -343,7 +332,6 @@ def test_a_bound_changes_neither_steps_nor_covariance_where_it_is_not_active():
     np.testing.assert_allclose(found.covariance, np.linalg.inv(A.T @ A), rtol=1e-12)
 
 
-@pytest.mark.long
 def test_a_parameter_at_its_bound_has_no_standard_error_and_the_others_are_those_of_a_fit_without_it():
     bounds = {"a": li.fitting.positive, "k": li.fitting.interval(0.1, 0.6)}
     found = li.fit(residuals, {"a": 1.0, "k": 0.2}, bounds=bounds)
@@ -359,7 +347,6 @@ def test_a_parameter_at_its_bound_has_no_standard_error_and_the_others_are_those
     assert str(found).splitlines()[2].startswith("  k = 0.6 ± nan")
 
 
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the fit is no success")
 def test_an_implausible_chi_square_is_no_success():
     """Of residuals that are standardized: 40 of them, with ten times the noise."""
@@ -372,7 +359,6 @@ def test_an_implausible_chi_square_is_no_success():
         li.fit(rosenbrock, jnp.zeros(2), "lbfgs", standardized=True)
 
 
-@pytest.mark.long
 def test_a_search_that_ends_at_a_bound_with_the_loss_falling_inwards_is_no_success():
     """Steps of gradient descent through the logistic map are nothing there."""
     found = li.fit(lambda p: (p - 0.5) ** 2, 1 - 1e-9, optax.sgd(1.0), bounds=li.fitting.interval(0.0, 1.0))
@@ -384,7 +370,6 @@ def test_a_search_that_ends_at_a_bound_with_the_loss_falling_inwards_is_no_succe
     assert 0 < outside.params < 1e-6
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_the_step_in_a_box_is_that_of_bounded_least_squares(side):
     """20 random problems, with a trust region that does not matter; sides that are near hold some coordinates."""
@@ -402,7 +387,6 @@ def test_the_step_in_a_box_is_that_of_bounded_least_squares(side):
         assert float(fall[k]) == pytest.approx(r[k] @ r[k] / 2 - best.cost, rel=1e-10)
 
 
-@pytest.mark.long
 def test_a_loss_is_traced_again_for_other_shapes_only():
     traced = []
 
@@ -428,6 +412,7 @@ def test_a_loss_is_traced_again_for_other_shapes_only():
     assert len(traced) == 3 * once
 
 
+@pytest.mark.quick
 def test_a_fit_within_any_bound_is_compiled_once():
     """`inertia_ratios`, `inertia` and `spd` held arrays, which cannot be compared with those of an earlier fit."""
     assert all(isinstance(hash(getattr(li.fitting, name)), int) for name in ("inertia", "spd", "principal_inertia"))
@@ -445,7 +430,6 @@ def test_a_fit_within_any_bound_is_compiled_once():
     assert counts[0] == counts[1] > 0
 
 
-@pytest.mark.long
 def test_covariance_does_not_depend_on_the_bound():
     plain = li.fit(residuals, TRUTH)
     bounded = li.fit(residuals, TRUTH, bounds=li.fitting.positive)
@@ -453,7 +437,6 @@ def test_covariance_does_not_depend_on_the_bound():
     np.testing.assert_allclose(li.fitting.covariance(residuals, plain.params), plain.covariance, rtol=1e-12)
 
 
-@pytest.mark.long
 def test_observations_at_irregular_times_are_fitted_as_first_written():
     """`observe` has its own reverse mode and no forward mode: fit takes it; so does `covariance`."""
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -472,7 +455,6 @@ def test_observations_at_irregular_times_are_fitted_as_first_written():
     )
 
 
-@pytest.mark.long
 def test_a_fit_that_did_not_converge_has_no_standard_errors():
     def loss(p):
         return jnp.stack([10 * (p["y"][0] - p["x"] ** 2), 1 - p["x"]])

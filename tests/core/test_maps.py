@@ -86,6 +86,7 @@ def test_custom_kappas_are_functions_with_or_without_parameters():
     kappa = maps.as_kappa(lambda x: 1 + x)
     assert kappa(2.0) == 3
     assert jax.tree.leaves(kappa) == []
+    li.schemes.so3_midpoint(li.systems.rigid_body([1.0, 2.0, 3.0]), lambda x: 1)  # as an integer
     parameter = maps.as_kappa(jax.tree_util.Partial(lambda c, x: 1 + c * x, 0.5))
     assert jax.tree.leaves(parameter) == [0.5]
     with pytest.raises(ValueError, match="callable"):

@@ -10,13 +10,17 @@ from mutate import ROOT, mutations, part
 
 @functools.cache
 def functions(file):
-    """The test functions of a file, and whether each is marked `long` as a whole, or with its file."""
+    """The test functions of a file, and whether each is marked `long` as a whole, or with its file and not `quick`."""
     text = (ROOT / file).read_text(encoding="utf-8")
     tree, all_long = ast.parse(text), re.search(r"^pytestmark = .*pytest\.mark\.long", text, re.M)
-    return {
-        node.name: bool(all_long) or any(ast.unparse(mark) == "pytest.mark.long" for mark in node.decorator_list)
+    marks = {
+        node.name: {ast.unparse(mark) for mark in node.decorator_list}
         for node in tree.body
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    }
+    return {
+        name: "pytest.mark.long" in own or ("pytest.mark.quick" not in own and bool(all_long))
+        for name, own in marks.items()
     }
 
 

@@ -332,15 +332,6 @@ def test_a_crafted_root_is_named_before_a_part_is_resumed(place, text):
     assert "\n" not in str(error.value)
 
 
-def test_two_processes_do_not_write_one_part_of_a_folder(tmp_path):
-    run(tmp_path / "run.zarr", (0, 2))
-    with (
-        _disk.Disk(tmp_path / "run.zarr").lock("parts/0"),
-        pytest.raises(BlockingIOError, match=r"another run is writing to .*parts.0"),
-    ):
-        run(tmp_path / "run.zarr", (0, 2))
-
-
 def test_an_unfinished_file_of_a_killed_part_is_removed_when_the_part_starts_again(tmp_path, monkeypatch):
     """A kill runs no `finally`, so here nothing is removed in the first process."""
 

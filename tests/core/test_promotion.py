@@ -22,21 +22,10 @@ def strict():
         yield
 
 
-def one_of_each_scheme():
-    return {module: (step, state, dt) for module, _, step, state, dt in reversed(cases())}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("module", one_of_each_scheme())
-def test_a_step_of_each_scheme(module):
-    """Traced only: a promotion is refused while JAX traces."""
-    with strict():
-        jax.eval_shape(*one_of_each_scheme()[module])
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case[1])
 def test_a_step_of_every_scheme_and_system(case):
+    """Traced only: a promotion is refused while JAX traces."""
     with strict():
         jax.eval_shape(*case[2:])
 

@@ -11,9 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cubes import CUBE, FACES
+from scipy.spatial.transform import Rotation
 
 import lieint_jax as li
 from lieint_jax import groups, maps, orbits, potentials, schemes, shapes, systems, tides, torques
+from lieint_jax.dates import epoch
 from lieint_jax.schemes import additive, compose, gauss, group_midpoint, nystrom, splitting
 from lieint_jax.systems import damped_body, gyrostat, potential_top, rigid_bodies, torqued_body
 
@@ -23,6 +25,7 @@ TOP = systems.heavy_top(J, [0.3, -0.2, 1.0])
 FIELD_TOP = potential_top(J, lambda R: R[0, 0], None)
 WELLS = systems.driven_top(J, lambda R, t: jnp.cos(t) * R[0, 0], None)
 SPIN = [0.1, 0.2, 1.0]
+MOTIONS = "angular_velocity, body_momentum, spatial_momentum"
 
 
 def field(t):
@@ -41,7 +44,25 @@ def rows(call, message, *values):
 SUN, PLATE = np.array([0.0, 0.6, 0.8]), ([0.6, 0.0, 0.8], [0.3, -0.2, 0.9])
 DAMPER = torques.kane_damper(0.2, 0.1)
 WHEELS = torques.wheels([[1.0, 0, 0], [0, 1.0, 0], [0.6, 0, 0.8]], [0.05, 0.04, 0.06])
+VISCOUS_TORQUE = torques.viscous(0.1)
+
+
+def lacking(law, **replaced):
+    """A run of a torqued body whose starting state has other parts."""
+    body = torqued_body(J, law)
+    state = body.state(angular_velocity=SPIN, work=0.0)._replace(**replaced)
+    li.integrate(schemes.torqued_midpoint(body), state, 0.1, 1)
+
+
 LAWS = [
+    (lambda: lacking(VISCOUS_TORQUE, t=None), r"that counts work needs a time .*state\._replace\(t=0.0\)"),
+    (lambda: lacking(VISCOUS_TORQUE, t=None, work=None), r"time: make it with system\.state\(\.\.\., t=0.0\)"),
+    (lambda: lacking(VISCOUS_TORQUE, t=jnp.array(np.nan)), r"state\.t must be finite"),
+    (lambda: lacking(VISCOUS_TORQUE, work=jnp.array(np.inf)), r"state\.work must be finite"),
+    (lambda: lacking(VISCOUS_TORQUE, work=jnp.zeros(2)), r"state\.work must have shape \(\)"),
+    (lambda: lacking(DAMPER, extra=None), r'KaneDamper has an internal state, State\.extra\["damper"\]'),
+    (lambda: lacking(DAMPER, extra={"damper": jnp.zeros(2)}), r'extra\["damper"\] must have shape \(3,\)'),
+    (lambda: lacking(DAMPER, extra={"damper": np.full(3, np.nan)}), r'extra\["damper"\] must be finite'),
     (lambda: torqued_body(J, lambda t, q, w: q), r"numbers of shape \(3,\), got shape \(4,\)"),
     (lambda: torqued_body(J, lambda t, q, w: 0.0), r"of shape \(3,\), got shape \(\)"),
     (lambda: torqued_body(J, lambda t, q, w: 1j * w), r"real numbers .* dtype complex128"),
@@ -179,6 +200,14 @@ ORBITS = [
     (lambda: traced(1.0, None, -0.5), "eccentricity must be ≥ 0"),
     *rows(lambda t: orbits.graded_times(FLYBY, 0.0, t, 8), "t0 and t1 must be finite and differ", 0.0, np.nan),
     (lambda: orbits.graded_times(FLYBY, 0.0, 1.0, 0), "n must be an integer ≥ 1"),
+    (lambda: epoch("2023-02-29"), "does not exist"),
+    (lambda: epoch("2023-366"), "2023 has no day 366"),
+    (lambda: epoch("yesterday"), "must be as in"),
+    (lambda: epoch("2024-03-01T25:00"), "no time of a day"),
+    (lambda: epoch("2024-03-01 PST"), "one of UTC, UT1"),
+    *rows(epoch, "a Julian date", float("nan"), None),
+    (lambda: epoch("2024-03-01 TT", "UTC"), "is in TT, and UTC was asked for"),
+    (lambda: epoch("2024-03-01 TT").to("UTC"), "leap seconds"),
     (lambda: orbits.graded_times(FLYBY, 0.0, 1.0, 8, c=0.0), "c must be positive and finite"),
 ]
 
@@ -286,6 +315,40 @@ def pushed(forces):
 
 
 REST = pushed(lambda t, x, R, v, w: (0 * x, 0 * x))
+ROUND = systems.circular_section(0.1, 2e3, 5.0, poisson=0.25)
+
+
+def chain(lengths=(1.0, 1.0), stretching=(50.0, 40.0, 90.0), bending=(1.0, 1.3, 0.8), **options):
+    potentials.rod(lengths, stretching, bending, **options)
+
+
+def rod(elements=3, section=ROUND, **options):
+    systems.rod(1.0, elements, section, **options)
+
+
+RODS = [
+    (lambda: chain(1.0), r"lengths must have shape \(N - 1,\)"),
+    (lambda: chain([1.0, 0.0]), "lengths must be positive"),
+    (lambda: chain(stretching=(1.0, -1, 1)), "stretching must not be negative"),
+    (lambda: chain(bending=(1.0, 1)), r"bending must have shape \(3,\) or \(2, 3\)"),
+    (lambda: chain(energy="cubic"), "energy must be one of fourth, directors"),
+    (lambda: rod(0), "elements must be an integer"),
+    (lambda: rod(ends="clamped"), "ends must be a pair"),
+    (lambda: rod(ends=("free", "pinned")), r"ends\[1\] must be \"free\""),
+    (lambda: rod(ends=([0, 0, 0, 1, 1, 0, 0], "free")), r"ends\[0\] must be a unit quaternion"),
+    (lambda: rod(ends=(lambda t: 2 * jnp.eye(7)[3], "free")), r"ends\[0\] at t = 0 must be a unit quaternion"),
+    (lambda: rod(ends=(lambda t: jnp.zeros(6), "free")), r"ends\[0\] must be a function of the time"),
+    (lambda: rod(section="steel"), "section must be circular_section"),
+    (lambda: rod(1, ends=("clamped", "clamped")), "section that moves"),
+    (
+        lambda: rod(ends=("clamped", "free"), loads={0: lambda t: jnp.zeros(6)}),
+        "loads act on sections that move, 1 to 3",
+    ),
+    (lambda: rod(loads={-1: lambda t: jnp.zeros(3)}), r"loads\[-1\] must be a function of the time"),
+    (lambda: rod(damping=-0.1), "damping must not be negative"),
+    (lambda: rod(section=ROUND._replace(mass=[1.0, 2.0])), r"section.mass must have shape \(\) or \(3,\)"),
+    (lambda: systems.circular_section(0.1, 1.0, 1.0, poisson=0.6), "poisson must be"),
+]
 MANY_BODIES = [
     (lambda: rigid_bodies([1.0, -0.1], JS, V), "masses must be positive"),
     (lambda: rigid_bodies(1.0, JS, V), r"masses must have shape \(N,\)"),
@@ -358,6 +421,8 @@ SYSTEMS = [
         [1.0, 0, 0],
         np.eye(4),
     ),
+    (lambda: BODY.state([0.1, 0.2, 0.3], angular_velocity=SPIN), r"Euler angles: li\.attitude\.from_euler"),
+    (lambda: BODY.state(Rotation.identity(2), angular_velocity=SPIN), r"one scipy Rotation, got shape \(2, 4\)"),
     (lambda: BODY.state(ONE, angular_velocity=10**400), "real numbers"),
     (lambda: BODY.state(ONE, angular_velocity=[1e308, 1e308, 1e308]), "spatial momentum must be finite"),
     (lambda: BODY.state(ONE), "exactly one of angular_velocity"),
@@ -468,7 +533,57 @@ def checked(step, dt, **replaced):
     step.check(MOVING._replace(**replaced), dt)
 
 
+class NotAPytree:
+    """What somebody writes at first: a class with a `__call__`."""
+
+    def __call__(self, state, dt):
+        return state, li.StepInfo.empty(state.p)
+
+
+ATTRACTED = systems.heavy_top(J, [0.0, 0.0, -1.0])
+ENERGY = float(ATTRACTED.energy(ATTRACTED.state(angular_velocity=SPIN)))
+NO_STEPS = NotAPytree(), lambda state, dt: (state, None), "so3_midpoint", BODY
+NO_STEP = r"step must be a Step.*li\.Step.*li\.pytree"
+NO_DT = np.array([0.1, 0.2, 0.3]), 0.1j, "fast", None, [0.1]
+NARROW = jnp.bfloat16, jnp.float16
+
+
+def narrowed(dtype):
+    return jax.tree.map(lambda x: x.astype(dtype), STATE)
+
+
+def paced(sigma):
+    schemes.reversible_control(KICKED, sigma).start(STILL)
+
+
 SCHEMES = [
+    *rows(lambda x: integrate(0.1, 10, step=x), NO_STEP, *NO_STEPS),
+    *rows(lambda x: li.ensemble.run(x, MANY, 0.1, 10), NO_STEP, *NO_STEPS),
+    *rows(lambda x: li.reversible(x, STATE, 0.1, 10), NO_STEP, *NO_STEPS),
+    *rows(lambda x: li.diagnostics.certify(x, STATE, 0.1, 10), NO_STEP, *NO_STEPS),
+    *rows(lambda dt: STEP(STATE, dt), "dt must be a", *NO_DT),
+    *rows(lambda dt: STEP.check(STATE, dt), "dt must be a", *NO_DT),
+    *rows(lambda dt: integrate(dt, 2), "dt must be a", *NO_DT),
+    *rows(lambda x: systems.rigid_body(jnp.array([1, 2, 3], x)), "inertia must be float32 or float64", *NARROW),
+    *rows(lambda x: DENSE(narrowed(x), 0.1), r"state\.q must be float32 or float64", *NARROW),
+    *rows(lambda x: integrate(0.1, 3, step=DENSE, state=narrowed(x)), r"state\.q must be float32 or fl", *NARROW),
+    *rows(
+        lambda kappa: schemes.so3_midpoint(BODY, kappa),
+        r"κ\(0\) must be the number 1",
+        *(lambda x: 2.0 + x, lambda x: jnp.stack([x, x])),
+    ),
+    *rows(
+        lambda body: splitting(TOP, schemes.exact(body)),
+        r"splitting with exact: the drift must be a step of system.free",
+        *(systems.rigid_body([1.0, 2.0, 2.699]), systems.rigid_body(np.diag(J))),
+    ),
+    (lambda: paced(lambda z: z.p), "scalar value, got shape"),
+    (lambda: paced(lambda z: -1.0 + 0 * z.p[0]), "positive and finite.*got -1"),
+    (lambda: paced(lambda z: 0 * z.p[0]), "positive and finite.*got 0"),
+    (lambda: paced(lambda z: jnp.nan * z.p[0]), "positive and finite"),
+    (lambda: paced(3.0), "a function of the state"),
+    (lambda: schemes.log_hamiltonian(ATTRACTED, ENERGY + 0.01).start(STILL), "needs states of its energy, with −V > 0"),
+    (lambda: schemes.log_hamiltonian(TOP).start(STILL), "needs states of its energy, with −V > 0"),
     (lambda: additive(ELASTIC, "magic"), "symplectic, energy, energy_momentum, average"),
     (lambda: additive(ELASTIC, "symplectic", 1.5), r"in \[0, 1\]"),
     (lambda: additive(ELASTIC, "average", 0.3), "alpha = 1/2 only"),
@@ -570,6 +685,23 @@ def ensemble(states=MANY, num_steps=10, dt=0.1, **options):
     return li.ensemble.run(STEP, states, dt, num_steps, progress=False, **options)
 
 
+def graded(states=None, times=GRADED, **options):
+    states = MANY._replace(t=jnp.array(0.0)) if states is None else states
+    return ensemble(states, None, None, times=times, **options)
+
+
+def batch(states=MANY, step=STEP, **options):
+    return li.run(step, states, 0.05, 20, progress=False, **options)
+
+
+def copies(tree, count=2):
+    return jax.tree.map(lambda x: jnp.stack([x] * count), tree)
+
+
+def by_member(**options):
+    return batch(per="member", reduce="energy", **options)
+
+
 def event(condition=lambda z: z.p[0], max_steps=10, **options):
     return li.event(KICKED, STILL, 0.05, condition, max_steps=max_steps, **options)
 
@@ -638,6 +770,41 @@ RUNS = [
     (lambda: ensemble(num_steps="10"), "num_steps must be an integer"),
     (lambda: ensemble(step_axis=1), "step_axis must be None"),
     (lambda: ensemble(dt="fast"), "dt must be a real number"),
+    (lambda: ensemble(times=GRADED), "give dt and num_steps, or times, not both"),
+    (lambda: ensemble(num_steps=None), "give dt and num_steps, or times"),
+    *rows(lambda x: graded(times=x), "times must begin at the time of the state", [-0.1, 0.0, 0.1], GRADED[::-1]),
+    (lambda: graded(save_at=[0.3, 0.1]), "save_at must be in the order of the run"),
+    (lambda: graded(save_at=[4.0]), "save_at must lie in the run"),
+    (lambda: graded(save_at=[0.3], save_every=5), "pass save_at or save_every, not both"),
+    (lambda: graded(save_at=[0.3], reduce="energy"), "pass save_at or reduce, not both"),
+    (lambda: graded(MANY._replace(t=jnp.arange(3.0))), r"times hold for all members: .* same states\.t, or none"),
+    (lambda: batch(per="member"), 'per="member" is of a quantity'),
+    (lambda: batch(per="time", reduce="energy"), 'per must be None or "member"'),
+    (lambda: batch(first=lambda step, z: z.p[0] < 0.3, reduce="energy"), 'None or "member", which `first` needs'),
+    (lambda: by_member(save_every=5), "give no save_every"),
+    (lambda: by_member(first=3), "first must be a function"),
+    (lambda: by_member(first=lambda step, z: z.p), "first must return True or False"),
+    (lambda: by_member(first=lambda z: True), "first must be a function of two arguments"),
+    (lambda: batch(copies(MANY)), r"have q of shape \(4,\) and p of shape \(3,\), those of a batch one leading"),
+    (lambda: batch(STATE, copies(STEP, 3), own_step=True), "own_step=True is for a batch"),
+    (lambda: batch(copies(STATE), copies(STEP)), "there is one system per member.*: give own_step=True"),
+    (lambda: li.run(STEP, STATE, times=GRADED).extend(3), "a run at given times cannot be extended"),
+    *rows(
+        lambda ask: ask(batch(STATE, reduce="energy")),
+        r"the run was reduced and has no states but the last ones: see run\.sum",
+        *(lambda run: run.state, lambda run: run.at([0.1]), lambda run: run.to_xarray()),
+        lambda run: run.map(lambda step, z: z.p[0]),
+    ),
+    (lambda: ensemble(reduce=lambda step, z: jnp.sum(z.q > 0)), r"floating-point scalar, got int\d+ of shape \(\)"),
+    (lambda: ensemble(reduce=lambda step, z: 2), "got 2;"),
+    (lambda: ensemble(reduce=lambda step, z: z.q), r"got float64 of shape \(4,\)"),
+    (lambda: ensemble(reduce=lambda step, z: z.q[0] + 0j), r"got complex128 of shape \(\)"),
+    (lambda: ensemble(reduce=lambda step, z: z.q[0] > 0), "got bool of shape"),
+    (lambda: ensemble(reduce=lambda step, z: None), "got None"),
+    (lambda: ensemble(reduce=lambda step, z: (z.q[0], z.q[1])), r"got \("),
+    (lambda: ensemble(reduce=lambda z: z.q[0]), r"\(step, state\) ↦ scalar: too many positional arguments"),
+    (lambda: ensemble(reduce=lambda step, z, k: z.q[0]), r"\(step, state\) ↦ scalar: missing a required argument: 'k'"),
+    (lambda: batch(copies(STATE, 5), own_step=True), r"a step for each of 5 members.*leaves of shapes \(3,\)"),
     (lambda: li.run(STEP, STATE, 0.5, 6, epoch="noon", progress=False), "must be as in"),
     (lambda: li.run(STEP, STATE, 0.5, 6, epoch=5.0, progress=False), "year below 1"),
     (lambda: li.run(STEP, STATE, 0.5, 6, epoch="2024-03-01 EST", progress=False), "scale of a date"),
@@ -761,7 +928,77 @@ def residuals():
     return li.diagnostics.conditions(STEP, STATE, 0.1)
 
 
+def kinked(x, R):
+    """It is finite where x is 0, and its gradient is not: the slope of the root of 0."""
+    return jnp.sum((x[0] - x[1]) ** 2) + jnp.sqrt(jnp.sum(jnp.abs(x[0])))
+
+
+def motorized(system=SPIN_UP, **replaced):
+    """A run of a driven gyrostat whose starting state has other parts."""
+    state = SPIN_UP.state(ONE, angular_velocity=SPIN, work=0.0)._replace(**replaced)
+    li.integrate(schemes.so3_midpoint(system), state, 0.1, 2)
+
+
+def keyed(key):
+    """A state of a thermostat with this key of its random numbers."""
+    state = THERMOSTAT.start(STILL)
+    return state._replace(extra=state.extra | {"key": jnp.array(key)})
+
+
+def interpolated(times, system=BODY, dt=1.0, entries=4):
+    """States between those of a body that spins at 1."""
+    path = li.integrate(schemes.exact(BODY), BODY.state(angular_velocity=E3), dt, 3)
+    li.interpolate(system, jax.tree.map(lambda x: x[:entries], path), times)
+
+
+def controlled(**options):
+    li.integrate(CONTROLLED, CONTROLLED.start(STILL), **options)
+
+
 LONG = [  # the others are steps that are too large, with advice
+    (lambda: interpolated([5.0], dt=4.0), r"about t = 5 are too far apart to interpolate.*save more often"),
+    (lambda: interpolated([-0.1]), r"times must lie in the trajectory, from 0.0 to 3.0"),
+    (lambda: interpolated([3.1]), "times must lie in the trajectory"),
+    (lambda: interpolated([np.nan]), "times must be finite"),
+    (lambda: interpolated(1.0), r"times must have shape \(m,\)"),
+    (lambda: interpolated([0.0], entries=1), "two entries or more"),
+    (lambda: interpolated([0.0], STEP), "system must be that of the trajectory, got a"),
+    (lambda: motorized(t=None, work=None), r"driven, so its state needs the time.*t=0.0"),
+    (lambda: motorized(extra=None), r"needs its momentum in state\.extra.*rotor=\(0, 0, 0\)"),
+    (lambda: motorized(extra={"rotor": jnp.zeros(2)}), r'extra\["rotor"\] must have shape \(3,\)'),
+    (lambda: motorized(extra={"rotor": jnp.full(3, jnp.nan)}), r'extra\["rotor"\] must be finite'),
+    (
+        lambda: motorized(systems.driven_gyrostat(J, lambda t: jnp.stack([t, t, jnp.log(t - 1)]))),
+        r"the motor's torque at t = 0.0 must be finite",
+    ),
+    (lambda: THERMOSTAT.check(keyed([1.0, 2.0, 3.0, 0.5]), 0.1), "must be a key"),
+    (lambda: THERMOSTAT.check(keyed([np.nan] * 4), 0.1), "finite"),
+    (lambda: THERMOSTAT.check(keyed([1.0] * 8), 0.1), "shape"),
+    (lambda: li.integrate(THERMOSTAT, keyed([0.0] * 8), 0.1, 1), r"key.* must have shape \(4,\), got \(8,\)"),
+    (lambda: controlled(times=[0.0, 0.1, 0.2]), r"cannot be given to .*li\.event"),
+    (lambda: controlled(dt=0.1, num_steps=2, save_at=[0.1]), r"cannot be given to .*li\.event"),
+    (lambda: li.diagnostics.conditions(CONTROLLED, CONTROLLED.start(STILL), 0.1), "give its base step"),
+    (lambda: li.observe(CONTROLLED, CONTROLLED.start(STILL), 0.1, [0.2]), "times cannot be given"),
+    (lambda: schemes.log_hamiltonian(ATTRACTED, ENERGY)(STILL, 0.1), r"which this state lacks: use step\.start"),
+    (lambda: schemes.log_hamiltonian(ATTRACTED)(STILL._replace(t=0.0), 0.1), r"step\.start\(state\)"),
+    (
+        lambda: splitting(rigid_bodies([1.0, 1.0], 0.1 * JS, kinked)).check(
+            rigid_bodies([1.0, 1.0], 0.1 * JS, kinked).state([[0.0, 0, 0], [0.5, 0, 0]]), 0.1
+        ),
+        r"RigidBodies have no finite value .* derivative of p is not finite",
+    ),
+    *rows(
+        lambda V: schemes.bodies_energy_momentum(rigid_bodies(M, JS, V)),
+        "bodies in a potential of relative positions and attitudes",
+        lambda x, R: x[0, 2] + jnp.sum((x[1] - x[0]) ** 2),
+        potentials.outer_field(lambda r: 0.1 * (r @ r) + 0.02 * r[2], [1.0, 1.0], conserved=np.eye(6)[[5]]),
+    ),
+    *rows(
+        lambda measure: measure(STEP, STATE, 2.0),
+        "does not converge",
+        *(li.diagnostics.linearization, li.diagnostics.symplectic_defect, li.diagnostics.reversibility),
+        lambda *arguments: li.diagnostics.poisson_error(*arguments, 3),
+    ),
     (lambda: section(STATE, 0.1), "leading member axis"),
     (lambda: section(MANY, 3.0), "does not converge"),
     (lambda: ensemble(dt=3.0), r"first step fails for 3 member\(s\): 0, 1, 2\. Member 0: .*smaller dt"),
@@ -835,6 +1072,7 @@ ROOMS = {
     "orbits": ORBITS,
     "potentials": POTENTIALS,
     "shapes": SHAPES,
+    "rods": RODS,
     "bodies": MANY_BODIES,
     "systems": SYSTEMS,
     "schemes": SCHEMES,
@@ -855,6 +1093,17 @@ def test_bad_arguments_are_refused_in_a_sentence(call, sentence):
     ("error", "call", "sentence"),
     [
         (TypeError, lambda: FIELD + 1.0, "a potential is added to potentials"),
+        (TypeError, lambda: BODY.state(ONE, E3, 2), f"attitude may come first without a name, and {MOTIONS} need the"),
+        (
+            TypeError,
+            lambda: SATELLITE.state(ONE, E3),
+            rf"{MOTIONS}, t, work need theirs: state\(attitude, angular_velo",
+        ),
+        (TypeError, lambda: torqued_body(J, VISCOUS_TORQUE).state(ONE, ONE), MOTIONS),
+        (TypeError, lambda: jax.jit(batch)(MANY), r"li\.run computes with numbers.*inside of them use li\.integrate"),
+        (TypeError, lambda: BOB.state(), "missing a required argument: 'direction'"),
+        (TypeError, lambda: orbits.secular_j2(*[0.1] * 10), "positional arguments but"),
+        (TypeError, lambda: orbits.kepler(*[0.1] * 8), "positional arguments but"),
         (TypeError, lambda: li.elliptic.E(0.1, 0.2, 0.3), r"E\(m\) or E\(phi, m\)"),
         (TypeError, lambda: SOLID(EYE, EYE), r"systems\.rigid_bodies"),
         (ZeroDivisionError, lambda: systems.gravity_gradient(J, lambda t: 1 / 0, 1.0), None),

@@ -13,6 +13,8 @@ from small_steps import Leapfrog, Oscillators, leapfrog
 import lieint_jax as li
 from lieint_jax.types import State
 
+pytestmark = pytest.mark.long
+
 GRID = {name: rest for name, *rest in steps() if rest[0].symmetric}  # others cannot be undone
 
 
@@ -26,7 +28,6 @@ def end(J, state, dt, num_steps=40, **options):
     return li.reversible(step, state, dt, num_steps, **options).state.q[-1, 0]
 
 
-@pytest.mark.long
 def test_the_trajectory_is_that_of_integrate():
     ours, theirs = li.reversible(STEP, STATE, 0.05, 12, save_every=4), li.integrate(STEP, STATE, 0.05, 12, save_every=4)
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
@@ -34,7 +35,6 @@ def test_the_trajectory_is_that_of_integrate():
     assert li.reversible(STEP, STATE, 0.05, 0).t.shape == (1,)
 
 
-@pytest.mark.long
 def test_batches_of_states_and_of_parameters():
     J = jnp.array([[1.0, 2.0, 3.0], [1.0, 2.5, 2.8]])
     states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.array([[0.2, 0.3, 1.0], [0.5, -0.3, 0.2]]))
@@ -43,7 +43,6 @@ def test_batches_of_states_and_of_parameters():
     np.testing.assert_allclose(both, jnp.stack(alone), rtol=1e-12)
 
 
-@pytest.mark.long
 def test_functions_of_a_step_may_close_over_what_is_differentiated():
     def bent(c, run):
         step = li.schemes.so3_midpoint(BODY, lambda x: 1 + c * x)
@@ -54,7 +53,6 @@ def test_functions_of_a_step_may_close_over_what_is_differentiated():
     assert abs(slopes[0]) > 1e-6
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("derivative", ["reversible", "checkpoint"])
 def test_a_run_of_zero_steps_has_the_derivative_of_the_identity(derivative):
     def end(q):
@@ -63,7 +61,6 @@ def test_a_run_of_zero_steps_has_the_derivative_of_the_identity(derivative):
     np.testing.assert_array_equal(jax.grad(end)(STATE.q), [0, 1, 0, 0])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("times", [[], [0.0, 0.0]])
 def test_observations_of_no_time_and_at_the_start(times):
     def seen(q):
@@ -83,7 +80,6 @@ SECOND = [
 ]
 
 
-@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SECOND)
 def test_second_derivatives_through_a_run(name):
@@ -117,7 +113,6 @@ def test_second_derivatives_through_a_run(name):
     assert float(reverse) == pytest.approx(float(forward), rel=1e-12)  # floor 1e-15
 
 
-@pytest.mark.long
 def test_a_hessian_by_undoing_steps():
     def slope(J):
         return jax.grad(lambda J: end(J, STATE, 0.05))(J)
@@ -138,12 +133,10 @@ def temporaries(make, num_steps):
     return jax.jit(jax.grad(last)).lower(BODY.inertia, states).compile().memory_analysis().temp_size_in_bytes
 
 
-@pytest.mark.long
 def test_memory_does_not_grow_with_the_number_of_steps():
     assert temporaries(lambda step: step, 40_000) <= temporaries(lambda step: step, 40) + 64
 
 
-@pytest.mark.long
 def test_a_composition_is_undone_in_the_memory_of_its_base_step():
     """It has 19 sub-steps."""
     assert temporaries(lambda step: li.schemes.compose(step, 8), 40) <= 1.5 * temporaries(lambda step: step, 40)
@@ -153,7 +146,6 @@ def observed(step, state, dt, times, **options):
     return li.observe(step, state, dt, times, **options)[0]
 
 
-@pytest.mark.long
 def test_observations_at_any_times():
     """The exact flow takes whole and shorter steps alike, so any times must be met to round-off, in any order."""
     exact = li.schemes.exact(BODY)
@@ -167,7 +159,6 @@ def test_observations_at_any_times():
     np.testing.assert_allclose(back.q[0], BODY.solution(STATE, -0.33).q, rtol=0, atol=1e-14)
 
 
-@pytest.mark.long
 def test_traced_times_that_are_not_reached_are_flagged_and_harm_no_other():
     seen = jax.jit(lambda dt, t: li.observe(STEP, STATE, dt, t))
     state, info = seen(0.05, jnp.array([-0.5, 0.5, 0.52]))
@@ -187,6 +178,7 @@ def observed_by_matrices(gammas, stiffness, dt, times):
     return [(step(t - n * dt) @ np.linalg.matrix_power(step(dt), n))[0, 0] for t, n in zip(times, whole, strict=True)]
 
 
+@pytest.mark.quick
 def test_derivatives_of_observations_of_a_composition_by_the_complex_step():
     """In the stiffness, dt and the times, through sub-steps of different sizes and through the shorter last step."""
     weights, times, dt, stiffness = np.array([1.0, -0.7, 0.4]), np.array([0.71, 0.28, 0.33]), 0.1, 1.3
@@ -223,6 +215,7 @@ class TimedLeapfrog(Leapfrog):
         return state._replace(q=q, p=p - last * q), li.StepInfo.empty(state.p)
 
 
+@pytest.mark.quick
 def test_observations_of_a_batch_with_one_clock_are_differentiable():
     """JAX 0.12 refuses the cotangent of a time that the members share; slopes against differences, floor 3e-10."""
 
@@ -238,6 +231,7 @@ def test_observations_of_a_batch_with_one_clock_are_differentiable():
     assert (jnp.abs(slopes) > 1e-4).all()
 
 
+@pytest.mark.quick
 def test_the_clock_of_checkpoints_is_that_of_the_run():
     start = State(jnp.eye(3), jnp.zeros((3, 3)), jnp.array(0.3))
     run_step = Leapfrog(Oscillators(jnp.array(1.3)))
@@ -250,7 +244,6 @@ def test_the_clock_of_checkpoints_is_that_of_the_run():
 ADJOINTS = {"reversible": li.adjoints.ReversibleAdjoint(), "checkpoint": li.adjoints.RecursiveCheckpointAdjoint()}
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ADJOINTS)
 def test_an_adjoint_of_integrate_is_the_function_of_the_same_derivative(name):
     """Run and gradient to the bit; and they are those of the loop to round-off."""
@@ -274,6 +267,7 @@ def test_an_adjoint_of_integrate_is_the_function_of_the_same_derivative(name):
         np.testing.assert_allclose(x, z, rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.quick
 def test_checkpoints_of_steps_between_given_times():
     times = jnp.array([0.3, 0.4, 0.55, 0.6, 0.9, 1.0, 1.02])
 
@@ -288,12 +282,12 @@ def test_checkpoints_of_steps_between_given_times():
     np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
 
 
+@pytest.mark.quick
 def test_levels_are_deprecated():
     with pytest.warns(DeprecationWarning, match="levels"):
         li.adjoints.RecursiveCheckpointAdjoint(2)
 
 
-@pytest.mark.long
 def test_derivatives_of_observations_in_everything():
     times = jnp.array([0.33, 1.02, 0.071])  # at a step's end the derivative by dt is that of one side
 
@@ -316,7 +310,6 @@ def test_derivatives_of_observations_in_everything():
     assert (slope[0] - 8 * slope[1] + 8 * slope[2] - slope[3]) / 12 / h == pytest.approx(float(reverse[3][0]), rel=1e-7)
 
 
-@pytest.mark.long
 def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
     """A chaotic top comes back less and less; a gradient over that time says so, unless states are saved in between."""
     step, state, dt = GRID["heavy_top.asymmetric_top-splitting[so3_midpoint[symplectic]]"]
@@ -339,6 +332,7 @@ def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
         slope(100, 0).block_until_ready()
 
 
+@pytest.mark.quick
 def test_reverse_mode_refuses_forward_mode():
     with pytest.raises(TypeError, match="forward-mode"):
         jax.jvp(lambda J: end(J, STATE, 0.05), (BODY.inertia,), (BODY.inertia,))

@@ -307,48 +307,6 @@ def test_times_since_the_start_are_told_where_states_have_none():
     np.testing.assert_allclose(grid.summary.first, expected, rtol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"per": "member"}, 'per="member" is of a quantity'),
-        ({"per": "time", "reduce": "energy"}, 'per must be None or "member"'),
-        ({"first": is_slow, "reduce": "energy"}, 'per must be None or "member", which `first` needs'),
-        ({"per": "member", "reduce": "energy", "save_every": 5}, "give no save_every"),
-        ({"per": "member", "reduce": "energy", "first": 3}, "first must be a function"),
-        ({"per": "member", "reduce": "energy", "first": lambda step, z: z.p}, "first must return True or False"),
-        ({"per": "member", "reduce": "energy", "first": lambda z: True}, "first must be a function of two arguments"),
-        ({"own_step": True}, r"own_step=True needs a step for each of 5 members.*leaves of shapes \(3,\)"),
-    ],
-)
-def test_arguments_that_do_not_fit_are_refused_in_a_sentence(options, message):
-    with pytest.raises(ValueError, match=message):
-        li.run(STEP, bodies(5), 0.05, 20, **options, **QUIET)
-
-
-def test_states_of_other_shapes_are_refused_with_the_shapes_of_the_system():
-    with pytest.raises(ValueError, match=r"have q of shape \(4,\) and p of shape \(3,\), those of a batch one leading"):
-        li.run(STEP, jax.tree.map(lambda x: x[None], bodies(3)), 0.05, 20, **QUIET)
-    with pytest.raises(ValueError, match="own_step=True is for a batch"):
-        li.run(jax.tree.map(lambda x: jnp.stack([x] * 3), STEP), ONE, 0.05, 20, own_step=True, **QUIET)
-    with pytest.raises(TypeError, match=r"li\.run computes with numbers.*inside of them use li\.integrate"):
-        jax.jit(lambda z: li.run(STEP, z, 0.05, 20).state)(ONE)
-    reduced = li.run(STEP, ONE, 0.05, 20, reduce="energy", **QUIET)
-    for ask in (
-        lambda run: run.state,
-        lambda run: run.at([0.1]),
-        lambda run: run.to_xarray(),
-        lambda run: run.map(speed),
-    ):
-        with pytest.raises(ValueError, match=r"the run was reduced and has no states but the last ones: see run\.sum"):
-            ask(reduced)
-    own = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(jnp.array([J123, J123]))
-    with pytest.raises(ValueError, match=r"there is one system per member.*: give own_step=True"):
-        li.run(own, bodies(2), 0.05, 20, **QUIET)
-    at_times = li.run(STEP, ONE, times=[0.0, 0.1, 0.3], **QUIET)
-    with pytest.raises(ValueError, match="a run at given times cannot be extended"):
-        at_times.extend(3)
-
-
 def test_a_run_shows_itself_on_one_screen():
     run = li.run(STEP, bodies(3), 0.05, 40, save_every=4, **QUIET)
     text = repr(run)

@@ -4,7 +4,6 @@ import datetime
 from fractions import Fraction
 from types import SimpleNamespace
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -43,27 +42,3 @@ def test_scales_without_leap_seconds_are_converted():
     assert start.to("TDB").to("TAI") == start
     assert start - start.to("GPS") == 0
     assert start.to("TT").second == Fraction(32184, 1000)
-
-
-@pytest.mark.parametrize(
-    ("date", "what"),
-    [
-        ("2023-02-29", "does not exist"),
-        ("2023-366", "2023 has no day 366"),
-        ("yesterday", "must be as in"),
-        ("2024-03-01T25:00", "no time of a day"),
-        ("2024-03-01 PST", "one of UTC, UT1"),
-        (float("nan"), "a Julian date"),
-        (None, "a Julian date"),
-    ],
-)
-def test_what_is_no_date_is_refused(date, what):
-    with pytest.raises(ValueError, match=what):
-        epoch(date)
-
-
-def test_two_scales_are_refused():
-    with pytest.raises(ValueError, match="is in TT, and UTC was asked for"):
-        epoch("2024-03-01 TT", "UTC")
-    with pytest.raises(ValueError, match="leap seconds"):
-        epoch("2024-03-01 TT").to("UTC")

@@ -143,6 +143,16 @@ def test_another_package_finds_the_same_mass_center_and_inertia(tmp_path):
         files.read_shape(tmp_path / "b.off", mass=1.0)
 
 
+def test_bad_stl_files_are_refused(tmp_path):
+    text, binary = tmp_path / "cube.stl", tmp_path / "binary.STL"
+    text.write_text("solid cube\nouter loop\n vertex 0 0 x\n vertex 1 0 0\n vertex 0 1 0\nendloop")
+    with pytest.raises(ValueError, match=r"cube\.stl, line 3: a coordinate must be a finite number, got 'x'"):
+        shapes.surface(text)
+    binary.write_bytes(stl(CUBE[FACES])[:-1])
+    with pytest.raises(ValueError, match=r"binary\.STL: 12 triangles of 50 bytes must follow"):
+        shapes.surface(binary)
+
+
 def test_a_format_that_needs_trimesh_says_so(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "trimesh", None)
     (tmp_path / "a.glb").write_bytes(b"glTF")

@@ -79,8 +79,6 @@ def s(request):
     return OneStep(request.param)
 
 
-# Section 2 -----------------------------------------------------------------------------------------------------------
-
 THETA = np.array([0.5, -0.8, 0.3])
 
 
@@ -142,9 +140,6 @@ def test_2_21_and_2_22_hold_with_corrected_coefficients(alpha):
         assert close(T @ T.T, ONE + nu_printed * t @ t) > 0.05
 
 
-# Section 3.1 ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.long
 def test_3_3_3_4_the_step_solves_the_paper_s_equations(s):
     assert close(s.Q1, s.Q0 @ s.T) < 2e-15  # (3.3), floor 4e-16
@@ -201,9 +196,6 @@ def test_3_13_and_3_14_regroup_the_defect(s):
     assert close(left0, M @ (4 / DT * skew(s.T @ H_T @ s.J) - hat(s.Pi0)) @ M.T) < 2e-16
 
 
-# Section 3.2 ---------------------------------------------------------------------------------------------------------
-
-
 _symplectic = jax.jit(jax.value_and_grad(li.maps.kappa_symplectic))
 
 
@@ -257,9 +249,6 @@ def test_3_22_to_3_25_follow_from_the_inverse_derivative(s):
     assert close((ONE + s.T) @ H_T, 2 / s.kappa * (ONE + mu * outer)) < 2e-15
     left = skew((ONE + s.T) @ H_T @ s.J)
     assert close(left, mu * s.kappa * hat(np.cross(s.J @ s.bar, s.bar))) < 2e-15  # with the hat, and Θ̄ twice
-
-
-# Section 3.3 and Appendix A ------------------------------------------------------------------------------------------
 
 
 def N_matrix(J, name, bar, Q1, pi, dt):

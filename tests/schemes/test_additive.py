@@ -131,9 +131,6 @@ def test_result_13_kinetic_energy_changes_by_the_work_of_the_force():
         assert (abs(missed) < 1e-14) == holds
 
 
-# Result 15 ------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.paper("6.2: (6.5)–(6.9), Result 15", "momentum for any symmetric stress", "schemes/_additive.py")
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 1.0])
 def test_result_15_momentum_for_any_symmetric_stress_and_any_alpha(alpha):
@@ -245,9 +242,6 @@ def test_6_15_and_6_16_with_beta_of_6_9():
     assert np.abs((1 - alpha) * by_F - alpha * by_F1).max() > 1
 
 
-# Result 16, corrected -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.paper("6.2: (6.10)–(6.14), Result 16", "energy and momentum", "schemes/_additive.py")
 @pytest.mark.long
 @pytest.mark.parametrize("rule", ["average", "energy", "energy_momentum"])
@@ -327,9 +321,6 @@ def test_6_13_gamma_is_not_below_one_half():
     assert 10 < np.sum(np.array(gammas) > 0.5) < 30
 
 
-# The bars of Figures 3c and 4c ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(("dt", "Phi"), [(0.005, 6.0), (0.05, 10.0)], ids=["3c", "4c"])
 def test_average_conserves_energy_and_momentum_in_the_runs_of_the_figures(dt, Phi):
@@ -355,9 +346,6 @@ def test_the_rules_with_gamma_are_flagged_where_they_fail():
     assert np.abs(Phi[: first + 1] - Phi[0]).max() < 1e-13
 
 
-# Materials ------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("W", ["user", "saint_venant_kirchhoff", "neo_hookean"])
 def test_every_material_conserves_energy(W):
@@ -369,9 +357,6 @@ def test_every_material_conserves_energy(W):
     assert converged.all()
     assert np.abs(H - H[0]).max() < 2e-13
     assert np.abs(Phi - Phi[0]).max() < 4e-14
-
-
-# Flags, derivatives, errors -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.long

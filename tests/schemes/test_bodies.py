@@ -16,6 +16,8 @@ from lieint_jax import _discover, diagnostics, potentials, schemes, systems
 from lieint_jax.capabilities import AbstractRigidBodies
 from lieint_jax.groups import so3
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = {k: x for k, x in examples_of("rigid_bodies").items() if isinstance(x[0], AbstractRigidBodies)}
 BINARY, START, DT = EXAMPLES["binary"]
 SPLITTING = schemes.splitting(BINARY)
@@ -39,7 +41,6 @@ def lumps(J):
     return np.concatenate([np.diag(np.sqrt(squares)), -np.diag(np.sqrt(squares))])
 
 
-@pytest.mark.long
 def test_gravity_to_second_order_leaves_out_terms_of_fourth_order():
     """Beside the sum over points that have the same moments: the difference falls by 2⁵ from r to 2r."""
     J = np.array([[1.0, 1.2, 1.5], [0.7, 0.9, 1.1]])
@@ -55,7 +56,6 @@ def test_gravity_to_second_order_leaves_out_terms_of_fourth_order():
     assert np.log2(differences[0] / differences[1]) == pytest.approx(5, abs=0.05)
 
 
-@pytest.mark.long
 def test_full_tensors_are_rotated_principal_moments():
     full = jnp.stack([jnp.diag(J) for J in BINARY.inertias])
     V = potentials.maccullagh(1.0, BINARY.masses, full)
@@ -64,6 +64,7 @@ def test_full_tensors_are_rotated_principal_moments():
     np.testing.assert_allclose(turned.force(START.q), BINARY.force(START.q), rtol=1e-13, atol=1e-16)
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize("full", [False, True], ids=["principal", "full"])
 @pytest.mark.parametrize("count", [3, 5])
@@ -78,7 +79,6 @@ def test_gravity_s_forces_in_closed_form_are_its_derivative(count, full):
     np.testing.assert_allclose(jax.jit(V.force)(x, R), exact, rtol=0, atol=1e-14 * float(jnp.abs(exact).max()))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_forces_and_torques_are_the_derivatives_of_the_potential(name):
     system, state, _ = EXAMPLES[name]
@@ -91,7 +91,6 @@ def test_forces_and_torques_are_the_derivatives_of_the_potential(name):
     assert -float(jnp.vdot(system.force(state.q).ravel(), along[:n])) == pytest.approx(float(slope - spin), rel=1e-9)
 
 
-@pytest.mark.long
 def test_splitting_conserves_both_momenta_and_the_energy_does_not_drift():
     """Observed over 10 000 steps, 35 orbits: P 0, L 6e-15, energy 2.6e-6."""
     H, P, L = errors(SPLITTING, START, DT, 10_000, 100)
@@ -109,7 +108,6 @@ def eight():
     return bodies, bodies.state(1.0 * place, turn, angular_velocities=np.full((8, 3), 0.3))
 
 
-@pytest.mark.long
 def test_many_bodies_are_kicked_once_a_step(monkeypatch):
     bodies, state = eight()
     step, forces, force = schemes.splitting(bodies), [], type(bodies).force
@@ -118,7 +116,6 @@ def test_many_bodies_are_kicked_once_a_step(monkeypatch):
     assert len(forces) == 1
 
 
-@pytest.mark.long
 def test_a_step_of_many_bodies_conserves_what_that_of_two_does():
     """P and L observed within 2e-16 over 100 steps, and a step back within 5e-16."""
     bodies, state = eight()
@@ -130,7 +127,6 @@ def test_a_step_of_many_bodies_conserves_what_that_of_two_does():
     assert H / less == pytest.approx(4, abs=0.3)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_energy_momentum_scheme_conserves_energy_and_both_momenta(name):
     """Observed over 10 000 steps: H 9e-15 and 2e-15, P 0 and 3e-15, L 1e-14 and 3e-15."""
@@ -141,13 +137,13 @@ def test_the_energy_momentum_scheme_conserves_energy_and_both_momenta(name):
     assert L < 5e-14
 
 
-@pytest.mark.long
 def test_energy_of_a_plain_function_as_potential_is_conserved_by_quadrature():
     """Gravity given as a function only; observed 4e-14."""
     plain = systems.rigid_bodies(BINARY.masses, BINARY.inertias, lambda x, R: BINARY.potential(x, R))
     assert max(errors(schemes.bodies_energy_momentum(plain), START, DT, 2000, 100)) < 2e-13
 
 
+@pytest.mark.quick
 def test_no_other_kappa_conserves_angular_momentum():
     """κτ̄ in place of τ̄ keeps energy at κ ≠ 1, and L changes by Δt Σ(κ − 1)τ̄: the discrete balance has no other way."""
     kappa, dt = 1.2, jnp.asarray(0.3)
@@ -178,7 +174,6 @@ def test_no_other_kappa_conserves_angular_momentum():
     assert jnp.abs(change[3:]).max() > 1e-7  # 9e-7; what is kept is kept to 1e-15
 
 
-@pytest.mark.long
 def test_a_near_collision_is_flagged():
     """Two heavy points that meet head on in one step."""
     bodies = systems.rigid_bodies(
@@ -191,7 +186,6 @@ def test_a_near_collision_is_flagged():
         schemes.bodies_energy_momentum(bodies).check(state, 0.3)
 
 
-@pytest.mark.long
 def test_certificates_do_not_depend_on_units():
     """The binary in units of length, mass and time of its own: the same form, order and way back."""
     unit = SimpleNamespace(m=3e11, x=900.0, t=4e3)
@@ -209,7 +203,6 @@ def test_certificates_do_not_depend_on_units():
     assert other.energy == pytest.approx(one.energy, rel=1e-6)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("count", [1, 5])
 def test_any_number_of_bodies_can_be_integrated(count):
     J = jnp.tile(jnp.array([1.0, 1.1, 1.3]), (count, 1))
@@ -222,12 +215,14 @@ def test_any_number_of_bodies_can_be_integrated(count):
     assert bodies.phase_space.dim == 12 * count
 
 
+@pytest.mark.quick
 def test_attitudes_of_bodies_are_accepted_as_quaternions_or_matrices():
     q = jnp.array([[0.5, -0.1, 0.7, 0.5], [1.0, 0, 0, 0]])
     one, two = (BINARY.state(START.q[:, :3], a) for a in (q, jax.vmap(so3.to_matrix)(q)))
     np.testing.assert_allclose(one.q, two.q, rtol=0, atol=1e-15)
 
 
+@pytest.mark.quick
 def test_a_distance_of_few_digits_warns():
     x = np.array([[0.0, 0, 0], [3.0, 0, 0]])
     with pytest.warns(RuntimeWarning, match=r"3 apart and 1\.5e\+08 from the origin: their distance has \d\.\d digits"):
@@ -238,7 +233,6 @@ NYSTROM = {4: schemes.nystrom(BINARY, 4), 6: schemes.nystrom(BINARY, 6)}
 KEPLER = {method: schemes.kepler_splitting(BINARY, method) for method in (2, (8, 4), (8, 6, 4))}
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("step", "dt"),
     [(NYSTROM[4], 0.4), (NYSTROM[6], 0.4), (KEPLER[2], 0.4), (KEPLER[8, 4], 0.4), (KEPLER[8, 6, 4], 0.8)],
@@ -258,6 +252,7 @@ def test_splittings_of_high_order_conserve_momenta_and_form(step, dt):
 TURNS = schemes.preprocessed(BINARY.free, 10)
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("drift", "bound"), [(schemes.exact(BINARY.free), 5e-16), (TURNS, 6e-13)], ids=["exact", "preprocessed"]
@@ -275,7 +270,6 @@ def test_free_bodies_move_on_straight_lines_and_rotate_independently(drift, boun
         np.testing.assert_allclose(found[3:], alone.q, rtol=0, atol=bound)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("step", "exact", "dt", "form"),
     [
@@ -303,12 +297,10 @@ def test_bodies_may_rotate_by_preprocessed_steps(step, exact, dt, form):
     )
 
 
-@pytest.mark.long
 def test_derivatives_through_preprocessed_rotations_agree_with_differences():
     slopes.assert_agree(schemes.nystrom(BINARY, 4, TURNS), START, 0.3)
 
 
-@pytest.mark.long
 def test_energy_at_equal_forces_orders_the_schemes():
     """Some 2100 forces over 30 orbits: observed 5.0e-5, 3.2e-7, 9.5e-6 and 7.7e-9 of the kinetic energy."""
     strang, nystrom, wisdom_holman, best = (
@@ -336,6 +328,7 @@ def kepler_flow(speed):
     return flow, np.concatenate([d, v])
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @CONICS
 def test_kepler_s_flow_is_exact_on_every_conic(speed):
@@ -354,7 +347,6 @@ def test_kepler_s_flow_is_exact_on_every_conic(speed):
     np.testing.assert_allclose(np.concatenate([moved, faster]), end, rtol=0, atol=3e-14)
 
 
-@pytest.mark.long
 def test_the_residual_of_kepler_s_flow_does_not_depend_on_the_unit_of_time():
     d, v, spheres = np.array([1.0, 0.2, -0.1]), np.array([0.1, 0.9, 0.2]), (jnp.array([0.5, 0.5]), jnp.ones((2, 3)))
 
@@ -370,7 +362,6 @@ def test_the_residual_of_kepler_s_flow_does_not_depend_on_the_unit_of_time():
         assert info.residual < 1e-15  # observed 2e-16
 
 
-@pytest.mark.long
 @CONICS
 def test_the_derivative_of_kepler_s_flow_by_the_step_is_the_velocity(speed):
     flow, _ = kepler_flow(speed)

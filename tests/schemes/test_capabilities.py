@@ -161,13 +161,6 @@ def test_every_step_moves_by_the_vector_field_of_its_system(name):
                 np.testing.assert_allclose((last - first) / passed, z_dot, rtol=0, atol=error, err_msg=step.name)
 
 
-def test_the_drift_of_a_splitting_is_of_the_same_body():
-    schemes.splitting(TOP, schemes.exact(TOP.free))
-    for other in (li.systems.rigid_body([1.0, 2.0, 2.999]), li.systems.rigid_body(jnp.diag(J))):
-        with pytest.raises(ValueError, match=r"splitting with exact: the drift must be a step of system.free"):
-            schemes.splitting(TOP, schemes.exact(other))
-
-
 @li.pytree
 class Wrong(types.PotentialWithGradient):
     """A slip in the gradient, by which energy would drift."""
@@ -286,26 +279,6 @@ def test_groups_with_analytic_functions_are_distinguished_from_others():
     assert isinstance(li.groups.special_euclidean(2), types.AnalyticGroup)
     assert not isinstance(li.groups.so3, types.AnalyticGroup)
     assert not isinstance(Plain(), types.AnalyticGroup)
-
-
-class NotAPytree:
-    """What somebody writes at first: a class with a `__call__`."""
-
-    def __call__(self, state, dt):
-        return state, types.StepInfo.empty(state.p)
-
-
-@pytest.mark.parametrize("thing", [NotAPytree(), lambda state, dt: (state, None), "so3_midpoint", BODY])
-def test_objects_that_are_no_steps_raise_an_error_on_how_to_define_one(thing):
-    state = BODY.state(angular_velocity=[0.2, 0.0, 1.0])
-    for call in (
-        lambda: li.integrate(thing, state, 0.1, 10),
-        lambda: li.ensemble.run(thing, jax.tree.map(lambda x: x[None], state), 0.1, 10),
-        lambda: li.reversible(thing, state, 0.1, 10),
-        lambda: li.diagnostics.certify(thing, state, 0.1, 10),
-    ):
-        with pytest.raises(ValueError, match=r"step must be a Step.*li\.Step.*li\.pytree"):
-            call()
 
 
 def test_a_custom_step_needs_public_names_only():

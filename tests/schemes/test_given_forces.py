@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import slopes
+from equations import quaternion_rate
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -97,7 +98,7 @@ def dop853(system, state, span, given):
         given_force = [turn[i].apply(given["push"][i]) + np.cos(t) * np.array(given["wave"][i]) for i in (0, 1)]
         force = np.array([pull, -pull]) + given_force - given["drag"] * v
         w_dot = (np.array(given["twist"]) - np.cross(w, MOMENTS * w)) / MOMENTS
-        q_dot = [0.5 * np.array([-a[1:] @ b, *(a[0] * b + np.cross(a[1:], b))]) for a, b in zip(q, w, strict=True)]
+        q_dot = [quaternion_rate(a, b) for a, b in zip(q, w, strict=True)]
         return np.concatenate([v.ravel(), (force / MASSES[:, None]).ravel(), np.ravel(q_dot), w_dot.ravel()])
 
     w = system.angular_velocities(state)

@@ -25,6 +25,8 @@ from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.types import State
 
+pytestmark = pytest.mark.long
+
 MATRIX = _discover.modules_with("examples", groups)["matrix"]
 CATALOGUE = groups.catalogue.examples() | MATRIX.examples()
 QUICK = {"xla_llvm_disable_expensive_passes": True}  # compiled to be run once
@@ -83,7 +85,6 @@ def measured(step, state, dt):
     }
 
 
-@pytest.mark.long
 @pytest.mark.paper("5.2: (5.23)–(5.27), Results 9, 10", "energy and momentum on a group", "schemes/_group_midpoint.py")
 @pytest.mark.parametrize(
     ("name", "tau"), [pytest.param(*pair, marks=pytest.mark.long) if pair != CHEAP else pair for pair in PAIRS + MORE]
@@ -112,7 +113,6 @@ def test_results_9_10_11_momentum_energy_order_and_form(name, tau):
         assert np.log2(small["form"] / half["form"]) == pytest.approx(3, abs=0.1)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "tau"), PAIRS + [pytest.param(*pair, marks=pytest.mark.slow) for pair in MORE])
 def test_the_energy_bar_over_random_metrics(name, tau):
     """Four metrics: 1000 steps of 0.1 where Ad_q is bounded, else 100 of 0.05 over max(1, ‖Ad_q‖²). Floor 1e-14."""
@@ -126,7 +126,6 @@ def test_the_energy_bar_over_random_metrics(name, tau):
 KAPPAS = {"cayley": maps.kappa_cayley, "exponential": maps.kappa_exponential, "arcsine": maps.kappa_symplectic}
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("tau", TAUS)
 def test_group_midpoint_on_so3_is_so3_midpoint(tau):
     """To round-off over 50 steps, for each κ; for the symplectic one on quaternions too, by the scaled Cayley map."""
@@ -146,9 +145,6 @@ def attitudes(step, motion):
     run = li.integrate(step, step.system.state(**{motion: jnp.array([0.3, -0.5, 0.8])}), 0.3, 50)
     q = run.state.q
     return q if q.ndim == 3 else jax.vmap(groups.so3.to_matrix)(q), run.info.converged
-
-
-# Formulas of Sections 5.2 and 5.3 ------------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -203,7 +199,6 @@ FORMULAS += [pytest.param(*pair, marks=pytest.mark.slow) for pair in LARGER]
 formulas = pytest.mark.parametrize(("name", "tau"), FORMULAS)
 
 
-@pytest.mark.long
 @formulas
 def test_5_25_5_26_energy_condition(name, tau):
     m, dt, d, o = one_step(name, tau)
@@ -213,7 +208,6 @@ def test_5_25_5_26_energy_condition(name, tau):
     assert abs(m @ Omega @ (2 * np.linalg.inv(np.eye(d) + o["Adt"]) - np.eye(d)) @ Omega) < 2e-14
 
 
-@pytest.mark.long
 @formulas
 @pytest.mark.slow
 def test_5_29_5_30_6_27_the_linearized_step(name, tau):
@@ -228,7 +222,6 @@ def test_5_29_5_30_6_27_the_linearized_step(name, tau):
     assert np.abs(C - same).max() < bound
 
 
-@pytest.mark.long
 @pytest.mark.paper(
     "5.2: (5.28)–(5.33), Result 11", "the condition of the form on a group", "diagnostics/_conditions.py"
 )
@@ -254,7 +247,6 @@ def test_5_31_with_the_inverse_5_33_and_6_28(name, tau):
     assert np.abs(o["Ad1"].T @ o["alpha"] @ o["Ad1"] - o["A1"]).max() < 1e-13  # (6.28)
 
 
-@pytest.mark.long
 @pytest.mark.paper("App. B: (6.24)–(6.32)", "the linearized step, (5.31)", "diagnostics/_conditions.py")
 @formulas
 def test_6_31_and_6_32_explain_why_5_31_and_6_30_vanish_together(name, tau):
@@ -275,7 +267,6 @@ def test_6_31_and_6_32_explain_why_5_31_and_6_30_vanish_together(name, tau):
 
 
 @pytest.mark.paper("5.3: (5.34)–(5.40)", "Poisson errors on a group", "diagnostics/_poisson.py")
-@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "tau"), [("SE(2)", "cayley"), ("SL(2)", "arcsine")])
 def test_5_34_5_35_5_36_the_recursion_is_the_product(name, tau):
@@ -299,6 +290,7 @@ def omega(alpha):
     return np.block([[alpha, one], [-one, 0 * one]])
 
 
+@pytest.mark.quick
 @pytest.mark.paper("5.1.1–5.1.4: (5.1)–(5.6)", "groups, pairings, trivializations", "groups/_matrix.py")
 def test_5_3_5_12_the_adjoint_action_and_the_form():
     """Ad_q ξ = d/dε q exp(εξ) q⁻¹, not exp(εξ) q⁻¹; ω(δ, Δ) is −d of the canonical one-form ⟨π, δθ⟩ (5.9)."""
@@ -329,15 +321,11 @@ def test_5_3_5_12_the_adjoint_action_and_the_form():
     assert abs(x @ w @ y + float(form)) > 0.1  # the other sign does not hold
 
 
-# Remarks, maps, flags ------------------------------------------------------------------------------------------------
-
-
 def stretched(M, group, theta):
     """On ℝⁿ: Θ ↦ Θ + (Θ·Θ) MΘ, with H = 1 + |Θ|²M + 2MΘ⊗Θ."""
     return group.exp(theta + jnp.dot(theta, theta) * (M @ theta))
 
 
-@pytest.mark.long
 def test_the_remark_on_abelian_groups_holds_both_ways():
     """On an abelian group a map is symplectic if and only if H*m = mH; energy is conserved by any map."""
     system, state = system_and_state("R^3")
@@ -362,7 +350,6 @@ def twisted(group, theta):
     return group.multiply(group.exp(theta), group.exp(0.3 * jnp.roll(theta, 1) * jnp.sum(theta * theta)))
 
 
-@pytest.mark.long
 def test_result_10_refutation_energy_needs_the_axis():
     system, state = system_and_state("SO(3)")
     with pytest.raises(ValueError, match=r"Ad_τ\(Θ\) Θ = Θ must hold"):
@@ -382,7 +369,6 @@ def lopsided(group, theta):
     return group.exp((1 + theta[0]) * theta)
 
 
-@pytest.mark.long
 def test_a_map_that_is_not_symmetric_makes_a_step_that_is_not():
     rotations, state = system_and_state("SO(3)")
     step = group_midpoint(rotations, lopsided)
@@ -400,7 +386,6 @@ def test_a_map_that_is_not_symmetric_makes_a_step_that_is_not():
     assert group_midpoint(rotations, jax.jit(lambda g, x: g.exp(x), static_argnums=0)).symmetric
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "holds"),
     [("SL(2)", True), ("SE(2)", True), ("Heis(3)", True), ("Bianchi V", True), ("SE(3)", False), ("R^3", True)],
@@ -416,6 +401,7 @@ def test_for_which_groups_the_arcsine_map_is_symplectic(name, holds):
 arcsine_scale = jax.jit(jax.value_and_grad(maps._arcsine_of_square))
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("x", [-3.0, -0.1001, -0.0999, -1e-9, 0.0, 1e-9, 0.0999, 0.1001, 0.99])
 def test_arcsine_scale_on_both_sides_of_its_series(x):
     import mpmath
@@ -429,7 +415,6 @@ def test_arcsine_scale_on_both_sides_of_its_series(x):
     assert derivative == pytest.approx(float(slope), rel=1e-12)
 
 
-@pytest.mark.long
 def test_hyperbolic_motion_is_flagged_before_digits_run_out():
     """SL(2): Ad_q grows exponentially. What is called converged keeps six digits of energy; no NaN without the flag."""
     g = groups.special_linear(2)
@@ -454,7 +439,6 @@ def test_hyperbolic_motion_is_flagged_before_digits_run_out():
     assert not good[~np.isfinite(error)].any()
 
 
-@pytest.mark.long
 def test_a_step_past_the_range_of_its_map_is_flagged():
     system, state = system_and_state("SO(3)")
     step = group_midpoint(system)
@@ -467,7 +451,6 @@ def test_a_step_past_the_range_of_its_map_is_flagged():
         step.check(state, 40.0)
 
 
-@pytest.mark.long
 def test_a_root_past_the_fold_is_flagged():
     """SO(3), J = e^±2, near the middle axis: Newton finds roots with det F′ < 0. None is called converged."""
     J = jnp.exp(jnp.array([-2.0, 0.0, 2.0]))

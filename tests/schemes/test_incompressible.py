@@ -15,6 +15,8 @@ from lieint_jax import _discover
 from lieint_jax.diagnostics import energy_error, flow, momentum_error
 from lieint_jax.types import vectors
 
+pytestmark = pytest.mark.long
+
 BODY, STATE, DT = _discover.modules_with("examples", li.systems)["incompressible_body"].examples()["ball"]
 STEP = li.schemes.additive(BODY, "incompressible")
 QUICK = {"xla_llvm_disable_expensive_passes": True}
@@ -34,7 +36,6 @@ def _steps(E, F, V, dt):
 
 
 @pytest.mark.paper("6.1.1, 1.1", "incompressible bodies, Q = SL(3)", "systems/_incompressible_body.py")
-@pytest.mark.long
 @hypothesis.settings(max_examples=12)
 @hypothesis.given(matrices, matrices, st.tuples(*[st.floats(0.5, 2)] * 3).map(np.array), st.sampled_from([-0.02, 0.02]))
 def test_energy_momentum_and_volume_are_conserved(A, V, E, dt):
@@ -47,7 +48,6 @@ def test_energy_momentum_and_volume_are_conserved(A, V, E, dt):
     assert np.abs(volume).max() < 4e-15  # floor 1e-15
 
 
-@pytest.mark.long
 def test_the_volume_of_stretched_bodies_is_conserved_to_the_rounding_of_det_F():
     """Where the equation was asked of C = FᵀF, whose determinant has the terms |F|⁶, it was off by up to 40."""
     rng = np.random.default_rng(0)
@@ -62,7 +62,6 @@ def test_the_volume_of_stretched_bodies_is_conserved_to_the_rounding_of_det_F():
     assert off.max() < 6 * np.finfo(float).eps  # floor 2
 
 
-@pytest.mark.long
 def test_without_the_pressure_the_volume_changes():
     free = BODY.compressible
     after, info = once(li.schemes.additive(free), STATE, DT)
@@ -71,7 +70,6 @@ def test_without_the_pressure_the_volume_changes():
     assert abs(np.linalg.det(after.q) - 1) > 1e-4
 
 
-@pytest.mark.long
 def test_the_step_is_the_one_that_its_equations_have():
     """U E = Δt P_{n+½} and P₁ − P₀ = −Δt F_{n+½}(S̄ − pS̄₃): what S̄ leaves of the second is along S̄₃, by numpy."""
     after, info = once(STEP, STATE, DT)
@@ -90,7 +88,6 @@ def test_the_step_is_the_one_that_its_equations_have():
     np.testing.assert_allclose(left, -p * direction, rtol=0, atol=1e-10)
 
 
-@pytest.mark.long
 def test_second_order_reversible_and_the_hidden_constraint():
     """Against the flow in T*SL(3), of order 16; tr(ḞF⁻¹) at the ends of steps is O(Δt²)."""
 
@@ -115,6 +112,7 @@ def test_second_order_reversible_and_the_hidden_constraint():
     assert np.abs(BODY.volume_rate(STATE)) < 1e-15
 
 
+@pytest.mark.quick
 def test_the_vector_field_is_hamiltonian_and_perturb_stays_on_the_manifold():
     """i_X ω = dH on T*SL(3), and X is tangent to it; det F = 1 and tr(ḞF⁻¹) = 0 after a perturbation."""
     space = BODY.phase_space
@@ -138,7 +136,6 @@ def test_the_vector_field_is_hamiltonian_and_perturb_stays_on_the_manifold():
     assert abs(drift) < 1e-14  # observed: 3e-16; the pressure keeps tr(ḞF⁻¹) at 0
 
 
-@pytest.mark.long
 def test_an_incompressible_body_is_the_limit_of_stiff_ones():
     """The flow of W + (λ/2)(I₃ − 1 − ln I₃) tends to the constrained one: it is off by less than 1/λ."""
     exact = jax.jit(flow, static_argnums=(0, 3))(BODY, STATE, 0.4, 40)
@@ -148,7 +145,6 @@ def test_an_incompressible_body_is_the_limit_of_stiff_ones():
         assert 0.05 < lam * far < 1  # 0.68 and 0.26, by the phase of the fast oscillation
 
 
-@pytest.mark.long
 def test_the_certificate_shows_energy_momentum_and_volume_conserved():
     found = li.diagnostics.certify(STEP, STATE, DT, 500)
     assert found.converged
@@ -158,7 +154,6 @@ def test_the_certificate_shows_energy_momentum_and_volume_conserved():
     assert found.reversibility < 2e-14
 
 
-@pytest.mark.long
 def test_a_step_of_no_time_leaves_the_momentum():
     still, info = once(STEP, STATE, 0.0)
     assert info.converged

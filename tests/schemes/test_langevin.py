@@ -17,6 +17,8 @@ from lieint_jax import diagnostics, potentials, schemes, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.groups import so3
 
+pytestmark = pytest.mark.long
+
 J = np.array([1.0, 1.7, 2.2])
 AXIS = np.array([0.48, 0.6, 0.64])
 EXACT = 1 / np.tanh(2) - 0.5  # ⟨cos⟩ of V = −2 cos at kT = 1
@@ -47,7 +49,6 @@ def body_momenta(q, p):
     return np.array(turn(q.reshape(-1, 4), p.reshape(-1, 3))).reshape(p.shape)
 
 
-@pytest.mark.long
 def test_random_bits_are_those_of_jax_random():
     for seed, n, j in ((0, 0, 0), (12345, 77, 5), (2**31, 2**32 - 1, 3)):
         key = jax.random.key(seed)
@@ -58,6 +59,7 @@ def test_random_bits_are_those_of_jax_random():
         np.testing.assert_array_equal(jnp.stack(folded), expected)
 
 
+@pytest.mark.quick
 def test_normal_numbers_are_normal():
     """By Kolmogorov & Smirnov's test, and the moments to 4 standard errors."""
     key = random_bits.key_of(random_bits.digits(jax.random.key(5), jnp.float64))
@@ -69,6 +71,7 @@ def test_normal_numbers_are_normal():
     assert abs(np.corrcoef(x[:50_000], x[50_001:])[0, 1]) < 4 / np.sqrt(50_000)
 
 
+@pytest.mark.quick
 def test_the_smallest_uniform_number_is_not_zero_and_the_largest_not_above_one():
     ends = jnp.array([0, 2**32 - 1], jnp.uint32)
     for dtype in (jnp.float32, jnp.float64):
@@ -77,7 +80,6 @@ def test_the_smallest_uniform_number_is_not_zero_and_the_largest_not_above_one()
         assert float(x[1]) <= 1
 
 
-@pytest.mark.long
 def test_the_heat_of_free_bodies_is_the_change_of_their_energy():
     """There is nothing else that changes it: round-off of energies of a few kT in 200 steps."""
     body = systems.rigid_body(J)
@@ -89,7 +91,6 @@ def test_the_heat_of_free_bodies_is_the_change_of_their_energy():
     assert np.ptp(K) > 1
 
 
-@pytest.mark.long
 def test_runs_in_parts_resumed_and_of_some_members_have_the_same_bits():
     """By machine code: 300 members × 40 steps at once; in 17 and 23 steps; and the members from 123 on."""
     step = thermostat()
@@ -105,7 +106,6 @@ def test_runs_in_parts_resumed_and_of_some_members_have_the_same_bits():
     assert (whole.extra["step"][-1] == 40).all()
 
 
-@pytest.mark.long
 def test_machine_code_and_xla_see_the_same_noise():
     """After 20 steps, in which rounding differs; and split runs of `integrate` have the same bits."""
     step = thermostat()
@@ -120,7 +120,6 @@ def test_machine_code_and_xla_see_the_same_noise():
         np.testing.assert_array_equal(a[-1], b[-1])  # split runs of `integrate`, bit for bit
 
 
-@pytest.mark.long
 def test_a_step_back_is_flagged_and_refused():
     step = thermostat()
     state = step.start(BEGIN)
@@ -131,19 +130,6 @@ def test_a_step_back_is_flagged_and_refused():
         step.check(state, -0.1)
 
 
-@pytest.mark.long
-def test_a_bad_key_of_random_numbers_is_refused():
-    step = thermostat()
-    state = step.start(BEGIN)
-    for key, message in (([1.0, 2.0, 3.0, 0.5], "must be a key"), ([np.nan] * 4, "finite"), ([1.0] * 8, "shape")):
-        with pytest.raises(ValueError, match=message):
-            step.check(state._replace(extra=state.extra | {"key": jnp.array(key)}), 0.1)
-    longer = state._replace(extra=state.extra | {"key": jnp.zeros(8)})
-    with pytest.raises(ValueError, match=r"key.* must have shape \(4,\), got \(8,\)"):
-        li.integrate(step, longer, 0.1, 1)  # which tries a step before it checks one
-
-
-@pytest.mark.long
 def test_a_count_of_steps_that_a_number_does_not_hold_is_flagged():
     step = thermostat()
     state = step.start(BEGIN)
@@ -154,6 +140,7 @@ def test_a_count_of_steps_that_a_number_does_not_hold_is_flagged():
             assert bool(jax.jit(own)(late, jnp.asarray(0.1, dtype))[1].converged) is good
 
 
+@pytest.mark.quick
 def test_the_root_of_a_tensor_squares_to_it():
     root = np.random.default_rng(0).normal(size=(3, 3))
     tensor = jnp.array(root @ root.T + np.eye(3))
@@ -167,7 +154,6 @@ def within(values, exact, errors=4.0):
     return np.all(np.abs(values.mean(axis=0) - exact) < errors * values.std(axis=0) / np.sqrt(len(values)))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("full", [False, True], ids=["principal", "full"])
 def test_free_bodies_are_sampled_exactly_at_any_step(full):
     """Δt = 3: ⟨Π_i²⟩ = kT J_i on each axis and attitudes without a preferred direction, by χ²."""
@@ -203,7 +189,6 @@ PUBLISHED = {  # ⟨cos⟩ − exact and its standard error, ⟨Π_i²/J_i⟩ at
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("case", PUBLISHED)
 def test_a_body_in_a_field_is_sampled_as_an_independent_program_samples_it(case):
     """4096 members × 200 steps, within three standard errors of the difference; the Metropolised one of the exact."""
@@ -219,7 +204,6 @@ def test_a_body_in_a_field_is_sampled_as_an_independent_program_samples_it(case)
         assert stats.chisquare(np.histogram(last, edges)[0]).pvalue > 1e-3
 
 
-@pytest.mark.long
 def test_the_bias_falls_as_the_square_of_the_step():
     """The biases of ⟨cos⟩ and ⟨Π²/J⟩ at steps 0.8 and 0.4 are 4 to 1, within three standard errors or a tenth."""
     (coarse, first, _), (fine, second, _) = (cosines(False, dt, 4096, 200) for dt in (0.8, 0.4))
@@ -231,7 +215,6 @@ def test_the_bias_falls_as_the_square_of_the_step():
     assert 3.5 < ratio[0] < 4.7  # observed 4.1, of the axis with the largest
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("metropolis", [False, True])
 def test_several_bodies_have_their_energy_on_every_axis_of_motion_and_rotation(metropolis):
     """Three bodies on springs, each axis with a rate of its own: ⟨p²/m⟩ and ⟨Π²/J⟩ are kT, 36 numbers.
@@ -271,7 +254,6 @@ def member_means(bodies, kT, path):
     return [np.array(x).mean(axis=0) for x in jax.jit(jax.vmap(jax.vmap(measured)))(states)]
 
 
-@pytest.mark.long
 def test_a_droplet_of_water_at_298_kelvin_has_the_averages_of_energy_conserving_runs():
     """512 droplets of 5 molecules, friction 10 per ps, steps of 1 fs: 8 ps to forget the start, then 4 ps.
 
@@ -317,7 +299,6 @@ def decay(kT, inertia, rate, times, largest=14):
     return np.array([expm_multiply(generator.tocsc() * t, start)[0] for t in times])
 
 
-@pytest.mark.long
 def test_the_attitude_of_a_free_rotor_decorrelates_at_the_rate_of_theory():
     """A spherical body, γ = 0.5, kT/J = 1: from the persistent to the diffusive regime, within 4 standard errors."""
     body = systems.rigid_body([2.0, 2.0, 2.0])
@@ -335,7 +316,6 @@ def test_the_attitude_of_a_free_rotor_decorrelates_at_the_rate_of_theory():
         assert within((Pi[k + 1] * Pi[0]).mean(axis=1) / 4, np.exp(-0.5 * t))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("metropolis", [False, True])
 def test_the_certificate_of_a_random_step_measures_heat_order_and_bias(metropolis):
     step = thermostat(metropolis)

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 import slopes
 from grid import examples_of
 from scipy.spatial.transform import Rotation
@@ -15,6 +14,8 @@ from scipy.spatial.transform import Rotation
 import lieint_jax as li
 from lieint_jax import groups, schemes, systems
 from lieint_jax.groups import so3
+
+pytestmark = pytest.mark.long
 
 STEPS = [(2, True), (4, True), (6, True), (4, False)]  # orders, and whether with commutators
 EXAMPLES = examples_of("kinematics")
@@ -29,12 +30,6 @@ def after(step, state, dt, num_steps):
     """The last configuration of a run, and whether all steps converged."""
     run = li.integrate(step, state, dt, num_steps, save_every=num_steps)
     return run.state.q[-1], run.info.converged.all()
-
-
-def error(step, state, span, num_steps, exact):
-    q, converged = after(step, state, span / num_steps, num_steps)
-    assert converged
-    return float(np.abs(q - exact).max())
 
 
 # Order conditions: rates Σ aₖtᵏ with free letters aₖ of weight k + 1, and so series in words of weight up to 6 --------
@@ -85,6 +80,7 @@ def iterated(word):
     return sum(c * half**n for n, c in enumerate(polynomial))
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("frame", ["body", "space"])
 def test_all_order_conditions_hold_and_none_beyond(frame):
     """The coefficient of each word is that of the solution up to the weight p; at p + 1 some are not."""
@@ -99,15 +95,13 @@ def test_all_order_conditions_hold_and_none_beyond(frame):
             assert off[weights == order + 1].max() > 1e-4
 
 
-# Closed forms ---------------------------------------------------------------------------------------------------------
-
-
 def cone(t, half_angle=0.6):
     """The attitude of the example "coning": its axis moves on a cone."""
     c, s = np.cos(half_angle / 2), np.sin(half_angle / 2)
     return np.array([c, s * np.cos(t), s * np.sin(t), 0.0])
 
 
+@pytest.mark.quick
 def test_a_spin_in_a_rotating_field_flips_as_rabi_found():
     system, state, _ = EXAMPLES["spin"]
     along, across, frequency = system.rate.args[0]
@@ -118,7 +112,6 @@ def test_a_spin_in_a_rotating_field_flips_as_rabi_found():
     assert flip > 0.7
 
 
-@pytest.mark.long
 def test_sculling_on_the_group_of_motions():
     """Rotations about x and a force along y in phase: v̇ = Rf is the translation of SE(3), and has a mean along z."""
     turn, w, force = 0.3, 2.0, 1.5
@@ -130,22 +123,7 @@ def test_sculling_on_the_group_of_motions():
     np.testing.assert_allclose(q[:3, 3], v, rtol=0, atol=1e-9)  # observed: 1e-10
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("frame", ["body", "space"])
-def test_a_motion_of_se3_is_that_of_scipy(frame):
-    system = systems.kinematics(groups.special_euclidean(3), EXAMPLES["screw"][0].rate, frame)
-    hats, v = np.asarray(system.group.basis), np.asarray(system.rate.args[0])
-
-    def rate(t, q):
-        q, omega = q.reshape(4, 4), np.tensordot(v * np.cos(t + np.arange(6)), hats, 1)
-        return (q @ omega if frame == "body" else omega @ q).ravel()
-
-    exact = scipy.integrate.solve_ivp(rate, (0, 4), np.eye(4).ravel(), "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    for order, commutators in STEPS:
-        limit = {2: 1e-2, 4: 2e-6, 6: 1e-9}[order]
-        assert error(made(system, order, commutators), system.state(), 4.0, 80, exact.reshape(4, 4)) < limit
-
-
+@pytest.mark.quick
 def test_a_constant_rate_is_exact_and_steps_back_undo_steps():
     omega = np.array([0.3, -0.8, 0.5])
     system = systems.kinematics(so3, lambda t: jnp.asarray(omega) + 0 * t)
@@ -159,7 +137,6 @@ def test_a_constant_rate_is_exact_and_steps_back_undo_steps():
             np.testing.assert_allclose(back.q, state.q, rtol=0, atol=1e-15)
 
 
-@pytest.mark.long
 def test_the_configuration_stays_on_the_group():
     """Rounding does not add up where the group preserves a form; on SE(3) it does, as √n."""
     matrices = systems.kinematics(groups.special_orthogonal(3), EXAMPLES["coning"][0].rate, "space")
@@ -169,13 +146,16 @@ def test_the_configuration_stays_on_the_group():
         assert abs(system.phase_space.defect(state._replace(q=q))) < most
 
 
-# Logs -----------------------------------------------------------------------------------------------------------------
-
-
 def means(times):
     """The means of the rate of `cone` between times, in closed form."""
     angle = [np.sin(0.6) * np.cos(times), np.sin(0.6) * np.sin(times), -2 * np.sin(0.3) ** 2 * times]
     return np.diff(np.stack(angle, axis=1), axis=0) / np.diff(times)[:, None]
+
+
+def error(step, state, span, num_steps, exact):
+    q, converged = after(step, state, span / num_steps, num_steps)
+    assert converged
+    return float(np.abs(q - exact).max())
 
 
 def of_means(n, order, uneven=0.0):
@@ -190,7 +170,6 @@ def of_means(n, order, uneven=0.0):
     return float(np.abs(run.state.q[-1] - cone(5.0)).max()), rate
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("uneven", [0.0, 0.3])
 def test_increments_of_a_gyro_have_the_coning_correction_at_order_4(uneven):
     """Order 2 multiplies the rotations by the increments."""
@@ -207,7 +186,6 @@ def test_increments_of_a_gyro_have_the_coning_correction_at_order_4(uneven):
         np.testing.assert_allclose(theta, x[7] - np.cross(x[8] - x[6], x[7]) / 24, rtol=0, atol=1e-16)
 
 
-@pytest.mark.long
 def test_a_log_of_rates_is_linear_between_its_entries():
     rng = np.random.default_rng(0)
     times, rates = np.cumsum(rng.uniform(0.05, 0.2, 300)), 0.3 * rng.normal(size=(300, 3))
@@ -226,7 +204,6 @@ def test_a_log_of_rates_is_linear_between_its_entries():
     assert np.isnan(end.q).all()
 
 
-@pytest.mark.long
 def test_means_of_parabolas_are_the_means_given():
     """Also where the intervals differ, by 8-point quadrature."""
     rng = np.random.default_rng(1)
@@ -240,9 +217,7 @@ def test_means_of_parabolas_are_the_means_given():
     np.testing.assert_allclose(jax.vmap(parabola)(times)[:, 0], 3 * times**2, rtol=1e-12)
 
 
-# Derivatives, machine code, types, messages ---------------------------------------------------------------------------
-
-
+@pytest.mark.quick
 @pytest.mark.parametrize("name", ["coning", pytest.param("spin", marks=pytest.mark.long)])
 def test_derivatives_by_the_parameters_of_the_rate(name):
     """Forward, reverse by undoing steps, and differences of fourth order."""
@@ -250,7 +225,6 @@ def test_derivatives_by_the_parameters_of_the_rate(name):
     slopes.assert_agree(made(system), state, dt)
 
 
-@pytest.mark.long
 def test_machine_code_runs_it_with_a_long_log_too():
     pytest.importorskip("llvmlite")
     times = np.linspace(0, 60, 3001)
@@ -266,7 +240,6 @@ def test_machine_code_runs_it_with_a_long_log_too():
     np.testing.assert_allclose(run.state.q[-1], np.repeat(q[None], 3, 0), rtol=0, atol=1e-14)
 
 
-@pytest.mark.long
 def test_single_precision():
     system, state, _ = EXAMPLES["coning"]
     step, state = jax.tree.map(lambda x: np.asarray(x, np.float32), (made(system), state._replace(q=cone(0.3))))
@@ -276,7 +249,6 @@ def test_single_precision():
     np.testing.assert_allclose(q, cone(5.3), rtol=0, atol=4e-6)
 
 
-@pytest.mark.long
 def test_a_certificate_reports_the_constraint_and_reversibility_only():
     system, state, dt = EXAMPLES["coning"]
     text = str(li.diagnostics.certify(made(system), state, dt, 20))
@@ -286,7 +258,6 @@ def test_a_certificate_reports_the_constraint_and_reversibility_only():
         li.diagnostics.symplectic_defect(made(system), state, dt)
 
 
-@pytest.mark.long
 def test_a_bias_of_a_gyro_is_found_from_star_trackers_with_its_covariance():
     times, bias = np.linspace(0, 5, 51), np.array([1e-2, -2e-2, 5e-3])
     log = means(times) + bias
@@ -311,7 +282,6 @@ def test_a_bias_of_a_gyro_is_found_from_star_trackers_with_its_covariance():
     assert np.linalg.eigvalsh(P).min() > 1e-6
 
 
-@pytest.mark.long
 def test_runs_are_stored_and_extended_and_give_tables(tmp_path):
     """Their momenta are arrays of no entries."""
     system, state, dt = EXAMPLES["coning"]
@@ -327,6 +297,7 @@ def test_runs_are_stored_and_extended_and_give_tables(tmp_path):
     np.testing.assert_allclose(end.q, made(system, 6)(state, dt)[0].q, rtol=0, atol=1e-9)
 
 
+@pytest.mark.quick
 def test_an_attitude_of_any_form_starts_a_motion_with_a_given_rate():
     """As of a rigid body: printed digits are normalized with a warning, a rotation of scipy is accepted."""
     spin = systems.kinematics(so3, lambda t: jnp.stack([t, 0 * t, 0 * t]))
@@ -336,7 +307,6 @@ def test_an_attitude_of_any_form_starts_a_motion_with_a_given_rate():
         assert abs(np.linalg.norm(spin.state([0.98007, 0.0, 0.0, 0.19867]).q) - 1) < 1e-15
 
 
-@pytest.mark.long
 def test_what_has_no_energy_shows_none(tmp_path, monkeypatch, capsys, lieint):
     """Neither a table, nor a progress bar, nor `lieint info`, nor a picture."""
     times = np.linspace(0, 1, 11)

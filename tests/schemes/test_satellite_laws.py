@@ -17,6 +17,8 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes import torqued_midpoint
 from lieint_jax.systems import torqued_body
 
+pytestmark = pytest.mark.long
+
 LOCKED = jnp.array([1.3, 1.7, 2.2])
 
 
@@ -69,7 +71,6 @@ def seven():
     return body, run(torqued_midpoint(body), state, 200)
 
 
-@pytest.mark.long
 def test_laws_of_a_satellite_balance_to_round_off(seven):
     """Observed: 4e-15 of the energy in 200 steps. Each law does something."""
     body, (path, H) = seven
@@ -80,7 +81,6 @@ def test_laws_of_a_satellite_balance_to_round_off(seven):
     assert torqued_midpoint(body).symmetric
 
 
-@pytest.mark.long
 def test_works_are_named_by_their_laws(seven):
     body, (path, _) = seven
     data = path.to_xarray(body)
@@ -93,7 +93,6 @@ def test_works_are_named_by_their_laws(seven):
     assert li.types.labels(torqued_body(INERTIA, named)) == ["function", "viscous", "viscous_2", "pd_trace"]
 
 
-@pytest.mark.long
 def test_works_in_a_store_are_named_by_their_laws(tmp_path):
     xarray = pytest.importorskip("xarray")
     body, state = start(torques.viscous(0.1) + torques.pd_trace(0.1, 0.1), works=True)
@@ -104,7 +103,6 @@ def test_works_in_a_store_are_named_by_their_laws(tmp_path):
         assert data.extra_works.dims == ("time", "member", "law")
 
 
-@pytest.mark.long
 def test_a_law_that_reads_the_wheels_may_stand_before_or_after_them():
     laws = [torques.unloading(AXES, 0.1, [0.3, 0.1, 1.0]), torques.wheels(AXES, MOMENTS, speeds=[1.0, 2.0, -1.0, 3])]
     ends = []
@@ -120,7 +118,6 @@ def numpy_plates(force_of):
     return sum(np.cross(r, force_of(A, n, r)) for A, n, r in zip(*(np.asarray(x) for x in PLATES), strict=True))
 
 
-@pytest.mark.long
 def test_drag_and_sunlight_are_those_of_single_plates():
     t, R = jnp.asarray(0.7), np.asarray(so3.to_matrix(Q))
     density, v = AIR(t)
@@ -147,7 +144,6 @@ def test_drag_and_sunlight_are_those_of_single_plates():
     assert not np.any(dark(t, Q, OMEGA))
 
 
-@pytest.mark.long
 def test_air_at_rest_removes_energy_in_every_step():
     body, state = start(torques.aerodynamic(lambda t: (jnp.asarray(2.0), jnp.zeros(3)), *PLATES))
     path, H = run(torqued_midpoint(body), state, 100)
@@ -155,7 +151,6 @@ def test_air_at_rest_removes_energy_in_every_step():
     np.testing.assert_allclose(H - path.state.work, H[0], rtol=1e-14)
 
 
-@pytest.mark.long
 def test_the_sliding_variable_falls_at_its_rate():
     """ṡ = −k sat(s/φ) along the exact motion, in and out of the boundary layer."""
     law = LAWS["sliding_mode"]
@@ -178,6 +173,7 @@ def test_the_sliding_variable_falls_at_its_rate():
         np.testing.assert_allclose(rate, -0.05 * np.clip(value / 0.2, -1, 1), rtol=0, atol=1e-14)
 
 
+@pytest.mark.quick
 def test_a_pyramid_gives_the_torque_and_has_the_same_authority_everywhere():
     g = np.asarray(AXES)
     np.testing.assert_allclose(g.T @ g, 4 / 3 * np.eye(3), rtol=0, atol=1e-15)
@@ -189,6 +185,7 @@ def test_a_pyramid_gives_the_torque_and_has_the_same_authority_everywhere():
     np.testing.assert_allclose(-g.T @ u, wanted, rtol=0, atol=1e-15)
 
 
+@pytest.mark.quick
 def test_torquers_exert_the_torque_across_the_field():
     control = lambda t, q, Omega: jnp.array([0.1, 0.2, -0.3])  # noqa: E731
     t, B = jnp.asarray(0.7), np.asarray(so3.Ad_star(Q, FIELD(0.7)))
@@ -200,7 +197,6 @@ def test_torquers_exert_the_torque_across_the_field():
     assert not np.any(torques.torquers(control, [0.0, 0, 0])(t, Q, OMEGA))
 
 
-@pytest.mark.long
 def test_wheels_hold_a_satellite_to_its_frame_while_torquers_unload_them():
     """From an attitude far off; the wheels' momentum falls, the error too."""
     body = torqued_body(INERTIA, LAWS["gravity_gradient"] + torques.unloading(AXES, 0.3, FIELD) + HOLDING)
@@ -224,7 +220,6 @@ def rhs(body, template):
     return f, lambda z: np.concatenate([z.q, z.p, z.extra["wheels"]])
 
 
-@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 4, 6])
 def test_orders_against_another_package_with_saturation_in_force(order):
@@ -250,7 +245,6 @@ def test_orders_against_another_package_with_saturation_in_force(order):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
 
 
-@pytest.mark.long
 def test_steps_back_undo_steps_and_derivatives_agree():
     """Few steps: over a long time a controller's motion backward is unstable."""
     still = torques.pointing([1.0, 0, 0, 0], 0.8, 1.2, INERTIA)
@@ -268,6 +262,7 @@ def test_steps_back_undo_steps_and_derivatives_agree():
     slopes.assert_agree(step, first, 0.05)
 
 
+@pytest.mark.quick
 def test_motors_that_look_at_the_momentum_are_solved_with_the_step():
     """dh/dt = −kh by the midpoint rule: h((1 − ½kΔt)/(1 + ½kΔt))ⁿ, for any k > 0; a step of kΔt < −2 has no branch."""
     law = torques.wheels(AXES[:1], 0.1, jax.tree_util.Partial(lambda k, t, q, Omega, h: -k * h, 0.5), speeds=10.0)
@@ -292,7 +287,6 @@ def test_motors_that_look_at_the_momentum_are_solved_with_the_step():
     assert not converged[4:, 1:].any()
 
 
-@pytest.mark.long
 def test_directions_and_attitudes_from_functions_are_normalized():
     """They cannot be checked when a law is made."""
     t, pairs = jnp.array(0.3), []
@@ -303,6 +297,7 @@ def test_directions_and_attitudes_from_functions_are_normalized():
     np.testing.assert_allclose(pairs[1], pairs[0], rtol=1e-14)
 
 
+@pytest.mark.quick
 def test_motors_with_a_window_act_in_it_only():
     """From its beginning until before its end; a window that does not end is refused."""
     always, law = (torques.wheel_motor(AXES, POINTING, window=window) for window in (None, (1.0, 3.0)))

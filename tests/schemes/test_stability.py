@@ -18,9 +18,6 @@ E3 = np.array([0.0, 0.0, 1.0])
 CIRCLE = li.orbits.kepler(1.0, 1.0, 0.0)
 
 
-# Lagrange, DeBra and Delp ---------------------------------------------------------------------------------------------
-
-
 def satellites(k1, k3):
     """The moments (radius, track, normal), radius 1, of k₁ = (B − C)/A and k₃ = (B − A)/C about (A, B, C) of track,
     normal and radius; whether they are stable in a circular orbit; and how far they are from the borders.
@@ -105,9 +102,6 @@ def test_stable_satellites_swing_a_little_and_the_others_turn_over():
     assert (clear & stable)[:90].sum() > 5
     assert angle[clear & stable].max() < 2e-2
     assert angle[clear & ~stable].min() > 0.5
-
-
-# Wheels and dampers ---------------------------------------------------------------------------------------------------
 
 
 @li.pytree

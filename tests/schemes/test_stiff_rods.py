@@ -11,6 +11,8 @@ import lieint_jax as li
 from lieint_jax import potentials, schemes, systems
 from tests.lib.differences import slopes
 
+pytestmark = pytest.mark.long
+
 N = 5
 ELEMENT = 1 / (N - 1)
 MASSES = ELEMENT * np.array([0.5, 1, 1, 1, 0.5])
@@ -64,38 +66,59 @@ def assert_drifts(system, path, *bounds):
     assert (np.array(found) / eps < bounds).all()
 
 
-@pytest.mark.long
-def test_both_solvers_agree_on_a_soft_rod():
-    """Over 100 steps. Observed 6e-16."""
-    system = rod(SOFT, 0.01)
-    paths = [run(solver, 100)(system, bent(system), DT) for solver in ("newton", "fixed_point")]
+def two_ellipsoids():
+    """Two bodies of any potential are a chain."""
+    masses, moments = np.array([1.0, 0.4]), np.array([[0.08, 0.10, 0.13], [0.02, 0.03, 0.035]])
+    system = systems.rigid_bodies(masses, moments, potentials.maccullagh(1.0, masses, moments))
+    return system, system.state([[-0.6, 0, 0], [1.4, 0, 0]], velocities=[[0, -0.2, 0], [0, 0.6, 0.1]])
+
+
+def with_start(system):
+    return system, bent(system)
+
+
+@pytest.mark.parametrize(
+    ("make", "steps", "dt"),
+    [(lambda: with_start(rod(SOFT, 0.01)), 100, DT), (two_ellipsoids, 50, 0.05)],
+    ids=["soft rod", "two ellipsoids"],
+)
+def test_both_solvers_agree_where_both_converge(make, steps, dt):
+    """Observed 6e-16 and 1e-16."""
+    paths = [run(solver, steps)(*make(), dt) for solver in ("newton", "fixed_point")]
     assert all(path.info.converged.all() for path in paths)
     np.testing.assert_allclose(paths[0].state.q, paths[1].state.q, rtol=0, atol=1e-14)
     np.testing.assert_allclose(paths[0].state.p, paths[1].state.p, rtol=0, atol=1e-14)
 
 
-def test_a_stiff_rod_conserves_all_by_newton_and_fails_by_iterations_on_the_forces():
-    """Over 100 steps. Observed 76, 1.2 and 5 eps. Rounding of H grows with (ΔtΩ)²."""
-    system = rod(STIFF)
-    state = bent(system)
-    path = run("newton", 100)(system, state, DT)
+CONSERVED = {  # the steps, those between saves, bounds on the drifts of H, P and L in eps; a few times those observed
+    "rod": (lambda: with_start(rod(STIFF)), 100, 1, (500, 10, 40)),  # 76, 1.2 and 5; H rounds as (ΔtΩ)²
+    "long": (lambda: with_start(rod(STIFF)), 20_000, 100, (4000, 100, 400)),  # 810, 18 and 92, a random walk
+    "float32": (lambda: single(with_start(rod(STIFF))), 100, 1, (400, 3, 40)),  # 93, 0.63 and 10.8
+    "no chain": (lambda: cage(np.zeros(2)), 200, 1, (400, 10, 40)),  # 91, 2.1 and 9.5
+}
+
+
+def single(tree):
+    return jax.tree.map(lambda x: x.astype(np.float32), tree)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", ["rod", *(pytest.param(x, marks=pytest.mark.long) for x in list(CONSERVED)[1:])])
+def test_stiff_bodies_conserve_all_by_newton(name):
+    """Where iterations on the forces fail."""
+    make, steps, every, bounds = CONSERVED[name]
+    system, state = make()
+    dt = np.float32(DT) if name == "float32" else DT
+    path = run("newton", steps, every)(system, state, dt)
+    assert path.state.q.dtype == state.q.dtype
     assert path.info.converged.all()
-    assert path.info.residual.max() < 4 * np.finfo(float).eps
-    assert_drifts(system, path, 500, 10, 40)
-    failed = run("fixed_point", 100)(system, state, DT)
-    assert not failed.info.converged.all()
+    assert_drifts(system, path, *bounds)
+    if name == "rod":
+        assert path.info.residual.max() < 4 * np.finfo(float).eps
+    if name in ("rod", "no chain"):
+        assert not run("fixed_point", steps)(system, state, dt).info.converged.all()
 
 
-@pytest.mark.long
-def test_energy_has_no_slope():
-    """Over 20,000 steps. Observed 810, 18 and 92 eps, a random walk."""
-    system = rod(STIFF)
-    path = run("newton", 20_000, 100)(system, bent(system), DT)
-    assert path.info.converged.all()
-    assert_drifts(system, path, 4000, 100, 400)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize(("body", "dt"), [("rod", 0.005), ("rod", 0.02), ("cage", 0.01)])
 def test_energy_moves_without_a_preferred_direction(body, dt):
     """Four starts of 40,000 steps, 5000 of the cage: the mean change of H in a step, over its standard error.
@@ -138,7 +161,6 @@ def both_modes(*arguments, end=end, **more):
     return forward
 
 
-@pytest.mark.long
 def test_derivatives_through_stiff_steps_are_those_of_differences():
     """Observed 1.3e-11 of 0.4, by differences; 4e-15 between the modes."""
     by_value = jax.jit(lambda d: end(d, "newton", STIFF, 1.0))
@@ -146,7 +168,6 @@ def test_derivatives_through_stiff_steps_are_those_of_differences():
     np.testing.assert_allclose(both_modes("newton", STIFF, 1.0), expected, rtol=0, atol=1e-10)
 
 
-@pytest.mark.long
 def test_a_reverse_pass_saves_no_factors_of_matrices():
     """Each mode factors the matrix that it needs, so the forward pass of a gradient solves no linear equations."""
     system = rod(STIFF)
@@ -155,7 +176,6 @@ def test_a_reverse_pass_saves_no_factors_of_matrices():
     assert not [x.shape for x in jax.tree.leaves(back) if x.shape[1:] == (6, 6)]
 
 
-@pytest.mark.long
 def test_derivatives_are_those_of_the_other_solver():
     """Observed 6e-17 of 0.25."""
     found = [both_modes(solver, SOFT, 0.01) for solver in ("newton", "fixed_point")]
@@ -167,7 +187,6 @@ def spring_between_the_ends(t, x, R, v, omega):
     return jnp.zeros_like(x).at[0].set(f).at[-1].set(-f), 0 * x
 
 
-@pytest.mark.long
 def test_forces_between_distant_bodies_are_solved_and_differentiated():
     """They are no part of Newton's matrix. Work is booked; the other solver agrees, and its derivatives."""
     system = rod(STIFF, forces=spring_between_the_ends)
@@ -180,14 +199,12 @@ def test_forces_between_distant_bodies_are_solved_and_differentiated():
     np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-12)
 
 
-@pytest.mark.long
 def test_the_reversible_gradient_is_that_of_the_loop():
     loops = li.integrate, li.reversible
     found = [jax.jit(jax.grad(lambda d, f=f: end(d, "newton", STIFF, 1.0, f).sum()))(AT) for f in loops]
     np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-11)
 
 
-@pytest.mark.long
 def test_a_batch_is_its_members():
     """Members that need different numbers of corrections, in one loop. Observed 0 to 1e-15."""
     system, turns = rod(STIFF), jnp.array([0.0, 0.02, 2.0])
@@ -200,16 +217,7 @@ def test_a_batch_is_its_members():
         np.testing.assert_allclose(ends.q[i], one.q, rtol=0, atol=1e-14)
 
 
-@pytest.mark.long
-def test_float32():
-    """Over 100 steps. Observed 93, 0.63 and 10.8 eps."""
-    system, state = jax.tree.map(lambda x: x.astype(np.float32), (rod(STIFF), bent(rod(STIFF))))
-    path = run("newton", 100)(system, state, np.float32(DT))
-    assert path.state.q.dtype == np.float32
-    assert path.info.converged.all()
-    assert_drifts(system, path, 400, 3, 40)
-
-
+@pytest.mark.quick
 def test_a_step_that_is_too_large_says_so():
     system = rod(STIFF)
     step = schemes.bodies_energy_momentum(system)
@@ -219,6 +227,7 @@ def test_a_step_that_is_too_large_says_so():
     assert 'solver="newton"' in schemes.bodies_energy_momentum(system, solver="fixed_point").advice(bent(system), DT)
 
 
+@pytest.mark.quick
 def test_the_solver_is_chosen_by_the_potential():
     chain = rod(STIFF)
     fallen = systems.rigid_bodies(
@@ -232,17 +241,6 @@ def test_the_solver_is_chosen_by_the_potential():
     assert schemes.bodies_energy_momentum(pulled, solver="newton").solver == "newton"
     with pytest.raises(ValueError, match="solver must be 'fixed_point' or 'newton'"):
         schemes.bodies_energy_momentum(chain, solver="chords")
-
-
-@pytest.mark.long
-def test_two_bodies_of_any_potential_are_a_chain():
-    """Two ellipsoids, by both solvers. Observed 1e-16."""
-    masses, moments = np.array([1.0, 0.4]), np.array([[0.08, 0.10, 0.13], [0.02, 0.03, 0.035]])
-    system = systems.rigid_bodies(masses, moments, potentials.maccullagh(1.0, masses, moments))
-    state = system.state([[-0.6, 0, 0], [1.4, 0, 0]], velocities=[[0, -0.2, 0], [0, 0.6, 0.1]])
-    found = [run(solver, 50)(system, state, 0.05) for solver in ("newton", "fixed_point")]
-    assert all(path.info.converged.all() for path in found)
-    np.testing.assert_allclose(found[0].state.q, found[1].state.q, rtol=0, atol=1e-14)
 
 
 def cage(d, dtype=float):
@@ -261,17 +259,6 @@ def cage(d, dtype=float):
     return system, system.state(corners.astype(dtype), q.astype(dtype), velocities=jnp.asarray((1 + d[0]) * v, dtype))
 
 
-@pytest.mark.long
-def test_stiff_bodies_that_are_no_chain_conserve_all_by_newton():
-    """Over 200 steps, where iterations on the forces fail. Observed 91, 2.1 and 9.5 eps."""
-    system, state = cage(np.zeros(2))
-    path = run("newton", 200)(system, state, DT)
-    assert path.info.converged.all()
-    assert_drifts(system, path, 400, 10, 40)
-    assert not run("fixed_point", 200)(system, state, DT).info.converged.all()
-
-
-@pytest.mark.long
 def test_derivatives_of_stiff_bodies_that_are_no_chain_are_those_of_differences():
     """Observed 3.7e-11 of 0.35."""
 
@@ -279,7 +266,6 @@ def test_derivatives_of_stiff_bodies_that_are_no_chain_are_those_of_differences(
     np.testing.assert_allclose(both_modes(end=end), slopes(lambda d: end(AT + d), 2, 1e-3), rtol=0, atol=1e-10)
 
 
-@pytest.mark.long
 def test_explain_names_the_engine():
     system = rod(STIFF)
     found = li.explain(lambda s: run("newton", 100)(system, s, DT), bent(system))

@@ -17,6 +17,8 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes import torqued_midpoint
 from lieint_jax.systems import torqued_body
 
+pytestmark = pytest.mark.long
+
 LOCKED = jnp.array([1.3, 1.7, 2.2])
 ORBIT = orbits.kepler(1.0, 1.0, 0.1, 0.4, node=0.3, periapsis=0.2)
 AXES = jnp.array([[1.0, 0, 0], [0, 1.0, 0], [0.6, 0, 0.8]])
@@ -95,6 +97,7 @@ def balance(law, num_steps):
     return path, np.abs(H - W.sum(axis=1) - H[0]).max() / np.abs(H).max(), np.abs(L - L[0])
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("laws", [FOUR, pytest.param(NINE.laws, marks=pytest.mark.long)], ids=["four", "nine"])
 def test_laws_at_once_balance_to_round_off(laws):
     """Observed: 2e-15 of the energy in 400 steps. Each law does something, and the wheels reach their limits."""
@@ -129,18 +132,17 @@ def check_works(path, laws, n):
     assert float(rod.work(r, torque, w, w_)) == pytest.approx(float(-M * (x_ - x - drift) - loss), abs=2e-15)
 
 
-@pytest.mark.long
 def test_nine_laws_balance_over_ten_thousand_steps():
     assert balance(NINE, 10_000)[1] < 1e-13  # observed: 3e-14
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", [*LAWS, *MORE])
 def test_energy_less_work_of_each_law_is_conserved(name):
     _, error, _ = balance((LAWS | MORE)[name], 1000)
     assert error < 1e-13  # observed: 3e-14 for the gravity gradient, 1e-15 to 1e-14 for the others
 
 
+@pytest.mark.quick
 def test_wheels_conserve_the_momentum_of_body_and_wheels():
     """Whatever the motors do. Observed: 2e-15 in 1000 steps."""
     _, _, moved = balance(wheels(max_torque=0.05, max_momentum=0.12), 1000)
@@ -148,7 +150,6 @@ def test_wheels_conserve_the_momentum_of_body_and_wheels():
     assert moved.shape[1] == 3
 
 
-@pytest.mark.long
 def test_wheels_and_a_damper_conserve_their_momentum_together():
     _, _, moved = balance(wheels() + torques.kane_damper(0.2, 0.1), 300)
     assert moved.max() < 1e-14
@@ -166,7 +167,6 @@ def rotation_of(path, n, dt):
     return a, b, torques.Rotation(a.t, dt, a.q, half, b.q, h, kappa, Omega, so3.Ad(a.q, Omega))
 
 
-@pytest.mark.long
 def test_a_rod_in_a_field_at_rest_never_gains_and_loses_the_area_of_its_loop():
     """A body that is turned slowly through two turns about an axis across the field: the second is a closed loop."""
     rod = torques.hysteresis([1.0, 0, 0], 0.5, 0.3, 0.4, field=[2.0, 0, 0])
@@ -185,7 +185,6 @@ def test_a_rod_in_a_field_at_rest_never_gains_and_loses_the_area_of_its_loop():
     assert -area > 0.5
 
 
-@pytest.mark.long
 def test_the_rate_of_a_rod_is_that_of_its_play():
     """A body that rotates steadily in a field across: x = 2 cos t, and ẇ = ẋ where the rod is dragged along, else 0."""
     body = torqued_body([1.0, 1.0, 1.0], torques.hysteresis([1.0, 0, 0], 0.5, 0.3, 0.4, field=[2.0, 0, 0]))
@@ -207,7 +206,6 @@ def test_the_rate_of_a_rod_is_that_of_its_play():
     assert not np.any(backward.extra["rod"])  # what was dragged along rests where the body rotates back
 
 
-@pytest.mark.long
 def test_runge_kutta_with_a_rod_tends_to_the_step():
     """Of order 1 in the switches. Observed: 3e-4 and 1.5e-5 in the attitude, H − W to 7e-6 and 3e-8."""
     body, first = start(torques.hysteresis([0.6, 0.8, 0.0], 0.1, 0.4, 0.2, field=[1.0, 0.5, -0.3]), works=False)
@@ -235,7 +233,6 @@ def test_runge_kutta_with_a_rod_tends_to_the_step():
         assert abs(body.energy(end) - end.work - body.energy(first)) < balance
 
 
-@pytest.mark.long
 def test_the_rates_at_a_limit_of_momentum_conserve_the_momentum_of_body_and_wheels():
     """The first wheel is driven beyond its limit and is blocked; the second is driven back, the third is free."""
     body, state = start(wheels(max_momentum=[0.12, 0.12, 0.5], speeds=0.0), works=False)
@@ -248,7 +245,6 @@ def test_the_rates_at_a_limit_of_momentum_conserve_the_momentum_of_body_and_whee
     np.testing.assert_allclose(jax.jvp(body.momentum, (state,), (moving,))[1], 0, rtol=0, atol=1e-16)
 
 
-@pytest.mark.long
 def test_a_step_back_undoes_a_step_where_the_laws_are_symmetric():
     laws = [LAWS["gravity_gradient"], LAWS["bdot"], LAWS["kane_damper"], wheels(max_torque=0.05)]
     body, state = start(torques.total(laws))
@@ -262,7 +258,6 @@ def test_a_step_back_undoes_a_step_where_the_laws_are_symmetric():
     assert not torqued_midpoint(start(LAWS["wheels"] + torques.viscous(0.1))[0]).symmetric
 
 
-@pytest.mark.long
 def test_functions_and_laws_add_in_any_order():
     push = lambda t, q, omega: 0.1 * jnp.sin(t) * jnp.array([1.0, 0, 0])  # noqa: E731
     a, b = push + torques.viscous(0.1), torques.viscous(0.1) + push
@@ -273,7 +268,6 @@ def test_functions_and_laws_add_in_any_order():
     np.testing.assert_array_equal(states[1], states[2])
 
 
-@pytest.mark.long
 def test_gradients_through_a_sum_are_those_of_differences():
     """In gains, moments of dipoles and wheels, speeds, the state and dt."""
     body, state = start(torques.viscous(0.1) + LAWS["dipole"] + wheels(), works=False)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from equations import euler, in_body
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
@@ -17,22 +18,6 @@ OMEGA = np.array([0.5, -0.3, 0.6])
 FIELD = np.array([1.0, 0.5, -0.3])
 E, SATURATION, SLOPE, COERCIVITY = np.array([0.6, 0.8, 0.0]), 0.1, 0.4, 0.2
 T = 10.0
-
-
-def in_body(q, v):
-    """Λᵀv."""
-    return v - 2 * np.cross(q[1:], q[0] * v - np.cross(q[1:], v))
-
-
-def euler(torque):
-    """The rates of y = (q, Ω) under a torque(q, Ω) in the body."""
-
-    def rate(t, y):
-        q, Omega = y[:4], y[4:]
-        spin = 0.5 * np.concatenate([[-q[1:] @ Omega], q[0] * Omega + np.cross(q[1:], Omega)])
-        return np.concatenate([spin, (torque(q, Omega) - np.cross(Omega, J * Omega)) / J])
-
-    return rate
 
 
 def errors(law, exact, order, steps):
@@ -67,9 +52,11 @@ def test_a_limit_that_comes_and_goes_leaves_order_two():
         return gain * np.cross(Omega, in_body(q, FIELD))
 
     def reference(limit):
-        rate = euler(lambda q, Omega: np.cross(np.clip(asked(q, Omega), -limit, limit), in_body(q, FIELD)))
+        def torque(t, q, Omega):
+            return np.cross(np.clip(asked(q, Omega), -limit, limit), in_body(q, FIELD))
+
         y = np.concatenate([Q, OMEGA])
-        return solve_ivp(rate, (0, T), y, "DOP853", rtol=1e-12, atol=1e-14, max_step=0.02)
+        return solve_ivp(euler(J, torque), (0, T), y, "DOP853", rtol=1e-12, atol=1e-14, max_step=0.02)
 
     path = reference(limit)
     beyond = np.array([np.abs(asked(y[:4], y[4:])) > limit for y in path.y.T])
@@ -100,7 +87,7 @@ def rod_reference():
         def internal(q, dragged=dragged, sign=sign, w=w):
             return E @ in_body(q, FIELD) - sign * COERCIVITY if dragged else w
 
-        def torque(q, Omega, internal=internal):
+        def torque(t, q, Omega, internal=internal):
             return SATURATION * np.tanh(internal(q) / SLOPE) * np.cross(E, in_body(q, FIELD))
 
         def rises(t, y, w=w):
@@ -116,7 +103,7 @@ def rod_reference():
         rises.direction, falls.direction, turns.direction = 1, -1, -1
         for event in events:
             event.terminal = True
-        part = solve_ivp(euler(torque), (t, T), y, "DOP853", rtol=1e-12, atol=1e-14, events=events, max_step=0.1)
+        part = solve_ivp(euler(J, torque), (t, T), y, "DOP853", rtol=1e-12, atol=1e-14, events=events, max_step=0.1)
         t, y = part.t[-1], part.y[:, -1]
         if part.status == 1:
             switches += 1

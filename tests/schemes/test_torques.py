@@ -12,7 +12,6 @@ import slopes
 from free_bodies import Q, moving, rows, turned
 from kappas import chosen
 from repeated import after
-from scipy.integrate import solve_ivp
 
 import lieint_jax as li
 from lieint_jax import State, _discover, schemes, torques
@@ -283,9 +282,6 @@ def test_every_law_agrees_with_its_formula():
     np.testing.assert_array_equal(after, [0.1, -0.3, 0.2])
 
 
-# What dissipation does ------------------------------------------------------------------------------------------------
-
-
 @functools.partial(jax.jit, static_argnums=3)
 def path(step, state, dt, num_steps):
     """The states of a run, their energies, and whether all steps converged."""
@@ -370,9 +366,6 @@ def test_a_magnetic_field_that_rests_damps_all_but_the_turn_about_it():
             assert energy[-1] < 1e-6 * energy[0]
 
 
-# A pulse --------------------------------------------------------------------------------------------------------------
-
-
 def test_the_impulse_of_a_thruster_is_that_of_its_window_whatever_the_steps():
     """A spin about a principal axis: Ω grows by T(stop − start)/J₃ and the work is ½J₃ΔΩ², for steps of any size."""
     start, stop, T = 0.333, 1.777, 0.4
@@ -387,8 +380,6 @@ def test_the_impulse_of_a_thruster_is_that_of_its_window_whatever_the_steps():
         assert float(end.work) == pytest.approx(J[2] * (gained**2 - 0.3**2) / 2, rel=1e-14)
         np.testing.assert_allclose(after(step, end, -dt, num_steps)[0].p, state.p, rtol=0, atol=4e-15)
 
-
-# Dissipation never gives energy back ----------------------------------------------------------------------------------
 
 DISSIPATIVE = {
     "viscous": torqued_body(J, torques.viscous(0.003 * D)),
@@ -456,67 +447,6 @@ def test_the_energy_of_a_body_that_spins_on_does_not_rise_beyond_the_rounding_of
         assert float(max(np.diff(energy)) / energy[0]) < 5e-16
 
 
-# Order, against another package ---------------------------------------------------------------------------------------
-
-
-def dop853(name, start, T):
-    """Quaternion kinematics, Euler's equations with the torque, a damper and the work, by scipy."""
-    constant = jnp.array([0.3, -0.5, 0.2])
-
-    @jax.jit
-    def rate(t, y):
-        q, p, damper = y[:4], y[4:7], y[7:10]
-        L = so3.to_matrix(q)
-        Pi = L.T @ p
-        Omega = jnp.linalg.solve(FULL, Pi)
-        slip = jnp.cross(Pi, Omega)
-        turn, torque, rest = Omega, jnp.zeros(3), jnp.zeros(3)
-        power = jnp.zeros(())
-        if name == "internal friction":
-            turn, power = Omega + 0.3 * slip, -0.3 * slip @ slip
-        elif name == "kane_damper":
-            torque = -0.3 * (L @ Omega - damper / 0.4)
-            rest, power = -torque, torque @ (L @ Omega - damper / 0.4)
-        elif name == "thruster":
-            torque, power = L @ constant, Omega @ constant  # inside its window
-        else:
-            omega = Omega if BODIES[name].frame == "body" else L @ Omega
-            torque = of_law(name, t, q, omega)
-            power = -0.2 * omega @ omega if name.startswith("pd") else omega @ torque
-            torque = L @ torque if BODIES[name].frame == "body" else torque
-        q_dot = so3.multiply(q, jnp.concatenate([jnp.zeros(1), turn])) / 2
-        return jnp.concatenate([q_dot, torque, rest, power[None]])
-
-    damper = np.zeros(3) if start.extra is None else start.extra["damper"]
-    y = np.concatenate([start.q, start.p, damper, [0.0]])
-    span = (float(start.t), float(start.t) + T)
-    return solve_ivp(lambda t, y: np.asarray(rate(t, y)), span, y, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-
-
-def flat(state):
-    damper = np.zeros(3) if state.extra is None else state.extra["damper"]
-    return np.concatenate([state.q, state.p, damper, [state.work]])
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", BODIES)
-def test_torqued_steps_have_their_order_against_another_package(name):
-    """Of the step 2, of its composition 4, in the attitude, the momenta and the work at once."""
-    body = BODIES[name]
-    start = body.state(Q, angular_velocity=OMEGA, t=0.4, work=0.0)
-    if start.extra is not None:
-        start = start._replace(extra={"damper": jnp.array([0.1, -0.3, 0.2])})
-    T, step = 1.2, torqued_midpoint(body)
-    exact = dop853(name, start, T)
-    for tried, order, counts in ((step, 2, (20, 40, 80)), (schemes.compose(step, 4), 4, (8, 16))):
-        errors = np.array([np.abs(flat(after(tried, start, T / n, n)[0]) - exact).max() for n in counts])
-        np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:])[-1], order, rtol=0, atol=0.2)
-        assert errors[-1] > 1e-11
-
-
-# Derivatives ----------------------------------------------------------------------------------------------------------
-
-
 def with_numbers(function, x):
     return jax.tree_util.Partial(function, x)
 
@@ -527,9 +457,6 @@ def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
     """In the inertia, each number of the law, the state, the time, the work and a damper's momentum."""
     start = BODIES[name].state(Q, angular_velocity=OMEGA, t=0.2, work=0.0)
     slopes.assert_agree(torqued_midpoint(BODIES[name]), start, 0.15)
-
-
-# Bad input, and other schemes -----------------------------------------------------------------------------------------
 
 
 def test_a_law_with_more_than_a_value_must_be_a_pytree():
@@ -543,24 +470,6 @@ def test_a_law_with_more_than_a_value_must_be_a_pytree():
     with pytest.raises(ValueError, match=r"a torque with potential must be a pytree: decorate Spring with @li\.pytree"):
         torqued_body(J, Spring())
     torqued_body(J, li.pytree(Spring)())
-
-
-def test_states_that_lack_something_are_refused_in_a_sentence():
-    viscous, damper = (torqued_midpoint(BODIES[name]) for name in ("viscous", "kane_damper"))
-    start = moving(FULL)._replace(t=jnp.array(0.0), work=jnp.array(0.0))
-    with_damper = start._replace(extra={"damper": jnp.zeros(3)})
-    for step, state, message in (
-        (viscous, start._replace(t=None), r"that counts work needs a time .*state\._replace\(t=0.0\)"),
-        (viscous, start._replace(t=None, work=None), r"needs the time: make it with system\.state\(\.\.\., t=0.0\)"),
-        (viscous, start._replace(t=jnp.array(np.nan)), r"state\.t must be finite"),
-        (viscous, start._replace(work=jnp.array(np.inf)), r"state\.work must be finite"),
-        (viscous, start._replace(work=jnp.zeros(2)), r"state\.work must have shape \(\)"),
-        (damper, start, r'KaneDamper has an internal state, State\.extra\["damper"\]'),
-        (damper, with_damper._replace(extra={"damper": jnp.zeros(2)}), r'extra\["damper"\] must have shape \(3,\)'),
-        (damper, with_damper._replace(extra={"damper": jnp.full(3, np.nan)}), r'extra\["damper"\] must be finite'),
-    ):
-        with pytest.raises(ValueError, match=message):
-            li.integrate(step, state, 0.1, 1)
 
 
 def until(x, t, q, omega):

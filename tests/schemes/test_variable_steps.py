@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from equations import euler, in_body
 from repeated import once
 from scipy.integrate import solve_ivp
 from small_steps import Rests
@@ -13,6 +14,8 @@ from small_steps import Rests
 import lieint_jax as li
 from lieint_jax import diagnostics, ensemble, schemes, systems
 from lieint_jax.groups import so3
+
+pytestmark = pytest.mark.long
 
 J, NEAR = np.array([1.0, 2.0, 2.5]), 1.05
 
@@ -41,31 +44,15 @@ composed = functools.cache(lambda step: schemes.compose(step, 4))
 def dop853(times):
     """q at these times: Euler's equations in the body and the torque of the charges, by DOP853."""
 
-    def field(_, y):
-        q, Pi = y[:4], y[4:]
-        Gamma = np.asarray(_rotation(q)).T @ [0, 0, NEAR]
-        slope = np.array([0, 0, -1.0]) + Gamma  # of |Γ − e₃|²/2
-        pull = slope / np.linalg.norm(slope) ** 3
-        Omega = Pi / J
-        w, v = q[0], q[1:]
-        return np.concatenate(
-            [[-v @ Omega / 2], (w * Omega + np.cross(v, Omega)) / 2, np.cross(Pi, Omega) + np.cross(Gamma, pull)]
-        )
+    def torque(t, q, Omega):
+        Gamma = in_body(q, np.array([0, 0, NEAR]))
+        slope = Gamma - [0, 0, 1]  # of |Γ − e₃|²/2
+        return np.cross(Gamma, slope / np.linalg.norm(slope) ** 3)
 
-    start = np.concatenate([START.q, TOP.body_momentum(START)])
-    return solve_ivp(field, (0, times[-1]), start, "DOP853", times, rtol=1e-13, atol=1e-14).y[:4].T
+    start = np.concatenate([START.q, TOP.body_momentum(START) / J])
+    return solve_ivp(euler(J, torque), (0, times[-1]), start, "DOP853", times, rtol=1e-13, atol=1e-14).y[:4].T
 
 
-def _rotation(q):
-    w, x, y, z = q
-    return [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-
-
-@pytest.mark.long
 def test_the_form_is_conserved_with_the_exact_drift_only():
     """Observed 6e-15; 1.1e-2 and 8e-4 with steps of Lewis & Simo for the free motion, near the charge."""
     defect = jax.jit(diagnostics.symplectic_defect)
@@ -81,6 +68,7 @@ def test_the_form_is_conserved_with_the_exact_drift_only():
     assert 6 < coarse / fine < 20
 
 
+@pytest.mark.quick
 def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():
     """A drift that rests leaves Δt = ½h/(K₀ + B) + ½h/(K₁ + B), K before and after the kick hF/(−V)."""
     step, start = schemes.LogHamiltonian(TOP, LOG.energy, Rests(TOP.free)), START._replace(t=jnp.array(0.7))
@@ -92,6 +80,7 @@ def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():
     np.testing.assert_allclose(end.p - start.p, kick, rtol=0, atol=1e-16)
 
 
+@pytest.mark.quick
 def test_the_density_is_kicked_by_half_of_dt_before_and_after_the_step():
     """For σ = eᵗ, G = −1 at every state, and the base step is dt over the density between the kicks."""
     step = schemes.reversible_control(Rests(systems.rigid_body(J)), lambda z: jnp.exp(z.t))
@@ -100,7 +89,6 @@ def test_the_density_is_kicked_by_half_of_dt_before_and_after_the_step():
     assert float(end.t) == pytest.approx(0.2 + 0.1 / 0.85, rel=1e-15)
 
 
-@pytest.mark.long
 def test_energy_does_not_drift():
     """Over 400 passages of a symmetric top: 0.011 and 0.034 at most in every tenth of the run, 1e4 with equal steps."""
     top = systems.potential_top([1.0, 1.0, 0.5], coulomb, [0.0, 0.0, NEAR])
@@ -123,7 +111,6 @@ def test_energy_does_not_drift():
     assert largest(li.integrate(splitting, state, 924 / 20_000, 20_000)).max() > 100
 
 
-@pytest.mark.long
 def test_in_chaotic_motion_the_symplectic_variable_step_conserves_energy():
     """Observed 5e-2 near the charge, at V down to −20, where the energy of equal steps is lost after a few passages."""
     run = li.integrate(LOG, LOG.start(START), 0.04, 20_000)
@@ -131,7 +118,6 @@ def test_in_chaotic_motion_the_symplectic_variable_step_conserves_energy():
     assert np.abs(diagnostics.energy_error(TOP, run)).max() < 0.1
 
 
-@pytest.mark.long
 def test_in_close_encounters_step_control_needs_a_third_of_the_steps():
     """To the same error at t = 40: observed 3.5 times fewer, 2.9 with steps in proportion to the distance."""
     step = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.5))
@@ -144,16 +130,6 @@ def test_in_close_encounters_step_control_needs_a_third_of_the_steps():
     assert run.info.converged.all()
 
 
-@pytest.mark.long
-def test_the_times_of_a_run_are_those_of_its_states():
-    run = li.integrate(CONTROLLED, CONTROLLED.start(START), 0.1, 60)
-    np.testing.assert_array_equal(run.t, run.state.t)
-    sizes = np.diff(run.t)
-    assert sizes.max() > 1.5 * sizes.min() > 0
-    assert run.info.converged.all()
-
-
-@pytest.mark.long
 def test_a_certificate_shows_that_varying_steps_break_the_form():
     found = diagnostics.certify(CONTROLLED, CONTROLLED.start(START), 0.04, 100)
     assert found.order == pytest.approx(2, abs=0.1)
@@ -161,7 +137,6 @@ def test_a_certificate_shows_that_varying_steps_break_the_form():
     assert "broken as dt^2.0" in str(found)
 
 
-@pytest.mark.long
 def test_the_energy_momentum_scheme_conserves_its_invariants_at_any_steps():
     step = schemes.reversible_control(schemes.top_energy_momentum(TOP), jax.tree_util.Partial(near, 1.0))
     run = li.integrate(step, step.start(START), 0.1, 100)
@@ -172,7 +147,6 @@ def test_the_energy_momentum_scheme_conserves_its_invariants_at_any_steps():
     assert np.abs(diagnostics.momentum_error(TOP, run)).max() < 1e-13
 
 
-@pytest.mark.long
 @both
 def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
     """The same as one by one, in memory and in a store."""
@@ -190,7 +164,6 @@ def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
     np.testing.assert_array_equal(summary.state.t, run.state.t[-1])
 
 
-@pytest.mark.long
 @both
 def test_the_state_at_a_given_time_is_an_event(step, dt):
     """Of the order of the scheme, and its time is that asked for."""
@@ -203,7 +176,6 @@ def test_the_state_at_a_given_time_is_an_event(step, dt):
     assert 3 < coarse / fine < 5
 
 
-@pytest.mark.long
 def test_the_local_error_is_that_of_the_step():
     """Against the flow; the estimate's own error is O(Δt⁴): observed 1.1e-5, 7.3e-7, of 1e-4 and 1.4e-5."""
     start = TOP.state(so3.exp(jnp.array([1.6, 0.4, 0.0])), angular_velocity=[0.2, 0.3, 0.4])
@@ -236,6 +208,7 @@ class SymmetricBody(li.Step):
         return state._replace(q=q), li.StepInfo.empty(q)
 
 
+@pytest.mark.quick
 def test_the_local_error_of_the_exact_flow_is_of_fifth_order():
     body = systems.rigid_body([1.0, 1.0, 2.0])
     state = li.State(START.q, jnp.array([0.3, 0.5, -0.4]))
@@ -245,7 +218,6 @@ def test_the_local_error_of_the_exact_flow_is_of_fifth_order():
     assert sizes[1] < 1e-5
 
 
-@pytest.mark.long
 def test_the_local_error_of_an_exact_step_is_of_fifth_order_and_dt_is_that_of_time():
     body = systems.rigid_body(J)
     state = body.state(angular_velocity=[0.3, 0.5, -0.4])
@@ -263,44 +235,6 @@ def test_the_local_error_of_an_exact_step_is_of_fifth_order_and_dt_is_that_of_ti
         diagnostics.local_error(schemes.sphere_midpoint(systems.pendulum(1.0, 1.0)), None, 0.1)
 
 
-# What is no such step ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.long
-def test_given_times_raise_an_error_for_steps_with_their_own_time():
-    state = CONTROLLED.start(START)
-    for wrong in (dict(times=[0.0, 0.1, 0.2]), dict(dt=0.1, num_steps=2, save_at=[0.1])):
-        with pytest.raises(ValueError, match=r"cannot be given to .*li\.event"):
-            li.integrate(CONTROLLED, state, **wrong)
-    with pytest.raises(ValueError, match="give its base step"):
-        diagnostics.conditions(CONTROLLED, state, 0.1)
-    with pytest.raises(ValueError, match=r"times cannot be given"):
-        li.observe(CONTROLLED, state, 0.1, [0.2])
-    with pytest.raises(ValueError, match=r"which this state lacks: use step\.start"):
-        LOG(START, 0.1)
-    with pytest.raises(ValueError, match=r"step\.start\(state\)"):
-        schemes.log_hamiltonian(TOP)(START._replace(t=0.0), 0.1)
-
-
-def test_sigma_must_be_a_positive_scalar():
-    for sigma, message in (
-        (lambda z: z.p, "scalar value, got shape"),
-        (lambda z: -1.0 + 0 * z.p[0], "positive and finite.*got -1"),
-        (lambda z: 0 * z.p[0], "positive and finite.*got 0"),
-        (lambda z: jnp.nan * z.p[0], "positive and finite"),
-        (3.0, "a function of the state"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            schemes.reversible_control(SPLITTING, sigma).start(START)
-
-
-def test_a_state_of_another_energy_or_where_v_is_positive_does_not_start():
-    for step in (schemes.log_hamiltonian(TOP, H + 0.01), schemes.log_hamiltonian(systems.heavy_top(J, [0, 0, -1.0]))):
-        with pytest.raises(ValueError, match="needs states of its energy, with −V > 0"):
-            step.start(START)
-
-
-@pytest.mark.long
 def test_a_state_outside_of_the_domain_is_flagged_in_a_compiled_loop():
     """And without a NaN."""
 

@@ -21,6 +21,8 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS
 from lieint_jax.types import State
 
+pytestmark = pytest.mark.long
+
 EPS = np.finfo(float).eps
 SPLIT = ["moving_axis", "two_wells", "pulsating"]  # beside the satellite
 J = np.array([1.0, 2.0, 2.5])
@@ -53,10 +55,6 @@ def error(a, b):
     return max(*parts, float(np.abs(a.work - b.work)))
 
 
-# Time, work and extra in every state ---------------------------------------------------------------------------------
-
-
-@pytest.mark.long
 @pytest.mark.parametrize(("step", "state", "dt"), [x[1:] for x in steps()], ids=[x[0] for x in steps()])
 def test_every_step_advances_time_and_preserves_work_and_extra(step, state, dt):
     """A step does the same with a time, work and extra arrays in the state as without."""
@@ -74,6 +72,7 @@ def test_every_step_advances_time_and_preserves_work_and_extra(step, state, dt):
         assert after.work == 0.5
 
 
+@pytest.mark.quick
 def test_a_run_is_at_t0_plus_n_dt_and_not_at_a_sum():
     body = systems.rigid_body(J)
     state = body.state(angular_velocity=[0.2, 0.1, 1.0])._replace(t=3)  # an integer becomes a float
@@ -84,7 +83,6 @@ def test_a_run_is_at_t0_plus_n_dt_and_not_at_a_sum():
     assert abs(np.cumsum(np.full(1000, 0.1))[-1] - 100) > 1e-12  # which a sum would not be
 
 
-@pytest.mark.long
 def test_a_composition_and_the_adjoints_preserve_the_clock():
     step = schemes.compose(schemes.splitting(example("satellite")[0]), 4)
     state = example("satellite")[1]
@@ -99,7 +97,6 @@ def test_a_composition_and_the_adjoints_preserve_the_clock():
     np.testing.assert_allclose(seen.t, state.t + np.array([0.25, 1.13]), rtol=2 * EPS)
 
 
-@pytest.mark.long
 def test_a_step_that_drops_work_raises_an_error():
     class Forgetful(schemes.SO3Midpoint):
         def advance(self, state, dt):
@@ -114,9 +111,7 @@ def test_a_step_that_drops_work_raises_an_error():
         step(state._replace(t=1.0, work=0.0), 0.1)
 
 
-# Splitting ------------------------------------------------------------------------------------------------------------
-
-
+@pytest.mark.quick
 def test_two_half_kicks_give_the_impulse_and_the_work_of_their_times():
     """The drift rests, so both see the same Γ: V = Γ₁ sin t, with Γ the axis seen from the body."""
     top = systems.driven_top(J, lambda Gamma, t: jnp.sin(t) * Gamma[0], [0.0, 0.6, 0.8])
@@ -130,7 +125,6 @@ def test_two_half_kicks_give_the_impulse_and_the_work_of_their_times():
     assert float(end.work) == pytest.approx(1 + 0.1 * (np.cos(before) + np.cos(after)) * (axis @ slope), rel=1e-15)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["satellite", *SPLIT])
 def test_splitting_is_symplectic_at_a_given_time(name):
     """Observed 5e-16 a step, and 1e-15 where it goes back."""
@@ -141,7 +135,6 @@ def test_splitting_is_symplectic_at_a_given_time(name):
     assert back.t == pytest.approx(state.t, abs=EPS)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["satellite", "flyby", "changing_strength"])
 def test_a_composition_with_the_exact_drift_is_symplectic(name):
     """Observed 1.6e-15 to 7e-15 of seven sub-steps, by CPU and compiler."""
@@ -152,7 +145,6 @@ def test_a_composition_with_the_exact_drift_is_symplectic(name):
     assert error(back, state) < 5e-15
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", ["splitting", "top_energy_momentum"])
 def test_the_form_of_the_space_extended_by_time_and_energy(kind):
     """ω + dt∧dE with E = −W, 8 × 8: splitting keeps it, to 2e-16; the energy-momentum scheme does not."""
@@ -180,7 +172,6 @@ def test_the_form_of_the_space_extended_by_time_and_energy(kind):
     assert found < 1e-15 if kind == "splitting" else found > 1e-4
 
 
-@pytest.mark.long
 def test_the_energy_of_splitting_is_bounded_and_does_not_drift():
     """Of a satellite that spins fast, whose motion is regular: 8.3e-4 of H in the first half, 8.4e-4 in the second."""
     system = example("satellite")[0]
@@ -191,8 +182,6 @@ def test_the_energy_of_splitting_is_bounded_and_does_not_drift():
     assert second < 1.05 * first
 
 
-# Energy and momentum --------------------------------------------------------------------------------------------------
-
 CASES = [pytest.param("satellite", KAPPAS[0], id="satellite-cayley")] + [
     pytest.param(name, kappa, id=f"{name}-{kappa.name}", marks=pytest.mark.long)
     for name in ("satellite", "flyby", "moving_axis", "changing_strength")
@@ -201,6 +190,7 @@ CASES = [pytest.param("satellite", KAPPAS[0], id="satellite-cayley")] + [
 ]
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(("name", "kappa"), CASES)
 def test_energy_less_work_is_conserved_over_20_000_steps(name, kappa):
     """To 1e-13 of max|H|, and √n·ulp(t)·|∂V/∂t|, which the time's own rounding costs; observed 0.1 to 0.4 of it."""
@@ -214,16 +204,12 @@ def test_energy_less_work_is_conserved_over_20_000_steps(name, kappa):
         assert np.abs(path.state.p[:, 2] - state.p[2]).max() < 1e-13 * np.abs(state.p).max()
 
 
-@pytest.mark.long
 def test_the_energy_momentum_scheme_is_not_symplectic():
     system, state, _ = example("satellite")
     step = schemes.top_energy_momentum(system)
     coarse, fine = (once(step, state, dt)[2] for dt in (0.2, 0.1))
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.15)
     assert error(once(step, state, 0.2)[3], state) < 5e-15  # observed 2.2e-15
-
-
-# Order, against Gauss collocation and another package -----------------------------------------------------------------
 
 
 @functools.cache
@@ -239,16 +225,12 @@ def dop853(name, T):
     return solve_ivp(field, span, np.concatenate([state.q, state.p]), "DOP853", rtol=3e-14, atol=1e-14).y[:, -1]
 
 
-@pytest.mark.long
 def test_the_reference_flow_agrees_with_another_package():
     system, state, _ = example("satellite")
     ours = flow(system, state, 2.0, 40)
     np.testing.assert_allclose(np.concatenate([ours.q, ours.p]), dop853("satellite", 2.0), rtol=0, atol=3e-13)
     assert ours.t == pytest.approx(state.t + 2.0, abs=4e-15)  # it adds its steps up, observed 2e-15
     assert system.energy(ours) - ours.work == pytest.approx(float(system.energy(state)), rel=1e-13)
-
-
-# What is known of satellites ------------------------------------------------------------------------------------------
 
 
 def circular(inertia, inclination=0.0):
@@ -267,6 +249,7 @@ def pitch(satellite, amplitude, T):
     return (jnp.arctan2(x[1], x[0]) - T + jnp.pi) % (2 * jnp.pi) - jnp.pi, rate
 
 
+@pytest.mark.quick
 def test_the_potential_of_gravity_s_gradient_at_any_distance():
     """3μ/(2r³) r̂·ΛJΛᵀr̂ on a line past the center."""
     satellite = systems.gravity_gradient(J, lambda t: (jnp.stack([2 + 0 * t, t, 1 - t]), jnp.zeros(3)), 1.7)
@@ -276,7 +259,6 @@ def test_the_potential_of_gravity_s_gradient_at_any_distance():
     assert float(satellite.potential_energy(jnp.array(Q), jnp.array(0.4))) == pytest.approx(expected, rel=1e-14)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("amplitude", [1e-5, 0.5, 1.4])
 def test_the_period_of_pitch_libration_is_the_closed_form(amplitude):
     """B α̈ = −(3/2)(A − C) sin 2α: n√(3(A − C)/B) where it is small, 4K(sin²α₀)/that where it is large.
@@ -291,7 +273,6 @@ def test_the_period_of_pitch_libration_is_the_closed_form(amplitude):
     assert abs(rate) < 1e-7 * amplitude
 
 
-@pytest.mark.long
 def test_jacobi_s_integral_on_a_circular_orbit():
     """H − n·π, n the orbit's normal: the order of the scheme is that of its error, and the flow's own is 1e-13."""
     satellite = circular(J, 0.4)
@@ -311,7 +292,6 @@ def test_jacobi_s_integral_on_a_circular_orbit():
     assert satellite.energy(end) - end.p @ normal == pytest.approx(float(jacobi[0]), abs=2e-13)
 
 
-@pytest.mark.long
 def test_the_axis_of_an_oblate_body_precesses_by_the_mean_torque():
     """ψ̇ = −(3/2) n² (C − A)/(C ω) cos ε, averaged over orbits; off by 0.31 n/ω of itself, 5.5e-4 here."""
     A, C, spin, obliquity = 1.0, 1.2, 600.0, 0.4
@@ -329,10 +309,6 @@ def test_the_axis_of_an_oblate_body_precesses_by_the_mean_torque():
     assert turned(satellite, state) / (20 * np.pi) == pytest.approx(rate, rel=2e-3)
 
 
-# Refusals -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.long
 def test_a_time_too_large_for_its_type_warns():
     satellite, state, _ = example("satellite")
     step, late = schemes.splitting(satellite), state._replace(t=np.float64(1e9))
@@ -345,6 +321,7 @@ def test_a_time_too_large_for_its_type_warns():
         li.integrate(step, state, 0.05, 2)
 
 
+@pytest.mark.quick
 def test_another_orbit_of_the_same_kind_has_the_same_tree_structure():
     """Orbits are data: another eccentricity is another satellite of the same structure, which compiles nothing."""
     satellite = example("satellite")[0]

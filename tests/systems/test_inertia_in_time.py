@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from equations import quaternion_rate
 from grid import examples_of
 from scipy.integrate import solve_ivp
 
@@ -45,8 +46,8 @@ def by_scipy(inertia, torque):
         q, Pi = z[:4], z[4:7]
         Omega = np.linalg.solve(J, Pi)
         T = torque(Omega)
-        q_dot = 0.5 * np.concatenate([[-q[1:] @ Omega], q[0] * Omega + np.cross(q[1:], Omega)])
-        return np.concatenate([q_dot, np.cross(Pi, Omega) + T, [Omega @ T - 0.5 * Omega @ rate @ Omega]])
+        Pi_dot, power = np.cross(Pi, Omega) + T, Omega @ T - 0.5 * Omega @ rate @ Omega
+        return np.concatenate([quaternion_rate(q, Omega), Pi_dot, [power]])
 
     J0 = np.asarray(inertia(jnp.zeros(())))
     start = np.concatenate([[1.0, 0, 0, 0], J0 * OMEGA if J0.ndim == 1 else J0 @ OMEGA, [0.0]])

@@ -14,6 +14,8 @@ from lieint_jax.diagnostics import constraint_error, energy_error, flow, momentu
 from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.types import State
 
+pytestmark = pytest.mark.long
+
 AXIS = np.array([0.6, 0.0, -0.8])
 Q = np.array([0.48, 0.6, -0.64])
 V = np.cross(Q, [0.9, -0.3, 0.5])
@@ -51,6 +53,7 @@ def run(step, state, dt=0.1):
 _defect = jax.jit(symplectic_defect)
 
 
+@pytest.mark.quick
 @pytest.mark.paper("1.1: (1.3), (1.5)", "the pendulum, and its momentum about γ", "systems/_pendulum.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("normalized", [False, True])
@@ -70,7 +73,6 @@ def test_claims_1_and_2_constraints_momentum_and_energy(field, normalized):
 
 
 @pytest.mark.paper("1.1: claim 3", "not symplectic; normalized it is", "schemes/_sphere_midpoint.py")
-@pytest.mark.long
 @pytest.mark.parametrize("field", ["linear", "cubic"])
 def test_claim_3_the_plain_rule_is_not_symplectic_the_normalized_one_is(field):
     bob = BOBS[field]
@@ -81,7 +83,6 @@ def test_claim_3_the_plain_rule_is_not_symplectic_the_normalized_one_is(field):
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.1)
 
 
-@pytest.mark.long
 @pytest.mark.paper("1.1: (1.6), claims 1, 2", "the midpoint rule on T*S²", "schemes/_sphere_midpoint.py")
 def test_1_6_as_printed_does_not_conserve_energy():
     """∇H(½(z_n + z_n)), an explicit gradient, for ∇H(½(z_n + z_{n+1})): of first order, and energy is lost."""
@@ -134,7 +135,6 @@ def in_the_chart():
     return jax.device_get(steps(jnp.array(Z)))
 
 
-@pytest.mark.long
 def test_the_spherical_chart_is_one_of_darboux():
     """The form of T*S² is the constant (1.2) in it; p_φ is γ·π; the coordinates of a state lead back to it."""
     *_, slope, back = in_the_chart()
@@ -145,7 +145,6 @@ def test_the_spherical_chart_is_one_of_darboux():
 
 
 @pytest.mark.paper("1.1: claim 4", "spherical coordinates: form and momentum", "schemes/_sphere_chart.py")
-@pytest.mark.long
 def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_conserves_momentum():
     """The form of T*S² itself, by autodiff of the step on the sphere; γ·π; and the constraints."""
     trajectory, _, momentum, defect, *_ = in_the_chart()
@@ -155,7 +154,6 @@ def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_co
     assert np.abs(jax.vmap(BOBS["linear"].phase_space.defect)(trajectory.state)).max() < 2e-15
 
 
-@pytest.mark.long
 def test_claim_4_the_step_is_the_midpoint_rule_in_the_coordinates():
     """z₁ − z₀ = Δt J∇H(½(z₀ + z₁)), H taken through the chart by autodiff."""
     trajectory = in_the_chart()[0]
@@ -165,13 +163,11 @@ def test_claim_4_the_step_is_the_midpoint_rule_in_the_coordinates():
     np.testing.assert_allclose(zs[1] - zs[0], change, rtol=0, atol=4e-15)
 
 
-@pytest.mark.long
 def test_claim_5_in_spherical_coordinates_energy_is_not_conserved_even_for_linear_g():
     energy = in_the_chart()[1]
     assert 1e-5 < np.abs(energy).max() < 1e-1
 
 
-@pytest.mark.long
 def test_claim_4_second_order_and_reversible_about_any_axis():
     """Also about another axis than γ, where p_φ is not conserved: still symplectic."""
     bob, state = BOBS["linear"], CHART.state(jnp.array(Z))
@@ -184,6 +180,7 @@ def test_claim_4_second_order_and_reversible_about_any_axis():
     assert found.converged
 
 
+@pytest.mark.quick
 def test_the_step_in_the_chart_follows_the_vector_field():
     """By the central difference of two steps."""
     bob, h = BOBS["cubic"], 1e-3
@@ -194,7 +191,6 @@ def test_the_step_in_the_chart_follows_the_vector_field():
         np.testing.assert_allclose((a - b) / (2 * h), rate, rtol=0, atol=1e-5)
 
 
-@pytest.mark.long
 def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
     """Elsewhere it is not, be it at rest; a NaN never comes without the flag."""
     bob = BOBS["linear"]
@@ -210,7 +206,6 @@ def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
         li.schemes.sphere_chart(bob, AXIS).check(State(jnp.array(AXIS), jnp.zeros(3)), 0.1)
 
 
-@pytest.mark.long
 @pytest.mark.paper("1.1: claim 5", "spherical coordinates: energy, the pole", "schemes/_sphere_chart.py")
 def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     """A swing through the axis: in the chart the momentum's term blows up, on T*S² nothing happens."""
@@ -224,7 +219,6 @@ def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     assert constraint < 2e-12
 
 
-@pytest.mark.long
 def test_a_step_back_undoes_a_step():
     for normalized in (False, True):
         step = li.schemes.sphere_midpoint(BOBS["cubic"], normalized)
@@ -232,7 +226,6 @@ def test_a_step_back_undoes_a_step():
         np.testing.assert_allclose(state_after(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
 
 
-@pytest.mark.long
 @pytest.mark.paper("1.1: (1.4)", "the form of T*S²", "phase_spaces.py")
 def test_the_flow_is_symplectic_for_the_form_of_1_4():
     """The exact flow preserves the frame form, so the form is the right one; with its blocks exchanged it would not."""
@@ -261,7 +254,6 @@ def _in_the_frame(state):
     return tangents, space.omega(state), space.trivialize(state, bob.vector_field(state)), slope
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_the_frame_form_is_q_dot_the_cross_products(seed):
     """ω(δ₁, δ₂) = q·(δq₁ × δπ₂ + δπ₁ × δq₂) for tangent vectors, and J of (1.4) is its inverse on them."""

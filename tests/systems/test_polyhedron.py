@@ -14,6 +14,8 @@ import lieint_jax as li
 from lieint_jax import diagnostics, potentials, shapes
 from lieint_jax.groups import so3
 
+pytestmark = pytest.mark.long
+
 RNG = np.random.default_rng(10)
 POINTS = np.concatenate([RNG.uniform(-0.4, 1.4, (12, 3)), [[3.0, -2.0, 5.0], [0.5, 0.5, 0.5]]])
 
@@ -53,12 +55,14 @@ def of_box(point):
         return -float(total[0]), [-float(x) for x in total[1:]]
 
 
+@pytest.mark.quick
 def test_a_cube_has_the_potential_and_the_force_of_its_closed_form():
     V, F = (np.array(x) for x in zip(*map(of_box, POINTS), strict=True))
     np.testing.assert_allclose(cube().value(POINTS), 3 * V, rtol=1e-13)
     np.testing.assert_allclose(cube().force(POINTS), 3 * F, rtol=0, atol=1e-13 * 3 * np.abs(F).max())
 
 
+@pytest.mark.quick
 def test_second_derivatives_are_those_of_the_force_and_find_the_inside():
     """By Poisson's equation the trace is 4πGρ inside and 0 outside."""
     P, h = cube(), 1e-4
@@ -72,7 +76,6 @@ def test_second_derivatives_are_those_of_the_force_and_find_the_inside():
     np.testing.assert_array_equal(found, np.swapaxes(found, 1, 2))
 
 
-@pytest.mark.long
 def test_autodiff_finds_the_closed_forms():
     """Of φ, of the force, and of second derivatives against differences, forward and in reverse."""
     P, x, h = cube(), jnp.array(POINTS[:6]), 1e-5
@@ -86,7 +89,6 @@ def test_autodiff_finds_the_closed_forms():
     np.testing.assert_allclose(fourth, jnp.swapaxes(fourth, 0, 3), rtol=0, atol=1e-12 * float(jnp.abs(fourth).max()))
 
 
-@pytest.mark.long
 def test_derivatives_by_vertices_and_by_the_density():
     at, faces, x, h = jnp.array(CUBE), FACES, jnp.array(POINTS[0]), 1e-4
 
@@ -99,6 +101,7 @@ def test_derivatives_by_vertices_and_by_the_density():
         assert float(slope[1]) == pytest.approx(float(pull(0.1, 1.0)), rel=1e-13)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("place", [[1.0, 0.3, 1.0], [1.0, 1.0, 1.0], [1.0, 0.3, 0.6], [2.0, 1.0, 1.0], [2.0, 0.3, 1.0]])
 def test_phi_and_the_force_are_continuous_at_edges_vertices_and_faces_and_on_lines_of_edges(place):
     P, x = cube(), np.array(place)
@@ -135,7 +138,6 @@ def by_tetrahedra(shape, x, order=10):
     return -force  # the center is the last corner
 
 
-@pytest.mark.long
 def test_a_bilobed_body_attracts_as_its_tetrahedra_close_to_the_surface():
     """At 0.1 of its radius above the surface, in the waist and at the ends."""
     shape = stone()
@@ -149,7 +151,6 @@ def test_a_bilobed_body_attracts_as_its_tetrahedra_close_to_the_surface():
         np.testing.assert_allclose(P.force(x), exact, rtol=0, atol=1e-12 * np.linalg.norm(exact))
 
 
-@pytest.mark.long
 def test_round_polyhedra_attract_as_spheres_to_second_order_and_shells_have_no_field_inside():
     """A cavity of the mesh is exactly the difference of two polyhedra; its field is 0 up to the mesh's error."""
     errors, fields = [], []
@@ -168,7 +169,6 @@ def test_round_polyhedra_attract_as_spheres_to_second_order_and_shells_have_no_f
         assert np.log2(found[0] / found[1]) == pytest.approx(2, abs=0.1), found
 
 
-@pytest.mark.long
 def test_two_parts_of_one_mesh_attract_as_their_sum():
     at, faces = bilobed(1)
     two = (np.concatenate([at, at + np.array([3.0, 0, 0])]), np.concatenate([faces, faces + len(at)]))
@@ -178,7 +178,6 @@ def test_two_parts_of_one_mesh_attract_as_their_sum():
     np.testing.assert_allclose(dumbbell.force(x), both, rtol=0, atol=1e-13)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("turned", ["moved", "aligned", "reversed"])
 def test_a_shape_keeps_its_mesh(turned):
     """Where it is moved or aligned, and whichever way its faces are oriented; a sum has none."""
@@ -222,7 +221,6 @@ def pair(levels=1, small=None, shape=None):
 TILTED = np.array([[3.0, 0.4, -0.2], [0.4, 2.0, 0.3], [-0.2, 0.3, 2.5]]) * 1e-6
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("small", ["pebble", "body"])
 def test_forces_and_torques_are_the_derivative_of_the_potential(small):
     system, state = pair(small=None if small == "pebble" else tuple(map(tuple, TILTED)))
@@ -234,7 +232,6 @@ def test_forces_and_torques_are_the_derivative_of_the_potential(small):
     assert bool(jnp.any(force[1, 3:] != 0)) == (small == "body")
 
 
-@pytest.mark.long
 def test_the_shape_of_a_small_body_counts_to_second_order():
     """Against its points, which are symmetric about its center: the error falls as the fourth power of its size."""
     points, masses = np.array([[1.0, 0.2, 0], [0, 0.7, 0.3], [0.1, 0, 0.4]]), np.array([1.0, 2.0, 1.5]) / 9
@@ -266,6 +263,7 @@ def conserved(scheme, steps, small=None, levels=1):
     return H, float(moved[:3].max()) / p, float(moved[3:].max()) / L
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("scheme", "steps"),
     [
@@ -282,13 +280,11 @@ def test_a_pebble_in_orbit_close_to_a_bilobed_body(scheme, steps):
     assert H < 1e-12 if scheme == "bodies_energy_momentum" else 1e-7 < H < 1e-3
 
 
-@pytest.mark.long
 def test_a_small_body_of_any_shape_conserves_energy_and_both_momenta():
     H, P, L = conserved("bodies_energy_momentum", 100, tuple(map(tuple, 1e3 * TILTED)))
     assert max(H, P, L) < 1e-12
 
 
-@pytest.mark.long
 def test_the_derivative_through_a_step_agrees_with_differences():
     system, state = pair(1)
     step, h = li.schemes.splitting(system), 1e-4
@@ -301,7 +297,6 @@ def test_the_derivative_through_a_step_agrees_with_differences():
     np.testing.assert_allclose(slope, (end(h) - end(-h)) / (2 * h), rtol=0, atol=1e-6 * float(jnp.abs(slope).max()))
 
 
-@pytest.mark.long
 def test_machine_code_reads_the_faces_from_memory_and_agrees_with_xla():
     system, state = pair(2)
     step = li.schemes.splitting(system)
@@ -319,7 +314,6 @@ def test_machine_code_reads_the_faces_from_memory_and_agrees_with_xla():
     np.testing.assert_allclose(found["native"], found["xla"], rtol=0, atol=1e-14)
 
 
-@pytest.mark.long
 def test_single_precision():
     """Close to the surface a few eps; the error grows with the square of the distance."""
     P = cube(np.float32)
@@ -329,7 +323,6 @@ def test_single_precision():
     np.testing.assert_allclose(P.force(x), exact, rtol=0, atol=2e-5 * float(jnp.abs(exact).max()))
 
 
-@pytest.mark.long
 def test_a_step_into_another_s_enclosing_sphere_is_flagged():
     long = shapes.ellipsoid([2.0, 1.0, 1.0], mass=1.0)
     bodies = li.systems.rigid_bodies([1.0, 0.1], [[1.0, 1, 1]] * 2, potentials.mutual_gravity(1.0, [long, 0.1]))
@@ -338,6 +331,7 @@ def test_a_step_into_another_s_enclosing_sphere_is_flagged():
         assert not scheme(bodies)(state, 0.1)[1].converged
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("shape", "radius"),
     [

@@ -227,15 +227,6 @@ def test_two_bodies_and_a_spring_conserve_the_momenta_that_an_outer_field_leaves
     assert float(H) < (1e-3 if scheme == "splitting" else 1e-14)
 
 
-@pytest.mark.long
-def test_the_energy_momentum_scheme_refuses_a_potential_that_it_would_change():
-    """A function of absolute positions is none of relative ones; so is a field without invariants."""
-    m, J = [1.0, 2.0], np.ones((2, 3))
-    for V in (lambda x, R: x[0, 2] + jnp.sum((x[1] - x[0]) ** 2), HANGING["central"]):
-        with pytest.raises(ValueError, match="bodies in a potential of relative positions and attitudes"):
-            schemes.bodies_energy_momentum(systems.rigid_bodies(m, J, V))
-
-
 @pytest.mark.parametrize("model", reference_numbers.numbers("water"))
 def test_water_has_the_published_geometry_and_dipole(model):
     to_m, dipole, size, well = reference_numbers.numbers("water")[model]

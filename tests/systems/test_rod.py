@@ -175,44 +175,7 @@ def test_an_element_that_turns_to_where_its_energy_is_not_convex_is_flagged(ener
     assert not jax.jit(scheme(chain))(near, 0.02)[1].converged
 
 
-REFUSED = {
-    r"lengths must have shape \(N - 1,\)": {"lengths": 1.0},
-    "lengths must be positive": {"lengths": [1.0, 0.0]},
-    "stretching must not be negative": {"stretching": (1.0, -1, 1)},
-    r"bending must have shape \(3,\) or \(2, 3\)": {"bending": (1.0, 1)},
-    "energy must be one of fourth, directors": {"energy": "cubic"},
-}
-
-
-@pytest.mark.parametrize("message", REFUSED)
-def test_arguments_that_are_no_rod_are_refused(message):
-    with pytest.raises(ValueError, match=message):
-        potentials.rod(**({"lengths": [1.0, 1.0], **STIFF} | REFUSED[message]))
-
-
 ROUND = systems.circular_section(0.1, 2e3, 5.0, poisson=0.25)
-BAD = {
-    "elements must be an integer": {"elements": 0},
-    r"ends must be a pair": {"ends": "clamped"},
-    r"ends\[1\] must be \"free\"": {"ends": ("free", "pinned")},
-    r"ends\[0\] must be a unit quaternion": {"ends": ([0, 0, 0, 1, 1, 0, 0], "free")},
-    r"ends\[0\] at t = 0 must be a unit quaternion": {"ends": (lambda t: jnp.array([0, 0, 0, 2.0, 0, 0, 0]), "free")},
-    r"ends\[0\] must be a function of the time": {"ends": (lambda t: jnp.zeros(6), "free")},
-    "section must be circular_section": {"section": "steel"},
-    "section that moves": {"elements": 1, "ends": ("clamped", "clamped")},
-    "loads act on sections that move, 1 to 3": {"ends": ("clamped", "free"), "loads": {0: lambda t: jnp.zeros(6)}},
-    r"loads\[-1\] must be a function of the time": {"loads": {-1: lambda t: jnp.zeros(3)}},
-    "damping must not be negative": {"damping": -0.1},
-    r"section.mass must have shape \(\) or \(3,\)": {"section": ROUND._replace(mass=[1.0, 2.0])},
-    "poisson must be": {"section": lambda: systems.circular_section(0.1, 1.0, 1.0, poisson=0.6)},
-}
-
-
-@pytest.mark.parametrize("message", BAD)
-def test_a_rod_that_cannot_be_is_refused(message):
-    given = {"length": 1.0, "elements": 3, "section": ROUND} | BAD[message]
-    with pytest.raises(ValueError, match=message):
-        systems.rod(**given | {"section": given["section"]() if callable(given["section"]) else given["section"]})
 
 
 def test_a_sum_and_a_held_chain_have_the_domains_of_their_terms():

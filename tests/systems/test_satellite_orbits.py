@@ -11,11 +11,12 @@ import lieint_jax as li
 from lieint_jax import orbits
 from lieint_jax.groups import so3
 
+pytestmark = pytest.mark.long
+
 ORBIT = orbits.kepler(1.3, 1.1, 0.1, 0.7, node=0.4, periapsis=0.2, periapsis_time=0.1)
 LOW = orbits.kepler(orbits.EARTH_GM, 6878.137, 0.001, 0.9)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("a", "e"), [(1.1, 0.6), (-1.1, 1.4), (2.0, 1e-3)])
 def test_a_state_gives_the_orbit_that_its_elements_give(a, e):
     """Observed: 2e-15 over a revolution. The elements come back too."""
@@ -31,7 +32,6 @@ def test_a_state_gives_the_orbit_that_its_elements_give(a, e):
     np.testing.assert_allclose(traced, orbit(2.0)[0], rtol=0, atol=1e-14)
 
 
-@pytest.mark.long
 def test_a_circle_is_no_special_case_of_a_state():
     """Derivatives by the state at a circle in the xy-plane are those of Clohessy and Wiltshire."""
     r, v, t = jnp.array([1.0, 0, 0]), jnp.array([0, 1.0, 0]), 2.0
@@ -65,7 +65,6 @@ def hyperbola_in_many_digits(r, v, t):
         return np.array([float(f * p + g * q) for p, q in zip(r, v, strict=True)])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("e", [1.3, 3.0])
 def test_a_hyperbola_from_far_to_far(e):
     """From 4500 a on one side to the other, to the center, and back; observed: 9 ulp of a(1 + r₀r/a²)."""
@@ -80,7 +79,6 @@ def test_a_hyperbola_from_far_to_far(e):
             assert np.abs(x - exact).max() <= allowed
 
 
-@pytest.mark.long
 def test_a_table_is_a_smooth_orbit_of_order_four():
     errors = []
     for n in (100, 200):
@@ -96,7 +94,6 @@ def test_a_table_is_a_smooth_orbit_of_order_four():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.1)
 
 
-@pytest.mark.long
 def test_a_long_table_is_read_by_machine_code():
     times = np.linspace(0.0, 6.0, 1000)
     table = orbits.table(times, *jax.jit(jax.vmap(ORBIT))(times))
@@ -105,7 +102,6 @@ def test_a_long_table_is_read_by_machine_code():
     assert li.explain(lambda z: li.integrate(step, z, 0.05, 100), state).engines == {"native"}
 
 
-@pytest.mark.long
 def test_a_time_outside_of_a_table_is_an_error_or_a_failed_step():
     times = np.linspace(0.0, 1.0, 11)
     table = orbits.table(times, *jax.vmap(ORBIT)(times))
@@ -117,7 +113,6 @@ def test_a_time_outside_of_a_table_is_an_error_or_a_failed_step():
     assert path.info.converged.tolist() == [True, True, True, True, False, False]
 
 
-@pytest.mark.long
 def test_secular_rates_are_the_drift_of_an_integrated_orbit():
     """Of the node over 15 revolutions, by DOP853 with J₂ alone; the first order is right to about J₂."""
     mu, a, e, i = orbits.EARTH_GM, 7178.137, 1e-3, 1.0
@@ -144,7 +139,6 @@ def test_secular_rates_are_the_drift_of_an_integrated_orbit():
     np.testing.assert_allclose(orbit(t)[1], rate, rtol=0, atol=1e-13)
 
 
-@pytest.mark.long
 def test_the_local_frame_points_down_and_rotates_as_it_says():
     frame = orbits.lvlh(ORBIT)
     t, dt = 0.8, 1e-4
@@ -160,6 +154,7 @@ def test_the_local_frame_points_down_and_rotates_as_it_says():
     np.testing.assert_allclose(orbits.lvlh(circle).angular_velocity(0.3), [0, -1, 0], rtol=0, atol=1e-15)
 
 
+@pytest.mark.quick
 def test_a_shared_function_has_the_values_but_no_leaves():
     """Two of the same numbers are equal, so a program is compiled once for them; a frame remains a frame."""
     orbit, other = (orbits.kepler(398600.4418, 7000.0 + height, 0.01, 0.9) for height in (0.0, 1.0))
@@ -175,6 +170,7 @@ def test_a_shared_function_has_the_values_but_no_leaves():
     np.testing.assert_allclose(rate, frame.angular_velocity(t), rtol=0, atol=1e-16)
 
 
+@pytest.mark.quick
 def test_days_and_the_rotation_of_the_earth():
     """IERS Conventions 2010: the angle at J2000 is 0.7790572732640 of a turn; it gains a turn in a sidereal day."""
     assert orbits.julian_date(2000, 1, 1, 12.0) == 2451545.0
@@ -185,7 +181,6 @@ def test_days_and_the_rotation_of_the_earth():
     assert later == pytest.approx(2 * np.pi * 0.7790572732640, abs=1e-8)
 
 
-@pytest.mark.long
 def test_the_field_is_the_gradient_of_its_potential_and_rotates():
     """In axes of the Earth: V = R(R/r)²[g₁⁰ cos θ + (g₁¹ cos φ + h₁¹ sin φ) sin θ], b = −∇V."""
     date = orbits.julian_date(2025, 1, 1)
@@ -210,7 +205,6 @@ def test_the_field_is_the_gradient_of_its_potential_and_rotates():
     assert float(halfway) == pytest.approx(1e-9 * (-29403.41 - 29350.0) / 2, rel=1e-7)
 
 
-@pytest.mark.long
 def test_the_air_thins_with_height_and_rotates_with_the_earth():
     air = orbits.atmosphere(LOW, 6.967e-13, 63.822, 500.0)
     density, velocity = air(1000.0)
@@ -220,6 +214,7 @@ def test_the_air_thins_with_height_and_rotates_with_the_earth():
     np.testing.assert_allclose(velocity, v - np.cross([0, 0, orbits.EARTH_RATE], r), rtol=0, atol=1e-14)
 
 
+@pytest.mark.quick
 def test_the_sun_stands_where_seasons_begin():
     """Equinox 2024 March 20, 3:06 UT, and solstice June 20, 20:51 UT (US Naval Observatory), to 0.01°."""
     spring = orbits.sun_direction(orbits.julian_date(2024, 3, 20, 3 + 6 / 60))(0.0)
@@ -228,7 +223,6 @@ def test_the_sun_stands_where_seasons_begin():
     np.testing.assert_allclose(summer, [0, np.cos(np.deg2rad(23.436)), np.sin(np.deg2rad(23.436))], rtol=0, atol=2e-4)
 
 
-@pytest.mark.long
 def test_shadows_of_a_cylinder_and_of_a_cone():
     circle = orbits.kepler(1.0, 1.5, 0.0)
     sun = jnp.array([1.0, 0, 0])
@@ -249,7 +243,6 @@ def test_shadows_of_a_cylinder_and_of_a_cone():
     assert np.isfinite(jax.vmap(jax.grad(orbits.eclipse(circle, sun, 1.0)))(t[::40])).all()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("shadow", ["conical", "cylindrical"])
 def test_the_shadow_of_a_direction_does_not_depend_on_its_length(shadow):
     """That of a function of time, which is not checked when the eclipse is made."""
