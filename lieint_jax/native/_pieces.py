@@ -12,8 +12,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 
-from lieint_jax.native._emit import emit
-from lieint_jax.native._llvm.loops import Tape
+from lieint_jax.native._emit import Tape, Writer
 from lieint_jax.native._program import Block, Loop, Program, Value, blocks_of
 from lieint_jax.native._traced import Leaf, leaves_before_rows
 from lieint_jax.native.functions import Functions
@@ -39,7 +38,7 @@ def modules(
 ) -> tuple[list[str], int]:
     """The texts of modules that are compiled together, and about how many numbers of a row the members share.
 
-    The arguments are those of `emit`.
+    The arguments are those of `Writer` and its text.
 
     The arguments of their function `run` are the first block and the one after the last, the numbers of members and of
     rows, how many rows each stored one stands for, and pointers to the leaves that are in memory; the carries after the
@@ -48,12 +47,12 @@ def modules(
     functions = Functions()
     parts = _split(program, leaves) if lanes > 1 else None
     if parts is None:
-        text = emit("steps", program, leaves, results, lanes, functions, reverse=reverse, row_lanes=row_lanes)
+        text = Writer(program, lanes, leaves, functions, row_lanes=row_lanes).text("steps", results, reverse)
         return [text, _ALL_ROWS, functions.text()], 0
     first, rest, numbers = parts
-    rest = emit("steps", rest, leaves, results, lanes, functions, Tape(numbers, writes=False), reverse)
+    rest = Writer(rest, lanes, leaves, functions, Tape(numbers, writes=False)).text("steps", results, reverse)
     before = leaves_before_rows(leaves)
-    first = emit("first", first, before, [], 1, functions, Tape(numbers, writes=True), reverse)
+    first = Writer(first, 1, before, functions, Tape(numbers, writes=True)).text("first", [], reverse)
     arguments = sum(leaf.kind != "counter" for leaf in leaves)
     carries = sum(leaf.kind == "carry" for leaf in leaves)
     shared = sum(map(len, numbers.values()))

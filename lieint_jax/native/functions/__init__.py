@@ -7,7 +7,7 @@ Reductions follow Cody & Waite, *Software Manual for the Elementary Functions*, 
 *Elementary Functions*, 3rd ed., chapters 10 and 11; pairs are double-doubles.
 """
 
-from lieint_jax.native._llvm.text import Module
+from lieint_jax.native._llvm import Module
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native.functions._angles import ANGLES
 from lieint_jax.native.functions._definitions import Formula, define

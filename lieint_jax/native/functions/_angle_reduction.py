@@ -2,7 +2,7 @@
 
 import math
 
-from lieint_jax.native._llvm.text import suffix
+from lieint_jax.native._llvm import suffix
 from lieint_jax.native.functions._definitions import call
 from lieint_jax.native.functions._double_double import Pair, pair
 from lieint_jax.native.functions._floats import HALF_PI, HALF_PI_29_BITS, INF, SHIFT, SIGN_BIT, unshift

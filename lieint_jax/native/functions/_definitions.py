@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from lieint_jax.native._llvm.text import Module, Text, with_lanes
+from lieint_jax.native._llvm import Module, Text, with_lanes
 from lieint_jax.native.functions._value import LlvmValue
 
 Formula = Callable[..., LlvmValue | tuple[LlvmValue, ...]]

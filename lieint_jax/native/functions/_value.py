@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lieint_jax.native._llvm.text import Text, constant, instruction, with_lanes
+from lieint_jax.native._llvm import Text, constant, instruction, with_lanes
 from lieint_jax.native._program import COMPARISONS
 
 _Operator = Callable[["LlvmValue", "LlvmValue | float"], "LlvmValue"]
