@@ -18,7 +18,7 @@ from jax import Array, lax
 from jax.extend.core import ClosedJaxpr
 
 from lieint_jax.native._arrays import Evaluation, check_operations, computed_before
-from lieint_jax.native._march import AnyArray, AnyArrays, Deferred, Loop, jaxpr_of, march_p
+from lieint_jax.native._march import AnyArray, AnyArrays, Arrays, Deferred, Loop, jaxpr_of, march_p
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._traced import Leaf, Traced
 
@@ -56,7 +56,7 @@ class KernelCode:
         self.pressure = traced.pressure
         self.seconds = {"walk": time.perf_counter() - begin}
 
-    def call(self, arguments: AnyArrays, loop: Loop, interpret: bool = False) -> list[AnyArray]:
+    def call(self, arguments: AnyArrays, loop: Loop, interpret: bool = False) -> Arrays:
         """The carries after the last step and the stored rows; without a GPU if it is to `interpret` the kernel."""
         from jax.experimental import pallas as pl
         from jax.experimental.pallas import triton

@@ -21,6 +21,7 @@ from jax.interpreters import ad, partial_eval
 from lieint_jax.native._march import (
     AnyArray,
     AnyArrays,
+    Arrays,
     Deferred,
     Loop,
     Origin,
@@ -35,11 +36,11 @@ from lieint_jax.native._march_members import varying_in_loop
 
 _MOST_STORED = 64  # steps of a loop whose carries are all stored
 Mask = Sequence[bool]
-_Function = Callable[..., list[AnyArray]]
+_Function = Callable[..., Arrays]
 _Step = ClosedJaxpr | Deferred
 
 
-def _chosen(items: AnyArrays, mask: Mask) -> list[AnyArray]:
+def _chosen(items: AnyArrays, mask: Mask) -> Arrays:
     return [x for x, m in zip(items, mask, strict=True) if m]
 
 
@@ -66,7 +67,7 @@ def _varying_and_real(step: _Step, carried: int, active: tuple[bool, ...]) -> tu
 # Forward mode ---------------------------------------------------------------------------------------------------------
 
 
-def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[list[AnyArray], list[AnyArray]]:
+def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[Arrays, Arrays]:
     primals = [jnp.asarray(x) for x in primals]  # JAX passes on Python's numbers
     given = tuple(type(t) is not ad.Zero and _is_real(x) for x, t in zip(primals, tangents, strict=True))
     real = _mask_of_results(loop, given)
@@ -86,7 +87,7 @@ def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[list[A
 ad.primitive_jvps[march_p] = _jvp
 
 
-def _interleaved(loop: Loop, plain: AnyArrays, dots: AnyArrays, active: Mask) -> list[AnyArray]:
+def _interleaved(loop: Loop, plain: AnyArrays, dots: AnyArrays, active: Mask) -> Arrays:
     """(carries, their tangents, constants, their tangents, rows, their tangents)."""
     found, left = [], iter(dots)
     for values, mask in zip(loop.split(plain), loop.split(active), strict=True):
@@ -94,7 +95,7 @@ def _interleaved(loop: Loop, plain: AnyArrays, dots: AnyArrays, active: Mask) ->
     return found
 
 
-def _parted(loop: Loop, items: AnyArrays, active: Mask) -> tuple[list[AnyArray], list[AnyArray]]:
+def _parted(loop: Loop, items: AnyArrays, active: Mask) -> tuple[Arrays, Arrays]:
     """What `_interleaved` put together: the plain items, and those of the tangents."""
     plain, dots, left = [], [], iter(items)
     for mask in loop.split(active):
@@ -122,11 +123,11 @@ def _tangent_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...
     loop = Loop(step, carried, fixed, 1, 1, False)
     mask, function = _mask_of_results(loop, active), function_of(step)
 
-    def with_dots(out: AnyArrays, out_dots: AnyArrays) -> list[AnyArray]:
+    def with_dots(out: AnyArrays, out_dots: AnyArrays) -> Arrays:
         ends, ys = _chosen(out_dots[:carried], mask[:carried]), _chosen(out_dots[carried:], mask[carried:])
         return [*out[:carried], *ends, *out[carried:], *ys]
 
-    def pushed(n: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
         plain, dots = _parted(loop, arguments, active)
         of_active = _of_active(function, n, plain, active)
         return with_dots(*jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots)))
@@ -139,7 +140,7 @@ def _tangent_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...
 def _of_active(function: _Function, n: AnyArray, plain: AnyArrays, active: Mask) -> _Function:
     """A step as a function of its active arguments."""
 
-    def of_active(*values: AnyArray) -> list[AnyArray]:
+    def of_active(*values: AnyArray) -> Arrays:
         left = iter(values)
         return list(function(n, *(next(left) if a else x for a, x in zip(active, plain, strict=True))))
 
@@ -149,7 +150,7 @@ def _of_active(function: _Function, n: AnyArray, plain: AnyArrays, active: Mask)
 # Reverse mode ---------------------------------------------------------------------------------------------------------
 
 
-def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> list[AnyArray]:
+def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
     """A loop with known primals and unknown tangents: the primals now, and equations for the tangents."""
     origin = loop.origin
     if origin is None or origin.linear:
@@ -190,14 +191,14 @@ def _no_tangent(x: AnyArray) -> AnyArray:
     return jnp.zeros(x.shape, x.dtype) if _is_real(x) else jnp.zeros(x.shape, jax.dtypes.float0)
 
 
-def _results_of(loop: Loop, active: tuple[bool, ...], out: AnyArrays, slopes: AnyArrays) -> list[AnyArray]:
+def _results_of(loop: Loop, active: tuple[bool, ...], out: AnyArrays, slopes: AnyArrays) -> Arrays:
     """The results of the loop of the step and its tangents: (carries, their tangents, results, their tangents)."""
     mask, n = _mask_of_results(loop, active), loop.carried
     count = sum(mask[:n])
     return [*out[:n], *slopes[:count], *out[n:], *slopes[count:]]
 
 
-def _recorded(loop: Loop, arguments: AnyArrays) -> tuple[list[AnyArray], list[AnyArray]]:
+def _recorded(loop: Loop, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
     """The results of a loop, and the carries before all steps."""
     recording = loop._replace(step=_recording(loop.step, loop.carried), rows=loop.steps, every=1, origin=None)
     found = recording.bind(arguments)
@@ -228,7 +229,7 @@ def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
     )
 
 
-def _linear_arguments(loop: Loop, active: Mask, plain: AnyArrays, stored: AnyArrays, dots: AnyArrays) -> list[AnyArray]:
+def _linear_arguments(loop: Loop, active: Mask, plain: AnyArrays, stored: AnyArrays, dots: AnyArrays) -> Arrays:
     """The arguments of `_linear_loop`: tangents of carries, constants and their tangents, carries, rows, tangents."""
     carries, fixed, _ = loop.split(active)
     _, constants, rows = loop.split(plain)
@@ -242,7 +243,7 @@ def _linear_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]
     mask, function = _mask_of_results(loop, active), function_of(step)
     carries, of_fixed, of_rows = loop.split(active)
 
-    def pushed(n: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
         left = iter(arguments)
         dots = [next(left) for a in carries if a]
         constants = [next(left) for _ in of_fixed]
@@ -257,7 +258,7 @@ def _linear_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]
     return _deferred(pushed, loop, shapes, _chosen(loop.results, mask))
 
 
-def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> list[AnyArray]:
+def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
     """The cotangents of the arguments of a linear loop: a loop in the other direction."""
     if loop.origin is None or not loop.origin.linear:
         if loop.every is not None:
@@ -316,7 +317,7 @@ def _backward_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ..
     results = iter(seen)
     wanted = [*mask[:carried], *(r and next(results) for r in mask[carried:])]
 
-    def pulled(number: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def pulled(number: AnyArray, *arguments: AnyArray) -> Arrays:
         lam, sums, constants = arguments[:n], arguments[n:m], arguments[m : m + fixed]
         values, bars = arguments[m + fixed :][: len(active) - fixed], arguments[m + len(active) :]
         plain = [*values[:carried], *constants, *values[carried:]]
@@ -363,7 +364,7 @@ partial_eval.partial_eval_jaxpr_custom_rules[march_p] = _partial_eval_of_equatio
 # Many steps -----------------------------------------------------------------------------------------------------------
 
 
-def _in_pieces(loop: Loop, *arguments: AnyArray) -> list[AnyArray]:
+def _in_pieces(loop: Loop, *arguments: AnyArray) -> Arrays:
     """A loop as a scan over pieces; reverse mode stores the carries before each, and computes all else again."""
     length = math.isqrt(loop.steps - 1) + 1
     carry, fixed, series = loop.split(arguments)
@@ -375,7 +376,7 @@ def _in_pieces(loop: Loop, *arguments: AnyArray) -> list[AnyArray]:
     ends = ends_that_are_results(loop.step, loop.carried)
     whole = loop._replace(rows=1) if ends is None else silent._replace(every=loop.every)
 
-    def row(carry: list[AnyArray], given: tuple[AnyArray, list[AnyArray]]) -> tuple[list[AnyArray], list[AnyArray]]:
+    def row(carry: Arrays, given: tuple[AnyArray, Arrays]) -> tuple[Arrays, Arrays]:
         found = _pieces_and_rest(whole, silent, (loop.known_every - 1) // length, carry, given[0], fixed, given[1])
         ys = [y[0] for y in found[loop.carried :]] if ends is None else [found[k] for k in ends]
         return found[: loop.carried], ys
@@ -387,14 +388,8 @@ def _in_pieces(loop: Loop, *arguments: AnyArray) -> list[AnyArray]:
 
 
 def _pieces_and_rest(
-    loop: Loop,
-    piece: Loop,
-    count: int,
-    carry: list[AnyArray],
-    first: AnyArray,
-    fixed: list[AnyArray],
-    series: list[AnyArray],
-) -> list[AnyArray]:
+    loop: Loop, piece: Loop, count: int, carry: Arrays, first: AnyArray, fixed: Arrays, series: Arrays
+) -> Arrays:
     """A loop whose steps are numbered from `first` on, as `count` pieces and a loop of the rest, which comes last."""
     in_pieces, rest = count * piece.steps, loop.steps - count * piece.steps
     place, place_of_rest = (rest, 0) if loop.reverse else (0, in_pieces)
@@ -402,9 +397,7 @@ def _pieces_and_rest(
     cut = [x[place : place + in_pieces].reshape(count, piece.steps, *x.shape[1:]) for x in series]
 
     @jax.checkpoint
-    def run_piece(
-        carry: list[AnyArray], start: AnyArray, rows: list[AnyArray]
-    ) -> tuple[list[AnyArray], list[AnyArray]]:
+    def run_piece(carry: Arrays, start: AnyArray, rows: Arrays) -> tuple[Arrays, Arrays]:
         found = _numbered(piece).bind([*carry, start, *fixed, *rows])
         return found[: loop.carried], found[loop.carried :]
 
@@ -434,7 +427,7 @@ def _numbered_step(step: _Step, carried: int) -> Deferred:
     function = function_of(step)
     number, *shapes = step.in_avals
 
-    def numbered(n: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def numbered(n: AnyArray, *arguments: AnyArray) -> Arrays:
         return function(n + arguments[carried], *arguments[:carried], *arguments[carried + 1 :])
 
     return Deferred(numbered, [number, *shapes[:carried], number, *shapes[carried:]], step.out_avals)

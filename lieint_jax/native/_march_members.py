@@ -11,13 +11,13 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 from jax.interpreters import batching
 
-from lieint_jax.native._march import AnyArray, AnyArrays, Loop, function_of, jaxpr_of, march_p, shape_of
+from lieint_jax.native._march import AnyArray, AnyArrays, Arrays, Loop, function_of, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.control_flow import CALLS, jaxprs_of, split_scan
 
 _SHORT = 12  # the longest axis, such as that of tangent vectors, that may go inside of a step
 _COMMON = 0.3  # the least part of a carry without the axis, such as the point of the tangents, for which it does
 Axis = int | None
-_Batched = tuple[list[AnyArray], list[Axis]]
+_Batched = tuple[Arrays, list[Axis]]
 
 
 def _batch(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], *, loop: Loop) -> _Batched:
@@ -44,7 +44,7 @@ def _batch_counts(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], lo
         raise NotImplementedError("members with their own numbers of steps between rows of results")
     function = function_of(loop.step)
 
-    def step(number: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def step(number: AnyArray, *arguments: AnyArray) -> Arrays:
         before, count = arguments[:n], arguments[place]
         after = function(number, *arguments[:place], *arguments[place + 1 :])
         return [jnp.where(number < count, x, y) for x, y in zip(after, before, strict=True)]
@@ -106,7 +106,7 @@ def _inside(
     inner_axes = [None, *(0 if h else None for h in has)]
     batched = jax.vmap(function_of(loop.step), inner_axes, 0, axis_name=axis_data.name, axis_size=size)
 
-    def step(*arguments: AnyArray) -> list[AnyArray]:
+    def step(*arguments: AnyArray) -> Arrays:
         return [x if v else x[0] for x, v in zip(batched(*arguments), varying, strict=True)]
 
     number, *shapes = map(shape_of, loop.step.in_avals)

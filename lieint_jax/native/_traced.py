@@ -209,10 +209,7 @@ _cache: collections.OrderedDict[tuple[object, ...], object] = collections.Ordere
 
 
 def make_once(
-    kind: Callable[..., _Compiled],
-    function: object,
-    kinds: Sequence[Tree],
-    examples: Sequence[Tree],
+    kind: Callable[..., _Compiled], function: object, kinds: Sequence[Tree], examples: Sequence[Tree]
 ) -> _Compiled:
     """`kind(function, kinds, examples)`, made once for all arguments of the same shapes; failures are stored too.
 

@@ -13,6 +13,7 @@ from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import (
     AbstractWalk,
+    Arrays,
     Parameters,
     Table,
     UnsupportedError,
@@ -86,9 +87,7 @@ def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Value]) -> Valu
     return chosen
 
 
-def _dynamic_slice(
-    walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, slice_sizes: Sequence[int]
-) -> np.ndarray:
+def _dynamic_slice(walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, slice_sizes: Sequence[int]) -> np.ndarray:
     x = inputs[0]
     starts = [walk.clip_index(k.item(), n - m) for k, n, m in zip(inputs[1:], x.shape, slice_sizes, strict=True)]
     found = np.empty(slice_sizes, object)
@@ -97,7 +96,7 @@ def _dynamic_slice(
     return found
 
 
-def _dynamic_update_slice(walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray) -> np.ndarray:
+def _dynamic_update_slice(walk: AbstractWalk, inputs: Arrays, out: ShapedArray) -> np.ndarray:
     x, update = inputs[:2]
     pairs = zip(inputs[2:], x.shape, update.shape, strict=True)
     starts = [walk.clip_index(k.item(), n - m) for k, n, m in pairs]
@@ -161,7 +160,7 @@ def _fill(walk: AbstractWalk, inside: Value, found: Value, value: Any) -> Value:
 
 def _gather(
     walk: AbstractWalk,
-    inputs: list[np.ndarray],
+    inputs: Arrays,
     out: ShapedArray,
     *,
     dimension_numbers: lax.GatherDimensionNumbers,
@@ -187,7 +186,7 @@ def _gather(
 def _scatter(op: str | None) -> Callable[..., np.ndarray]:
     def scatter(
         walk: AbstractWalk,
-        inputs: list[np.ndarray],
+        inputs: Arrays,
         out: ShapedArray,
         *,
         dimension_numbers: lax.ScatterDimensionNumbers,
@@ -220,13 +219,7 @@ def _scatter(op: str | None) -> Callable[..., np.ndarray]:
 
 
 def _iota(
-    walk: AbstractWalk,
-    inputs: list[np.ndarray],
-    out: ShapedArray,
-    *,
-    dtype: DTypeLike,
-    shape: Sequence[int],
-    dimension: int,
+    walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, dtype: DTypeLike, shape: Sequence[int], dimension: int
 ) -> np.ndarray:
     n = shape[dimension]
     sizes = [n if k == dimension else 1 for k in range(len(shape))]
@@ -234,16 +227,14 @@ def _iota(
 
 
 def _platform(
-    walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, platforms: Sequence[Sequence[str] | None]
+    walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, platforms: Sequence[Sequence[str] | None]
 ) -> np.ndarray:
     """The first of these sets of platforms that has the CPU; None stands for all others."""
     chosen = next(k for k, several in enumerate(platforms) if several is None or "cpu" in several)
     return walk.constant_array(np.array(chosen), out.dtype)
 
 
-def look_up(
-    walk: AbstractWalk, name: str, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
-) -> np.ndarray:
+def look_up(walk: AbstractWalk, name: str, inputs: Arrays, parameters: Parameters, out: ShapedArray) -> np.ndarray:
     """An entry of a table, or a few that follow each other."""
     table, few = inputs[0], int(np.prod(out.shape))
     one = name in ("dynamic_slice", "slice") or (name == "gather" and inputs[1].size == few == 1)

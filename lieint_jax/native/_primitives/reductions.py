@@ -12,13 +12,13 @@ from jax import lax
 from jax.core import ShapedArray
 from jax.typing import DTypeLike
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Arrays, UnsupportedError, array_of
 from lieint_jax.native._primitives.columns import offset_by, row_number
 from lieint_jax.native._program import Value
 
 
 def _reduction(op: str) -> Callable[..., np.ndarray]:
-    def reduce(walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axes: Sequence[int]) -> np.ndarray:
+    def reduce(walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, axes: Sequence[int]) -> np.ndarray:
         x = inputs[0]
         rest, d = [n for n in range(x.ndim) if n not in axes], walk.long_axis(x.shape)
         reduced = functools.partial(reduce_terms, walk, op, dtype=np.dtype(out.dtype))
@@ -58,9 +58,7 @@ def reduce_terms(walk: AbstractWalk, op: str, terms: list[Value], dtype: np.dtyp
 
 
 def _cumulative(op: str) -> Callable[..., np.ndarray]:
-    def cumulate(
-        walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axis: int, reverse: bool
-    ) -> np.ndarray:
+    def cumulate(walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, axis: int, reverse: bool) -> np.ndarray:
         x = np.moveaxis(inputs[0], axis, 0)
         found = np.empty(x.shape, object)
         order = range(len(x))[::-1] if reverse else range(len(x))
@@ -76,7 +74,7 @@ def _cumulative(op: str) -> Callable[..., np.ndarray]:
 
 def _product(
     walk: AbstractWalk,
-    inputs: list[np.ndarray],
+    inputs: Arrays,
     out: ShapedArray,
     *,
     dimension_numbers: lax.DotDimensionNumbers,
@@ -117,7 +115,7 @@ def _as_matrices(x: np.ndarray, each: Sequence[int], summed: Sequence[int]) -> n
 
 def _extreme(by: str) -> Callable[..., np.ndarray]:
     def index_of(
-        walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axes: Sequence[int], index_dtype: DTypeLike
+        walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, axes: Sequence[int], index_dtype: DTypeLike
     ) -> np.ndarray:
         [axis] = axes
         rows = np.moveaxis(inputs[0], axis, -1).reshape(-1, inputs[0].shape[axis])
