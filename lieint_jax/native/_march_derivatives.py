@@ -48,11 +48,6 @@ def _is_real(x: AnyArray) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating)
 
 
-def _deferred(function: _Function, loop: Loop, arguments: AnyArrays, results: AnyArrays) -> Deferred:
-    """A step, (number, arguments) ↦ results, of arrays like these."""
-    return Deferred(function, [loop.step.in_avals[0], *arguments], results)
-
-
 def _mask_of_results(loop: Loop, active: tuple[bool, ...]) -> tuple[bool, ...]:
     """Which results have tangents, if those arguments have them."""
     return _varying_and_real(loop.step, loop.carried, active)
@@ -73,15 +68,11 @@ def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[Arrays
     real = _mask_of_results(loop, given)
     active = (*real[: loop.carried], *given[loop.carried :])
     dots = [ad.instantiate_zeros(t) for t, a in zip(tangents, active, strict=True) if a]
-    found = iter(_tangent_loop(loop, active).bind(_interleaved(loop, primals, dots, active)))
-    carry_mask, result_mask = real[: loop.carried], real[loop.carried :]
-    ends = [next(found) for _ in carry_mask]
-    end_dots = [next(found) if m else None for m in carry_mask]
-    ys = [next(found) for _ in result_mask]
-    y_dots = [next(found) if m else None for m in result_mask]
-    out, out_dots = [*ends, *ys], [*end_dots, *y_dots]
-    zeros = [ad.Zero(jax.typeof(x).to_tangent_aval()) for x in out]
-    return out, [z if d is None else d for d, z in zip(out_dots, zeros, strict=True)]
+    found = _tangent_loop(loop, active).bind(_interleaved(loop, primals, dots, active))
+    out, slopes = _parted(loop._replace(fixed=0), found, real)
+    left = iter(slopes)
+    pairs = zip(out, real, strict=True)
+    return out, [next(left) if m else ad.Zero(jax.typeof(x).to_tangent_aval()) for x, m in pairs]
 
 
 ad.primitive_jvps[march_p] = _jvp
@@ -123,18 +114,14 @@ def _tangent_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...
     loop = Loop(step, carried, fixed, 1, 1, False)
     mask, function = _mask_of_results(loop, active), function_of(step)
 
-    def with_dots(out: AnyArrays, out_dots: AnyArrays) -> Arrays:
-        ends, ys = _chosen(out_dots[:carried], mask[:carried]), _chosen(out_dots[carried:], mask[carried:])
-        return [*out[:carried], *ends, *out[carried:], *ys]
-
     def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
         plain, dots = _parted(loop, arguments, active)
         of_active = _of_active(function, n, plain, active)
-        return with_dots(*jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots)))
+        out, slopes = jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots))
+        return _results_of(loop, active, out, _chosen(slopes, mask))
 
-    shapes = loop.arguments
-    arguments = _interleaved(loop, shapes, _chosen(shapes, active), active)
-    return _deferred(pushed, loop, arguments, with_dots(loop.results, loop.results))
+    shapes = [loop.step.in_avals[0], *_interleaved(loop, loop.arguments, _chosen(loop.arguments, active), active)]
+    return Deferred(pushed, shapes, _results_of(loop, active, loop.results, _chosen(loop.results, mask)))
 
 
 def _of_active(function: _Function, n: AnyArray, plain: AnyArrays, active: Mask) -> _Function:
@@ -164,12 +151,15 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
     if base.every is None:
         out = [trace.new_const(x) for x in base.bind(known)]
         found = trace.default_process_primitive(march_p, tracers, {"loop": loop})
-        mask = _mask_of_results(base, active)
-        return _results_of(base, active, out, _parted(base._replace(fixed=0), found, mask)[1])
+        slopes = _parted(base._replace(fixed=0), found, _mask_of_results(base, active))[1]
+        return _results_of(base, active, out, slopes)
     if base.steps > _MOST_STORED and not base.is_piece:
         with set_current_trace(trace):
             unknown = iter(dots)
-            given = [next(unknown) if a else _no_tangent(x) for x, a in zip(known, active, strict=True)]
+            given = [
+                next(unknown) if a else jnp.zeros(x.shape, x.dtype if _is_real(x) else jax.dtypes.float0)
+                for x, a in zip(known, active, strict=True)
+            ]
             out, out_dots = jax.jvp(functools.partial(_in_pieces, base), tuple(known), tuple(given))
         slopes = _chosen(out_dots, _mask_of_results(base, active))
         out, slopes = ([trace.to_jaxpr_tracer(x) for x in values] for values in (out, slopes))
@@ -186,16 +176,9 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
 partial_eval.custom_partial_eval_rules[march_p] = _partial_eval
 
 
-def _no_tangent(x: AnyArray) -> AnyArray:
-    """A zero tangent."""
-    return jnp.zeros(x.shape, x.dtype) if _is_real(x) else jnp.zeros(x.shape, jax.dtypes.float0)
-
-
 def _results_of(loop: Loop, active: tuple[bool, ...], out: AnyArrays, slopes: AnyArrays) -> Arrays:
     """The results of the loop of the step and its tangents: (carries, their tangents, results, their tangents)."""
-    mask, n = _mask_of_results(loop, active), loop.carried
-    count = sum(mask[:n])
-    return [*out[:n], *slopes[:count], *out[n:], *slopes[count:]]
+    return _interleaved(loop._replace(fixed=0), out, slopes, _mask_of_results(loop, active))
 
 
 def _recorded(loop: Loop, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
@@ -216,15 +199,14 @@ def _recording(step: _Step, carried: int) -> ClosedJaxpr:
 
 def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
     """The tangents of a loop, at stored carries, which are rows."""
-    carries, fixed, rows = loop.split(active)
-    _, own_fixed, own_rows = loop.split(loop.owns)
+    carries, fixed, _ = loop.split(active)
     stored = [loop.members is not None] * loop.carried
-    own = [*own_fixed, *_chosen(own_fixed, fixed), *stored, *own_rows, *_chosen(own_rows, rows)]
+    own = _linear_arguments(loop, active, loop.owns, stored, _chosen(loop.owns, active))
     return loop._replace(
         step=_linear_step(loop.step, loop.carried, loop.fixed, active),
         carried=sum(carries),
         fixed=loop.fixed + sum(fixed),
-        own=tuple(own),
+        own=tuple(own[sum(carries) :]),
         origin=Origin(loop, active, True),
     )
 
@@ -237,25 +219,26 @@ def _linear_arguments(loop: Loop, active: Mask, plain: AnyArrays, stored: AnyArr
     return [*dots[:n], *constants, *dots[n:m], *stored, *rows, *dots[m:]]
 
 
+def _of_linear(loop: Loop, active: Mask, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
+    """What `_linear_arguments` put together: the plain arguments, and those of the tangents."""
+    count, places = len(active), range(len(active) + sum(active))
+    order = _linear_arguments(loop, active, places[:count], places[: loop.carried], places[count:])
+    given = dict(zip(order, arguments, strict=True))
+    return [given[k] for k in places[:count]], [given[k] for k in places[count:]]
+
+
 @functools.lru_cache(32)
 def _linear_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
     loop = Loop(step, carried, fixed, 1, 1, False)
-    mask, function = _mask_of_results(loop, active), function_of(step)
-    carries, of_fixed, of_rows = loop.split(active)
+    mask, function, shapes = _mask_of_results(loop, active), function_of(step), loop.arguments
 
     def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
-        left = iter(arguments)
-        dots = [next(left) for a in carries if a]
-        constants = [next(left) for _ in of_fixed]
-        dots += [next(left) for a in of_fixed if a]
-        plain = [*(next(left) for _ in carries), *constants, *(next(left) for _ in of_rows)]
-        dots += list(left)
+        plain, dots = _of_linear(loop, active, arguments)
         _, slopes = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
         return _chosen(slopes, mask)
 
-    c, k, x = loop.split(loop.arguments)
-    shapes = [*_chosen(c, carries), *k, *_chosen(k, of_fixed), *c, *x, *_chosen(x, of_rows)]
-    return _deferred(pushed, loop, shapes, _chosen(loop.results, mask))
+    of_step = _linear_arguments(loop, active, shapes, shapes[:carried], _chosen(shapes, active))
+    return Deferred(pushed, [step.in_avals[0], *of_step], _chosen(loop.results, mask))
 
 
 def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
@@ -267,16 +250,14 @@ def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
     base, active = loop.origin.loop, loop.origin.active
     carries, fixed, rows = base.split(active)
     _, own_fixed, own_rows = base.split(base.owns)
-    n, m = sum(carries), len(arguments) - sum(rows)
-    constants = arguments[n : n + base.fixed]
-    values = arguments[n + base.fixed + sum(fixed) : m]  # carries and rows
+    stored, constants, series = base.split(_of_linear(base, active, arguments)[0])
+    n = sum(carries)
     lam, y_bars = [ad.instantiate_zeros(x) for x in bars[:n]], bars[n:]
     seen = tuple(type(x) is not ad.Zero for x in y_bars)
     y_bars = [_spread(x, loop) for x, s in zip(y_bars, seen, strict=True) if s]
-    lead = () if loop.members is None else (loop.members,)
+    has_members = loop.members is not None
+    lead = (loop.members,) if has_members else ()
     sums = [jnp.zeros((*lead, *x.shape), x.dtype) for x in _chosen(base.split(base.arguments)[1], fixed)]
-    stored = [loop.members is not None] * base.carried
-    own = (*own_fixed, *stored, *own_rows, *[loop.members is not None] * len(y_bars))
     back = Loop(
         _backward_step(base.step, base.carried, base.fixed, active, seen),
         len(lam) + len(sums),
@@ -285,15 +266,16 @@ def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
         1,
         not loop.reverse,
         loop.members,
-        own,
+        (*own_fixed, *[has_members] * base.carried, *own_rows, *[has_members] * len(y_bars)),
         is_piece=loop.is_piece,
     )
-    found = back.bind([*lam, *sums, *constants, *values, *y_bars])
+    found = back.bind([*lam, *sums, *constants, *stored, *series, *y_bars])
     lam, sums, x_bars = found[:n], found[n : n + len(sums)], found[n + len(sums) :]
-    if loop.members is not None:
+    if has_members:
         sums = [x if own else x.sum(0) for x, own in zip(sums, _chosen(own_fixed, fixed), strict=True)]
         x_bars = [x if own else x.sum(1) for x, own in zip(x_bars, _chosen(own_rows, rows), strict=True)]
-    return [*lam, *[None] * base.fixed, *sums, *[None] * len(values), *x_bars]
+    none = [None] * len(active)
+    return _linear_arguments(base, active, none, none[: base.carried], [*lam, *sums, *x_bars])
 
 
 ad.primitive_transposes[march_p] = _transpose
@@ -329,7 +311,7 @@ def _backward_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ..
     c, k, x = loop.split(loop.arguments)
     ys = _chosen(loop.results[carried:], wanted[carried:])
     bars = [*_chosen(c, carries), *_chosen(k, of_fixed)]
-    return _deferred(pulled, loop, [*bars, *k, *c, *x, *ys], [*bars, *_chosen(x, of_rows)])
+    return Deferred(pulled, [step.in_avals[0], *bars, *k, *c, *x, *ys], [*bars, *_chosen(x, of_rows)])
 
 
 def _partial_eval_of_equation(
@@ -342,18 +324,11 @@ def _partial_eval_of_equation(
     if origin is None or origin.linear or any(_parted(origin.loop, unknown, origin.active)[0]):
         return None, equation, [True] * len(out), [True] * len(out), more
     base, active = origin.loop, origin.active
-    mask, n = _mask_of_results(base, active), base.carried
-    count = sum(mask[:n])
-    dots = [*[False] * n, *[True] * count, *[False] * (len(mask) - n), *[True] * sum(mask[n:])]
+    mask = _mask_of_results(base, active)
+    dots = _results_of(base, active, [False] * len(mask), [True] * sum(mask))
     primals = [x for x, d in zip(out, dots, strict=True) if not d]
-    known = new_jaxpr_eqn(
-        _parted(base, equation.invars, active)[0],
-        primals,
-        march_p,
-        {"loop": base},
-        equation.effects,
-        equation.source_info,
-    )
+    inputs, loops = _parted(base, equation.invars, active)[0], {"loop": base}
+    known = new_jaxpr_eqn(inputs, primals, march_p, loops, equation.effects, equation.source_info)
     staged = equation.replace(outvars=[x if d else DropVar(x.aval) for x, d in zip(out, dots, strict=True)])
     return known, staged, dots, dots, more
 
