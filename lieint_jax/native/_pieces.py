@@ -13,7 +13,7 @@ from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 
 from lieint_jax.native._emit import Tape, Writer
-from lieint_jax.native._program import Block, Loop, Program, Value, blocks_of
+from lieint_jax.native._program import Block, Loop, Program, Value
 from lieint_jax.native._traced import Leaf, leaves_before_rows
 from lieint_jax.native.functions import Functions
 
@@ -118,7 +118,7 @@ def _length(block: Block, program: Program, others: Container[Block]) -> int:
         if isinstance(item, Value):
             found += item in program.live
         elif not isinstance(item, Loop):
-            found += sum(_length(inner, program, others) for inner in blocks_of(item))
+            found += sum(_length(inner, program, others) for inner in item.blocks)
         elif item.body not in others and any(x in program.live for x in item.carries):
             found += 4 * (_length(item.head, program, others) + _length(item.body, program, others))
     return found
