@@ -31,12 +31,9 @@ class KernelCode:
     """The step of a loop as a program of numbers for a kernel.
 
     Attributes:
-        engine: its name.
-        length: the number of operations of a step.
-        pressure: how many numbers of a step are alive at once.
+        engine, length, pressure, seconds: as of machine code.
         lanes: the members of a block.
         shared: 0, since each thread computes what the members share.
-        seconds: what it took to make, by "walk".
 
     Raises:
         UnsupportedError: the step is no program of numbers, or too long, or has an operation that Triton lacks.

@@ -12,6 +12,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 from jax.interpreters import batching
 
 from lieint_jax.native._march import AnyArray, AnyArrays, Arrays, Loop, function_of, jaxpr_of, march_p, shape_of
+from lieint_jax.native._primitives.abstract_walk import shapes_of
 from lieint_jax.native._primitives.control_flow import CALLS, jaxprs_of, split_scan
 
 _SHORT = 12  # the longest axis, such as that of tangent vectors, that may go inside of a step
@@ -78,16 +79,18 @@ def _as_members(size: int, arguments: AnyArrays, axes: Sequence[Axis], varying: 
 
 def _joined(x: AnyArray, axis: Axis, place: int, size: int, old: int | None, owns: bool) -> AnyArray:
     """An array with one axis of members at `place`: the new axis times the old one."""
-    if axis is not None:
-        x = jnp.moveaxis(x, axis, place)
-    else:
-        x = jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
+    x = _with_axis(x, axis, place, size)
     if old is None:
         return x
-    if not owns:
-        wide = (*x.shape[: place + 1], old, *x.shape[place + 1 :])
-        x = jnp.broadcast_to(jnp.expand_dims(x, place + 1), wide)
+    x = x if owns else _with_axis(x, None, place + 1, old)
     return x.reshape(*x.shape[:place], size * old, *x.shape[place + 2 :])
+
+
+def _with_axis(x: AnyArray, axis: Axis, place: int, size: int) -> AnyArray:
+    """An array with its axis at `place`, or, if it has none, with a new axis of equal entries."""
+    if axis is not None:
+        return jnp.moveaxis(x, axis, place)
+    return jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
 
 
 def _inside(
@@ -95,14 +98,10 @@ def _inside(
 ) -> _Batched:
     """The axis is the first one of each array inside of a step; what has none is computed once."""
     size, old = axis_data.size, int(loop.members is not None)
-    given = []
-    for k, (x, axis, h, owns) in enumerate(zip(arguments, axes, has, loop.owns, strict=True)):
-        place = int(loop.is_series(k)) + owns
-        if axis is not None:
-            x = jnp.moveaxis(x, axis, place)
-        elif h:
-            x = jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
-        given.append(x)
+    given = [
+        _with_axis(x, axis, loop.is_series(k) + owns, size) if h else x
+        for k, (x, axis, h, owns) in enumerate(zip(arguments, axes, has, loop.owns, strict=True))
+    ]
     inner_axes = [None, *(0 if h else None for h in has)]
     batched = jax.vmap(function_of(loop.step), inner_axes, 0, axis_name=axis_data.name, axis_size=size)
 
@@ -145,7 +144,7 @@ def varying_in_loop(step: ClosedJaxpr, varying: Sequence[bool], first: int, carr
 def _of_equation(equation: Any, given: list[bool]) -> list[bool]:
     name, inner, out = equation.primitive.name, jaxprs_of(equation.params), equation.outvars
     if name == "scan":
-        consts, carry, _ = split_scan(given, equation)
+        consts, carry, _ = split_scan(given, inner[0], shapes_of(equation.invars), shapes_of(out))
         return varying_in_loop(inner[0], given, len(consts), len(carry))
     if name == "cond":
         sides = [_varying_results(x, given[1:]) for x in inner]

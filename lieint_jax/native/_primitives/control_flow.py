@@ -76,9 +76,7 @@ def _select_entries(walk: AbstractWalk, which: np.ndarray, after: np.ndarray, be
 
 def _scan(walk: AbstractWalk, inputs: Arrays, parameters: Parameters, out: Shapes) -> Arrays:
     length, closed = parameters["length"], parameters["jaxpr"]
-    carried = sum(map(have_same_rank, out, closed.out_avals))  # rows have an axis more outside of the loop
-    fixed = sum(map(have_same_rank, inputs, closed.in_avals))
-    consts, starts, series = _split(inputs, fixed - carried, carried)
+    consts, starts, series = split_scan(inputs, closed, inputs, out)
     starts = walk.matched(starts, out)
     order = range(length)[::-1] if parameters["reverse"] else range(length)
     stacked = [x.shape[1:] for x in out[len(starts) :]]
@@ -120,11 +118,10 @@ def _scan(walk: AbstractWalk, inputs: Arrays, parameters: Parameters, out: Shape
     return [*found[: len(starts)], *(rows_of(walk, length, *pair) for pair in rows)]
 
 
-def split_scan(items: list[Any], equation: JaxprEqn) -> list[list[Any]]:
-    """What belongs to the constants of a scan, to its carries and to its rows."""
-    step = equation.params["jaxpr"]
-    carried = sum(map(have_same_rank, shapes_of(equation.outvars), step.out_avals))
-    fixed = sum(map(have_same_rank, shapes_of(equation.invars), step.in_avals))
+def split_scan(items: list[Any], step: ClosedJaxpr, inputs: Sequence[Any], out: Sequence[Any]) -> list[list[Any]]:
+    """What belongs to the constants of a scan with these operands and results, to its carries and to its rows."""
+    carried = sum(map(have_same_rank, out, step.out_avals))  # rows have an axis more outside of the loop
+    fixed = sum(map(have_same_rank, inputs, step.in_avals))
     return _split(items, fixed - carried, carried)
 
 
@@ -155,13 +152,10 @@ def _branches(
         test = walk.number("le", index, walk.builder.constant(0, index.dtype))
     rest = index if index.dtype == bool else walk.number("sub", index, walk.builder.constant(1, index.dtype))
 
-    def first() -> list[Value]:
-        return [x for array in _branches(walk, index, branches[:1], operands, out) for x in as_numbers(array).flat]
+    def side(index: Value, branches: Sequence[ClosedJaxpr]) -> list[Value]:
+        return [x for array in _branches(walk, index, branches, operands, out) for x in as_numbers(array).flat]
 
-    def others() -> list[Value]:
-        return [x for array in _branches(walk, rest, branches[1:], operands, out) for x in as_numbers(array).flat]
-
-    left = iter(walk.builder.branch(test, (first, others)))
+    left = iter(walk.builder.branch(test, (lambda: side(index, branches[:1]), lambda: side(rest, branches[1:]))))
     return [array_of([next(left) for _ in range(int(np.prod(x.shape)))], x.shape) for x in out]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Arrays, Shapes, UnsupportedError, array_of
+from lieint_jax.native._primitives.reductions import is_beyond
 from lieint_jax.native._program import Value
 
 _LARGEST = 12  # unknowns of a system, and entries to sort; XLA runs what is larger
@@ -104,17 +105,10 @@ def _sort(walk: AbstractWalk, inputs: Arrays, out: Shapes, *, dimension: int, is
         columns = [x[batch] for x in found]
         for last in range(len(columns[0]) - 1, 0, -1):
             for k in range(last):
-                swap = _comes_after(walk, columns[0][k], columns[0][k + 1])
+                swap = is_beyond(walk, "gt", columns[0][k], columns[0][k + 1])
                 for x in columns:
                     x[k], x[k + 1] = walk.select(swap, x[k + 1], x[k]), walk.select(swap, x[k], x[k + 1])
     return [np.moveaxis(x, -1, dimension) for x in found]
-
-
-def _comes_after(walk: AbstractWalk, x: Value, y: Value) -> Value:
-    greater = walk.number("gt", x, y)
-    if x.dtype.kind != "f":
-        return greater
-    return walk.number("or", greater, walk.number("and", walk.number("ne", x, x), walk.number("eq", y, y)))
 
 
 def _batches(x: np.ndarray, axes: int) -> list[tuple[int, ...]]:

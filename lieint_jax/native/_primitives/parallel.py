@@ -202,7 +202,7 @@ def _while(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
 
 def _scan(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     step = equation.params["jaxpr"]
-    consts, carry, series = split_scan(axes, equation)
+    consts, carry, series = split_scan(axes, step, shapes_of(equation.invars), shapes_of(equation.outvars))
     _check(0 not in series)
     rows, strict = [None if d is None else d - 1 for d in series], False
     while True:

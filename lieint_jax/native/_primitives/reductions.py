@@ -123,7 +123,7 @@ def _extreme(by: str) -> Callable[..., np.ndarray]:
         for row in rows:
             best, at = row[0], walk.builder.constant(0, out.dtype)
             for k in range(1, len(row)):
-                better = walk.number("or", walk.number(by, row[k], best), _first_nan(walk, row[k], best))
+                better = is_beyond(walk, by, row[k], best)
                 at = walk.select(better, walk.builder.constant(k, out.dtype), at)
                 best = walk.select(better, row[k], best)
             found.append(at)
@@ -132,11 +132,12 @@ def _extreme(by: str) -> Callable[..., np.ndarray]:
     return index_of
 
 
-def _first_nan(walk: AbstractWalk, x: Value, before: Value) -> Value:
-    """Whether x is NaN, and the number before is not."""
+def is_beyond(walk: AbstractWalk, by: str, x: Value, y: Value) -> Value:
+    """Whether x is greater than y, or less, by an operation; NaN is beyond all numbers."""
+    found = walk.number(by, x, y)
     if x.dtype.kind != "f":
-        return walk.builder.constant(False)
-    return walk.number("and", walk.number("ne", x, x), walk.number("eq", before, before))
+        return found
+    return walk.number("or", found, walk.number("and", walk.number("ne", x, x), walk.number("eq", y, y)))
 
 
 REDUCTIONS: dict[str, Callable[..., np.ndarray]] = {
