@@ -96,7 +96,7 @@ class _Kernel:
 
     def __init__(self, traced: Traced, loop: Loop, names: Sequence[Any]):
         self.leaves, self.program, self.loop, self.names = traced.leaves, traced.program, loop, names
-        sizes = [int(np.prod(x.shape)) for x in loop.results]
+        sizes = [int(np.prod(x.shape)) for x in loop.step.out_avals]
         numbers = iter(traced.program.outputs)
         results = [[next(numbers) for _ in range(n)] for n in sizes]
         self.places = [(k + 1, entry) for k, n in enumerate(sizes[: loop.carried]) for entry in range(n)]

@@ -133,16 +133,6 @@ class Loop(NamedTuple):
         return self.rows * self.known_every
 
     @property
-    def arguments(self) -> list[ShapedArray]:
-        """The shapes of carries, constants and a row of one member."""
-        return list(self.step.in_avals[1:])
-
-    @property
-    def results(self) -> list[ShapedArray]:
-        """The shapes of the carries and the results of a step of one member."""
-        return list(self.step.out_avals)
-
-    @property
     def owns(self) -> tuple[bool, ...]:
         """For each argument, whether each member has its own."""
         return (self.members is not None,) * self.carried + self.own
@@ -300,8 +290,8 @@ def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..
 @march_p.def_abstract_eval
 def _shapes(*given: ShapedArray, loop: Loop) -> list[ShapedArray]:
     lead = () if loop.members is None else (loop.members,)
-    rows = [()] * loop.carried + [(loop.rows,)] * (len(loop.results) - loop.carried)
-    return [result_like(given, (*r, *lead, *x.shape), x.dtype) for r, x in zip(rows, loop.results, strict=True)]
+    rows = [()] * loop.carried + [(loop.rows,)] * (len(loop.step.out_avals) - loop.carried)
+    return [result_like(given, (*r, *lead, *x.shape), x.dtype) for r, x in zip(rows, loop.step.out_avals, strict=True)]
 
 
 @march_p.def_impl

@@ -87,7 +87,7 @@ class LoopCode:
             return self._call(loop, arrays, loop.members)
         places = [int(loop.is_series(k)) if own else None for k, own in enumerate(loop.owns)]
         places += [0 if leaf.varies else None for leaf in self._leaves[1 + count :]]
-        of_results = [int(k >= loop.carried) for k in range(len(loop.results))]
+        of_results = [int(k >= loop.carried) for k in range(len(loop.step.out_avals))]
         return spread(functools.partial(self._call, loop), loop.members, arrays, places, of_results)
 
     def _call(self, loop: Loop, arrays: AnyArrays, members: int | None) -> Arrays:

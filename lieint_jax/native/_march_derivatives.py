@@ -120,8 +120,11 @@ def _tangent_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...
         out, slopes = jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots))
         return _results_of(loop, active, out, _chosen(slopes, mask))
 
-    shapes = [loop.step.in_avals[0], *_interleaved(loop, loop.arguments, _chosen(loop.arguments, active), active)]
-    return Deferred(pushed, shapes, _results_of(loop, active, loop.results, _chosen(loop.results, mask)))
+    number, *shapes = step.in_avals
+    arguments = _interleaved(loop, shapes, _chosen(shapes, active), active)
+    return Deferred(
+        pushed, [number, *arguments], _results_of(loop, active, step.out_avals, _chosen(step.out_avals, mask))
+    )
 
 
 def _of_active(function: _Function, n: AnyArray, plain: AnyArrays, active: Mask) -> _Function:
@@ -185,7 +188,7 @@ def _recorded(loop: Loop, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
     """The results of a loop, and the carries before all steps."""
     recording = loop._replace(step=_recording(loop.step, loop.carried), rows=loop.steps, every=1, origin=None)
     found = recording.bind(arguments)
-    count = len(loop.results)
+    count = len(loop.step.out_avals)
     ys = found[loop.carried : count]
     last = slice(0 if loop.reverse else loop.known_every - 1, None, loop.known_every)
     return [*found[: loop.carried], *(y[last] for y in ys)], found[count:]
@@ -230,15 +233,16 @@ def _of_linear(loop: Loop, active: Mask, arguments: AnyArrays) -> tuple[Arrays, 
 @functools.lru_cache(32)
 def _linear_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
     loop = Loop(step, carried, fixed, 1, 1, False)
-    mask, function, shapes = _mask_of_results(loop, active), function_of(step), loop.arguments
+    mask, function = _mask_of_results(loop, active), function_of(step)
+    number, *shapes = step.in_avals
 
     def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
         plain, dots = _of_linear(loop, active, arguments)
         _, slopes = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
         return _chosen(slopes, mask)
 
-    of_step = _linear_arguments(loop, active, shapes, shapes[:carried], _chosen(shapes, active))
-    return Deferred(pushed, [step.in_avals[0], *of_step], _chosen(loop.results, mask))
+    arguments = _linear_arguments(loop, active, shapes, shapes[:carried], _chosen(shapes, active))
+    return Deferred(pushed, [number, *arguments], _chosen(step.out_avals, mask))
 
 
 def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
@@ -257,7 +261,7 @@ def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
     y_bars = [_spread(x, loop) for x, s in zip(y_bars, seen, strict=True) if s]
     has_members = loop.members is not None
     lead = (loop.members,) if has_members else ()
-    sums = [jnp.zeros((*lead, *x.shape), x.dtype) for x in _chosen(base.split(base.arguments)[1], fixed)]
+    sums = [jnp.zeros((*lead, *x.shape), x.dtype) for x in _chosen(base.split(base.step.in_avals[1:])[1], fixed)]
     back = Loop(
         _backward_step(base.step, base.carried, base.fixed, active, seen),
         len(lam) + len(sums),
@@ -308,8 +312,8 @@ def _backward_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ..
         found = pull([*lam, *bars])
         return [*found[:n], *(a + b for a, b in zip(sums, found[n:m], strict=True)), *found[m:]]
 
-    c, k, x = loop.split(loop.arguments)
-    ys = _chosen(loop.results[carried:], wanted[carried:])
+    c, k, x = loop.split(step.in_avals[1:])
+    ys = _chosen(step.out_avals[carried:], wanted[carried:])
     bars = [*_chosen(c, carries), *_chosen(k, of_fixed)]
     return Deferred(pulled, [step.in_avals[0], *bars, *k, *c, *x, *ys], [*bars, *_chosen(x, of_rows)])
 

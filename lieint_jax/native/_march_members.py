@@ -28,7 +28,8 @@ def _batch(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], *, loop: 
     has = [axis is not None for axis in axes]
     varying = varying_in_loop(jaxpr_of(loop.step), [False, *has], 1, loop.carried)
     has[: loop.carried] = varying[: loop.carried]
-    size = [int(np.prod(x.shape)) * jnp.issubdtype(x.dtype, jnp.floating) for x in loop.arguments[: loop.carried]]
+    carries = loop.step.in_avals[1 : 1 + loop.carried]
+    size = [int(np.prod(x.shape)) * jnp.issubdtype(x.dtype, jnp.floating) for x in carries]
     common = sum(n for n, v in zip(size, varying, strict=False) if not v)
     if axis_data.size <= _SHORT and common > _COMMON * sum(size):
         return _inside(axis_data, arguments, axes, has, varying, loop)
@@ -41,7 +42,7 @@ batching.fancy_primitive_batchers[march_p] = _batch
 def _batch_counts(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], loop: Loop) -> _Batched:
     """`_batch` where members have their own numbers of steps: each runs as many as the one with the most."""
     n, place = loop.carried, loop.carried + 2  # of the number of a member's steps, among the arguments of a step
-    if loop.rows > 1 or len(loop.results) > n or axes[n + 1] is not None:
+    if loop.rows > 1 or len(loop.step.out_avals) > n or axes[n + 1] is not None:
         raise NotImplementedError("members with their own numbers of steps between rows of results")
     function = function_of(loop.step)
 

@@ -178,7 +178,7 @@ class Operations(Text):
         if x.op in ("max", "min"):
             return self.intrinsic(f"{'s' if x.dtype.kind == 'i' else 'u'}{x.op}", kind, *values)
         if x.op == "abs":
-            return self.call(kind, f"llvm.abs.{suffix(kind)}", [(kind, *values), ("i1", "false")])
+            return self.call(kind, f"llvm.abs.{suffix(kind)}", [(kind, values[0]), ("i1", "false")])
         if x.op == "neg":
             return self.add(
                 f"fneg {kind} {values[0]}" if x.dtype.kind == "f" else f"sub {kind} zeroinitializer, {values[0]}"

@@ -32,10 +32,9 @@ from lieint_jax.native._primitives.control_flow import CONTROL_FLOW, READ_ROWS
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE, MOVES
 from lieint_jax.native._primitives.indexing import INDEXING, look_up
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
-from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
+from lieint_jax.native._primitives.parallel import Axes, Region, long_axis, of_one_row, rows_along, walk_regions
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
-from lieint_jax.native._regions import Region, long_axis, walk_regions
 
 _UNROLLED = (400, 6000)  # without and with maps: see `AbstractWalk.unrolled`
 _LARGEST_WITH_MAPS = 80_000  # the most entries of an array, most of which maps never make numbers of the program
