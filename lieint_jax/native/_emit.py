@@ -283,7 +283,8 @@ class Writer(Operations):
             inside, after = loop.carries[k], loop.following[k]
             if masked and self.varies(inside):
                 kind = self.type_of(inside)
-                value = self.select(f"{mask} {going}", kind, self.value(after, True), self.names[inside])
+                value = self.value(after, True)
+                value = self.add(f"select {mask} {going}, {kind} {value}, {kind} {self.names[inside]}")
             else:
                 value = self.value(after, self.varies(inside))
             following.append(self.into_phi(value, inside))
@@ -386,7 +387,7 @@ class Writer(Operations):
             for k in live:
                 kind = self.type(branch.results[k].dtype, True)
                 yes, no = (self.value(values[k], True) for values in branch.values)
-                self.names[branch.results[k]] = self.select(chosen, kind, yes, no)
+                self.names[branch.results[k]] = self.add(f"select {chosen}, {kind} {yes}, {kind} {no}")
             return
         labels = [self.new_label(x) for x in ("yes", "no", "after")]
         self.lines.append(f"  br i1 {self.value(test, False)}, label %{labels[0]}, label %{labels[1]}")

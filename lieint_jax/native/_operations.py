@@ -191,8 +191,9 @@ class Operations(Text):
 
     def op_select(self, x: Value, vector: bool) -> str:
         test, *sides = x.inputs
-        tested = f"{self.type_of(test)} {self.value(test)}"
-        return self.select(tested, self.type_of(x), *(self.value(y, vector) for y in sides))
+        tested, kind = f"{self.type_of(test)} {self.value(test)}", self.type_of(x)
+        yes, no = (self.value(y, vector) for y in sides)
+        return self.add(f"select {tested}, {kind} {yes}, {kind} {no}")
 
     def op_convert(self, x: Value, vector: bool) -> str:
         [y] = x.inputs
@@ -276,7 +277,7 @@ class Operations(Text):
         with self.counted_loop("copy", to.length) as k:
             old, new = self.entry(to, k, True), self.as_vector(array, k)
             kind = self.type(to.dtype, True)
-            chosen = self.select(f"<{self.lanes} x i1> {going}", kind, new, old)
+            chosen = self.add(f"select <{self.lanes} x i1> {going}, {kind} {new}, {kind} {old}")
             self.store(chosen, to.dtype, self.place(self.names[to], to.dtype, k, True), True)
 
     def copy_to(self, at: str, vector: bool, array: Value, count: int) -> None:
@@ -341,7 +342,7 @@ class Operations(Text):
         kind, found = self.type(x.dtype, True), entries[0]
         for k, y in enumerate(entries[1:], 1):
             here = self.add(f"icmp eq <{self.lanes} x i64> {self.value(index, True)}, splat (i64 {k})")
-            found = self.select(f"<{self.lanes} x i1> {here}", kind, y, found)
+            found = self.add(f"select <{self.lanes} x i1> {here}, {kind} {y}, {kind} {found}")
         return found
 
     def op_row(self, x: Value, vector: bool) -> str:

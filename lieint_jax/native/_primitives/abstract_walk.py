@@ -108,6 +108,10 @@ class AbstractWalk(abc.ABC):
         """A constant index."""
         return self.builder.constant(k, np.int64)
 
+    def offset(self, start: Value, k: int) -> Value:
+        """An index plus a number."""
+        return self.number("add", start, self.index(k))
+
     def clip_index(self, index: Value, last: int) -> Value:
         """An index from 0 to `last`, an int64."""
         if index.dtype == np.uint64:  # beyond the range of int64 too

@@ -181,10 +181,8 @@ def size_of(equation: JaxprEqn) -> int:
 
 
 def jaxprs_of(parameters: Parameters) -> list[Any]:
-    def is_jaxpr(x: object) -> bool:
-        return isinstance(x, ClosedJaxpr | Jaxpr)
-
-    return [x for x in jax.tree.leaves(dict(parameters), is_leaf=is_jaxpr) if is_jaxpr(x)]
+    leaves = jax.tree.leaves(dict(parameters), is_leaf=lambda x: isinstance(x, ClosedJaxpr | Jaxpr))
+    return [x for x in leaves if isinstance(x, ClosedJaxpr | Jaxpr)]
 
 
 def _call(walk: AbstractWalk, inputs: Arrays, parameters: Parameters, out: Shapes) -> Arrays:

@@ -13,7 +13,7 @@ from jax.core import ShapedArray
 from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Arrays, UnsupportedError, array_of
-from lieint_jax.native._primitives.columns import offset_by, row_number
+from lieint_jax.native._primitives.columns import row_number
 from lieint_jax.native._program import Value
 
 
@@ -31,7 +31,7 @@ def _reduction(op: str) -> Callable[..., np.ndarray]:
             k, *totals = carry
             rows = [[row_number(walk, list(column), k) for column in each.T] for each in terms]
             after = [reduced([total, *row]) for total, row in zip(totals, rows, strict=True)]
-            return [offset_by(walk, k, 1), *after]
+            return [walk.offset(k, 1), *after]
 
         first = [reduced(list(each[0])) for each in terms]
         end = walk.index(terms.shape[1])
