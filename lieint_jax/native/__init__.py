@@ -2,10 +2,10 @@
 
 A jaxpr is walked (`_walk`; what each primitive adds is in `_primitives`) into a program of single numbers with real
 loops (`_program`). In a long program operations along an axis of bodies or elements are a loop over its rows
-(`_regions`). On a CPU LLVM compiles it with a vector of members for each number (`_emit`, `_machine`), together
-with the elementary functions that it calls (`functions`); both are written as text of LLVM IR (`_llvm`). A separate
-program first computes what all members share in a step, such as the position on an orbit (`_pieces`). On a GPU Triton
-compiles the whole loop as one kernel (`_kernel`).
+(`_primitives/parallel`). On a CPU LLVM compiles it with a vector of members for each number (`_emit`, `_machine`),
+together with the elementary functions that it calls (`functions`); both are written as text of LLVM IR (`_llvm`). A
+separate program first computes what all members share in a step, such as the position on an orbit (`_pieces`). On a GPU
+Triton compiles the whole loop as one kernel (`_kernel`).
 
 `march` (`_march`) is a loop over steps as a primitive of JAX, whose machine code XLA calls.
 """

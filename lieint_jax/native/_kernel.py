@@ -18,7 +18,7 @@ from jax import Array, lax
 from jax.extend.core import ClosedJaxpr
 
 from lieint_jax.native._arrays import Evaluation, check_operations, computed_before
-from lieint_jax.native._march import AnyArray, AnyArrays, Deferred, Loop, jaxpr_of, march_p
+from lieint_jax.native._march import AnyArray, AnyArrays, Arrays, Deferred, Loop, jaxpr_of, march_p
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._traced import Leaf, Traced
 
@@ -31,12 +31,9 @@ class KernelCode:
     """The step of a loop as a program of numbers for a kernel.
 
     Attributes:
-        engine: its name.
-        length: the number of operations of a step.
-        pressure: how many numbers of a step are alive at once.
+        engine, length, pressure, seconds: as of machine code.
         lanes: the members of a block.
         shared: 0, since each thread computes what the members share.
-        seconds: what it took to make, by "walk".
 
     Raises:
         UnsupportedError: the step is no program of numbers, or too long, or has an operation that Triton lacks.
@@ -56,7 +53,7 @@ class KernelCode:
         self.pressure = traced.pressure
         self.seconds = {"walk": time.perf_counter() - begin}
 
-    def call(self, arguments: AnyArrays, loop: Loop, interpret: bool = False) -> list[AnyArray]:
+    def call(self, arguments: AnyArrays, loop: Loop, interpret: bool = False) -> Arrays:
         """The carries after the last step and the stored rows; without a GPU if it is to `interpret` the kernel."""
         from jax.experimental import pallas as pl
         from jax.experimental.pallas import triton
@@ -99,7 +96,7 @@ class _Kernel:
 
     def __init__(self, traced: Traced, loop: Loop, names: Sequence[Any]):
         self.leaves, self.program, self.loop, self.names = traced.leaves, traced.program, loop, names
-        sizes = [int(np.prod(x.shape)) for x in loop.results]
+        sizes = [int(np.prod(x.shape)) for x in loop.step.out_avals]
         numbers = iter(traced.program.outputs)
         results = [[next(numbers) for _ in range(n)] for n in sizes]
         self.places = [(k + 1, entry) for k, n in enumerate(sizes[: loop.carried]) for entry in range(n)]

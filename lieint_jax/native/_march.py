@@ -23,6 +23,7 @@ from lieint_jax._xla import differ, result_like, unchecked, with_common_axes
 Tree = Any  # a tree of arrays
 AnyArray = Any  # an array, or what stands for one in JAX: a tracer, a shape, a tangent
 AnyArrays = Sequence[AnyArray]
+Arrays = list[AnyArray]
 march_p = Primitive("march")
 march_p.multiple_results = True
 
@@ -50,7 +51,7 @@ def jaxpr_of(step: ClosedJaxpr | Deferred) -> ClosedJaxpr:
     return step.jaxpr if isinstance(step, Deferred) else step
 
 
-def function_of(step: ClosedJaxpr | Deferred) -> Callable[..., list[AnyArray]]:
+def function_of(step: ClosedJaxpr | Deferred) -> Callable[..., Arrays]:
     """A step as a function of arrays."""
     return lambda *arguments: list(jaxpr_as_fun(jaxpr_of(step))(*arguments))
 
@@ -132,21 +133,11 @@ class Loop(NamedTuple):
         return self.rows * self.known_every
 
     @property
-    def arguments(self) -> list[ShapedArray]:
-        """The shapes of carries, constants and a row of one member."""
-        return list(self.step.in_avals[1:])
-
-    @property
-    def results(self) -> list[ShapedArray]:
-        """The shapes of the carries and the results of a step of one member."""
-        return list(self.step.out_avals)
-
-    @property
     def owns(self) -> tuple[bool, ...]:
         """For each argument, whether each member has its own."""
         return (self.members is not None,) * self.carried + self.own
 
-    def split(self, items: AnyArrays) -> tuple[list[AnyArray], list[AnyArray], list[AnyArray]]:
+    def split(self, items: AnyArrays) -> tuple[Arrays, Arrays, Arrays]:
         """What belongs to the carries, to the constants and to the rows."""
         ends = self.carried, self.carried + self.fixed
         return list(items[: ends[0]]), list(items[ends[0] : ends[1]]), list(items[ends[1] :])
@@ -155,7 +146,7 @@ class Loop(NamedTuple):
         """Whether argument k has an axis of steps."""
         return k >= self.carried + self.fixed
 
-    def bind(self, arguments: AnyArrays) -> list[AnyArray]:
+    def bind(self, arguments: AnyArrays) -> Arrays:
         """The carries after the last step, and the stored rows of results, of axes (rows, members, …)."""
         return march_p.bind(*with_common_axes(arguments), loop=self)
 
@@ -220,9 +211,7 @@ class _Checked(NamedTuple):
 
     step: Callable[..., tuple[Tree, Tree]]
 
-    def __call__(
-        self, n: AnyArray, carry: Tree, count: list[AnyArray], consts: tuple[Tree, ...], x: Tree
-    ) -> tuple[Tree, Tree]:
+    def __call__(self, n: AnyArray, carry: Tree, count: Arrays, consts: tuple[Tree, ...], x: Tree) -> tuple[Tree, Tree]:
         result = self.step(n, carry, x, *consts)
         try:
             after, y = result
@@ -264,7 +253,7 @@ def _strong(x: AnyArray) -> AnyArray:
     return lax.convert_element_type(x, x.dtype)
 
 
-def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[AnyArray]]:
+def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, Arrays]:
     """A jaxpr in which the tracers that it closes over are arguments, from position `place` on; and these tracers."""
     consts, inner = list(closed.consts), closed.jaxpr
     traced = [isinstance(x, Tracer) for x in consts]
@@ -277,7 +266,7 @@ def _with_arguments(closed: ClosedJaxpr, place: int) -> tuple[ClosedJaxpr, list[
     return ClosedJaxpr(made, [x for x, t in zip(consts, traced, strict=True) if not t]), tracers
 
 
-def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..., Tree], list[AnyArray]]:
+def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..., Tree], Arrays]:
     """A function as one of the tracers that it closes over, (tracers, arguments) ↦ results; and these tracers.
 
     It is traced once: calls, and their derivatives, evaluate its jaxpr.
@@ -301,21 +290,21 @@ def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..
 @march_p.def_abstract_eval
 def _shapes(*given: ShapedArray, loop: Loop) -> list[ShapedArray]:
     lead = () if loop.members is None else (loop.members,)
-    rows = [()] * loop.carried + [(loop.rows,)] * (len(loop.results) - loop.carried)
-    return [result_like(given, (*r, *lead, *x.shape), x.dtype) for r, x in zip(rows, loop.results, strict=True)]
+    rows = [()] * loop.carried + [(loop.rows,)] * (len(loop.step.out_avals) - loop.carried)
+    return [result_like(given, (*r, *lead, *x.shape), x.dtype) for r, x in zip(rows, loop.step.out_avals, strict=True)]
 
 
 @march_p.def_impl
-def _evaluate(*arguments: AnyArray, loop: Loop) -> list[AnyArray]:
+def _evaluate(*arguments: AnyArray, loop: Loop) -> Arrays:
     return _jitted(loop)(*arguments)
 
 
 @functools.lru_cache(64)
-def _jitted(loop: Loop) -> Callable[..., list[AnyArray]]:
+def _jitted(loop: Loop) -> Callable[..., Arrays]:
     return jax.jit(lambda *arguments: loop.bind(arguments))
 
 
-def by_xla(*arguments: AnyArray, loop: Loop) -> list[AnyArray]:
+def by_xla(*arguments: AnyArray, loop: Loop) -> Arrays:
     """The loop by XLA: a scan over rows, of a loop over the steps of each."""
     carry, fixed, series = loop.split(arguments)
     step = function_of(loop.step)
@@ -323,7 +312,7 @@ def by_xla(*arguments: AnyArray, loop: Loop) -> list[AnyArray]:
         axes = [0 if own else None for own in loop.owns]
         step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
 
-    def step_once(n: AnyArray, carry: list[AnyArray], row: list[AnyArray]) -> tuple[list[AnyArray], list[AnyArray]]:
+    def step_once(n: AnyArray, carry: Arrays, row: Arrays) -> tuple[Arrays, Arrays]:
         found = list(step(n, *carry, *fixed, *row))
         return found[: loop.carried], found[loop.carried :]
 
@@ -336,10 +325,8 @@ def by_xla(*arguments: AnyArray, loop: Loop) -> list[AnyArray]:
         return [*carry, *ys]
     in_rows = [x.reshape(loop.rows, loop.known_every, *x.shape[1:]) for x in series]
 
-    def row(carry: list[AnyArray], given: tuple[AnyArray, list[AnyArray]]) -> tuple[list[AnyArray], list[AnyArray]]:
-        def next_step(
-            k: AnyArray, both: tuple[list[AnyArray], list[AnyArray]]
-        ) -> tuple[list[AnyArray], list[AnyArray]]:
+    def row(carry: Arrays, given: tuple[AnyArray, Arrays]) -> tuple[Arrays, Arrays]:
+        def next_step(k: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
             at = loop.known_every - 1 - k if loop.reverse else k
             x = [lax.dynamic_index_in_dim(x, at, keepdims=False) for x in given[1]]
             return step_once(given[0] * loop.known_every + at, both[0], x)
@@ -356,20 +343,20 @@ def by_xla(*arguments: AnyArray, loop: Loop) -> list[AnyArray]:
 
 
 def _counted_by_xla(
-    step: Callable[[AnyArray, list[AnyArray], list[AnyArray]], tuple[list[AnyArray], list[AnyArray]]],
-    carry: list[AnyArray],
-    series: list[AnyArray],
+    step: Callable[[AnyArray, Arrays, Arrays], tuple[Arrays, Arrays]],
+    carry: Arrays,
+    series: Arrays,
     every: AnyArray,
     count: AnyArray,
     rows: int,
-) -> list[AnyArray]:
-    def row_of(n: AnyArray) -> list[AnyArray]:
+) -> Arrays:
+    def row_of(n: AnyArray) -> Arrays:
         return [lax.dynamic_index_in_dim(x, n, keepdims=False) for x in series]
 
     shapes = jax.eval_shape(lambda carry: step(jnp.zeros_like(every), carry, row_of(0))[1], carry)
     empty = [jnp.zeros(s.shape, s.dtype) for s in shapes]
 
-    def row(k: AnyArray, both: tuple[list[AnyArray], list[AnyArray]]) -> tuple[list[AnyArray], list[AnyArray]]:
+    def row(k: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
         begin = both[0], empty
         carry, found = lax.fori_loop(0, every, lambda i, both: step(k * every + i, both[0], row_of(k)), begin)
         return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], found, strict=True)]

@@ -20,7 +20,7 @@ from jax.interpreters import mlir
 from lieint_jax._xla import unchecked
 from lieint_jax.native._arrays import computed_before
 from lieint_jax.native._kernel import KernelCode
-from lieint_jax.native._march import AnyArray, AnyArrays, Deferred, Loop, by_xla, jaxpr_of, march_p, shape_of
+from lieint_jax.native._march import AnyArray, AnyArrays, Arrays, Deferred, Loop, by_xla, jaxpr_of, march_p, shape_of
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._primitives.control_flow import jaxprs_of
 from lieint_jax.native._spread import let_spread, spread
@@ -78,7 +78,7 @@ class LoopCode:
         self.length, self.pressure, self.lanes = traced.length, traced.pressure, lanes
         self.seconds = {"walk": walked - begin, "llvm": time.perf_counter() - walked}
 
-    def call(self, arguments: AnyArrays, loop: Loop, is_spread: bool = False) -> list[AnyArray]:
+    def call(self, arguments: AnyArrays, loop: Loop, is_spread: bool = False) -> Arrays:
         """The carries after the last step and the stored rows; if it `is_spread`, by each device those of its part."""
         arrays, count = list(arguments), len(arguments)
         if self._outside:
@@ -87,10 +87,10 @@ class LoopCode:
             return self._call(loop, arrays, loop.members)
         places = [int(loop.is_series(k)) if own else None for k, own in enumerate(loop.owns)]
         places += [0 if leaf.varies else None for leaf in self._leaves[1 + count :]]
-        of_results = [int(k >= loop.carried) for k in range(len(loop.results))]
+        of_results = [int(k >= loop.carried) for k in range(len(loop.step.out_avals))]
         return spread(functools.partial(self._call, loop), loop.members, arrays, places, of_results)
 
-    def _call(self, loop: Loop, arrays: AnyArrays, members: int | None) -> list[AnyArray]:
+    def _call(self, loop: Loop, arrays: AnyArrays, members: int | None) -> Arrays:
         """The results for so many members, from the arguments and what was computed before."""
         shapes = march_p.abstract_eval(*arrays[: len(loop.owns)], loop=loop._replace(members=members))[0]
         members = members or 1
@@ -154,7 +154,7 @@ def loops_of(closed: ClosedJaxpr | Jaxpr) -> Iterator[Loop | None]:
             yield None
 
 
-def _compiled(*arguments: AnyArray, loop: Loop, platform: str, is_spread: bool) -> list[AnyArray]:
+def _compiled(*arguments: AnyArray, loop: Loop, platform: str, is_spread: bool) -> Arrays:
     """The loop in its own code; by XLA if its step is not a program of numbers, or if the user wants it."""
     found = machine_code(loop, platform)
     if isinstance(found, str):

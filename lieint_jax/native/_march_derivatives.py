@@ -21,6 +21,7 @@ from jax.interpreters import ad, partial_eval
 from lieint_jax.native._march import (
     AnyArray,
     AnyArrays,
+    Arrays,
     Deferred,
     Loop,
     Origin,
@@ -35,21 +36,16 @@ from lieint_jax.native._march_members import varying_in_loop
 
 _MOST_STORED = 64  # steps of a loop whose carries are all stored
 Mask = Sequence[bool]
-_Function = Callable[..., list[AnyArray]]
+_Function = Callable[..., Arrays]
 _Step = ClosedJaxpr | Deferred
 
 
-def _chosen(items: AnyArrays, mask: Mask) -> list[AnyArray]:
+def _chosen(items: AnyArrays, mask: Mask) -> Arrays:
     return [x for x, m in zip(items, mask, strict=True) if m]
 
 
 def _is_real(x: AnyArray) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating)
-
-
-def _deferred(function: _Function, loop: Loop, arguments: AnyArrays, results: AnyArrays) -> Deferred:
-    """A step, (number, arguments) ↦ results, of arrays like these."""
-    return Deferred(function, [loop.step.in_avals[0], *arguments], results)
 
 
 def _mask_of_results(loop: Loop, active: tuple[bool, ...]) -> tuple[bool, ...]:
@@ -66,27 +62,23 @@ def _varying_and_real(step: _Step, carried: int, active: tuple[bool, ...]) -> tu
 # Forward mode ---------------------------------------------------------------------------------------------------------
 
 
-def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[list[AnyArray], list[AnyArray]]:
+def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[Arrays, Arrays]:
     primals = [jnp.asarray(x) for x in primals]  # JAX passes on Python's numbers
     given = tuple(type(t) is not ad.Zero and _is_real(x) for x, t in zip(primals, tangents, strict=True))
     real = _mask_of_results(loop, given)
     active = (*real[: loop.carried], *given[loop.carried :])
     dots = [ad.instantiate_zeros(t) for t, a in zip(tangents, active, strict=True) if a]
-    found = iter(_tangent_loop(loop, active).bind(_interleaved(loop, primals, dots, active)))
-    carry_mask, result_mask = real[: loop.carried], real[loop.carried :]
-    ends = [next(found) for _ in carry_mask]
-    end_dots = [next(found) if m else None for m in carry_mask]
-    ys = [next(found) for _ in result_mask]
-    y_dots = [next(found) if m else None for m in result_mask]
-    out, out_dots = [*ends, *ys], [*end_dots, *y_dots]
-    zeros = [ad.Zero(jax.typeof(x).to_tangent_aval()) for x in out]
-    return out, [z if d is None else d for d, z in zip(out_dots, zeros, strict=True)]
+    found = _tangent_loop(loop, active).bind(_interleaved(loop, primals, dots, active))
+    out, slopes = _parted(loop._replace(fixed=0), found, real)
+    left = iter(slopes)
+    pairs = zip(out, real, strict=True)
+    return out, [next(left) if m else ad.Zero(jax.typeof(x).to_tangent_aval()) for x, m in pairs]
 
 
 ad.primitive_jvps[march_p] = _jvp
 
 
-def _interleaved(loop: Loop, plain: AnyArrays, dots: AnyArrays, active: Mask) -> list[AnyArray]:
+def _interleaved(loop: Loop, plain: AnyArrays, dots: AnyArrays, active: Mask) -> Arrays:
     """(carries, their tangents, constants, their tangents, rows, their tangents)."""
     found, left = [], iter(dots)
     for values, mask in zip(loop.split(plain), loop.split(active), strict=True):
@@ -94,7 +86,7 @@ def _interleaved(loop: Loop, plain: AnyArrays, dots: AnyArrays, active: Mask) ->
     return found
 
 
-def _parted(loop: Loop, items: AnyArrays, active: Mask) -> tuple[list[AnyArray], list[AnyArray]]:
+def _parted(loop: Loop, items: AnyArrays, active: Mask) -> tuple[Arrays, Arrays]:
     """What `_interleaved` put together: the plain items, and those of the tangents."""
     plain, dots, left = [], [], iter(items)
     for mask in loop.split(active):
@@ -122,24 +114,23 @@ def _tangent_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...
     loop = Loop(step, carried, fixed, 1, 1, False)
     mask, function = _mask_of_results(loop, active), function_of(step)
 
-    def with_dots(out: AnyArrays, out_dots: AnyArrays) -> list[AnyArray]:
-        ends, ys = _chosen(out_dots[:carried], mask[:carried]), _chosen(out_dots[carried:], mask[carried:])
-        return [*out[:carried], *ends, *out[carried:], *ys]
-
-    def pushed(n: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
         plain, dots = _parted(loop, arguments, active)
         of_active = _of_active(function, n, plain, active)
-        return with_dots(*jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots)))
+        out, slopes = jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots))
+        return _results_of(loop, active, out, _chosen(slopes, mask))
 
-    shapes = loop.arguments
+    number, *shapes = step.in_avals
     arguments = _interleaved(loop, shapes, _chosen(shapes, active), active)
-    return _deferred(pushed, loop, arguments, with_dots(loop.results, loop.results))
+    return Deferred(
+        pushed, [number, *arguments], _results_of(loop, active, step.out_avals, _chosen(step.out_avals, mask))
+    )
 
 
 def _of_active(function: _Function, n: AnyArray, plain: AnyArrays, active: Mask) -> _Function:
     """A step as a function of its active arguments."""
 
-    def of_active(*values: AnyArray) -> list[AnyArray]:
+    def of_active(*values: AnyArray) -> Arrays:
         left = iter(values)
         return list(function(n, *(next(left) if a else x for a, x in zip(active, plain, strict=True))))
 
@@ -149,7 +140,7 @@ def _of_active(function: _Function, n: AnyArray, plain: AnyArrays, active: Mask)
 # Reverse mode ---------------------------------------------------------------------------------------------------------
 
 
-def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> list[AnyArray]:
+def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
     """A loop with known primals and unknown tangents: the primals now, and equations for the tangents."""
     origin = loop.origin
     if origin is None or origin.linear:
@@ -163,12 +154,15 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> list[AnyArray]:
     if base.every is None:
         out = [trace.new_const(x) for x in base.bind(known)]
         found = trace.default_process_primitive(march_p, tracers, {"loop": loop})
-        mask = _mask_of_results(base, active)
-        return _results_of(base, active, out, _parted(base._replace(fixed=0), found, mask)[1])
+        slopes = _parted(base._replace(fixed=0), found, _mask_of_results(base, active))[1]
+        return _results_of(base, active, out, slopes)
     if base.steps > _MOST_STORED and not base.is_piece:
         with set_current_trace(trace):
             unknown = iter(dots)
-            given = [next(unknown) if a else _no_tangent(x) for x, a in zip(known, active, strict=True)]
+            given = [
+                next(unknown) if a else jnp.zeros(x.shape, x.dtype if _is_real(x) else jax.dtypes.float0)
+                for x, a in zip(known, active, strict=True)
+            ]
             out, out_dots = jax.jvp(functools.partial(_in_pieces, base), tuple(known), tuple(given))
         slopes = _chosen(out_dots, _mask_of_results(base, active))
         out, slopes = ([trace.to_jaxpr_tracer(x) for x in values] for values in (out, slopes))
@@ -185,23 +179,16 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> list[AnyArray]:
 partial_eval.custom_partial_eval_rules[march_p] = _partial_eval
 
 
-def _no_tangent(x: AnyArray) -> AnyArray:
-    """A zero tangent."""
-    return jnp.zeros(x.shape, x.dtype) if _is_real(x) else jnp.zeros(x.shape, jax.dtypes.float0)
-
-
-def _results_of(loop: Loop, active: tuple[bool, ...], out: AnyArrays, slopes: AnyArrays) -> list[AnyArray]:
+def _results_of(loop: Loop, active: tuple[bool, ...], out: AnyArrays, slopes: AnyArrays) -> Arrays:
     """The results of the loop of the step and its tangents: (carries, their tangents, results, their tangents)."""
-    mask, n = _mask_of_results(loop, active), loop.carried
-    count = sum(mask[:n])
-    return [*out[:n], *slopes[:count], *out[n:], *slopes[count:]]
+    return _interleaved(loop._replace(fixed=0), out, slopes, _mask_of_results(loop, active))
 
 
-def _recorded(loop: Loop, arguments: AnyArrays) -> tuple[list[AnyArray], list[AnyArray]]:
+def _recorded(loop: Loop, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
     """The results of a loop, and the carries before all steps."""
     recording = loop._replace(step=_recording(loop.step, loop.carried), rows=loop.steps, every=1, origin=None)
     found = recording.bind(arguments)
-    count = len(loop.results)
+    count = len(loop.step.out_avals)
     ys = found[loop.carried : count]
     last = slice(0 if loop.reverse else loop.known_every - 1, None, loop.known_every)
     return [*found[: loop.carried], *(y[last] for y in ys)], found[count:]
@@ -215,20 +202,19 @@ def _recording(step: _Step, carried: int) -> ClosedJaxpr:
 
 def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
     """The tangents of a loop, at stored carries, which are rows."""
-    carries, fixed, rows = loop.split(active)
-    _, own_fixed, own_rows = loop.split(loop.owns)
+    carries, fixed, _ = loop.split(active)
     stored = [loop.members is not None] * loop.carried
-    own = [*own_fixed, *_chosen(own_fixed, fixed), *stored, *own_rows, *_chosen(own_rows, rows)]
+    own = _linear_arguments(loop, active, loop.owns, stored, _chosen(loop.owns, active))
     return loop._replace(
         step=_linear_step(loop.step, loop.carried, loop.fixed, active),
         carried=sum(carries),
         fixed=loop.fixed + sum(fixed),
-        own=tuple(own),
+        own=tuple(own[sum(carries) :]),
         origin=Origin(loop, active, True),
     )
 
 
-def _linear_arguments(loop: Loop, active: Mask, plain: AnyArrays, stored: AnyArrays, dots: AnyArrays) -> list[AnyArray]:
+def _linear_arguments(loop: Loop, active: Mask, plain: AnyArrays, stored: AnyArrays, dots: AnyArrays) -> Arrays:
     """The arguments of `_linear_loop`: tangents of carries, constants and their tangents, carries, rows, tangents."""
     carries, fixed, _ = loop.split(active)
     _, constants, rows = loop.split(plain)
@@ -236,28 +222,30 @@ def _linear_arguments(loop: Loop, active: Mask, plain: AnyArrays, stored: AnyArr
     return [*dots[:n], *constants, *dots[n:m], *stored, *rows, *dots[m:]]
 
 
+def _of_linear(loop: Loop, active: Mask, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
+    """What `_linear_arguments` put together: the plain arguments, and those of the tangents."""
+    count, places = len(active), range(len(active) + sum(active))
+    order = _linear_arguments(loop, active, places[:count], places[: loop.carried], places[count:])
+    given = dict(zip(order, arguments, strict=True))
+    return [given[k] for k in places[:count]], [given[k] for k in places[count:]]
+
+
 @functools.lru_cache(32)
 def _linear_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
     loop = Loop(step, carried, fixed, 1, 1, False)
     mask, function = _mask_of_results(loop, active), function_of(step)
-    carries, of_fixed, of_rows = loop.split(active)
+    number, *shapes = step.in_avals
 
-    def pushed(n: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
-        left = iter(arguments)
-        dots = [next(left) for a in carries if a]
-        constants = [next(left) for _ in of_fixed]
-        dots += [next(left) for a in of_fixed if a]
-        plain = [*(next(left) for _ in carries), *constants, *(next(left) for _ in of_rows)]
-        dots += list(left)
+    def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
+        plain, dots = _of_linear(loop, active, arguments)
         _, slopes = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
         return _chosen(slopes, mask)
 
-    c, k, x = loop.split(loop.arguments)
-    shapes = [*_chosen(c, carries), *k, *_chosen(k, of_fixed), *c, *x, *_chosen(x, of_rows)]
-    return _deferred(pushed, loop, shapes, _chosen(loop.results, mask))
+    arguments = _linear_arguments(loop, active, shapes, shapes[:carried], _chosen(shapes, active))
+    return Deferred(pushed, [number, *arguments], _chosen(step.out_avals, mask))
 
 
-def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> list[AnyArray]:
+def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
     """The cotangents of the arguments of a linear loop: a loop in the other direction."""
     if loop.origin is None or not loop.origin.linear:
         if loop.every is not None:
@@ -266,16 +254,14 @@ def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> list[AnyArr
     base, active = loop.origin.loop, loop.origin.active
     carries, fixed, rows = base.split(active)
     _, own_fixed, own_rows = base.split(base.owns)
-    n, m = sum(carries), len(arguments) - sum(rows)
-    constants = arguments[n : n + base.fixed]
-    values = arguments[n + base.fixed + sum(fixed) : m]  # carries and rows
+    stored, constants, series = base.split(_of_linear(base, active, arguments)[0])
+    n = sum(carries)
     lam, y_bars = [ad.instantiate_zeros(x) for x in bars[:n]], bars[n:]
     seen = tuple(type(x) is not ad.Zero for x in y_bars)
     y_bars = [_spread(x, loop) for x, s in zip(y_bars, seen, strict=True) if s]
-    lead = () if loop.members is None else (loop.members,)
-    sums = [jnp.zeros((*lead, *x.shape), x.dtype) for x in _chosen(base.split(base.arguments)[1], fixed)]
-    stored = [loop.members is not None] * base.carried
-    own = (*own_fixed, *stored, *own_rows, *[loop.members is not None] * len(y_bars))
+    has_members = loop.members is not None
+    lead = (loop.members,) if has_members else ()
+    sums = [jnp.zeros((*lead, *x.shape), x.dtype) for x in _chosen(base.split(base.step.in_avals[1:])[1], fixed)]
     back = Loop(
         _backward_step(base.step, base.carried, base.fixed, active, seen),
         len(lam) + len(sums),
@@ -284,15 +270,16 @@ def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> list[AnyArr
         1,
         not loop.reverse,
         loop.members,
-        own,
+        (*own_fixed, *[has_members] * base.carried, *own_rows, *[has_members] * len(y_bars)),
         is_piece=loop.is_piece,
     )
-    found = back.bind([*lam, *sums, *constants, *values, *y_bars])
+    found = back.bind([*lam, *sums, *constants, *stored, *series, *y_bars])
     lam, sums, x_bars = found[:n], found[n : n + len(sums)], found[n + len(sums) :]
-    if loop.members is not None:
+    if has_members:
         sums = [x if own else x.sum(0) for x, own in zip(sums, _chosen(own_fixed, fixed), strict=True)]
         x_bars = [x if own else x.sum(1) for x, own in zip(x_bars, _chosen(own_rows, rows), strict=True)]
-    return [*lam, *[None] * base.fixed, *sums, *[None] * len(values), *x_bars]
+    none = [None] * len(active)
+    return _linear_arguments(base, active, none, none[: base.carried], [*lam, *sums, *x_bars])
 
 
 ad.primitive_transposes[march_p] = _transpose
@@ -316,7 +303,7 @@ def _backward_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ..
     results = iter(seen)
     wanted = [*mask[:carried], *(r and next(results) for r in mask[carried:])]
 
-    def pulled(number: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def pulled(number: AnyArray, *arguments: AnyArray) -> Arrays:
         lam, sums, constants = arguments[:n], arguments[n:m], arguments[m : m + fixed]
         values, bars = arguments[m + fixed :][: len(active) - fixed], arguments[m + len(active) :]
         plain = [*values[:carried], *constants, *values[carried:]]
@@ -325,10 +312,10 @@ def _backward_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ..
         found = pull([*lam, *bars])
         return [*found[:n], *(a + b for a, b in zip(sums, found[n:m], strict=True)), *found[m:]]
 
-    c, k, x = loop.split(loop.arguments)
-    ys = _chosen(loop.results[carried:], wanted[carried:])
+    c, k, x = loop.split(step.in_avals[1:])
+    ys = _chosen(step.out_avals[carried:], wanted[carried:])
     bars = [*_chosen(c, carries), *_chosen(k, of_fixed)]
-    return _deferred(pulled, loop, [*bars, *k, *c, *x, *ys], [*bars, *_chosen(x, of_rows)])
+    return Deferred(pulled, [step.in_avals[0], *bars, *k, *c, *x, *ys], [*bars, *_chosen(x, of_rows)])
 
 
 def _partial_eval_of_equation(
@@ -341,18 +328,11 @@ def _partial_eval_of_equation(
     if origin is None or origin.linear or any(_parted(origin.loop, unknown, origin.active)[0]):
         return None, equation, [True] * len(out), [True] * len(out), more
     base, active = origin.loop, origin.active
-    mask, n = _mask_of_results(base, active), base.carried
-    count = sum(mask[:n])
-    dots = [*[False] * n, *[True] * count, *[False] * (len(mask) - n), *[True] * sum(mask[n:])]
+    mask = _mask_of_results(base, active)
+    dots = _results_of(base, active, [False] * len(mask), [True] * sum(mask))
     primals = [x for x, d in zip(out, dots, strict=True) if not d]
-    known = new_jaxpr_eqn(
-        _parted(base, equation.invars, active)[0],
-        primals,
-        march_p,
-        {"loop": base},
-        equation.effects,
-        equation.source_info,
-    )
+    inputs, loops = _parted(base, equation.invars, active)[0], {"loop": base}
+    known = new_jaxpr_eqn(inputs, primals, march_p, loops, equation.effects, equation.source_info)
     staged = equation.replace(outvars=[x if d else DropVar(x.aval) for x, d in zip(out, dots, strict=True)])
     return known, staged, dots, dots, more
 
@@ -363,7 +343,7 @@ partial_eval.partial_eval_jaxpr_custom_rules[march_p] = _partial_eval_of_equatio
 # Many steps -----------------------------------------------------------------------------------------------------------
 
 
-def _in_pieces(loop: Loop, *arguments: AnyArray) -> list[AnyArray]:
+def _in_pieces(loop: Loop, *arguments: AnyArray) -> Arrays:
     """A loop as a scan over pieces; reverse mode stores the carries before each, and computes all else again."""
     length = math.isqrt(loop.steps - 1) + 1
     carry, fixed, series = loop.split(arguments)
@@ -375,7 +355,7 @@ def _in_pieces(loop: Loop, *arguments: AnyArray) -> list[AnyArray]:
     ends = ends_that_are_results(loop.step, loop.carried)
     whole = loop._replace(rows=1) if ends is None else silent._replace(every=loop.every)
 
-    def row(carry: list[AnyArray], given: tuple[AnyArray, list[AnyArray]]) -> tuple[list[AnyArray], list[AnyArray]]:
+    def row(carry: Arrays, given: tuple[AnyArray, Arrays]) -> tuple[Arrays, Arrays]:
         found = _pieces_and_rest(whole, silent, (loop.known_every - 1) // length, carry, given[0], fixed, given[1])
         ys = [y[0] for y in found[loop.carried :]] if ends is None else [found[k] for k in ends]
         return found[: loop.carried], ys
@@ -387,14 +367,8 @@ def _in_pieces(loop: Loop, *arguments: AnyArray) -> list[AnyArray]:
 
 
 def _pieces_and_rest(
-    loop: Loop,
-    piece: Loop,
-    count: int,
-    carry: list[AnyArray],
-    first: AnyArray,
-    fixed: list[AnyArray],
-    series: list[AnyArray],
-) -> list[AnyArray]:
+    loop: Loop, piece: Loop, count: int, carry: Arrays, first: AnyArray, fixed: Arrays, series: Arrays
+) -> Arrays:
     """A loop whose steps are numbered from `first` on, as `count` pieces and a loop of the rest, which comes last."""
     in_pieces, rest = count * piece.steps, loop.steps - count * piece.steps
     place, place_of_rest = (rest, 0) if loop.reverse else (0, in_pieces)
@@ -402,9 +376,7 @@ def _pieces_and_rest(
     cut = [x[place : place + in_pieces].reshape(count, piece.steps, *x.shape[1:]) for x in series]
 
     @jax.checkpoint
-    def run_piece(
-        carry: list[AnyArray], start: AnyArray, rows: list[AnyArray]
-    ) -> tuple[list[AnyArray], list[AnyArray]]:
+    def run_piece(carry: Arrays, start: AnyArray, rows: Arrays) -> tuple[Arrays, Arrays]:
         found = _numbered(piece).bind([*carry, start, *fixed, *rows])
         return found[: loop.carried], found[loop.carried :]
 
@@ -434,7 +406,7 @@ def _numbered_step(step: _Step, carried: int) -> Deferred:
     function = function_of(step)
     number, *shapes = step.in_avals
 
-    def numbered(n: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def numbered(n: AnyArray, *arguments: AnyArray) -> Arrays:
         return function(n + arguments[carried], *arguments[:carried], *arguments[carried + 1 :])
 
     return Deferred(numbered, [number, *shapes[:carried], number, *shapes[carried:]], step.out_avals)

@@ -11,13 +11,14 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 from jax.interpreters import batching
 
-from lieint_jax.native._march import AnyArray, AnyArrays, Loop, function_of, jaxpr_of, march_p, shape_of
+from lieint_jax.native._march import AnyArray, AnyArrays, Arrays, Loop, function_of, jaxpr_of, march_p, shape_of
+from lieint_jax.native._primitives.abstract_walk import shapes_of
 from lieint_jax.native._primitives.control_flow import CALLS, jaxprs_of, split_scan
 
 _SHORT = 12  # the longest axis, such as that of tangent vectors, that may go inside of a step
 _COMMON = 0.3  # the least part of a carry without the axis, such as the point of the tangents, for which it does
 Axis = int | None
-_Batched = tuple[list[AnyArray], list[Axis]]
+_Batched = tuple[Arrays, list[Axis]]
 
 
 def _batch(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], *, loop: Loop) -> _Batched:
@@ -27,7 +28,8 @@ def _batch(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], *, loop: 
     has = [axis is not None for axis in axes]
     varying = varying_in_loop(jaxpr_of(loop.step), [False, *has], 1, loop.carried)
     has[: loop.carried] = varying[: loop.carried]
-    size = [int(np.prod(x.shape)) * jnp.issubdtype(x.dtype, jnp.floating) for x in loop.arguments[: loop.carried]]
+    carries = loop.step.in_avals[1 : 1 + loop.carried]
+    size = [int(np.prod(x.shape)) * jnp.issubdtype(x.dtype, jnp.floating) for x in carries]
     common = sum(n for n, v in zip(size, varying, strict=False) if not v)
     if axis_data.size <= _SHORT and common > _COMMON * sum(size):
         return _inside(axis_data, arguments, axes, has, varying, loop)
@@ -40,11 +42,11 @@ batching.fancy_primitive_batchers[march_p] = _batch
 def _batch_counts(axis_data: Any, arguments: AnyArrays, axes: Sequence[Axis], loop: Loop) -> _Batched:
     """`_batch` where members have their own numbers of steps: each runs as many as the one with the most."""
     n, place = loop.carried, loop.carried + 2  # of the number of a member's steps, among the arguments of a step
-    if loop.rows > 1 or len(loop.results) > n or axes[n + 1] is not None:
+    if loop.rows > 1 or len(loop.step.out_avals) > n or axes[n + 1] is not None:
         raise NotImplementedError("members with their own numbers of steps between rows of results")
     function = function_of(loop.step)
 
-    def step(number: AnyArray, *arguments: AnyArray) -> list[AnyArray]:
+    def step(number: AnyArray, *arguments: AnyArray) -> Arrays:
         before, count = arguments[:n], arguments[place]
         after = function(number, *arguments[:place], *arguments[place + 1 :])
         return [jnp.where(number < count, x, y) for x, y in zip(after, before, strict=True)]
@@ -78,16 +80,18 @@ def _as_members(size: int, arguments: AnyArrays, axes: Sequence[Axis], varying: 
 
 def _joined(x: AnyArray, axis: Axis, place: int, size: int, old: int | None, owns: bool) -> AnyArray:
     """An array with one axis of members at `place`: the new axis times the old one."""
-    if axis is not None:
-        x = jnp.moveaxis(x, axis, place)
-    else:
-        x = jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
+    x = _with_axis(x, axis, place, size)
     if old is None:
         return x
-    if not owns:
-        wide = (*x.shape[: place + 1], old, *x.shape[place + 1 :])
-        x = jnp.broadcast_to(jnp.expand_dims(x, place + 1), wide)
+    x = x if owns else _with_axis(x, None, place + 1, old)
     return x.reshape(*x.shape[:place], size * old, *x.shape[place + 2 :])
+
+
+def _with_axis(x: AnyArray, axis: Axis, place: int, size: int) -> AnyArray:
+    """An array with its axis at `place`, or, if it has none, with a new axis of equal entries."""
+    if axis is not None:
+        return jnp.moveaxis(x, axis, place)
+    return jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
 
 
 def _inside(
@@ -95,18 +99,14 @@ def _inside(
 ) -> _Batched:
     """The axis is the first one of each array inside of a step; what has none is computed once."""
     size, old = axis_data.size, int(loop.members is not None)
-    given = []
-    for k, (x, axis, h, owns) in enumerate(zip(arguments, axes, has, loop.owns, strict=True)):
-        place = int(loop.is_series(k)) + owns
-        if axis is not None:
-            x = jnp.moveaxis(x, axis, place)
-        elif h:
-            x = jnp.broadcast_to(jnp.expand_dims(x, place), (*x.shape[:place], size, *x.shape[place:]))
-        given.append(x)
+    given = [
+        _with_axis(x, axis, loop.is_series(k) + owns, size) if h else x
+        for k, (x, axis, h, owns) in enumerate(zip(arguments, axes, has, loop.owns, strict=True))
+    ]
     inner_axes = [None, *(0 if h else None for h in has)]
     batched = jax.vmap(function_of(loop.step), inner_axes, 0, axis_name=axis_data.name, axis_size=size)
 
-    def step(*arguments: AnyArray) -> list[AnyArray]:
+    def step(*arguments: AnyArray) -> Arrays:
         return [x if v else x[0] for x, v in zip(batched(*arguments), varying, strict=True)]
 
     number, *shapes = map(shape_of, loop.step.in_avals)
@@ -145,7 +145,7 @@ def varying_in_loop(step: ClosedJaxpr, varying: Sequence[bool], first: int, carr
 def _of_equation(equation: Any, given: list[bool]) -> list[bool]:
     name, inner, out = equation.primitive.name, jaxprs_of(equation.params), equation.outvars
     if name == "scan":
-        consts, carry, _ = split_scan(given, equation)
+        consts, carry, _ = split_scan(given, inner[0], shapes_of(equation.invars), shapes_of(out))
         return varying_in_loop(inner[0], given, len(consts), len(carry))
     if name == "cond":
         sides = [_varying_results(x, given[1:]) for x in inner]

@@ -12,9 +12,8 @@ from __future__ import annotations
 from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 
-from lieint_jax.native._emit import emit
-from lieint_jax.native._llvm.loops import Tape
-from lieint_jax.native._program import Block, Loop, Program, Value, blocks_of
+from lieint_jax.native._emit import Tape, Writer
+from lieint_jax.native._program import Block, Loop, Program, Value
 from lieint_jax.native._traced import Leaf, leaves_before_rows
 from lieint_jax.native.functions import Functions
 
@@ -39,7 +38,7 @@ def modules(
 ) -> tuple[list[str], int]:
     """The texts of modules that are compiled together, and about how many numbers of a row the members share.
 
-    The arguments are those of `emit`.
+    The arguments are those of `Writer` and its text.
 
     The arguments of their function `run` are the first block and the one after the last, the numbers of members and of
     rows, how many rows each stored one stands for, and pointers to the leaves that are in memory; the carries after the
@@ -48,12 +47,12 @@ def modules(
     functions = Functions()
     parts = _split(program, leaves) if lanes > 1 else None
     if parts is None:
-        text = emit("steps", program, leaves, results, lanes, functions, reverse=reverse, row_lanes=row_lanes)
+        text = Writer(program, lanes, leaves, functions, row_lanes=row_lanes).text("steps", results, reverse)
         return [text, _ALL_ROWS, functions.text()], 0
     first, rest, numbers = parts
-    rest = emit("steps", rest, leaves, results, lanes, functions, Tape(numbers, writes=False), reverse)
+    rest = Writer(rest, lanes, leaves, functions, Tape(numbers, writes=False)).text("steps", results, reverse)
     before = leaves_before_rows(leaves)
-    first = emit("first", first, before, [], 1, functions, Tape(numbers, writes=True), reverse)
+    first = Writer(first, 1, before, functions, Tape(numbers, writes=True)).text("first", [], reverse)
     arguments = sum(leaf.kind != "counter" for leaf in leaves)
     carries = sum(leaf.kind == "carry" for leaf in leaves)
     shared = sum(map(len, numbers.values()))
@@ -119,7 +118,7 @@ def _length(block: Block, program: Program, others: Container[Block]) -> int:
         if isinstance(item, Value):
             found += item in program.live
         elif not isinstance(item, Loop):
-            found += sum(_length(inner, program, others) for inner in blocks_of(item))
+            found += sum(_length(inner, program, others) for inner in item.blocks)
         elif item.body not in others and any(x in program.live for x in item.carries):
             found += 4 * (_length(item.head, program, others) + _length(item.body, program, others))
     return found

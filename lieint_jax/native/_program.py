@@ -102,12 +102,14 @@ class Loop:
         head, test: the block that computes the condition of the loop, and the condition, a boolean.
         body: the block of one iteration, inside `head`.
         results: the carried numbers after the loop.
+        blocks: the head and the body.
     """
 
     def __init__(self, parent: Block, starts: Sequence[Value]):
         self.starts = list(starts)
         self.head = Block(parent)
         self.body = Block(self.head, tested=True)
+        self.blocks = self.head, self.body
         self.carries = [_carried(x, "carry", self.head) for x in starts]
         self.results = [_carried(x, "result", parent) for x in starts]
         self.test: Value
@@ -146,10 +148,12 @@ class Map:
         index: its number, an int64.
         values: the numbers of one row.
         results: for each of them, the array of all rows.
+        blocks: the body.
     """
 
     def __init__(self, parent: Block, length: int):
         self.length, self.body = length, Block(parent)
+        self.blocks = (self.body,)
         self.index = Value("index", (), np.dtype(np.int64), None, self.body)
         self.values: list[Value] = []
         self.results: list[Value] = []
@@ -300,54 +304,49 @@ class Builder:
 
     def _simplify(self, op: str, inputs: tuple[Value, ...], dtype: np.dtype) -> Value | None:
         """A simpler number that is equal, or None. 0·x and 0/x may be NaN; as for XLA, x ± 0 is x, also if x is −0."""
-        x, y, *_ = *inputs, None, None
         whole = dtype.kind in "iu"
-        if op == "add" and x is not None and y is not None:
-            for a, b in ((x, y), (y, x)):
-                if a.equals(0):
-                    return b
-                if a.op == "neg":
-                    return self.number("sub", b, a.inputs[0])
-        if op == "sub" and x is not None and y is not None:
-            if y.equals(0):
+        match op, *inputs:
+            case "add", x, y:
+                for a, b in ((x, y), (y, x)):
+                    if a.equals(0):
+                        return b
+                    if a.op == "neg":
+                        return self.number("sub", b, a.inputs[0])
+            case "sub", x, y:
+                if y.equals(0):
+                    return x
+                if x.equals(0) and (whole or np.signbit(x.data)):
+                    return self.number("neg", y)
+                if y.op == "neg":
+                    return self.number("add", x, y.inputs[0])
+            case "mul", x, y:
+                for a, b in ((x, y), (y, x)):
+                    if a.equals(0) and whole:
+                        return a
+                    if a.equals(1):
+                        return b
+                    if a.equals(-1):
+                        return self.number("neg", b)
+            case "div", x, y:
+                if y.equals(1) or (x.equals(0) and whole):
+                    return x
+                if y.is_constant and dtype.kind == "f" and np.frexp(y.data)[0] in (0.5, -0.5):
+                    with np.errstate(over="ignore"):
+                        inverse = self.constant(1 / y.data, dtype)
+                    return self.number("mul", x, inverse) if np.isfinite(inverse.data) else None
+            case (("neg" | "not"), x) if x.op == op:
+                return x.inputs[0]
+            case "convert", x if x.dtype == dtype:
                 return x
-            if x.equals(0) and (whole or np.signbit(x.data)):
-                return self.number("neg", y)
-            if y.op == "neg":
-                return self.number("add", x, y.inputs[0])
-        if op == "mul" and x is not None and y is not None:
-            for a, b in ((x, y), (y, x)):
-                if a.equals(0) and whole:
-                    return a
-                if a.equals(1):
-                    return b
-                if a.equals(-1):
-                    return self.number("neg", b)
-        if op == "div" and x is not None and y is not None:
-            if y.equals(1) or (x.equals(0) and whole):
+            case "select", test, yes, no if test.is_constant or yes is no:
+                return yes if test.is_constant and test.data else no
+            case (("and" | "or"), x, y) if dtype.kind == "b":
+                for a, b in ((x, y), (y, x)):
+                    if a.is_constant:
+                        return b if a.data == (op == "and") else a
+                return x if x is y else None
+            case (("max" | "min"), x, y) if x is y:
                 return x
-            if y.is_constant and dtype.kind == "f" and np.frexp(y.data)[0] in (0.5, -0.5):
-                with np.errstate(over="ignore"):
-                    inverse = self.constant(1 / y.data, dtype)
-                return self.number("mul", x, inverse) if np.isfinite(inverse.data) else None
-        if op == "neg" and x is not None and x.op == "neg":
-            return x.inputs[0]
-        if op == "convert" and x is not None and x.dtype == dtype:
-            return x
-        if op == "select":
-            test, on_true, on_false = inputs
-            if test.is_constant or on_true is on_false:
-                return on_true if test.is_constant and test.data else on_false
-        if op in ("and", "or") and dtype.kind == "b" and x is not None and y is not None:
-            for a, b in ((x, y), (y, x)):
-                if a.is_constant:
-                    return (b if a.data else a) if op == "and" else (a if a.data else b)
-            if x is y:
-                return x
-        if op == "not" and x is not None and x.op == "not":
-            return x.inputs[0]
-        if op in ("max", "min") and x is y:
-            return x
         return None
 
 
@@ -454,7 +453,7 @@ class Program:
         for item in (self.block if block is None else block).items:
             if isinstance(item, Value):
                 continue
-            inside = max(map(self.pressure, blocks_of(item)))
+            inside = max(map(self.pressure, item.blocks))
             if isinstance(item, Map):
                 inside = max(inside, _OF_MAP)
             elif isinstance(item, Loop):
@@ -471,20 +470,13 @@ class Program:
         return sum(x in self.varying and not x.is_array for x in alive)
 
 
-def blocks_of(item: Loop | Branch | Map) -> tuple[Block, ...]:
-    """The blocks of a loop, a branch or a map."""
-    if isinstance(item, Map):
-        return (item.body,)
-    return (item.head, item.body) if isinstance(item, Loop) else item.blocks
-
-
 def all_items(*blocks: Block) -> Iterator[Item]:
     """The items of blocks and of all blocks inside."""
     for block in blocks:
         for item in block.items:
             yield item
             if not isinstance(item, Value):
-                yield from all_items(*blocks_of(item))
+                yield from all_items(*item.blocks)
 
 
 def numbers_of(item: Item) -> Iterable[Value]:

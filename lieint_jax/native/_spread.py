@@ -10,7 +10,7 @@ from typing import Any
 from jax.experimental.custom_partitioning import ArrayMapping, SdyShardingRule, custom_partitioning
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from lieint_jax.native._march import AnyArray, AnyArrays
+from lieint_jax.native._march import AnyArrays, Arrays
 
 try:
     from jax._src.dispatch import prim_requires_devices_during_lowering as _of_devices  # no public name
@@ -25,12 +25,8 @@ def let_spread(primitive: Any) -> None:
 
 
 def spread(
-    call: Callable[[AnyArrays, int], list[AnyArray]],
-    members: int,
-    arrays: AnyArrays,
-    places: Places,
-    of_results: Places,
-) -> list[AnyArray]:
+    call: Callable[[AnyArrays, int], Arrays], members: int, arrays: AnyArrays, places: Places, of_results: Places
+) -> Arrays:
     """call(arrays, members), in which each device has the part of the members that XLA gives it."""
 
     def partition(mesh: Mesh, given: AnyArrays, found: AnyArrays) -> tuple[Any, ...]:

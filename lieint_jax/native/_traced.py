@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
@@ -182,10 +183,7 @@ class Operation(NamedTuple):
 
     def results(self, operands: Sequence[ArrayLike]) -> list[Array]:
         """Its results; operands of kind "member" have a leading axis of members."""
-
-        def operation(*operands: ArrayLike) -> Tree:
-            return self.equation.primitive.bind(*operands, **self.equation.params)
-
+        operation = functools.partial(self.equation.primitive.bind, **self.equation.params)
         found = jax.vmap(operation)(*operands) if self.kind == "member" else operation(*operands)
         return list(found) if self.equation.primitive.multiple_results else [found]
 
@@ -209,10 +207,7 @@ _cache: collections.OrderedDict[tuple[object, ...], object] = collections.Ordere
 
 
 def make_once(
-    kind: Callable[..., _Compiled],
-    function: object,
-    kinds: Sequence[Tree],
-    examples: Sequence[Tree],
+    kind: Callable[..., _Compiled], function: object, kinds: Sequence[Tree], examples: Sequence[Tree]
 ) -> _Compiled:
     """`kind(function, kinds, examples)`, made once for all arguments of the same shapes; failures are stored too.
 

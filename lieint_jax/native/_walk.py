@@ -18,6 +18,7 @@ from lieint_jax.native._march import by_xla, march_p
 from lieint_jax.native._primitives.abstract_walk import (
     LARGEST,
     AbstractWalk,
+    Arrays,
     Parameters,
     Table,
     TooLongError,
@@ -31,10 +32,9 @@ from lieint_jax.native._primitives.control_flow import CONTROL_FLOW, READ_ROWS
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE, MOVES
 from lieint_jax.native._primitives.indexing import INDEXING, look_up
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
-from lieint_jax.native._primitives.parallel import Axes, of_one_row, rows_along
+from lieint_jax.native._primitives.parallel import Axes, Region, long_axis, of_one_row, rows_along, walk_regions
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
-from lieint_jax.native._regions import Region, long_axis, walk_regions
 
 _UNROLLED = (400, 6000)  # without and with maps: see `AbstractWalk.unrolled`
 _LARGEST_WITH_MAPS = 80_000  # the most entries of an array, most of which maps never make numbers of the program
@@ -57,7 +57,7 @@ class Walk(AbstractWalk):
     def __init__(
         self,
         builder: Builder,
-        compute_before: Callable[[JaxprEqn, list[np.ndarray]], list[np.ndarray] | None],
+        compute_before: Callable[[JaxprEqn, Arrays], Arrays | None],
         longest: int = LONGEST,
         with_maps: bool = False,
     ):
@@ -66,7 +66,7 @@ class Walk(AbstractWalk):
         self._row: Value | None = None  # the number of the row inside of a map
         self._rows_read: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
-    def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> Arrays:
         """The results of a jaxpr, as arrays of numbers."""
         jaxpr: Any = closed.jaxpr if isinstance(closed, ClosedJaxpr) else closed
         given = closed.consts if isinstance(closed, ClosedJaxpr) else []
@@ -124,7 +124,7 @@ class Walk(AbstractWalk):
             results[x] = Rows(self, columns, (*shape[:axis], region.length, *shape[axis + 1 :]), axis)
         return results
 
-    def _one_row(self, equation: JaxprEqn, inputs: list[np.ndarray], axes: Axes, out: Axes) -> list[np.ndarray]:
+    def _one_row(self, equation: JaxprEqn, inputs: Arrays, axes: Axes, out: Axes) -> Arrays:
         """The results of an equation for one row along these axes of its operands and results."""
         shapes = [
             x if d is None else x.update(shape=(*x.shape[:d], 1, *x.shape[d + 1 :]))
@@ -162,7 +162,7 @@ class Walk(AbstractWalk):
             return array_of(numbers, like.shape)
         return Rows(self, numbers, like.shape, d)
 
-    def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
+    def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> Arrays:
         found = list(arrays[: len(like)])
         if self._row is None:
             return found
@@ -171,9 +171,7 @@ class Walk(AbstractWalk):
             found[k] = x if longer is None else self._row_of(x, longer)
         return found
 
-    def _apply(
-        self, equation: JaxprEqn, inputs: list[np.ndarray], parameters: Parameters, out: list[ShapedArray]
-    ) -> list[np.ndarray]:
+    def _apply(self, equation: JaxprEqn, inputs: Arrays, parameters: Parameters, out: list[ShapedArray]) -> Arrays:
         name = equation.primitive.name
         if out and all(x.dtype == jax.dtypes.float0 for x in out):  # tangents of integers, which nothing reads
             return [self.constant_array(np.zeros(x.shape), x.dtype) for x in out]

@@ -17,6 +17,8 @@ from jax.typing import ArrayLike, DTypeLike
 from lieint_jax.native._program import Builder, Value
 
 Parameters = Mapping[str, Any]  # of a primitive
+Arrays = list[np.ndarray]  # of numbers
+Shapes = Sequence[ShapedArray]
 LARGEST = 10_000  # the most entries of an array
 
 
@@ -70,11 +72,6 @@ def shapes_of(variables: Sequence[Any]) -> list[ShapedArray]:
     return [x.aval for x in variables]
 
 
-def names(words: str) -> list[str]:
-    """The words of a text, one per primitive."""
-    return words.split()
-
-
 class AbstractWalk(abc.ABC):
     """What the formulas of primitives use of a walk through a jaxpr.
 
@@ -89,7 +86,7 @@ class AbstractWalk(abc.ABC):
     rows_at_once: int
 
     @abc.abstractmethod
-    def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> Arrays:
         """The results of a jaxpr, as arrays of numbers."""
 
     def constant_array(self, x: ArrayLike, dtype: DTypeLike) -> np.ndarray:
@@ -111,6 +108,10 @@ class AbstractWalk(abc.ABC):
         """A constant index."""
         return self.builder.constant(k, np.int64)
 
+    def offset(self, start: Value, k: int) -> Value:
+        """An index plus a number."""
+        return self.number("add", start, self.index(k))
+
     def clip_index(self, index: Value, last: int) -> Value:
         """An index from 0 to `last`, an int64."""
         if index.dtype == np.uint64:  # beyond the range of int64 too
@@ -131,7 +132,7 @@ class AbstractWalk(abc.ABC):
         """The array for which a loop carries these numbers or arrays in memory."""
 
     @abc.abstractmethod
-    def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> list[np.ndarray]:
+    def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> Arrays:
         """Arrays of the shapes of others, which have one row where these have all: the row of a map."""
 
     def select(self, test: Value, on_true: Any, on_false: Any) -> Any:
@@ -142,11 +143,8 @@ class AbstractWalk(abc.ABC):
         return array_of([self.select(test, x, y) for x, y in pairs], on_true.shape)
 
     def loop_over_arrays(
-        self,
-        starts: list[np.ndarray],
-        test: Callable[[list[np.ndarray]], Value],
-        next_carry: Callable[[list[np.ndarray]], list[np.ndarray]],
-    ) -> list[np.ndarray]:
+        self, starts: Arrays, test: Callable[[Arrays], Value], next_carry: Callable[[Arrays], Arrays]
+    ) -> Arrays:
         """A loop that carries arrays."""
         packed = [self.packed(x) for x in starts]
         ends = [0, *itertools.accumulate(map(len, packed))]
@@ -154,7 +152,7 @@ class AbstractWalk(abc.ABC):
         def parts(numbers: list[Value]) -> list[list[Value]]:
             return [numbers[i:j] for i, j in itertools.pairwise(ends)]
 
-        def joined(numbers: list[Value]) -> list[np.ndarray]:
+        def joined(numbers: list[Value]) -> Arrays:
             return [self.unpacked(own, x) for own, x in zip(parts(numbers), starts, strict=True)]
 
         def following(numbers: list[Value]) -> list[Value]:

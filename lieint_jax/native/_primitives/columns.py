@@ -35,7 +35,7 @@ def entry_at(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
     if run is not None:
         array, first, stride = run
         k = k if stride == 1 else walk.number("mul", k, walk.index(stride))
-        return walk.number("entry", offset_by(walk, k, first), array, dtype=array.dtype)
+        return walk.number("entry", walk.offset(k, first), array, dtype=array.dtype)
     if all(x.is_constant for x in column):
         values = np.array([x.data for x in column], column[0].dtype)
         return walk.number("values", k, dtype=values.dtype, data=(values.dtype.str, values.tobytes()))
@@ -160,8 +160,3 @@ def _whole_array(walk: AbstractWalk, column: list[Value]) -> Value | None:
     if run is None or run[1:] != (0, 1) or run[0].op not in _STORED or run[0].length != len(column):
         return None
     return run[0]
-
-
-def offset_by(walk: AbstractWalk, start: Value, offset: int) -> Value:
-    """An index plus a number."""
-    return walk.number("add", start, walk.index(offset))

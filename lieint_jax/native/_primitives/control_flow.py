@@ -12,10 +12,17 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Parameters, array_of, as_numbers, names, shapes_of
+from lieint_jax.native._primitives.abstract_walk import (
+    AbstractWalk,
+    Arrays,
+    Parameters,
+    Shapes,
+    array_of,
+    as_numbers,
+    shapes_of,
+)
 from lieint_jax.native._primitives.columns import row_of
 from lieint_jax.native._primitives.elementwise import MOVES, stack
 from lieint_jax.native._primitives.indexing import empty_rows, rows_of, write_rows
@@ -26,19 +33,17 @@ _UNROLLED = 4  # the longest counted loop that is unrolled in any case
 _MOST_STACKED = 8192  # the most numbers of each member that all loops write to memory, without those of maps
 
 
-def _while(
-    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
-) -> list[np.ndarray]:
+def _while(walk: AbstractWalk, inputs: Arrays, parameters: Parameters, out: Shapes) -> Arrays:
     cond, body = parameters["cond_jaxpr"], parameters["body_jaxpr"]
     of_test, of_body, starts = split_while(inputs, cond, body, out)
 
-    def tests(carry: list[np.ndarray]) -> np.ndarray:
+    def tests(carry: Arrays) -> np.ndarray:
         return walk.jaxpr(cond, [*of_test, *carry])[0]
 
-    def test(carry: list[np.ndarray]) -> Value:
+    def test(carry: Arrays) -> Value:
         return reduce_terms(walk, "or", list(as_numbers(tests(carry)).flat), np.dtype(bool))
 
-    def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
+    def next_carry(carry: Arrays) -> Arrays:
         after = walk.jaxpr(body, [*of_body, *carry])
         which = as_numbers(tests(carry))
         if not which.ndim:
@@ -69,13 +74,9 @@ def _select_entries(walk: AbstractWalk, which: np.ndarray, after: np.ndarray, be
     return found
 
 
-def _scan(
-    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
-) -> list[np.ndarray]:
+def _scan(walk: AbstractWalk, inputs: Arrays, parameters: Parameters, out: Shapes) -> Arrays:
     length, closed = parameters["length"], parameters["jaxpr"]
-    carried = sum(map(have_same_rank, out, closed.out_avals))  # rows have an axis more outside of the loop
-    fixed = sum(map(have_same_rank, inputs, closed.in_avals))
-    consts, starts, series = _split(inputs, fixed - carried, carried)
+    consts, starts, series = split_scan(inputs, closed, inputs, out)
     starts = walk.matched(starts, out)
     order = range(length)[::-1] if parameters["reverse"] else range(length)
     stacked = [x.shape[1:] for x in out[len(starts) :]]
@@ -98,7 +99,7 @@ def _scan(
     kinds = [x.dtype for x in out[len(starts) :]]
     starts_of_rows = [empty_rows(walk, length, *pair) for pair in zip(stacked, kinds, strict=True)]
 
-    def next_carry(carry: list[np.ndarray]) -> list[np.ndarray]:
+    def next_carry(carry: Arrays) -> Arrays:
         k = carry[0].item()
         at = walk.number("sub", walk.index(length - 1), k) if parameters["reverse"] else k
         rows = [row_of(walk, x, at) for x in series]
@@ -117,11 +118,10 @@ def _scan(
     return [*found[: len(starts)], *(rows_of(walk, length, *pair) for pair in rows)]
 
 
-def split_scan(items: list[Any], equation: JaxprEqn) -> list[list[Any]]:
-    """What belongs to the constants of a scan, to its carries and to its rows."""
-    step = equation.params["jaxpr"]
-    carried = sum(map(have_same_rank, shapes_of(equation.outvars), step.out_avals))
-    fixed = sum(map(have_same_rank, shapes_of(equation.invars), step.in_avals))
+def split_scan(items: list[Any], step: ClosedJaxpr, inputs: Sequence[Any], out: Sequence[Any]) -> list[list[Any]]:
+    """What belongs to the constants of a scan with these operands and results, to its carries and to its rows."""
+    carried = sum(map(have_same_rank, out, step.out_avals))  # rows have an axis more outside of the loop
+    fixed = sum(map(have_same_rank, inputs, step.in_avals))
     return _split(items, fixed - carried, carried)
 
 
@@ -133,9 +133,7 @@ def _arrays(x: np.ndarray) -> np.ndarray:
     return x if x.ndim > 1 else array_of([array_of([y], ()) for y in x.flat], x.shape)
 
 
-def _cond(
-    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
-) -> list[np.ndarray]:
+def _cond(walk: AbstractWalk, inputs: Arrays, parameters: Parameters, out: Shapes) -> Arrays:
     index, operands, branches = as_numbers(inputs[0]).item(), inputs[1:], parameters["branches"]
     if index.is_constant:
         return walk.matched(walk.jaxpr(branches[min(max(int(index.data), 0), len(branches) - 1)], operands), out)
@@ -143,12 +141,8 @@ def _cond(
 
 
 def _branches(
-    walk: AbstractWalk,
-    index: Value,
-    branches: Sequence[ClosedJaxpr],
-    operands: list[np.ndarray],
-    out: Sequence[ShapedArray],
-) -> list[np.ndarray]:
+    walk: AbstractWalk, index: Value, branches: Sequence[ClosedJaxpr], operands: Arrays, out: Shapes
+) -> Arrays:
     """The results of the branch of number `index`."""
     if len(branches) == 1:
         return walk.matched(walk.jaxpr(branches[0], operands), out)
@@ -158,19 +152,14 @@ def _branches(
         test = walk.number("le", index, walk.builder.constant(0, index.dtype))
     rest = index if index.dtype == bool else walk.number("sub", index, walk.builder.constant(1, index.dtype))
 
-    def first() -> list[Value]:
-        return [x for array in _branches(walk, index, branches[:1], operands, out) for x in as_numbers(array).flat]
+    def side(index: Value, branches: Sequence[ClosedJaxpr]) -> list[Value]:
+        return [x for array in _branches(walk, index, branches, operands, out) for x in as_numbers(array).flat]
 
-    def others() -> list[Value]:
-        return [x for array in _branches(walk, rest, branches[1:], operands, out) for x in as_numbers(array).flat]
-
-    left = iter(walk.builder.branch(test, (first, others)))
+    left = iter(walk.builder.branch(test, (lambda: side(index, branches[:1]), lambda: side(rest, branches[1:]))))
     return [array_of([next(left) for _ in range(int(np.prod(x.shape)))], x.shape) for x in out]
 
 
-def _linear_solve(
-    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
-) -> list[np.ndarray]:
+def _linear_solve(walk: AbstractWalk, inputs: Arrays, parameters: Parameters, out: Shapes) -> Arrays:
     matvec, vecmat, solve, transpose_solve = parameters["jaxprs"]  # functions of constants and a vector
     lengths = [len(f.in_avals) - len(matvec.out_avals) if f else 0 for f in (matvec, vecmat, solve, transpose_solve)]
     _, _, consts, _, right_side = _split(inputs, *lengths)
@@ -192,25 +181,22 @@ def size_of(equation: JaxprEqn) -> int:
 
 
 def jaxprs_of(parameters: Parameters) -> list[Any]:
-    def is_jaxpr(x: object) -> bool:
-        return isinstance(x, ClosedJaxpr | Jaxpr)
-
-    return [x for x in jax.tree.leaves(dict(parameters), is_leaf=is_jaxpr) if is_jaxpr(x)]
+    leaves = jax.tree.leaves(dict(parameters), is_leaf=lambda x: isinstance(x, ClosedJaxpr | Jaxpr))
+    return [x for x in leaves if isinstance(x, ClosedJaxpr | Jaxpr)]
 
 
-def _call(
-    walk: AbstractWalk, inputs: list[np.ndarray], parameters: Parameters, out: Sequence[ShapedArray]
-) -> list[np.ndarray]:
+def _call(walk: AbstractWalk, inputs: Arrays, parameters: Parameters, out: Shapes) -> Arrays:
     [inner] = jaxprs_of(parameters)
     return walk.jaxpr(inner, inputs)
 
 
-CALLS = names(
+_CALLS = (
     "checkpoint closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr custom_vmap_call "
     "eval_jaxpr jit pjit remat remat2"
 )
+CALLS = _CALLS.split()
 READ_ROWS = frozenset({*CALLS, "cond", "custom_linear_solve", "optimization_barrier", "scan", "while"})
-CONTROL_FLOW: dict[str, Callable[..., list[np.ndarray]]] = dict.fromkeys(CALLS, _call) | {
+CONTROL_FLOW: dict[str, Callable[..., Arrays]] = dict.fromkeys(CALLS, _call) | {
     "while": _while,
     "scan": _scan,
     "cond": _cond,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of, names
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Arrays, UnsupportedError, array_of
 from lieint_jax.native._program import Value
 
 
@@ -122,12 +122,12 @@ _ROUNDINGS = {
     lax.RoundingMethod.AWAY_FROM_ZERO: "round_away",
     lax.RoundingMethod.TO_NEAREST_EVEN: "round_even",
 }
-_OPERATIONS = names(  # of programs, which JAX calls by the same names
+_OPERATIONS = (  # of programs, which JAX calls by the same names
     "acos acosh add and asin asinh atan atan2 atanh cbrt ceil cos cosh eq exp exp2 expm1 floor ge gt le log log1p "
     "logistic lt max min mul ne neg not or sin sinh sqrt sub tan tanh xor"
 )
 ELEMENTWISE: dict[str, Callable[..., Value]] = {
-    name: functools.partial(_operation, op=name) for name in _OPERATIONS
+    name: functools.partial(_operation, op=name) for name in _OPERATIONS.split()
 } | {
     "abs": _absolute,
     "add_any": functools.partial(_operation, op="add"),
@@ -190,7 +190,7 @@ def _reshape(x: np.ndarray, new_sizes: Sequence[int], dimensions: Sequence[int] 
     return (x if dimensions is None else x.transpose(dimensions)).reshape(new_sizes)
 
 
-def _unstack(x: np.ndarray, axis: int) -> list[np.ndarray]:
+def _unstack(x: np.ndarray, axis: int) -> Arrays:
     return [array_of(list(y.flat), y.shape) for y in (x.take([k], axis).squeeze(axis) for k in range(x.shape[axis]))]
 
 

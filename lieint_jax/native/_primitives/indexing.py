@@ -13,13 +13,14 @@ from jax.typing import DTypeLike
 
 from lieint_jax.native._primitives.abstract_walk import (
     AbstractWalk,
+    Arrays,
     Parameters,
     Table,
     UnsupportedError,
     array_of,
     as_numbers,
 )
-from lieint_jax.native._primitives.columns import entry_at, offset_by, run_of
+from lieint_jax.native._primitives.columns import entry_at, run_of
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value
 
@@ -53,7 +54,7 @@ def write_rows(walk: AbstractWalk, arrays: np.ndarray, row: np.ndarray, k: Value
             found.append(walk.number("put", array, first, run[0], dtype=array.dtype, data=n))
             continue
         for j, x in enumerate(column):
-            array = walk.number("put", array, offset_by(walk, first, j), x, dtype=array.dtype)
+            array = walk.number("put", array, walk.offset(first, j), x, dtype=array.dtype)
         found.append(array)
     return array_of(found, arrays.shape)
 
@@ -86,18 +87,16 @@ def _entry_at(walk: AbstractWalk, x: np.ndarray, index: Sequence[Value]) -> Valu
     return chosen
 
 
-def _dynamic_slice(
-    walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, slice_sizes: Sequence[int]
-) -> np.ndarray:
+def _dynamic_slice(walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, slice_sizes: Sequence[int]) -> np.ndarray:
     x = inputs[0]
     starts = [walk.clip_index(k.item(), n - m) for k, n, m in zip(inputs[1:], x.shape, slice_sizes, strict=True)]
     found = np.empty(slice_sizes, object)
     for index in np.ndindex(*slice_sizes):
-        found[index] = _entry_at(walk, x, [offset_by(walk, s, k) for s, k in zip(starts, index, strict=True)])
+        found[index] = _entry_at(walk, x, [walk.offset(s, k) for s, k in zip(starts, index, strict=True)])
     return found
 
 
-def _dynamic_update_slice(walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray) -> np.ndarray:
+def _dynamic_update_slice(walk: AbstractWalk, inputs: Arrays, out: ShapedArray) -> np.ndarray:
     x, update = inputs[:2]
     pairs = zip(inputs[2:], x.shape, update.shape, strict=True)
     starts = [walk.clip_index(k.item(), n - m) for k, n, m in pairs]
@@ -111,7 +110,7 @@ def _write_windows(
     found = np.array(x, object)
     for starts, inside, update in updates:
         for index in np.ndindex(update.shape):
-            at = [offset_by(walk, s, k) for s, k in zip(starts, index, strict=True)]
+            at = [walk.offset(s, k) for s, k in zip(starts, index, strict=True)]
             for place in np.ndindex(x.shape):
                 same = [walk.number("eq", k, walk.builder.constant(n, k.dtype)) for k, n in zip(at, place, strict=True)]
                 here = reduce_terms(walk, "and", [*same, inside], np.dtype(bool))
@@ -161,7 +160,7 @@ def _fill(walk: AbstractWalk, inside: Value, found: Value, value: Any) -> Value:
 
 def _gather(
     walk: AbstractWalk,
-    inputs: list[np.ndarray],
+    inputs: Arrays,
     out: ShapedArray,
     *,
     dimension_numbers: lax.GatherDimensionNumbers,
@@ -179,7 +178,7 @@ def _gather(
         index = list(indices[tuple(batch)])
         at, inside = _window(walk, x.shape, slice_sizes, index, numbers.start_index_map, known, mode)
         for n, m in zip(window_axes, offset_dims, strict=True):
-            at[n] = offset_by(walk, at[n], place[m])
+            at[n] = walk.offset(at[n], place[m])
         found[place] = _fill(walk, inside, _entry_at(walk, x, at), fill_value)
     return found
 
@@ -187,7 +186,7 @@ def _gather(
 def _scatter(op: str | None) -> Callable[..., np.ndarray]:
     def scatter(
         walk: AbstractWalk,
-        inputs: list[np.ndarray],
+        inputs: Arrays,
         out: ShapedArray,
         *,
         dimension_numbers: lax.ScatterDimensionNumbers,
@@ -220,13 +219,7 @@ def _scatter(op: str | None) -> Callable[..., np.ndarray]:
 
 
 def _iota(
-    walk: AbstractWalk,
-    inputs: list[np.ndarray],
-    out: ShapedArray,
-    *,
-    dtype: DTypeLike,
-    shape: Sequence[int],
-    dimension: int,
+    walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, dtype: DTypeLike, shape: Sequence[int], dimension: int
 ) -> np.ndarray:
     n = shape[dimension]
     sizes = [n if k == dimension else 1 for k in range(len(shape))]
@@ -234,16 +227,14 @@ def _iota(
 
 
 def _platform(
-    walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, platforms: Sequence[Sequence[str] | None]
+    walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, platforms: Sequence[Sequence[str] | None]
 ) -> np.ndarray:
     """The first of these sets of platforms that has the CPU; None stands for all others."""
     chosen = next(k for k, several in enumerate(platforms) if several is None or "cpu" in several)
     return walk.constant_array(np.array(chosen), out.dtype)
 
 
-def look_up(
-    walk: AbstractWalk, name: str, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray
-) -> np.ndarray:
+def look_up(walk: AbstractWalk, name: str, inputs: Arrays, parameters: Parameters, out: ShapedArray) -> np.ndarray:
     """An entry of a table, or a few that follow each other."""
     table, few = inputs[0], int(np.prod(out.shape))
     one = name in ("dynamic_slice", "slice") or (name == "gather" and inputs[1].size == few == 1)
@@ -253,7 +244,7 @@ def look_up(
     first = [walk.index(parameters["start_indices"][0])] if name == "slice" else list(inputs[1].flat)
     [index], inside = _window(walk, table.shape, (few,), first, (0,), {}, mode)
     stride = parameters.get("strides", (1,))[0]
-    places = [offset_by(walk, index, k * stride) for k in range(few)]
+    places = [walk.offset(index, k * stride) for k in range(few)]
     found = [walk.number("table", k, dtype=table.dtype, data=table.data) for k in places]
     if name == "gather":
         found = [_fill(walk, inside, x, parameters.get("fill_value")) for x in found]

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jax.core import ShapedArray
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Arrays, Shapes, UnsupportedError, array_of
+from lieint_jax.native._primitives.reductions import is_beyond
 from lieint_jax.native._program import Value
 
 _LARGEST = 12  # unknowns of a system, and entries to sort; XLA runs what is larger
 
 
-def _lu(walk: AbstractWalk, inputs: list[np.ndarray], out: Sequence[ShapedArray]) -> list[np.ndarray]:
+def _lu(walk: AbstractWalk, inputs: Arrays, out: Shapes) -> Arrays:
     """Gaussian elimination with the largest pivot of each column: L below U, the rows swapped with, and their order."""
     found = [np.empty(x.shape, object) for x in out]
     for batch in _batches(inputs[0], 2):
@@ -51,15 +51,15 @@ def _swap_with_largest(walk: AbstractWalk, A: np.ndarray, order: np.ndarray, k: 
 
 def _triangular_solve(
     walk: AbstractWalk,
-    inputs: list[np.ndarray],
-    out: Sequence[ShapedArray],
+    inputs: Arrays,
+    out: Shapes,
     *,
     left_side: bool,
     lower: bool,
     transpose_a: bool,
     conjugate_a: bool,
     unit_diagonal: bool,
-) -> list[np.ndarray]:
+) -> Arrays:
     """A X = B, or X A = B, which is Aᵀ Xᵀ = Bᵀ. Real numbers are their conjugates."""
     found = np.empty(out[0].shape, object)
     for batch in _batches(found, 2):
@@ -78,7 +78,7 @@ def _triangular_solve(
     return [found]
 
 
-def _cholesky(walk: AbstractWalk, inputs: list[np.ndarray], out: Sequence[ShapedArray]) -> list[np.ndarray]:
+def _cholesky(walk: AbstractWalk, inputs: Arrays, out: Shapes) -> Arrays:
     """L of L Lᵀ; NaN if the matrix is not positive definite."""
     found = np.empty(out[0].shape, object)
     zero, nan = (walk.builder.constant(x, out[0].dtype) for x in (0, np.nan))
@@ -96,15 +96,7 @@ def _cholesky(walk: AbstractWalk, inputs: list[np.ndarray], out: Sequence[Shaped
     return [found]
 
 
-def _sort(
-    walk: AbstractWalk,
-    inputs: list[np.ndarray],
-    out: Sequence[ShapedArray],
-    *,
-    dimension: int,
-    is_stable: bool,
-    num_keys: int,
-) -> list[np.ndarray]:
+def _sort(walk: AbstractWalk, inputs: Arrays, out: Shapes, *, dimension: int, is_stable: bool, num_keys: int) -> Arrays:
     """By swaps of neighbors, which keep the order of equal entries; NaN comes last."""
     if num_keys != 1:
         raise UnsupportedError(f"a sort by {num_keys} keys")
@@ -113,17 +105,10 @@ def _sort(
         columns = [x[batch] for x in found]
         for last in range(len(columns[0]) - 1, 0, -1):
             for k in range(last):
-                swap = _comes_after(walk, columns[0][k], columns[0][k + 1])
+                swap = is_beyond(walk, "gt", columns[0][k], columns[0][k + 1])
                 for x in columns:
                     x[k], x[k + 1] = walk.select(swap, x[k + 1], x[k]), walk.select(swap, x[k], x[k + 1])
     return [np.moveaxis(x, -1, dimension) for x in found]
-
-
-def _comes_after(walk: AbstractWalk, x: Value, y: Value) -> Value:
-    greater = walk.number("gt", x, y)
-    if x.dtype.kind != "f":
-        return greater
-    return walk.number("or", greater, walk.number("and", walk.number("ne", x, x), walk.number("eq", y, y)))
 
 
 def _batches(x: np.ndarray, axes: int) -> list[tuple[int, ...]]:

@@ -12,13 +12,13 @@ from jax import lax
 from jax.core import ShapedArray
 from jax.typing import DTypeLike
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, UnsupportedError, array_of
-from lieint_jax.native._primitives.columns import offset_by, row_number
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Arrays, UnsupportedError, array_of
+from lieint_jax.native._primitives.columns import row_number
 from lieint_jax.native._program import Value
 
 
 def _reduction(op: str) -> Callable[..., np.ndarray]:
-    def reduce(walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axes: Sequence[int]) -> np.ndarray:
+    def reduce(walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, axes: Sequence[int]) -> np.ndarray:
         x = inputs[0]
         rest, d = [n for n in range(x.ndim) if n not in axes], walk.long_axis(x.shape)
         reduced = functools.partial(reduce_terms, walk, op, dtype=np.dtype(out.dtype))
@@ -31,7 +31,7 @@ def _reduction(op: str) -> Callable[..., np.ndarray]:
             k, *totals = carry
             rows = [[row_number(walk, list(column), k) for column in each.T] for each in terms]
             after = [reduced([total, *row]) for total, row in zip(totals, rows, strict=True)]
-            return [offset_by(walk, k, 1), *after]
+            return [walk.offset(k, 1), *after]
 
         first = [reduced(list(each[0])) for each in terms]
         end = walk.index(terms.shape[1])
@@ -58,9 +58,7 @@ def reduce_terms(walk: AbstractWalk, op: str, terms: list[Value], dtype: np.dtyp
 
 
 def _cumulative(op: str) -> Callable[..., np.ndarray]:
-    def cumulate(
-        walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axis: int, reverse: bool
-    ) -> np.ndarray:
+    def cumulate(walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, axis: int, reverse: bool) -> np.ndarray:
         x = np.moveaxis(inputs[0], axis, 0)
         found = np.empty(x.shape, object)
         order = range(len(x))[::-1] if reverse else range(len(x))
@@ -76,7 +74,7 @@ def _cumulative(op: str) -> Callable[..., np.ndarray]:
 
 def _product(
     walk: AbstractWalk,
-    inputs: list[np.ndarray],
+    inputs: Arrays,
     out: ShapedArray,
     *,
     dimension_numbers: lax.DotDimensionNumbers,
@@ -117,7 +115,7 @@ def _as_matrices(x: np.ndarray, each: Sequence[int], summed: Sequence[int]) -> n
 
 def _extreme(by: str) -> Callable[..., np.ndarray]:
     def index_of(
-        walk: AbstractWalk, inputs: list[np.ndarray], out: ShapedArray, *, axes: Sequence[int], index_dtype: DTypeLike
+        walk: AbstractWalk, inputs: Arrays, out: ShapedArray, *, axes: Sequence[int], index_dtype: DTypeLike
     ) -> np.ndarray:
         [axis] = axes
         rows = np.moveaxis(inputs[0], axis, -1).reshape(-1, inputs[0].shape[axis])
@@ -125,7 +123,7 @@ def _extreme(by: str) -> Callable[..., np.ndarray]:
         for row in rows:
             best, at = row[0], walk.builder.constant(0, out.dtype)
             for k in range(1, len(row)):
-                better = walk.number("or", walk.number(by, row[k], best), _first_nan(walk, row[k], best))
+                better = is_beyond(walk, by, row[k], best)
                 at = walk.select(better, walk.builder.constant(k, out.dtype), at)
                 best = walk.select(better, row[k], best)
             found.append(at)
@@ -134,11 +132,12 @@ def _extreme(by: str) -> Callable[..., np.ndarray]:
     return index_of
 
 
-def _first_nan(walk: AbstractWalk, x: Value, before: Value) -> Value:
-    """Whether x is NaN, and the number before is not."""
+def is_beyond(walk: AbstractWalk, by: str, x: Value, y: Value) -> Value:
+    """Whether x is greater than y, or less, by an operation; NaN is beyond all numbers."""
+    found = walk.number(by, x, y)
     if x.dtype.kind != "f":
-        return walk.builder.constant(False)
-    return walk.number("and", walk.number("ne", x, x), walk.number("eq", before, before))
+        return found
+    return walk.number("or", found, walk.number("and", walk.number("ne", x, x), walk.number("eq", y, y)))
 
 
 REDUCTIONS: dict[str, Callable[..., np.ndarray]] = {

@@ -7,35 +7,27 @@ Reductions follow Cody & Waite, *Software Manual for the Elementary Functions*, 
 *Elementary Functions*, 3rd ed., chapters 10 and 11; pairs are double-doubles.
 """
 
-from lieint_jax.native._llvm.text import Module
+from lieint_jax.native._llvm import Module
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native.functions._angles import ANGLES
-from lieint_jax.native.functions._definitions import Formula, define
 from lieint_jax.native.functions._exponentials import EXPONENTIALS
 from lieint_jax.native.functions._logarithms import LOGARITHMS
 from lieint_jax.native.functions._powers import POWERS
-from lieint_jax.native.functions._value import LlvmValue
+from lieint_jax.native.functions._value import Formula, LlvmValue, define
 
-FUNCTIONS: dict[str, Formula] = ANGLES | EXPONENTIALS | LOGARITHMS | POWERS
+FUNCTIONS: dict[str, Formula] = {**ANGLES, **EXPONENTIALS, **LOGARITHMS, **POWERS}
 
 
-class Functions:
-    """Collects the functions that programs call, and writes the module that defines them."""
-
-    def __init__(self) -> None:
-        self._module = Module()
+class Functions(Module):
+    """The functions that programs call."""
 
     def name(self, op: str, scalar: str, lanes: int, count: int) -> str:
         """The name of a function of `count` arguments, which are scalars if there are no lanes, otherwise vectors."""
         if op not in FUNCTIONS or scalar not in ("double", "float"):
             raise UnsupportedError(f"{op} of {scalar}")
         name, formula = f"{op}.{scalar}.{lanes}", FUNCTIONS[op]
-        define(self._module, name, formula if scalar == "double" else _of_floats(formula), [scalar] * count, lanes)
+        define(self, name, formula if scalar == "double" else _of_floats(formula), [scalar] * count, lanes)
         return name
-
-    def text(self) -> str:
-        """The module; empty if nothing is called."""
-        return self._module.text()
 
 
 def _of_floats(formula: Formula) -> Formula:

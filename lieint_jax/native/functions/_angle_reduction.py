@@ -2,11 +2,10 @@
 
 import math
 
-from lieint_jax.native._llvm.text import suffix
-from lieint_jax.native.functions._definitions import call
+from lieint_jax.native._llvm import suffix
 from lieint_jax.native.functions._double_double import Pair, pair
-from lieint_jax.native.functions._floats import HALF_PI, HALF_PI_29_BITS, INF, SHIFT, SIGN_BIT, unshift
-from lieint_jax.native.functions._value import LlvmValue, absolute, fma, where
+from lieint_jax.native.functions._value import LlvmValue, call, fma, unshift, where
+from lieint_jax.native.functions.coefficients import HALF_PI, HALF_PI_29_BITS, INF, SHIFT, SIGN_BIT
 
 _LARGE = 2.0**24
 _PADDING = 32  # zeros before the bits of 2/π, so that the window of the smallest large angle begins at a byte
@@ -35,7 +34,7 @@ def reduce_angle(x: LlvmValue) -> Reduced:
 
 def _with_large_angles(x: LlvmValue, reduced: Reduced) -> Reduced:
     """`reduced`, or a new reduction if any lane has a large angle, which is unlikely."""
-    text, is_large = x.text, absolute(x) > _LARGE
+    text, is_large = x.text, abs(x) > _LARGE
     some = is_large.name
     if x.lanes:
         some = text.call("i1", f"llvm.vector.reduce.or.{suffix(is_large.type)}", [(is_large.type, some)])
@@ -60,7 +59,7 @@ def _reduce_large(x: LlvmValue, *reduced: LlvmValue) -> Reduced:
         parts = call("payne_hanek", _payne_hanek, (lane,), _TYPES)
         pairs = zip(again, parts, strict=True)
         again = tuple(old.compute(f"insertelement {old.typed}, {new.typed}, i64 {k}") for old, new in pairs)
-    large = (absolute(x) > _LARGE) & (absolute(x) < INF)
+    large = (abs(x) > _LARGE) & (abs(x) < INF)
     return tuple(where(large, new, old) for new, old in zip(again, reduced, strict=True))
 
 

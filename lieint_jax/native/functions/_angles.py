@@ -1,11 +1,9 @@
 """Sines and tangents, and their inverses."""
 
 from lieint_jax.native.functions._angle_reduction import reduce_angle
-from lieint_jax.native.functions._definitions import Formula
 from lieint_jax.native.functions._double_double import Pair, choose, fast_two_sum, pair, root, two_product
-from lieint_jax.native.functions._floats import EXPONENT, HALF_PI, INF, SIGN_BIT, copy_sign
-from lieint_jax.native.functions._value import LlvmValue, absolute, fma, is_nan, polynomial, where
-from lieint_jax.native.functions.coefficients import ATAN, COS, SIN
+from lieint_jax.native.functions._value import LlvmValue, copy_sign, fma, polynomial, where
+from lieint_jax.native.functions.coefficients import ATAN, COS, EXPONENT, HALF_PI, INF, SIGN_BIT, SIN
 
 
 def _angle_parts(x: LlvmValue) -> tuple[Pair, Pair, LlvmValue]:
@@ -73,7 +71,7 @@ def _angle(y: Pair, x: Pair, swapped: LlvmValue, negative: LlvmValue) -> LlvmVal
 
 def _atan2(y: LlvmValue, x: LlvmValue) -> LlvmValue:
     """The angle of the point (x, y); the larger coordinate is scaled to [2, 4)."""
-    tall, wide = absolute(y), absolute(x)
+    tall, wide = abs(y), abs(x)
     swapped = tall > wide
     small, great = where(swapped, wide, tall), where(swapped, tall, wide)
     infinite = great.equals(INF)
@@ -82,11 +80,11 @@ def _atan2(y: LlvmValue, x: LlvmValue) -> LlvmValue:
     exponent = great.bits() & EXPONENT
     scale = (EXPONENT - where(exponent.equals(0), 1 << 52, exponent)).double()
     angle = _angle(pair(small * scale), pair(great * scale), swapped, x.bits() < 0)
-    return where(is_nan(x) | is_nan(y), x + y, copy_sign(angle, y))
+    return where(x.is_nan() | y.is_nan(), x + y, copy_sign(angle, y))
 
 
 def _atan(x: LlvmValue) -> LlvmValue:
-    size = absolute(x)
+    size = abs(x)
     steep = size > 1.0
     size = where(size > 2.0**60, 2.0**60, size)  # arctan is π/2 there
     small, great = where(steep, 1.0, size), where(steep, size, 1.0)
@@ -107,14 +105,14 @@ def _arc(y: Pair, x: Pair, negative: LlvmValue) -> LlvmValue:
 
 
 def _asin(x: LlvmValue) -> LlvmValue:
-    return copy_sign(_arc(pair(absolute(x)), _leg(x), x.constant("i1", False)), x)
+    return copy_sign(_arc(pair(abs(x)), _leg(x), x.constant("i1", False)), x)
 
 
 def _acos(x: LlvmValue) -> LlvmValue:
-    return _arc(_leg(x), pair(absolute(x)), x < 0.0)
+    return _arc(_leg(x), pair(abs(x)), x < 0.0)
 
 
-ANGLES: dict[str, Formula] = {
+ANGLES = {
     "sin": _sin, "cos": _cos, "sincos": _sincos, "tan": _tan,
     "asin": _asin, "acos": _acos, "atan": _atan, "atan2": _atan2,
 }  # fmt: skip

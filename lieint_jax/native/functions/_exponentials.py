@@ -2,11 +2,9 @@
 
 import math
 
-from lieint_jax.native.functions._definitions import Formula
 from lieint_jax.native.functions._double_double import Pair, choose, fast_two_sum, pair, two_product, two_sum
-from lieint_jax.native.functions._floats import LN2, ONE, SHIFT, copy_sign, unshift
-from lieint_jax.native.functions._value import LlvmValue, absolute, fma, polynomial, where
-from lieint_jax.native.functions.coefficients import EXP, EXP_CUBIC
+from lieint_jax.native.functions._value import LlvmValue, copy_sign, fma, polynomial, unshift, where
+from lieint_jax.native.functions.coefficients import EXP, EXP_CUBIC, LN2, ONE, SHIFT
 
 
 def reduce_exponent(x: LlvmValue, low: LlvmValue | None = None) -> tuple[Pair, LlvmValue]:
@@ -77,7 +75,7 @@ def _exp2(x: LlvmValue) -> LlvmValue:
 
 def _expm1(x: LlvmValue) -> LlvmValue:
     head, tail = _expm1_pair(clamp(x, -50.0, 50.0))
-    return where(absolute(x) < 2.0**-54, x, where(x > 50.0, _exp(x), head + tail))
+    return where(abs(x) < 2.0**-54, x, where(x > 50.0, _exp(x), head + tail))
 
 
 def _half_exp(x: LlvmValue) -> LlvmValue:
@@ -89,7 +87,7 @@ def _half_exp(x: LlvmValue) -> LlvmValue:
 
 def _sinh(x: LlvmValue) -> LlvmValue:
     """(E + E/(1 + E))/2, E = exp|x| − 1."""
-    size = absolute(x)
+    size = abs(x)
     minus_one = _expm1_pair(clamp(size, 0.0, 50.0))
     head, tail = minus_one + minus_one / (1.0 + minus_one)
     middle = 0.5 * head + 0.5 * tail
@@ -97,7 +95,7 @@ def _sinh(x: LlvmValue) -> LlvmValue:
 
 
 def _cosh(x: LlvmValue) -> LlvmValue:
-    size = absolute(x)
+    size = abs(x)
     power = _exp_pair(clamp(size, 0.0, 50.0))
     head, tail = power + 1.0 / power
     return where(size > 50.0, _half_exp(size), 0.5 * head + 0.5 * tail)
@@ -105,7 +103,7 @@ def _cosh(x: LlvmValue) -> LlvmValue:
 
 def _tanh(x: LlvmValue) -> LlvmValue:
     """E/(E + 2), E = exp(2|x|) − 1."""
-    size = absolute(x)
+    size = abs(x)
     minus_one = _expm1_pair(2.0 * clamp(size, 0.0, 25.0))
     head, tail = minus_one / (2.0 + minus_one)
     return copy_sign(where(size < 2.0**-28, size, head + tail), x)
@@ -113,11 +111,11 @@ def _tanh(x: LlvmValue) -> LlvmValue:
 
 def _logistic(x: LlvmValue) -> LlvmValue:
     """1/(1 + exp(−x)); for negative x, exp(x)/(1 + exp(x))."""
-    power = _exp_pair(clamp(-absolute(x), -700.0, 0.0))
+    power = _exp_pair(clamp(-abs(x), -700.0, 0.0))
     head, tail = choose(x < 0.0, power, pair(x.like(1.0))) / (1.0 + power)
     return where(x < -690.0, _exp(x), head + tail)
 
 
-EXPONENTIALS: dict[str, Formula] = {
+EXPONENTIALS = {
     "exp": _exp, "exp2": _exp2, "expm1": _expm1, "sinh": _sinh, "cosh": _cosh, "tanh": _tanh, "logistic": _logistic,
 }  # fmt: skip

@@ -1,10 +1,8 @@
 """Logarithms and inverse hyperbolic functions."""
 
-from lieint_jax.native.functions._definitions import Formula
 from lieint_jax.native.functions._double_double import Pair, choose, fast_two_sum, pair, root, two_product, two_sum
-from lieint_jax.native.functions._floats import INF, LN2_42_BITS, NAN, copy_sign
-from lieint_jax.native.functions._value import LlvmValue, absolute, fma, polynomial, where
-from lieint_jax.native.functions.coefficients import LOG, LOG_FIFTH
+from lieint_jax.native.functions._value import LlvmValue, copy_sign, fma, polynomial, where
+from lieint_jax.native.functions.coefficients import INF, LN2_42_BITS, LOG, LOG_FIFTH, NAN
 
 
 def _mantissa(x: LlvmValue) -> tuple[LlvmValue, LlvmValue, LlvmValue]:
@@ -68,12 +66,12 @@ def _log1p_pair(x: Pair) -> Pair:
 
 def _log1p(x: LlvmValue) -> LlvmValue:
     head, tail = _log1p_pair(pair(x))
-    return where(absolute(x) < 2.0**-54, x, _log_limits(x + 1.0, head + tail))
+    return where(abs(x) < 2.0**-54, x, _log_limits(x + 1.0, head + tail))
 
 
 def _asinh(x: LlvmValue) -> LlvmValue:
     """log(1 + a + a²/(1 + √(1 + a²))); log a + ln 2 for large a."""
-    size = absolute(x)
+    size = abs(x)
     large = size > 2.0**30
     a = where(large, 1.0, size)
     square = two_product(a, a)
@@ -94,7 +92,7 @@ def _acosh(x: LlvmValue) -> LlvmValue:
 
 def _atanh(x: LlvmValue) -> LlvmValue:
     """log(1 + 2a/(1 − a))/2, a = |x|."""
-    size = absolute(x)
+    size = abs(x)
     head, tail = _log1p_pair(pair(2.0 * size) / two_sum(x.like(1.0), -size))
     result = where(
         size < 2.0**-28, size, where(size < 1.0, 0.5 * (head + tail), where(size.equals(1.0), x.like(INF), NAN))
@@ -102,6 +100,6 @@ def _atanh(x: LlvmValue) -> LlvmValue:
     return copy_sign(result, x)
 
 
-LOGARITHMS: dict[str, Formula] = {
+LOGARITHMS = {
     "log": _log, "log1p": _log1p, "asinh": _asinh, "acosh": _acosh, "atanh": _atanh,
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Arithmetic on values of LLVM functions, written with Python's operators.
+"""Values of LLVM functions, written with Python's operators, and functions from formulas of them.
 
 Nothing here sets fast-math flags, and a fused multiply-add is written as `fma`: the bits of a result depend neither on
 the number of lanes nor on the optimizations.
@@ -6,11 +6,12 @@ the number of lanes nor on the optimizations.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from lieint_jax.native._llvm.text import Text, constant, instruction, with_lanes
+from lieint_jax.native._llvm import Module, Text, constant, instruction, with_lanes
 from lieint_jax.native._program import COMPARISONS
+from lieint_jax.native.functions.coefficients import SHIFT
 
 _Operator = Callable[["LlvmValue", "LlvmValue | float"], "LlvmValue"]
 
@@ -54,6 +55,9 @@ class LlvmValue:
     def __neg__(self):
         return self.compute(f"fneg {self.typed}")
 
+    def __abs__(self):
+        return self.intrinsic("fabs")
+
     def __invert__(self):
         return self ^ -1
 
@@ -89,6 +93,10 @@ class LlvmValue:
     def convert(self, instruction: str, scalar: str) -> LlvmValue:
         """The value as another type, by an instruction such as `trunc`."""
         return self.compute(f"{instruction} {self.typed} to {with_lanes(scalar, self.lanes)}", scalar)
+
+    def is_nan(self) -> LlvmValue:
+        """Whether it is not a number."""
+        return self.differs(self)
 
     def bits(self) -> LlvmValue:
         """The bits of doubles as integers."""
@@ -129,16 +137,6 @@ def sqrt(a: LlvmValue) -> LlvmValue:
     return a.intrinsic("sqrt")
 
 
-def absolute(a: LlvmValue) -> LlvmValue:
-    """|a|."""
-    return a.intrinsic("fabs")
-
-
-def is_nan(a: LlvmValue) -> LlvmValue:
-    """Whether it is not a number."""
-    return a.differs(a)
-
-
 def polynomial(x: LlvmValue, coefficients: tuple[float, ...]) -> LlvmValue:
     """c₀ + c₁ x + c₂ x² + …, by Estrin's scheme: pairs, then pairs of pairs."""
     terms: list = list(coefficients)
@@ -147,3 +145,61 @@ def polynomial(x: LlvmValue, coefficients: tuple[float, ...]) -> LlvmValue:
         terms = [fma(x, pair[1], pair[0]) if len(pair) == 2 else pair[0] for pair in pairs]
         x = x * x
     return terms[0]
+
+
+def unshift(shifted: LlvmValue) -> LlvmValue:
+    """The integer k of k + `SHIFT`."""
+    return shifted - SHIFT
+
+
+def copy_sign(magnitude: LlvmValue, sign: LlvmValue) -> LlvmValue:
+    """The magnitude, not negative, with the sign of another number."""
+    return (magnitude.bits() | sign.sign()).double()
+
+
+Formula = Callable[..., LlvmValue | tuple[LlvmValue, ...]]
+
+
+def define(
+    module: Module, name: str, formula: Formula, scalars: Sequence[str], lanes: int, attributes: str = ""
+) -> None:
+    """Define a function, unless the module has it.
+
+    Args:
+        module: the module to which it is added.
+        name: of the function.
+        formula: computes the result from the arguments; several results become a structure.
+        scalars: the types of the arguments, without their lanes.
+        lanes: of all arguments and results; 0 for scalars.
+        attributes: of the function.
+    """
+    if name in module.parts:
+        return
+    text = Text(module)
+    arguments = [LlvmValue(text, scalar, lanes, f"%a{k}") for k, scalar in enumerate(scalars)]
+    results = formula(*arguments)
+    if isinstance(results, LlvmValue):
+        kind, value = results.type, results.name
+    else:
+        kind, value = _structure([x.scalar for x in results], lanes), "poison"
+        for k, x in enumerate(results):
+            value = text.add(f"insertvalue {kind} {value}, {x.typed}, {k}")
+    text.lines.append(f"  ret {kind} {value}")
+    text.define(name, f"{kind} @{name}({', '.join(x.typed for x in arguments)}) {attributes}")
+
+
+def call(name: str, formula: Formula, arguments: Sequence[LlvmValue], results: Sequence[str]) -> tuple[LlvmValue, ...]:
+    """The results of a function that is not inlined; `results` are their types, without their lanes."""
+    text, lanes = arguments[0].text, arguments[0].lanes
+    name = f"{name}.{lanes}"
+    define(text.module, name, formula, [x.scalar for x in arguments], lanes, "noinline")
+    kind = _structure(results, lanes)
+    found = text.add(f"call {kind} @{name}({', '.join(x.typed for x in arguments)})")
+    return tuple(
+        LlvmValue(text, scalar, lanes, text.add(f"extractvalue {kind} {found}, {k}"))
+        for k, scalar in enumerate(results)
+    )
+
+
+def _structure(scalars: Sequence[str], lanes: int) -> str:
+    return f"{{ {', '.join(with_lanes(scalar, lanes) for scalar in scalars)} }}"

@@ -1,4 +1,14 @@
-"""Coefficients of `mpmath.chebyfit`; `tests/core/test_native_functions.py` computes them again from the functions."""
+"""Constants of double precision, and coefficients of `mpmath.chebyfit`, which a test computes again."""
+
+import math
+
+INF, NAN = math.inf, math.nan
+HALF_PI = (1.5707963267948966, 6.123233995736766e-17)
+HALF_PI_29_BITS = (6.12323399409214e-17, 1.6446256936324258e-26)  # the second of these, cut to 29 bits, and the rest
+LN2 = (0.6931471805599453, 2.3190468138462996e-17)
+LN2_42_BITS = (0.6931471805598903, 5.497923018708371e-14)  # integers to 2¹¹ times the first are exact
+SHIFT = 1.5 * 2**52  # x + this: the low bits are those of round(x)
+ONE, EXPONENT, SIGN_BIT = 1023 << 52, 0x7FF << 52, 1 << 63
 
 SIN = (
     -0.16666666666666666, 0.008333333333333331, -0.00019841269841265065, 2.7557319219339167e-06,

@@ -86,10 +86,6 @@ class Text:
         """Call a function of LLVM whose result and arguments have one type."""
         return self.call(kind, f"llvm.{name}.{suffix(kind)}", [(kind, v) for v in values])
 
-    def select(self, test: str, kind: str, yes: str, no: str) -> str:
-        """Choose one of two values of a type by a test, which has its type before its name."""
-        return self.add(f"select {test}, {kind} {yes}, {kind} {no}")
-
     def define(self, name: str, head: str) -> None:
         """Add the function to its module."""
         self.module.parts[name] = "\n".join([f"define {head} {{\nentry:", *self.front, *self.lines, "}"])

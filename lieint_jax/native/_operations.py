@@ -1,15 +1,16 @@
-"""Operations on numbers, each of them one instruction or a call."""
+"""Values of a program, as scalars or as vectors of members, arrays in memory, in NumPy's layout, and operations."""
 
 from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 
 import numpy as np
+from jax.typing import DTypeLike
 
-from lieint_jax.native._llvm.memory import Memory
-from lieint_jax.native._llvm.text import constant, instruction, literal, suffix
+from lieint_jax.native._llvm import Module, Text, constant, instruction, literal, suffix, with_lanes
+from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.columns import NEXT
 from lieint_jax.native._program import Program, Value, all_items, numbers_of
 from lieint_jax.native._traced import Leaf
@@ -18,30 +19,147 @@ from lieint_jax.native.functions import Functions
 # Bytes that arrays may have on the stack: LLVM needs three times as long where they come from the heap.
 _STACK = 2**20 if sys.platform == "linux" else 2**17
 _LINE = 64  # bytes of a line of the cache
-_INTRINSICS = {"ceil": "ceil", "floor": "floor", "round_away": "round", "round_even": "roundeven", "sqrt": "sqrt"}
+_TYPES = {"f8": "double", "f4": "float", "b1": "i1"} | {
+    f"{kind}{n}": f"i{8 * n}" for kind in "iu" for n in (1, 2, 4, 8)
+}
+_INTRINSICS = {  # of real numbers
+    "abs": "fabs", "ceil": "ceil", "floor": "floor", "max": "maximum", "min": "minimum",
+    "round_away": "round", "round_even": "roundeven", "sqrt": "sqrt",
+}  # fmt: skip
 
 
-class Operations(Memory):
-    """Text with the operations of a program.
+class Operations(Text):
+    """Text with the values of a program, and with access to arrays.
 
     Args:
-        program, lanes, leaves: see `Memory`.
+        program: the program that it computes.
+        lanes: members in a vector.
+        leaves: the arrays that the program reads.
         functions: collects the elementary functions that it calls.
     """
 
     def __init__(self, program: Program, lanes: int, leaves: Sequence[Leaf], functions: Functions):
-        super().__init__(program, lanes, leaves)
-        self.functions, self.first_row = functions, ""  # of those that are lanes
+        super().__init__(Module())
+        self.program, self.lanes, self.leaves, self.functions = program, lanes, leaves, functions
+        self.names: MutableMapping[Value, str] = {}
+        self.outside: Mapping[Value, str] | None = None  # the names outside of a map whose rows are the lanes
+        self.of_rows: set[Value] = set()  # the numbers that differ from row to row
+        self.first_row = ""  # of those that are lanes
+        self.inputs: list[str] = []  # pointers to the arrays
+        self.index = ""  # the indices of the block's members
         self.arrays: list[tuple[str, str, int, int]] = []  # in memory: name, type and number of entries, their bytes
         self.fused, self.absorbed = _fusions(program)
 
+    def varies(self, x: Value) -> bool:
+        """Whether it is a vector: of members, or, inside a map of one member, of rows."""
+        return x in (self.program.varying if self.outside is None else self.of_rows)
+
+    def scalar(self, dtype: DTypeLike) -> str:
+        name = np.dtype(dtype).str[1:]
+        if name not in _TYPES:
+            raise UnsupportedError(f"numbers of type {np.dtype(dtype)}")
+        return _TYPES[name]
+
+    def type(self, dtype: DTypeLike, vector: bool) -> str:
+        return with_lanes(self.scalar(dtype), self.lanes * vector)
+
+    def type_of(self, x: Value) -> str:
+        return self.type(x.dtype, self.varies(x))
+
+    def value(self, x: Value, vector: bool | None = None) -> str:
+        """The name of a value, as a vector or as a scalar."""
+        vector = self.varies(x) if vector is None else vector
+        if x.is_constant:
+            return constant(self.scalar(x.dtype), x.data, self.lanes * vector)
+        name = self.names[x]
+        if self.outside is not None and x in self.outside and x in self.program.varying:
+            name = self.add(f"extractelement {with_lanes(self.scalar(x.dtype), 1)} {name}, i64 0")
+        return self.splat(name, x.dtype) if vector and not self.varies(x) else name
+
+    def splat(self, name: str, dtype: DTypeLike) -> str:
+        kind, scalar = self.type(dtype, True), self.scalar(dtype)
+        first = self.add(f"insertelement {kind} poison, {scalar} {name}, i64 0")
+        return self.add(f"shufflevector {kind} {first}, {kind} poison, <{self.lanes} x i32> zeroinitializer")
+
+    def pointer(self, slot: int) -> str:
+        at = self.add(f"getelementptr ptr, ptr %pointers, i64 {slot}")
+        return self.add(f"load ptr, ptr {at}")
+
+    def stored_type(self, dtype: DTypeLike, vector: bool = False) -> str:
+        """The type of numbers in memory; booleans are bytes there."""
+        return self.type(np.int8 if np.dtype(dtype).kind == "b" else dtype, vector)
+
+    def place(self, array: str, dtype: DTypeLike, k: str, vector: bool) -> str:
+        """The address of an entry of an array."""
+        return self.add(f"getelementptr {self.stored_type(dtype, vector)}, ptr {array}, i64 {k}")
+
+    def store(self, value: str, dtype: DTypeLike, at: str, vector: bool, align: str = "") -> None:
+        """Write a value to an address."""
+        kind, value = self.stored_type(dtype, vector), self.as_stored(value, dtype, vector)
+        self.lines.append(f"  store {kind} {value}, ptr {at}{align}")
+
+    def as_stored(self, value: str, dtype: DTypeLike, vector: bool) -> str:
+        """A value as it is in memory."""
+        if np.dtype(dtype).kind != "b":
+            return value
+        return self.add(f"zext {self.type(bool, vector)} {value} to {self.stored_type(dtype, vector)}")
+
+    def from_stored(self, value: str, dtype: DTypeLike, vector: bool) -> str:
+        """A value that was read from memory."""
+        if np.dtype(dtype).kind != "b":
+            return value
+        return self.add(f"trunc {self.stored_type(dtype, vector)} {value} to {self.type(bool, vector)}")
+
+    def load(self, array: str, dtype: DTypeLike, k: str, vector: bool = False) -> str:
+        """An entry of an array, as it is or as a vector."""
+        at = self.place(array, dtype, k, vector)
+        return self.from_stored(self.add(f"load {self.stored_type(dtype, vector)}, ptr {at}"), dtype, vector)
+
+    def member_index(self) -> str:
+        """The indices of the block's members, a vector; none is beyond the last member."""
+        first = self.splat(self.add(f"mul i64 %block, {self.lanes}"), np.int64)
+        last = self.splat(self.add("sub i64 %members, 1"), np.int64)
+        kind = f"<{self.lanes} x i64>"
+        each = ", ".join(f"i64 {k}" for k in range(self.lanes))
+        index = self.add(f"add {kind} {first}, <{each}>")
+        return self.intrinsic("smin", kind, index, last)
+
+    def entry_pointers(
+        self, pointer: str, dtype: DTypeLike, size: int, entry: int | str, row: str | None = None
+    ) -> str:
+        """Pointers to an entry of each member of the block."""
+        kind = f"<{self.lanes} x i64>"
+        index, stored = self.index, self.stored_type(dtype)
+        if size != 1:
+            index = self.add(f"mul {kind} {index}, splat (i64 {size})")
+        if row is not None:
+            start = self.add(f"mul i64 {row}, %members")
+            start = self.add(f"mul i64 {start}, {size}")
+            pointer = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {start}")
+        if entry:
+            pointer = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {entry}")
+        return self.add(f"getelementptr {stored}, ptr {pointer}, {kind} {index}")
+
+    def gather(self, at: str, dtype: DTypeLike) -> str:
+        kind, n = self.stored_type(dtype, True), self.lanes
+        name = f"llvm.masked.gather.{suffix(kind)}.v{n}p0"
+        mask = f"<{n} x i1>", "splat (i1 true)"
+        return self.from_stored(self.call(kind, name, [(f"<{n} x ptr>", at), mask, (kind, "poison")]), dtype, True)
+
+    def scatter(self, value: str, dtype: DTypeLike, at: str) -> None:
+        kind, n = self.stored_type(dtype, True), self.lanes
+        value = self.as_stored(value, dtype, True)
+        name = f"llvm.masked.scatter.{suffix(kind)}.v{n}p0"
+        self.module.declared[f"declare void @{name}({kind}, <{n} x ptr>, <{n} x i1>)"] = None
+        self.lines.append(f"  call void @{name}({kind} {value}, <{n} x ptr> {at}, <{n} x i1> splat (i1 true))")
+
     def operation(self, x: Value) -> str:
+        """The result of an operation, a new name in most cases."""
         vector = self.varies(x)
         if x in self.fused:
             product, other, sign = self.fused[x]
-            a, b = (self.value(y, vector) for y in product.inputs)
-            c = self.value(other, vector)
-            kind = self.type(x.dtype, vector)
+            a, b, c = (self.value(y, vector) for y in (*product.inputs, other))
+            kind = self.type_of(x)
             if sign == "product":
                 a = self.add(f"fneg {kind} {a}")
             elif sign == "other":
@@ -57,37 +175,25 @@ class Operations(Memory):
             return self.add(f"{name} {kind} {values[0]}, {values[1]}")
         if x.op in _INTRINSICS and x.dtype.kind == "f":
             return self.intrinsic(_INTRINSICS[x.op], kind, *values)
+        if x.op in ("max", "min"):
+            return self.intrinsic(f"{'s' if x.dtype.kind == 'i' else 'u'}{x.op}", kind, *values)
+        if x.op == "abs":
+            return self.call(kind, f"llvm.abs.{suffix(kind)}", [(kind, values[0]), ("i1", "false")])
+        if x.op == "neg":
+            return self.add(
+                f"fneg {kind} {values[0]}" if x.dtype.kind == "f" else f"sub {kind} zeroinitializer, {values[0]}"
+            )
+        if x.op == "not":
+            ones = constant(self.scalar(x.dtype), True if x.dtype.kind == "b" else -1, self.lanes * vector)
+            return self.add(f"xor {kind} {values[0]}, {ones}")
         name = self.functions.name(x.op, self.scalar(x.dtype), self.lanes * vector, len(values))
         return self.call(kind, name, [(kind, value) for value in values])
 
-    def op_neg(self, x: Value, vector: bool) -> str:
-        kind, value = self.type(x.dtype, vector), self.value(x.inputs[0], vector)
-        return self.add(f"fneg {kind} {value}" if x.dtype.kind == "f" else f"sub {kind} zeroinitializer, {value}")
-
-    def op_abs(self, x: Value, vector: bool) -> str:
-        kind, value = self.type(x.dtype, vector), self.value(x.inputs[0], vector)
-        if x.dtype.kind == "f":
-            return self.intrinsic("fabs", kind, value)
-        return self.call(kind, f"llvm.abs.{suffix(kind)}", [(kind, value), ("i1", "false")])
-
-    def op_max(self, x: Value, vector: bool) -> str:
-        values = [self.value(y, vector) for y in x.inputs]
-        name = {"f": f"{x.op}imum", "i": f"s{x.op}"}.get(x.dtype.kind, f"u{x.op}")
-        return self.intrinsic(name, self.type(x.dtype, vector), *values)
-
-    op_min = op_max
-
-    def op_not(self, x: Value, vector: bool) -> str:
-        kind = self.type(x.dtype, vector)
-        ones = constant(self.scalar(x.dtype), True if x.dtype.kind == "b" else -1, self.lanes * vector)
-        return self.add(f"xor {kind} {self.value(x.inputs[0], vector)}, {ones}")
-
     def op_select(self, x: Value, vector: bool) -> str:
-        test, on_true, on_false = x.inputs
-        tested = f"{self.type_of(test)} {self.value(test)}"
-        return self.select(
-            tested, self.type(x.dtype, vector), self.value(on_true, vector), self.value(on_false, vector)
-        )
+        test, *sides = x.inputs
+        tested, kind = f"{self.type_of(test)} {self.value(test)}", self.type_of(x)
+        yes, no = (self.value(y, vector) for y in sides)
+        return self.add(f"select {tested}, {kind} {yes}, {kind} {no}")
 
     def op_convert(self, x: Value, vector: bool) -> str:
         [y] = x.inputs
@@ -140,7 +246,7 @@ class Operations(Memory):
             return self.load(pointer, x.dtype, self.value(x.inputs[0], False))
         kind, index = self.stored_type(x.dtype), self.value(x.inputs[0], True)
         at = self.add(f"getelementptr {kind}, ptr {pointer}, <{self.lanes} x i64> {index}")
-        return self.gather_at(at, x.dtype)
+        return self.gather(at, x.dtype)
 
     def op_array(self, x: Value, vector: bool) -> str:
         name = self.new_array(len(x.inputs), x)
@@ -171,7 +277,7 @@ class Operations(Memory):
         with self.counted_loop("copy", to.length) as k:
             old, new = self.entry(to, k, True), self.as_vector(array, k)
             kind = self.type(to.dtype, True)
-            chosen = self.select(f"<{self.lanes} x i1> {going}", kind, new, old)
+            chosen = self.add(f"select <{self.lanes} x i1> {going}, {kind} {new}, {kind} {old}")
             self.store(chosen, to.dtype, self.place(self.names[to], to.dtype, k, True), True)
 
     def copy_to(self, at: str, vector: bool, array: Value, count: int) -> None:
@@ -236,7 +342,7 @@ class Operations(Memory):
         kind, found = self.type(x.dtype, True), entries[0]
         for k, y in enumerate(entries[1:], 1):
             here = self.add(f"icmp eq <{self.lanes} x i64> {self.value(index, True)}, splat (i64 {k})")
-            found = self.select(f"<{self.lanes} x i1> {here}", kind, y, found)
+            found = self.add(f"select <{self.lanes} x i1> {here}, {kind} {y}, {kind} {found}")
         return found
 
     def op_row(self, x: Value, vector: bool) -> str:
@@ -250,7 +356,7 @@ class Operations(Memory):
         at, scalar = self.place(self.names[array], x.dtype, k, False), self.stored_type(x.dtype)
         if stride != 1:
             each = ", ".join(f"i64 {j * stride}" for j in range(self.lanes))
-            return self.gather_at(self.add(f"getelementptr {scalar}, ptr {at}, <{self.lanes} x i64> <{each}>"), x.dtype)
+            return self.gather(self.add(f"getelementptr {scalar}, ptr {at}, <{self.lanes} x i64> <{each}>"), x.dtype)
         found = self.add(f"load {self.stored_type(x.dtype, True)}, ptr {at}, align {x.dtype.itemsize}")
         return self.from_stored(found, x.dtype, True)
 

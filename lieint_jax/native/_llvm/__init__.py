@@ -1,1 +1,0 @@
-"""The text of LLVM IR, in layers: instructions (`text`), values, arrays (`memory`), operations, loops."""
