@@ -496,7 +496,12 @@ def _ascending_clock(J: VectorLike, e: Vector, tau: Array) -> tuple[Array, Array
     lag = c - m.R * m.S * (m.q_r / m.q_o) * s
     size = 1 + m.nu * m.S * m.S
     scale = m.S * m.q_o * lag * lag / (half * m.q_r * size)
-    small_turn = (m.q_o * lag >= jnp.sqrt(size / 2)) & (jnp.abs(tau) <= 2 * math.pi * J[0])  # and not about 720°
+    # On the polhode e_0² is at most e_0² + e_1² (b_1 − b_2)/(b_0 − b_2), which bounds |Ω| where J_0 is small
+    sphere = J[2] == J[0]
+    share = where(sphere, 1, J[0] * (J[2] - J[1]) / (J[1] * where(sphere, 1, J[2] - J[0])))
+    fastest = (e[0] * e[0] + share * e[1] * e[1]) / (J[0] * J[0]) + 1 / (J[1] * J[1])  # ≥ |Ω|²
+    not_about_720 = tau * tau * fastest <= (2 * math.pi) ** 2
+    small_turn = (m.q_o * lag >= jnp.sqrt(size / 2)) & not_about_720
     return scale, s * lag / half - scale * b.b_o, small_turn
 
 

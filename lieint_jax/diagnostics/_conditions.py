@@ -128,7 +128,9 @@ def conditions(step: Step, state: State, dt: Any) -> Conditions:
 
     Units: momenta, (3.5), (5.31), (4.13) and 14.1 are divided by the largest component of π (14.1 is also multiplied by
     (4/Δt²) m…m, which makes it (5.31) for α = ½); energies by the kinetic energy and the change of V; 14.2, 14.3,
-    (4.21), (4.22) and similar ones by their largest terms; (5.26) by the largest component of Ω.
+    (4.21), (4.22) and similar ones by their largest terms; (5.26) by the largest component of Ω. On groups other than
+    SO(3) components are those in a basis of equal m_ii whose largest structure constant is 1, such as angles and
+    lengths over √(J/M) on SE(3).
 
     Args:
         step: a one-step scheme, as in the paper: z_{n+1} depends on z_n only.
@@ -191,14 +193,17 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
     d, w = group.dim, jnp.asarray(step.velocity_weight, L.dtype)
     one, solve = jnp.eye(d, dtype=L.dtype), jnp.linalg.solve
 
+    units = _units_of_basis(group, m)
+
     def matrix(act: Callable[[Array, Array], Array], element: Array) -> Array:
-        return jax.vmap(act, (None, 1), 1)(element, one)
+        return jax.vmap(act, (None, 1), 1)(element, one) * units / units[:, None]
 
     def ad_star(mu: Array) -> Array:
-        return jax.vmap(group.ad_star, (1, None), 1)(one, mu)
+        return jax.vmap(group.ad_star, (1, None), 1)(one, mu / units) * units * units[:, None]
 
-    of_p = size(state.p)  # a unit: rounding errors are estimated by the largest entries of L
-    L, m, p0, p1 = _in_units(L, of_p), m / of_p, state.p / of_p, end.p / of_p
+    of_p = size(units * state.p)  # a unit: rounding errors are estimated by the largest entries of L
+    L, p0, p1 = _in_units(L, units, of_p / units), units * state.p / of_p, units * end.p / of_p
+    m = units[:, None] * m * units / of_p
     inverse = group.inverse(state.q)
     Ad0, Ad1 = matrix(group.Ad, state.q), matrix(group.Ad, end.q)
     turn = group.multiply(inverse, end.q)
@@ -282,7 +287,8 @@ def _elastic(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
     system, b = step.system, jnp.asarray(step.velocity_weight, L.dtype)
     E = jnp.diag(system.inertia) if jnp.ndim(system.inertia) == 1 else system.inertia
     of_p = size(state.p)  # a unit: rounding errors are estimated by the largest entries of L
-    L, E, p0, p1 = _in_units(L, of_p), E / of_p, state.p / of_p, end.p / of_p
+    L = _in_units(L, jnp.ones(9, L.dtype), of_p)
+    E, p0, p1 = E / of_p, state.p / of_p, end.p / of_p
     E_inverse = jnp.linalg.inv(E)
     one, scale = jnp.eye(9, dtype=L.dtype), _largest(L)
     U, dP = end.q - state.q, p1 - p0
@@ -317,9 +323,23 @@ def _elastic(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
     }
 
 
-def _in_units(L: Array, momentum: Array) -> Array:
-    """The linearization L, (2d, 2d), with momenta in this unit."""
-    units = jnp.repeat(jnp.stack([jnp.ones_like(momentum), momentum]), len(L) // 2)
+def _units_of_basis(group: Any, m: Array) -> Array:
+    """The units of coordinates in the algebra, (d,): angles on SO(3), elsewhere in proportion to 1/√m_ii.
+
+    They are such that the largest structure constant is 1, so that lengths and angles are compared in the body's own
+    unit of length, √(J/M) on SE(3).
+    """
+    if group is so3:
+        return jnp.ones_like(m[0])
+    units = 1 / jnp.sqrt(jnp.diagonal(m))
+    constants = jnp.asarray(group.structure, m.dtype) * units[:, None, None] * units[None, :, None] / units
+    largest = _largest(constants)
+    return units / jnp.where(largest == 0, units[0], largest)
+
+
+def _in_units(L: Array, configuration: Array, momentum: Array) -> Array:
+    """The linearization L, (2d, 2d), with δθ in the units `configuration`, (d,), and momenta in these, (d,) or ()."""
+    units = jnp.concatenate([configuration, jnp.broadcast_to(momentum, configuration.shape)])
     return L * units / units[:, None]
 
 

@@ -230,4 +230,6 @@ def equivalent_pairs(pair: ArrayLike, low: float, high: float, most: int = 2) ->
     integers = np.array(list(itertools.product(range(-most, most + 1), repeat=4)))
     a, b, c, d = integers.T
     found = np.stack([a * f + b * g, c * f + d * g], axis=1)[abs(a * d - b * c) == 1]
-    return np.unique(np.round(found[((found > low) & (found < high)).all(axis=1)], 12), axis=0)
+    found = found[((found > low) & (found < high)).all(axis=1)]
+    _, first = np.unique(np.round(found / max(f, g), 12), axis=0, return_index=True)
+    return found[first]

@@ -128,7 +128,8 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
     columns = np.stack([z[count - k : len(z) - k] for k in range(1, count + 1)], axis=1)
     coefficients = np.linalg.lstsq(columns, z[count:], rcond=None)[0]
     rates = -1j * np.log(np.roots([1, *-coefficients]).astype(complex)) / even_spacing(t)
-    return np.array(sorted(rates, key=lambda rate: (-round(rate.real, 6), rate.imag)))
+    size = np.abs(rates).max() or 1.0
+    return np.array(sorted(rates, key=lambda rate: (-round(rate.real / size, 6), rate.imag)))
 
 
 def even_spacing(t: ArrayLike) -> float:

@@ -278,17 +278,28 @@ def _sum_of_faces(order: int, columns: Array, x: Array) -> Array:
     *corners, n = (vectors.vector(columns[k : k + 3]) for k in (0, 3, 6, 9))
     twice_area, lengths = columns[12], columns[13:16]
     sides = [vectors.vector(columns[k : k + 3]) for k in (16, 19, 22)]
-    at, eps, tiny = vectors.vector(x), jnp.finfo(x.dtype).eps, jnp.finfo(x.dtype).tiny
+    at, tiny = vectors.vector(x), jnp.finfo(x.dtype).tiny
     r = [corner - at for corner in corners]
     a, b, c = (jnp.sqrt(jnp.maximum(vectors.dot(y, y), tiny)) for y in r)
-    # the guards are for points on an edge or a vertex, where these factors multiply 0
-    excess = [u + v - e for u, v, e in zip((a, b, c), (b, c, a), lengths, strict=True)]
-    L = [jnp.log1p(2 * e / jnp.maximum(s, eps * eps * e + tiny)) for e, s in zip(lengths, excess, strict=True)]
     h, (ab, bc, ca) = vectors.dot(n, r[0]), (vectors.dot(r[k], r[k - 2]) for k in range(3))
+    heights = [vectors.dot(side, y) for side, y in zip(sides, r, strict=True)]
+    edges = zip(((a, b, ab), (b, c, bc), (c, a, ca)), heights, lengths, strict=True)
+    L = [_logarithm(u, v, uv, h * h + p * p, e) for (u, v, uv), p, e in edges]
     volume, turn = h * twice_area, a * b * c + c * ab + a * bc + b * ca
     omega = 2 * jnp.arctan2(volume, jnp.where((volume == 0) & (turn == 0), 1, turn))
     if order < 2:
-        over_face = sum(vectors.dot(side, y) * log for side, y, log in zip(sides, r, L, strict=True)) - h * omega
+        over_face = sum(p * log for p, log in zip(heights, L, strict=True)) - h * omega
         return jnp.stack([jnp.sum(y * over_face) for y in ([h / 2] if order == 0 else -n)])
     flux = [sum(side[i] * log for side, log in zip(sides, L, strict=True)) - n[i] * omega for i in range(3)]
     return jnp.stack([jnp.sum(n[i] * flux[j]) for i in range(3) for j in range(i, 3)])
+
+
+def _logarithm(a: Array, b: Array, ab: Array, square: Array, e: Array) -> Array:
+    """L of an edge, from the distances of its ends, their product r_a·r_b, the squared distance of its line, and e.
+
+    a + b − e is 2(ab + r_a·r_b)/(a + b + e), where the sum is e² square/(ab − r_a·r_b) for r_a·r_b < 0, so that nothing
+    cancels near an edge. On an edge, where L multiplies 0, the least sum leaves it finite.
+    """
+    precision, between = jnp.finfo(a.dtype), ab < 0
+    total = jnp.where(between, e * e * square / jnp.where(between, a * b - ab, 1), a * b + ab)
+    return jnp.log1p(e * (a + b + e) / jnp.maximum(total, (precision.eps * e) ** 2 + precision.tiny))

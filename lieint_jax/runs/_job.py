@@ -71,6 +71,7 @@ class MemberSummary(NamedTuple):
         number: the number of values of a member.
         state: the states at the end, (members, …).
         failed: the first step of each member that did not converge, or −1.
+        excess: what rounding has added to the sum, (members,), from which it is continued; None of older stores.
     """
 
     t: np.ndarray
@@ -84,6 +85,7 @@ class MemberSummary(NamedTuple):
     number: int
     state: State
     failed: np.ndarray
+    excess: np.ndarray | None = None
 
     @property
     def mean(self) -> np.ndarray:
@@ -93,7 +95,8 @@ class MemberSummary(NamedTuple):
     @property
     def change(self) -> Change:
         """The values of the quantity."""
-        return Change(self.least, self.greatest, self.total, self.last, self.first)
+        excess = np.zeros_like(self.total) if self.excess is None else self.excess
+        return Change(self.least, self.greatest, self.total, excess, self.last, self.first)
 
 
 class Job(NamedTuple):
@@ -224,20 +227,20 @@ class Job(NamedTuple):
         if value is None:
             return None
         if not self.per_member:
-            return Change(*(np.full(len(value), x, self.dtype) for x in (np.inf, -np.inf, 0)))
+            return Change(*(np.full(len(value), x, self.dtype) for x in (np.inf, -np.inf, 0, 0)))
         first = None
         if self.condition is not None:
             t = self.times[0] if self.t0 is None or self.shares_time else np.asarray(self.t0)
             never = np.full(len(value), np.nan, self.dtype)
             first = never if reached is None else np.where(np.asarray(reached), t, never).astype(self.dtype)
-        return Change(value, value, value, value, first)
+        return Change(value, value, value, np.zeros_like(value), value, first)
 
     @property
     def change_names(self) -> tuple[str, ...]:
         """The names of the arrays of what is known of it."""
         if self.reduction is None:
             return ()
-        return Change._fields[: 3 + self.per_member + (self.condition is not None)]
+        return Change._fields[: 4 + self.per_member + (self.condition is not None)]
 
     def member(self, m: int) -> tuple[Step, State]:
         """The step and the initial state of one member."""

@@ -33,6 +33,7 @@ class Change(NamedTuple):
 
     Attributes:
         least, greatest, total: the least, the greatest and the sum of them.
+        excess: what rounding has added to the sum so far, which the next value is added less by.
         last: the last value of each member; None of all members together.
         first: the first time at which a condition was true, NaN before; None if there is no condition.
     """
@@ -40,6 +41,7 @@ class Change(NamedTuple):
     least: Numbers
     greatest: Numbers
     total: Numbers
+    excess: Numbers
     last: Numbers | None = None
     first: Numbers | None = None
 
@@ -51,18 +53,23 @@ class Change(NamedTuple):
     @classmethod
     def empty(cls, like: Numbers) -> Change:
         """The change over no steps."""
-        return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
+        return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), *[jnp.zeros_like(like)] * 2)
 
     def include(self, x: Array, reached: Array | None = None, t: Numbers | None = None) -> Change:
         """The change with one more value, at time t, when the condition is `reached` or not.
 
-        If the value is NaN, so are all but `first`.
+        If the value is NaN, so are all but `first`. The sum is Kahan's: by plain additions, the mean of 10⁷ values in
+        float32 is off by up to a tenth.
         """
         first = self.first
         if first is not None and reached is not None and t is not None:
             first = jnp.where(jnp.isnan(first) & reached, t.astype(first.dtype), first)
         least, greatest = jnp.minimum(self.least, x), jnp.maximum(self.greatest, x)
-        return Change(least, greatest, self.total + x, x if self.per_member else None, first)
+        added = x - self.excess
+        total = self.total + added
+        excess = (total - self.total) - added
+        excess = jnp.where(jnp.isfinite(excess), excess, 0)  # of infinite values it is NaN
+        return Change(least, greatest, total, excess, x if self.per_member else None, first)
 
 
 class Carry(NamedTuple):

@@ -26,7 +26,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._preprocessed import with_modified_inertia
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
-from lieint_jax.types.vectors import dot
+from lieint_jax.types.vectors import cross, dot, norm, symmetric
 
 __all__ = ["Calibrated", "calibrated"]
 
@@ -85,14 +85,19 @@ class Calibrated(Step):
         return self.system.energy(state), dot(state.p, state.p)
 
     def _fits(self, state: State, dt: ArrayLike) -> Array:
-        """Whether the clock is that of dt and of the trajectory of `state`, up to a drift of energy by round-off."""
+        """Whether the clock is that of dt and of the trajectory of `state`, up to a drift of energy by round-off.
+
+        An error of the attitude changes the energy by its angle times |Π × Ω|, the more the thinner a rod.
+        """
         assert self.clock is not None
         energy, square = lax.stop_gradient(self._invariants(state))
+        Pi = so3.Ad_star(state.q, state.p)
         near = 2**16 * jnp.finfo(square.dtype).eps
+        drift = self.clock.energy + lax.stop_gradient(norm(cross(Pi, symmetric(self.system.inertia).solve(Pi))))
         return (
             self.clock.on_branch
             & (jnp.abs(dt) == jnp.abs(self.clock.dt))
-            & (jnp.abs(energy - self.clock.energy) <= near * self.clock.energy)
+            & (jnp.abs(energy - self.clock.energy) <= near * drift)
             & (jnp.abs(square - self.clock.square) <= near * self.clock.square)
         )
 

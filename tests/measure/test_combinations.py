@@ -67,6 +67,13 @@ def test_equivalent_pairs_generate_the_same_combinations():
         assert abs(np.linalg.det(a)) == pytest.approx(1)
 
 
+def test_equivalent_pairs_do_not_depend_on_the_unit_of_time():
+    pair, unit = np.array([0.05, 0.0500003]), 2.0**-24
+    np.testing.assert_array_equal(
+        measure.equivalent_pairs(pair * unit, 0.01 * unit, 0.2 * unit), unit * measure.equivalent_pairs(pair, 0.01, 0.2)
+    )
+
+
 def test_a_band_without_pairs_and_a_nan_are_refused_with_a_sentence():
     t, y, _ = series()
     with pytest.raises(ValueError, match=r"no two frequencies from 0.01 to 0.02, .* differ by 0.1"):

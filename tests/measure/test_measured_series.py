@@ -174,5 +174,7 @@ def test_complex_rates_are_those_of_the_terms():
     )  # observed: 2e-13
     cosine = measure.complex_rates(t, np.cos(1.3 * t))
     np.testing.assert_allclose(cosine, [1.3, -1.3], rtol=0, atol=1e-13)  # observed: 2e-15
+    slow = measure.complex_rates(2.0**30 * t, z.conj())
+    np.testing.assert_array_equal(2.0**30 * slow, measure.complex_rates(t, z.conj()))
     for short_or_bad in (z[:7], np.where(t > 5, np.nan, z)):
         assert np.isnan(measure.complex_rates(t[: len(short_or_bad)], short_or_bad)).all()

@@ -1,5 +1,7 @@
 """The paper's conditions as residuals of steps: zero where a structure is kept, and not where it is not."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -167,6 +169,30 @@ def test_conditions_do_not_depend_on_the_unit_of_mass():
         other = found(mass)
         for x, y in zip(jax.tree.leaves(other), jax.tree.leaves(one), strict=True):
             np.testing.assert_allclose(x, y, rtol=1e-12, atol=0)  # observed 0
+
+
+@pytest.mark.long
+def test_conditions_do_not_depend_on_the_unit_of_length():
+    """On SE(3), where entries of L are angles and lengths: in a unit of 1e-6, the form of this step held."""
+    body, place = li.systems.kirchhoff((3.0, 2.0, 1.0), (0.1, 0.05, 0.2)), np.eye(4)
+    place[:3, 3] = 0.3, -0.2, 0.5
+
+    @jax.jit
+    def found(length):
+        units = jnp.concatenate([jnp.ones(3), jnp.full(3, 1 / length)])  # of the basis
+        system = dataclasses.replace(body, metric=body.metric * jnp.outer(units, units))
+        q = jnp.asarray(place).at[:3, 3].multiply(length)
+        state = system.state(q, velocity=jnp.array([0.5, -0.4, 0.6, 0.3, 0.2, -0.1]) / units)
+        return diagnostics.conditions(schemes.group_midpoint(system), state, 0.1)
+
+    one = found(1.0)
+    assert one.keeps("class")
+    assert one.keeps("energy")
+    assert not one.keeps("form")
+    for length in (2.0**-20, 2.0**20):
+        other = found(length)
+        assert {k: bool(other.holds(k)) for k in one.residuals} == {k: bool(one.holds(k)) for k in one.residuals}
+        np.testing.assert_allclose(other["5.31"], one["5.31"], rtol=1e-9)  # observed 5e-11: the step's rounding
 
 
 def test_the_report_of_conditions_lists_residuals_and_verdicts():

@@ -19,6 +19,7 @@ _MEMBER_TEXTS = {
     "least": "least value of the reduced quantity over all steps",
     "greatest": "greatest value of it",
     "total": "sum of its values, that at the start included",
+    "excess": "what rounding has added to this sum",
     "last": "its last value",
     "first": "first time at which the condition was true",
 }
