@@ -12,26 +12,28 @@ from lieint_jax.runs._clock import (
     UniformClock,
     at_time,
     clock_of,
+    halved_steps,
     intervals,
     outputs,
     refuse_far_times,
     refuse_times,
     saves,
+    splits,
     uniform_clock,
 )
 from lieint_jax.runs._driver import (
     Body,
-    Progress,
+    Reached,
+    at_start,
     counted,
     info_since,
-    march,
     prepared,
+    reported,
     saved_states,
     step_at_node,
     steps,
 )
 from lieint_jax.runs._event import Event, event, events
-from lieint_jax.runs._halved import halved_steps, splits
 from lieint_jax.runs._integrate import Adjoint, integrate, join_start, of_any_length, rows_for, trajectory
 from lieint_jax.runs._interpolate import interpolate
 from lieint_jax.runs._job import Summary
@@ -55,11 +57,12 @@ __all__ = [
     "Executor",
     "GridClock",
     "MakeStates",
-    "Progress",
+    "Reached",
     "Reduction",
     "Run",
     "Summary",
     "UniformClock",
+    "at_start",
     "at_time",
     "clock_of",
     "compiler_options",
@@ -76,7 +79,6 @@ __all__ = [
     "interpolate",
     "intervals",
     "join_start",
-    "march",
     "of_any_length",
     "open_run",
     "outputs",
@@ -88,6 +90,7 @@ __all__ = [
     "processes",
     "refuse_far_times",
     "refuse_times",
+    "reported",
     "rows_for",
     "run",
     "saved_states",

@@ -25,11 +25,11 @@ from lieint_jax.runs._clock import (
     refuse_far_times,
     refuse_times,
     saves,
+    splits,
 )
-from lieint_jax.runs._driver import prepared, saved_states
-from lieint_jax.runs._halved import splits
+from lieint_jax.runs._driver import Reached, at_start, prepared, saved_states
 from lieint_jax.runs._outputs import at_output_times
-from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
+from lieint_jax.types import State, Step, StepError, Trajectory, checked_step, promoted, start_time
 from lieint_jax.types.shapes import PyTree
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
@@ -44,7 +44,7 @@ class Adjoint(abc.ABC):
         """Raise ValueError if this derivative does not exist for runs of the step at the times of the clock."""
 
     @abc.abstractmethod
-    def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> tuple[State, StepInfo]:
+    def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Reached:
         """The states saved every `save_every` steps after the initial one, and the reports of the steps between."""
 
 
@@ -225,10 +225,16 @@ trajectory = compiled(_trajectory, static_argnums=(3, 4))
 _padded_trajectory = compiled(_trajectory, static_argnums=5)
 
 
-def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
-    """The trajectory of an initial state, the states and reports after it; `t` are the times of states without one."""
-    first = (state, StepInfo.empty(state.p))
-    states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
-    times = states.t if states.t is not None else t
+def join_start(state: State, later: Reached, t: Array | None) -> Trajectory:
+    """The trajectory of an initial state, and of later states and reports.
+
+    `t` are the times of all, which states without a time do not have, and `later` may lack.
+    """
+    states, info = later
+    if state.t is not None and states.t is None and t is not None:
+        states = states._replace(t=t[1:])
+    start = at_start(state)
+    states, info = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, (states, info))
+    times = t if states.t is None else states.t
     assert times is not None  # a state or a clock has the time
     return Trajectory(times, states, info)

@@ -17,10 +17,8 @@ from jax.typing import ArrayLike
 from lieint_jax import native
 from lieint_jax._xla import compiled
 from lieint_jax.runs._clock import GridClock, RoundedClock, UniformClock
-from lieint_jax.runs._driver import prepared
+from lieint_jax.runs._driver import Reached, at_start, prepared
 from lieint_jax.types import State, Step, StepInfo
-
-_Reached = tuple[State, StepInfo]
 
 
 class _Entry(NamedTuple):
@@ -40,8 +38,8 @@ class _Entry(NamedTuple):
 @partial(compiled, static_argnums=4)
 def at_output_times(
     step: Step, state: State, clock: UniformClock | RoundedClock | GridClock, save_at: Array, num_steps: int
-) -> _Reached:
-    """The states at output times, and the reports of the steps since the output before."""
+) -> Reached:
+    """The states at output times, without these, and the reports of the steps since the output before."""
     span = clock.time(num_steps) - clock.time(0)
     inside = jnp.abs(save_at - clock.time(0) - span / 2) <= jnp.abs(span) / 2 * (1 + 1e-12)  # False for NaN
     own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
@@ -49,12 +47,12 @@ def at_output_times(
     entries, rows, length = _entries(clock, save_at, nodes, num_steps)
     whole, has_time = prepared(step, state, clock), state.t is not None
 
-    def step_once(_: Array, at: _Reached, x: _Entry) -> tuple[_Reached, _Reached]:
-        begin = at[0]._replace(t=x.t if has_time else None)
+    def step_once(_: Array, at: Reached, x: _Entry) -> tuple[Reached, Reached]:
+        here = at[0]._replace(t=x.t if has_time else None)
         dt = clock.dt if isinstance(clock, UniformClock) else x.dt
 
-        def advanced(step: Step, dt: Array) -> _Reached:
-            end, info = step(begin, dt)
+        def advanced(step: Step, dt: Array) -> Reached:
+            end, info = step(here, dt)
             return end._replace(t=None), at[1].merge(info)
 
         after = lax.cond(x.whole, lambda: advanced(whole, dt), lambda: at)
@@ -62,10 +60,9 @@ def at_output_times(
         following = after[0], jax.tree.map(partial(jnp.where, x.last), StepInfo.empty(state.p), after[1])
         return following, output
 
-    start = state._replace(t=None), StepInfo.empty(state.p)
-    found = native.march(step_once, start, entries, rows=len(entries.t) // length, every=length)[1]
+    start, count = at_start(state._replace(t=None)), len(entries.t) // length
+    found = native.march(step_once, start, entries, rows=count, every=length)[1]
     later, info = jax.tree.map(lambda x: x[rows], found)
-    later = later._replace(t=save_at if has_time else None)
     return later, info._replace(converged=info.converged & inside & (own == nodes))  # else traced times are unordered
 
 
