@@ -18,10 +18,11 @@ import numpy as np
 from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock, more_times
 from lieint_jax.runs._engine import Engine
-from lieint_jax.runs._job import MAX_NAMED, Job, Saves, gather_rows, list_members, reduce_rows
+from lieint_jax.runs._job import MAX_NAMED, Job, first_rows, gather_rows, list_members, reduce_rows
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Carry, Given, energy
 from lieint_jax.runs._memory_output import MemoryOutput
+from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.types import System
 
@@ -36,7 +37,7 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
     H0 = engine.quantity(energy, given, start.state, 0) if shown else None
     if restored is None:
         _check_start(engine, layout, given, start, output.buffer_rows)
-        output.begin(start)
+        output.append(first_rows(job, start), 1)
         output.checkpoint(start, 0, 0.0, stop=False)
     carry, done, saved = restored or (start, 0, 0)
     del start, restored  # their arrays are as large as those of a carry

@@ -11,9 +11,9 @@ from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock, RoundedClock, UniformClock
 from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
 from lieint_jax.runs._layout import Layout, Numbers, Tree
-from lieint_jax.runs._loop import Change, Reduction
+from lieint_jax.runs._loop import Carry, Change, Reduction, start, step_dtype
 from lieint_jax.runs._made_states import MakeStates
-from lieint_jax.runs.store._leaves import shared_time
+from lieint_jax.runs.store._leaves import Saves, shared_time
 from lieint_jax.types import State, Step, Trajectory
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
@@ -22,6 +22,7 @@ _OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has u
 CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
 MAX_NAMED = 5  # members in a message
 Series = dict[str, np.ndarray]  # of a reduction, by name
+SERIES = ("least", "greatest", "mean", "residual", "unconverged")  # their names; of single members only the last two
 _CHUNKS_OF_BUFFER = _BUFFER_BYTES // _OBJECT_BYTES  # so many such chunks fill the buffer
 
 
@@ -45,18 +46,6 @@ class Summary(NamedTuple):
     residual: np.ndarray
     unconverged: np.ndarray
     state: State
-    failed: np.ndarray
-
-
-class Saves(NamedTuple):
-    """The saves of a run in memory, complete up to its last step.
-
-    Attributes:
-        found: the states, or what was made of them.
-        failed: the first step of each member that did not converge, or −1.
-    """
-
-    found: Trajectory | Summary | MemberSummary
     failed: np.ndarray
 
 
@@ -233,6 +222,11 @@ class Job(NamedTuple):
         return Change(value, value, value, value, first)
 
     @property
+    def series_names(self) -> tuple[str, ...]:
+        """The names of the series of a reduction, but for those of parts."""
+        return () if self.reduction is None else SERIES[3:] if self.per_member else SERIES
+
+    @property
     def change_names(self) -> tuple[str, ...]:
         """The names of the arrays of what is known of it."""
         if self.reduction is None:
@@ -313,17 +307,27 @@ def gather_rows(layout: Layout, saved: Tree, number: int) -> Tree:
     return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
 
 
-def first_entry(job: Job) -> Series:
-    """The entry of the start in the series of a reduction."""
-    zero = np.zeros(1, job.dtype)
-    if job.per_member:
-        return {"residual": zero, "unconverged": np.zeros(1, np.int64)}
-    found = dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
-    return (
-        found
-        if job.part is None
-        else found | {"sums": np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)}
-    )
+def first_rows(job: Job, carry: Carry) -> Tree | Series:
+    """The entry of the start: a row (1, members) of the report and the states, or that of the series of a reduction."""
+    if job.reduction is None:
+        return jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state))
+    found = dict.fromkeys(job.series_names, np.zeros(1, job.dtype)) | {"unconverged": np.zeros(1, np.int64)}
+    if job.part is not None and not job.per_member:
+        found["sums"] = np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)
+    return found
+
+
+def rows_and_carry(job: Job, saves: Saves) -> tuple[Tree | Series, Carry]:
+    """The rows of a run in memory, that of the start first, and the carry at its end."""
+    found, failed = saves.found, saves.failed
+    states, change = job.without_time(found.state), None
+    if isinstance(found, Trajectory):
+        rows: Tree = found.info, states
+        states = jax.tree.map(lambda x: x[-1], states)
+    else:
+        rows = {name: np.asarray(found._asdict()[name]) for name in job.series_names}
+        change = found.change if isinstance(found, MemberSummary) else job.first_change(failed, None)
+    return rows, start(states, change)._replace(failed=failed.astype(step_dtype()))
 
 
 def reduce_rows(rows: Tree, job: Job) -> Series:

@@ -7,13 +7,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs import _layout, _loop
-from lieint_jax.runs._job import Job, MemberSummary, Saves, Series, Summary, first_entry, gather_rows
+from lieint_jax.runs import _layout
+from lieint_jax.runs._job import Job, MemberSummary, Series, Summary, first_rows, gather_rows, rows_and_carry
 from lieint_jax.runs._layout import Layout, Tree
 from lieint_jax.runs._loop import Carry
+from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.types import StepInfo, Trajectory
-
-_SERIES = ("least", "greatest", "mean", "residual", "unconverged")
 
 
 class MemoryOutput:
@@ -39,33 +38,24 @@ class MemoryOutput:
         """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
         if self._earlier is None:
             return None
-        found, failed = self._earlier
-        change, info, saved = None, None, len(found.t) - 1
+        found = self._earlier.found
+        rows, carry = rows_and_carry(self._job, self._earlier)
+        saved = len(found.t) - 1
         done = int(self._job.nodes[saved])
-        if isinstance(found, MemberSummary):
-            last, change, done, saved = found.state, found.change, int(found.number) - 1, 0
-            self._series.append(first_entry(self._job))
-            info = StepInfo(np.full(failed.shape, found.residual[-1]), failed < 0)  # pyright: ignore
-        elif isinstance(found, Summary):
-            last, change = found.state, self._job.first_change(failed, None)
-            self._series.append({name: np.asarray(x) for name, x in found._asdict().items() if name in _SERIES})
+        if isinstance(found, MemberSummary):  # whose one interval goes on
+            done, saved = int(found.number) - 1, 0
+            rows = first_rows(self._job, carry)
+            carry = carry._replace(
+                info=StepInfo(np.full(carry.failed.shape, found.residual[-1]), carry.failed < 0)  # pyright: ignore
+            )
+        if isinstance(rows, dict):
+            self._series.append(rows)
         else:
-            states = self._job.without_time(found.state)
-            last = jax.tree.map(lambda x: x[-1], states)
-            self._put((found.info, states))
-        carry = _loop.start(self._job.without_time(last), change)
-        carry = carry._replace(failed=failed.astype(_loop.step_dtype()), info=info or carry.info)  # pyright: ignore
+            self._put(rows)
         return _layout.placed(self._layout, carry), done, saved
 
-    def begin(self, carry: Carry) -> None:
-        """Receive the entry of the start; not called for a run that goes on."""
-        if self._job.reduction is not None:
-            self._series.append(first_entry(self._job))
-            return
-        self._put(jax.tree.map(lambda x: x[None], _layout.gather(self._layout, (carry.info, carry.state))))
-
     def append(self, saved: Tree | Series, number: int) -> None:
-        """Receive `number` saved rows, or those of the series of a reduction."""
+        """Receive `number` saved rows, or those of the series of a reduction; that of the start first."""
         if isinstance(saved, dict):
             self._series.append(saved)
         else:
@@ -97,8 +87,8 @@ class MemoryOutput:
         state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
         if self._job.reduction is None and self._out is not None:
             info, states = self._out
-            found = Trajectory(self._job.times, self._job.with_times(states), info)  # pyright: ignore[reportArgumentType]
-            return Saves(found, failed)
+            times: Any = self._job.times
+            return Saves(Trajectory(times, self._job.with_times(states), info), failed)
         series = {
             name: np.concatenate([part[name] for part in self._series]) for name in self._series[0] if name != "sums"
         }

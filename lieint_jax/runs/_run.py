@@ -20,11 +20,11 @@ from lieint_jax.runs import _values
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._facts import Facts, dates_of, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
-from lieint_jax.runs._job import MemberSummary, Saves, Summary, member_of, saves_of_batch, with_member_axis
+from lieint_jax.runs._job import MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._loop import energy
 from lieint_jax.runs._make_job import checked_job, is_batch
 from lieint_jax.runs._results import Results, compute, write
-from lieint_jax.runs.store._leaves import Stored
+from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.runs.store._store_options import StoreOptions
 from lieint_jax.types import (
     State,
@@ -367,8 +367,8 @@ class StoredRun(Run):
 def computed_run(computed: Results) -> Run:
     """The run of these results."""
     job = computed.job
-    if computed.stored is not None:
-        return stored_run(computed.path, computed.stored, job.step)
+    if computed.path:
+        return stored_run(computed.path, computed.saves, job.step)
     facts = Facts.of_job(job, computed.engine)
     start = job.initial if job.reduction is not None else None
     times = job.clock.times if isinstance(job.clock, GridClock) else None
@@ -376,15 +376,14 @@ def computed_run(computed: Results) -> Run:
     return _make_run(job.step, start, computed.saves, functions, times, facts)
 
 
-def stored_run(path: str, stored: Stored, step: Step) -> Run:
+def stored_run(path: str, saves: Saves, step: Step) -> Run:
     """The run in a store; that of one body is read at once."""
-    found, failed, attributes = stored
-    return _make_run(step, None, Saves(found, failed), [None, None], None, Facts.of_store(path, attributes))
+    return _make_run(step, None, saves, [None, None], None, Facts.of_store(path, saves.attributes))
 
 
 def _make_run(step: Step, start: State | None, saves: Saves, functions: list[Any], times: Any, facts: Facts) -> Run:
     """The run of these saves, which have a member axis also if it is of one body."""
-    found, failed = saves
+    found, failed = saves.found, saves.failed
     if not facts.batch:
         found, failed = member_of(found, 0), failed[0]
         start = None if start is None else jax.tree.map(lambda x: x[0] if np.ndim(x) else x, start)

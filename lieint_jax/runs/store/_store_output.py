@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from lieint_jax.runs import _layout
-from lieint_jax.runs._job import Job, Series, first_entry, local_rows
+from lieint_jax.runs._job import Job, Series, local_rows
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Carry, Change
 from lieint_jax.runs.store._leaves import leaves_by_name, state_from_leaves, store_name
@@ -59,15 +59,8 @@ class StoreOutput:
         carry = Carry(state, info, found["failed"], Change(**{name: found[name] for name in names}) if names else None)
         return _layout.placed(self._layout, carry, first=part.start), done["steps"], done["entries"] - 1
 
-    def begin(self, carry: Carry) -> None:
-        """Receive the entry of the start."""
-        if self._job.reduction is None:
-            self._pending.append((jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state)), 1))
-        else:
-            self._pending.append((first_entry(self._job), 1))
-
     def append(self, saved: Tree | Series, number: int) -> None:
-        """Receive `number` saved rows."""
+        """See `MemoryOutput`."""
         self._pending.append((saved if isinstance(saved, dict) else local_rows(saved, number), number))
 
     def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
