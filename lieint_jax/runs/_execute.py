@@ -41,10 +41,10 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
         output.checkpoint(start, 0, 0.0, stop=False)
     carry, done, saved = restored or (start, 0, 0)
     del start, restored  # their arrays are as large as those of a carry
-    length = CallLength(layout)
+    most = max(1, 100_000 // layout.members)  # steps in a call
     with _interrupts(output.defers_interrupts) as requested, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
-            ends, saves = _next_call(job, done, saved, min(length.steps, engine.most_steps), output.free_rows)
+            ends, saves = _next_call(job, done, saved, min(most, engine.most_steps), output.free_rows)
             clock, steps = time.perf_counter(), int(ends[-1]) - done
             carry, rows = engine.run_intervals(given, carry, done, saved, ends, output.buffer_rows)
             done, saved = done + steps, saved + saves
@@ -58,8 +58,10 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
                 H = engine.quantity(energy, given, carry.state, done)
                 error, failed = _layout.worst_energy_error(layout, H0, H, carry.failed)
                 bar.show(error if job.step.system.hamiltonian else None, failed)
-            stop = length.measure(steps, time.perf_counter() - clock, bool(requested))
-            output.checkpoint(carry, done, length.seconds, stop)
+            seconds, stop = _layout.all_reduce_max(layout.mesh, time.perf_counter() - clock, bool(requested))
+            if steps == most or seconds > _CALL:
+                most = int(min(max(1, most * min(4.0, _CALL / max(seconds, 1e-6))), 2**30))
+            output.checkpoint(carry, done, seconds, bool(stop))
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
         result = output.result(carry)
@@ -173,22 +175,6 @@ def _tqdm() -> Any:
         warnings.filterwarnings("ignore", "IProgress not found")
         from tqdm.auto import tqdm  # imported here, for a fast import of the package
     return tqdm
-
-
-class CallLength:
-    """The number of steps per call of the compiled loop, adapted so that a call takes about half a second."""
-
-    def __init__(self, layout: Layout) -> None:
-        self._mesh = layout.mesh
-        self.steps, self.seconds = max(1, 100_000 // layout.members), 0.0
-
-    def measure(self, steps: int, seconds: float, interrupted: bool) -> bool:
-        """Adapt the number of steps to the duration of a call; return True if a process was interrupted."""
-        self.seconds, stop = _layout.all_reduce_max(self._mesh, seconds, interrupted)
-        if steps == self.steps or self.seconds > _CALL:
-            grown = self.steps * min(4.0, _CALL / max(self.seconds, 1e-6))
-            self.steps = int(min(max(1, grown), 2**30))
-        return bool(stop)
 
 
 @contextlib.contextmanager

@@ -137,7 +137,7 @@ class Job(NamedTuple):
         def repeat(x: Numbers) -> np.ndarray:
             return np.broadcast_to(np.asarray(x)[:1], (members, *x.shape[1:]))  # a view that needs no memory
 
-        t0 = self.t0 if self.t0 is None or self.shares_time else repeat(self.t0)
+        t0: Any = repeat(self.t0) if self.own_times else self.t0  # pyright: ignore
         return self._replace(states=jax.tree.map(repeat, self.states), t0=t0, make_states=make_states)
 
     def restricted(self, members: range) -> Job:
@@ -151,7 +151,7 @@ class Job(NamedTuple):
             return _layout.on_host(x)[which]
 
         step = self.step if self.step_axis is None else jax.tree.map(of, self.step)
-        t0 = self.t0 if self.t0 is None or self.shares_time else of(self.t0)
+        t0: Any = of(self.t0) if self.own_times else self.t0  # pyright: ignore
         return self._replace(step=step, states=jax.tree.map(of, self.states), t0=t0)
 
     @property
@@ -185,15 +185,15 @@ class Job(NamedTuple):
         return self.dt or (float(self.clock.size(0)) if self.planned_steps else 0.0)
 
     @property
-    def shares_time(self) -> bool:
-        """True if the states have a time, the same for all members."""
-        return self.t0 is not None and not np.ndim(self.t0)
+    def own_times(self) -> bool:
+        """True if the members start at different times; False too if their states have a time each by their step."""
+        return self.t0 is not None and np.ndim(self.t0) > 0
 
     def state_times(self, entries: slice = slice(None), members: slice = slice(None)) -> np.ndarray:
         """The times of these members at these entries, (entries, members), where the states have a time."""
-        if self.t0 is None or self.shares_time:
-            return shared_time(self.times[entries], self.members)[:, members]
-        return np.asarray(self.t0)[members] + self.times[entries, None]
+        if self.own_times:
+            return np.asarray(self.t0)[members] + self.times[entries, None]
+        return shared_time(self.times[entries], self.members)[:, members]
 
     def with_times(self, states: State) -> State:
         """The states of all entries with their time."""
@@ -216,7 +216,7 @@ class Job(NamedTuple):
             return Change(*(np.full(len(value), x, self.dtype) for x in (np.inf, -np.inf, 0)))
         first = None
         if self.condition is not None:
-            t = self.times[0] if self.t0 is None or self.shares_time else np.asarray(self.t0)
+            t = np.asarray(self.t0) if self.own_times else self.times[0]
             never = np.full(len(value), np.nan, self.dtype)
             first = never if reached is None else np.where(np.asarray(reached), t, never).astype(self.dtype)
         return Change(value, value, value, value, first)
@@ -238,7 +238,7 @@ class Job(NamedTuple):
         step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[m], self.step)
         state = jax.tree.map(lambda leaf: np.asarray(leaf)[m], self.states)
         if self.t0 is not None:
-            state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
+            state = state._replace(t=self.t0[m] if self.own_times else self.t0)
         return step, state
 
     @property

@@ -189,18 +189,6 @@ def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State
     return jax.jit(jax.vmap(by_one_step, (axes, 0, None)), compiler_options=compiler_options())
 
 
-class Known(NamedTuple):
-    """What an engine makes of a loop.
-
-    Attributes:
-        refusal: why it cannot compute it; empty if it can.
-        shared: about how many numbers of a step the members share.
-    """
-
-    refusal: str
-    shared: int = 0
-
-
 class Intervals:
     """The loop over the save intervals of all members.
 
@@ -214,14 +202,15 @@ class Intervals:
 
     Attributes:
         of_all: (carry, given, spans, number of spans) ↦ (carry, saved), compiled.
-        known: what is known of it by engines, by their names.
+        known: by the names of engines, why they cannot compute it ("" if they can), and about how many numbers of a
+            step the members then share.
     """
 
     def __init__(self, what: tuple[Reduction | None, Reduction | None], axes: Axes, _: Sequence[Tree]):
         self._reduction, self._condition = what
         self._of_member = jax.jit(self._interval)
         self.of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
-        self.known: dict[str, Known] = {}
+        self.known: dict[str, tuple[str, int]] = {}
 
     def _loop(self, carry: Carry, given: Given, spans: Span, count: Array) -> tuple[Carry, Tree]:
         return native.march(self._of_member, carry, spans, (given,), rows=count, most=len(spans.first))

@@ -59,11 +59,11 @@ def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, Column]
     times, members = axes.times, axes.members
     series = job.reduction is not None
     texts = {"q": "configuration", "p": "momentum", "work": "work done on the body", "t": "time of each member"}
-    text = "time" if job.t0 is None or job.shares_time else "time since the start"
+    text = "time since the start" if job.own_times else "time"
     if job.step.own_time:
         text = "fictitious time since the start"
     columns = {"time": axes.column(times, units=options.time_unit, long_name=text)}
-    for name, leaf in leaves_by_name(job.states if job.shares_time else job.initial).items():
+    for name, leaf in leaves_by_name(job.initial if job.own_times else job.states).items():
         along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
         columns[store_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
     text = "first step that did not converge; -1: none; -2: not known before the end"

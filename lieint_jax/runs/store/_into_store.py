@@ -25,7 +25,7 @@ from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split
 from lieint_jax.runs.store._storage import Storage
 from lieint_jax.runs.store._store_options import StoreOptions, check_json, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.runs.store._writer import Origin, Writer, join, skeleton
+from lieint_jax.runs.store._writer import Writer, join, skeleton
 
 
 def run_into_store(
@@ -79,8 +79,10 @@ def run_into_store(
         together(lambda: stack.enter_context(root.storage.lock(root.folder(k), leader)))
         if in_parts:
             join(root, first_files())
-        origin = Origin(_identity.digest_of_states(job.initial), _identity.machine_of(described), same_bits)
-        writer = together(lambda: stack.enter_context(contextlib.closing(Writer(root, k, origin, leader))))
+        initial, machine = _identity.digest_of_states(job.initial), _identity.machine_of(described)
+        writer = together(
+            lambda: stack.enter_context(contextlib.closing(Writer(root, k, leader, initial, machine, same_bits)))
+        )
         layout = _layout.layout_of(mesh, job.members, root.split.chunk)
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))

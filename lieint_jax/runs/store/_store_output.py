@@ -14,8 +14,8 @@ from lieint_jax.runs import _layout
 from lieint_jax.runs._job import Job, Series, local_rows
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Carry, Change
-from lieint_jax.runs.store._leaves import leaves_by_name, state_from_leaves, store_name
-from lieint_jax.runs.store._writer import Commit, Slab, Writer
+from lieint_jax.runs.store._leaves import Table, leaves_by_name, state_from_leaves, store_name
+from lieint_jax.runs.store._writer import Slab, Writer
 from lieint_jax.types import StepInfo
 
 Pending = Any  # saved rows, or the series of a reduction by name
@@ -79,16 +79,16 @@ class StoreOutput:
         self._entries, self._pending, self._since = first + self._pending_rows, [], 0.0
         row = first // self.buffer_rows if pending else None
         commits = 0 if last else number  # reset: it depends on interruptions
-        commit = Commit(row, {"commits": commits, "entries": self._entries, "steps": done, "complete": last})
-        self._publish = partial(self._publish_commit, carry, commit)
+        progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
+        self._publish = partial(self._publish_commit, carry, row, progress)
         writer.write(partial(self._slabs, carry, pending, first, last), self._publish if self._alone else None)
 
-    def _publish_commit(self, carry: Carry, commit: Commit) -> None:
+    def _publish_commit(self, carry: Carry, row: int | None, progress: Table) -> None:
         """Publish a commit that all processes have written."""
-        layout = self._layout
-        checksums = _layout.all_gather(layout.mesh, self._writer.checksums(commit)).max(axis=0)
-        arrays = {} if commit.progress["complete"] else _layout.gather(layout, _leaves_of_carry(carry))
-        self._writer.publish(commit, checksums, arrays)
+        layout, complete = self._layout, progress["complete"]
+        checksums = _layout.all_gather(layout.mesh, self._writer.checksums(row, complete)).max(axis=0)
+        arrays = {} if complete else _layout.gather(layout, _leaves_of_carry(carry))
+        self._writer.publish(row, progress, checksums, arrays)
 
     def _settle(self, wait: bool) -> None:
         """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
@@ -131,7 +131,7 @@ class StoreOutput:
         if self._job.reduction is not None:
             names = self._job.change_names if self._job.per_member else ()
             kept |= {name: host[name] for name in (*leaves_by_name(self._job.states), *names)}
-            if self._has_own_times:
+            if self._job.own_times:
                 kept["t"] = self._own_times(slice(-1, None), members)[0]
         for name, x in kept.items():
             yield Slab(store_name(name), (members.start,), x)
@@ -148,14 +148,9 @@ class StoreOutput:
                 rows = [piece[:, own] for piece in pieces]
                 joined = np.concatenate(rows) if len(rows) > 1 else rows[0]
                 yield Slab(store_name(name), (entries.start, slab.start), joined)
-        if self._has_own_times:
+        if self._job.own_times:
             for slab in slabs:
                 yield Slab("t", (entries.start, slab.start), self._own_times(entries, slab))
-
-    @property
-    def _has_own_times(self) -> bool:
-        """True if the store has an array "t", since members start at different times."""
-        return self._job.t0 is not None and not self._job.shares_time
 
     def _own_times(self, entries: slice, members: range) -> np.ndarray:
         """The values of the array "t" for these members."""
