@@ -11,8 +11,7 @@ import numpy as np
 from lieint_jax.runs._job import chunk_members, power_of_two, rows_of_call
 from lieint_jax.runs._made_states import MakeStates, made_states
 from lieint_jax.runs._part_of_task import checked_part
-from lieint_jax.runs.store._storage import Url, address
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions, Url, address
 from lieint_jax.runs.store._store_output import SLAB
 from lieint_jax.types import State
 

@@ -28,8 +28,7 @@ from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._into_store import run_into_store
 from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.runs.store._reading import read_written
-from lieint_jax.runs.store._storage import Url, address
-from lieint_jax.runs.store._store_options import StoreOptions, checked_path
+from lieint_jax.runs.store._storage import StoreOptions, Url, address, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.types import State, Step
 

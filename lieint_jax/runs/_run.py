@@ -25,7 +25,7 @@ from lieint_jax.runs._loop import energy
 from lieint_jax.runs._make_job import checked_job, is_batch
 from lieint_jax.runs._results import Results, compute, write
 from lieint_jax.runs.store._leaves import Saves
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions
 from lieint_jax.types import (
     State,
     Step,

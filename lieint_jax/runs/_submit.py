@@ -22,8 +22,7 @@ from lieint_jax.runs._make_run import run
 from lieint_jax.runs._results import untransformed
 from lieint_jax.runs._run import Run, stored_run
 from lieint_jax.runs.store._reading import read_run
-from lieint_jax.runs.store._storage import address
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions, address
 from lieint_jax.types import State, Step
 
 _PAUSE = 0.05  # seconds between two looks at the tasks

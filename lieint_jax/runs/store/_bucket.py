@@ -111,12 +111,12 @@ class Bucket(Storage):
         import obstore
         from obstore import exceptions
 
-        store = self._store  # a ValueError of its own if there is none
+        _ = self._store  # a ValueError of its own if there is none
         final = (exceptions.AlreadyExistsError, exceptions.PreconditionError)
         refused = (exceptions.PermissionDeniedError, exceptions.UnauthenticatedError)
         wrong = (exceptions.NotSupportedError, exceptions.InvalidPathError, exceptions.UnknownConfigurationKeyError)
         start, delay = time.monotonic(), _FIRST_DELAY
-        while store is not None:
+        while True:
             try:
                 result = request(obstore)
             except FileNotFoundError:
@@ -134,7 +134,6 @@ class Bucket(Storage):
                 continue
             self._reached = True
             return result
-        raise AssertionError
 
 
 @cache

@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Numbers
 from lieint_jax.runs.store._leaves import Table, leaves_by_name, store_name
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions
 from lieint_jax.runs.store._writer import Column
 from lieint_jax.types import labeled
 
@@ -70,15 +70,11 @@ def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, Column]
     columns["first_failure"] = axes.column(members, np.int64, long_name=text, units="1")._replace(missing=-2)
     if job.per_member:
         columns |= {name: axes.column(members, long_name=_MEMBER_TEXTS[name]) for name in job.change_names}
-    return columns | (series_columns(job, axes, times) if series else _report_columns(axes))
-
-
-def _report_columns(axes: Axes) -> dict[str, Column]:
-    both = {**axes.times, **axes.members}
-    return {
-        "residual": axes.column(both, long_name=_RESIDUAL, units="1"),
-        "converged": axes.column(both, bool, long_name="whether all steps since the entry before did"),
-    }
+    if series:
+        return columns | series_columns(job, axes, times)
+    text, both = "whether all steps since the entry before did", {**times, **members}
+    columns["residual"] = axes.column(both, long_name=_RESIDUAL, units="1")
+    return columns | {"converged": axes.column(both, bool, long_name=text)}
 
 
 def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, Column]:

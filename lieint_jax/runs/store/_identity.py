@@ -179,14 +179,9 @@ def _python(*values: object) -> dict[str, str]:
 
 
 def digest_of_states(states: State) -> str:
-    """The digest of the arrays of states."""
-    return _digest_of_arrays(*_with_names(states))
-
-
-def _with_names(states: State) -> list[ArrayLike | bytes]:
-    """The arrays of states: q and p first, then each optional array after its name."""
+    """The digest of the arrays of states: q and p first, then each optional array after its name."""
     q, p, *rest = leaves_by_name(states).items()
-    return [q[1], p[1], *(part for name, x in rest for part in (name.encode(), x))]
+    return _digest_of_arrays(q[1], p[1], *(part for name, x in rest for part in (name.encode(), x)))
 
 
 def _digest_of_arrays(*leaves: ArrayLike | bytes) -> str:

@@ -22,8 +22,7 @@ from lieint_jax.runs.store._leaves import Saves, Table
 from lieint_jax.runs.store._open_store import check_store, described_root
 from lieint_jax.runs.store._reading import read_part
 from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split
-from lieint_jax.runs.store._storage import Storage
-from lieint_jax.runs.store._store_options import StoreOptions, check_json, checked_path
+from lieint_jax.runs.store._storage import Storage, StoreOptions, check_json, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.runs.store._writer import Writer, join, skeleton
 

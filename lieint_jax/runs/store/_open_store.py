@@ -56,7 +56,7 @@ def check_store(path: Address) -> Root | Table:
         elif not root.in_parts:
             lost = list(root.damage())
         elif lost := list(root.damage_of_root()):
-            if not root.has_results():  # a bucket gets the root first, and results after all other files
+            if not root.storage.sizes("parts"):  # a bucket gets the root first, and results after all other files
                 raise UnreadableError(
                     f"{path} has no results yet, and not all of its files: it is being created. Open it again when it "
                     "has; if its run was stopped, start that again"

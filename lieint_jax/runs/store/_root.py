@@ -196,10 +196,6 @@ class Root:
             self.storage.put(ROOT, encode_root(self._root, self.metas))
             self.attributes = self._root["attributes"]
 
-    def has_results(self) -> bool:
-        """Whether any part has published its state."""
-        return bool(self.storage.sizes("parts"))
-
     def files(self, k: int, row: int | None = None) -> list[str]:
         """The files of part k: those of a row of chunks along time, or those that are written at the end."""
         only = {"member": self.split.chunks(k), "part": range(k, k + 1)}

@@ -62,9 +62,9 @@ def decode_state(data: bytes, place: Table) -> PartState:
     if end < 0:
         raise UnusablePartError("its state has too long a header")
     header, arrays, begin = json.loads(data[:end]), {}, end + 1
-    for key, name in (("run", "run"), ("part", "part")):
+    for key in ("run", "part"):
         if header[key] != place[key]:
-            raise UnusablePartError(f"its state is that of another {name}: the files were copied from elsewhere")
+            raise UnusablePartError(f"its state is that of another {key}: the files were copied from elsewhere")
     for name, (kind, shape) in header["arrays"].items():
         dtype = np.dtype(kind)
         size = math.prod(shape) * dtype.itemsize
