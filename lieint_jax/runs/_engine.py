@@ -90,7 +90,9 @@ class Engine:
         blocks = [slice(0, 1), slice(1, 2)] if self.job.members == 1 else [slice(None)]  # one member has its own code
         parts = [self._members(arguments, block) for block in blocks]
         with computed_by(self.name, self._threads):
-            code = native.machine_code(self._intervals.loop(*parts[0]))
+            [loop] = native.loops_of(self._intervals.of_all.trace(*parts[0]).jaxpr)
+            assert loop is not None
+            code = native.machine_code(loop)
         if isinstance(code, str):
             return code, 0
         return self._difference(arguments, parts) if self.name == "native" else "", code.shared
@@ -120,11 +122,10 @@ class Engine:
             return carry, given, jax.tree.map(lambda x: x[0], spans)
 
         try:
-            with unsupported_if_it_fails():
-                with computed_by(self.name, self._threads):
-                    ours = [self._intervals.of_all(*part) for part in parts]
-                    by_xla = self._intervals.by_xla(*of_member(0))
-                theirs = [by_xla(*of_member(m)) for m in range(sum(len(carry.failed) for carry, _ in ours))]
+            with unsupported_if_it_fails(), computed_by(self.name, self._threads):
+                ours = [self._intervals.of_all(*part) for part in parts]
+                members = range(sum(len(carry.failed) for carry, _ in ours))
+                theirs = self._intervals.by_xla(map(of_member, members))
         except UnsupportedError as reason:
             return str(reason)
         ours = [(carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)) for carry, saved in ours]

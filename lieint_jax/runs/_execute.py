@@ -18,7 +18,7 @@ import numpy as np
 from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock, more_times
 from lieint_jax.runs._engine import Engine
-from lieint_jax.runs._job import MAX_NAMED, Job, first_rows, gather_rows, list_members, reduce_rows
+from lieint_jax.runs._job import MAX_NAMED, first_rows, gather_rows, list_members, reduce_rows
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import Carry, Given, energy
 from lieint_jax.runs._memory_output import MemoryOutput
@@ -44,7 +44,9 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
     most = max(1, 100_000 // layout.members)  # steps in a call
     with _interrupts(output.defers_interrupts) as requested, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
-            ends, saves = _next_call(job, done, saved, min(most, engine.most_steps), output.free_rows)
+            limit, ahead = done + min(most, engine.most_steps), job.nodes[saved + 1 : saved + 1 + output.free_rows]
+            saves = int(np.searchsorted(ahead, limit, side="right"))
+            ends = ahead[:saves] if saves else np.array([limit])
             clock, steps = time.perf_counter(), int(ends[-1]) - done
             carry, rows = engine.run_intervals(given, carry, done, saved, ends, output.buffer_rows)
             done, saved = done + steps, saved + saves
@@ -67,13 +69,6 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
         result = output.result(carry)
     warn_of_failures(_layout.gather(layout, carry.failed), job.first_member, job.step.system)
     return result
-
-
-def _next_call(job: Job, done: int, saved: int, most: int, free_rows: int) -> tuple[np.ndarray, int]:
-    """The nodes at the ends of the next call's intervals, `most` steps or fewer, and how many of them are saved."""
-    ahead = job.nodes[saved + 1 : saved + 1 + free_rows]
-    saves = int(np.searchsorted(ahead, done + most, side="right"))
-    return (ahead[:saves], saves) if saves else (np.array([done + most]), 0)
 
 
 def _check_start(engine: Engine, layout: Layout, given: Given, start: Carry, rows: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from platform import machine
 from typing import Any, NamedTuple
@@ -252,21 +252,11 @@ class Intervals:
         reached = None if self._condition is None else self._condition(given.step, state)
         return change.include(value, reached, given.clock.time(n) if state.t is None else state.t)
 
-    def loop(self, *arguments: Tree) -> native.Loop:
-        """Its loop, for arguments of these shapes."""
-        [loop] = native.loops_of(self.of_all.trace(*arguments).jaxpr)
-        assert loop is not None
-        return loop
-
-    def by_xla(self, carry: Carry, given: Given, span: Span) -> Callable[..., tuple[Carry, Tree]]:
-        """The function of one member, (carry, given, span) ↦ (carry, saved), by XLA for arguments of these shapes."""
-        number = np.zeros((), step_dtype())
-        traced = self._of_member.trace(number, carry, span, given)
+    def by_xla(self, members: Iterable[tuple[Carry, Given, Span]]) -> list[tuple[Carry, Tree]]:
+        """(carry, saved) after one interval of each of these members, by one program of XLA."""
+        arguments = [(np.zeros((), step_dtype()), carry, span, given) for carry, given, span in members]
+        traced = self._of_member.trace(*arguments[0])
         structure = jax.tree.structure(traced.out_info)
         with native.engine("xla"):
-            compiled = compiled_for(jaxpr_as_fun(traced.jaxpr), *jax.tree.leaves((number, carry, span, given)))
-
-        def call(carry: Carry, given: Given, span: Span) -> tuple[Carry, Tree]:
-            return jax.tree.unflatten(structure, compiled(*jax.tree.leaves((number, carry, span, given))))
-
-        return call
+            compiled = compiled_for(jaxpr_as_fun(traced.jaxpr), *jax.tree.leaves(arguments[0]))
+        return [jax.tree.unflatten(structure, compiled(*jax.tree.leaves(x))) for x in arguments]
