@@ -319,8 +319,8 @@ def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, Sta
     """Raise ValueError unless the reduced quantity is a real scalar function of a step and a state."""
     value: Any = _value("reduce", reduction, arguments)
     array = isinstance(value, Array | np.ndarray | np.generic)
-    is_real = isinstance(value, float) or (array and jnp.issubdtype(jnp.result_type(value), jnp.floating))
-    if np.shape(value) != () or not is_real:
+    is_real = array and value.shape == () and jnp.issubdtype(value.dtype, jnp.floating)
+    if not (is_real or isinstance(value, float)):
         shown = f"{value.dtype} of shape {value.shape}" if array else repr(value)
         raise ValueError(
             f"reduce must return a real floating-point scalar, got {shown}; return one component of a vector or "

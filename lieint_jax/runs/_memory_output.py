@@ -31,8 +31,7 @@ class MemoryOutput:
     def __init__(self, job: Job, layout: Layout, earlier: Saves | None = None) -> None:
         self._job, self._layout, self._entries, self._earlier = job, layout, 0, earlier
         self.buffer_rows = self.free_rows = job.buffer_rows(job.members)
-        self._series: list[Series] = []
-        self._out: Tree | None = None
+        self._out: Any = None  # rows of all entries, or series
 
     def restore(self) -> tuple[Carry, int, int] | None:
         """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
@@ -48,20 +47,14 @@ class MemoryOutput:
             carry = carry._replace(
                 info=StepInfo(np.full(carry.failed.shape, found.residual[-1]), carry.failed < 0)  # pyright: ignore
             )
-        if isinstance(rows, dict):
-            self._series.append(rows)
-        else:
-            self._put(rows)
+        self._put(rows)
         return _layout.placed(self._layout, carry), done, saved
 
     def append(self, saved: Tree | Series, number: int) -> None:
         """Receive `number` saved rows, or those of the series of a reduction; that of the start first."""
-        if isinstance(saved, dict):
-            self._series.append(saved)
-        else:
-            self._put(gather_rows(self._layout, saved, number))
+        self._put(saved if isinstance(saved, dict) else gather_rows(self._layout, saved, number))
 
-    def _put(self, rows: Tree) -> None:
+    def _put(self, rows: Tree | Series) -> None:
         """Copy rows to the arrays of all entries, which the first of them make."""
         if self._out is None:
             entries = self._job.num_saves + 1
@@ -85,17 +78,13 @@ class MemoryOutput:
     def result(self, carry: Carry) -> Saves:
         """The saves, after the last step."""
         state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
-        if self._job.reduction is None and self._out is not None:
+        job, times = self._job, self._job.times
+        if job.reduction is None:
             info, states = self._out
-            times: Any = self._job.times
-            return Saves(Trajectory(times, self._job.with_times(states), info), failed)
-        series = {
-            name: np.concatenate([part[name] for part in self._series]) for name in self._series[0] if name != "sums"
-        }
-        state = self._job.with_last_time(state)
-        if self._job.per_member:
-            change: Any = _layout.gather(self._layout, carry.change)
-            values, number = change._asdict() | series, self._job.num_steps + 1
-            found = MemberSummary(self._job.times, **values, number=number, state=state, failed=failed)
-            return Saves(found, failed)
-        return Saves(Summary(self._job.times, **series, state=state, failed=failed), failed)
+            return Saves(Trajectory(times, job.with_times(states), info), failed)  # pyright: ignore
+        series = {name: x for name, x in self._out.items() if name != "sums"}
+        ends = {"state": job.with_last_time(state), "failed": failed}
+        if not job.per_member:
+            return Saves(Summary(times, **series, **ends), failed)
+        change: Any = _layout.gather(self._layout, carry.change)
+        return Saves(MemberSummary(times, **change._asdict() | series | ends, number=job.num_steps + 1), failed)
