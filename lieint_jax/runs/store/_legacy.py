@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.runs.store._chunks import chunk_files, damage_of_chunks, damage_of_constants, digest, is_along_time
+from lieint_jax.runs.store._files import open_zarr
 from lieint_jax.runs.store._leaves import Saves, Table, states_in
 from lieint_jax.runs.store._storage import Storage
 from lieint_jax.types import StepInfo, Trajectory
@@ -59,6 +60,6 @@ def _recorded_checksums(storage: Storage, attributes: Table) -> np.ndarray | Non
     import zarr
 
     rows = math.ceil(attributes["progress"]["entries"] / attributes["time_chunk"])
-    array: Any = zarr.open_array(storage.arrays(), path="checksums", mode="r")
+    array: Any = zarr.open_array(open_zarr(storage), path="checksums", mode="r")
     recorded = np.asarray(array[:rows], "<u4")
     return recorded if digest(recorded.tobytes()) == attributes["digests"]["rows"] else None

@@ -9,6 +9,7 @@ import numpy as np
 
 from lieint_jax.runs._dyadic_sum import blocks, total
 from lieint_jax.runs.store._chunks import dims_of, first_of, is_along_time
+from lieint_jax.runs.store._files import open_zarr
 from lieint_jax.runs.store._leaves import Saves, states_in
 from lieint_jax.runs.store._root import PartStatus, Root
 from lieint_jax.runs.store._untrusted import UnreadableError
@@ -138,7 +139,7 @@ def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Saves:
     attributes = root.attributes | {"progress": progress, "machines": machines}
     if root.in_parts:
         attributes["missing"] = [line for line in (status.sentence(root.entries) for status in statuses) if line]
-    group: Any = zarr.open_group(root.storage.arrays(), mode="r", use_consolidated=root.in_parts)
+    group: Any = zarr.open_group(open_zarr(root.storage), mode="r", use_consolidated=root.in_parts)
     if attributes["reduce"] is not None:
         if attributes.get("missing"):
             raise UnreadableError(

@@ -17,7 +17,7 @@ from lieint_jax.runs.store import _legacy, _published
 from lieint_jax.runs.store._chunks import first_of
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._disk import Disk
-from lieint_jax.runs.store._files import open_storage
+from lieint_jax.runs.store._files import open_storage, open_zarr
 from lieint_jax.runs.store._leaves import Saves, Table, states_in
 from lieint_jax.runs.store._open_archive import open_archive, read_trajectory
 from lieint_jax.runs.store._open_store import check_store
@@ -189,7 +189,7 @@ def _constants(path: Address, names: Iterable[str]) -> dict[str, np.ndarray]:
     """The arrays of these names, which the run does not change."""
     import zarr
 
-    store = open_storage(path).arrays()
+    store = open_zarr(open_storage(path))
     return {name: np.asarray(zarr.open_array(store, path=name, mode="r")[...]) for name in names}
 
 

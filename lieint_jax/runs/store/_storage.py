@@ -146,8 +146,8 @@ class Storage(abc.ABC):
         """
 
     @abc.abstractmethod
-    def arrays(self) -> Any:
-        """Zarr's store of these files, for reading."""
+    def zarr_store(self) -> Any:
+        """Zarr's own store of these files, for reading."""
 
     def has_store(self) -> bool:
         """True if there is a store, or on a disk anything else of its name."""

@@ -20,7 +20,7 @@ from lieint_jax.runs.store._chunks import (
     raise_if_damaged,
     tail,
 )
-from lieint_jax.runs.store._files import writable_arrays
+from lieint_jax.runs.store._files import open_zarr
 from lieint_jax.runs.store._leaves import Table
 from lieint_jax.runs.store._root import CARRY, ENDS, ROOT, ROWS, START, Root, encode_root
 from lieint_jax.runs.store._state_file import PartState, UnusablePartError
@@ -158,7 +158,7 @@ class Writer:
         self.path = root.storage.address
         self._root, self._k, self._leader = root, k, leader
         self._members = root.split.part(k)
-        self._store = writable_arrays(root.storage)
+        self._store = open_zarr(root.storage, writable=True)
         self._arrays: dict[str, Any] = {}
         self._pool = ThreadPoolExecutor(REQUESTS) if root.storage.is_remote else None
         self._background = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
