@@ -17,12 +17,11 @@ from jax.sharding import Mesh
 from lieint_jax import _checks
 from lieint_jax.runs import _layout, processes
 from lieint_jax.runs._engine import engine_of
-from lieint_jax.runs._execute import execute
+from lieint_jax.runs._execute import MemoryOutput, execute
 from lieint_jax.runs._job import Job, rows_and_carry
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._made_states import MakeStates, made_states
 from lieint_jax.runs._make_job import make_jobs
-from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._part_of_task import checked_part, part_of_task
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._into_store import run_into_store

@@ -22,8 +22,17 @@ from lieint_jax.runs.store._chunks import (
 )
 from lieint_jax.runs.store._files import open_zarr
 from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._root import CARRY, ENDS, ROOT, ROWS, START, Root, encode_root
-from lieint_jax.runs.store._state_file import PartState, UnusablePartError
+from lieint_jax.runs.store._root import (
+    CARRY,
+    ENDS,
+    ROOT,
+    ROWS,
+    START,
+    PartState,
+    Root,
+    UnusablePartError,
+    encode_root,
+)
 
 _LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations
 
