@@ -110,9 +110,12 @@ class Engine:
 
     def _members(self, arguments: tuple[Tree, ...], which: int | slice) -> tuple[Tree, ...]:
         """The arguments for some of these members."""
-        carry, given, *others = arguments
-        carry, given = (_part(axes, x, which) for axes, x in zip(self._axes, (carry, given), strict=True))
-        return carry, given, *others
+
+        def part(axis: int | None, tree: Tree) -> Tree:
+            return tree if axis is None else jax.tree.map(lambda x: _layout.on_host(x)[which], tree)
+
+        chosen = jax.tree.map(part, self._axes, arguments[:2], is_leaf=lambda x: x is None)
+        return *chosen, *arguments[2:]
 
     def _difference(self, arguments: tuple[Tree, ...], parts: Sequence[tuple[Tree, ...]]) -> str:
         """In what a first step of a few members differs from XLA's; or ""."""
@@ -173,16 +176,6 @@ class Engine:
         spans = jax.tree.map(lambda x: np.resize(x, rows), Span(first, ends.astype(dtype), rests, begins))
         with computed_by(self.name, self._threads):
             return jax.block_until_ready(self._intervals.of_all(carry, given, spans, np.int32(count)))
-
-
-def _part(axes: Axes, tree: Tree, which: int | slice) -> Tree:
-    """The part of one member, or of some; `axes` as in `jax.vmap`."""
-    return jax.tree.map(
-        lambda axis, part: part if axis is None else jax.tree.map(lambda x: _layout.on_host(x)[which], part),
-        axes,
-        tree,
-        is_leaf=lambda x: x is None,
-    )
 
 
 def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:

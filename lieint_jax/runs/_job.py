@@ -292,16 +292,6 @@ def chunk_members(members: int, count: int, row: int, entries: int, remote: bool
     return max(CHUNK_MEMBERS, members // (count * _CHUNKS_OF_BUFFER), _OBJECT_BYTES // (row * entries))
 
 
-def local_rows(saved: Tree, number: int) -> Tree:
-    """The first `number` saved rows on the host; a part of a longer buffer is copied, so that it can be freed."""
-
-    def first_rows(x: Numbers) -> np.ndarray:
-        x = np.asarray(x)
-        return x if len(x) == number else x[:number].copy()
-
-    return jax.tree.map(first_rows, saved)
-
-
 def gather_rows(layout: Layout, saved: Tree, number: int) -> Tree:
     """The first `number` saved rows of all members, on every process."""
     return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)

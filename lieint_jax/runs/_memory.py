@@ -60,8 +60,7 @@ def peak_memory(
     members = given if made is None else made.members
     own = -(-members // count)
     row = max(state + 9, 24)
-    place: Any = store.path if isinstance(store, StoreOptions) else store
-    remote = place is not None and isinstance(address(place), Url)
+    remote = store is not None and isinstance(address(StoreOptions.of(store).path), Url)
     across = chunk_members(members, count, row, entries, remote) if store is not None else members
     rows = power_of_two(rows_of_call(min(across, own), own, row, save_every, entries, remote))
     kept = entries * (members if part is None else own) * row if store is None and not reduce else 0

@@ -104,7 +104,7 @@ def compute(
     k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
     threads = threads or (None if mesh is None else len(mesh.local_devices))
     mesh = _layout.checked_mesh(mesh)
-    options = store if isinstance(store, StoreOptions) or store is None else StoreOptions(store)
+    options = None if store is None else StoreOptions.of(store)
     in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
     if (in_parts or remote) and _layout.count_processes(mesh) > 1:
         raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
@@ -142,7 +142,7 @@ def compute(
 
 def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions) -> Saves:
     """The run of these saves, which an engine of this name computed, written into a new store: all of it or nothing."""
-    options = store if isinstance(store, StoreOptions) else StoreOptions(store)
+    options = StoreOptions.of(store)
     path = checked_path(options.path)
     if isinstance(path, Url):
         raise ValueError(f"a run is saved to a folder NAME.zarr; li.run(…, store={str(path)!r}) writes to a bucket")

@@ -319,8 +319,7 @@ class Run(Generic[Saved, Reduced]):
         start, saves = self._start_and_saves()
         with _checks.on_host():
             job = checked_job(self.step, start, **self._options, store=path)
-        place = path.path if isinstance(path, StoreOptions) else path
-        return stored_run(str(place), write(job, self.engine, saves, path), self.step)
+        return stored_run(str(StoreOptions.of(path).path), write(job, self.engine, saves, path), self.step)
 
     def _start_and_saves(self) -> tuple[State, Saves]:
         """The initial states and the saves of a complete run, with a member axis."""

@@ -73,6 +73,11 @@ class StoreOptions(NamedTuple):
     attributes: Mapping[str, Any] = {}
     time_unit: str = "1"
 
+    @classmethod
+    def of(cls, store: str | Path | StoreOptions) -> StoreOptions:
+        """Options as given, or those of a path."""
+        return store if isinstance(store, StoreOptions) else cls(store)
+
 
 def checked_path(place: str | Path) -> Any:
     """The path or URL of a store, checked as far as is possible before it exists."""

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from lieint_jax.runs import _layout
-from lieint_jax.runs._job import Job, Series, local_rows
+from lieint_jax.runs._job import Job, Series
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Carry, Change
 from lieint_jax.runs.store._leaves import Table, leaves_by_name, state_from_leaves, store_name
@@ -60,8 +60,13 @@ class StoreOutput:
         return _layout.placed(self._layout, carry, first=part.start), done["steps"], done["entries"] - 1
 
     def append(self, saved: Tree | Series, number: int) -> None:
-        """See `MemoryOutput`."""
-        self._pending.append((saved if isinstance(saved, dict) else local_rows(saved, number), number))
+        """See `MemoryOutput`. A part of a longer buffer is copied, so that this can be freed."""
+
+        def on_host(x: Numbers) -> np.ndarray:
+            x = np.asarray(x)
+            return x if len(x) == number else x[:number].copy()
+
+        self._pending.append((jax.tree.map(on_host, saved), number))
 
     def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
