@@ -301,7 +301,7 @@ def first_rows(job: Job, carry: Carry) -> Tree | Series:
     """The entry of the start: a row (1, members) of the report and the states, or that of the series of a reduction."""
     if job.reduction is None:
         return jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state))
-    found = dict.fromkeys(job.series_names, np.zeros(1, job.dtype)) | {"unconverged": np.zeros(1, np.int64)}
+    found: Series = dict.fromkeys(job.series_names, np.zeros(1, job.dtype)) | {"unconverged": np.zeros(1, np.int64)}
     if job.part is not None and not job.per_member:
         found["sums"] = np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)
     return found
