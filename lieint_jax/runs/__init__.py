@@ -14,7 +14,6 @@ from lieint_jax.runs._clock import (
     clock_of,
     halved_steps,
     intervals,
-    outputs,
     refuse_far_times,
     refuse_times,
     saves,
@@ -22,7 +21,6 @@ from lieint_jax.runs._clock import (
     uniform_clock,
 )
 from lieint_jax.runs._driver import (
-    Body,
     Reached,
     at_start,
     counted,
@@ -51,7 +49,6 @@ from lieint_jax.runs._submit import Executor, submit
 __all__ = [
     "MOST_TO_OUTPUTS",
     "Adjoint",
-    "Body",
     "Clock",
     "Event",
     "Executor",
@@ -81,7 +78,6 @@ __all__ = [
     "join_start",
     "of_any_length",
     "open_run",
-    "outputs",
     "over_members",
     "part_of_task",
     "part_of_text",

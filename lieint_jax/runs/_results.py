@@ -114,9 +114,6 @@ def compute(
         whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
     engine = engine_of(job, mesh, threads or _layout.count_cores())
 
-    def integrate(layout: Layout, output: MemoryOutput | StoreOutput) -> object:
-        return execute(engine, layout, output, progress)
-
     with processes.name_lost(mesh):
         if options is None:
             if _layout.count_processes(mesh) > 1:
@@ -129,7 +126,7 @@ def compute(
             job,
             engine.name,
             options,
-            integrate,
+            lambda layout, output: execute(engine, layout, output, progress),
             whole=whole,
             mesh=mesh,
             part=(k, count) if in_parts else (0, 1),

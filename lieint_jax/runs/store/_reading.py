@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.runs._job import MemberSummary, Summary
+from lieint_jax.runs._job import SERIES, MemberSummary, Summary
 from lieint_jax.runs._loop import Change
 from lieint_jax.runs.store import _legacy, _published
 from lieint_jax.runs.store._chunks import first_of
@@ -209,7 +209,7 @@ def _as_stored(loaded: Saves) -> Saves:
         return Saves(
             MemberSummary(found["time"], **values, number=number, state=state, failed=failed), failed, attributes
         )
-    series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
+    series = {name: found[name] for name in SERIES}
     return Saves(Summary(found["time"], **series, state=state, failed=failed), failed, attributes)
 
 
