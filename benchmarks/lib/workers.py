@@ -20,11 +20,11 @@ import numpy as np
 import lieint_jax as li
 from lieint_jax.ensemble import archives
 from lieint_jax.runs import _job, _make_job
-from lieint_jax.runs.store import _identity, _into_store, _store_options
+from lieint_jax.runs.store import StoreOptions, _identity, _into_store
 from lieint_jax.runs.store._bucket import Bucket
 from lieint_jax.runs.store._root import ROOT, Root, read_root
 from lieint_jax.runs.store._storage import Url, address
-from lieint_jax.runs.store._writer import Commit, Slab, Writer, join
+from lieint_jax.runs.store._writer import Slab, Writer, join
 
 MEMBERS = 2  # of a simulated worker; its requests are timed as if they had the bytes of all members
 
@@ -170,7 +170,7 @@ class Simulation:
         step, states = li.schemes.so3_midpoint(body), li.State(jnp.array(q), jnp.array(p))
         steps = model.entries - 1
         self.job = _make_job.checked_job(step, states, 0.05, steps, 1, None, None, "x.zarr", None, None)
-        options = _store_options.StoreOptions(f"memory://simulation/{name}.zarr")
+        options = StoreOptions(f"memory://simulation/{name}.zarr")
         self.url = address(str(options.path))
         described = _identity.description(self.job, "native")
         split = _make_job.split_into_parts(self.job, model.workers, False)
@@ -275,9 +275,9 @@ class _Life:
             last = first + number == model.entries
             progress = {"commits": 0 if last else first // model.rows + 1, "entries": first + number}
             progress |= {"steps": first + number - 1, "complete": last}
-            commit = Commit(first // model.rows, progress)
+            row = first // model.rows
             writer._put_all(self._slabs(root, first, number, last))
-            writer.publish(commit, writer.checksums(commit), {} if last else self._carry(root, first))
+            writer.publish(row, progress, writer.checksums(row, last), {} if last else self._carry(root, first))
             written = storage.end
             self.commits.append(written)
             first += number

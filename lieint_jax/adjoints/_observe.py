@@ -14,11 +14,11 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
+from lieint_jax.adjoints._reversible import Derivative, checked
 from lieint_jax.adjoints._undo import undoable
-from lieint_jax.runs import MOST_TO_OUTPUTS, refuse_far_times, refuse_times, splits, uniform_clock
-from lieint_jax.types import State, Step, StepInfo
+from lieint_jax.runs import MOST_TO_OUTPUTS, Reached, refuse_far_times, refuse_times, splits, uniform_clock
+from lieint_jax.types import State, Step
 
 
 def observe(
@@ -29,7 +29,7 @@ def observe(
     *,
     derivative: Derivative = "reversible",
     tolerance: float | None = None,
-) -> tuple[State, StepInfo]:
+) -> Reached:
     """The states of `integrate(…, save_at=times)` at any observation times, with the derivatives of `reversible`.
 
     The steps of size dt form one trajectory. Each observation adds one shorter step from the last state before it, from
@@ -110,9 +110,7 @@ def _(primals: tuple[Array, Array, Array], tangents: tuple[Array, Array, Any]) -
 
 
 @compiled
-def _states_at(
-    step: Step, later: tuple[State, StepInfo], back: Array, rest: Array, reached: Array
-) -> tuple[State, StepInfo]:
+def _states_at(step: Step, later: Reached, back: Array, rest: Array, reached: Array) -> Reached:
     """The states one step of `rest` after those of `later`, in the order `back`, by the unprepared step."""
     found, info = jax.tree.map(lambda leaf: leaf[back], later)
     seen, last = jax.vmap(step)(found, rest)

@@ -1,17 +1,109 @@
-"""Trajectories with a derivative in reverse mode, and the error of undoing their steps."""
+"""Derivatives of whole runs in reverse mode as options of `integrate`, and `reversible`, which is shorter."""
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Literal, get_args
+
+import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled
-from lieint_jax.adjoints._arguments import Derivative, check_derivative, checked
-from lieint_jax.adjoints._options import RecursiveCheckpointAdjoint, ReversibleAdjoint
+from lieint_jax.adjoints._checkpoint import checkpointed
+from lieint_jax.adjoints._undo import undoable
 from lieint_jax.diagnostics.tangent import distance
-from lieint_jax.runs import integrate, intervals, steps
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.runs import Adjoint, Clock, GridClock, Reached, integrate, intervals, steps
+from lieint_jax.types import State, Step, Trajectory, checked_step, promoted, start_time
+
+Derivative = Literal["reversible", "checkpoint"]
+
+
+def check_derivative(derivative: str) -> None:
+    """Raise ValueError for an unknown derivative."""
+    if derivative not in get_args(Derivative):
+        raise ValueError(f"derivative must be one of {', '.join(get_args(Derivative))}, got {derivative!r}")
+
+
+def check_symmetric(step: Step) -> None:
+    """Raise ValueError if steps cannot be undone."""
+    if not step.symmetric:
+        raise ValueError(
+            f'{step.name} is not symmetric, so its steps cannot be undone by −dt: give derivative="checkpoint" '
+            "(adjoint=li.adjoints.RecursiveCheckpointAdjoint() to li.integrate), or use a symmetric scheme"
+        )
+
+
+def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
+    """Check the arguments; return step, state and dt in their common dtype."""
+    check_derivative(derivative)
+    checked_step(step)
+    if derivative == "reversible":
+        check_symmetric(step)
+    step, state, dtype = promoted(step, state)
+    step.check(state, dt)
+    _checks.time_resolution(start_time(step, state), dt, 0)
+    return step, state, jnp.asarray(_checks.step_size(dt), dtype)
+
+
+@dataclasses.dataclass(frozen=True)
+class ReversibleAdjoint(Adjoint):
+    """Gradients of long runs that store the saved states only: `integrate(…, adjoint=ReversibleAdjoint())`.
+
+    The backward pass rebuilds states by steps of −dt from one saved state to the one before, so save_every should be
+    large. The derivative is that of the discrete flow, in 3.5 to 5 times the time of a run, for any number of
+    parameters. It requires a symmetric step and steps of one size.
+
+    Attributes:
+        tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which a warning
+            is issued; by default √eps. See `round_trip_error`.
+
+    Source: Zhuang et al. 2021, ICLR (for a leapfrog); for symmetric methods: this package.
+    """
+
+    tolerance: float | None = None
+
+    def check(self, step: Step, clock: Clock) -> None:
+        """Raise ValueError if the step is not symmetric, or if the steps have different sizes."""
+        check_symmetric(step)
+        if isinstance(clock, GridClock):
+            raise ValueError(
+                "ReversibleAdjoint is for steps of one size: give dt and num_steps in place of times, or "
+                "adjoint=li.adjoints.RecursiveCheckpointAdjoint()"
+            )
+
+    def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Reached:
+        """See `Adjoint`."""
+        assert not isinstance(clock, GridClock)
+        return undoable(step, state, clock.dt, np.full(num_saves, save_every, np.int32), self.tolerance)
+
+
+@dataclasses.dataclass(frozen=True)
+class RecursiveCheckpointAdjoint(Adjoint):
+    """What `integrate` does without an adjoint: the backward pass computes the steps between about 2√N states again.
+
+    Attributes:
+        levels: of no effect; until 0.5.
+
+    Source: blocks of equal length; Griewank & Walther 2000 (revolve) has more levels, for less memory.
+    """
+
+    levels: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.levels is not None:
+            _checks.count("levels", self.levels, 1)
+            warn_of_removal("RecursiveCheckpointAdjoint: levels, which has no effect now,")
+
+    def check(self, step: Step, clock: Clock) -> None:
+        """Every step has this derivative."""
+
+    def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Reached:
+        """See `Adjoint`."""
+        return checkpointed(step, state, clock, (save_every,) * num_saves)
 
 
 def reversible(

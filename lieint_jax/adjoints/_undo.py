@@ -27,14 +27,14 @@ from jax.typing import ArrayLike
 from lieint_jax import native
 from lieint_jax._xla import compiled, with_common_axes
 from lieint_jax.diagnostics.tangent import distance
-from lieint_jax.runs import Clock, Progress, counted, march, step_at_node, uniform_clock
+from lieint_jax.runs import Clock, Reached, at_start, counted, reported, uniform_clock
 from lieint_jax.schemes import Composition
-from lieint_jax.types import State, Step, StepInfo
+from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PyTree
 
 
 @partial(compiled, static_argnums=4)
-def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: float | None) -> tuple[State, StepInfo]:
+def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: float | None) -> Reached:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them.
 
     They are differentiated by undoing steps, also with respect to arrays that the step closes over.
@@ -67,25 +67,25 @@ class _Undoable(NamedTuple):
         tolerance: the distance of a rebuilt state from the saved one above which a warning is issued.
     """
 
-    step: Callable[..., tuple[State, StepInfo]]
-    stage: Callable[..., tuple[State, StepInfo]]
+    step: Callable[..., Reached]
+    stage: Callable[..., Reached]
     apart: Callable[..., Array]
     gammas: tuple[float, ...]
     tolerance: float
 
-    def states(self, arrays: PyTree, state: State, dt: Array, clock: Clock, counts: Array) -> tuple[State, StepInfo]:
+    def states(self, arrays: PyTree, state: State, dt: Array, clock: Clock, counts: Array) -> Reached:
         """See `undoable`."""
-        advance_once = partial(step_at_node, partial(self.step, arrays[0]), clock)
+        step_once = reported(partial(self.step, arrays[0]), clock)
 
-        def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
+        def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], Reached]:
             state, done = carry
-            end = march(advance_once, done, count, Progress.begin(state), repeat=counted)
-            return (end.state, done + count), (end.state, end.info)
+            reached = counted(step_once, done, count, at_start(state))
+            return (reached[0], done + count), reached
 
         counts = jnp.asarray(counts)
         return lax.scan(interval, (state, jnp.zeros((), counts.dtype)), counts)[1]
 
-    def forward(self, *given: PyTree) -> tuple[tuple[State, StepInfo], PyTree]:
+    def forward(self, *given: PyTree) -> tuple[Reached, PyTree]:
         """The states, and what `pull_back` needs."""
         later, info = self.states(*given)
         return (later, info), (*given, later)

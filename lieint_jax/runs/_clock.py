@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
@@ -185,6 +189,39 @@ def saves(num_steps: int, save_every: int) -> int:
         near = _checks.nearest_multiples(num_steps, save_every)
         raise ValueError(f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; use {near} steps")
     return num_steps // save_every
+
+
+class HalvedRuns:
+    """The runs of finite order that were traced in `halved_steps`.
+
+    Attributes:
+        orders: the orders of their steps.
+    """
+
+    def __init__(self) -> None:
+        self.orders: list[float] = []
+
+
+_context = jax.make_user_context(None)  # part of the key of every jit cache: jitted functions are traced again
+
+
+@contextlib.contextmanager
+def halved_steps() -> Iterator[HalvedRuns]:
+    """A context in which `integrate`, `observe`, `reversible` and `event` split every step into two."""
+    runs = HalvedRuns()
+    with _context(runs):
+        yield runs
+
+
+def splits(step: Step) -> int:
+    """Into how many steps a run splits each step: 2 in `halved_steps`, otherwise 1.
+
+    Exact steps are not split, nor are those with noise, which half the size would change.
+    """
+    if _context.value is None or math.isinf(step.order) or step.deterministic is not None:
+        return 1
+    _context.value.orders.append(float(step.order))
+    return 2
 
 
 def halved(clock: Clock) -> Clock:

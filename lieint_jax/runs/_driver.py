@@ -1,16 +1,15 @@
 """The loop over steps on which all runs are built: of one body or many, with output, events or derivatives.
 
-`saved_states` makes a trajectory, in machine code (`native.march`). `march` runs from node to node of a clock by
-`step_at_node`, in a loop of one of several kinds: `counted`, in machine code, may run a number of steps that is known
-only at run time, so that one program serves all lengths, but then it has no derivative in reverse mode; `scanned`, by
-XLA, is for runs that record into arrays. Ensembles define their own loop, of several steps per iteration.
+`saved_states` makes a trajectory, in machine code (`native.march`). `reported` goes from node to node of a clock, in a
+loop of one of two kinds: `counted`, in machine code, may run a number of steps that is known only at run time, so that
+one program serves all lengths, but then it has no derivative in reverse mode; `scanned`, by XLA, is for runs that
+record into arrays. Ensembles define their own loop, of several steps per iteration.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,30 +24,11 @@ from lieint_jax.types import State, Step, StepInfo
 Tree = Any  # a tree of arrays
 _Carry = TypeVar("_Carry")
 Body = Callable[[Array, _Carry], _Carry]  # (n, carry at node n) ↦ carry at node n + 1
-Repeat = Callable[[Body, Any, Any, Any], Any]  # (body, first node, number of steps, carry) ↦ carry
-
-
-class Progress(NamedTuple):
-    """The progress of a run.
-
-    Attributes:
-        state: the state at the last node.
-        info: the merged report of the steps up to it.
-        seen: what the run has recorded of these steps; None if nothing is recorded.
-    """
-
-    state: State
-    info: StepInfo
-    seen: Tree = None
-
-    @classmethod
-    def begin(cls, state: State, seen: Tree = None) -> Progress:
-        """A run before its first step."""
-        return cls(state, StepInfo.empty(state.p), seen)
+Reached = tuple[State, StepInfo]  # the state at a node, and the merged report of the steps that led there
 
 
 def step_at_node(
-    step: Callable[..., tuple[Any, ...]], clock: Clock | _Node, state: State, n: Array, *more: Array
+    step: Callable[..., tuple[Any, ...]], clock: Clock, state: State, n: Array, *more: Array
 ) -> tuple[Any, ...]:
     """The step from node n, where `state` is: the state at the next node, and the step's report.
 
@@ -81,86 +61,49 @@ def counted(body: Body, first: ArrayLike, count: ArrayLike, carry: _Carry) -> _C
     return native.march(step, carry, rows=1, every=count)[0]
 
 
-def march(
-    advance_once: Callable[[State, Array], tuple[State, StepInfo]],
-    first: ArrayLike,
-    count: ArrayLike,
-    start: Progress,
-    *,
-    observe: Callable[[Array, Progress, Progress, StepInfo], Tree] | None = None,
-    repeat: Repeat = counted,
-) -> Progress:
-    """The run after `count` further steps.
-
-    Args:
-        advance_once: (state at node n, n) ↦ state at node n + 1 and report, such as
-            `partial(step_at_node, step, clock)`.
-        first: the node where the run is.
-        count: the number of steps.
-        start: the run there.
-        observe: (n, the run before the step from node n, the run after it, the step's report) ↦ the new `seen`.
-        repeat: the kind of the loop.
-    """
-
-    def step_once(n: Array, before: Progress) -> Progress:
-        state, info = advance_once(before.state, n)
-        after = Progress(state, before.info.merge(info), before.seen)
-        return after if observe is None else after._replace(seen=observe(n, before, after, info))
-
-    return repeat(step_once, first, count, start)
+def at_start(state: State) -> Reached:
+    """A run before its first step."""
+    return state, StepInfo.empty(state.p)
 
 
-class _Node(NamedTuple):
-    """The clock of one step.
+def reported(step: Callable[..., tuple[Any, ...]], clock: Clock) -> Body:
+    """The body of a loop over steps at the nodes of a clock, whose carry is a `Reached`."""
 
-    Attributes:
-        dt: its size.
-        end: the time of the node that it leads to.
-    """
+    def step_once(n: Array, at: Reached) -> Reached:
+        end, info = step_at_node(step, clock, at[0], n)
+        return end, at[1].merge(info)
 
-    dt: Array
-    end: Array
-
-    def size(self, n: ArrayLike) -> Array:
-        return self.dt
-
-    def time(self, n: ArrayLike) -> Array:
-        return self.end
+    return step_once
 
 
 def saved_states(
     step: Step, state: State, clock: Clock, num_saves: ArrayLike, save_every: ArrayLike, most: int | None = None
-) -> tuple[State, StepInfo]:
+) -> Reached:
     """The states after every `save_every` steps, and the reports of the steps between them.
 
     Forward mode, and reverse mode, which stores the states before about 2√N of N steps, are in machine code too. With
     `most`, the length of the rows, of which those beyond `num_saves` are undefined, the two numbers may be traced; then
-    there is no reverse mode. A time that follows from the number of steps is not carried: members may share it.
+    there is no reverse mode. States have no time that follows from the number of steps: members may share it.
     """
     nodes = None
     if isinstance(clock, GridClock) and most is None:
-        nodes = clock.times[:-1], _Node(clock.times[1:] - clock.times[:-1], clock.times[1:])
+        nodes = clock.times[:-1], clock.times[1:] - clock.times[:-1]
     timed = state.t is not None and not isinstance(clock, StateClock)
 
     def step_once(
-        n: Array, carry: tuple[Progress, Tree], node: tuple[Array, _Node] | None
-    ) -> tuple[tuple[Progress, Tree], tuple[State, StepInfo]]:
-        at, known = carry
-        t, here = (clock.time(n), clock) if node is None else node
-        begin = at.state._replace(t=t) if timed else at.state
-        state, info, known = step_at_node(step.continued, here, begin, n, known)
-        state, info = without_time(state), info_since(n, save_every, at.info, info)
-        return (Progress(state, info), known), (state, info)
+        n: Array, carry: tuple[Reached, Tree], node: tuple[Array, Array] | None
+    ) -> tuple[tuple[Reached, Tree], Reached]:
+        (at, so_far), known = carry
+        t, size = (clock.time(n), clock.size(n)) if node is None else node
+        end, info, known = step.continued(at._replace(t=t) if timed else at, size, known)
+        reached = without_time(end), info_since(n, save_every, so_far, info)
+        return (reached, known), reached
 
     def without_time(state: State) -> State:
         return state._replace(t=None) if timed else state
 
-    start = Progress.begin(without_time(state)), _reusable(step, state)
-    states, info = native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
-    if not timed:
-        return states, info
-    saved = save_every * (1 + jnp.arange(num_saves if most is None else most))
-    return states._replace(t=clock.time(saved)), info
+    start = at_start(without_time(state)), _reusable(step, state)
+    return native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
 
 
 def _reusable(step: Step, state: State) -> Tree:
@@ -178,11 +121,10 @@ def info_since(n: Array, every: ArrayLike, so_far: StepInfo, info: StepInfo) -> 
     return (fresh if isinstance(every, int) and every == 1 else before).merge(info)
 
 
-def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> tuple[State, StepInfo]:
+def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> Reached:
     """The state after `count` steps, which may be traced, and the merged report of the steps."""
     clock = uniform_clock(step, state, jnp.asarray(dt, state.p.dtype))
-    end = march(partial(step_at_node, step, clock), 0, count, Progress.begin(state))
-    return end.state, end.info
+    return counted(reported(step, clock), 0, count, at_start(state))
 
 
 def prepared(step: Step, state: State, clock: Clock) -> Step:

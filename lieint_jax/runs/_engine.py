@@ -20,7 +20,7 @@ from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._clock import UniformClock
 from lieint_jax.runs._job import Job, power_of_two
 from lieint_jax.runs._layout import Layout, Numbers, Tree
-from lieint_jax.runs._loop import Axes, Carry, Given, Intervals, Known, Reduction, Span
+from lieint_jax.runs._loop import Axes, Carry, Given, Intervals, Reduction, Span
 from lieint_jax.types import State, Step
 
 _log = logging.getLogger(__name__)
@@ -66,7 +66,7 @@ class Engine:
     def __init__(self, job: Job, name: str, threads: int):
         self.job, self.name, self._threads = job, name, threads
         self.prepares = job.step.prepares and isinstance(job.clock, UniformClock)
-        own, of_time = job.step_axis, 0 if job.t0 is not None and not job.shares_time else None
+        own, of_time = job.step_axis, 0 if job.own_times else None
         reduced = None if job.reduction is None else 0
         self._plain: Axes = Given(own, None, of_time, None, None)  # pyright: ignore[reportArgumentType]
         self._axes = 0, Given(0 if self.prepares else own, own, of_time, None, reduced)  # pyright: ignore[reportArgumentType]
@@ -84,16 +84,18 @@ class Engine:
             if shared:
                 self.most_steps = max(1, _MOST_SHARED // shared)
 
-    def _examined(self) -> Known:
-        """What this engine makes of the loop."""
+    def _examined(self) -> tuple[str, int]:
+        """What `Intervals.known` has of this engine."""
         arguments = self._first_step()
         blocks = [slice(0, 1), slice(1, 2)] if self.job.members == 1 else [slice(None)]  # one member has its own code
         parts = [self._members(arguments, block) for block in blocks]
         with computed_by(self.name, self._threads):
-            code = native.machine_code(self._intervals.loop(*parts[0]))
+            [loop] = native.loops_of(self._intervals.of_all.trace(*parts[0]).jaxpr)
+            assert loop is not None
+            code = native.machine_code(loop)
         if isinstance(code, str):
-            return Known(code)
-        return Known(self._difference(arguments, parts) if self.name == "native" else "", code.shared)
+            return code, 0
+        return self._difference(arguments, parts) if self.name == "native" else "", code.shared
 
     def _first_step(self) -> tuple[Tree, ...]:
         """The arguments of a first step of a few members."""
@@ -108,9 +110,12 @@ class Engine:
 
     def _members(self, arguments: tuple[Tree, ...], which: int | slice) -> tuple[Tree, ...]:
         """The arguments for some of these members."""
-        carry, given, *others = arguments
-        carry, given = (_part(axes, x, which) for axes, x in zip(self._axes, (carry, given), strict=True))
-        return carry, given, *others
+
+        def part(axis: int | None, tree: Tree) -> Tree:
+            return tree if axis is None else jax.tree.map(lambda x: _layout.on_host(x)[which], tree)
+
+        chosen = jax.tree.map(part, self._axes, arguments[:2], is_leaf=lambda x: x is None)
+        return *chosen, *arguments[2:]
 
     def _difference(self, arguments: tuple[Tree, ...], parts: Sequence[tuple[Tree, ...]]) -> str:
         """In what a first step of a few members differs from XLA's; or ""."""
@@ -120,11 +125,10 @@ class Engine:
             return carry, given, jax.tree.map(lambda x: x[0], spans)
 
         try:
-            with unsupported_if_it_fails():
-                with computed_by(self.name, self._threads):
-                    ours = [self._intervals.of_all(*part) for part in parts]
-                    by_xla = self._intervals.by_xla(*of_member(0))
-                theirs = [by_xla(*of_member(m)) for m in range(sum(len(carry.failed) for carry, _ in ours))]
+            with unsupported_if_it_fails(), computed_by(self.name, self._threads):
+                ours = [self._intervals.of_all(*part) for part in parts]
+                members = range(sum(len(carry.failed) for carry, _ in ours))
+                theirs = self._intervals.by_xla(map(of_member, members))
         except UnsupportedError as reason:
             return str(reason)
         ours = [(carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)) for carry, saved in ours]
@@ -137,7 +141,7 @@ class Engine:
         job = self.job
         step = _layout.placed(layout, job.step, own=job.step_axis is not None)
         states = _layout.placed(layout, job.states)
-        t0 = _layout.placed(layout, job.t0, own=not job.shares_time)
+        t0 = _layout.placed(layout, job.t0, own=job.own_times)
         given = self._given(step, t0, states)
         if job.reduction is None:
             return given, _loop.start(states, None)
@@ -172,16 +176,6 @@ class Engine:
         spans = jax.tree.map(lambda x: np.resize(x, rows), Span(first, ends.astype(dtype), rests, begins))
         with computed_by(self.name, self._threads):
             return jax.block_until_ready(self._intervals.of_all(carry, given, spans, np.int32(count)))
-
-
-def _part(axes: Axes, tree: Tree, which: int | slice) -> Tree:
-    """The part of one member, or of some; `axes` as in `jax.vmap`."""
-    return jax.tree.map(
-        lambda axis, part: part if axis is None else jax.tree.map(lambda x: _layout.on_host(x)[which], part),
-        axes,
-        tree,
-        is_leaf=lambda x: x is None,
-    )
 
 
 def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:

@@ -20,10 +20,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
-from lieint_jax.runs._clock import Clock, at_time, clock_of, halved
-from lieint_jax.runs._driver import Progress, counted, march, prepared, scanned, step_at_node
-from lieint_jax.runs._halved import splits
-from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted, start_time
+from lieint_jax.runs._clock import Clock, at_time, clock_of, halved, splits
+from lieint_jax.runs._driver import Reached, at_start, counted, prepared, reported, scanned
+from lieint_jax.types import State, Step, callable_pytree, checked_step, promoted, start_time
 from lieint_jax.types import clock as time_of
 from lieint_jax.types.record import record
 
@@ -184,29 +183,30 @@ def _brackets(
     direction: int,
 ) -> _Bracket:
     """The first `count` changes of sign; missing ones are filled with the last state."""
-    whole = prepared(step, state, clock)
+    step_once = reported(prepared(step, state, clock), clock)
     start = condition(state)
     none = _Bracket(state, jnp.zeros((), int), jnp.stack([start, start]), jnp.zeros_like(start), jnp.zeros((), bool))
     buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), none)
 
-    def record_change(n: Array, before: Progress, after: Progress, _: StepInfo) -> _Search:
-        value, sign, number, buffer = before.seen
-        new = condition(after.state)
+    def step_and_look(n: Array, carry: tuple[Reached, _Search]) -> tuple[Reached, _Search]:
+        before, (value, sign, number, buffer) = carry
+        after, info = step_once(n, before)
+        new = condition(after)
         side = jnp.sign(new)
         changes = (sign * side < 0) & ((direction == 0) | (side == direction))
         slot = jnp.where(changes, number, count)
-        nearby = _nearby(before.state.t, after.state.t, value)
-        here = _Bracket(before.state, n, jnp.stack([value, new]), nearby, after.info.converged)
+        nearby = _nearby(before[0].t, after.t, value)
+        here = _Bracket(before[0], n, jnp.stack([value, new]), nearby, info.converged)
         buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, here)
         sign = jnp.where(side * side > 0, side, sign)  # a zero or NaN changes nothing
-        return _Search(new, sign, jnp.where(changes, number + 1, number), buffer)
+        return (after, info), _Search(new, sign, jnp.where(changes, number + 1, number), buffer)
 
-    begin = Progress.begin(state, _Search(start, jnp.sign(start), none.n, buffer))
     repeat = counted if count <= _FEW else scanned
-    end = march(partial(step_at_node, whole, clock), 0, max_steps, begin, observe=record_change, repeat=repeat)
-    there = jnp.arange(count) < end.seen.number
-    last = none._replace(state=end.state, n=none.n + max_steps)
-    return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), end.seen.buffer, last)
+    search = _Search(start, jnp.sign(start), none.n, buffer)
+    (end, _), search = repeat(step_and_look, 0, max_steps, (at_start(state), search))
+    there = jnp.arange(count) < search.number
+    last = none._replace(state=end, n=none.n + max_steps)
+    return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), search.buffer, last)
 
 
 def _nearby(t0: Array | None, t1: Array | None, like: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The loop of a run on the host: calls of compiled code, rows for the output, progress, interrupts, and failures."""
+"""The loop of a run on the host: calls of compiled code, rows for an output, such as one in memory, and progress."""
 
 from __future__ import annotations
 
@@ -18,12 +18,23 @@ import numpy as np
 from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock, more_times
 from lieint_jax.runs._engine import Engine
-from lieint_jax.runs._job import MAX_NAMED, Job, Saves, gather_rows, list_members, reduce_rows
-from lieint_jax.runs._layout import Layout
+from lieint_jax.runs._job import (
+    MAX_NAMED,
+    Job,
+    MemberSummary,
+    Series,
+    Summary,
+    first_rows,
+    gather_rows,
+    list_members,
+    reduce_rows,
+    rows_and_carry,
+)
+from lieint_jax.runs._layout import Layout, Tree
 from lieint_jax.runs._loop import Carry, Given, energy
-from lieint_jax.runs._memory_output import MemoryOutput
+from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.types import System
+from lieint_jax.types import StepInfo, System, Trajectory
 
 _CALL = 0.5  # target duration of a call of the compiled loop, s
 
@@ -36,14 +47,16 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
     H0 = engine.quantity(energy, given, start.state, 0) if shown else None
     if restored is None:
         _check_start(engine, layout, given, start, output.buffer_rows)
-        output.begin(start)
+        output.append(first_rows(job, start), 1)
         output.checkpoint(start, 0, 0.0, stop=False)
     carry, done, saved = restored or (start, 0, 0)
     del start, restored  # their arrays are as large as those of a carry
-    length = CallLength(layout)
+    most = max(1, 100_000 // layout.members)  # steps in a call
     with _interrupts(output.defers_interrupts) as requested, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
-            ends, saves = _next_call(job, done, saved, min(length.steps, engine.most_steps), output.free_rows)
+            limit, ahead = done + min(most, engine.most_steps), job.nodes[saved + 1 : saved + 1 + output.free_rows]
+            saves = int(np.searchsorted(ahead, limit, side="right"))
+            ends = ahead[:saves] if saves else np.array([limit])
             clock, steps = time.perf_counter(), int(ends[-1]) - done
             carry, rows = engine.run_intervals(given, carry, done, saved, ends, output.buffer_rows)
             done, saved = done + steps, saved + saves
@@ -57,20 +70,15 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
                 H = engine.quantity(energy, given, carry.state, done)
                 error, failed = _layout.worst_energy_error(layout, H0, H, carry.failed)
                 bar.show(error if job.step.system.hamiltonian else None, failed)
-            stop = length.measure(steps, time.perf_counter() - clock, bool(requested))
-            output.checkpoint(carry, done, length.seconds, stop)
+            seconds, stop = _layout.all_reduce_max(layout.mesh, time.perf_counter() - clock, bool(requested))
+            if steps == most or seconds > _CALL:
+                most = int(min(max(1, most * min(4.0, _CALL / max(seconds, 1e-6))), 2**30))
+            output.checkpoint(carry, done, seconds, bool(stop))
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
         result = output.result(carry)
     warn_of_failures(_layout.gather(layout, carry.failed), job.first_member, job.step.system)
     return result
-
-
-def _next_call(job: Job, done: int, saved: int, most: int, free_rows: int) -> tuple[np.ndarray, int]:
-    """The nodes at the ends of the next call's intervals, `most` steps or fewer, and how many of them are saved."""
-    ahead = job.nodes[saved + 1 : saved + 1 + free_rows]
-    saves = int(np.searchsorted(ahead, done + most, side="right"))
-    return (ahead[:saves], saves) if saves else (np.array([done + most]), 0)
 
 
 def _check_start(engine: Engine, layout: Layout, given: Given, start: Carry, rows: int) -> None:
@@ -110,6 +118,81 @@ def warn_of_failures(failed: np.ndarray, first: int, system: System) -> None:
             RuntimeWarning,
             stacklevel=5,
         )
+
+
+class MemoryOutput:
+    """Results as numpy arrays; `earlier` are those of a run of which this one is the continuation.
+
+    `StoreOutput` has the same methods.
+
+    Attributes:
+        defers_interrupts: whether an interrupt waits until the run `can_stop`.
+        buffer_rows: the largest number of saves in one call of the compiled loop: the length of its buffer.
+        free_rows: the largest number of saves in the next call.
+    """
+
+    defers_interrupts = False
+
+    def __init__(self, job: Job, layout: Layout, earlier: Saves | None = None) -> None:
+        self._job, self._layout, self._entries, self._earlier = job, layout, 0, earlier
+        self.buffer_rows = self.free_rows = job.buffer_rows(job.members)
+        self._out: Any = None  # rows of all entries, or series
+
+    def restore(self) -> tuple[Carry, int, int] | None:
+        """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
+        if self._earlier is None:
+            return None
+        found = self._earlier.found
+        rows, carry = rows_and_carry(self._job, self._earlier)
+        saved = len(found.t) - 1
+        done = int(self._job.nodes[saved])
+        if isinstance(found, MemberSummary):  # whose one interval goes on
+            done, saved = int(found.number) - 1, 0
+            rows = first_rows(self._job, carry)
+            carry = carry._replace(
+                info=StepInfo(np.full(carry.failed.shape, found.residual[-1]), carry.failed < 0)  # pyright: ignore
+            )
+        self._put(rows)
+        return _layout.placed(self._layout, carry), done, saved
+
+    def append(self, saved: Tree | Series, number: int) -> None:
+        """Receive `number` saved rows, or those of the series of a reduction; that of the start first."""
+        self._put(saved if isinstance(saved, dict) else gather_rows(self._layout, saved, number))
+
+    def _put(self, rows: Tree | Series) -> None:
+        """Copy rows to the arrays of all entries, which the first of them make."""
+        if self._out is None:
+            entries = self._job.num_saves + 1
+            self._out = jax.tree.map(lambda x: np.empty((entries, *x.shape[1:]), x.dtype), rows)
+        number = len(jax.tree.leaves(rows)[0])
+        for target, x in zip(jax.tree.leaves(self._out), jax.tree.leaves(rows), strict=True):
+            target[self._entries : self._entries + number] = x
+        self._entries += number
+
+    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
+        """Receive, after each call of the loop, a carry from which the run can be resumed."""
+
+    def can_stop(self) -> bool:
+        """True if everything that a resumed run needs has been written."""
+        return True
+
+    def interrupt_message(self, done: int, num_steps: int) -> str:
+        """The message for a user who interrupted the run."""
+        return f"stopped after {done} of {num_steps} steps; a run with a store can be resumed"
+
+    def result(self, carry: Carry) -> Saves:
+        """The saves, after the last step."""
+        state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
+        job, times = self._job, self._job.times
+        if job.reduction is None:
+            info, states = self._out
+            return Saves(Trajectory(times, job.with_times(states), info), failed)  # pyright: ignore
+        series = {name: x for name, x in self._out.items() if name != "sums"}
+        ends = {"state": job.with_last_time(state), "failed": failed}
+        if not job.per_member:
+            return Saves(Summary(times, **series, **ends), failed)
+        change: Any = _layout.gather(self._layout, carry.change)
+        return Saves(MemberSummary(times, **change._asdict() | series | ends, number=job.num_steps + 1), failed)
 
 
 class Bar:
@@ -172,22 +255,6 @@ def _tqdm() -> Any:
         warnings.filterwarnings("ignore", "IProgress not found")
         from tqdm.auto import tqdm  # imported here, for a fast import of the package
     return tqdm
-
-
-class CallLength:
-    """The number of steps per call of the compiled loop, adapted so that a call takes about half a second."""
-
-    def __init__(self, layout: Layout) -> None:
-        self._mesh = layout.mesh
-        self.steps, self.seconds = max(1, 100_000 // layout.members), 0.0
-
-    def measure(self, steps: int, seconds: float, interrupted: bool) -> bool:
-        """Adapt the number of steps to the duration of a call; return True if a process was interrupted."""
-        self.seconds, stop = _layout.all_reduce_max(self._mesh, seconds, interrupted)
-        if steps == self.steps or self.seconds > _CALL:
-            grown = self.steps * min(4.0, _CALL / max(self.seconds, 1e-6))
-            self.steps = int(min(max(1, grown), 2**30))
-        return bool(stop)
 
 
 @contextlib.contextmanager

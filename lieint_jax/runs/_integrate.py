@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import abc
 import math
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax import _checks, native
 from lieint_jax._xla import compiled
 from lieint_jax.runs._clock import (
     Clock,
     GridClock,
+    RoundedClock,
     StateClock,
+    UniformClock,
     clock_of,
     halved,
     more_times,
@@ -25,10 +29,9 @@ from lieint_jax.runs._clock import (
     refuse_far_times,
     refuse_times,
     saves,
+    splits,
 )
-from lieint_jax.runs._driver import prepared, saved_states
-from lieint_jax.runs._halved import splits
-from lieint_jax.runs._outputs import at_output_times
+from lieint_jax.runs._driver import Reached, at_start, prepared, saved_states
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 from lieint_jax.types.shapes import PyTree
 
@@ -44,7 +47,7 @@ class Adjoint(abc.ABC):
         """Raise ValueError if this derivative does not exist for runs of the step at the times of the clock."""
 
     @abc.abstractmethod
-    def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> tuple[State, StepInfo]:
+    def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Reached:
         """The states saved every `save_every` steps after the initial one, and the reports of the steps between."""
 
 
@@ -126,7 +129,7 @@ def integrate(
     refuse_far_times("save_at", num_steps, clock.time(0))
     _check_first(step, state, clock, first)
     _check_size(state, wanted.size + 1)
-    later = at_output_times(step, state, clock, wanted, num_steps)
+    later = _at_output_times(step, state, clock, wanted, num_steps)
     return join_start(state, later, jnp.concatenate([clock.time(0)[None], wanted]))
 
 
@@ -225,10 +228,99 @@ trajectory = compiled(_trajectory, static_argnums=(3, 4))
 _padded_trajectory = compiled(_trajectory, static_argnums=5)
 
 
-def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
-    """The trajectory of an initial state, the states and reports after it; `t` are the times of states without one."""
-    first = (state, StepInfo.empty(state.p))
-    states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
-    times = states.t if states.t is not None else t
+def join_start(state: State, later: Reached, t: Array | None) -> Trajectory:
+    """The trajectory of an initial state, and of later states and reports.
+
+    `t` are the times of all, which states without a time do not have, and `later` may lack.
+    """
+    states, info = later
+    if state.t is not None and states.t is None and t is not None:
+        states = states._replace(t=t[1:])
+    start = at_start(state)
+    states, info = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, (states, info))
+    times = t if states.t is None else states.t
     assert times is not None  # a state or a clock has the time
     return Trajectory(times, states, info)
+
+
+class _Entry(NamedTuple):
+    """An entry of a row.
+
+    Attributes:
+        whole, last: whether it is a whole step, and one to an output; or nothing.
+        t, dt: the time of its node, and the size of its step.
+    """
+
+    whole: Array
+    last: Array
+    t: Array
+    dt: Array
+
+
+@partial(compiled, static_argnums=4)
+def _at_output_times(
+    step: Step, state: State, clock: UniformClock | RoundedClock | GridClock, save_at: Array, num_steps: int
+) -> Reached:
+    """The states at output times, without these, and the reports of the steps since the output before.
+
+    Before each output there are whole steps and a shorter one from the last node. They are one loop over rows of
+    equally many entries, of which the last leads to an output, and all others are whole steps or nothing. So the loop
+    stores few rows more than there are outputs, whatever the gaps between them.
+    """
+    span = clock.time(num_steps) - clock.time(0)
+    inside = jnp.abs(save_at - clock.time(0) - span / 2) <= jnp.abs(span) / 2 * (1 + 1e-12)  # False for NaN
+    own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
+    nodes = lax.cummax(own)
+    entries, rows, length = _entries(clock, save_at, nodes, num_steps)
+    whole, has_time = prepared(step, state, clock), state.t is not None
+
+    def step_once(_: Array, at: Reached, x: _Entry) -> tuple[Reached, Reached]:
+        here = at[0]._replace(t=x.t if has_time else None)
+        dt = clock.dt if isinstance(clock, UniformClock) else x.dt
+
+        def advanced(step: Step, dt: Array) -> Reached:
+            end, info = step(here, dt)
+            return end._replace(t=None), at[1].merge(info)
+
+        after = lax.cond(x.whole, lambda: advanced(whole, dt), lambda: at)
+        output = lax.cond(x.last, lambda: advanced(step, x.dt), lambda: after)
+        following = after[0], jax.tree.map(partial(jnp.where, x.last), StepInfo.empty(state.p), after[1])
+        return following, output
+
+    start, count = at_start(state._replace(t=None)), len(entries.t) // length
+    found = native.march(step_once, start, entries, rows=count, every=length)[1]
+    later, info = jax.tree.map(lambda x: x[rows], found)
+    return later, info._replace(converged=info.converged & inside & (own == nodes))  # else traced times are unordered
+
+
+def _entries(
+    clock: UniformClock | RoundedClock | GridClock, save_at: Array, nodes: Array, num_steps: int
+) -> tuple[_Entry, Array, int]:
+    """The entries of all rows, the row of each output, and the number of entries of a row.
+
+    Args:
+        clock, save_at, num_steps: see `_at_output_times`.
+        nodes: the last node before each output.
+    """
+    count = save_at.size
+    length = max(1, -(-num_steps // max(count, 1))) + 1
+    steps = jnp.diff(nodes, prepend=0)
+    rows = jnp.cumsum(steps // length + 1) - 1
+    size = length * (count + num_steps // length)
+    n = jnp.arange(num_steps)
+    output = jnp.cumsum(jnp.zeros(num_steps + 1, int).at[nodes].add(1))[:-1]  # to which the step from node n leads
+    before = jnp.concatenate([jnp.zeros(1, rows.dtype), rows + 1])[output] * length
+    place = before + n - jnp.concatenate([jnp.zeros(1, nodes.dtype), nodes])[output]
+    place = jnp.where(output < count, place, size)  # beyond the end where no output follows
+
+    def spread(nothing: ArrayLike, of_steps: ArrayLike, of_outputs: ArrayLike) -> Array:
+        found = jnp.full(size, nothing).at[place].set(of_steps, mode="drop")
+        return found.at[rows * length + length - 1].set(of_outputs)
+
+    entries = _Entry(
+        spread(False, True, False),
+        spread(False, False, True),
+        spread(clock.time(0), clock.time(n), clock.time(nodes)),
+        spread(clock.size(0), clock.size(n), save_at - clock.time(nodes)),
+    )
+    return entries, rows, length

@@ -11,9 +11,9 @@ from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import GridClock, RoundedClock, UniformClock
 from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
 from lieint_jax.runs._layout import Layout, Numbers, Tree
-from lieint_jax.runs._loop import Change, Reduction
+from lieint_jax.runs._loop import Carry, Change, Reduction, start, step_dtype
 from lieint_jax.runs._made_states import MakeStates
-from lieint_jax.runs.store._leaves import shared_time
+from lieint_jax.runs.store._leaves import Saves, shared_time
 from lieint_jax.types import State, Step, Trajectory
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
@@ -22,6 +22,7 @@ _OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has u
 CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
 MAX_NAMED = 5  # members in a message
 Series = dict[str, np.ndarray]  # of a reduction, by name
+SERIES = ("least", "greatest", "mean", "residual", "unconverged")  # their names; of single members only the last two
 _CHUNKS_OF_BUFFER = _BUFFER_BYTES // _OBJECT_BYTES  # so many such chunks fill the buffer
 
 
@@ -45,18 +46,6 @@ class Summary(NamedTuple):
     residual: np.ndarray
     unconverged: np.ndarray
     state: State
-    failed: np.ndarray
-
-
-class Saves(NamedTuple):
-    """The saves of a run in memory, complete up to its last step.
-
-    Attributes:
-        found: the states, or what was made of them.
-        failed: the first step of each member that did not converge, or −1.
-    """
-
-    found: Trajectory | Summary | MemberSummary
     failed: np.ndarray
 
 
@@ -151,7 +140,7 @@ class Job(NamedTuple):
         def repeat(x: Numbers) -> np.ndarray:
             return np.broadcast_to(np.asarray(x)[:1], (members, *x.shape[1:]))  # a view that needs no memory
 
-        t0 = self.t0 if self.t0 is None or self.shares_time else repeat(self.t0)
+        t0: Any = repeat(self.t0) if self.own_times else self.t0  # pyright: ignore
         return self._replace(states=jax.tree.map(repeat, self.states), t0=t0, make_states=make_states)
 
     def restricted(self, members: range) -> Job:
@@ -165,7 +154,7 @@ class Job(NamedTuple):
             return _layout.on_host(x)[which]
 
         step = self.step if self.step_axis is None else jax.tree.map(of, self.step)
-        t0 = self.t0 if self.t0 is None or self.shares_time else of(self.t0)
+        t0: Any = of(self.t0) if self.own_times else self.t0  # pyright: ignore
         return self._replace(step=step, states=jax.tree.map(of, self.states), t0=t0)
 
     @property
@@ -199,15 +188,15 @@ class Job(NamedTuple):
         return self.dt or (float(self.clock.size(0)) if self.planned_steps else 0.0)
 
     @property
-    def shares_time(self) -> bool:
-        """True if the states have a time, the same for all members."""
-        return self.t0 is not None and not np.ndim(self.t0)
+    def own_times(self) -> bool:
+        """True if the members start at different times; False too if their states have a time each by their step."""
+        return self.t0 is not None and np.ndim(self.t0) > 0
 
     def state_times(self, entries: slice = slice(None), members: slice = slice(None)) -> np.ndarray:
         """The times of these members at these entries, (entries, members), where the states have a time."""
-        if self.t0 is None or self.shares_time:
-            return shared_time(self.times[entries], self.members)[:, members]
-        return np.asarray(self.t0)[members] + self.times[entries, None]
+        if self.own_times:
+            return np.asarray(self.t0)[members] + self.times[entries, None]
+        return shared_time(self.times[entries], self.members)[:, members]
 
     def with_times(self, states: State) -> State:
         """The states of all entries with their time."""
@@ -230,10 +219,15 @@ class Job(NamedTuple):
             return Change(*(np.full(len(value), x, self.dtype) for x in (np.inf, -np.inf, 0, 0)))
         first = None
         if self.condition is not None:
-            t = self.times[0] if self.t0 is None or self.shares_time else np.asarray(self.t0)
+            t = np.asarray(self.t0) if self.own_times else self.times[0]
             never = np.full(len(value), np.nan, self.dtype)
             first = never if reached is None else np.where(np.asarray(reached), t, never).astype(self.dtype)
         return Change(value, value, value, np.zeros_like(value), value, first)
+
+    @property
+    def series_names(self) -> tuple[str, ...]:
+        """The names of the series of a reduction, but for those of parts."""
+        return () if self.reduction is None else SERIES[3:] if self.per_member else SERIES
 
     @property
     def change_names(self) -> tuple[str, ...]:
@@ -247,7 +241,7 @@ class Job(NamedTuple):
         step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[m], self.step)
         state = jax.tree.map(lambda leaf: np.asarray(leaf)[m], self.states)
         if self.t0 is not None:
-            state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
+            state = state._replace(t=self.t0[m] if self.own_times else self.t0)
         return step, state
 
     @property
@@ -301,32 +295,32 @@ def chunk_members(members: int, count: int, row: int, entries: int, remote: bool
     return max(CHUNK_MEMBERS, members // (count * _CHUNKS_OF_BUFFER), _OBJECT_BYTES // (row * entries))
 
 
-def local_rows(saved: Tree, number: int) -> Tree:
-    """The first `number` saved rows on the host; a part of a longer buffer is copied, so that it can be freed."""
-
-    def first_rows(x: Numbers) -> np.ndarray:
-        x = np.asarray(x)
-        return x if len(x) == number else x[:number].copy()
-
-    return jax.tree.map(first_rows, saved)
-
-
 def gather_rows(layout: Layout, saved: Tree, number: int) -> Tree:
     """The first `number` saved rows of all members, on every process."""
     return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
 
 
-def first_entry(job: Job) -> Series:
-    """The entry of the start in the series of a reduction."""
-    zero = np.zeros(1, job.dtype)
-    if job.per_member:
-        return {"residual": zero, "unconverged": np.zeros(1, np.int64)}
-    found = dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
-    return (
-        found
-        if job.part is None
-        else found | {"sums": np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)}
-    )
+def first_rows(job: Job, carry: Carry) -> Tree | Series:
+    """The entry of the start: a row (1, members) of the report and the states, or that of the series of a reduction."""
+    if job.reduction is None:
+        return jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state))
+    found: Series = dict.fromkeys(job.series_names, np.zeros(1, job.dtype)) | {"unconverged": np.zeros(1, np.int64)}
+    if job.part is not None and not job.per_member:
+        found["sums"] = np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)
+    return found
+
+
+def rows_and_carry(job: Job, saves: Saves) -> tuple[Tree | Series, Carry]:
+    """The rows of a run in memory, that of the start first, and the carry at its end."""
+    found, failed = saves.found, saves.failed
+    states, change = job.without_time(found.state), None
+    if isinstance(found, Trajectory):
+        rows: Tree = found.info, states
+        states = jax.tree.map(lambda x: x[-1], states)
+    else:
+        rows = {name: np.asarray(found._asdict()[name]) for name in job.series_names}
+        change = found.change if isinstance(found, MemberSummary) else job.first_change(failed, None)
+    return rows, start(states, change)._replace(failed=failed.astype(step_dtype()))
 
 
 def reduce_rows(rows: Tree, job: Job) -> Series:

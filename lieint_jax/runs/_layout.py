@@ -35,29 +35,18 @@ class Layout(NamedTuple):
         mesh: the devices of all processes.
         members: the number of members.
         each: the number of places of a process; the last ones may have no members.
+        local_members: the members of this process.
     """
 
     mesh: Mesh
     members: int
     each: int
-
-    @property
-    def local_devices(self) -> list[Any]:
-        """The devices of this process."""
-        return [device for device in self.mesh.devices.flat if device.process_index == jax.process_index()]
-
-    @property
-    def local_members(self) -> range:
-        """The members of this process."""
-        processes = dict.fromkeys(device.process_index for device in self.mesh.devices.flat)
-        first = list(processes).index(jax.process_index()) * self.each
-        return range(min(first, self.members), min(first + self.each, self.members))
+    local_members: range
 
     @property
     def computed_members(self) -> range:
         """The members that this process computes: the last one, if it has none."""
-        mine = self.local_members
-        return mine or range(self.members - 1, self.members)
+        return self.local_members or range(self.members - 1, self.members)
 
 
 def checked_mesh(mesh: Mesh | None) -> Mesh:
@@ -122,8 +111,10 @@ def first_devices(count: int | None) -> Mesh:
 
 def layout_of(mesh: Mesh, members: int, chunk: int = 1) -> Layout:
     """The layout of so many members, of which each process but the last one has whole chunks."""
-    processes = count_processes(mesh)
-    return Layout(mesh, members, chunk * -(-members // (processes * chunk)))
+    processes = list(dict.fromkeys(device.process_index for device in mesh.devices.flat))
+    each = chunk * -(-members // (len(processes) * chunk))
+    first = processes.index(jax.process_index()) * each
+    return Layout(mesh, members, each, range(min(first, members), min(first + each, members)))
 
 
 def placed(layout: Layout, tree: _T, own: bool = True, first: int = 0) -> _T:
@@ -136,7 +127,7 @@ def placed(layout: Layout, tree: _T, own: bool = True, first: int = 0) -> _T:
         tree = jax.tree.map(lambda x: x[mine.start - first : mine.stop - first], tree)
     if _on_cpu(layout):
         return tree
-    spread = NamedSharding(Mesh(np.array(layout.local_devices), (AXIS,)), PartitionSpec(*[AXIS] * own))
+    spread = NamedSharding(Mesh(np.array(layout.mesh.local_devices), (AXIS,)), PartitionSpec(*[AXIS] * own))
     return jax.device_put(jax.tree.map(partial(_padded, layout), tree) if own else tree, spread)
 
 
@@ -146,11 +137,11 @@ def on_host(x: Numbers) -> Numbers:
 
 
 def _on_cpu(layout: Layout) -> bool:
-    return layout.local_devices[0].platform == "cpu"
+    return layout.mesh.local_devices[0].platform == "cpu"
 
 
 def _padded(layout: Layout, x: np.ndarray) -> np.ndarray:
-    missing = -len(x) % len(layout.local_devices)
+    missing = -len(x) % len(layout.mesh.local_devices)
     return np.concatenate([x, np.repeat(x[-1:], missing, axis=0)]) if missing else x
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from platform import machine
 from typing import Any, NamedTuple
@@ -196,18 +196,6 @@ def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State
     return jax.jit(jax.vmap(by_one_step, (axes, 0, None)), compiler_options=compiler_options())
 
 
-class Known(NamedTuple):
-    """What an engine makes of a loop.
-
-    Attributes:
-        refusal: why it cannot compute it; empty if it can.
-        shared: about how many numbers of a step the members share.
-    """
-
-    refusal: str
-    shared: int = 0
-
-
 class Intervals:
     """The loop over the save intervals of all members.
 
@@ -221,14 +209,15 @@ class Intervals:
 
     Attributes:
         of_all: (carry, given, spans, number of spans) ↦ (carry, saved), compiled.
-        known: what is known of it by engines, by their names.
+        known: by the names of engines, why they cannot compute it ("" if they can), and about how many numbers of a
+            step the members then share.
     """
 
     def __init__(self, what: tuple[Reduction | None, Reduction | None], axes: Axes, _: Sequence[Tree]):
         self._reduction, self._condition = what
         self._of_member = jax.jit(self._interval)
         self.of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
-        self.known: dict[str, Known] = {}
+        self.known: dict[str, tuple[str, int]] = {}
 
     def _loop(self, carry: Carry, given: Given, spans: Span, count: Array) -> tuple[Carry, Tree]:
         return native.march(self._of_member, carry, spans, (given,), rows=count, most=len(spans.first))
@@ -270,21 +259,11 @@ class Intervals:
         reached = None if self._condition is None else self._condition(given.step, state)
         return change.include(value, reached, given.clock.time(n) if state.t is None else state.t)
 
-    def loop(self, *arguments: Tree) -> native.Loop:
-        """Its loop, for arguments of these shapes."""
-        [loop] = native.loops_of(self.of_all.trace(*arguments).jaxpr)
-        assert loop is not None
-        return loop
-
-    def by_xla(self, carry: Carry, given: Given, span: Span) -> Callable[..., tuple[Carry, Tree]]:
-        """The function of one member, (carry, given, span) ↦ (carry, saved), by XLA for arguments of these shapes."""
-        number = np.zeros((), step_dtype())
-        traced = self._of_member.trace(number, carry, span, given)
+    def by_xla(self, members: Iterable[tuple[Carry, Given, Span]]) -> list[tuple[Carry, Tree]]:
+        """(carry, saved) after one interval of each of these members, by one program of XLA."""
+        arguments = [(np.zeros((), step_dtype()), carry, span, given) for carry, given, span in members]
+        traced = self._of_member.trace(*arguments[0])
         structure = jax.tree.structure(traced.out_info)
         with native.engine("xla"):
-            compiled = compiled_for(jaxpr_as_fun(traced.jaxpr), *jax.tree.leaves((number, carry, span, given)))
-
-        def call(carry: Carry, given: Given, span: Span) -> tuple[Carry, Tree]:
-            return jax.tree.unflatten(structure, compiled(*jax.tree.leaves((number, carry, span, given))))
-
-        return call
+            compiled = compiled_for(jaxpr_as_fun(traced.jaxpr), *jax.tree.leaves(arguments[0]))
+        return [jax.tree.unflatten(structure, compiled(*jax.tree.leaves(x))) for x in arguments]

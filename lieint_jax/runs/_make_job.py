@@ -30,7 +30,7 @@ from lieint_jax.runs._loop import Reduction, energy
 from lieint_jax.runs._made_states import MadeStates, MakeStates
 from lieint_jax.runs.store._leaves import leaves_by_name
 from lieint_jax.runs.store._root import Split
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions
 from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, promoted
 from lieint_jax.types.members import member_axis
 
@@ -319,16 +319,13 @@ def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, Sta
     """Raise ValueError unless the reduced quantity is a real scalar function of a step and a state."""
     value: Any = _value("reduce", reduction, arguments)
     array = isinstance(value, Array | np.ndarray | np.generic)
-    if not ((array or isinstance(value, float)) and _is_real_scalar(value)):
+    is_real = array and value.shape == () and jnp.issubdtype(value.dtype, jnp.floating)
+    if not (is_real or isinstance(value, float)):
         shown = f"{value.dtype} of shape {value.shape}" if array else repr(value)
         raise ValueError(
             f"reduce must return a real floating-point scalar, got {shown}; return one component of a vector or "
             "its norm, and 1.0 * x for an integer x"
         )
-
-
-def _is_real_scalar(value: _layout.Numbers | np.generic | float) -> bool:
-    return np.shape(value) == () and jnp.issubdtype(jnp.result_type(value), jnp.floating)
 
 
 def _python_name(name: str) -> str:

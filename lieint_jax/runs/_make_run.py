@@ -17,8 +17,7 @@ from lieint_jax.runs._make_job import check_own_steps, is_batch
 from lieint_jax.runs._results import compute, untransformed
 from lieint_jax.runs._run import Run, computed_run, stored_run
 from lieint_jax.runs.store._reading import open_with_step
-from lieint_jax.runs.store._storage import address
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions, address
 from lieint_jax.types import State, Step, Trajectory
 
 

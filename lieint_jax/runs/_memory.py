@@ -11,8 +11,7 @@ import numpy as np
 from lieint_jax.runs._job import chunk_members, power_of_two, rows_of_call
 from lieint_jax.runs._made_states import MakeStates, made_states
 from lieint_jax.runs._part_of_task import checked_part
-from lieint_jax.runs.store._storage import Url, address
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions, Url, address
 from lieint_jax.runs.store._store_output import SLAB
 from lieint_jax.types import State
 
@@ -61,8 +60,7 @@ def peak_memory(
     members = given if made is None else made.members
     own = -(-members // count)
     row = max(state + 9, 24)
-    place: Any = store.path if isinstance(store, StoreOptions) else store
-    remote = place is not None and isinstance(address(place), Url)
+    remote = store is not None and isinstance(address(StoreOptions.of(store).path), Url)
     across = chunk_members(members, count, row, entries, remote) if store is not None else members
     rows = power_of_two(rows_of_call(min(across, own), own, row, save_every, entries, remote))
     kept = entries * (members if part is None else own) * row if store is None and not reduce else 0

@@ -15,23 +15,21 @@ from jax.errors import ConcretizationTypeError, TracerArrayConversionError
 from jax.sharding import Mesh
 
 from lieint_jax import _checks
-from lieint_jax.runs import _layout, _loop, processes
+from lieint_jax.runs import _layout, processes
 from lieint_jax.runs._engine import engine_of
-from lieint_jax.runs._execute import execute
-from lieint_jax.runs._job import Job, MemberSummary, Saves, first_entry
+from lieint_jax.runs._execute import MemoryOutput, execute
+from lieint_jax.runs._job import Job, rows_and_carry
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._made_states import MakeStates, made_states
 from lieint_jax.runs._make_job import make_jobs
-from lieint_jax.runs._memory_output import MemoryOutput
 from lieint_jax.runs._part_of_task import checked_part, part_of_task
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._into_store import run_into_store
-from lieint_jax.runs.store._leaves import Stored
+from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.runs.store._reading import read_written
-from lieint_jax.runs.store._storage import Url, address
-from lieint_jax.runs.store._store_options import StoreOptions, checked_path
+from lieint_jax.runs.store._storage import StoreOptions, Url, address, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -42,14 +40,13 @@ class Results(NamedTuple):
     Attributes:
         job: the run, or the part of it that this process has computed.
         engine: the name of the engine that computed it.
-        saves: the saved states, or a `Summary`.
-        stored: the run as its store has it, and the path of the store; None of a run in memory.
+        saves: those of the part.
+        path: the path of its store; "" of a run in memory.
     """
 
     job: Job
     engine: str
     saves: Saves
-    stored: Stored | None = None
     path: str = ""
 
 
@@ -107,7 +104,7 @@ def compute(
     k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
     threads = threads or (None if mesh is None else len(mesh.local_devices))
     mesh = _layout.checked_mesh(mesh)
-    options = store if isinstance(store, StoreOptions) or store is None else StoreOptions(store)
+    options = None if store is None else StoreOptions.of(store)
     in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
     if (in_parts or remote) and _layout.count_processes(mesh) > 1:
         raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
@@ -117,9 +114,6 @@ def compute(
         whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
     engine = engine_of(job, mesh, threads or _layout.count_cores())
 
-    def integrate(layout: Layout, output: MemoryOutput | StoreOutput) -> object:
-        return execute(engine, layout, output, progress)
-
     with processes.name_lost(mesh):
         if options is None:
             if _layout.count_processes(mesh) > 1:
@@ -128,25 +122,24 @@ def compute(
             saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
             assert saves is not None
             return Results(job, engine.name, saves)
-        stored = run_into_store(
+        saves = run_into_store(
             job,
             engine.name,
-            whole,
-            mesh,
             options,
-            count if in_parts else 1,
-            k,
-            in_parts or remote,
-            resume or part is not None,
-            same_bits,
-            integrate,
+            lambda layout, output: execute(engine, layout, output, progress),
+            whole=whole,
+            mesh=mesh,
+            part=(k, count) if in_parts else (0, 1),
+            in_parts=in_parts or remote,
+            resume=resume or part is not None,
+            same_bits=same_bits,
         )
-    return Results(job, engine.name, Saves(stored.found, stored.failed), stored, str(options.path))
+    return Results(job, engine.name, saves, str(options.path))
 
 
-def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions) -> Stored:
+def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions) -> Saves:
     """The run of these saves, which an engine of this name computed, written into a new store: all of it or nothing."""
-    options = store if isinstance(store, StoreOptions) else StoreOptions(store)
+    options = StoreOptions.of(store)
     path = checked_path(options.path)
     if isinstance(path, Url):
         raise ValueError(f"a run is saved to a folder NAME.zarr; li.run(…, store={str(path)!r}) writes to a bucket")
@@ -154,36 +147,21 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
         raise ValueError(f"{path.name} exists and is not overwritten: choose another path")
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
     try:
-        hidden = StoreOptions(unfinished, options.attributes)
-        feed = partial(_feed, job, saves)
-        run_into_store(job, engine, job, _layout.checked_mesh(None), hidden, 1, 0, False, False, True, feed)
+        hidden, mesh = options._replace(path=unfinished), _layout.checked_mesh(None)
+        run_into_store(job, engine, hidden, partial(_feed, job, saves), whole=job, mesh=mesh)
         os.rename(unfinished, path)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     return read_written(path)
 
 
-def _feed(job: Job, saves: Saves, layout: Layout, output: StoreOutput) -> None:
-    """Give an output all saves of a run."""
-    found, saved = saves.found, 0
-    if isinstance(found, Trajectory):
-        rows: Any = found.info, job.without_time(found.state)
-        states = jax.tree.map(lambda x: x[0], rows[1])
-        change = None
-    else:
-        rows = {name: found._asdict()[name] for name in first_entry(job)}
-        states = job.without_time(found.state)
-        change = found.change if isinstance(found, MemberSummary) else job.first_change(saves.failed, None)
-    carry = _loop.start(states, change)
-    carry = carry._replace(failed=saves.failed)  # pyright: ignore[reportArgumentType]
-    output.begin(carry)
-    output.checkpoint(carry, 0, 0.0, stop=False)
-    while saved < job.num_saves:
-        number = min(output.free_rows, job.num_saves - saved)
-        block = jax.tree.map(lambda x: np.asarray(x)[saved + 1 : saved + 1 + number], rows)  # noqa: B023
-        output.append(block, number)
+def _feed(job: Job, saves: Saves, _: Layout, output: StoreOutput) -> None:
+    """Give an output all saves of a run. Its checkpoints are of the end, for nobody resumes an unfinished copy."""
+    rows, carry = rows_and_carry(job, saves)
+    saved = 0
+    while saved <= job.num_saves:
+        number = min(output.free_rows, job.num_saves + 1 - saved)
+        output.append(jax.tree.map(lambda x: np.asarray(x)[saved : saved + number], rows), number)  # noqa: B023
         saved += number
-        if isinstance(found, Trajectory):
-            carry = carry._replace(state=jax.tree.map(lambda x: x[-1], block[1]))
-        output.checkpoint(carry, int(job.nodes[saved]), 0.0, stop=False)
+        output.checkpoint(carry, int(job.nodes[saved - 1]), 0.0, stop=False)
     output.result(carry)

@@ -20,12 +20,12 @@ from lieint_jax.runs import _values
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._facts import Facts, dates_of, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
-from lieint_jax.runs._job import MemberSummary, Saves, Summary, member_of, saves_of_batch, with_member_axis
+from lieint_jax.runs._job import MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._loop import energy
 from lieint_jax.runs._make_job import checked_job, is_batch
 from lieint_jax.runs._results import Results, compute, write
-from lieint_jax.runs.store._leaves import Stored
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._leaves import Saves
+from lieint_jax.runs.store._storage import StoreOptions
 from lieint_jax.types import (
     State,
     Step,
@@ -108,8 +108,8 @@ class Run(Generic[Saved, Reduced]):
         batch = is_batch(step, jax.tree.map(lambda x: x[0], trajectory.state), own_step)
         good = jnp.asarray(trajectory.info.converged)
         failed = jnp.where(good.all(axis=0), -1, jnp.argmin(good, axis=0) - 1)
-        facts = Facts(batch, own_step, None, len(trajectory.t) - 1, None, "", ())
-        facts = facts._replace(epoch=dates.text_of(epoch), time_unit=time_unit)
+        text, steps = dates.text_of(epoch), len(trajectory.t) - 1
+        facts = Facts(batch, own_step, None, steps, None, "", (), epoch=text, time_unit=time_unit)
         return Run(step, None, trajectory, None, failed, None, None, None, facts)
 
     @property
@@ -319,8 +319,7 @@ class Run(Generic[Saved, Reduced]):
         start, saves = self._start_and_saves()
         with _checks.on_host():
             job = checked_job(self.step, start, **self._options, store=path)
-        place = path.path if isinstance(path, StoreOptions) else path
-        return stored_run(str(place), write(job, self.engine, saves, path), self.step)
+        return stored_run(str(StoreOptions.of(path).path), write(job, self.engine, saves, path), self.step)
 
     def _start_and_saves(self) -> tuple[State, Saves]:
         """The initial states and the saves of a complete run, with a member axis."""
@@ -367,29 +366,25 @@ class StoredRun(Run):
 def computed_run(computed: Results) -> Run:
     """The run of these results."""
     job = computed.job
-    if computed.stored is not None:
-        return stored_run(computed.path, computed.stored, job.step)
-    facts = Facts.of_job(job, computed.engine)
+    if computed.path:
+        return stored_run(computed.path, computed.saves, job.step)
     start = job.initial if job.reduction is not None else None
     times = job.clock.times if isinstance(job.clock, GridClock) else None
     functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
-    return _make_run(job.step, start, computed.saves, functions, times, facts)
+    return _make_run(job.step, computed.saves, Facts.of_job(job, computed.engine), start, *functions, times)
 
 
-def stored_run(path: str, stored: Stored, step: Step) -> Run:
+def stored_run(path: str, saves: Saves, step: Step) -> Run:
     """The run in a store; that of one body is read at once."""
-    found, failed, attributes = stored
-    return _make_run(step, None, Saves(found, failed), [None, None], None, Facts.of_store(path, attributes))
+    return _make_run(step, saves, Facts.of_store(path, saves.attributes))
 
 
-def _make_run(step: Step, start: State | None, saves: Saves, functions: list[Any], times: Any, facts: Facts) -> Run:
-    """The run of these saves, which have a member axis also if it is of one body."""
-    found, failed = saves
+def _make_run(step: Step, saves: Saves, facts: Facts, start: State | None = None, *given: Any) -> Run:
+    """The run of these saves, which have a member axis also if it is of one body; `given` are its further fields."""
+    found, failed = saves.found, saves.failed
     if not facts.batch:
         found, failed = member_of(found, 0), failed[0]
-        start = None if start is None else jax.tree.map(lambda x: x[0] if np.ndim(x) else x, start)
-    states = isinstance(found, Trajectory)
-    reduction, condition = functions
-    shown = (found, None) if states else (None, found)
+        start = jax.tree.map(lambda x: x[0] if np.ndim(x) else x, start)
+    shown = (found, None) if isinstance(found, Trajectory) else (None, found)
     kind: Any = StoredRun if facts.source else Run
-    return kind(step, start, *shown, failed, reduction, condition, times, facts)
+    return kind(step, start, *shown, failed, *(given or [None] * 3), facts)

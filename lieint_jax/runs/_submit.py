@@ -22,8 +22,7 @@ from lieint_jax.runs._make_run import run
 from lieint_jax.runs._results import untransformed
 from lieint_jax.runs._run import Run, stored_run
 from lieint_jax.runs.store._reading import read_run
-from lieint_jax.runs.store._storage import address
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions, address
 from lieint_jax.types import State, Step
 
 _PAUSE = 0.05  # seconds between two looks at the tasks
@@ -90,7 +89,7 @@ def submit(
         raise ValueError("the parts of a run need a store that all workers reach: store=PATH.zarr, or a URL")
     given = {"dt": dt, "num_steps": num_steps, "store": store, **options}
     inspect.signature(run).bind(step, states, **given)
-    place = address(store.path if isinstance(store, StoreOptions) else store)
+    place = address(StoreOptions.of(store).path)
     call = _pickler().dumps((step, states, given, uuid.uuid4().hex))  # the last, as Dask keeps results of equal calls
     task = partial(_run_part, call, bool(jax.config.jax_enable_x64))  # pyright: ignore[reportAttributeAccessIssue]
     with getattr(executor, "batch", contextlib.nullcontext)():  # of submitit: the tasks become one array of jobs

@@ -64,7 +64,7 @@ def _end_last() -> None:
     """
     limit = time.monotonic() + HEARTBEAT
     with contextlib.suppress(Exception):  # the service has ended: there is nothing to wait for
-        while set(_client().get_live_nodes(list(range(_number())))) > {0} and time.monotonic() < limit:
+        while _live_processes() > {0} and time.monotonic() < limit:
             time.sleep(0.05)
 
 
@@ -146,9 +146,9 @@ class _Watch:
             leave(f"lieint: {self._gone} is lost; {_RESUMED}")
 
     def _is_any_gone(self) -> bool:
-        count = _number()
+        count = _state().num_processes  # `jax.process_count()` would wait for all devices
         try:
-            live = set(_client().get_live_nodes(list(range(count))))
+            live = _live_processes()
         except Exception:  # the coordinator itself is lost
             self._gone = f"process 0 of {count}"
             return True
@@ -161,14 +161,8 @@ class _Watch:
 _watch = _Watch()
 
 
-def _client() -> Any:
-    """The client of the coordination service; None without `initialize`."""
-    return _state().client
-
-
-def _number() -> int:
-    """The number of processes; `jax.process_count()` would wait for all devices."""
-    return _state().num_processes
+def _live_processes() -> set[int]:
+    return set(_state().client.get_live_nodes(list(range(_state().num_processes))))
 
 
 def _state() -> Any:

@@ -40,6 +40,12 @@ def test_an_epoch_goes_wherever_the_run_goes_and_changes_no_number(tmp_path):
     assert li.run(STEP, ONE, 0.5, 6, **QUIET).save(tmp_path / "b.zarr").epoch is None
 
 
+def test_a_saved_run_has_the_unit_of_time_of_its_store(tmp_path):
+    options = li.ensemble.StoreOptions(tmp_path / "a.zarr", time_unit="d")
+    saved = li.run(STEP, ONE, 0.5, 6, epoch=START, **QUIET).save(options)
+    assert saved.facts.time_unit == li.open(options.path).facts.time_unit == "d"
+
+
 @pytest.mark.parametrize(
     "given_date",
     [

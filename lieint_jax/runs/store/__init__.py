@@ -8,8 +8,7 @@ from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._leaves import leaves_by_name
 from lieint_jax.runs.store._open_archive import TIME, open_archive, read_trajectory, write_trajectory
 from lieint_jax.runs.store._reading import check_system, load_results, load_store, open_run, step_from_store
-from lieint_jax.runs.store._storage import Address, Url, address
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import Address, StoreOptions, Url, address
 from lieint_jax.runs.store._untrusted import SUFFIXES, UnreadableError, parse_toml, read_toml, wrap_errors
 
 __all__ = [

@@ -6,7 +6,6 @@ middle, and where one that creates an object is lost.
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
 import random
@@ -96,12 +95,8 @@ class Bucket(Storage):
         """See `Storage`: object storage has no locks."""
         return contextlib.nullcontext()
 
-    def arrays(self) -> Any:
-        """See `Storage`."""
-        return _reading_store()(self)
-
     def zarr_store(self) -> Any:
-        """Zarr's own store of the bucket."""
+        """See `Storage`."""
         from zarr.storage import ObjectStore
 
         return ObjectStore(self._store, read_only=True)
@@ -111,12 +106,12 @@ class Bucket(Storage):
         import obstore
         from obstore import exceptions
 
-        store = self._store  # a ValueError of its own if there is none
+        _ = self._store  # a ValueError of its own if there is none
         final = (exceptions.AlreadyExistsError, exceptions.PreconditionError)
         refused = (exceptions.PermissionDeniedError, exceptions.UnauthenticatedError)
         wrong = (exceptions.NotSupportedError, exceptions.InvalidPathError, exceptions.UnknownConfigurationKeyError)
         start, delay = time.monotonic(), _FIRST_DELAY
-        while store is not None:
+        while True:
             try:
                 result = request(obstore)
             except FileNotFoundError:
@@ -134,33 +129,6 @@ class Bucket(Storage):
                 continue
             self._reached = True
             return result
-        raise AssertionError
-
-
-@cache
-def _reading_store() -> type:
-    """The class of `Bucket.arrays`."""
-    from zarr.storage import WrapperStore
-
-    class ReadingStore(WrapperStore):  # pyright: ignore[reportMissingTypeArgument]
-        """Zarr's store of a bucket, whose requests for whole objects are repeated as in `Bucket`."""
-
-        def __init__(self, bucket: Bucket) -> None:
-            super().__init__(bucket.zarr_store())
-            self._bucket = bucket
-
-        def with_read_only(self, read_only: bool = False) -> Any:
-            return self
-
-        async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-            if byte_range is not None:
-                return await super().get(key, prototype, byte_range)
-            try:
-                return prototype.buffer.from_bytes(await asyncio.to_thread(self._bucket.read, key))
-            except FileNotFoundError:
-                return None
-
-    return ReadingStore
 
 
 def message(error: BaseException) -> str:

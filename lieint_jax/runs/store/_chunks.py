@@ -72,17 +72,15 @@ def tail(data: bytes) -> int:
     return int.from_bytes(data[-4:], "little")
 
 
-def checksum_of_bytes(data: bytes) -> int | str:
-    """The checksum at the end of a chunk; "altered" if it is not that of the other bytes."""
-    import google_crc32c  # a dependency of zarr
-
-    return tail(data) if len(data) >= 4 and google_crc32c.value(data[:-4]) == tail(data) else "altered"
-
-
 def checksum_of(storage: Storage, file: str, whole: bool) -> int | str:
     """The checksum at the end of a chunk; a word if its file is missing, unreadable or, if `whole` is read, altered."""
+    import google_crc32c  # a dependency of zarr
+
     try:
-        return checksum_of_bytes(storage.read(file)) if whole else tail(storage.tail(file))
+        if not whole:
+            return tail(storage.tail(file))
+        data = storage.read(file)
+        return tail(data) if len(data) >= 4 and google_crc32c.value(data[:-4]) == tail(data) else "altered"
     except FileNotFoundError:
         return "missing"
     except OSError as error:

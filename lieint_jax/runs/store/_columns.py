@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike
 from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Numbers
 from lieint_jax.runs.store._leaves import Table, leaves_by_name, store_name
-from lieint_jax.runs.store._store_options import StoreOptions
+from lieint_jax.runs.store._storage import StoreOptions
 from lieint_jax.runs.store._writer import Column
 from lieint_jax.types import labeled
 
@@ -60,26 +60,22 @@ def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, Column]
     times, members = axes.times, axes.members
     series = job.reduction is not None
     texts = {"q": "configuration", "p": "momentum", "work": "work done on the body", "t": "time of each member"}
-    text = "time" if job.t0 is None or job.shares_time else "time since the start"
+    text = "time since the start" if job.own_times else "time"
     if job.step.own_time:
         text = "fictitious time since the start"
     columns = {"time": axes.column(times, units=options.time_unit, long_name=text)}
-    for name, leaf in leaves_by_name(job.states if job.shares_time else job.initial).items():
+    for name, leaf in leaves_by_name(job.initial if job.own_times else job.states).items():
         along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
         columns[store_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
     text = "first step that did not converge; -1: none; -2: not known before the end"
     columns["first_failure"] = axes.column(members, np.int64, long_name=text, units="1")._replace(missing=-2)
     if job.per_member:
         columns |= {name: axes.column(members, long_name=_MEMBER_TEXTS[name]) for name in job.change_names}
-    return columns | (series_columns(job, axes, times) if series else _report_columns(axes))
-
-
-def _report_columns(axes: Axes) -> dict[str, Column]:
-    both = {**axes.times, **axes.members}
-    return {
-        "residual": axes.column(both, long_name=_RESIDUAL, units="1"),
-        "converged": axes.column(both, bool, long_name="whether all steps since the entry before did"),
-    }
+    if series:
+        return columns | series_columns(job, axes, times)
+    text, both = "whether all steps since the entry before did", {**times, **members}
+    columns["residual"] = axes.column(both, long_name=_RESIDUAL, units="1")
+    return columns | {"converged": axes.column(both, bool, long_name=text)}
 
 
 def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, Column]:

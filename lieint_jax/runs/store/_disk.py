@@ -121,7 +121,7 @@ class Disk(Storage):
             if descriptor is not None:
                 os.close(descriptor)
 
-    def arrays(self) -> Any:
+    def zarr_store(self) -> Any:
         """See `Storage`."""
         from zarr.storage import LocalStore
 

@@ -1,4 +1,4 @@
-"""The files of a store by its address, and Zarr's view of them for writing."""
+"""The files of a store by its address, and Zarr's view of them."""
 
 from __future__ import annotations
 
@@ -19,37 +19,48 @@ def open_storage(place: str | Path) -> Storage:
     return Bucket(found) if isinstance(found, Url) else Disk(found)
 
 
+def open_zarr(storage: Storage, writable: bool = False) -> Any:
+    """Zarr's store of a storage, for reading, or `writable` for both."""
+    return _zarr_store()(storage, writable) if writable or storage.is_remote else storage.zarr_store()
+
+
 @cache
-def _writing_store() -> type:
-    """The class of `writable_arrays`; a function, for zarr is imported where it is used."""
+def _zarr_store() -> type:
+    """The class of `open_zarr`; a function, for zarr is imported where it is used."""
     from zarr.storage import WrapperStore
 
-    class WritingStore(WrapperStore):  # pyright: ignore[reportMissingTypeArgument]
-        """Zarr's store, whose files are written by `Storage.stage`; `checksums` are their last four bytes."""
+    class ZarrStore(WrapperStore):  # pyright: ignore[reportMissingTypeArgument]
+        """Zarr's own store, but files are written, and whole objects of a bucket are read, by a `Storage`.
 
-        def __init__(self, storage: Storage) -> None:
-            super().__init__(storage.arrays())
-            self._storage, self.checksums = storage, dict[str, int]()
+        `checksums` are the last four bytes of the files that it has written.
+        """
+
+        def __init__(self, storage: Storage, writable: bool) -> None:
+            super().__init__(storage.zarr_store())
+            self._storage, self._writable, self.checksums = storage, writable, dict[str, int]()
 
         def with_read_only(self, read_only: bool = False) -> Any:
-            return self._store.with_read_only(True) if read_only else self
+            return open_zarr(self._storage) if read_only else self
 
         @property
         def read_only(self) -> bool:
-            return False
+            return not self._writable
 
         @property
         def supports_writes(self) -> bool:
-            return True
+            return self._writable
+
+        async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
+            if byte_range is not None or not self._storage.is_remote:
+                return await super().get(key, prototype, byte_range)
+            try:
+                return prototype.buffer.from_bytes(await asyncio.to_thread(self._storage.read, key))
+            except FileNotFoundError:
+                return None
 
         async def set(self, key: str, value: Any) -> None:
             data = value.to_bytes()
             await asyncio.to_thread(self._storage.stage, key, data)
             self.checksums[key] = tail(data)
 
-    return WritingStore
-
-
-def writable_arrays(storage: Storage) -> Any:
-    """Zarr's store of a storage, which writes each file in one step and records the checksums at their ends."""
-    return _writing_store()(storage)
+    return ZarrStore

@@ -51,7 +51,7 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
         "functions and options of the step": _digest_or_reason(structure),
         "numbers of the step": _digest_of_arrays(*leaves),
         "initial states": digest_of_states(job.initial) if job.make_states is None else None,
-        "function of states": None if job.make_states is None else _digest_or_reason(job.make_states),
+        "function of states": _digest_or_reason(job.make_states),
         "members": job.members,
         "dt": job.dt,
         "num_steps": job.planned_steps,
@@ -60,9 +60,9 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
         "save_at": None if job.rests is None else _digest_of_arrays(job.times),
         "step_axis": job.step_axis,
         "reduce": getattr(job.reduction, "__name__", "a function") if job.reduction is not None else None,
-        "function of reduce": None if job.reduction is None else _digest_or_reason(job.reduction),
+        "function of reduce": _digest_or_reason(job.reduction),
         "per": "member" if job.per_member else None,
-        "function of first": None if job.condition is None else _digest_or_reason(job.condition),
+        "function of first": _digest_or_reason(job.condition),
         "epoch": job.epoch or None,
         "dtype": str(job.dtype),
         "versions": package_versions() | _python(structure, job.reduction, job.condition, job.make_states),
@@ -161,10 +161,10 @@ def _not_comparable(described: Table) -> dict[str, str]:
     return {key: x for key, x in described.items() if isinstance(x, str) and x.startswith(_NO_DIGEST)}
 
 
-def _digest_or_reason(value: object) -> str:
-    """The digest of a value, or the reason why it has none."""
+def _digest_or_reason(value: object) -> str | None:
+    """The digest of a value, or the reason why it has none; None of None."""
     try:
-        return digest(value)
+        return None if value is None else digest(value)
     except NotDigestible as reason:
         return f"{_NO_DIGEST}{reason}"
 
@@ -179,14 +179,9 @@ def _python(*values: object) -> dict[str, str]:
 
 
 def digest_of_states(states: State) -> str:
-    """The digest of the arrays of states."""
-    return _digest_of_arrays(*_with_names(states))
-
-
-def _with_names(states: State) -> list[ArrayLike | bytes]:
-    """The arrays of states: q and p first, then each optional array after its name."""
+    """The digest of the arrays of states: q and p first, then each optional array after its name."""
     q, p, *rest = leaves_by_name(states).items()
-    return [q[1], p[1], *(part for name, x in rest for part in (name.encode(), x))]
+    return _digest_of_arrays(q[1], p[1], *(part for name, x in rest for part in (name.encode(), x)))
 
 
 def _digest_of_arrays(*leaves: ArrayLike | bytes) -> str:

@@ -18,46 +18,45 @@ from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
 from lieint_jax.runs.store._description import describe
 from lieint_jax.runs.store._files import open_storage
-from lieint_jax.runs.store._leaves import Stored, Table
+from lieint_jax.runs.store._leaves import Saves, Table
 from lieint_jax.runs.store._open_store import check_store, described_root
 from lieint_jax.runs.store._reading import read_part
 from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split
-from lieint_jax.runs.store._storage import Storage
-from lieint_jax.runs.store._store_options import StoreOptions, check_json, checked_path
+from lieint_jax.runs.store._storage import Storage, StoreOptions, check_json, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.runs.store._writer import Origin, Writer, join, skeleton
+from lieint_jax.runs.store._writer import Writer, join, skeleton
 
 
 def run_into_store(
     job: Job,
     engine: str,
+    options: StoreOptions,
+    integrate: Callable[[Layout, StoreOutput], object],
+    *,
     whole: Job,
     mesh: Mesh,
-    options: StoreOptions,
-    count: int,
-    k: int,
-    in_parts: bool,
-    resume: bool,
-    same_bits: bool,
-    integrate: Callable[[Layout, StoreOutput], object],
-) -> Stored:
-    """Let `integrate` fill part k of a store, from its start or its last commit, and return the results of its members.
+    part: tuple[int, int] = (0, 1),
+    in_parts: bool = False,
+    resume: bool = False,
+    same_bits: bool = True,
+) -> Saves:
+    """Let `integrate` fill a part of a store, from its start or its last commit, and return the results of its members.
 
     The first part to come creates the store; every part checks that the store is that of its own run.
 
     Args:
         job: that of the part.
         engine: the name of its engine.
+        options: the store.
+        integrate: fills an output.
         whole: the job of all members.
         mesh: the devices.
-        options: the store.
-        count: the number of parts.
-        k: which one.
+        part: (k, n), part k of n.
         in_parts: whether other parts, or other processes into the same bucket, may write at the same time.
         resume: continue a store that exists.
         same_bits: only where it was begun on a machine of the same kind.
-        integrate: fills an output.
     """
+    k, count = part
     storage, leader = open_storage(checked_path(options.path)), jax.process_index() == 0
     split = split_into_parts(whole, count, storage.is_remote)
     check_json(options.attributes)
@@ -79,8 +78,10 @@ def run_into_store(
         together(lambda: stack.enter_context(root.storage.lock(root.folder(k), leader)))
         if in_parts:
             join(root, first_files())
-        origin = Origin(_identity.digest_of_states(job.initial), _identity.machine_of(described), same_bits)
-        writer = together(lambda: stack.enter_context(contextlib.closing(Writer(root, k, origin, leader))))
+        initial, machine = _identity.digest_of_states(job.initial), _identity.machine_of(described)
+        writer = together(
+            lambda: stack.enter_context(contextlib.closing(Writer(root, k, leader, initial, machine, same_bits)))
+        )
         layout = _layout.layout_of(mesh, job.members, root.split.chunk)
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))

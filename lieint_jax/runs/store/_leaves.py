@@ -45,16 +45,16 @@ def states_in(arrays: Any, times: np.ndarray, metadata: Table) -> State:
     return state_from_leaves(found)
 
 
-class Stored(NamedTuple):
-    """A run in a store.
+class Saves(NamedTuple):
+    """The saves of a run, in memory or in a store.
 
     Attributes:
-        found: a `Trajectory` of arrays that are read where they are indexed; of a reduced run its arrays by name, or
-            the summary that is made of them.
+        found: a `Trajectory`, of a store with arrays that are read where they are indexed; or the summary of a reduced
+            run, for which its arrays by name stand while it is read.
         failed: the first step of each member that did not converge, or −1; None if that is not known yet.
-        attributes: those of the store.
+        attributes: those of the store; None in memory.
     """
 
     found: Any
     failed: Any
-    attributes: Table
+    attributes: Any = None

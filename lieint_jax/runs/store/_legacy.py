@@ -14,23 +14,24 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.runs.store._chunks import chunk_files, damage_of_chunks, damage_of_constants, digest, is_along_time
-from lieint_jax.runs.store._leaves import Stored, Table, states_in
+from lieint_jax.runs.store._files import open_zarr
+from lieint_jax.runs.store._leaves import Saves, Table, states_in
 from lieint_jax.runs.store._storage import Storage
 from lieint_jax.types import StepInfo, Trajectory
 
 LAST = 3  # the last format of such stores
 
 
-def load(path: Path, attributes: Table) -> Stored:
+def load(path: Path, attributes: Table) -> Saves:
     """The published part of the run in a store of these attributes."""
     import zarr
 
     group: Any = zarr.open_group(str(path), mode="r", use_consolidated=True)
     if attributes["reduce"] is not None:
-        return Stored({name: array[...] for name, array in group.arrays()}, None, attributes)
+        return Saves({name: array[...] for name, array in group.arrays()}, None, attributes)
     times, info = group["time"][...], StepInfo(group["residual"], group["converged"])
     failed = group["first_failure"][...] if attributes["progress"]["complete"] and "first_failure" in group else None
-    return Stored(Trajectory(times, states_in(group, times, attributes), info), failed, attributes)
+    return Saves(Trajectory(times, states_in(group, times, attributes), info), failed, attributes)
 
 
 def damage(storage: Storage, root: Table) -> Iterator[str]:
@@ -59,6 +60,6 @@ def _recorded_checksums(storage: Storage, attributes: Table) -> np.ndarray | Non
     import zarr
 
     rows = math.ceil(attributes["progress"]["entries"] / attributes["time_chunk"])
-    array: Any = zarr.open_array(storage.arrays(), path="checksums", mode="r")
+    array: Any = zarr.open_array(open_zarr(storage), path="checksums", mode="r")
     recorded = np.asarray(array[:rows], "<u4")
     return recorded if digest(recorded.tobytes()) == attributes["digests"]["rows"] else None

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lieint_jax import _checks
+from lieint_jax.runs._job import SERIES
 from lieint_jax.runs.store import _legacy
 from lieint_jax.runs.store._chunks import raise_if_damaged
 from lieint_jax.runs.store._files import open_storage
@@ -36,7 +37,6 @@ from lieint_jax.runs.store._untrusted import JSON_BYTES, UnreadableError, parse_
 
 _CHUNK_BYTES = 2**30
 _MAX_PARTS, _MOST_FILES = 10**6, 10**12
-_SERIES = ("least", "greatest", "mean", "residual")
 _OF_MEMBERS = ("least", "greatest", "total", "last")
 
 
@@ -56,7 +56,7 @@ def check_store(path: Address) -> Root | Table:
         elif not root.in_parts:
             lost = list(root.damage())
         elif lost := list(root.damage_of_root()):
-            if not root.has_results():  # a bucket gets the root first, and results after all other files
+            if not root.storage.sizes("parts"):  # a bucket gets the root first, and results after all other files
                 raise UnreadableError(
                     f"{path} has no results yet, and not all of its files: it is being created. Open it again when it "
                     "has; if its run was stopped, start that again"
@@ -164,7 +164,7 @@ def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
     entries, members = found["num_entries"] if in_parts else found["progress"]["entries"], found["members"]
     if found["reduce"] is not None:
         of_members = _OF_MEMBERS if found.get("per") else ()
-        names = {"residual" if of_members else name for name in _SERIES} | {"unconverged", "time"}
+        names = {*(SERIES[3:] if of_members else SERIES), "time"}
         if not names <= set(kinds):
             raise ValueError(f"it has no array {min(names - set(kinds))}")
         for name in names:

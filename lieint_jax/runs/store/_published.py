@@ -9,7 +9,8 @@ import numpy as np
 
 from lieint_jax.runs._dyadic_sum import blocks, total
 from lieint_jax.runs.store._chunks import dims_of, first_of, is_along_time
-from lieint_jax.runs.store._leaves import Stored, states_in
+from lieint_jax.runs.store._files import open_zarr
+from lieint_jax.runs.store._leaves import Saves, states_in
 from lieint_jax.runs.store._root import PartStatus, Root
 from lieint_jax.runs.store._untrusted import UnreadableError
 from lieint_jax.types import StepInfo, Trajectory
@@ -109,7 +110,7 @@ def _as_slice(numbers: np.ndarray) -> Any:
     return numbers
 
 
-def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Stored:
+def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Saves:
     """The published results of all parts or of one.
 
     The attributes have "machines" too, pairs of a part and what has computed it; those of a run in parts have
@@ -138,14 +139,14 @@ def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Stored:
     attributes = root.attributes | {"progress": progress, "machines": machines}
     if root.in_parts:
         attributes["missing"] = [line for line in (status.sentence(root.entries) for status in statuses) if line]
-    group: Any = zarr.open_group(root.storage.arrays(), mode="r", use_consolidated=root.in_parts)
+    group: Any = zarr.open_group(open_zarr(root.storage), mode="r", use_consolidated=root.in_parts)
     if attributes["reduce"] is not None:
         if attributes.get("missing"):
             raise UnreadableError(
                 f"{root.storage.address} is an incomplete run with `reduce`: {first_of(attributes['missing'])}. Run "
                 "these parts, or read it by xarray.open_zarr"
             )
-        return Stored(_series(root, group, statuses, members, progress["entries"]), None, attributes)
+        return Saves(_series(root, group, statuses, members, progress["entries"]), None, attributes)
     arrays = {
         name: PublishedArray(group[name], progress["entries"], members, statuses)
         for name, meta in root.metas.items()
@@ -155,7 +156,7 @@ def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Stored:
     state = states_in(arrays, times, attributes | {"members": len(members)})
     info: Any = StepInfo(arrays["residual"], arrays["converged"])  # pyright: ignore[reportArgumentType]
     failed = np.asarray(group["first_failure"][members.start : members.stop]) if progress["complete"] else None
-    return Stored(Trajectory(times, state, info), failed, attributes)
+    return Saves(Trajectory(times, state, info), failed, attributes)
 
 
 _MERGE = {"least": np.min, "greatest": np.max, "residual": np.max, "unconverged": np.sum}  # the series of several parts

@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.runs._job import MemberSummary, Summary
+from lieint_jax.runs._job import SERIES, MemberSummary, Summary
 from lieint_jax.runs._loop import Change
 from lieint_jax.runs.store import _legacy, _published
 from lieint_jax.runs.store._chunks import first_of
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._disk import Disk
-from lieint_jax.runs.store._files import open_storage
-from lieint_jax.runs.store._leaves import Stored, Table, states_in
+from lieint_jax.runs.store._files import open_storage, open_zarr
+from lieint_jax.runs.store._leaves import Saves, Table, states_in
 from lieint_jax.runs.store._open_archive import open_archive, read_trajectory
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
@@ -64,7 +64,7 @@ def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> tuple
     return stored.found, system
 
 
-def open_with_step(path: Address, own: Mapping[str, object] | None = None) -> tuple[Stored, Step]:
+def open_with_step(path: Address, own: Mapping[str, object] | None = None) -> tuple[Saves, Step]:
     """The run in a store and its step; arguments and errors as in `open_run`."""
     stored = read_run(path)
     system = system_from_store(path, stored.attributes, own)
@@ -73,7 +73,7 @@ def open_with_step(path: Address, own: Mapping[str, object] | None = None) -> tu
     return stored, step
 
 
-def read_run(path: Address) -> Stored:
+def read_run(path: Address) -> Saves:
     """The run in a store, checked as far as its arrays show."""
     loaded = _load(path)
     found, attributes = loaded.found, loaded.attributes
@@ -85,7 +85,7 @@ def read_run(path: Address) -> Stored:
         return _as_stored(loaded)
 
 
-def _check_states(path: Address, system: System, stored: Stored) -> None:
+def _check_states(path: Address, system: System, stored: Saves) -> None:
     if isinstance(stored.found, Trajectory) and len(stored.found.t):
         check_system(path, system, stored.found, stored.attributes["run"]["step_axis"] == 0)
 
@@ -119,7 +119,7 @@ def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]
     return loaded.found, loaded.attributes
 
 
-def _load(path: Address, thorough: bool | None = None) -> Stored:
+def _load(path: Address, thorough: bool | None = None) -> Saves:
     root = check_store(path)
     with wrap_errors(path):
         if isinstance(root, Root):
@@ -128,12 +128,12 @@ def _load(path: Address, thorough: bool | None = None) -> Stored:
         return _legacy.load(path, root["attributes"])
 
 
-def read_part(root: Root, k: int, progress: Table) -> Stored:
+def read_part(root: Root, k: int, progress: Table) -> Saves:
     """The run of part k of a store, which this process has written up to this progress."""
     return _as_stored(_published.load(root, False, PartStatus(k, root.split.part(k), progress, None)))
 
 
-def read_written(path: Path) -> Stored:
+def read_written(path: Path) -> Saves:
     """The run in a store that this process has just written."""
     storage = Disk(path)
     root = read_root(storage)
@@ -189,11 +189,11 @@ def _constants(path: Address, names: Iterable[str]) -> dict[str, np.ndarray]:
     """The arrays of these names, which the run does not change."""
     import zarr
 
-    store = open_storage(path).arrays()
+    store = open_zarr(open_storage(path))
     return {name: np.asarray(zarr.open_array(store, path=name, mode="r")[...]) for name in names}
 
 
-def _as_stored(loaded: Stored) -> Stored:
+def _as_stored(loaded: Saves) -> Saves:
     """The run with a summary of the arrays of a reduced one, and with the first failures as far as reports show them.
 
     Before the run is complete, these are the first steps between two of its saves.
@@ -201,16 +201,16 @@ def _as_stored(loaded: Stored) -> Stored:
     found, failed, attributes = loaded
     if isinstance(found, Trajectory):
         failed = _failures(found, attributes["save_every"]) if failed is None else failed
-        return Stored(found, failed, attributes)
+        return Saves(found, failed, attributes)
     state, failed = states_in(found, found["time"][-1], attributes), found["first_failure"]
     if attributes.get("per") is not None:
         values: dict[str, Any] = {name: found.get(name) for name in (*Change._fields, "residual", "unconverged")}
         number = attributes["num_steps"] + 1
-        return Stored(
+        return Saves(
             MemberSummary(found["time"], **values, number=number, state=state, failed=failed), failed, attributes
         )
-    series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
-    return Stored(Summary(found["time"], **series, state=state, failed=failed), failed, attributes)
+    series = {name: found[name] for name in SERIES}
+    return Saves(Summary(found["time"], **series, state=state, failed=failed), failed, attributes)
 
 
 def _failures(found: Trajectory, save_every: int | None) -> np.ndarray:

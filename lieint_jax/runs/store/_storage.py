@@ -1,4 +1,4 @@
-"""The files of a store in a folder or in a bucket: read, replaced and created as a whole, and durable when it returns.
+"""Where a store is, and its files in a folder or in a bucket: read, replaced and created as a whole, and durable.
 
 A commit needs two things of a store: a file is replaced by another in one indivisible step, and of several processes
 that create one store exactly one succeeds. A disk has `rename` for them, and `fsync`; object storage has PUT and PUT
@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import abc
 import contextlib
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 _SCHEMES = ("s3", "gs", "az", "memory")
@@ -56,6 +57,47 @@ def address(text: str | Path) -> Address:
     if not parts.netloc or PurePosixPath(parts.path).suffix != ".zarr":
         raise ValueError(f"the URL of a store is {parts.scheme}://BUCKET/NAME.zarr, got {text}")
     return Url(text.rstrip("/"))
+
+
+class StoreOptions(NamedTuple):
+    """The path of a store, and attributes that are written with the results.
+
+    Attributes:
+        path: a folder or a URL, whose name ends in .zarr.
+        attributes: values for JSON, such as a title. The key "scenario" describes the run: a run with another scenario
+            cannot resume it.
+        time_unit: the unit of dt.
+    """
+
+    path: str | Path
+    attributes: Mapping[str, Any] = {}
+    time_unit: str = "1"
+
+    @classmethod
+    def of(cls, store: str | Path | StoreOptions) -> StoreOptions:
+        """Options as given, or those of a path."""
+        return store if isinstance(store, StoreOptions) else cls(store)
+
+
+def checked_path(place: str | Path) -> Any:
+    """The path or URL of a store, checked as far as is possible before it exists."""
+    path = address(place)
+    if path.suffix != ".zarr":
+        raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
+    if isinstance(path, Path) and os.path.lexists(path) and not os.path.exists(path):
+        raise ValueError(f"{path} is a link to {path.readlink()}, which does not exist; remove it or make that folder")
+    return path
+
+
+def check_json(attributes: Mapping[str, object]) -> None:
+    """Raise ValueError if the user's attributes of a store are not values for JSON."""
+    for key, value in attributes.items():
+        try:
+            if not isinstance(key, str):
+                raise TypeError(f"names must be strings, got {key!r}")
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"attributes of a store must be values for JSON; {key!r} is not: {error}") from None
 
 
 class Storage(abc.ABC):
@@ -109,8 +151,8 @@ class Storage(abc.ABC):
         """
 
     @abc.abstractmethod
-    def arrays(self) -> Any:
-        """Zarr's store of these files, for reading."""
+    def zarr_store(self) -> Any:
+        """Zarr's own store of these files, for reading."""
 
     def has_store(self) -> bool:
         """True if there is a store, or on a disk anything else of its name."""

@@ -11,11 +11,11 @@ import jax
 import numpy as np
 
 from lieint_jax.runs import _layout
-from lieint_jax.runs._job import Job, Series, first_entry, local_rows
+from lieint_jax.runs._job import Job, Series
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Carry, Change
-from lieint_jax.runs.store._leaves import leaves_by_name, state_from_leaves, store_name
-from lieint_jax.runs.store._writer import Commit, Slab, Writer
+from lieint_jax.runs.store._leaves import Table, leaves_by_name, state_from_leaves, store_name
+from lieint_jax.runs.store._writer import Slab, Writer
 from lieint_jax.types import StepInfo
 
 Pending = Any  # saved rows, or the series of a reduction by name
@@ -60,16 +60,14 @@ class StoreOutput:
         carry = Carry(state, info, found["failed"], Change(**{name: found[name] for name in names}) if names else None)
         return _layout.placed(self._layout, carry, first=part.start), done["steps"], done["entries"] - 1
 
-    def begin(self, carry: Carry) -> None:
-        """Receive the entry of the start."""
-        if self._job.reduction is None:
-            self._pending.append((jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state)), 1))
-        else:
-            self._pending.append((first_entry(self._job), 1))
-
     def append(self, saved: Tree | Series, number: int) -> None:
-        """Receive `number` saved rows."""
-        self._pending.append((saved if isinstance(saved, dict) else local_rows(saved, number), number))
+        """See `MemoryOutput`. A part of a longer buffer is copied, so that this can be freed."""
+
+        def on_host(x: Numbers) -> np.ndarray:
+            x = np.asarray(x)
+            return x if len(x) == number else x[:number].copy()
+
+        self._pending.append((jax.tree.map(on_host, saved), number))
 
     def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
@@ -87,16 +85,16 @@ class StoreOutput:
         self._entries, self._pending, self._since = first + self._pending_rows, [], 0.0
         row = first // self.buffer_rows if pending else None
         commits = 0 if last else number  # reset: it depends on interruptions
-        commit = Commit(row, {"commits": commits, "entries": self._entries, "steps": done, "complete": last})
-        self._publish = partial(self._publish_commit, carry, commit)
+        progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
+        self._publish = partial(self._publish_commit, carry, row, progress)
         writer.write(partial(self._slabs, carry, pending, first, last), self._publish if self._alone else None)
 
-    def _publish_commit(self, carry: Carry, commit: Commit) -> None:
+    def _publish_commit(self, carry: Carry, row: int | None, progress: Table) -> None:
         """Publish a commit that all processes have written."""
-        layout = self._layout
-        checksums = _layout.all_gather(layout.mesh, self._writer.checksums(commit)).max(axis=0)
-        arrays = {} if commit.progress["complete"] else _layout.gather(layout, _leaves_of_carry(carry))
-        self._writer.publish(commit, checksums, arrays)
+        layout, complete = self._layout, progress["complete"]
+        checksums = _layout.all_gather(layout.mesh, self._writer.checksums(row, complete)).max(axis=0)
+        arrays = {} if complete else _layout.gather(layout, _leaves_of_carry(carry))
+        self._writer.publish(row, progress, checksums, arrays)
 
     def _settle(self, wait: bool) -> None:
         """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
@@ -139,7 +137,7 @@ class StoreOutput:
         if self._job.reduction is not None:
             names = filter(self._writer.has_array, self._job.change_names if self._job.per_member else ())
             kept |= {name: host[name] for name in (*leaves_by_name(self._job.states), *names)}
-            if self._has_own_times:
+            if self._job.own_times:
                 kept["t"] = self._own_times(slice(-1, None), members)[0]
         for name, x in kept.items():
             yield Slab(store_name(name), (members.start,), x)
@@ -156,14 +154,9 @@ class StoreOutput:
                 rows = [piece[:, own] for piece in pieces]
                 joined = np.concatenate(rows) if len(rows) > 1 else rows[0]
                 yield Slab(store_name(name), (entries.start, slab.start), joined)
-        if self._has_own_times:
+        if self._job.own_times:
             for slab in slabs:
                 yield Slab("t", (entries.start, slab.start), self._own_times(entries, slab))
-
-    @property
-    def _has_own_times(self) -> bool:
-        """True if the store has an array "t", since members start at different times."""
-        return self._job.t0 is not None and not self._job.shares_time
 
     def _own_times(self, entries: slice, members: range) -> np.ndarray:
         """The values of the array "t" for these members."""

@@ -20,10 +20,19 @@ from lieint_jax.runs.store._chunks import (
     raise_if_damaged,
     tail,
 )
-from lieint_jax.runs.store._files import writable_arrays
+from lieint_jax.runs.store._files import open_zarr
 from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._root import CARRY, ENDS, ROOT, ROWS, START, Root, encode_root
-from lieint_jax.runs.store._state_file import PartState, UnusablePartError
+from lieint_jax.runs.store._root import (
+    CARRY,
+    ENDS,
+    ROOT,
+    ROWS,
+    START,
+    PartState,
+    Root,
+    UnusablePartError,
+    encode_root,
+)
 
 _LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations
 
@@ -55,32 +64,6 @@ class Slab(NamedTuple):
     name: str
     at: tuple[int, ...]
     values: np.ndarray
-
-
-class Origin(NamedTuple):
-    """What a process that writes a part compares with the state of the part, and records in it.
-
-    Attributes:
-        initial: the digest of the initial states of the part's members.
-        machine: the processor, the versions and the engine.
-        same_bits: whether initial states must have the same bits.
-    """
-
-    initial: str = ""
-    machine: Table | None = None
-    same_bits: bool = True
-
-
-class Commit(NamedTuple):
-    """An addition to a store.
-
-    Attributes:
-        row: the row of chunks along time that it fills, or None.
-        progress: the progress that it publishes.
-    """
-
-    row: int | None
-    progress: Table
 
 
 def skeleton(columns: Mapping[str, Column], attributes: Table, constants: Constants) -> dict[str, bytes]:
@@ -166,30 +149,36 @@ class Writer:
     Args:
         root: the root of the store.
         k: which part.
-        origin: what is compared and recorded.
         leader: whether this process publishes.
+        initial: the digest of the initial states of the part's members.
+        machine: the processor, the versions and the engine, which the part records.
+        same_bits: whether the part must have begun with initial states of the same bits.
     """
 
-    def __init__(self, root: Root, k: int = 0, origin: Origin | None = None, leader: bool = True) -> None:
+    def __init__(
+        self,
+        root: Root,
+        k: int,
+        leader: bool = True,
+        initial: str = "",
+        machine: Table | None = None,
+        same_bits: bool = True,
+    ) -> None:
         self.path = root.storage.address
         self._root, self._k, self._leader = root, k, leader
-        self._origin = origin or Origin()
         self._members = root.split.part(k)
-        self._store = writable_arrays(root.storage)
+        self._store = open_zarr(root.storage, writable=True)
         self._arrays: dict[str, Any] = {}
         self._pool = ThreadPoolExecutor(REQUESTS) if root.storage.is_remote else None
         self._background = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
         self._writing: Future[None] | None = None
-        state, machine = self._found() or PartState(START, {}, self._origin.initial), self._origin.machine
-        self._state = (
-            state
-            if machine is None or machine in state.machines
-            else state._replace(machines=(*state.machines, machine))
-        )
+        state = self._found(initial, same_bits) or PartState(START, {}, initial)
+        new = () if machine is None or machine in state.machines else (machine,)
+        self._state = state._replace(machines=(*state.machines, *new))
         if leader:
             root.show(self.progress)
 
-    def _found(self) -> PartState | None:
+    def _found(self, initial: str, same_bits: bool) -> PartState | None:
         """The state that is resumed."""
         remedy = f"remove {self._root.state_file(self._k)}, and the part starts again"
         name = f"part {self._k} of {self.path}"
@@ -202,7 +191,7 @@ class Writer:
         lost = next(self._root.damage_of_part(self._k, state), None) if self._root.in_parts else None
         if lost:
             raise ValueError(f"{name} is damaged: {lost}. Restore the file from a copy, or {remedy}")
-        if state.initial != self._origin.initial and self._origin.same_bits:
+        if state.initial != initial and same_bits:
             raise ValueError(
                 f"{name} began with other initial states than those given now, and cannot be resumed: the function of "
                 f"states must return the same for the same numbers whenever it is called. R{remedy[1:-5]}new"
@@ -262,31 +251,38 @@ class Writer:
                 error.errno, f"{reason}: {self.path} holds everything up to step {steps}; fix the cause and resume"
             ) from error
 
-    def checksums(self, commit: Commit) -> np.ndarray:
-        """The checksums of the commit's files: those that this process has written, and 0 for those of others."""
-        written = self._store.checksums
-        return np.array([written.get(file, 0) for files in self._files(commit).values() for file in files], np.uint32)
-
-    def publish(self, commit: Commit, checksums: np.ndarray, carry: Mapping[str, np.ndarray]) -> None:
-        """Make a commit visible, after every process has written its files, whose `checksums` these are.
+    def checksums(self, row: int | None, complete: bool) -> np.ndarray:
+        """The checksums of a commit's files: those that this process has written, and 0 for those of others.
 
         Args:
-            commit: the commit.
+            row: the row of chunks along time that it fills, or None.
+            complete: whether it is the last one.
+        """
+        rows = [] if row is None else self._root.files(self._k, row)
+        ends = self._root.files(self._k) if complete else []
+        return np.array([self._store.checksums.get(file, 0) for file in rows + ends], np.uint32)
+
+    def publish(self, row: int | None, progress: Table, checksums: np.ndarray, carry: Mapping[str, np.ndarray]) -> None:
+        """Make a commit visible, after every process has written its files.
+
+        Args:
+            row: as in `checksums`.
+            progress: the progress that it publishes.
             checksums: those of all processes.
             carry: the arrays of all members of this part, from which the run goes on; none after the last step.
         """
-        arrays, start = {name: x for name, x in self._state.arrays.items() if name == ROWS}, 0
-        for name, files in self._files(commit).items():
-            found, start = checksums[start : start + len(files)], start + len(files)
-            if name == ROWS:
-                earlier = [arrays[ROWS][: commit.row]] if ROWS in arrays else []
-                found = np.concatenate([*earlier, found[None]])
-            arrays[name] = found
-        state = self._state._replace(progress=commit.progress, arrays=arrays)
-        if self._leader and not self._is_overtaken(commit.progress):
+        rows = self._state.arrays.get(ROWS)
+        if row is not None:
+            own, checksums = np.split(checksums, [len(self._root.files(self._k, row))])
+            rows = own[None] if rows is None else np.concatenate([rows[:row], own[None]])
+        arrays = {} if rows is None else {ROWS: rows}
+        if progress["complete"]:
+            arrays[ENDS] = checksums
+        state = self._state._replace(progress=progress, arrays=arrays)
+        if self._leader and not self._is_overtaken(progress):
             whole = state._replace(arrays=arrays | {f"{CARRY}{name}": x for name, x in carry.items()})
             self._root.storage.put(self._root.state_file(self._k), whole.encode(self._root.place(self._k)))
-            self._root.show(commit.progress)
+            self._root.show(progress)
         self._state = state
         self._store.checksums.clear()
 
@@ -299,11 +295,6 @@ class Writer:
         except UnusablePartError:
             return False
         return found is not None and found.progress["steps"] > progress["steps"]
-
-    def _files(self, commit: Commit) -> dict[str, list[str]]:
-        """The files of a commit, by the array of the state that has their checksums."""
-        found = {} if commit.row is None else {ROWS: self._root.files(self._k, commit.row)}
-        return found | ({ENDS: self._root.files(self._k)} if commit.progress["complete"] else {})
 
     def close(self) -> None:
         """Wait for the background threads."""
