@@ -61,6 +61,15 @@ def test_derivatives_of_jacobi_functions_are_exact_also_at_the_ends(m1):
 
 
 @pytest.mark.long
+def test_jacobi_functions_are_elementary_at_the_ends_of_the_parameter():
+    u = jnp.linspace(-3, 3, 13)
+    circle = elliptic.jacobi(u, jnp.ones_like(u))
+    assert np.abs(np.array(circle) - np.array([np.sin(u), np.cos(u), np.ones(13)])).max() < 5e-16
+    line = elliptic.jacobi(u, jnp.zeros_like(u))
+    assert np.abs(np.array(line) - np.array([np.tanh(u), 1 / np.cosh(u), 1 / np.cosh(u)])).max() < 5e-16
+
+
+@pytest.mark.long
 def test_carlson_rj_agrees_with_mpmath():
     cases = [
         (x, y, p) for x in (0, 1e-30, 1e-5, 0.2, 1) for y in (1, 0.5, 1e-3, 1e-20, 1e-60) for p in (1, 1.001, 2, 1e2)

@@ -227,3 +227,21 @@ def test_euler_angles_where_only_a_sum_is_determined():
         again = so3.from_euler(so3.to_euler(q, sequence), sequence)
         assert abs(float(q @ again)) == pytest.approx(1, abs=1e-14)
         assert np.isfinite(jax.jacfwd(lambda q, s=sequence: so3.to_euler(q, s))(q)).all()
+
+
+def test_a_scipy_rotation_is_an_attitude():
+    """Recognized by its methods; scipy puts the scalar part last."""
+    from scipy.spatial.transform import Rotation
+
+    import lieint_jax as li
+
+    turn = Rotation.from_euler("ZXZ", [0.3, 0.5, -0.2])
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    same(body.rotation_matrix(body.state(turn, angular_velocity=[0.0, 0, 1])), turn.as_matrix())
+    several = Rotation.from_euler("ZXZ", [[0.3, 0.5, -0.2], [1.0, 0.2, 0.4]])
+    two = li.systems.rigid_bodies([1.0, 2.0], [[1.0, 2, 2.5]] * 2, li.potentials.point_masses(1.0, [1.0, 2.0]))
+    same(two.state([[0.0, 0, 0], [3.0, 0, 0]], several).q[:, 3:], np.roll(several.as_quat(), 1, axis=1))
+    with pytest.raises(ValueError, match=r"one scipy Rotation, got shape \(2, 4\)"):
+        body.state(several, angular_velocity=[0.0, 0, 1])
+    with pytest.raises(ValueError, match=r"Euler angles: li\.attitude\.from_euler"):
+        body.state([0.1, 0.2, 0.3], angular_velocity=[0.0, 0, 1])

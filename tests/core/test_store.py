@@ -655,6 +655,21 @@ def command(folder, *options, **popen):
     return subprocess.Popen(arguments, cwd=folder, stdout=subprocess.DEVNULL, **popen)
 
 
+@pytest.mark.long
+def test_a_run_killed_at_random_moments_resumes(book):
+    delays = np.random.default_rng(11).uniform(1.5, 5.0, 5)
+    ended = 0
+    for delay in delays:
+        process = command(book, "--out", "killed.zarr", "--resume", stderr=subprocess.DEVNULL)
+        time.sleep(delay)
+        ended += process.poll() is None
+        process.kill()
+        process.wait()
+    assert ended >= 2
+    assert command(book, "--out", "killed.zarr", "--resume").wait() == 0
+    assert same_folders(book / "killed.zarr", book / "whole.zarr")
+
+
 def killable(case, path, pause):
     command = [sys.executable, str(Path(killed.__file__)), case, str(path), str(pause)]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
 import slopes
 from grid import examples_of
 from scipy.spatial.transform import Rotation
@@ -121,6 +122,21 @@ def test_sculling_on_the_group_of_motions():
     angle = turn * np.sin(w * t)
     v = force / (w * turn) * np.array([0, np.sin(angle), 1 - np.cos(angle)])
     np.testing.assert_allclose(q[:3, 3], v, rtol=0, atol=1e-9)  # observed: 1e-10
+
+
+@pytest.mark.parametrize("frame", ["body", "space"])
+def test_a_motion_of_se3_is_that_of_scipy(frame):
+    system = systems.kinematics(groups.special_euclidean(3), EXAMPLES["screw"][0].rate, frame)
+    hats, v = np.asarray(system.group.basis), np.asarray(system.rate.args[0])
+
+    def rate(t, q):
+        q, omega = q.reshape(4, 4), np.tensordot(v * np.cos(t + np.arange(6)), hats, 1)
+        return (q @ omega if frame == "body" else omega @ q).ravel()
+
+    exact = scipy.integrate.solve_ivp(rate, (0, 4), np.eye(4).ravel(), "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    for order, commutators in STEPS:
+        limit = {2: 1e-2, 4: 2e-6, 6: 1e-9}[order]
+        assert error(made(system, order, commutators), system.state(), 4.0, 80, exact.reshape(4, 4)) < limit
 
 
 @pytest.mark.quick

@@ -121,6 +121,30 @@ def test_a_body_at_rest_has_finite_values_and_derivatives(kappa):
             assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
 
 
+@pytest.mark.long
+def test_vmap_over_states_steps_and_inertias():
+    rng = np.random.default_rng(2)
+    J, q, Omega = rng.uniform(1, 1.9, (8, 3)), rng.normal(size=(8, 4)), rng.uniform(-1, 1, (8, 3))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    dts = np.linspace(-0.3, 0.3, 8)
+
+    def build(J, q, Omega):
+        body = li.systems.rigid_body(J)
+        return li.schemes.so3_midpoint(body), body.state(q, angular_velocity=Omega)
+
+    @jax.jit
+    def all_at_once(J, q, Omega, dts):
+        steps, states = jax.vmap(build)(J, q, Omega)
+        return states, jax.vmap(lambda s, z, dt: s(z, dt))(steps, states, dts)
+
+    states, (batch, info) = jax.device_get(all_at_once(J, q, Omega, dts))
+    assert info.converged.all()
+    for k in range(8):
+        step = li.schemes.so3_midpoint(li.systems.rigid_body(J[k]))
+        one, _ = after(step, li.State(states.q[k], states.p[k]), dts[k], 1)
+        np.testing.assert_allclose(batch.q[k], one.q, rtol=0, atol=4e-16)
+
+
 def test_building_the_step_again_hits_the_same_jit_cache():
     count = 0
 
@@ -177,6 +201,43 @@ def test_a_root_past_a_fold_of_the_branch_is_not_called_converged(J, Omega, dt, 
     body = li.systems.rigid_body(J)
     state = li.State(np.array([1.0, 0.0, 0.0, 0.0]), np.array(J) * Omega)
     assert not after(li.schemes.so3_midpoint(body, kappa, iterations=8), state, dt, 1)[1].converged
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kappa", [kappa_cayley, kappa_exponential], ids=lambda k: k.name)
+def test_converged_roots_are_those_of_the_branch_from_zero(kappa):
+    """Against continuation in 60 increments of dt, each from the root before, near the intermediate axis."""
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    rng = np.random.default_rng(8)
+    Omega = np.array([0.0, 1.0, 0.0]) + 0.1 * rng.normal(size=(300, 3))
+    step = li.schemes.so3_midpoint(body, kappa, iterations=8)
+    J, name = np.array([1.0, 2, 3]), kappa.name
+
+    def branch(Omega, dt, bar):
+        """Newton on (3.4) in Θ̄ with numpy, from a nearby root."""
+        for _ in range(6):
+            k, dk = (f(bar @ bar) for f in paper.KAPPAS[name])
+            F = J * bar + k / 2 * np.cross(bar, J * bar) - dt * J * Omega
+            K = (
+                np.diag(J)
+                + k / 2 * (paper.hat(bar) @ np.diag(J) - paper.hat(J * bar))
+                + dk * np.outer(np.cross(bar, J * bar), bar)
+            )
+            bar = bar - np.linalg.solve(K, F)
+        return bar
+
+    end = 2.6 if kappa is kappa_exponential else 3.9
+    one = np.array([1.0, 0.0, 0.0, 0.0])
+    steps = [after(step, li.State(one, J * v), end, 1) for v in Omega]
+    good = np.flatnonzero([info.converged for _, info in steps])
+    assert 5 < len(good) < 300
+    for m in good[:4]:
+        bar = end / 60 * Omega[m]
+        for dt in np.linspace(0, end, 61)[1:]:
+            bar = branch(Omega[m], dt, bar)
+        half = paper.KAPPAS[name][0](bar @ bar) * bar / 2  # cay Θ is the quaternion 1 + ½Θ, normalized
+        exact = np.array([1, *half]) / np.sqrt(1 + half @ half)
+        assert angle(exact, steps[m][0].q) < 1e-12
 
 
 @pytest.mark.long

@@ -19,6 +19,7 @@ G, MASSES, RADII, K2, LAGS = 1.0, np.array([1.0, 0.4]), np.array([0.5, 0.4]), np
 LAW = tides.constant_lag(G, MASSES, RADII, K2, LAGS)
 QUALITY, THRESHOLD = np.array([5.0, 8.0]), 0.05
 LAW_Q = tides.constant_q(G, MASSES, RADII, K2, Q=QUALITY, threshold=THRESHOLD)
+SPHERES = np.array([[0.1] * 3, [0.03] * 3])
 ELLIPSOIDS = np.array([[0.08, 0.10, 0.13], [0.02, 0.03, 0.035]])
 
 
@@ -206,6 +207,46 @@ def test_friction_too_large_for_the_step_is_flagged():
     step = schemes.bodies_energy_momentum(bodies(law=tides.constant_lag(G, MASSES, RADII, K2, 1e6 * LAGS)))
     _, info = jax.jit(step)(case()[1], 0.05)
     assert not info.converged
+
+
+def lags(k, r, v, omega):
+    return LAGS[k]
+
+
+def lags_at_constant_q(k, r, v, omega):
+    return 1 / (2 * QUALITY[k] * np.hypot(np.linalg.norm(v - np.cross(omega, r)) / np.linalg.norm(r), THRESHOLD))
+
+
+def independent_rates(t, y, lag):
+    """Both spheres by Mignard's formula and Newton's, for (x, v, ω₁, ω₂) of the relative motion."""
+    r, v, *omega = y.reshape(4, 3)
+    square, mu = r @ r, MASSES.prod() / MASSES.sum()
+    force, spins = -G * MASSES.prod() * r / square**1.5, []
+    for k in (0, 1):
+        B = 3 * K2[k] * G * MASSES[1 - k] ** 2 * RADII[k] ** 5
+        late = lag(k, r, v, omega[k])
+        pull = -B * late / square**5 * (2 * r * (r @ v) + square * (np.cross(r, omega[k]) + v))
+        force = force + pull - B * r / square**4
+        spins.append(-np.cross(r, pull) / SPHERES[k, 0])
+    return np.concatenate([v, force / mu, *spins])
+
+
+@pytest.mark.parametrize(("law", "lag"), [(LAW, lags), (LAW_Q, lags_at_constant_q)], ids=["constant_lag", "constant_q"])
+def test_the_error_is_of_second_order_against_dop853(law, lag):
+    """Equations of motion that share nothing with the package; positions and spins."""
+    system = bodies(SPHERES, law)
+    state, step = start(system), schemes.bodies_energy_momentum(system)
+    r, v = (np.diff(np.array(x), axis=0)[0] for x in (state.q[:, :3], state.p[:, :3] / MASSES[:, None]))
+    y = np.concatenate([r, v, *np.array(state.p[:, 3:] / SPHERES[:, :1])])
+    exact = solve_ivp(independent_rates, (0, 20.0), y, "DOP853", rtol=1e-13, atol=1e-14, args=(lag,)).y[:, -1]
+    exact, found = exact.reshape(4, 3), []
+    for n in (1000, 2000):
+        end = jax.jit(lambda z, n=n: li.integrate(step, z, 20.0 / n, n, save_every=n))(state).state
+        spins = end.p[-1, :, 3:] / SPHERES[:, :1]
+        found.append([np.abs(end.q[-1, 1, :3] - end.q[-1, 0, :3] - exact[0]).max(), np.abs(spins - exact[2:]).max()])
+    coarse, fine = np.array(found)
+    np.testing.assert_allclose(np.log2(coarse / fine), 2, rtol=0, atol=0.05)
+    assert (fine < 2e-3).all()
 
 
 @pytest.mark.parametrize("law", [LAW, LAW_Q], ids=["constant_lag", "constant_q"])

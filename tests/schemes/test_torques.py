@@ -12,6 +12,7 @@ import slopes
 from free_bodies import Q, moving, rows, turned
 from kappas import chosen
 from repeated import after
+from scipy.integrate import solve_ivp
 
 import lieint_jax as li
 from lieint_jax import State, _discover, schemes, torques
@@ -445,6 +446,61 @@ def test_the_energy_of_a_body_that_spins_on_does_not_rise_beyond_the_rounding_of
         if states.extra is not None:
             energy = energy + np.sum(exact(states.extra["damper"]) ** 2, axis=1) / (2 * mpmath.mpf(0.4))
         assert float(max(np.diff(energy)) / energy[0]) < 5e-16
+
+
+def dop853(name, start, T):
+    """Quaternion kinematics, Euler's equations with the torque, a damper and the work, by scipy."""
+    constant = jnp.array([0.3, -0.5, 0.2])
+
+    @jax.jit
+    def rate(t, y):
+        q, p, damper = y[:4], y[4:7], y[7:10]
+        L = so3.to_matrix(q)
+        Pi = L.T @ p
+        Omega = jnp.linalg.solve(FULL, Pi)
+        slip = jnp.cross(Pi, Omega)
+        turn, torque, rest = Omega, jnp.zeros(3), jnp.zeros(3)
+        power = jnp.zeros(())
+        if name == "internal friction":
+            turn, power = Omega + 0.3 * slip, -0.3 * slip @ slip
+        elif name == "kane_damper":
+            torque = -0.3 * (L @ Omega - damper / 0.4)
+            rest, power = -torque, torque @ (L @ Omega - damper / 0.4)
+        elif name == "thruster":
+            torque, power = L @ constant, Omega @ constant  # inside its window
+        else:
+            omega = Omega if BODIES[name].frame == "body" else L @ Omega
+            torque = of_law(name, t, q, omega)
+            power = -0.2 * omega @ omega if name.startswith("pd") else omega @ torque
+            torque = L @ torque if BODIES[name].frame == "body" else torque
+        q_dot = so3.multiply(q, jnp.concatenate([jnp.zeros(1), turn])) / 2
+        return jnp.concatenate([q_dot, torque, rest, power[None]])
+
+    damper = np.zeros(3) if start.extra is None else start.extra["damper"]
+    y = np.concatenate([start.q, start.p, damper, [0.0]])
+    span = (float(start.t), float(start.t) + T)
+    return solve_ivp(lambda t, y: np.asarray(rate(t, y)), span, y, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+
+
+def flat(state):
+    damper = np.zeros(3) if state.extra is None else state.extra["damper"]
+    return np.concatenate([state.q, state.p, damper, [state.work]])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", BODIES)
+def test_torqued_steps_have_their_order_against_another_package(name):
+    """Of the step 2, of its composition 4, in the attitude, the momenta and the work at once."""
+    body = BODIES[name]
+    start = body.state(Q, angular_velocity=OMEGA, t=0.4, work=0.0)
+    if start.extra is not None:
+        start = start._replace(extra={"damper": jnp.array([0.1, -0.3, 0.2])})
+    T, step = 1.2, torqued_midpoint(body)
+    exact = dop853(name, start, T)
+    for tried, order, counts in ((step, 2, (20, 40, 80)), (schemes.compose(step, 4), 4, (8, 16))):
+        errors = np.array([np.abs(flat(after(tried, start, T / n, n)[0]) - exact).max() for n in counts])
+        np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:])[-1], order, rtol=0, atol=0.2)
+        assert errors[-1] > 1e-11
 
 
 def with_numbers(function, x):

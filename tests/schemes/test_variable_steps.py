@@ -130,6 +130,14 @@ def test_in_close_encounters_step_control_needs_a_third_of_the_steps():
     assert run.info.converged.all()
 
 
+def test_the_times_of_a_run_are_those_of_its_states():
+    run = li.integrate(CONTROLLED, CONTROLLED.start(START), 0.1, 60)
+    np.testing.assert_array_equal(run.t, run.state.t)
+    sizes = np.diff(run.t)
+    assert sizes.max() > 1.5 * sizes.min() > 0
+    assert run.info.converged.all()
+
+
 def test_a_certificate_shows_that_varying_steps_break_the_form():
     found = diagnostics.certify(CONTROLLED, CONTROLLED.start(START), 0.04, 100)
     assert found.order == pytest.approx(2, abs=0.1)

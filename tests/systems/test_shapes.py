@@ -218,6 +218,31 @@ def test_sums_and_moves():
     assert_same(aligned, shapes.sites(masses, (points @ R.T - (moved.center - jnp.array([1.0, 2, 3]))) @ axes), 1e-13)
 
 
+def _rows(triangle):
+    return "".join(f"   vertex {x} {y} {z}\n" for x, y, z in triangle)
+
+
+def test_stl_files_are_read_in_text_and_binary(tmp_path):
+    """The triangles of a cube: vertices at one place are merged, so that the surface is closed."""
+    triangles = np.array([CUBE[list(corners)] for q in QUADS for corners in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))])
+    text, binary = tmp_path / "cube.stl", tmp_path / "binary.STL"
+    facets = [f" facet normal 0 0 0\n  outer loop\n{rows}  endloop\n endfacet\n" for rows in map(_rows, triangles)]
+    text.write_text("solid cube\n" + "".join(facets) + "endsolid cube\n")
+    records = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    records["corners"] = triangles
+    binary.write_bytes(b"solid".ljust(80) + len(triangles).to_bytes(4, "little") + records.tobytes())
+    for path in (text, binary):
+        vertices, faces = shapes.surface(path)
+        assert vertices.shape == (8, 3)
+        np.testing.assert_array_equal(vertices[faces], triangles)
+    text.write_text("solid cube\nouter loop\n vertex 0 0 x\n vertex 1 0 0\n vertex 0 1 0\nendloop")
+    with pytest.raises(ValueError, match=r"cube\.stl, line 3: a coordinate must be a finite number, got 'x'"):
+        shapes.surface(text)
+    binary.write_bytes(binary.read_bytes()[:-1])
+    with pytest.raises(ValueError, match=r"binary\.STL: 12 triangles of 50 bytes must follow"):
+        shapes.surface(binary)
+
+
 def test_obj_files_are_read(tmp_path):
     """Polygons, negative indices, texture and normal indices, a seam of vertices that are written twice."""
     path = tmp_path / "cube.obj"
