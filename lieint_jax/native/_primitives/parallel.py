@@ -49,7 +49,7 @@ def _check(fine: bool) -> None:
         raise NotParallelError
 
 
-def _one(axes: Axes) -> int:
+def _common_axis(axes: Axes) -> int:
     """The axis of all operands that have one."""
     found = {d for d in axes if d is not None}
     _check(len(found) == 1)
@@ -60,13 +60,13 @@ def _shapes(variables: Sequence[Any]) -> list[tuple[int, ...]]:
     return [x.shape for x in shapes_of(variables)]
 
 
-def _alike(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
+def _elementwise(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """Operands and results of one shape; operands may be scalars, or have one entry along some axes."""
-    d, shape = _one(axes), _shapes(equation.outvars)[0]
+    d, shape = _common_axis(axes), _shapes(equation.outvars)[0]
     return [d if s and s[d] == shape[d] else None for s in _shapes(equation.invars)], [d] * len(equation.outvars)
 
 
-def _moved(place: Callable[[int, dict[str, Any], tuple[int, ...]], int | None]) -> _Rule:
+def _with_moved_axis(place: Callable[[int, dict[str, Any], tuple[int, ...]], int | None]) -> _Rule:
     """Of one operand: the axis of the results from (that of the operand, parameters, its shape); None if not parallel.
 
     Other operands are the same for all rows.
@@ -89,7 +89,7 @@ def _reshaped(d: int, parameters: dict[str, Any], shape: tuple[int, ...]) -> int
     return next((k for k, n in enumerate(sizes) if n == shape[d] and np.prod(sizes[:k]) == before), None)
 
 
-def _without(removed: Sequence[int], d: int) -> int | None:
+def _axis_after_removal(removed: Sequence[int], d: int) -> int | None:
     return None if d in removed else d - sum(n < d for n in removed)
 
 
@@ -106,13 +106,13 @@ def _sliced(d: int, parameters: dict[str, Any], shape: tuple[int, ...]) -> int |
 
 def _joined(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """Operands that are put next to one another, along another axis."""
-    d = _one(axes)
+    d = _common_axis(axes)
     _check(equation.params["dimension"] != d)
     return [d] * len(axes), [d]
 
 
 def _stacked(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
-    d = _one(axes)
+    d = _common_axis(axes)
     return [d] * len(axes), [d + (equation.params["axis"] <= d)]
 
 
@@ -125,7 +125,7 @@ def _product(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
             _check(all(x in (None, y) for x, y in zip(axes, needed, strict=True)))
             found: Axes = [n]
             return needed, found
-    _one([d for d in axes if d is not None])
+    _common_axis([d for d in axes if d is not None])
     _check(None in axes)
     k = int(axes[0] is None)
     own = [
@@ -138,7 +138,7 @@ def _product(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
 
 def _of_matrices(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
     """Linear algebra of the two last axes."""
-    d = _one(axes)
+    d = _common_axis(axes)
     _check(all(d < len(s) - 2 for s in _shapes(equation.invars)))
     return [d] * len(axes), [d] * len(equation.outvars)
 
@@ -229,34 +229,34 @@ def _cond(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
 
 
 _RULES: dict[str, _Rule] = (
-    dict.fromkeys(ELEMENTWISE, _alike)
+    dict.fromkeys(ELEMENTWISE, _elementwise)
     | dict.fromkeys(CALLS, _called)
-    | dict.fromkeys(REDUCTIONS, _moved(lambda d, p, s: _without(p["axes"], d)))
+    | dict.fromkeys(REDUCTIONS, _with_moved_axis(lambda d, p, s: _axis_after_removal(p["axes"], d)))
     | dict.fromkeys(
-        [x for x in REDUCTIONS if x.startswith("cum")], _moved(lambda d, p, s: None if p["axis"] == d else d)
+        [x for x in REDUCTIONS if x.startswith("cum")], _with_moved_axis(lambda d, p, s: None if p["axis"] == d else d)
     )
     | {
-        "broadcast_in_dim": _moved(lambda d, p, s: p["broadcast_dimensions"][d]),
+        "broadcast_in_dim": _with_moved_axis(lambda d, p, s: p["broadcast_dimensions"][d]),
         "cholesky": _of_matrices,
         "concatenate": _joined,
         "cond": _cond,
         "dot_general": _product,
-        "dynamic_slice": _moved(lambda d, p, s: d if p["slice_sizes"][d] == s[d] else None),
-        "expand_dims": _moved(_expanded),
+        "dynamic_slice": _with_moved_axis(lambda d, p, s: d if p["slice_sizes"][d] == s[d] else None),
+        "expand_dims": _with_moved_axis(_expanded),
         "gather": _gathered,
         "lu": _of_matrices,
         "optimization_barrier": lambda equation, axes: (axes, axes),
-        "pad": _moved(lambda d, p, s: d if tuple(p["padding_config"][d]) == (0, 0, 0) else None),
-        "reshape": _moved(_reshaped),
-        "rev": _moved(lambda d, p, s: None if d in p["dimensions"] else d),
+        "pad": _with_moved_axis(lambda d, p, s: d if tuple(p["padding_config"][d]) == (0, 0, 0) else None),
+        "reshape": _with_moved_axis(_reshaped),
+        "rev": _with_moved_axis(lambda d, p, s: None if d in p["dimensions"] else d),
         "scan": _scan,
-        "slice": _moved(_sliced),
-        "split": _moved(lambda d, p, s: None if p["axis"] == d else d),
-        "squeeze": _moved(lambda d, p, s: _without(p["dimensions"], d)),
+        "slice": _with_moved_axis(_sliced),
+        "split": _with_moved_axis(lambda d, p, s: None if p["axis"] == d else d),
+        "squeeze": _with_moved_axis(lambda d, p, s: _axis_after_removal(p["dimensions"], d)),
         "stack": _stacked,
-        "transpose": _moved(lambda d, p, s: list(p["permutation"]).index(d)),
+        "transpose": _with_moved_axis(lambda d, p, s: list(p["permutation"]).index(d)),
         "triangular_solve": _of_matrices,
-        "unstack": _moved(lambda d, p, s: _without([p["axis"]], d)),
+        "unstack": _with_moved_axis(lambda d, p, s: _axis_after_removal([p["axis"]], d)),
         "while": _while,
     }
 )
