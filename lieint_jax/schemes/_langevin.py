@@ -135,10 +135,7 @@ class Langevin(Step):
         rise = self.system.energy(moved) - self.system.energy(start)
         u = random_bits.uniform(key, jnp.arange(2 * used, 2 * used + 1, dtype=jnp.uint32), dtype)[0]
         accepted = self.temperature * jnp.log(u) <= -rise  # a step that ends in NaN is not
-        end = start._replace(
-            q=jnp.where(accepted, moved.q, start.q),
-            p=jnp.where(accepted, moved.p, -start.p),
-        )
+        end = start._replace(q=jnp.where(accepted, moved.q, start.q), p=jnp.where(accepted, moved.p, -start.p))
         end = self._add_to_extra(end, **{_REJECTIONS: 1 - accepted.astype(dtype)})
         return self._thermalize(end, 0.5 * dt, random_bits.normal(key, used, many, dtype)), info
 

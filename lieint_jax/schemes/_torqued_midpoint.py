@@ -41,19 +41,7 @@ from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, 
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.torques import internal_friction
-from lieint_jax.types import (
-    Function,
-    Law,
-    Rotation,
-    State,
-    Step,
-    StepInfo,
-    System,
-    clock,
-    labels,
-    pytree,
-    static,
-)
+from lieint_jax.types import Function, Law, Rotation, State, Step, StepInfo, System, clock, labels, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -270,10 +258,7 @@ class _Torques(NamedTuple):
 
 
 def _extra_after(
-    extra: dict[str, Array] | None,
-    laws: Sequence[Law],
-    each: _Each,
-    works: list[Array],
+    extra: dict[str, Array] | None, laws: Sequence[Law], each: _Each, works: list[Array]
 ) -> dict[str, Array] | None:
     """`extra` with the internal states of the laws after a step, and with their works if they are counted."""
     if extra is None:

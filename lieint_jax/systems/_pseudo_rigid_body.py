@@ -135,9 +135,7 @@ def pseudo_rigid_body(
     inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array], viscosity: ArrayLike
 ) -> ViscousBody: ...
 def pseudo_rigid_body(
-    inertia: ArrayLike,
-    stored_energy: StoredEnergy | Callable[[Array], Array],
-    viscosity: ArrayLike | None = None,
+    inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array], viscosity: ArrayLike | None = None
 ) -> PseudoRigidBody | ViscousBody:
     """A pseudo-rigid body: an elastic body that deforms homogeneously, x = F X, about its center of mass.
 

@@ -12,14 +12,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import named, not_negative, positive
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import (
-    VectorOfTime,
-    cut,
-    dissipative_tensor,
-    tensor_of,
-    value_at,
-    vector_of_time,
-)
+from lieint_jax.torques._arguments import VectorOfTime, cut, dissipative_tensor, tensor_of, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, mean_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree

@@ -41,10 +41,7 @@ def check_gradient(potential: Callable[..., Array], dtype: DTypeLike, driven: bo
         return [jnp.array([0.48, -0.6, 0.64], dtype), *[jnp.zeros((), dtype)] * driven]
 
     closed_form(
-        potential,
-        "gradient",
-        lambda: potential.gradient(*arguments()),
-        lambda: jax.grad(potential)(*arguments()),
+        potential, "gradient", lambda: potential.gradient(*arguments()), lambda: jax.grad(potential)(*arguments())
     )
 
 

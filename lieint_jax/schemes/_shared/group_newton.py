@@ -18,11 +18,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.capabilities import (
-    AbstractMechanicalSystem,
-    AbstractMetricSystem,
-    AbstractRightGeodesicFlow,
-)
+from lieint_jax.capabilities import AbstractMechanicalSystem, AbstractMetricSystem, AbstractRightGeodesicFlow
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
 from lieint_jax.types.shapes import AlgebraVector

@@ -171,10 +171,7 @@ class TimedBody(Body):
             ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is not a rotation.
         """
         start = super().state(
-            attitude,
-            angular_velocity=angular_velocity,
-            body_momentum=body_momentum,
-            spatial_momentum=spatial_momentum,
+            attitude, angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
         )
         return timed(start, t, work)
 
