@@ -43,7 +43,7 @@ from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, StoredEnergy, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, StoredEnergy, pytree, static
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
 
 __all__ = ["Additive", "additive"]
@@ -168,20 +168,18 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody) -> list[Step]:
     """The two rules without an equation for γ, for pseudo-rigid bodies; the one for incompressible bodies.
 
     The other two compile too slowly for the examples, which `lieint check` and every test of schemes run;
     `diagnostics.certify(additive(body, "energy"), …)` certifies them.
     """
     if isinstance(system, AbstractIncompressibleBody):
-        step = additive(system, "incompressible")
-        return {step.name: step}
+        return [additive(system, "incompressible")]
     if isinstance(system, AbstractViscousBody):
-        return {"additive[average]": additive(system)}
-    if not isinstance(system, AbstractElasticBody):
-        return {}
-    return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}
+        return [additive(system)]
+    return [additive(system, "average"), additive(system, "symplectic")]
 
 
 # The rules: S(C, D) or S(C, D, γ) -------------------------------------------------------------------------------------

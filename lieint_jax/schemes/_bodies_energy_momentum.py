@@ -41,7 +41,7 @@ from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodi
 from lieint_jax.groups import so3
 from lieint_jax.potentials import Potential, given_poses, invariant_form, is_chain, torques
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
 __all__ = ["BodiesEnergyMomentum", "bodies_energy_momentum"]
@@ -328,8 +328,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractRigidBodies | AbstractDissipativeBodies) -> list[Step]:
     """The scheme, for bodies in a potential, with dissipation and given forces or without."""
-    if isinstance(system, AbstractRigidBodies | AbstractDissipativeBodies):
-        return {"bodies_energy_momentum": bodies_energy_momentum(system)}
-    return {}
+    return [bodies_energy_momentum(system)]

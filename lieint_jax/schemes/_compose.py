@@ -50,7 +50,7 @@ class Composition(Step):
         return self.step.system
 
     @property
-    def commuting(self) -> bool:
+    def commuting(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.step.commuting
 
     @property

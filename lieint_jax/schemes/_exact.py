@@ -13,7 +13,7 @@ from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rounding import SLENDER, attitude_error_limit
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 from lieint_jax.types.vectors import symmetric
 
@@ -27,14 +27,7 @@ class Exact(Step):
     system: AbstractFreeBody
     order: float = static(default=math.inf)
     symmetric: bool = static(default=True)
-
-    @property
-    def commuting(self) -> bool:
-        return True
-
-    @property
-    def name(self) -> str:
-        return "exact"
+    commuting = True
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J = self.system.inertia
@@ -105,6 +98,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractFreeBody | AbstractFreeBodies) -> list[Step]:
     """The exact flow, for free rigid bodies."""
-    return {"exact": exact(system)} if isinstance(system, AbstractFreeBody) else {}
+    return [exact(system)] if isinstance(system, AbstractFreeBody) else []

@@ -27,7 +27,7 @@ from lieint_jax.capabilities import AbstractMechanicalSystem
 from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._shared.group_newton import Equation, as_vector
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 __all__ = ["GroupEnergyMomentum", "group_energy_momentum"]
 
@@ -119,9 +119,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractMechanicalSystem) -> list[Step]:
     """The energy-momentum step, for systems with a potential on a group."""
-    if not isinstance(system, AbstractMechanicalSystem):
-        return {}
-    step = group_energy_momentum(system)
-    return {step.name: step}
+    return [group_energy_momentum(system)]

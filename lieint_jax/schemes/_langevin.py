@@ -299,7 +299,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: System) -> list[Step]:
     """The thermostat of tops and several bodies."""
-    taken = isinstance(system, AbstractTop | AbstractRigidBodies)
-    return {"langevin": langevin(system, 0.1, 0.5)} if taken else {}
+    return [langevin(system, 0.1, 0.5)] if isinstance(system, AbstractTop | AbstractRigidBodies) else []

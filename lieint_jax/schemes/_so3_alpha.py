@@ -33,7 +33,7 @@ from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS, cross_apply, gyroscopic, on_branch
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rounding import SLENDER, attitude_error_limit
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -139,12 +139,10 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractEmbeddedBody) -> list[Step]:
     """The step of α = ½ by the Cayley map, for bodies embedded in L(3)."""
-    if not isinstance(system, AbstractEmbeddedBody):
-        return {}
-    step = so3_alpha(system)
-    return {step.name: step}
+    return [so3_alpha(system)]
 
 
 def _solve(kappa: Kappa, alpha: Array, J: Symmetric, a: Vector, iterations: int) -> tuple[Vector, Vector, Array]:

@@ -24,7 +24,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.half_rotation import half_cayley, scalar_residual, scalar_root, scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import dot, max_abs
 
 __all__ = ["SO3Explicit", "so3_explicit"]
@@ -48,10 +48,7 @@ class SO3Explicit(Step):
     gain: Array | None = None
     order: float = static(default=2)
     symmetric: bool = static(default=True)
-
-    @property
-    def commuting(self) -> bool:
-        return True
+    commuting = True
 
     def with_constants(self, state: State, dt: ArrayLike) -> Self:
         J, a = scaled(self.system, state, dt)
@@ -110,6 +107,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractFreeBody) -> list[Step]:
     """The explicit step, for free rigid bodies."""
-    return {"so3_explicit": so3_explicit(system)} if isinstance(system, AbstractFreeBody) else {}
+    return [so3_explicit(system)]

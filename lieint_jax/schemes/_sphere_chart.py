@@ -20,7 +20,7 @@ from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, autodiff_gradient, pytree, static
+from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 
 __all__ = ["SphereChart", "sphere_chart"]
 
@@ -132,11 +132,10 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractSphereSystem) -> list[Step]:
     """The rule about the axis that pendulums have by default."""
-    if not isinstance(system, AbstractSphereSystem):
-        return {}
-    return {"sphere_chart": sphere_chart(system)}
+    return [sphere_chart(system)]
 
 
 def _pole(dtype: DTypeLike) -> float:

@@ -19,7 +19,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, autodiff_gradient, pytree, static
+from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 from lieint_jax.types.vectors import cross, dot, matrix, max_abs, norm
 
 __all__ = ["SphereMidpoint", "sphere_midpoint"]
@@ -118,8 +118,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractSphereSystem) -> list[Step]:
     """The plain and the normalized rule, for pendulums."""
-    if not isinstance(system, AbstractSphereSystem):
-        return {}
-    return {step.name: step for step in (sphere_midpoint(system), sphere_midpoint(system, normalized=True))}
+    return [sphere_midpoint(system), sphere_midpoint(system, normalized=True)]

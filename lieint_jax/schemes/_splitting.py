@@ -205,12 +205,8 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: Any) -> list[Step]:
     """The splitting of gyrostats, elastic bodies, rigid bodies in a potential, and any driven system."""
-    rigid = isinstance(system, AbstractForcedSystem | AbstractGyrostat) and isinstance(
-        system.free, AbstractFreeBody | AbstractFreeBodies
-    )
-    if not rigid and not isinstance(system, AbstractDrivenSystem | AbstractElasticBody):
-        return {}
-    step = splitting(system)
-    return {step.name: step}
+    of_any_kind = isinstance(system, AbstractDrivenSystem | AbstractElasticBody)
+    return [splitting(system)] if of_any_kind or isinstance(system.free, AbstractFreeBody | AbstractFreeBodies) else []

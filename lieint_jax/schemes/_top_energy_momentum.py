@@ -36,7 +36,7 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types import State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -317,8 +317,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractTop | AbstractDrivenTop) -> list[Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
-    if not isinstance(system, AbstractTop | AbstractDrivenTop) or system.axis is None:
-        return {}
-    return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in KAPPAS)}
+    return [] if system.axis is None else [top_energy_momentum(system, kappa) for kappa in KAPPAS]

@@ -41,7 +41,7 @@ from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, 
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.torques import internal_friction
-from lieint_jax.types import Function, Law, Rotation, State, Step, StepInfo, System, clock, labels, pytree, static
+from lieint_jax.types import Function, Law, Rotation, State, Step, StepInfo, clock, labels, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -232,11 +232,10 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractTorquedBody | AbstractTorquedBodyInTime | AbstractDampedBody) -> list[Step]:
     """The paper's three κ's, for bodies with a torque or with internal friction."""
-    if not isinstance(system, AbstractTorquedBody | AbstractTorquedBodyInTime | AbstractDampedBody):
-        return {}
-    return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
+    return [torqued_midpoint(system, kappa) for kappa in KAPPAS]
 
 
 _SHORT = 0.25  # the cheap first correction (J for the Jacobian) is used if shorter than this part of |½ΔtΩ_n|

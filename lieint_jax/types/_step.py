@@ -47,6 +47,7 @@ class Step:
         reuses: whether the end of a step computes what the next one begins with, so that a run computes it once.
         approximate: whether fewer iterations are set than convergence requires: a run reports the residual and
             continues.
+        commuting: whether steps of different sizes commute, so that compositions need fewer stages (`schemes.compose`).
         velocity_weight: α of the momentum at n+α from which the step computes Θ, for `diagnostics.conditions`.
     """
 
@@ -56,6 +57,7 @@ class Step:
     own_time: bool = False
     reuses: bool = False
     approximate: bool = False
+    commuting: bool = False
     velocity_weight: ArrayLike = 0.5
 
     def __init_subclass__(cls, **options: object) -> None:
@@ -152,11 +154,6 @@ class Step:
     def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         """`advance`, and LT, for a scheme with L in closed form; by default by forward mode through the step."""
         return push_forward(self.system.phase_space, lambda z: self(z, dt), state, T)
-
-    @property
-    def commuting(self) -> bool:
-        """Whether steps of different sizes commute, so that compositions need fewer stages (`schemes.compose`)."""
-        return False
 
     @property
     def prepares(self) -> bool:

@@ -30,10 +30,7 @@ class OneParameterSubgroup(Step):
     system: AbstractGeodesicFlow
     order: float = static(default=math.inf)
     symmetric: bool = static(default=True)
-
-    @property
-    def commuting(self) -> bool:
-        return True
+    commuting = True
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group = self.system.group

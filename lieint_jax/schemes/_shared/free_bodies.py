@@ -42,7 +42,7 @@ class FreeFlight(Step):
         return self.turn.symmetric
 
     @property
-    def commuting(self) -> bool:
+    def commuting(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.turn.commuting
 
     @property

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -45,6 +47,15 @@ class SchemeProperties(NamedTuple):
 
     def cells(self) -> tuple[str, ...]:
         return self.name, self.systems, ", ".join(self.conserves) or "nothing", f"{self.order:g}"
+
+    def by_name(self, steps: Callable[[Any], Sequence[Step]]) -> Callable[[System], dict[str, Step]]:
+        """`examples` of a scheme, {} for systems that it does not accept, from a list of steps of the others (a decorator)."""
+
+        @functools.wraps(steps)
+        def examples(system: System) -> dict[str, Step]:
+            return {step.name: step for step in steps(system)} if isinstance(system, self.accepts) else {}
+
+        return examples
 
     def check(self, system: object, more: str = "") -> None:
         """Raise ValueError unless a system has one of the accepted capabilities, and its equations of motion.
