@@ -30,9 +30,15 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractEmbeddedBody
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._shared.half_rotation import ITERATIONS, cross_apply, gyroscopic, on_branch
+from lieint_jax.schemes._shared.half_rotation import (
+    ITERATIONS,
+    SLENDER,
+    attitude_error_limit,
+    cross_apply,
+    gyroscopic,
+    on_branch,
+)
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rounding import SLENDER, attitude_error_limit
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,

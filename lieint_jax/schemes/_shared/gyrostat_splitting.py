@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax.capabilities import AbstractGyrostat
 from lieint_jax.groups import so3
-from lieint_jax.schemes._shared.rounding import attitude_error_limit
+from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import max_abs, symmetric
 

@@ -49,7 +49,7 @@ class SchemeProperties(NamedTuple):
         return self.name, self.systems, ", ".join(self.conserves) or "nothing", f"{self.order:g}"
 
     def by_name(self, steps: Callable[[Any], Sequence[Step]]) -> Callable[[System], dict[str, Step]]:
-        """`examples` of a scheme, {} for systems that it does not accept, from a list of steps of the others (a decorator)."""
+        """`examples` of a scheme: the steps that a function lists for accepted systems, {} for others (a decorator)."""
 
         @functools.wraps(steps)
         def examples(system: System) -> dict[str, Step]:
