@@ -56,33 +56,21 @@ class BlockTridiagonal(NamedTuple):
 
 
 class _Level(NamedTuple):
-    """One level of the reduction, with B the blocks of the m eliminated links.
+    """One level of the reduction, with B the blocks (m, k, k) of the m eliminated links."""
 
-    Attributes:
-        inverse: B⁻¹, (m, k, k).
-        before, after: B⁻¹ times the blocks of the links before and after an eliminated link, (m, k, k).
-        lower, upper: the blocks by which the eliminated links act on the remaining ones after and before them.
-    """
-
-    inverse: Array
-    before: Array
-    after: Array
-    lower: Array
-    upper: Array
+    inverse: Array  # B⁻¹
+    before: Array  # B⁻¹ times the blocks of the links before
+    after: Array  # and after an eliminated link
+    lower: Array  # the blocks by which the eliminated links act on the remaining ones after
+    upper: Array  # and before them
 
 
 class _Sweep(NamedTuple):
-    """The elimination of links one after another, with B their blocks when those before are eliminated, (m, k, k).
+    """The elimination of links one after another, with B their blocks when those before are eliminated, (m, k, k)."""
 
-    Attributes:
-        inverse: B⁻¹.
-        after: B⁻¹ times the blocks of the links after them.
-        lower: the blocks by which the links before act on them.
-    """
-
-    inverse: Array
-    after: Array
-    lower: Array
+    inverse: Array  # B⁻¹
+    after: Array  # B⁻¹ times the blocks of the links after them
+    lower: Array  # the blocks by which the links before act on them
 
 
 def factored(K: BlockTridiagonal) -> Factored:

@@ -161,29 +161,21 @@ def _duplicate(
 class _Duplicated(NamedTuple):
     """The arguments of R_J after n duplications.
 
-    Attributes:
-        x, y, z, p: the arguments.
-        mean: their mean, with the weights 1, 1, 1, 2.
-        roots: of x, y, z; one of the first may be negative.
-        scale: 4⁻ⁿ.
-        total: of the terms that the duplications have split off.
-        apart: the distances of the first x, y, z from the first mean.
-        delta: (p − x)(p − y)(p − z) of the first.
-        far: whether the error of the series, the eighth power of the relative distances, would be too large. It is
-            stored because a batched `while_loop` evaluates its condition twice, to continue and to accept a member's
-            result: if it were computed twice with different rounding, the loop might never end.
+    `far` is whether the error of the series, the eighth power of the relative distances, would be too large. It is
+    stored because a batched `while_loop` evaluates its condition twice, to continue and to accept a member's result:
+    if it were computed twice with different rounding, the loop might never end.
     """
 
     x: Array
     y: Array
     z: Array
     p: Array
-    mean: Array
-    roots: tuple[Array, Array, Array]
-    scale: Array
-    total: Array
-    apart: tuple[Array, Array, Array]
-    delta: Array
+    mean: Array  # of the arguments, with the weights 1, 1, 1, 2
+    roots: tuple[Array, Array, Array]  # of x, y, z; one of the first may be negative
+    scale: Array  # 4⁻ⁿ
+    total: Array  # of the terms that the duplications have split off
+    apart: tuple[Array, Array, Array]  # the distances of the first x, y, z from the first mean
+    delta: Array  # (p − x)(p − y)(p − z) of the first
     far: Array
 
     @classmethod

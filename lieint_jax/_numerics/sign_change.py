@@ -24,21 +24,14 @@ class SignChange(NamedTuple):
 
 
 class _Bracket(NamedTuple):
-    """Two points on both sides of a change of sign.
+    """Two points on both sides of a change of sign."""
 
-    Attributes:
-        a, b: the points, the last one evaluated first; b = a where f is 0.
-        fa, fb: f there.
-        t: the next point is a + t(b − a), if the limits allow it.
-        n: the number of evaluations.
-    """
-
-    a: Array
-    b: Array
+    a: Array  # the last one evaluated
+    b: Array  # the other; a where f is 0
     fa: Array
     fb: Array
-    t: Array
-    n: Array
+    t: Array  # the next point is a + t(b − a), if the limits allow it
+    n: Array  # the number of evaluations
 
 
 def sign_change(f: Callable[[Array], Array], before: Array, after: Array) -> SignChange:

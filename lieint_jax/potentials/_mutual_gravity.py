@@ -169,18 +169,12 @@ class MutualGravity(Potential):
 
 
 class _Invariants(NamedTuple):
-    """The invariants of k pairs, or numbers that belong to them.
+    """The invariants of k pairs, or numbers that belong to them."""
 
-    Attributes:
-        u: r², (k,).
-        Gamma_i, Gamma_j: (k, 3).
-        C: (k, 3, 3), or None below order 4.
-    """
-
-    u: Array
-    Gamma_i: Array
-    Gamma_j: Array
-    C: Any
+    u: Array  # r², (k,)
+    Gamma_i: Array  # (k, 3)
+    Gamma_j: Array  # (k, 3)
+    C: Any  # (k, 3, 3), or None below order 4
 
 
 def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int = 4) -> MutualGravity:

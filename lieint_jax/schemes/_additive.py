@@ -42,7 +42,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, StoredEnergy, pytree, static
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
 
@@ -245,15 +245,10 @@ def _stiffness(W: StoredEnergy, C: Symmetric) -> Array:
 
 @pytree
 class _Viscous(StoredEnergy):
-    """A stored energy whose mean stress is that of a viscous body in one step: S̄ + νD/Δt.
-
-    Attributes:
-        elastic: the stored energy.
-        rate: ν/Δt.
-    """
+    """A stored energy whose mean stress is that of a viscous body in one step: S̄ + νD/Δt."""
 
     elastic: StoredEnergy
-    rate: Array
+    rate: Array  # ν/Δt
 
     def __call__(self, C: Array) -> Array:
         return self.elastic(C)
@@ -270,35 +265,20 @@ class _Viscous(StoredEnergy):
 
 @dataclass(frozen=True)
 class _Equation(ImplicitEquation[Array]):
-    """R(x) = 0 of one step, for x = (U, γ): nine entries of U, row by row, and γ if the rule has one.
-
-    Attributes:
-        rule: how S is chosen.
-        W: the stored energy.
-        alpha: α.
-        E: the inertia, in full.
-        F: F_n.
-        P: P_n.
-        C: F_nᵀF_n.
-        dt: Δt.
-        c: βΔt².
-        a: F_n + aU, the argument of W, must stay in GL⁺(3).
-        stiffness: the change of S by a relative error of C, over that error.
-        size: the size of F_n.
-    """
+    """R(x) = 0 of one step, for x = (U, γ): nine entries of U, row by row, and γ if the rule has one."""
 
     rule: _Rule
     W: StoredEnergy
     alpha: Array
-    E: Symmetric
-    F: Matrix
-    P: Matrix
-    C: Symmetric
+    E: Symmetric  # the inertia, in full
+    F: Matrix  # F_n
+    P: Matrix  # P_n
+    C: Symmetric  # F_nᵀF_n
     dt: Array
-    c: Array
-    a: Array | float
-    stiffness: Array
-    size: Array
+    c: Array  # βΔt²
+    a: Array | float  # F_n + aU, the argument of W, must stay in GL⁺(3)
+    stiffness: Array  # the change of S by a relative error of C, over that error
+    size: Array  # of F_n
 
     @classmethod
     def from_state(cls, step: Additive, state: State, dt: Array) -> _Equation:

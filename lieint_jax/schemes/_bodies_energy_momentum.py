@@ -40,7 +40,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
 from lieint_jax.potentials import Potential, given_poses, invariant_form, is_chain, torques
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 

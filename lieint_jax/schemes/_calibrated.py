@@ -23,8 +23,8 @@ from lieint_jax import _checks, _free_body
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._preprocessed import with_modified_inertia
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import cross, dot, norm, symmetric
 
@@ -44,14 +44,10 @@ class Clock(NamedTuple):
 
 @pytree
 class Calibrated(Step):
-    """The step made by `calibrated`.
-
-    Attributes:
-        clock: the constants from `prepare`; None before.
-    """
+    """The step made by `calibrated`."""
 
     system: AbstractFreeBody
-    clock: Clock | None = None
+    clock: Clock | None = None  # the constants from `prepare`
     iterations: int | None = static(default=None)
     order: float = static(default=math.inf)
     symmetric: bool = static(default=True)

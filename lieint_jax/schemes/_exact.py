@@ -10,9 +10,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.half_rotation import SLENDER, attitude_error_limit
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 from lieint_jax.types.vectors import symmetric

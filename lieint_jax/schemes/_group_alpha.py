@@ -24,8 +24,8 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSystem
 from lieint_jax.maps import Map, Tau, as_tau, exponential
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, as_vector
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 __all__ = ["GroupAlpha", "group_alpha"]

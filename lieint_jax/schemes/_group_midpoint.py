@@ -28,8 +28,8 @@ from lieint_jax import _checks
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, as_vector
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 __all__ = ["GroupMidpoint", "group_midpoint"]

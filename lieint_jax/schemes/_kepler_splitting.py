@@ -18,10 +18,10 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractRigidBodies
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import FreeFlight, exact
 from lieint_jax.schemes._nystrom import Stages, mirror
 from lieint_jax.schemes._shared.kepler_flow import kepler_flow
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import dot, vector
 
@@ -43,16 +43,12 @@ METHODS: dict[Order, Stages] = {
 
 @pytree
 class KeplerSplitting(Step):
-    """The step made by `kepler_splitting`.
-
-    Attributes:
-        method: a key of `METHODS`.
-    """
+    """The step made by `kepler_splitting`."""
 
     system: AbstractRigidBodies
     G: Array
     drift: FreeFlight
-    method: Order = static()
+    method: Order = static()  # a key of `METHODS`
     order: float = static()
     symmetric: bool = static(default=True)
 

@@ -35,8 +35,8 @@ from lieint_jax.capabilities import (
     AbstractTop,
 )
 from lieint_jax.groups import so3
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import exact
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._splitting import Splitting, kick
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.vectors import symmetric
@@ -49,14 +49,10 @@ _MOST = 2**32  # steps with noise of their own
 
 @pytree
 class Langevin(Step):
-    """The step made by `langevin`.
-
-    Attributes:
-        drift: the exact step of their free motion.
-    """
+    """The step made by `langevin`."""
 
     system: Any
-    drift: Step
+    drift: Step  # the exact step of the free motion
     temperature: Array
     friction: Array
     metropolis: bool = static(default=False)

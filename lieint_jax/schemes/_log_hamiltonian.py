@@ -19,9 +19,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBody
+from lieint_jax.schemes._catalogue import SchemeProperties, hint
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
-from lieint_jax.schemes._shared.properties import SchemeProperties, hint
 from lieint_jax.types import State, Step, StepInfo, promoted, pytree, static
 
 __all__ = ["LogHamiltonian", "log_hamiltonian"]

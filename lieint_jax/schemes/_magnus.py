@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import collocation
 from lieint_jax.capabilities import AbstractKinematics
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import AnalyticGroup, State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, GroupElement
 

@@ -19,9 +19,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBodies, AbstractFreeBody
+from lieint_jax.schemes._catalogue import SchemeProperties, hint
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
-from lieint_jax.schemes._shared.properties import SchemeProperties, hint
 from lieint_jax.schemes._splitting import kick
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 

@@ -30,6 +30,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractEmbeddedBody
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import (
     ITERATIONS,
     SLENDER,
@@ -38,7 +39,6 @@ from lieint_jax.schemes._shared.half_rotation import (
     gyroscopic,
     on_branch,
 )
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,

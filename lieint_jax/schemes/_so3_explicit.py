@@ -21,8 +21,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import half_cayley, scalar_residual, scalar_root, scaled
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import dot, max_abs
@@ -36,12 +36,7 @@ _DRIFT = 4096  # round-offs that a·h may drift from m before the step is called
 
 @pytree
 class SO3Explicit(Step):
-    """The step made by `so3_explicit`.
-
-    Attributes:
-        m: the root from `prepare`; None before.
-        gain: the gain of the feedback on the energy; None before.
-    """
+    """The step made by `so3_explicit`. The root m and the gain of the feedback on the energy are those of `prepare`."""
 
     system: AbstractFreeBody
     m: Array | None = None

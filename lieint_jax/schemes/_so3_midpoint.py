@@ -37,6 +37,7 @@ from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractDrivenGyrostat, AbstractFreeBody, AbstractFreeBodyInTime, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import (
     ITERATIONS,
     SLENDER,
@@ -46,7 +47,6 @@ from lieint_jax.schemes._shared.half_rotation import (
     scaled,
 )
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.vectors import cross, dot, symmetric, vector
 

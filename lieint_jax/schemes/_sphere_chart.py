@@ -19,7 +19,7 @@ from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.phase_spaces import SphericalChart
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 
 __all__ = ["SphereChart", "sphere_chart"]
@@ -27,11 +27,7 @@ __all__ = ["SphereChart", "sphere_chart"]
 
 @pytree
 class SphereChart(Step):
-    """The step made by `sphere_chart`.
-
-    Attributes:
-        chart: the spherical coordinates.
-    """
+    """The step made by `sphere_chart`."""
 
     system: AbstractSphereSystem
     chart: SphericalChart

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractSphereSystem
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 from lieint_jax.types.vectors import cross, dot, matrix, max_abs, norm
 

@@ -34,8 +34,8 @@ from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
@@ -147,21 +147,13 @@ def top_energy_momentum(
 
 
 class _Field(NamedTuple):
-    """The field of a top at one time: all of a constant field, or half of a driven one.
+    """The field of a top at one time: all of a constant field, or half of a driven one."""
 
-    Attributes:
-        potential: Ṽ.
-        axis: γ in space.
-        Gamma: γ in the body at the start of the step, Γ_n.
-        at: the time, for a driven top, or nothing.
-        share: 1, or ½.
-    """
-
-    potential: Callable[..., Array]
-    axis: Array
-    Gamma: Vector
-    at: tuple[Array, ...]
-    share: float
+    potential: Callable[..., Array]  # Ṽ
+    axis: Array  # γ in space
+    Gamma: Vector  # γ in the body at the start of the step, Γ_n
+    at: tuple[Array, ...]  # the time, for a driven top, or nothing
+    share: float  # 1, or ½
 
     def value(self, Gamma: Vector) -> Array:
         """Ṽ(Γ) at this time."""
@@ -195,19 +187,12 @@ def _fields(system: AbstractTop | AbstractDrivenTop, state: State, dt: ArrayLike
 
 @dataclass(frozen=True)
 class _Equation(ImplicitEquation[Vector]):
-    """The equation for y of one step from a state; J, a and s are divided by tr J, so that |a| is an angle.
-
-    Attributes:
-        kappa: κ.
-        J: the inertia.
-        a: ½ΔtΠ_n.
-        fields: the fields, each with its share of s = ¼Δt².
-    """
+    """The equation for y of one step from a state; J, a and s are divided by tr J, so that |a| is an angle."""
 
     kappa: Kappa
     J: Symmetric
-    a: Vector
-    fields: tuple[tuple[_Field, Array], ...]
+    a: Vector  # ½ΔtΠ_n
+    fields: tuple[tuple[_Field, Array], ...]  # each with its share of s = ¼Δt²
 
     @classmethod
     def from_state(cls, step: TopEnergyMomentum, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> _Equation:

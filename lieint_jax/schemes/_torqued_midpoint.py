@@ -37,9 +37,9 @@ from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody, AbstractTorquedBodyInTime
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import Function, Law, Rotation, State, Step, StepInfo, clock, labels, pytree, static
 from lieint_jax.types.vectors import (
@@ -243,17 +243,11 @@ _Each = list[tuple[Array, Any, Any]]
 
 
 class _Torques(NamedTuple):
-    """The mean torques of a step.
+    """The mean torques of a step."""
 
-    Attributes:
-        body: the sum of those given in the body, (3,); None if there are none.
-        space: the sum of those given in space, (3,); None if there are none.
-        each: for each law its torque, and its internal state before and after.
-    """
-
-    body: Array | None
-    space: Array | None
-    each: _Each
+    body: Array | None  # the sum of those given in the body, (3,), if any
+    space: Array | None  # the sum of those given in space, (3,), if any
+    each: _Each  # for each law its torque, and its internal state before and after
 
 
 def _extra_after(
@@ -272,27 +266,16 @@ class _Equation(ImplicitEquation[Vector]):
     """The equation of one step from a state; J and Π_n are divided by tr J, so that the unknowns are angles.
 
     The unknowns x are y and, for each internal state η that a law leaves to the step, z = ½Δt(η_{n+1} − η_n)/tr J.
-
-    Attributes:
-        kappa: κ.
-        laws: the laws of torque.
-        inner: their internal states.
-        J: the inertia.
-        Pi: Π_n.
-        half_dt: ½Δt/tr J.
-        q: q_n.
-        t: t_n.
-        dt: Δt.
     """
 
     kappa: Kappa
     laws: tuple[Law, ...]
-    inner: tuple[Array | None, ...]
+    inner: tuple[Array | None, ...]  # the internal states of the laws
     J: Symmetric
-    Pi: Vector
-    half_dt: Array
-    q: Array
-    t: Array
+    Pi: Vector  # Π_n
+    half_dt: Array  # ½Δt/tr J
+    q: Array  # q_n
+    t: Array  # t_n
     dt: Array
 
     @classmethod

@@ -14,9 +14,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, System, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import Time, Vector3
 

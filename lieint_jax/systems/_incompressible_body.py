@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
 from lieint_jax._checks import concrete, named
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._pseudo_rigid_body import PseudoRigidBody
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
 from lieint_jax.types import State, StoredEnergy, argument, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3

@@ -15,10 +15,9 @@ from lieint_jax import _checks
 from lieint_jax._numerics.lookup import increasing_times, interval
 from lieint_jax.capabilities import AbstractKinematics
 from lieint_jax.groups import so3
-from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.on_group import check_element, group_element
-from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import Group, State, callable_pytree, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, Time
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.capabilities import AbstractSphereSystem
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 

@@ -14,15 +14,14 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.capabilities import AbstractDeformingBody, AbstractElasticBody, AbstractViscousBody
 from lieint_jax.groups import so3
-from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
+from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._shared.arguments import check_counts, explained, timed
 from lieint_jax.systems._shared.stored_energy import (
     as_stored_energy,
     mooney_rivlin,
     neo_hookean,
     saint_venant_kirchhoff,
 )
-from lieint_jax.systems._shared.time_and_work import check_counts, timed
 from lieint_jax.types import State, StoredEnergy, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 

@@ -24,10 +24,9 @@ from lieint_jax.capabilities import (
     rotations,
 )
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
-from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.systems._shared.time_and_work import check_counts, timed
+from lieint_jax.systems._shared.arguments import check_counts, explained, timed
 from lieint_jax.types import ChainLaw, PairLaw, State, callable_pytree, clock, pair_forces, pytree, vectors
 from lieint_jax.types.shapes import Masses, MomentumMap, Poses, Positions, PyTree, Scalar
 

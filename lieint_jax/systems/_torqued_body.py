@@ -17,9 +17,9 @@ from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractTorquedBody
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.older_laws import MEMBERS, OlderLaw
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import Law, Rotation, State, System, as_law, callable_pytree, clock, labels, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 

@@ -20,18 +20,12 @@ __all__ = ["Pointing", "SlidingMode", "Target", "pointing", "sliding_mode"]
 
 
 class _Error(NamedTuple):
-    """The difference of a body from its target.
-
-    Attributes:
-        scalar, vector: of the quaternion of the error with a scalar part ≥ 0: the short way.
-        velocity: Ω_e = Ω − Ω_t, in the body, (3,).
-        acceleration: the rate of Ω_t in the body, (3,).
-    """
+    """The difference of a body from its target, by a quaternion with a scalar part ≥ 0: the short way."""
 
     scalar: Array
     vector: Array
-    velocity: Array
-    acceleration: Array
+    velocity: Array  # Ω_e = Ω − Ω_t, in the body, (3,)
+    acceleration: Array  # the rate of Ω_t in the body, (3,)
 
 
 @pytree

@@ -18,12 +18,7 @@ from lieint_jax.types.shapes import Inertia
 
 @pytree
 class FreeFlight(Step):
-    """The drift of a splitting: free rigid bodies, each rotated by a step of one body.
-
-    Attributes:
-        system: free rigid bodies.
-        turn: a step of one free rigid body, which is applied with the inertia of each.
-    """
+    """The drift of a splitting: free rigid bodies, each rotated by `turn`, a step of one body, with its own inertia."""
 
     system: AbstractFreeBodies
     turn: Step
