@@ -18,13 +18,7 @@ __all__ = ["MacCullagh", "maccullagh"]
 
 @pytree
 class MacCullagh(Potential):
-    """Gravity of bodies to second order of size over distance. Made by `maccullagh`.
-
-    Attributes:
-        G: the constant of gravity.
-        masses: (N,).
-        inertias: (N, 3) or (N, 3, 3).
-    """
+    """Gravity of bodies to second order of size over distance. Made by `maccullagh`."""
 
     G: Array
     masses: Array

@@ -72,11 +72,7 @@ class Potential:
 
 @pytree
 class SumPotential(Potential):
-    """A sum of potentials, made by `+`.
-
-    Attributes:
-        terms: potentials, or functions of positions and rotations.
-    """
+    """A sum of potentials and functions of positions and rotations, made by `+`."""
 
     terms: tuple[Callable[[Array, Array], Array], ...]
 

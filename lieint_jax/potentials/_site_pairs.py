@@ -83,23 +83,14 @@ class _SitePairs(Potential):
 
 @pytree
 class InverseDistance(_SitePairs):
-    """V = Σ k c_a c_b/√(u_ab + ε²). Made by `point_masses` and `point_charges`.
+    """V = Σ k c_a c_b/√(u_ab + ε²). Made by `point_masses` and `point_charges`."""
 
-    Attributes:
-        constant: k, −G for masses.
-        strengths: c, charges or masses, of each group (bodies, sites).
-        points: of each group, (bodies, sites, 3).
-        softening: ε, a length.
-        groups: the bodies of each group.
-        gravity: whether the strengths are masses.
-    """
-
-    constant: Array
-    strengths: tuple[Array, ...]
+    constant: Array  # k, −G for masses
+    strengths: tuple[Array, ...]  # c, charges or masses, of each group (bodies, sites)
     points: tuple[Array, ...]
-    softening: Array
+    softening: Array  # ε, a length
     groups: tuple[tuple[int, ...], ...] = static()
-    gravity: bool = static()
+    gravity: bool = static()  # whether the strengths are masses
 
     @property
     def G(self) -> Scalar:
@@ -121,17 +112,10 @@ class InverseDistance(_SitePairs):
 
 @pytree
 class LennardJones(_SitePairs):
-    """V = Σ 4ε_ab (v⁶ − v³), v = σ_ab²/u_ab, σ_ab = ½(σ_a + σ_b), ε_ab = √(ε_a ε_b). Made by `lennard_jones`.
+    """V = Σ 4ε_ab (v⁶ − v³), v = σ_ab²/u_ab, σ_ab = ½(σ_a + σ_b), ε_ab = √(ε_a ε_b). Made by `lennard_jones`."""
 
-    Attributes:
-        wells: ε, of each group (bodies, sites).
-        sizes: σ, of each group (bodies, sites).
-        points: of each group, (bodies, sites, 3).
-        groups: the bodies of each group.
-    """
-
-    wells: tuple[Array, ...]
-    sizes: tuple[Array, ...]
+    wells: tuple[Array, ...]  # ε, of each group (bodies, sites)
+    sizes: tuple[Array, ...]  # σ, of each group (bodies, sites)
     points: tuple[Array, ...]
     groups: tuple[tuple[int, ...], ...] = static()
 

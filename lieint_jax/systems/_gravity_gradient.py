@@ -25,15 +25,10 @@ __all__ = ["GravityGradient", "gravity_gradient"]
 
 @pytree
 class TidalAxis:
-    """γ(t) = √(3μ/r³) r̂: a vector along the line to the center of attraction, scaled so that V = ½Γ·JΓ.
+    """γ(t) = √(3μ/r³) r̂: a vector along the line to the center of attraction, scaled so that V = ½Γ·JΓ."""
 
-    Attributes:
-        orbit: t ↦ (position (3,), velocity (3,)) about the center.
-        mu: μ; None for that of the orbit.
-    """
-
-    orbit: Any
-    mu: Array | None
+    orbit: Any  # t ↦ (position (3,), velocity (3,)) about the center
+    mu: Array | None  # None for that of the orbit
 
     def __call__(self, t: Time) -> Vector3:
         position = self.orbit(t)[0]

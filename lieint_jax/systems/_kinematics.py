@@ -90,14 +90,12 @@ class SampledRate:
     """A rate through the entries of a log, `rate(t)`, (d,). Made by `sampled_rate`.
 
     Between two times it is m + s u + c (u² − 1/12), with u from −½ to ½: its mean is m.
-
-    Attributes:
-        times: the ends of the intervals, (n+1,).
-        coefficients: m, s and c of each interval, one after the other, (3dn,): machine code reads long logs this way.
     """
 
-    times: Array
-    coefficients: Array
+    times: Array  # the ends of the intervals, (n+1,)
+    coefficients: (
+        Array  # m, s and c of each interval, one after the other, (3dn,): machine code reads long logs this way
+    )
 
     def __call__(self, t: Time | float) -> AlgebraVector:
         """The rate at time t, (d,). Outside the log: ValueError if t is concrete, otherwise NaN."""

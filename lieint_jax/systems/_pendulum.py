@@ -32,14 +32,13 @@ class UniformGravity:
 
 @pytree
 class Pendulum(AbstractSphereSystem):
-    """H = |π|²/(2m) − g(γ·q) (1.3); q̇ = π × q/m, π̇ = −q × ∇V(q) with V(q) = −g(γ·q) (1.1), (1.4). Made by `pendulum`.
+    """H = |π|²/(2m) − g(γ·q) (1.3); q̇ = π × q/m, π̇ = −q × ∇V(q) with V(q) = −g(γ·q) (1.1), (1.4).
 
-    Attributes:
-        field: g.
+    Made by `pendulum`.
     """
 
     mass: Array
-    field: Callable[[Array], Array]
+    field: Callable[[Array], Array]  # g
     axis: Array
 
     @explained

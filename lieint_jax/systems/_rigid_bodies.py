@@ -119,15 +119,10 @@ class _Many(AbstractManyBodies):
 
 @pytree
 class FreeBodies(_Many, AbstractFreeBodies):
-    """N free rigid bodies: `RigidBodies.free`.
+    """N free rigid bodies: `RigidBodies.free`."""
 
-    Attributes:
-        masses: (N,).
-        inertias: (N, 3) or (N, 3, 3).
-    """
-
-    masses: Array
-    inertias: Array
+    masses: Array  # (N,)
+    inertias: Array  # (N, 3) or (N, 3, 3)
 
     def energy(self, state: State) -> Scalar:
         """The kinetic energy."""
@@ -182,11 +177,7 @@ class RigidBodies(_Many, AbstractRigidBodies):
 
 @pytree
 class DissipativeBodies(_Many, AbstractDissipativeBodies):
-    """Bodies in a mutual potential with dissipative forces between pairs or given forces. Made by `rigid_bodies`.
-
-    Attributes:
-        dissipation: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `PairLaw` or a function; a `ChainLaw`; or None.
-    """
+    """Bodies in a mutual potential with dissipative forces between pairs or given forces. Made by `rigid_bodies`."""
 
     masses: Array
     inertias: Array

@@ -30,15 +30,10 @@ class _Error(NamedTuple):
 
 @pytree
 class Target:
-    """An attitude to point to: a frame, and the attitude of the body in it.
+    """An attitude to point to: a frame, and the attitude of the body in it."""
 
-    Attributes:
-        frame: a unit quaternion, or t ↦ one, perhaps with a method `angular_velocity(t)` in the axes of the frame.
-        offset: the attitude of the body in the frame, a unit quaternion.
-    """
-
-    frame: Any
-    offset: Array
+    frame: Any  # a unit quaternion, or t ↦ one, perhaps with a method `angular_velocity(t)` in the axes of the frame
+    offset: Array  # the attitude of the body in the frame, a unit quaternion
 
     def error(self, t: Array, q: Array, Omega: Array, accelerates: bool = True) -> _Error:
         """How a body at q with Ω differs from the target at time t; its acceleration is 0 if it is not asked for."""

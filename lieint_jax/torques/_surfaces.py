@@ -91,17 +91,11 @@ def solar_plate(
 
 @pytree
 class Plates:
-    """One-sided flat plates on the surface of a body; what is common to sunlight and air.
+    """One-sided flat plates on the surface of a body; what is common to sunlight and air."""
 
-    Attributes:
-        sizes: of the plates, (m,): areas, or forces at normal incidence.
-        normals: outward unit vectors in the body, (m, 3).
-        arms: from the body's center of mass to the centers of the plates, (m, 3).
-    """
-
-    sizes: Array
-    normals: Array
-    arms: Array
+    sizes: Array  # of the plates, (m,): areas, or forces at normal incidence
+    normals: Array  # outward unit vectors in the body, (m, 3)
+    arms: Array  # from the body's center of mass to the centers of the plates, (m, 3)
 
     @property
     def normal(self) -> Vector:
