@@ -110,7 +110,7 @@ def _solve(levels: tuple[_Level, ...], last: _Sweep, b: Array) -> Array:
     y = _times(level.inverse, b[1::2])
     acting = _placed(_times(level.lower, y[: level.lower.shape[0]]), 1, len(even))
     x = _solve(levels[1:], last, even - acting - _placed(_times(level.upper, y), 0, len(even)))
-    odd = y - _times(level.before, x[: len(y)]) - _times(level.after, _padded(x[1:], len(y)))
+    odd = y - _times(level.before, x[: len(y)]) - _times(level.after, _placed(x[1 : 1 + len(y)], 0, len(y)))
     pairs = jnp.stack([x[: len(y)], odd], axis=1).reshape(-1, b.shape[1])
     return pairs if len(even) == len(y) else jnp.concatenate([pairs, x[-1:]])
 
@@ -160,7 +160,3 @@ def _times(A: Array, v: Array) -> Array:
 def _placed(x: Array, start: int, length: int) -> Array:
     """x with zeros before and after it, `length` rows."""
     return jnp.pad(x, ((start, length - start - len(x)),) + ((0, 0),) * (x.ndim - 1))
-
-
-def _padded(x: Array, length: int) -> Array:
-    return _placed(x[:length], 0, length)

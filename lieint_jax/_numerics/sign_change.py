@@ -51,7 +51,12 @@ def sign_change(f: Callable[[Array], Array], before: Array, after: Array) -> Sig
     secant = after / jnp.where(changes, after - before, 1)
     zero = jnp.zeros_like(before)
     start = _Bracket(zero + 1, zero, after, before, secant, jnp.zeros((), int))
-    s = lax.while_loop(lambda s: changes & _is_open(s), lambda s: _narrow(f, s), start)
+
+    def is_open(s: _Bracket) -> Array:
+        """Whether numbers are left between the points."""
+        return changes & (jnp.abs(s.b - s.a) > jnp.finfo(s.a.dtype).eps)
+
+    s = lax.while_loop(is_open, lambda s: _narrow(f, s), start)
     u = jnp.where(jnp.abs(s.fa) < jnp.abs(s.fb), s.a, s.b)
     return SignChange(u, jnp.where(s.a < s.b, jnp.stack([s.fa, s.fb]), jnp.stack([s.fb, s.fa])))
 
@@ -69,11 +74,6 @@ def is_root(ends: Array, around: Array, after: Array) -> Array:
     """
     sides = jnp.sign(around) * jnp.sign(after)
     return (sides[0] < 0) & (sides[1] > 0) & (2 * jnp.abs(ends) <= jnp.abs(around)).all()
-
-
-def _is_open(s: _Bracket) -> Array:
-    """Whether numbers are left between the points."""
-    return jnp.abs(s.b - s.a) > jnp.finfo(s.a.dtype).eps
 
 
 def _narrow(f: Callable[[Array], Array], s: _Bracket) -> _Bracket:

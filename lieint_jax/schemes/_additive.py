@@ -185,24 +185,12 @@ def examples(system: AbstractElasticBody | AbstractViscousBody | AbstractIncompr
 # The rules: S(C, D) or S(C, D, γ) -------------------------------------------------------------------------------------
 
 
-def _symplectic(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
-    return Symmetric(W.stress(C + D))
-
-
 def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
     return Symmetric(W.mean_stress(C, D))
 
 
 def _energy(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
     return Symmetric(W.stress(C + gamma * D))
-
-
-def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    return (_energy(W, C, D, gamma) + _energy(W, C, D, 1 - gamma)) / 2
-
-
-def _incompressible(W: StoredEnergy, C: Symmetric, D: Symmetric, pressure: Array) -> Symmetric:
-    return _average(W, C, D) - pressure * mean_cofactor(C, D)
 
 
 class _Rule(NamedTuple):
@@ -219,11 +207,15 @@ class _Rule(NamedTuple):
 
 
 _RULES: dict[str, _Rule] = {
-    "symplectic": _Rule(_symplectic),
+    "symplectic": _Rule(lambda W, C, D: Symmetric(W.stress(C + D))),
     "average": _Rule(_average),
     "energy": _Rule(_energy, 1, 0.5, 1.0),
-    "energy_momentum": _Rule(_energy_momentum, 1, 0.5 - 12**-0.5, 0.5),
-    "incompressible": _Rule(_incompressible, 1, end=math.inf, constrained=True),
+    "energy_momentum": _Rule(
+        lambda W, C, D, gamma: (_energy(W, C, D, gamma) + _energy(W, C, D, 1 - gamma)) / 2, 1, 0.5 - 12**-0.5, 0.5
+    ),
+    "incompressible": _Rule(
+        lambda W, C, D, pressure: _average(W, C, D) - pressure * mean_cofactor(C, D), 1, end=math.inf, constrained=True
+    ),
 }
 
 
@@ -236,11 +228,6 @@ def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
     """A term below the rounding of `_energy_defect` that sets γ to its limit where any γ is a root, as for D = 0."""
     eps = jnp.finfo(off.dtype).eps
     return eps * stiffness * off * (D.inner(D) + eps * eps * C.inner(C))
-
-
-def _stiffness(W: StoredEnergy, C: Symmetric) -> Array:
-    """The size of ∂S/∂C·C: the rounding of C moves S by eps times this."""
-    return lax.stop_gradient(max_abs(jax.jvp(W.stress, (C,), (C,))[1]))
 
 
 @pytree
@@ -287,7 +274,7 @@ class _Equation(ImplicitEquation[Array]):
         alpha = step.alpha.astype(state.p.dtype)
         E, F, P = symmetric(step.system.inertia).full, matrix(state.q), matrix(state.p)
         C, c, a = F.gram(), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
-        stiffness = _stiffness(W, C)
+        stiffness = lax.stop_gradient(max_abs(jax.jvp(W.stress, (C,), (C,))[1]))  # the size of ∂S/∂C·C
         if isinstance(step.system, AbstractViscousBody):
             W = _Viscous(W, step.system.viscosity / jnp.where(dt == 0, 1, dt))
             stiffness = stiffness + jnp.abs(W.rate) * max_abs(C)

@@ -31,7 +31,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.typing import ArrayLike, DTypeLike
+from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
@@ -66,7 +66,8 @@ class BodiesEnergyMomentum(Step):
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
-        most = _iterations_at_precision(self.iterations, state.p.dtype)
+        double, given = jnp.finfo(jnp.float64).eps, jnp.finfo(state.p.dtype).eps
+        most = math.ceil(self.iterations * math.log(given) / math.log(double))  # for the same contraction per iteration
         if self.solver == "newton":
             ends, info = _Chain(equation).ends(most)
         else:
@@ -213,7 +214,10 @@ class _Equation(FixedPointEquation[_Ends]):
     def improve(self, ends: _Ends) -> tuple[_Ends, Array]:
         F, K = self.linearized(ends)
         step = _correction(K, F)
-        return _Ends(ends.move - step.move, ends.turn - step.turn), _relative(step, ends)
+        size = jnp.max(jnp.abs(ends.move))
+        moved = jnp.max(jnp.abs(step.move)) / jnp.where(size > 0, size, 1)  # rotations change by rad
+        change = jnp.maximum(moved, jnp.max(jnp.abs(step.turn)))
+        return _Ends(ends.move - step.move, ends.turn - step.turn), change
 
     def inverses(self) -> tuple[Callable[[_Ends], _Ends], Callable[[_Ends], _Ends]]:
         K = lax.stop_gradient(self.linearized(self.guess())[1])  # near that of the ends, which are not known here
@@ -295,21 +299,9 @@ def _ends(unknowns: Array) -> _Ends:
     return _Ends(bodies[:, :3], bodies[:, 3:])
 
 
-def _iterations_at_precision(iterations: int, dtype: DTypeLike) -> int:
-    """The iterations that need the same contraction for full precision as `iterations` do in float64."""
-    return math.ceil(iterations * math.log(jnp.finfo(dtype).eps) / math.log(jnp.finfo(jnp.float64).eps))
-
-
 def _correction(K: Array, F: _Ends) -> _Ends:
     """The Newton correction of F, with its derivative but without that of the forces."""
     return _Ends(F.move, jax.vmap(lambda K, f: jnp.stack(matrix(K).solve(f)))(K, F.turn))
-
-
-def _relative(step: _Ends, ends: _Ends) -> Array:
-    """The largest change: of displacements, relative to the largest; of rotations, in rad."""
-    size = jnp.max(jnp.abs(ends.move))
-    moved = jnp.max(jnp.abs(step.move)) / jnp.where(size > 0, size, 1)
-    return jnp.maximum(moved, jnp.max(jnp.abs(step.turn)))
 
 
 def _parts(q: Array) -> tuple[Array, Array]:

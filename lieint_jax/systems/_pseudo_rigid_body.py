@@ -74,7 +74,7 @@ class _Deforming(AbstractDeformingBody):
         if name == "angular_velocity":
             P = so3.hat(P) @ F
         if name != "momentum":
-            P = P @ self._inertia_matrix()
+            P = P @ (jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia)
         dtype = jnp.result_type(F, P)
         state = State(F.astype(dtype), P.astype(dtype))
         t, work = self._clock if t is None else t, self._clock if work is None else work
@@ -102,9 +102,6 @@ class _Deforming(AbstractDeformingBody):
         _orientation("state.q", _checks.real_array("state.q", state.q, (3, 3)))
         _checks.real_array("state.p", state.p, (3, 3))
         check_counts(state)
-
-    def _inertia_matrix(self) -> Matrix3:
-        return jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
 
 
 @pytree
