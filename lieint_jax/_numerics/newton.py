@@ -27,11 +27,11 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import ArrayLike, DTypeLike
+from jax.typing import DTypeLike
 
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._xla import saved
-from lieint_jax.types import StepInfo, vectors
+from lieint_jax.types import vectors
 from lieint_jax.types.shapes import PyTree
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
@@ -170,12 +170,6 @@ class ContractionMonitor(NamedTuple):
     def update(self, length: Array, ratio: float = 0.5) -> ContractionMonitor:
         """The monitor after a correction of that length: the next one may be `ratio` times as long."""
         return ContractionMonitor(ratio * length, jnp.maximum(self.growth, length - self.limit))
-
-
-def report(error: Array, good: Array, size: ArrayLike = 1) -> StepInfo:
-    """The report of a root: converged if it is `good`, and its error is round-off of terms of that size, 32ε."""
-    error = lax.stop_gradient(error)
-    return StepInfo(error, (error <= 32 * jnp.finfo(error.dtype).eps * lax.stop_gradient(size)) & good)
 
 
 def _largest(x: PyTree) -> Array:

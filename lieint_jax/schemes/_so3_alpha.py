@@ -78,7 +78,7 @@ class SO3Alpha(Step):
         a = 0.5 * r * dt * matrix(state.q).solve(state.p)
         y, residual, good = _solve(self.kappa, self.alpha, J, a, self.iterations)
         Theta = 2 * self.kappa(4 * dot(y, y)) * y
-        info = newton.report(norm(residual), good & J.well_conditioned & _digits_left(state), max_abs(a))
+        info = StepInfo.of_root(norm(residual), good & J.well_conditioned & _digits_left(state), max_abs(a))
         return state._replace(q=_rotated_attitude(state.q, self.alpha, Theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:

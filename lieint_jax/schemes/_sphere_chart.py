@@ -71,7 +71,7 @@ class SphereChart(Step):
         inside &= (after[0] > 0) & (after[0] < np.pi) & ~near
         unfolded = la.determinant(la.unrolled(lax.stop_gradient(jax.jacfwd(residual)(u)))) > 0
         end = self.chart.state(after)
-        return state._replace(q=end.q, p=end.p), newton.report(
+        return state._replace(q=end.q, p=end.p), StepInfo.of_root(
             error, steady & inside & unfolded, 1 + _largest(u / unit)
         )
 

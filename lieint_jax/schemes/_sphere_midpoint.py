@@ -65,7 +65,7 @@ class SphereMidpoint(Step):
         # with a positive K the equation is monotone, so it has one root; without normalization that is a proof
         K = matrix(lax.stop_gradient(jax.jacfwd(equation)(u))).plus_transpose()
         unique = K.positive_definite & (jnp.abs(h) * norm(p) < _TURN)
-        info = newton.report(max_abs(f), (dot(u, u) < 4) & steady & unique)
+        info = StepInfo.of_root(max_abs(f), (dot(u, u) < 4) & steady & unique)
         return state._replace(q=q + u, p=p + torque(u)[1]), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:

@@ -28,10 +28,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import newton
-from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
 from lieint_jax._numerics.equation import ImplicitEquation
-from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop
+from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop, discrete_gradient
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._catalogue import SchemeProperties
@@ -162,7 +160,7 @@ class _Field(NamedTuple):
     def gradient(self, h: Vector) -> Vector:
         """D̄ between Γ_n and Γ_{n+1} at this time."""
         ends = (jnp.stack(Gamma) for Gamma in (self.Gamma, _rotated_axis(h, self.Gamma)))
-        return vector(discrete_gradient(self.potential, *ends, *self.at))
+        return vector(discrete_gradient(self.potential, *ends, apart=_APART, at=self.at))
 
     def force_jacobian(self, h: Vector) -> Matrix:
         """The columns Γ × S(Γ × eᵢ), with S = 2∂D̄/∂Γ_{n+1} up to O(ΔΓ²)."""
@@ -242,7 +240,7 @@ class _Equation(ImplicitEquation[Vector]):
     def report(self, y: Vector, f: Vector, steady: Array) -> StepInfo:
         at = lax.stop_gradient(y)
         good = steady & self.J.well_conditioned & on_branch(self.kappa, at, self.matrix(at))
-        return newton.report(norm(f), good, self.size(y))
+        return StepInfo.of_root(norm(f), good, self.size(y))
 
     def size(self, y: Vector) -> Array:
         """The size of the terms of the equation, by which its rounding errors are measured.
@@ -258,17 +256,6 @@ class _Equation(ImplicitEquation[Vector]):
             noise = jnp.abs(field.value(field.Gamma)) / jnp.sqrt(jnp.where(corrected, square, 1))
             total = total + s * max_abs(field.Gamma) * (max_abs(D) + jnp.where(corrected, noise, 0))
         return total
-
-
-def discrete_gradient(potential: Callable[..., Array], a: Array, b: Array, *t: Array) -> Array:
-    """D̄ with D̄·(b − a) = Ṽ(b) − Ṽ(a) and D̄(a, b) = D̄(b, a), shape (3,), at a time if the potential has one.
-
-    The gradient where a = b.
-    """
-    own = getattr(potential, "discrete_gradient", None)
-    if own is not None:
-        return own(a, b, *t)
-    return by_quadrature(potential, a, b, _APART, *t)
 
 
 def _is_linear(potential: Callable[..., Array]) -> bool:

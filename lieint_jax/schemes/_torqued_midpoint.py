@@ -161,7 +161,7 @@ class DampedMidpoint(Step):
         at = lax.stop_gradient
         good = steady & J.well_conditioned
         good &= on_branch(self.kappa, at(y), _jacobian(balance, at(P)))
-        info = newton.report(norm(f), good, size)
+        info = StepInfo.of_root(norm(f), good, size)
         q = so3.cayley_increment(state.q, jnp.stack(k * y))
         slip = cross(P, Omega)
         work = None if state.work is None else state.work - k * dt * alpha / r * dot(slip, slip)
@@ -377,7 +377,7 @@ class _Equation(ImplicitEquation[Vector]):
         branch, sizes = self.branch_and_sizes(at(x))
         good = steady & branch & self.J.well_conditioned & jnp.isfinite(at(self.t))
         errors = [norm(rows) for rows in (f[:3], f[3:]) if rows]
-        infos = [newton.report(error, good, size) for error, size in zip(errors, sizes, strict=True)]
+        infos = [StepInfo.of_root(error, good, size) for error, size in zip(errors, sizes, strict=True)]
         return functools.reduce(StepInfo.merge, infos)
 
     def branch_and_sizes(self, x: Vector) -> tuple[Array, list[Array]]:

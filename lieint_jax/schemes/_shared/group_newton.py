@@ -85,7 +85,7 @@ class Equation(NamedTuple):
         good = good & self._digits_left()
         Theta = la.as_array(theta, self.state.p)
         good = good & self.tau.holds(self.group, Theta) if self.tau.holds else good
-        return theta, Theta, newton.report(size(F), good)
+        return theta, Theta, StepInfo.of_root(size(F), good)
 
     def coadjoint(self, theta: la.Vector, mu: la.Vector) -> la.Vector:
         """Ad*_τ(Θ) μ."""

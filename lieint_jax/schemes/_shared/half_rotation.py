@@ -62,7 +62,7 @@ def half_rotation(
     else:
         h, residual, good = solve_vector(kappa, J, a, iterations, b)
         good &= jnp.finfo(a.dtype).eps * _size(a, b) * J.inverse_trace <= attitude_error_limit(a.dtype)
-    return h, newton.report(max_abs(residual), good & J.well_conditioned, _size(a, b))
+    return h, StepInfo.of_root(max_abs(residual), good & J.well_conditioned, _size(a, b))
 
 
 def scaled(system: AbstractFreeBody | AbstractGyrostat, state: State, dt: ArrayLike) -> tuple[Symmetric, Vector3]:
