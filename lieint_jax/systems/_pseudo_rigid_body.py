@@ -36,8 +36,8 @@ __all__ = [
 ]
 
 
-class _Deforming(AbstractDeformingBody):
-    """The methods of elastic and viscous bodies that create and evaluate states."""
+class DeformingBody(AbstractDeformingBody):
+    """The methods of all bodies that deform homogeneously, which create and evaluate states."""
 
     _clock = None  # the time and the work of a state that is given none
 
@@ -105,7 +105,7 @@ class _Deforming(AbstractDeformingBody):
 
 
 @pytree
-class PseudoRigidBody(_Deforming, AbstractElasticBody):
+class PseudoRigidBody(DeformingBody, AbstractElasticBody):
     """H = ½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2); Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3). Made by `pseudo_rigid_body`."""
 
     inertia: Array
@@ -113,7 +113,7 @@ class PseudoRigidBody(_Deforming, AbstractElasticBody):
 
 
 @pytree
-class ViscousBody(_Deforming, AbstractViscousBody):
+class ViscousBody(DeformingBody, AbstractViscousBody):
     """A `PseudoRigidBody` with the stress 2∇W(C) + νĊ, C = FᵀF. Made by `pseudo_rigid_body`."""
 
     inertia: Array

@@ -263,32 +263,21 @@ def _check_places(x: np.ndarray) -> None:
         )
 
 
+_V = Callable[[Array, Array], Array]
+_Law = Callable[..., PyTree]
+
+
 @overload
 def rigid_bodies(
-    masses: ArrayLike,
-    inertias: ArrayLike,
-    potential: Callable[[Array, Array], Array],
-    dissipation: None = None,
-    *,
-    forces: None = None,
+    masses: ArrayLike, inertias: ArrayLike, potential: _V, dissipation: None = None, *, forces: None = None
 ) -> RigidBodies: ...
 @overload
 def rigid_bodies(
-    masses: ArrayLike,
-    inertias: ArrayLike,
-    potential: Callable[[Array, Array], Array],
-    dissipation: Callable[..., PyTree],
-    *,
-    forces: Callable[..., PyTree] | None = None,
+    masses: ArrayLike, inertias: ArrayLike, potential: _V, dissipation: _Law, *, forces: _Law | None = None
 ) -> DissipativeBodies: ...
 @overload
 def rigid_bodies(
-    masses: ArrayLike,
-    inertias: ArrayLike,
-    potential: Callable[[Array, Array], Array],
-    dissipation: None = None,
-    *,
-    forces: Callable[..., PyTree],
+    masses: ArrayLike, inertias: ArrayLike, potential: _V, dissipation: None = None, *, forces: _Law
 ) -> DissipativeBodies: ...
 def rigid_bodies(
     masses: ArrayLike,

@@ -30,10 +30,7 @@ class BDot(Law):
     gain: Array
     field: VectorOfTime
     frame = "space"
-
-    @property
-    def label(self) -> str:
-        return "bdot"
+    label = "bdot"  # pyright: ignore[reportAssignmentType]
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """k b × (b × ω̄)."""
@@ -48,10 +45,7 @@ class LimitedBDot(Law):
     gain: Array
     field: VectorOfTime
     max_dipole: Array
-
-    @property
-    def label(self) -> str:
-        return "bdot"
+    label = "bdot"  # pyright: ignore[reportAssignmentType]
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """m × B, in the field at the middle of the step and the attitude half-way."""

@@ -82,19 +82,12 @@ class CanonicalChart(Chart):
     """Coordinates of a flat space in which the system is Hamiltonian, and quadratic invariants stay quadratic."""
 
     @abc.abstractmethod
-    def coordinates(self, state: State) -> Coordinates:
-        """The coordinates of a state."""
-
-    @abc.abstractmethod
     def configuration(self, z: Coordinates) -> Array:
         """The configuration of coordinates, with quaternions of unit length."""
 
     @abc.abstractmethod
     def force(self, system: Any) -> Callable[[Coordinates, Moment], Components] | None:
         """(z, t) ↦ the components of the rates of the state's momenta; None where the coordinates contain these."""
-
-    def unknowns(self, system: Any, state: State) -> Coordinates:
-        return self.coordinates(state)
 
     def stage_times(self, system: Any, state: State, passed: Array) -> Moment:
         """The times, (n,), of a state that has one."""
@@ -118,7 +111,7 @@ class CanonicalChart(Chart):
 
     def apply(self, system: Any, state: State, z: Coordinates, delta: Increments) -> State:
         """`state`, whose unknowns are z, after these increments."""
-        q = self.configuration(jax.tree.map(jnp.add, self.coordinates(state), delta.z))
+        q = self.configuration(jax.tree.map(jnp.add, z, delta.z))
         end = state._replace(q=q, p=state.p + _momentum(state, delta))
         done = delta.quadratures
         if done is None or done.work is None or state.work is None:
@@ -139,7 +132,7 @@ class OneBody(CanonicalChart):
         space = system.phase_space
         return isinstance(space, CotangentGroup) and space.group is so3
 
-    def coordinates(self, state: State) -> Coordinates:
+    def unknowns(self, system: Any, state: State) -> Coordinates:
         q = _components(state.q)
         return Coordinates(q, _from_left(2 * vector(state.p), q))
 
@@ -188,7 +181,7 @@ class ManyBodies(CanonicalChart):
     def supports(self, system: System) -> bool:
         return isinstance(system.phase_space, CotangentMotions)
 
-    def coordinates(self, state: State) -> Coordinates:
+    def unknowns(self, system: Any, state: State) -> Coordinates:
         q, p = _components(state.q), _components(state.p)
         return Coordinates(q, (*p[:3], *_from_left(2 * Vector(p[3:]), q[3:])))
 
@@ -231,7 +224,7 @@ class Matrices(CanonicalChart):
     def supports(self, system: System) -> bool:
         return isinstance(system.phase_space, CotangentMatrices)
 
-    def coordinates(self, state: State) -> Coordinates:
+    def unknowns(self, system: Any, state: State) -> Coordinates:
         return Coordinates(tuple(state.q.ravel()), tuple(state.p.ravel()))
 
     def configuration(self, z: Coordinates) -> Array:
@@ -240,7 +233,7 @@ class Matrices(CanonicalChart):
 
     def rate(self, system: Any) -> Callable[[Coordinates, Moment], Coordinates]:
         """The vector field."""
-        return lambda z, _: self.coordinates(system.vector_field(State(_matrix(z.q), _matrix(z.p))))
+        return lambda z, _: self.unknowns(system, system.vector_field(State(_matrix(z.q), _matrix(z.p))))
 
     def force(self, system: Any) -> None:
         """None: P is a coordinate."""
