@@ -213,7 +213,10 @@ def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayL
     if at.ndim != 3 or at.shape[2] != 3:
         raise ValueError(f"points must have shape (N, n, 3), got {at.shape}")
     given = {"charges": charges, "wells": wells, "sizes": sizes}
-    q, epsilon, sigma = (_of_every_body(name, x, at.shape[:2]) for name, x in given.items())
+    every = at.shape[:2]  # a number of every site, given for each body or once for all
+    q, epsilon, sigma = (
+        jnp.broadcast_to(_checks.real_array(name, x, every, every[1:]), every) for name, x in given.items()
+    )
     charged, soft = _in_use(q), _in_use(epsilon)
     terms: list[Potential] = []
     if charged.any():
@@ -228,11 +231,6 @@ def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayL
 def _in_use(strengths: Array) -> np.ndarray:
     """Which sites of a molecule have a strength other than 0 in some molecule, (n,)."""
     return np.any(np.asarray(strengths) != 0, axis=0) if concrete(strengths) else np.ones(strengths.shape[1], bool)
-
-
-def _of_every_body(name: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """A number of every site (N, n), given for each body or once for all."""
-    return jnp.broadcast_to(_checks.real_array(name, value, shape, shape[1:]), shape)
 
 
 def _inverse_distance(

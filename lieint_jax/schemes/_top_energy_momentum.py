@@ -76,7 +76,8 @@ class TopEnergyMomentum(Step):
         k, h = equation.turn(y)
         p = vector(state.p)
         for field, D in zip(fields, equation.gradients(h), strict=True):
-            e = so3.Ad(q, k * _half_rotated(h, D))
+            half_rotated = 1 / (1 + dot(h, h)) * (D + cross(h, D) + dot(h, D) * h)  # ½(1 + cay(2h))D̄
+            e = so3.Ad(q, k * half_rotated)
             p = p + field.share * dt * cross(field.axis, e)
         # stacked last: many kernels read them, number by number
         after = state._replace(q=jnp.stack(vector(q) + so3.cayley_difference(q, h)), p=jnp.stack(p))
@@ -266,11 +267,6 @@ def _rotated_axis(h: Vector, Gamma: Vector) -> Vector:
     """Γ_{n+1} = cay(2h)ᵀΓ = Γ + 2(h × (h × Γ) − h × Γ)/(1 + |h|²)."""
     x = cross(h, Gamma)
     return Gamma + 2 / (1 + dot(h, h)) * (cross(h, x) - x)
-
-
-def _half_rotated(h: Vector, D: Vector) -> Vector:
-    """½(1 + cay(2h))D = (D + h × D + h(h·D))/(1 + |h|²)."""
-    return 1 / (1 + dot(h, h)) * (D + cross(h, D) + dot(h, D) * h)
 
 
 def _moment(h: Vector, Gamma: Vector, D: Vector) -> Vector:
