@@ -63,7 +63,7 @@ class TorquedMidpoint(Step):
     def _advance(self, system: AbstractTorquedBody, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """The step of a body of constant inertia."""
         equation = TorqueEquation.from_state(self.kappa, system, state, dt)
-        rotation, torques, info = equation.step(self.iterations)
+        rotation, torques, info = equation.solution(self.iterations)
         q = state.q + jnp.stack(so3.cayley_difference(state.q, rotation.h))
         rotation = rotation._replace(q_next=q)
         impulses = [] if torques.space is None else [torques.space]

@@ -86,7 +86,7 @@ class TorqueEquation(ImplicitEquation[Vector]):
         """The internal states η_n that belong to the unknowns, one after the other."""
         return _flat(jnp.asarray(inner) for law, inner in zip(self.laws, self.inner, strict=True) if law.implicit)
 
-    def step(self, iterations: int) -> tuple[Rotation, Torques, StepInfo]:
+    def solution(self, iterations: int) -> tuple[Rotation, Torques, StepInfo]:
         """The rotation of the step, the mean torques, and the report."""
         guess, limit = self.guess()
         x, info = self.solve(guess, iterations, done=newton.quadratic, first=limit)
