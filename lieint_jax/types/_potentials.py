@@ -14,6 +14,8 @@ from lieint_jax._checks import closed_form
 from lieint_jax.types.shapes import Matrix3, PyTree, Scalar, Time, Vector3
 from lieint_jax.types.vectors import Symmetric
 
+__all__ = ["PotentialWithGradient", "StoredEnergy", "autodiff_gradient", "check_gradient", "gradient"]
+
 
 class PotentialWithGradient(abc.ABC):
     """A potential Ṽ(Γ) or Ṽ(Γ, t) of tops with its gradient in closed form, which costs far less than autodiff."""

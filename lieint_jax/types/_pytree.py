@@ -11,6 +11,8 @@ import numpy as np
 
 from lieint_jax._checks import name_of
 
+__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static"]
+
 _T = TypeVar("_T")
 
 

@@ -16,6 +16,8 @@ from lieint_jax.types.members import Axis, map_over_run
 from lieint_jax.types.record import record
 from lieint_jax.types.shapes import Flag, PyTree, Scalar, Time
 
+__all__ = ["State", "StepInfo", "Trajectory", "all_finite", "clock", "counts_work", "periods_of"]
+
 
 @record
 class State(NamedTuple):

@@ -23,6 +23,8 @@ from lieint_jax.types._system import System
 from lieint_jax.types._tangents import push_forward
 from lieint_jax.types.shapes import Flag, PyTree, Time
 
+__all__ = ["Step", "StepError", "checked_step", "converges", "promoted", "start_time"]
+
 _T = TypeVar("_T")
 _SMALLER = 6  # step sizes, each a quarter of the one before, until advice to use a smaller one is given up
 _HOOKS = {"__call__": "advance", "prepare": "with_constants", "tangent": "advance_tangents"}  # by final method

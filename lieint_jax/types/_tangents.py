@@ -13,6 +13,8 @@ from lieint_jax.types._group import PhaseSpace
 from lieint_jax.types._state import State
 from lieint_jax.types.shapes import PhaseVector, TangentVectors
 
+__all__ = ["push_forward"]
+
 _Aux = TypeVar("_Aux")
 
 
