@@ -214,10 +214,9 @@ class _Equation(FixedPointEquation[_Ends]):
     def improve(self, ends: _Ends) -> tuple[_Ends, Array]:
         F, K = self.linearized(ends)
         step = _correction(K, F)
-        size = jnp.max(jnp.abs(ends.move))
-        moved = jnp.max(jnp.abs(step.move)) / jnp.where(size > 0, size, 1)  # rotations change by rad
-        change = jnp.maximum(moved, jnp.max(jnp.abs(step.turn)))
-        return _Ends(ends.move - step.move, ends.turn - step.turn), change
+        improved, size = _Ends(ends.move - step.move, ends.turn - step.turn), jnp.max(jnp.abs(ends.move))
+        moved = jnp.max(jnp.abs(step.move)) / jnp.where(size > 0, size, 1)  # of rotations it is in rad
+        return improved, jnp.maximum(moved, jnp.max(jnp.abs(step.turn)))
 
     def inverses(self) -> tuple[Callable[[_Ends], _Ends], Callable[[_Ends], _Ends]]:
         K = lax.stop_gradient(self.linearized(self.guess())[1])  # near that of the ends, which are not known here
