@@ -104,7 +104,10 @@ def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 
 # Derivatives are those of two more duplications than a value needs.
-@functools.partial(forward_mode, smooth=lambda *roots_and_p: _rj_value(_duplicate(*roots_and_p, more=2)))
+@functools.partial(
+    forward_mode,
+    smooth=lambda root_x, root_y, root_z, p: _rj_value(_duplicate(root_x, root_y, root_z, p, more=2)),
+)
 def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """R_J(x, y, z, p) = (3/2) ∫₀^∞ dt / ((t + p) √((t + x)(t + y)(t + z))), given the square roots of x, y and z.
 
@@ -118,7 +121,10 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     return _rj_value(_duplicate(root_x, root_y, root_z, p))
 
 
-@functools.partial(forward_mode, smooth=lambda *roots_and_p: _rj_value(_duplicate(*roots_and_p, more=2, ordered=False)))
+@functools.partial(
+    forward_mode,
+    smooth=lambda root_x, root_y, root_z, p: _rj_value(_duplicate(root_x, root_y, root_z, p, more=2, ordered=False)),
+)
 def carlson_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """`carlson_rj` for every p > 0; R_D(x, y, z) = R_J(x, y, z, z) among them.
 
@@ -255,7 +261,7 @@ def _rd_value(at: Array, k: int, total: Array, scale: Array) -> Array:
     return scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * total
 
 
-@functools.partial(forward_mode, smooth=lambda *roots: _rds(roots, more=2))
+@functools.partial(forward_mode, smooth=lambda root_x, root_y, root_z: _rds((root_x, root_y, root_z), more=2))
 def carlson_rds(root_x: Array, root_y: Array, root_z: Array) -> tuple[Array, Array]:
     """R_D(x, z, y) and R_D(x, y, z), given the square roots of x ≥ 0, which may be slightly negative, and of y, z > 0.
 

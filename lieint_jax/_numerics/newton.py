@@ -135,12 +135,12 @@ def root(
             return jax.tree.map(jnp.subtract, x, step), monitor.update(size(step)) if watched else monitor, step
 
         monitor = ContractionMonitor.start(size(x) if first is None else first)
-        if done is not None:
+        if (is_done := done) is not None:
 
             def improve_and_judge(carry: PyTree) -> PyTree:
                 x, monitor, k, _ = carry
                 x, monitor, step = improve(x, monitor)
-                return x, monitor, k + 1, done(x, step)
+                return x, monitor, k + 1, is_done(x, step)
 
             start = (x, monitor, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
             x, monitor, *_ = lax.while_loop(lambda c: (c[2] < iterations) & ~c[3], improve_and_judge, start)

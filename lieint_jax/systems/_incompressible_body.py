@@ -55,7 +55,7 @@ class IncompressibleBody(DeformingBody, capabilities.AbstractIncompressibleBody)
         return PseudoRigidBody(self.inertia, self.stored_energy)
 
     @explained
-    def state(
+    def state(  # pyright: ignore[reportIncompatibleMethodOverride]
         self,
         deformation: ArrayLike | None = None,
         *,
