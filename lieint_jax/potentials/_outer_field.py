@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import group_sites, site_positions
+from lieint_jax.potentials._site_pairs import group_sites, site_positions
 from lieint_jax.types import callable_pytree, pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 

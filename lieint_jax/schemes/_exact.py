@@ -14,7 +14,6 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.half_rotation import SLENDER, attitude_error_limit
 from lieint_jax.types import State, Step, StepInfo, pytree, static
-from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 from lieint_jax.types.vectors import symmetric
 
 __all__ = ["Exact", "FreeFlight", "exact"]
@@ -31,8 +30,10 @@ class Exact(Step):
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J = self.system.inertia
-        q, report = _free_body.attitude(J, state.q, state.p, dt)
-        return state._replace(q=q), exact_report(J, q, *report)
+        q, (length, condition) = _free_body.attitude(J, state.q, state.p, dt)
+        eps = float(jnp.finfo(q.dtype).eps)
+        good = (length <= 1024 * eps) & (eps * condition <= attitude_error_limit(q.dtype))
+        return state._replace(q=q), StepInfo(length, good & symmetric(J).well_conditioned)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not symmetric(self.system.inertia).well_conditioned:
@@ -42,13 +43,6 @@ class Exact(Step):
             "is too large, or the body passes the intermediate axis too closely and too often; or there is a NaN or an "
             "infinity in the state or the inertia. Use a smaller dt, or float64"
         )
-
-
-def exact_report(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -> StepInfo:
-    """The report of an exact flow to q, from the rounding errors that `_free_body.attitude` returns."""
-    eps = float(jnp.finfo(q.dtype).eps)
-    good = (length <= 1024 * eps) & (eps * condition <= attitude_error_limit(q.dtype))
-    return StepInfo(length, good & symmetric(J).well_conditioned)
 
 
 @overload

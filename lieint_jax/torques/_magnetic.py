@@ -30,7 +30,7 @@ class BDot(Law):
     gain: Array
     field: VectorOfTime
     frame = "space"
-    label = "bdot"  # pyright: ignore[reportIncompatibleMethodOverride]
+    label = "bdot"  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """k b × (b × ω̄)."""
@@ -45,7 +45,7 @@ class LimitedBDot(Law):
     gain: Array
     field: VectorOfTime
     max_dipole: Array
-    label = "bdot"  # pyright: ignore[reportIncompatibleMethodOverride]
+    label = "bdot"  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """m × B, in the field at the middle of the step and the attitude half-way."""

@@ -152,7 +152,7 @@ class AnyPotential(DirectionalPotential):
 
     function: Callable[..., Array]
     direction: VectorOfTime
-    label = "potential"  # pyright: ignore[reportIncompatibleMethodOverride]
+    label = "potential"  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
     def axis(self, t: Array) -> Array:
         """γ(t)."""

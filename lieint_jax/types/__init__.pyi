@@ -8,5 +8,4 @@ from lieint_jax.types._pytree import *
 from lieint_jax.types._state import *
 from lieint_jax.types._step import *
 from lieint_jax.types._system import *
-from lieint_jax.types._tangents import *
 from lieint_jax.types._torque import *

@@ -15,7 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics.metric import sharp
+from lieint_jax._numerics.small_linalg import sharp
 from lieint_jax.capabilities import (
     AbstractDrivenSystem,
     AbstractForcedSystem,

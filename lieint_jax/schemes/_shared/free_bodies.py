@@ -45,21 +45,16 @@ class FreeFlight(Step):
         return "free_flight" if self.commuting else f"free_flight[{self.turn.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        attitudes, info = self._rotate_all(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
-        x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
-        together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))
-        return state._replace(q=jnp.concatenate([x, attitudes], axis=1)), together
-
-    def _rotate_all(self, inertias: Array, states: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
-        """The quaternions (N, 4) after a time, and the reports."""
-
         def rotate_body(J: Inertia, body: State) -> tuple[Array, StepInfo]:
             step: Any = self.turn
             own: Any = dataclasses.replace(step, system=dataclasses.replace(step.system, inertia=J))
             end, info = own.substep(body, dt)
             return end.q, info
 
-        return jax.vmap(rotate_body)(inertias, states)
+        attitudes, info = jax.vmap(rotate_body)(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]))
+        x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
+        together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))
+        return state._replace(q=jnp.concatenate([x, attitudes], axis=1)), together
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
