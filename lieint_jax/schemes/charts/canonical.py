@@ -101,7 +101,8 @@ class CanonicalChart(Chart):
 
     def apply(self, system: Any, state: State, z: Coordinates, delta: Increments) -> State:
         """`state`, whose unknowns are z, after these increments."""
-        q, done = self.configuration(jax.tree.map(jnp.add, z, delta.z)), delta.quadratures
+        before, done = self.unknowns(system, state), delta.quadratures  # z: but XLA rounds its sum with delta otherwise
+        q = self.configuration(jax.tree.map(jnp.add, before, delta.z))
         momenta = jnp.stack(delta.z.p if done is None else done.momenta, axis=-1).reshape(state.p.shape)
         work = None if done is None else done.work
         work = state.work if work is None or state.work is None else state.work + work
