@@ -103,10 +103,10 @@ class CanonicalChart(Chart):
         """`state`, whose unknowns are z, after these increments."""
         before, done = self.unknowns(system, state), delta.quadratures  # z: but XLA rounds its sum with delta otherwise
         q = self.configuration(jax.tree.map(jnp.add, before, delta.z))
-        momenta = jnp.stack(delta.z.p if done is None else done.momenta, axis=-1).reshape(state.p.shape)
+        p = state.p + jnp.stack(delta.z.p if done is None else done.momenta, axis=-1).reshape(state.p.shape)
         work = None if done is None else done.work
         work = state.work if work is None or state.work is None else state.work + work
-        return state._replace(q=q, p=state.p + momenta, work=work)
+        return state._replace(q=q, p=p, work=work)
 
 
 class OneBody(CanonicalChart):
