@@ -56,33 +56,21 @@ class BlockTridiagonal(NamedTuple):
 
 
 class _Level(NamedTuple):
-    """One level of the reduction, with B the blocks of the m eliminated links.
+    """One level of the reduction, with B the blocks (m, k, k) of the m eliminated links."""
 
-    Attributes:
-        inverse: B⁻¹, (m, k, k).
-        before, after: B⁻¹ times the blocks of the links before and after an eliminated link, (m, k, k).
-        lower, upper: the blocks by which the eliminated links act on the remaining ones after and before them.
-    """
-
-    inverse: Array
-    before: Array
-    after: Array
-    lower: Array
-    upper: Array
+    inverse: Array  # B⁻¹
+    before: Array  # B⁻¹ times the blocks of the links before
+    after: Array  # and after an eliminated link
+    lower: Array  # the blocks by which the eliminated links act on the remaining ones after
+    upper: Array  # and before them
 
 
 class _Sweep(NamedTuple):
-    """The elimination of links one after another, with B their blocks when those before are eliminated, (m, k, k).
+    """The elimination of links one after another, with B their blocks when those before are eliminated, (m, k, k)."""
 
-    Attributes:
-        inverse: B⁻¹.
-        after: B⁻¹ times the blocks of the links after them.
-        lower: the blocks by which the links before act on them.
-    """
-
-    inverse: Array
-    after: Array
-    lower: Array
+    inverse: Array  # B⁻¹
+    after: Array  # B⁻¹ times the blocks of the links after them
+    lower: Array  # the blocks by which the links before act on them
 
 
 def factored(K: BlockTridiagonal) -> Factored:
@@ -122,7 +110,7 @@ def _solve(levels: tuple[_Level, ...], last: _Sweep, b: Array) -> Array:
     y = _times(level.inverse, b[1::2])
     acting = _placed(_times(level.lower, y[: level.lower.shape[0]]), 1, len(even))
     x = _solve(levels[1:], last, even - acting - _placed(_times(level.upper, y), 0, len(even)))
-    odd = y - _times(level.before, x[: len(y)]) - _times(level.after, _padded(x[1:], len(y)))
+    odd = y - _times(level.before, x[: len(y)]) - _times(level.after, _placed(x[1 : 1 + len(y)], 0, len(y)))
     pairs = jnp.stack([x[: len(y)], odd], axis=1).reshape(-1, b.shape[1])
     return pairs if len(even) == len(y) else jnp.concatenate([pairs, x[-1:]])
 
@@ -172,7 +160,3 @@ def _times(A: Array, v: Array) -> Array:
 def _placed(x: Array, start: int, length: int) -> Array:
     """x with zeros before and after it, `length` rows."""
     return jnp.pad(x, ((start, length - start - len(x)),) + ((0, 0),) * (x.ndim - 1))
-
-
-def _padded(x: Array, length: int) -> Array:
-    return _placed(x[:length], 0, length)

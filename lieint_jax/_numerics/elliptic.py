@@ -103,12 +103,11 @@ def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     return sn, cn, dn
 
 
-def _smooth_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
-    """`carlson_rj` by two more duplications than its value needs, for its derivatives."""
-    return _rj_value(_duplicate(root_x, root_y, root_z, p, more=2))
-
-
-@functools.partial(forward_mode, smooth=_smooth_rj)
+# Derivatives are those of two more duplications than a value needs.
+@functools.partial(
+    forward_mode,
+    smooth=lambda root_x, root_y, root_z, p: _rj_value(_duplicate(root_x, root_y, root_z, p, more=2)),
+)
 def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """R_J(x, y, z, p) = (3/2) ∫₀^∞ dt / ((t + p) √((t + x)(t + y)(t + z))), given the square roots of x, y and z.
 
@@ -122,11 +121,10 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     return _rj_value(_duplicate(root_x, root_y, root_z, p))
 
 
-def _smooth_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
-    return _rj_value(_duplicate(root_x, root_y, root_z, p, more=2, ordered=False))
-
-
-@functools.partial(forward_mode, smooth=_smooth_rj_of_any)
+@functools.partial(
+    forward_mode,
+    smooth=lambda root_x, root_y, root_z, p: _rj_value(_duplicate(root_x, root_y, root_z, p, more=2, ordered=False)),
+)
 def carlson_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """`carlson_rj` for every p > 0; R_D(x, y, z) = R_J(x, y, z, z) among them.
 
@@ -161,29 +159,21 @@ def _duplicate(
 class _Duplicated(NamedTuple):
     """The arguments of R_J after n duplications.
 
-    Attributes:
-        x, y, z, p: the arguments.
-        mean: their mean, with the weights 1, 1, 1, 2.
-        roots: of x, y, z; one of the first may be negative.
-        scale: 4⁻ⁿ.
-        total: of the terms that the duplications have split off.
-        apart: the distances of the first x, y, z from the first mean.
-        delta: (p − x)(p − y)(p − z) of the first.
-        far: whether the error of the series, the eighth power of the relative distances, would be too large. It is
-            stored because a batched `while_loop` evaluates its condition twice, to continue and to accept a member's
-            result: if it were computed twice with different rounding, the loop might never end.
+    `far` is whether the error of the series, the eighth power of the relative distances, would be too large. It is
+    stored because a batched `while_loop` evaluates its condition twice, to continue and to accept a member's result:
+    if it were computed twice with different rounding, the loop might never end.
     """
 
     x: Array
     y: Array
     z: Array
     p: Array
-    mean: Array
-    roots: tuple[Array, Array, Array]
-    scale: Array
-    total: Array
-    apart: tuple[Array, Array, Array]
-    delta: Array
+    mean: Array  # of the arguments, with the weights 1, 1, 1, 2
+    roots: tuple[Array, Array, Array]  # of x, y, z; one of the first may be negative
+    scale: Array  # 4⁻ⁿ
+    total: Array  # of the terms that the duplications have split off
+    apart: tuple[Array, Array, Array]  # the distances of the first x, y, z from the first mean
+    delta: Array  # (p − x)(p − y)(p − z) of the first
     far: Array
 
     @classmethod
@@ -271,11 +261,7 @@ def _rd_value(at: Array, k: int, total: Array, scale: Array) -> Array:
     return scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * total
 
 
-def _smooth_rds(root_x: Array, root_y: Array, root_z: Array) -> tuple[Array, Array]:
-    return _rds((root_x, root_y, root_z), more=2)
-
-
-@functools.partial(forward_mode, smooth=_smooth_rds)
+@functools.partial(forward_mode, smooth=lambda root_x, root_y, root_z: _rds((root_x, root_y, root_z), more=2))
 def carlson_rds(root_x: Array, root_y: Array, root_z: Array) -> tuple[Array, Array]:
     """R_D(x, z, y) and R_D(x, y, z), given the square roots of x ≥ 0, which may be slightly negative, and of y, z > 0.
 

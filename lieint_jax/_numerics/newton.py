@@ -27,11 +27,11 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import ArrayLike, DTypeLike
+from jax.typing import DTypeLike
 
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._xla import saved
-from lieint_jax.types import StepInfo, vectors
+from lieint_jax.types import vectors
 from lieint_jax.types.shapes import PyTree
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
@@ -135,8 +135,15 @@ def root(
             return jax.tree.map(jnp.subtract, x, step), monitor.update(size(step)) if watched else monitor, step
 
         monitor = ContractionMonitor.start(size(x) if first is None else first)
-        if done is not None:
-            x, monitor = _iterate_until(done, improve, x, monitor, iterations)
+        if (is_done := done) is not None:
+
+            def improve_and_judge(carry: PyTree) -> PyTree:
+                x, monitor, k, _ = carry
+                x, monitor, step = improve(x, monitor)
+                return x, monitor, k + 1, is_done(x, step)
+
+            start = (x, monitor, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+            x, monitor, *_ = lax.while_loop(lambda c: (c[2] < iterations) & ~c[3], improve_and_judge, start)
         elif unroll:
             for _ in range(iterations):
                 x, monitor, _ = improve(x, monitor)
@@ -163,12 +170,6 @@ class ContractionMonitor(NamedTuple):
     def update(self, length: Array, ratio: float = 0.5) -> ContractionMonitor:
         """The monitor after a correction of that length: the next one may be `ratio` times as long."""
         return ContractionMonitor(ratio * length, jnp.maximum(self.growth, length - self.limit))
-
-
-def report(error: Array, good: Array, size: ArrayLike = 1) -> StepInfo:
-    """The report of a root: converged if it is `good`, and its error is round-off of terms of that size, 32ε."""
-    error = lax.stop_gradient(error)
-    return StepInfo(error, (error <= 32 * jnp.finfo(error.dtype).eps * lax.stop_gradient(size)) & good)
 
 
 def _largest(x: PyTree) -> Array:
@@ -212,9 +213,7 @@ def chords(
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
         eps = float(jnp.finfo(jax.tree.leaves(x)[0].dtype).eps)
 
-        def body(
-            carry: tuple[_Unknown, ContractionMonitor, Array, Array],
-        ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
+        def use_matrix(carry: PyTree) -> PyTree:
             x, monitor, k, _ = carry
             F = function(x)
             K = factored(x, F)
@@ -229,13 +228,9 @@ def chords(
             monitor = monitor._replace(growth=jnp.where(K.positive, monitor.growth, jnp.inf))
             return x, monitor, k + 1, (last <= eps) | (last * last <= eps / 8 * before)
 
-        start = (
-            x,
-            ContractionMonitor.start(lax.stop_gradient(length(x))),
-            jnp.zeros((), jnp.int32),
-            jnp.zeros((), bool),
-        )
-        x, monitor, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], body, start)
+        monitor = ContractionMonitor.start(lax.stop_gradient(length(x)))
+        start = (x, monitor, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+        x, monitor, *_ = lax.while_loop(lambda c: (c[2] < iterations) & ~c[3], use_matrix, start)
         return x, (function(x), monitor.growth)
 
     traced_once = jax.jit(residual)  # its equations are many, and used five times
@@ -333,24 +328,6 @@ def repeated_chords(
 def quadratic(x: PyTree, step: PyTree) -> Array:
     """Whether the next correction, about the square of this one, would be round-off; unknowns are of the size 1."""
     return _largest(step) ** 2 <= jnp.finfo(jax.tree.leaves(x)[0].dtype).eps / 100 * _largest(x)
-
-
-def _iterate_until(
-    done: Callable[[_Unknown, _Unknown], Array],
-    improve: Callable[[_Unknown, ContractionMonitor], tuple[_Unknown, ContractionMonitor, _Unknown]],
-    x: _Unknown,
-    monitor: ContractionMonitor,
-    most: int,
-) -> tuple[_Unknown, ContractionMonitor]:
-    def body(
-        carry: tuple[_Unknown, ContractionMonitor, Array, Array],
-    ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
-        x, monitor, k, _ = carry
-        x, monitor, step = improve(x, monitor)
-        return x, monitor, k + 1, done(x, step)
-
-    start = (x, monitor, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
-    return lax.while_loop(lambda carry: (carry[2] < most) & ~carry[3], body, start)[:2]
 
 
 def _tangent_solve(linear: Callable[[PyTree], PyTree], y: PyTree) -> PyTree:

@@ -24,21 +24,14 @@ class SignChange(NamedTuple):
 
 
 class _Bracket(NamedTuple):
-    """Two points on both sides of a change of sign.
+    """Two points on both sides of a change of sign."""
 
-    Attributes:
-        a, b: the points, the last one evaluated first; b = a where f is 0.
-        fa, fb: f there.
-        t: the next point is a + t(b − a), if the limits allow it.
-        n: the number of evaluations.
-    """
-
-    a: Array
-    b: Array
+    a: Array  # the last one evaluated
+    b: Array  # the other; a where f is 0
     fa: Array
     fb: Array
-    t: Array
-    n: Array
+    t: Array  # the next point is a + t(b − a), if the limits allow it
+    n: Array  # the number of evaluations
 
 
 def sign_change(f: Callable[[Array], Array], before: Array, after: Array) -> SignChange:
@@ -58,7 +51,12 @@ def sign_change(f: Callable[[Array], Array], before: Array, after: Array) -> Sig
     secant = after / jnp.where(changes, after - before, 1)
     zero = jnp.zeros_like(before)
     start = _Bracket(zero + 1, zero, after, before, secant, jnp.zeros((), int))
-    s = lax.while_loop(lambda s: changes & _is_open(s), lambda s: _narrow(f, s), start)
+
+    def is_open(s: _Bracket) -> Array:
+        """Whether numbers are left between the points."""
+        return changes & (jnp.abs(s.b - s.a) > jnp.finfo(s.a.dtype).eps)
+
+    s = lax.while_loop(is_open, lambda s: _narrow(f, s), start)
     u = jnp.where(jnp.abs(s.fa) < jnp.abs(s.fb), s.a, s.b)
     return SignChange(u, jnp.where(s.a < s.b, jnp.stack([s.fa, s.fb]), jnp.stack([s.fb, s.fa])))
 
@@ -76,11 +74,6 @@ def is_root(ends: Array, around: Array, after: Array) -> Array:
     """
     sides = jnp.sign(around) * jnp.sign(after)
     return (sides[0] < 0) & (sides[1] > 0) & (2 * jnp.abs(ends) <= jnp.abs(around)).all()
-
-
-def _is_open(s: _Bracket) -> Array:
-    """Whether numbers are left between the points."""
-    return jnp.abs(s.b - s.a) > jnp.finfo(s.a.dtype).eps
 
 
 def _narrow(f: Callable[[Array], Array], s: _Bracket) -> _Bracket:

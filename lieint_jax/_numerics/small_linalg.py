@@ -21,7 +21,7 @@ from jax.typing import DTypeLike
 
 from lieint_jax import _xla
 from lieint_jax.types import vectors
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import AlgebraVector, DualVector, PyTree
 from lieint_jax.types.vectors import is_constant, plus, times
 
 Scalar = Any  # an array scalar, or a Python number
@@ -202,6 +202,25 @@ def as_array(x: Vector | Matrix, like: Array) -> Array:
     if isinstance(x[0], Sequence):
         return as_array(flatten(x), like).reshape(len(x), len(x[0]))
     return jnp.stack([jnp.asarray(entry, like.dtype) for entry in x])
+
+
+def flat(metric: Array, xi: AlgebraVector) -> DualVector:
+    """ξ♭ = m ξ, for a metric m that is principal, (d,), or full, (d, d)."""
+    _check_shape(metric, len(xi))
+    return metric * xi if metric.ndim == 1 else as_array(unrolled(metric) @ unrolled(xi), xi)
+
+
+def sharp(metric: Array, mu: DualVector) -> AlgebraVector:
+    """μ♯ = m⁻¹ μ, for a metric as in `flat`."""
+    _check_shape(metric, len(mu))
+    if metric.ndim == 1:
+        return mu / metric
+    return as_array(solve(unrolled(metric), unrolled(mu)), mu)
+
+
+def _check_shape(metric: Array, d: int) -> None:
+    if metric.shape not in ((d,), (d, d)):
+        raise ValueError(f"the metric of one system has shape ({d},) or ({d}, {d}), got {metric.shape}; use jax.vmap")
 
 
 def _is_array(x: object) -> bool:

@@ -42,7 +42,7 @@ from lieint_jax.capabilities._several_bodies import (
     rotations,
 )
 from lieint_jax.capabilities._sphere import AbstractSphereSystem
-from lieint_jax.capabilities._tops import AbstractDrivenTop, AbstractTop
+from lieint_jax.capabilities._tops import AbstractDrivenTop, AbstractTop, discrete_gradient
 
 __all__ = [
     "AbstractBodyInTime",
@@ -74,6 +74,7 @@ __all__ = [
     "AbstractTorquedBodyInTime",
     "AbstractViscousBody",
     "Capability",
+    "discrete_gradient",
     "equation",
     "rotations",
     "spatial_force",

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics.metric import sharp
+from lieint_jax._numerics.small_linalg import sharp
 from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.capabilities._forces import AbstractForcedSystem
 from lieint_jax.phase_spaces import CotangentGroup

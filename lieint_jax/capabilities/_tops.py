@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
 from lieint_jax.capabilities._capability import equation
 from lieint_jax.capabilities._forces import AbstractDrivenSystem, AbstractForcedSystem
 from lieint_jax.capabilities._one_body import AbstractRotatingBody
@@ -85,6 +86,17 @@ class AbstractDrivenTop(AbstractDrivenSystem, AbstractRotatingBody):
     def power(self, q: Quaternion, t: Time) -> Scalar:
         """∂V/∂t, a scalar: the rate of the energy due to the explicit time dependence of the potential."""
         return jax.jvp(lambda t: self.potential_energy(q, t), (t,), (jnp.ones_like(t),))[1]
+
+
+def discrete_gradient(
+    potential: Callable[..., Array], a: Vector3, b: Vector3, *, apart: float, at: tuple[Array, ...] = ()
+) -> Vector3:
+    """D̄ with D̄·(b − a) = Ṽ(b) − Ṽ(a) and D̄(a, b) = D̄(b, a), shape (3,), at a time if the potential has one.
+
+    It is the potential's own, or else by quadrature, corrected above |b − a|² = `apart` |a|².
+    """
+    own = getattr(potential, "discrete_gradient", None)
+    return by_quadrature(potential, a, b, apart, *at) if own is None else own(a, b, *at)
 
 
 def _spatial_torque(potential: Callable[[Array], Array], q: Quaternion) -> Vector3:

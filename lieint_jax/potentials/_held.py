@@ -25,15 +25,10 @@ Pose = Array | Callable[[Array], Array] | None  # (7,), or t ↦ (7,)
 
 @pytree
 class Held(Potential):
-    """A potential of bodies of which the first, the last or both have given poses. Made by `held`.
+    """A potential of bodies of which the first, the last or both have given poses. Made by `held`."""
 
-    Attributes:
-        potential: of all bodies.
-        first, last: a pose (7,), a function t ↦ pose (7,), or None for a body that moves.
-    """
-
-    potential: Potential
-    first: Pose = None
+    potential: Potential  # of all bodies
+    first: Pose = None  # constant or driven; None for a body that moves
     last: Pose = None
 
     @property

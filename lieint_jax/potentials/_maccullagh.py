@@ -5,12 +5,11 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax._checks import named, of_shapes, real_array
 from lieint_jax._xla import materialized
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import pytree, vectors
+from lieint_jax.types import argument, pytree, vectors
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["MacCullagh", "maccullagh"]
@@ -18,17 +17,30 @@ __all__ = ["MacCullagh", "maccullagh"]
 
 @pytree
 class MacCullagh(Potential):
-    """Gravity of bodies to second order of size over distance. Made by `maccullagh`.
+    """Gravity of N bodies to second order of their size over their distance (MacCullagh 1844).
 
-    Attributes:
-        G: the constant of gravity.
-        masses: (N,).
-        inertias: (N, 3) or (N, 3, 3).
+    V = Σ_{i<j} −G m_i m_j/r − G (m_j tr J_i + m_i tr J_j)/2r³ + (3G/2r⁵) (m_j Γ_i·J_iΓ_i + m_i Γ_j·J_jΓ_j), where
+    Γ_i = Λ_iᵀ(x_j − x_i) is the vector between the two in the axes of body i. Terms that couple the shapes of both
+    bodies, of order 4, are omitted. The potential is invariant: P and L are conserved.
+
+    Args:
+        G: the constant of gravity, in units consistent with the other arguments.
+        masses: (N,), or N shapes of `lieint_jax.shapes`.
+        inertias: about the centers of mass, (N, 3) or (N, 3, 3), or N shapes.
+
+    Raises:
+        ValueError: the shapes of the arguments disagree.
     """
 
-    G: Array
-    masses: Array
-    inertias: Array
+    G: Array = argument(converter=named(real_array, "G", ()))
+    masses: Array = argument(converter=lambda given: real_array("masses", of_shapes("mass", given)))
+    inertias: Array = argument(converter=lambda given: real_array("inertias", of_shapes("inertia", given)))
+
+    def check_fields(self) -> None:
+        """Raise ValueError if the shapes disagree."""
+        m, J = self.masses, self.inertias
+        if m.ndim != 1 or J.shape not in ((m.size, 3), (m.size, 3, 3)):
+            raise ValueError(f"masses (N,) and inertias (N, 3) or (N, 3, 3) are needed, got {m.shape} and {J.shape}")
 
     @property
     def count(self) -> int:
@@ -101,30 +113,6 @@ class MacCullagh(Potential):
         return invariants[:k], invariants[k : 4 * k].reshape(k, 3), invariants[4 * k :].reshape(k, 3)
 
 
-def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCullagh:
-    """Gravity of N bodies to second order of their size over their distance (MacCullagh 1844).
-
-    V = Σ_{i<j} −G m_i m_j/r − G (m_j tr J_i + m_i tr J_j)/2r³ + (3G/2r⁵) (m_j Γ_i·J_iΓ_i + m_i Γ_j·J_jΓ_j), where
-    Γ_i = Λ_iᵀ(x_j − x_i) is the vector between the two in the axes of body i. Terms that couple the shapes of both
-    bodies, of order 4, are omitted. The potential is invariant: P and L are conserved.
-
-    Args:
-        G: the constant of gravity, in units consistent with the other arguments.
-        masses: (N,), or N shapes of `lieint_jax.shapes`.
-        inertias: about the centers of mass, (N, 3) or (N, 3, 3), or N shapes.
-
-    Raises:
-        ValueError: the shapes of the arguments disagree.
-    """
-    m, J = (
-        _checks.real_array("masses", _checks.of_shapes("mass", masses)),
-        _checks.real_array("inertias", _checks.of_shapes("inertia", inertias)),
-    )
-    if m.ndim != 1 or J.shape not in ((m.size, 3), (m.size, 3, 3)):
-        raise ValueError(f"masses (N,) and inertias (N, 3) or (N, 3, 3) are needed, got {m.shape} and {J.shape}")
-    return MacCullagh(_checks.real_array("G", G, ()), m, J)
-
-
 def _twice(x: Array) -> Array:
     return jnp.concatenate([x, x], axis=-1)
 
@@ -154,3 +142,6 @@ def _times(J: Array, Gamma: Array) -> Array:
 def _form(J: Array, Gamma: Array) -> Array:
     """Γ·JΓ of each of k bodies, (k,)."""
     return jnp.sum(Gamma * _times(J, Gamma), axis=1)
+
+
+maccullagh = MacCullagh

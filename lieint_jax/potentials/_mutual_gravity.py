@@ -33,23 +33,14 @@ _POWERS = (1, 5, 7, 9)
 
 @pytree
 class MutualGravity(Potential):
-    """Gravity of bodies by their moments. Made by `mutual_gravity`.
-
-    Attributes:
-        G: the constant of gravity.
-        masses: (N,).
-        second, third, fourth: the trace-free moments about the centers, in the axes of the bodies, (N, 3, 3),
-            (N, 3, 3, 3) and (N, 3, 3, 3, 3).
-        radii: of the spheres that enclose the bodies, (N,); 0 for points and where the radius is unknown.
-        order: of the expansion, 2, 3 or 4.
-    """
+    """Gravity of bodies by their trace-free moments about their centers, in their axes. Made by `mutual_gravity`."""
 
     G: Array
     masses: Array
-    second: Array
-    third: Array
-    fourth: Array
-    radii: Array
+    second: Array  # (N, 3, 3)
+    third: Array  # (N, 3, 3, 3)
+    fourth: Array  # (N, 3, 3, 3, 3)
+    radii: Array  # of the spheres that enclose the bodies; 0 for points and where the radius is unknown
     order: int = static()
     domain = (
         "mutual_gravity has no value where the center of a body is inside the enclosing sphere of another, where its "
@@ -169,18 +160,12 @@ class MutualGravity(Potential):
 
 
 class _Invariants(NamedTuple):
-    """The invariants of k pairs, or numbers that belong to them.
+    """The invariants of k pairs, or numbers that belong to them."""
 
-    Attributes:
-        u: r², (k,).
-        Gamma_i, Gamma_j: (k, 3).
-        C: (k, 3, 3), or None below order 4.
-    """
-
-    u: Array
-    Gamma_i: Array
-    Gamma_j: Array
-    C: Any
+    u: Array  # r², (k,)
+    Gamma_i: Array  # (k, 3)
+    Gamma_j: Array  # (k, 3)
+    C: Any  # (k, 3, 3), or None below order 4
 
 
 def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int = 4) -> MutualGravity:

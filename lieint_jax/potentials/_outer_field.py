@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import group_sites, site_positions
+from lieint_jax.potentials._site_pairs import group_sites, site_positions
 from lieint_jax.types import callable_pytree, pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
@@ -23,17 +23,11 @@ __all__ = ["OuterField", "UniformField", "outer_field", "uniform_field"]
 
 @pytree
 class UniformField(Potential):
-    """V = −Σ g·(w_i x_i + Λ_i d_i). Made by `uniform_field`.
+    """V = −Σ g·(w_i x_i + Λ_i d_i). Made by `uniform_field`."""
 
-    Attributes:
-        field: g, (3,).
-        weights: w, masses or charges of the bodies, (N,).
-        moments: d, Σ w_a s_a over the points of a body, (N, 3).
-    """
-
-    field: Array
-    weights: Array
-    moments: Array
+    field: Array  # g, (3,)
+    weights: Array  # w, masses or charges of the bodies, (N,)
+    moments: Array  # d, Σ w_a s_a over the points of a body, (N, 3)
     chain = True  # it acts on each body alone
 
     @property
@@ -62,21 +56,13 @@ class UniformField(Potential):
 
 @pytree
 class OuterField(Potential):
-    """V = Σ w_a φ(x_i + Λ_i s_a). Made by `outer_field`.
-
-    Attributes:
-        phi: position (3,) ↦ φ.
-        strengths: w of each group of bodies with equally many points, (bodies, points).
-        points: s of each group, (bodies, points, 3).
-        kept: the projector (6, 6) to the conserved part of (P, L).
-        groups: the bodies of each group.
-    """
+    """V = Σ w_a φ(x_i + Λ_i s_a), in groups of bodies with equally many points. Made by `outer_field`."""
 
     phi: Callable[[Array], Array]
-    strengths: tuple[Array, ...]
-    points: tuple[Array, ...]
-    kept: Array
-    groups: tuple[tuple[int, ...], ...] = static()
+    strengths: tuple[Array, ...]  # w of each group, (bodies, points)
+    points: tuple[Array, ...]  # s of each group, (bodies, points, 3)
+    kept: Array  # the projector (6, 6) to the conserved part of (P, L)
+    groups: tuple[tuple[int, ...], ...] = static()  # the bodies of each group
 
     @property
     def count(self) -> int:

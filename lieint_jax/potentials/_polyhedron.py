@@ -45,20 +45,13 @@ class Polyhedron(Potential):
 
     Its methods act on points in the axes of the mesh, from the origin of the mesh. In `systems.rigid_bodies` the
     polyhedron is body 0, at its center of mass and with these axes, and attracts all others.
-
-    Attributes:
-        G: the constant of gravity.
-        density: the density.
-        mass: density times volume.
-        center: the center of mass, (3,).
-        table: the numbers of all faces, in blocks.
     """
 
     G: Array
     density: Array
-    mass: Array
-    center: Array
-    table: Array
+    mass: Array  # density times volume
+    center: Array  # the center of mass, (3,)
+    table: Array  # the numbers of all faces, in blocks
 
     def value(self, x: Array) -> Array:
         """The potential φ of a unit mass at points (…, 3), (…): −G·mass/r far away."""
@@ -108,16 +101,11 @@ class PolyhedronGravity(Potential):
     """V = Σ m_j φ(Γ_j) + ½ tr(C_j M_j C_jᵀ ∇∇φ(Γ_j)) of a polyhedron, body 0, and the others; made by `rigid_bodies`.
 
     Γ_j = Λ₀ᵀ(x_j − x₀), C_j = Λ₀ᵀΛ_j, and M_j is the trace-free part of the second moments.
-
-    Attributes:
-        polyhedron: the polyhedron.
-        masses: of the others, (n,).
-        second: M of the others, (n, 3, 3), or None if they are all points or spheres.
     """
 
     polyhedron: Polyhedron
-    masses: Array
-    second: Array | None
+    masses: Array  # of the others, (n,)
+    second: Array | None  # M of the others, (n, 3, 3), or None if they are all points or spheres
 
     @property
     def count(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -72,11 +72,7 @@ class Potential:
 
 @pytree
 class SumPotential(Potential):
-    """A sum of potentials, made by `+`.
-
-    Attributes:
-        terms: potentials, or functions of positions and rotations.
-    """
+    """A sum of potentials and functions of positions and rotations, made by `+`."""
 
     terms: tuple[Callable[[Array, Array], Array], ...]
 
@@ -187,11 +183,8 @@ def invariant_form(potential: Callable[[Array, Array], Array]) -> InvariantForm:
     invariants, value = (
         (own.invariants, own.value) if hasattr(own, "invariants") else (relative, _of_relative(potential))
     )
-    return InvariantForm(invariants, value, getattr(own, "discrete_gradient", None) or _quadrature(value))
-
-
-def _quadrature(value: Callable[[Array], Array]) -> Callable[[Array, Array], Array]:
-    return lambda start, end: discrete_gradient(value, start, end, _APART)
+    by_quadrature = partial(discrete_gradient, value, apart=_APART)
+    return InvariantForm(invariants, value, getattr(own, "discrete_gradient", by_quadrature))
 
 
 def relative(x: Positions, R: Rotations) -> Array:

@@ -46,22 +46,13 @@ _FARTHEST = {"fourth": 6**0.5, "directors": 2 - 2**0.5}  # Σo where V_b ceases 
 
 @pytree
 class Rod(Potential):
-    """The stored energy of N rigid cross sections, each bound to the next. Made by `rod`.
+    """The stored energy of N rigid cross sections, each bound to the next. Made by `rod`."""
 
-    Attributes:
-        lengths: ℓ of the elements in the natural shape, (N − 1,).
-        stretching: (GA₁, GA₂, EA) of the elements, (N − 1, 3).
-        bending: (EI₁, EI₂, GJ) of the elements, (N − 1, 3).
-        natural_strain: Γ₀, (N − 1, 3).
-        half_turn: H, (N − 1, 3, 3).
-        energy: "fourth" or "directors".
-    """
-
-    lengths: Array
-    stretching: Array
-    bending: Array
-    natural_strain: Array
-    half_turn: Array
+    lengths: Array  # ℓ of the elements in the natural shape, (N − 1,)
+    stretching: Array  # (GA₁, GA₂, EA) of the elements, (N − 1, 3)
+    bending: Array  # (EI₁, EI₂, GJ) of the elements, (N − 1, 3)
+    natural_strain: Array  # Γ₀, (N − 1, 3)
+    half_turn: Array  # H, (N − 1, 3, 3)
     energy: str = static(default="fourth")
     chain = True
     domain = (

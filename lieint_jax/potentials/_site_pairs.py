@@ -1,7 +1,8 @@
 """Sums over pairs of sites fixed in different bodies: point masses, charges, Lennard-Jones sites.
 
 V = Σ v(u_ab), u_ab = |x_i + Λ_i s_a − x_j − Λ_j s_b|², over sites a of body i and b of another body j. The u_ab are
-quadratic in positions and rotations and invariant under rigid motions of all bodies together.
+quadratic in positions and rotations and invariant under rigid motions of all bodies together. Bodies with equally many
+sites form a group, so that few arrays without padding hold them.
 """
 
 from __future__ import annotations
@@ -17,11 +18,14 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import group_sites, site_positions
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 __all__ = ["InverseDistance", "LennardJones", "lennard_jones", "point_charges", "point_masses", "sites"]
+
+
+Groups = tuple[tuple[int, ...], ...]
+_FEW = 4  # with at most this many bodies, each is its own group
 
 
 class _SitePairs(Potential):
@@ -83,23 +87,14 @@ class _SitePairs(Potential):
 
 @pytree
 class InverseDistance(_SitePairs):
-    """V = Σ k c_a c_b/√(u_ab + ε²). Made by `point_masses` and `point_charges`.
+    """V = Σ k c_a c_b/√(u_ab + ε²). Made by `point_masses` and `point_charges`."""
 
-    Attributes:
-        constant: k, −G for masses.
-        strengths: c, charges or masses, of each group (bodies, sites).
-        points: of each group, (bodies, sites, 3).
-        softening: ε, a length.
-        groups: the bodies of each group.
-        gravity: whether the strengths are masses.
-    """
-
-    constant: Array
-    strengths: tuple[Array, ...]
+    constant: Array  # k, −G for masses
+    strengths: tuple[Array, ...]  # c, charges or masses, of each group (bodies, sites)
     points: tuple[Array, ...]
-    softening: Array
+    softening: Array  # ε, a length
     groups: tuple[tuple[int, ...], ...] = static()
-    gravity: bool = static()
+    gravity: bool = static()  # whether the strengths are masses
 
     @property
     def G(self) -> Scalar:
@@ -121,17 +116,10 @@ class InverseDistance(_SitePairs):
 
 @pytree
 class LennardJones(_SitePairs):
-    """V = Σ 4ε_ab (v⁶ − v³), v = σ_ab²/u_ab, σ_ab = ½(σ_a + σ_b), ε_ab = √(ε_a ε_b). Made by `lennard_jones`.
+    """V = Σ 4ε_ab (v⁶ − v³), v = σ_ab²/u_ab, σ_ab = ½(σ_a + σ_b), ε_ab = √(ε_a ε_b). Made by `lennard_jones`."""
 
-    Attributes:
-        wells: ε, of each group (bodies, sites).
-        sizes: σ, of each group (bodies, sites).
-        points: of each group, (bodies, sites, 3).
-        groups: the bodies of each group.
-    """
-
-    wells: tuple[Array, ...]
-    sizes: tuple[Array, ...]
+    wells: tuple[Array, ...]  # ε, of each group (bodies, sites)
+    sizes: tuple[Array, ...]  # σ, of each group (bodies, sites)
     points: tuple[Array, ...]
     groups: tuple[tuple[int, ...], ...] = static()
 
@@ -229,7 +217,10 @@ def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayL
     if at.ndim != 3 or at.shape[2] != 3:
         raise ValueError(f"points must have shape (N, n, 3), got {at.shape}")
     given = {"charges": charges, "wells": wells, "sizes": sizes}
-    q, epsilon, sigma = (_of_every_body(name, x, at.shape[:2]) for name, x in given.items())
+    every = at.shape[:2]  # a number of every site, given for each body or once for all
+    q, epsilon, sigma = (
+        jnp.broadcast_to(_checks.real_array(name, x, every, every[1:]), every) for name, x in given.items()
+    )
     charged, soft = _in_use(q), _in_use(epsilon)
     terms: list[Potential] = []
     if charged.any():
@@ -246,11 +237,6 @@ def _in_use(strengths: Array) -> np.ndarray:
     return np.any(np.asarray(strengths) != 0, axis=0) if concrete(strengths) else np.ones(strengths.shape[1], bool)
 
 
-def _of_every_body(name: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """A number of every site (N, n), given for each body or once for all."""
-    return jnp.broadcast_to(_checks.real_array(name, value, shape, shape[1:]), shape)
-
-
 def _inverse_distance(
     constant: Array, name: str, strengths: Any, points: Any, softening: ArrayLike, gravity: bool
 ) -> InverseDistance:
@@ -261,3 +247,44 @@ def _inverse_distance(
     if gravity and concrete(c) and not all(bool(np.all(np.asarray(m) >= 0)) for m in c):
         raise ValueError(f"masses must be ≥ 0, got {[np.asarray(m) for m in c]}")
     return InverseDistance(constant, c, at, length, groups, gravity)
+
+
+def group_sites(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, ...], list[tuple[Array, ...]]]:
+    """The groups of bodies; the points (bodies, n, 3) of each group; each of the numbers, (bodies, n) of each group.
+
+    Args:
+        numbers: by name, of every point of every body: (N, n), or N arrays (n_i,); (N,) if each body has one point.
+        points: in the axes of the body, (N, n, 3), or N arrays (n_i, 3). None: one point each, the center of mass.
+
+    Raises:
+        ValueError: shapes disagree.
+    """
+    rows = {name: _rows(name, given) for name, given in numbers.items()}
+    first, *_ = rows.values()
+    at = [jnp.zeros((1, 3))] * len(first) if points is None else [_checks.real_array("points", s) for s in points]
+    for name, given in rows.items():
+        shapes = [c.shape for c in given]
+        if shapes != [s.shape[:1] for s in at] or any(s.shape[1:] != (3,) for s in at):
+            raise ValueError(
+                f"{name} and points must have the same number of bodies and of points in each: got {name} of shapes "
+                f"{shapes} and points of shapes {[s.shape for s in at]}"
+            )
+    n = len(first)
+    kinds = list(range(n)) if n <= _FEW else [len(c) for c in first]
+    groups = tuple(tuple(i for i in range(n) if kinds[i] == kind) for kind in dict.fromkeys(kinds))
+    at, *others = (tuple(jnp.stack([x[i] for i in group]) for group in groups) for x in (at, *rows.values()))
+    return groups, at, others
+
+
+def _rows(name: str, given: Any) -> list[Array]:
+    """The numbers of the points of each body; a single number per body belongs to its only point."""
+    if not hasattr(given, "__len__") or getattr(given, "ndim", 1) == 0 or not len(given):
+        raise ValueError(f"{name} must have an entry for each body, got {given!r}")
+    return [jnp.atleast_1d(_checks.real_array(name, c)) for c in given]
+
+
+def site_positions(points: Array, bodies: tuple[int, ...], x: Positions, R: Rotations) -> Array:
+    """The positions in space of the points of a group, (bodies, n, 3), of all positions x and rotations R."""
+    if bodies != tuple(range(x.shape[0])):
+        x, R = x[np.array(bodies)], R[np.array(bodies)]
+    return x[:, None, :] + jnp.sum(R[:, None, :, :] * points[:, :, None, :], axis=3)

@@ -19,19 +19,12 @@ __all__ = ["Springs", "springs"]
 
 @pytree
 class Springs(Potential):
-    """V = Σ ½ k (r − ℓ)². Made by `springs`.
+    """V = Σ ½ k (r − ℓ)². Made by `springs`."""
 
-    Attributes:
-        points: the ends of each spring, in the axes of their bodies, (k, 2, 3).
-        stiffness: (k,).
-        lengths: ℓ, (k,).
-        bodies: the two bodies of each spring.
-    """
-
-    points: Array
-    stiffness: Array
-    lengths: Array
-    bodies: tuple[tuple[int, int], ...] = static()
+    points: Array  # the ends of each spring, in the axes of their bodies, (k, 2, 3)
+    stiffness: Array  # (k,)
+    lengths: Array  # ℓ, (k,)
+    bodies: tuple[tuple[int, int], ...] = static()  # the two bodies of each spring
 
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """The squared length of each spring, (k,)."""

@@ -42,8 +42,8 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, StoredEnergy, System, pytree, static
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.types import State, Step, StepInfo, StoredEnergy, pytree, static
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
 
 __all__ = ["Additive", "additive"]
@@ -168,27 +168,21 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody) -> list[Step]:
     """The two rules without an equation for γ, for pseudo-rigid bodies; the one for incompressible bodies.
 
     The other two compile too slowly for the examples, which `lieint check` and every test of schemes run;
     `diagnostics.certify(additive(body, "energy"), …)` certifies them.
     """
     if isinstance(system, AbstractIncompressibleBody):
-        step = additive(system, "incompressible")
-        return {step.name: step}
+        return [additive(system, "incompressible")]
     if isinstance(system, AbstractViscousBody):
-        return {"additive[average]": additive(system)}
-    if not isinstance(system, AbstractElasticBody):
-        return {}
-    return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}
+        return [additive(system)]
+    return [additive(system, "average"), additive(system, "symplectic")]
 
 
 # The rules: S(C, D) or S(C, D, γ) -------------------------------------------------------------------------------------
-
-
-def _symplectic(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
-    return Symmetric(W.stress(C + D))
 
 
 def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
@@ -197,14 +191,6 @@ def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
 
 def _energy(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
     return Symmetric(W.stress(C + gamma * D))
-
-
-def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    return (_energy(W, C, D, gamma) + _energy(W, C, D, 1 - gamma)) / 2
-
-
-def _incompressible(W: StoredEnergy, C: Symmetric, D: Symmetric, pressure: Array) -> Symmetric:
-    return _average(W, C, D) - pressure * mean_cofactor(C, D)
 
 
 class _Rule(NamedTuple):
@@ -221,11 +207,15 @@ class _Rule(NamedTuple):
 
 
 _RULES: dict[str, _Rule] = {
-    "symplectic": _Rule(_symplectic),
+    "symplectic": _Rule(lambda W, C, D: Symmetric(W.stress(C + D))),
     "average": _Rule(_average),
     "energy": _Rule(_energy, 1, 0.5, 1.0),
-    "energy_momentum": _Rule(_energy_momentum, 1, 0.5 - 12**-0.5, 0.5),
-    "incompressible": _Rule(_incompressible, 1, end=math.inf, constrained=True),
+    "energy_momentum": _Rule(
+        lambda W, C, D, gamma: (_energy(W, C, D, gamma) + _energy(W, C, D, 1 - gamma)) / 2, 1, 0.5 - 12**-0.5, 0.5
+    ),
+    "incompressible": _Rule(
+        lambda W, C, D, pressure: _average(W, C, D) - pressure * mean_cofactor(C, D), 1, end=math.inf, constrained=True
+    ),
 }
 
 
@@ -240,22 +230,12 @@ def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
     return eps * stiffness * off * (D.inner(D) + eps * eps * C.inner(C))
 
 
-def _stiffness(W: StoredEnergy, C: Symmetric) -> Array:
-    """The size of ∂S/∂C·C: the rounding of C moves S by eps times this."""
-    return lax.stop_gradient(max_abs(jax.jvp(W.stress, (C,), (C,))[1]))
-
-
 @pytree
 class _Viscous(StoredEnergy):
-    """A stored energy whose mean stress is that of a viscous body in one step: S̄ + νD/Δt.
-
-    Attributes:
-        elastic: the stored energy.
-        rate: ν/Δt.
-    """
+    """A stored energy whose mean stress is that of a viscous body in one step: S̄ + νD/Δt."""
 
     elastic: StoredEnergy
-    rate: Array
+    rate: Array  # ν/Δt
 
     def __call__(self, C: Array) -> Array:
         return self.elastic(C)
@@ -272,35 +252,20 @@ class _Viscous(StoredEnergy):
 
 @dataclass(frozen=True)
 class _Equation(ImplicitEquation[Array]):
-    """R(x) = 0 of one step, for x = (U, γ): nine entries of U, row by row, and γ if the rule has one.
-
-    Attributes:
-        rule: how S is chosen.
-        W: the stored energy.
-        alpha: α.
-        E: the inertia, in full.
-        F: F_n.
-        P: P_n.
-        C: F_nᵀF_n.
-        dt: Δt.
-        c: βΔt².
-        a: F_n + aU, the argument of W, must stay in GL⁺(3).
-        stiffness: the change of S by a relative error of C, over that error.
-        size: the size of F_n.
-    """
+    """R(x) = 0 of one step, for x = (U, γ): nine entries of U, row by row, and γ if the rule has one."""
 
     rule: _Rule
     W: StoredEnergy
     alpha: Array
-    E: Symmetric
-    F: Matrix
-    P: Matrix
-    C: Symmetric
+    E: Symmetric  # the inertia, in full
+    F: Matrix  # F_n
+    P: Matrix  # P_n
+    C: Symmetric  # F_nᵀF_n
     dt: Array
-    c: Array
-    a: Array | float
-    stiffness: Array
-    size: Array
+    c: Array  # βΔt²
+    a: Array | float  # F_n + aU, the argument of W, must stay in GL⁺(3)
+    stiffness: Array  # the change of S by a relative error of C, over that error
+    size: Array  # of F_n
 
     @classmethod
     def from_state(cls, step: Additive, state: State, dt: Array) -> _Equation:
@@ -309,7 +274,7 @@ class _Equation(ImplicitEquation[Array]):
         alpha = step.alpha.astype(state.p.dtype)
         E, F, P = symmetric(step.system.inertia).full, matrix(state.q), matrix(state.p)
         C, c, a = F.gram(), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
-        stiffness = _stiffness(W, C)
+        stiffness = lax.stop_gradient(max_abs(jax.jvp(W.stress, (C,), (C,))[1]))  # the size of ∂S/∂C·C
         if isinstance(step.system, AbstractViscousBody):
             W = _Viscous(W, step.system.viscosity / jnp.where(dt == 0, 1, dt))
             stiffness = stiffness + jnp.abs(W.rate) * max_abs(C)

@@ -31,7 +31,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.typing import ArrayLike, DTypeLike
+from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
@@ -40,8 +40,8 @@ from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
 from lieint_jax.potentials import Potential, given_poses, invariant_form, is_chain, torques
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
 __all__ = ["BodiesEnergyMomentum", "bodies_energy_momentum"]
@@ -66,7 +66,8 @@ class BodiesEnergyMomentum(Step):
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
-        most = _iterations_at_precision(self.iterations, state.p.dtype)
+        double, given = jnp.finfo(jnp.float64).eps, jnp.finfo(state.p.dtype).eps
+        most = math.ceil(self.iterations * math.log(given) / math.log(double))  # for the same contraction per iteration
         if self.solver == "newton":
             ends, info = _Chain(equation).ends(most)
         else:
@@ -213,7 +214,9 @@ class _Equation(FixedPointEquation[_Ends]):
     def improve(self, ends: _Ends) -> tuple[_Ends, Array]:
         F, K = self.linearized(ends)
         step = _correction(K, F)
-        return _Ends(ends.move - step.move, ends.turn - step.turn), _relative(step, ends)
+        improved, size = _Ends(ends.move - step.move, ends.turn - step.turn), jnp.max(jnp.abs(ends.move))
+        moved = jnp.max(jnp.abs(step.move)) / jnp.where(size > 0, size, 1)  # of rotations it is in rad
+        return improved, jnp.maximum(moved, jnp.max(jnp.abs(step.turn)))
 
     def inverses(self) -> tuple[Callable[[_Ends], _Ends], Callable[[_Ends], _Ends]]:
         K = lax.stop_gradient(self.linearized(self.guess())[1])  # near that of the ends, which are not known here
@@ -295,21 +298,9 @@ def _ends(unknowns: Array) -> _Ends:
     return _Ends(bodies[:, :3], bodies[:, 3:])
 
 
-def _iterations_at_precision(iterations: int, dtype: DTypeLike) -> int:
-    """The iterations that need the same contraction for full precision as `iterations` do in float64."""
-    return math.ceil(iterations * math.log(jnp.finfo(dtype).eps) / math.log(jnp.finfo(jnp.float64).eps))
-
-
 def _correction(K: Array, F: _Ends) -> _Ends:
     """The Newton correction of F, with its derivative but without that of the forces."""
     return _Ends(F.move, jax.vmap(lambda K, f: jnp.stack(matrix(K).solve(f)))(K, F.turn))
-
-
-def _relative(step: _Ends, ends: _Ends) -> Array:
-    """The largest change: of displacements, relative to the largest; of rotations, in rad."""
-    size = jnp.max(jnp.abs(ends.move))
-    moved = jnp.max(jnp.abs(step.move)) / jnp.where(size > 0, size, 1)
-    return jnp.maximum(moved, jnp.max(jnp.abs(step.turn)))
 
 
 def _parts(q: Array) -> tuple[Array, Array]:
@@ -328,8 +319,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractRigidBodies | AbstractDissipativeBodies) -> list[Step]:
     """The scheme, for bodies in a potential, with dissipation and given forces or without."""
-    if isinstance(system, AbstractRigidBodies | AbstractDissipativeBodies):
-        return {"bodies_energy_momentum": bodies_energy_momentum(system)}
-    return {}
+    return [bodies_energy_momentum(system)]

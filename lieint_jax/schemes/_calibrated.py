@@ -23,9 +23,9 @@ from lieint_jax import _checks, _free_body
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._preprocessed import with_modified_inertia
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import cross, dot, norm, symmetric
 
 __all__ = ["Calibrated", "calibrated"]
@@ -44,21 +44,14 @@ class Clock(NamedTuple):
 
 @pytree
 class Calibrated(Step):
-    """The step made by `calibrated`.
-
-    Attributes:
-        clock: the constants from `prepare`; None before.
-    """
+    """The step made by `calibrated`."""
 
     system: AbstractFreeBody
-    clock: Clock | None = None
+    clock: Clock | None = None  # the constants from `prepare`
     iterations: int | None = static(default=None)
     order: float = static(default=math.inf)
     symmetric: bool = static(default=True)
-
-    @property
-    def commuting(self) -> bool:
-        return True
+    commuting = True
 
     def with_constants(self, state: State, dt: ArrayLike) -> Self:
         found = _free_body.clock(self.system.inertia, so3.Ad_star(state.q, state.p), dt)
@@ -150,6 +143,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractFreeBody) -> list[Step]:
     """The calibrated step, for free rigid bodies."""
-    return {"calibrated": calibrated(system)} if isinstance(system, AbstractFreeBody) else {}
+    return [calibrated(system)]

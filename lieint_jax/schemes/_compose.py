@@ -26,8 +26,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.stages import compose_stages
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.compositions import METHODS
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, System, clock, counts_work, pytree, static
 
@@ -50,7 +50,7 @@ class Composition(Step):
         return self.step.system
 
     @property
-    def commuting(self) -> bool:
+    def commuting(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.step.commuting
 
     @property

@@ -10,11 +10,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rounding import SLENDER, attitude_error_limit
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
-from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
+from lieint_jax.schemes._shared.half_rotation import SLENDER, attitude_error_limit
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import symmetric
 
 __all__ = ["Exact", "FreeFlight", "exact"]
@@ -27,19 +26,14 @@ class Exact(Step):
     system: AbstractFreeBody
     order: float = static(default=math.inf)
     symmetric: bool = static(default=True)
-
-    @property
-    def commuting(self) -> bool:
-        return True
-
-    @property
-    def name(self) -> str:
-        return "exact"
+    commuting = True
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J = self.system.inertia
-        q, report = _free_body.attitude(J, state.q, state.p, dt)
-        return state._replace(q=q), exact_report(J, q, *report)
+        q, (length, condition) = _free_body.attitude(J, state.q, state.p, dt)
+        eps = float(jnp.finfo(q.dtype).eps)
+        good = (length <= 1024 * eps) & (eps * condition <= attitude_error_limit(q.dtype))
+        return state._replace(q=q), StepInfo(length, good & symmetric(J).well_conditioned)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not symmetric(self.system.inertia).well_conditioned:
@@ -49,13 +43,6 @@ class Exact(Step):
             "is too large, or the body passes the intermediate axis too closely and too often; or there is a NaN or an "
             "infinity in the state or the inertia. Use a smaller dt, or float64"
         )
-
-
-def exact_report(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -> StepInfo:
-    """The report of an exact flow to q, from the rounding errors that `_free_body.attitude` returns."""
-    eps = float(jnp.finfo(q.dtype).eps)
-    good = (length <= 1024 * eps) & (eps * condition <= attitude_error_limit(q.dtype))
-    return StepInfo(length, good & symmetric(J).well_conditioned)
 
 
 @overload
@@ -105,6 +92,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractFreeBody | AbstractFreeBodies) -> list[Step]:
     """The exact flow, for free rigid bodies."""
-    return {"exact": exact(system)} if isinstance(system, AbstractFreeBody) else {}
+    return [exact(system)] if isinstance(system, AbstractFreeBody) else []

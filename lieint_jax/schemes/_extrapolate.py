@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.capabilities import AbstractFreeBody, AbstractRigidBodies, AbstractTop
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes.charts._chart import PlainState, SeveralBodies
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
 from lieint_jax.types import State, Step, StepInfo, System, laws_of, pytree, static
@@ -43,15 +43,11 @@ _ROUGH = 1e-3  # the largest relative difference between the last two orders of 
 
 @pytree
 class Extrapolated(Step):
-    """The step made by `extrapolate`.
-
-    Attributes:
-        form: the name of the chart in which it integrates.
-    """
+    """The step made by `extrapolate`."""
 
     system: System
     order: float = static()
-    form: str = static()
+    form: str = static()  # the name of the chart in which it integrates
     increments: bool = static(default=True)
     symmetric: bool = static(default=False)
 

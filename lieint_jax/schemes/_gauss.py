@@ -34,7 +34,7 @@ from lieint_jax.capabilities import (
     AbstractRigidBodies,
     AbstractTop,
 )
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
@@ -112,27 +112,16 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
 
 @dataclass(frozen=True)
 class _Equation(FixedPointEquation[Coordinates]):
-    """The equations of one step, for the derivatives k of the coordinates at the stages.
-
-    Attributes:
-        chart: the coordinates.
-        system: the system.
-        rate: the time derivative of the coordinates, (z, t) ↦ k.
-        state: the state that the step begins at.
-        start: its coordinates.
-        dt: Δt.
-        stages: s.
-        sweeps: their number if it is fixed.
-    """
+    """The equations of one step, for the derivatives k of the coordinates at the stages."""
 
     chart: CanonicalChart
     system: System
-    rate: Callable[[Any, Any], Coordinates]
-    state: State
-    start: Coordinates
+    rate: Callable[[Any, Any], Coordinates]  # of the coordinates, (z, t) ↦ k
+    state: State  # that the step begins at
+    start: Coordinates  # of this state
     dt: Array
     stages: int
-    sweeps: int | None
+    sweeps: int | None  # their number if it is fixed
 
     @classmethod
     def from_state(cls, step: Gauss, state: State, dt: Array) -> _Equation:
@@ -242,9 +231,8 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: System) -> list[Step]:
     """Order 8, for all systems except elastic bodies: for stiff ones, sweeps do not reach round-off."""
-    taken = isinstance(system, PROPERTIES.accepts) and canonical_chart(system) is not None
-    if not taken or isinstance(system, AbstractElasticBody):
-        return {}
-    return {"gauss[4]": gauss(system, 4)}
+    taken = canonical_chart(system) is not None and not isinstance(system, AbstractElasticBody)
+    return [gauss(system, 4)] if taken else []

@@ -24,9 +24,9 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSystem
 from lieint_jax.maps import Map, Tau, as_tau, exponential
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, as_vector
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 __all__ = ["GroupAlpha", "group_alpha"]
 
@@ -139,9 +139,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractGeodesicFlow | AbstractMechanicalSystem) -> list[Step]:
     """The step of α = ½ by the exponential map, on small groups; it costs as much as `group_midpoint`."""
-    if not isinstance(system, AbstractGeodesicFlow | AbstractMechanicalSystem) or system.group.dim > 3:
-        return {}
-    step = group_alpha(system)
-    return {step.name: step}
+    return [group_alpha(system)] if system.group.dim <= 3 else []

@@ -25,9 +25,9 @@ from lieint_jax import _checks
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractMechanicalSystem
 from lieint_jax.maps import Tau, as_tau, exponential
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, as_vector
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 __all__ = ["GroupEnergyMomentum", "group_energy_momentum"]
 
@@ -37,14 +37,10 @@ _NODES, _WEIGHTS = (_NODES + 1) / 2, _WEIGHTS / 2
 
 @pytree
 class GroupEnergyMomentum(Step):
-    """The step made by `group_energy_momentum`.
-
-    Attributes:
-        tau: the exponential map.
-    """
+    """The step made by `group_energy_momentum`."""
 
     system: AbstractMechanicalSystem
-    tau: Tau
+    tau: Tau  # the exponential map
     iterations: int = static()
     order: float = static(default=2)
     symmetric: bool = static(default=True)
@@ -119,9 +115,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractMechanicalSystem) -> list[Step]:
     """The energy-momentum step, for systems with a potential on a group."""
-    if not isinstance(system, AbstractMechanicalSystem):
-        return {}
-    step = group_energy_momentum(system)
-    return {step.name: step}
+    return [group_energy_momentum(system)]

@@ -28,9 +28,9 @@ from lieint_jax import _checks
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, as_vector
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 __all__ = ["GroupMidpoint", "group_midpoint"]
 
@@ -140,9 +140,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractGeodesicFlow | AbstractRightGeodesicFlow) -> list[Step]:
     """The exponential map, and the Cayley map where it lands in the group."""
-    if not isinstance(system, AbstractGeodesicFlow | AbstractRightGeodesicFlow):
-        return {}
-    maps = [exponential] + [cayley] * cayley_lands(system.group)
-    return {step.name: step for step in (group_midpoint(system, tau) for tau in maps)}
+    return [group_midpoint(system, tau) for tau in [exponential] + [cayley] * cayley_lands(system.group)]

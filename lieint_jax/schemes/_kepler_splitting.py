@@ -18,11 +18,11 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractRigidBodies
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import FreeFlight, exact
 from lieint_jax.schemes._nystrom import Stages, mirror
 from lieint_jax.schemes._shared.kepler_flow import kepler_flow
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import dot, vector
 
 __all__ = ["KeplerSplitting", "kepler_splitting"]
@@ -43,16 +43,12 @@ METHODS: dict[Order, Stages] = {
 
 @pytree
 class KeplerSplitting(Step):
-    """The step made by `kepler_splitting`.
-
-    Attributes:
-        method: a key of `METHODS`.
-    """
+    """The step made by `kepler_splitting`."""
 
     system: AbstractRigidBodies
     G: Array
     drift: FreeFlight
-    method: Order = static()
+    method: Order = static()  # a key of `METHODS`
     order: float = static()
     symmetric: bool = static(default=True)
 
@@ -156,8 +152,9 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractRigidBodies) -> list[Step]:
     """The three methods, for two bodies under gravity."""
-    if not (isinstance(system, AbstractRigidBodies) and system.masses.shape == (2,) and hasattr(system.potential, "G")):
-        return {}
-    return {step.name: step for step in (kepler_splitting(system, method) for method in METHODS)}
+    if system.masses.shape != (2,) or not hasattr(system.potential, "G"):
+        return []
+    return [kepler_splitting(system, method) for method in METHODS]

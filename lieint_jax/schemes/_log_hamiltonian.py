@@ -19,10 +19,10 @@ from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBody
+from lieint_jax.schemes._catalogue import SchemeProperties, hint
 from lieint_jax.schemes._exact import exact
-from lieint_jax.schemes._shared.properties import SchemeProperties, hint
-from lieint_jax.schemes._shared.rounding import attitude_error_limit
-from lieint_jax.types import State, Step, StepInfo, System, promoted, pytree, static
+from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
+from lieint_jax.types import State, Step, StepInfo, promoted, pytree, static
 
 __all__ = ["LogHamiltonian", "log_hamiltonian"]
 
@@ -186,12 +186,9 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractForcedSystem) -> list[Step]:
     """The scheme for rigid bodies in a potential that is negative at the origin of their phase space."""
-    if not (isinstance(system, AbstractForcedSystem) and isinstance(system.free, AbstractFreeBody)):
-        return {}
     origin = system.phase_space.origin
-    if not system.energy(origin._replace(p=jnp.zeros_like(origin.p))) < 0:
-        return {}
-    step = log_hamiltonian(system)
-    return {step.name: step}
+    deep = isinstance(system.free, AbstractFreeBody) and system.energy(origin._replace(p=jnp.zeros_like(origin.p))) < 0
+    return [log_hamiltonian(system)] if deep else []

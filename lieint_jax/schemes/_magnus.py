@@ -22,8 +22,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import collocation
 from lieint_jax.capabilities import AbstractKinematics
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AnalyticGroup, State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.types import AnalyticGroup, State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, GroupElement
 
 __all__ = ["Magnus", "magnus"]
@@ -149,9 +149,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractKinematics) -> list[Step]:
     """All orders, and the commutator-free method."""
-    if not isinstance(system, AbstractKinematics):
-        return {}
-    steps = [*(magnus(system, order) for order in (2, 4, 6)), magnus(system, commutators=False)]
-    return {step.name: step for step in steps}
+    return [*(magnus(system, order) for order in (2, 4, 6)), magnus(system, commutators=False)]

@@ -19,11 +19,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBodies, AbstractFreeBody
+from lieint_jax.schemes._catalogue import SchemeProperties, hint
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
-from lieint_jax.schemes._shared.properties import SchemeProperties, hint
 from lieint_jax.schemes._splitting import kick
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 __all__ = ["Nystrom", "nystrom"]
 
@@ -145,8 +145,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractForcedSystem | AbstractDrivenSystem) -> list[Step]:
     """Both orders, for several bodies; those for one body would make the grid of tests too large."""
-    if not (isinstance(system, AbstractForcedSystem) and isinstance(system.free, AbstractFreeBodies)):
-        return {}
-    return {step.name: step for step in (nystrom(system, order) for order in METHODS)}
+    return [nystrom(system, order) for order in METHODS] if isinstance(system.free, AbstractFreeBodies) else []

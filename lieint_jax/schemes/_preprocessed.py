@@ -22,11 +22,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint, so3_midpoint
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import dot, symmetric, unit_trace
 
 __all__ = ["Preprocessed", "preprocessed"]
@@ -135,8 +135,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractFreeBody | AbstractFreeBodies) -> list[Step]:
     """Orders 4, 6 and 10, for free rigid bodies."""
-    if not isinstance(system, AbstractFreeBody):
-        return {}
-    return {step.name: step for step in (preprocessed(system, order) for order in (4, 6, 10))}
+    return [preprocessed(system, order) for order in (4, 6, 10)] if isinstance(system, AbstractFreeBody) else []

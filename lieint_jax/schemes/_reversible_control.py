@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete
 from lieint_jax.capabilities import AbstractForcedSystem
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._splitting import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, System, callable_pytree, promoted, pytree, static, time_derivative
 

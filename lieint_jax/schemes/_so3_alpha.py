@@ -30,10 +30,16 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractEmbeddedBody
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._shared.half_rotation import ITERATIONS, cross_apply, gyroscopic, on_branch
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rounding import SLENDER, attitude_error_limit
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.schemes._shared.half_rotation import (
+    ITERATIONS,
+    SLENDER,
+    attitude_error_limit,
+    cross_apply,
+    gyroscopic,
+    on_branch,
+)
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -72,7 +78,7 @@ class SO3Alpha(Step):
         a = 0.5 * r * dt * matrix(state.q).solve(state.p)
         y, residual, good = _solve(self.kappa, self.alpha, J, a, self.iterations)
         Theta = 2 * self.kappa(4 * dot(y, y)) * y
-        info = newton.report(norm(residual), good & J.well_conditioned & _digits_left(state), max_abs(a))
+        info = StepInfo.of_root(norm(residual), good & J.well_conditioned & _digits_left(state), max_abs(a))
         return state._replace(q=_rotated_attitude(state.q, self.alpha, Theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -139,12 +145,10 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractEmbeddedBody) -> list[Step]:
     """The step of α = ½ by the Cayley map, for bodies embedded in L(3)."""
-    if not isinstance(system, AbstractEmbeddedBody):
-        return {}
-    step = so3_alpha(system)
-    return {step.name: step}
+    return [so3_alpha(system)]
 
 
 def _solve(kappa: Kappa, alpha: Array, J: Symmetric, a: Vector, iterations: int) -> tuple[Vector, Vector, Array]:

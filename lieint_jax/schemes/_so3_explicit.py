@@ -21,10 +21,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import half_cayley, scalar_residual, scalar_root, scaled
-from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import dot, max_abs
 
 __all__ = ["SO3Explicit", "so3_explicit"]
@@ -36,22 +36,14 @@ _DRIFT = 4096  # round-offs that a·h may drift from m before the step is called
 
 @pytree
 class SO3Explicit(Step):
-    """The step made by `so3_explicit`.
-
-    Attributes:
-        m: the root from `prepare`; None before.
-        gain: the gain of the feedback on the energy; None before.
-    """
+    """The step made by `so3_explicit`. The root m and the gain of the feedback on the energy are those of `prepare`."""
 
     system: AbstractFreeBody
     m: Array | None = None
     gain: Array | None = None
     order: float = static(default=2)
     symmetric: bool = static(default=True)
-
-    @property
-    def commuting(self) -> bool:
-        return True
+    commuting = True
 
     def with_constants(self, state: State, dt: ArrayLike) -> Self:
         J, a = scaled(self.system, state, dt)
@@ -110,6 +102,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractFreeBody) -> list[Step]:
     """The explicit step, for free rigid bodies."""
-    return {"so3_explicit": so3_explicit(system)} if isinstance(system, AbstractFreeBody) else {}
+    return [so3_explicit(system)]

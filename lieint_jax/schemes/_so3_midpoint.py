@@ -37,11 +37,17 @@ from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractDrivenGyrostat, AbstractFreeBody, AbstractFreeBodyInTime, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
-from lieint_jax.schemes._shared.half_rotation import ITERATIONS, bias, half_rotation, half_rotation_derivative, scaled
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.schemes._shared.half_rotation import (
+    ITERATIONS,
+    SLENDER,
+    bias,
+    half_rotation,
+    half_rotation_derivative,
+    scaled,
+)
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rounding import SLENDER
-from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types import State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.vectors import cross, dot, symmetric, vector
 
 __all__ = ["SO3Midpoint", "so3_midpoint"]
@@ -58,7 +64,7 @@ class SO3Midpoint(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def commuting(self) -> bool:
+    def commuting(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.kappa.symplectic and isinstance(self.system, AbstractFreeBody)
 
     @property
@@ -194,11 +200,12 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(
+    system: AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat,
+) -> list[Step]:
     """The paper's three κ's, for free rigid bodies and gyrostats."""
-    if not isinstance(system, AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat):
-        return {}
-    return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in KAPPAS)}
+    return [so3_midpoint(system, kappa) for kappa in KAPPAS]
 
 
 def _rotor(system: AbstractFreeBody | AbstractGyrostat | AbstractDrivenGyrostat, state: State) -> Array | float:

@@ -19,19 +19,15 @@ from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.phase_spaces import SphericalChart
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, autodiff_gradient, pytree, static
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 
 __all__ = ["SphereChart", "sphere_chart"]
 
 
 @pytree
 class SphereChart(Step):
-    """The step made by `sphere_chart`.
-
-    Attributes:
-        chart: the spherical coordinates.
-    """
+    """The step made by `sphere_chart`."""
 
     system: AbstractSphereSystem
     chart: SphericalChart
@@ -75,7 +71,7 @@ class SphereChart(Step):
         inside &= (after[0] > 0) & (after[0] < np.pi) & ~near
         unfolded = la.determinant(la.unrolled(lax.stop_gradient(jax.jacfwd(residual)(u)))) > 0
         end = self.chart.state(after)
-        return state._replace(q=end.q, p=end.p), newton.report(
+        return state._replace(q=end.q, p=end.p), StepInfo.of_root(
             error, steady & inside & unfolded, 1 + _largest(u / unit)
         )
 
@@ -132,11 +128,10 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractSphereSystem) -> list[Step]:
     """The rule about the axis that pendulums have by default."""
-    if not isinstance(system, AbstractSphereSystem):
-        return {}
-    return {"sphere_chart": sphere_chart(system)}
+    return [sphere_chart(system)]
 
 
 def _pole(dtype: DTypeLike) -> float:

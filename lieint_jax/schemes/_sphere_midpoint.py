@@ -18,8 +18,8 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractSphereSystem
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, autodiff_gradient, pytree, static
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 from lieint_jax.types.vectors import cross, dot, matrix, max_abs, norm
 
 __all__ = ["SphereMidpoint", "sphere_midpoint"]
@@ -65,7 +65,7 @@ class SphereMidpoint(Step):
         # with a positive K the equation is monotone, so it has one root; without normalization that is a proof
         K = matrix(lax.stop_gradient(jax.jacfwd(equation)(u))).plus_transpose()
         unique = K.positive_definite & (jnp.abs(h) * norm(p) < _TURN)
-        info = newton.report(max_abs(f), (dot(u, u) < 4) & steady & unique)
+        info = StepInfo.of_root(max_abs(f), (dot(u, u) < 4) & steady & unique)
         return state._replace(q=q + u, p=p + torque(u)[1]), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -118,8 +118,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractSphereSystem) -> list[Step]:
     """The plain and the normalized rule, for pendulums."""
-    if not isinstance(system, AbstractSphereSystem):
-        return {}
-    return {step.name: step for step in (sphere_midpoint(system), sphere_midpoint(system, normalized=True))}
+    return [sphere_midpoint(system), sphere_midpoint(system, normalized=True)]

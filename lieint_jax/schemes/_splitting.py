@@ -5,11 +5,10 @@
 
 Each kick is the exact flow of the potential, and the drift is a symplectic step of the kinetic energy, so both conserve
 the form, and every momentum map that the potential conserves. The step is the flow of a nearby Hamiltonian, so the
-error of the energy is bounded and does not drift. For a gyrostat rotations replace the kicks, see
-`_shared.gyrostat_splitting`; the drift of an elastic body is a straight line, see `_shared.elastic_splitting`. Many
-bodies drift, are kicked, and drift: their drift costs much less than their forces, which are then evaluated once per
-step. The forces of a chain, such as a rod, cost less than its drift; the loop of a run evaluates those at the end of a
-step for the next one, too.
+error of the energy is bounded and does not drift. For a gyrostat rotations replace the kicks; the drift of an elastic
+body is a straight line. Many bodies drift, are kicked, and drift: their drift costs much less than their forces, which
+are then evaluated once per step. The forces of a chain, such as a rod, cost less than its drift; the loop of a run
+evaluates those at the end of a step for the next one, too.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax.capabilities import (
@@ -30,12 +29,13 @@ from lieint_jax.capabilities import (
     AbstractGyrostat,
     AbstractRigidBodies,
 )
+from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.default_drift import default_drift
-from lieint_jax.schemes._shared.elastic_splitting import ElasticSplitting
-from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting
-from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
 from lieint_jax.types import Group, State, Step, StepInfo, clock, pytree, static
+from lieint_jax.types.vectors import matrix, max_abs, symmetric
 
 __all__ = ["ElasticSplitting", "GyrostatSplitting", "Splitting", "splitting"]
 
@@ -123,6 +123,86 @@ class Splitting(Step):
         return kick(self.system, state, 0.5 * dt)
 
 
+@pytree
+class GyrostatSplitting(Step):
+    """The step that `splitting` makes for a gyrostat: rotation, drift, rotation.
+
+        H = ½(Π − h_r)·J⁻¹(Π − h_r) = ½ Π·J⁻¹Π − c·Π + ½ h_r·c,    c = J⁻¹h_r
+
+    −c·Π generates Λ ← Λ exp(−tĉ), π ← π, a rotation about an axis in the body, exactly and for every J. So one step is
+
+        Λ ← Λ exp(−½Δt ĉ),    (Λ, π) ← a step of the free body,    Λ ← Λ exp(−½Δt ĉ)
+    """
+
+    system: AbstractGyrostat
+    drift: Step
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def name(self) -> str:
+        return f"splitting[{self.drift.name}]"
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        state, info = self.drift.substep(self._turn(state, dt), dt)
+        return self._turn(state, dt), self._report(info, state, dt)
+
+    def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        state, info, T = self.drift.tangent(self._turn(state, dt), dt, T)  # turns about body axes leave (δθ, δπ)
+        return self._turn(state, dt), self._report(info, state, dt), T
+
+    def _report(self, info: StepInfo, state: State, dt: ArrayLike) -> StepInfo:
+        known = jnp.finfo(state.q.dtype).eps * self._angle(dt) <= attitude_error_limit(state.q.dtype)
+        return info._replace(converged=info.converged & known)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        turned = self._turn(state, dt)
+        if not self.drift(turned, dt)[1].converged:
+            return f"{self.name}: {self.drift.advice(turned, dt)}"
+        return f"{self.name}: the rotor turns the body by {float(self._angle(dt)):.3g} rad in a step: use a smaller dt"
+
+    def _turn(self, state: State, dt: ArrayLike) -> State:
+        turn = so3.exp(jnp.asarray(-0.5 * dt) * _velocity(self.system))
+        return state._replace(q=so3.normalize(so3.multiply(state.q, turn)))
+
+    def _angle(self, dt: ArrayLike) -> Array:
+        return lax.stop_gradient(jnp.abs(dt) * max_abs(_velocity(self.system)))
+
+
+def _velocity(system: AbstractGyrostat) -> Array:
+    """c = J⁻¹h_r."""
+    return jnp.stack(symmetric(system.inertia).solve(system.rotor))
+
+
+@pytree
+class ElasticSplitting(Step):
+    """The step that `splitting` makes for a pseudo-rigid body, on T*GL⁺(3): the central difference method.
+
+        P ← P − ½Δt F S,  S = 2∇W(FᵀF),    F ← F + Δt P E⁻¹,    P ← P − ½Δt F S
+
+    F S Fᵀ and P E⁻¹Pᵀ are symmetric, so neither a kick nor a drift changes rot[PFᵀ].
+    """
+
+    system: AbstractElasticBody
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def name(self) -> str:
+        return "splitting"
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        state = self._kick(state, dt)
+        F = state.q + dt * self.system.vector_field(state).q
+        return self._kick(state._replace(q=F), dt), StepInfo(jnp.zeros((), F.dtype), matrix(F).det() > 0)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        return f"{self.name} inverts the body (det F ≤ 0) at dt = {dt}: use a smaller dt, or schemes.additive"
+
+    def _kick(self, state: State, dt: ArrayLike) -> State:
+        return state._replace(p=state.p + 0.5 * dt * self.system.vector_field(state).p)
+
+
 @overload
 def splitting(system: AbstractGyrostat, drift: Step | None = None) -> GyrostatSplitting: ...
 @overload
@@ -205,12 +285,8 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: Any) -> list[Step]:
     """The splitting of gyrostats, elastic bodies, rigid bodies in a potential, and any driven system."""
-    rigid = isinstance(system, AbstractForcedSystem | AbstractGyrostat) and isinstance(
-        system.free, AbstractFreeBody | AbstractFreeBodies
-    )
-    if not rigid and not isinstance(system, AbstractDrivenSystem | AbstractElasticBody):
-        return {}
-    step = splitting(system)
-    return {step.name: step}
+    of_any_kind = isinstance(system, AbstractDrivenSystem | AbstractElasticBody)
+    return [splitting(system)] if of_any_kind or isinstance(system.free, AbstractFreeBody | AbstractFreeBodies) else []

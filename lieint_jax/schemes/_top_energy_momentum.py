@@ -28,15 +28,13 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import newton
-from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
 from lieint_jax._numerics.equation import ImplicitEquation
-from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop
+from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop, discrete_gradient
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types import State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -78,7 +76,8 @@ class TopEnergyMomentum(Step):
         k, h = equation.turn(y)
         p = vector(state.p)
         for field, D in zip(fields, equation.gradients(h), strict=True):
-            e = so3.Ad(q, k * _half_rotated(h, D))
+            half_rotated = 1 / (1 + dot(h, h)) * (D + cross(h, D) + dot(h, D) * h)  # ½(1 + cay(2h))D̄
+            e = so3.Ad(q, k * half_rotated)
             p = p + field.share * dt * cross(field.axis, e)
         # stacked last: many kernels read them, number by number
         after = state._replace(q=jnp.stack(vector(q) + so3.cayley_difference(q, h)), p=jnp.stack(p))
@@ -147,21 +146,13 @@ def top_energy_momentum(
 
 
 class _Field(NamedTuple):
-    """The field of a top at one time: all of a constant field, or half of a driven one.
+    """The field of a top at one time: all of a constant field, or half of a driven one."""
 
-    Attributes:
-        potential: Ṽ.
-        axis: γ in space.
-        Gamma: γ in the body at the start of the step, Γ_n.
-        at: the time, for a driven top, or nothing.
-        share: 1, or ½.
-    """
-
-    potential: Callable[..., Array]
-    axis: Array
-    Gamma: Vector
-    at: tuple[Array, ...]
-    share: float
+    potential: Callable[..., Array]  # Ṽ
+    axis: Array  # γ in space
+    Gamma: Vector  # γ in the body at the start of the step, Γ_n
+    at: tuple[Array, ...]  # the time, for a driven top, or nothing
+    share: float  # 1, or ½
 
     def value(self, Gamma: Vector) -> Array:
         """Ṽ(Γ) at this time."""
@@ -170,7 +161,7 @@ class _Field(NamedTuple):
     def gradient(self, h: Vector) -> Vector:
         """D̄ between Γ_n and Γ_{n+1} at this time."""
         ends = (jnp.stack(Gamma) for Gamma in (self.Gamma, _rotated_axis(h, self.Gamma)))
-        return vector(discrete_gradient(self.potential, *ends, *self.at))
+        return vector(discrete_gradient(self.potential, *ends, apart=_APART, at=self.at))
 
     def force_jacobian(self, h: Vector) -> Matrix:
         """The columns Γ × S(Γ × eᵢ), with S = 2∂D̄/∂Γ_{n+1} up to O(ΔΓ²)."""
@@ -195,19 +186,12 @@ def _fields(system: AbstractTop | AbstractDrivenTop, state: State, dt: ArrayLike
 
 @dataclass(frozen=True)
 class _Equation(ImplicitEquation[Vector]):
-    """The equation for y of one step from a state; J, a and s are divided by tr J, so that |a| is an angle.
-
-    Attributes:
-        kappa: κ.
-        J: the inertia.
-        a: ½ΔtΠ_n.
-        fields: the fields, each with its share of s = ¼Δt².
-    """
+    """The equation for y of one step from a state; J, a and s are divided by tr J, so that |a| is an angle."""
 
     kappa: Kappa
     J: Symmetric
-    a: Vector
-    fields: tuple[tuple[_Field, Array], ...]
+    a: Vector  # ½ΔtΠ_n
+    fields: tuple[tuple[_Field, Array], ...]  # each with its share of s = ¼Δt²
 
     @classmethod
     def from_state(cls, step: TopEnergyMomentum, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> _Equation:
@@ -257,7 +241,7 @@ class _Equation(ImplicitEquation[Vector]):
     def report(self, y: Vector, f: Vector, steady: Array) -> StepInfo:
         at = lax.stop_gradient(y)
         good = steady & self.J.well_conditioned & on_branch(self.kappa, at, self.matrix(at))
-        return newton.report(norm(f), good, self.size(y))
+        return StepInfo.of_root(norm(f), good, self.size(y))
 
     def size(self, y: Vector) -> Array:
         """The size of the terms of the equation, by which its rounding errors are measured.
@@ -275,17 +259,6 @@ class _Equation(ImplicitEquation[Vector]):
         return total
 
 
-def discrete_gradient(potential: Callable[..., Array], a: Array, b: Array, *t: Array) -> Array:
-    """D̄ with D̄·(b − a) = Ṽ(b) − Ṽ(a) and D̄(a, b) = D̄(b, a), shape (3,), at a time if the potential has one.
-
-    The gradient where a = b.
-    """
-    own = getattr(potential, "discrete_gradient", None)
-    if own is not None:
-        return own(a, b, *t)
-    return by_quadrature(potential, a, b, _APART, *t)
-
-
 def _is_linear(potential: Callable[..., Array]) -> bool:
     return getattr(potential, "linear", False)
 
@@ -294,11 +267,6 @@ def _rotated_axis(h: Vector, Gamma: Vector) -> Vector:
     """Γ_{n+1} = cay(2h)ᵀΓ = Γ + 2(h × (h × Γ) − h × Γ)/(1 + |h|²)."""
     x = cross(h, Gamma)
     return Gamma + 2 / (1 + dot(h, h)) * (cross(h, x) - x)
-
-
-def _half_rotated(h: Vector, D: Vector) -> Vector:
-    """½(1 + cay(2h))D = (D + h × D + h(h·D))/(1 + |h|²)."""
-    return 1 / (1 + dot(h, h)) * (D + cross(h, D) + dot(h, D) * h)
 
 
 def _moment(h: Vector, Gamma: Vector, D: Vector) -> Vector:
@@ -317,8 +285,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractTop | AbstractDrivenTop) -> list[Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
-    if not isinstance(system, AbstractTop | AbstractDrivenTop) or system.axis is None:
-        return {}
-    return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in KAPPAS)}
+    return [] if system.axis is None else [top_energy_momentum(system, kappa) for kappa in KAPPAS]

@@ -12,60 +12,28 @@ for any torques and any κ
 
 so that with the work W_k = Δt Ω̄·T̄_k + ΔE_k of each law, E_k its energy, ½ Π·J⁻¹Π + ΣE_k − ΣW_k is constant.
 
-Internal friction adds a rotation, but no torque. With Π̄ = ½(Π_n + Π_{n+1}), Ω̄ = J⁻¹Π̄,
-
-    Θ̄ = Δt(Ω̄ + α Π̄ × Ω̄),    Π̄ + h × Π̄ = Π_n,    ½ Π·J⁻¹Π |_n^{n+1} = −κΔtα|Π̄ × Ω̄|²
+With internal friction instead, π is constant, see `_shared.damped_midpoint`.
 """
 
 from __future__ import annotations
 
 import functools
-import operator
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import newton
-from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody, AbstractTorquedBodyInTime
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.schemes._shared.damped_midpoint import DampedMidpoint, advice
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
-from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.torques import internal_friction
-from lieint_jax.types import (
-    Function,
-    Law,
-    Rotation,
-    State,
-    Step,
-    StepInfo,
-    System,
-    clock,
-    labels,
-    pytree,
-    static,
-)
-from lieint_jax.types.vectors import (
-    Matrix,
-    Symmetric,
-    Vector,
-    components,
-    cross,
-    dot,
-    max_abs,
-    norm,
-    unit_trace,
-    vector,
-)
+from lieint_jax.schemes._shared.torque_equation import TorqueEquation
+from lieint_jax.types import Function, State, Step, StepInfo, clock, labels, pytree, static
 
 __all__ = ["DampedMidpoint", "TorquedMidpoint", "torqued_midpoint"]
 
@@ -94,12 +62,8 @@ class TorquedMidpoint(Step):
 
     def _advance(self, system: AbstractTorquedBody, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """The step of a body of constant inertia."""
-        equation = _Equation.from_state(self.kappa, system, state, dt)
-        guess, limit = equation.guess()
-        x, info = equation.solve(guess, self.iterations, done=newton.quadratic, first=limit)
-        y, z = Vector(x[:3]), Vector(x[3:])
-        rotation = equation.rotation(y)
-        torques = equation.torques(rotation, z)
+        equation = TorqueEquation.from_state(self.kappa, system, state, dt)
+        rotation, torques, info = equation.solution(self.iterations)
         q = state.q + jnp.stack(so3.cayley_difference(state.q, rotation.h))
         rotation = rotation._replace(q_next=q)
         impulses = [] if torques.space is None else [torques.space]
@@ -109,7 +73,11 @@ class TorquedMidpoint(Step):
         works = [law.work(rotation, *found) for law, found in zip(equation.laws, torques.each, strict=True)]
         if state.work is not None:
             end = end._replace(work=state.work + sum(works))
-        return end._replace(extra=_extra_after(state.extra, equation.laws, torques.each, works)), info
+        if state.extra is None:
+            return end, info
+        after = {law.key: each[2] for law, each in zip(equation.laws, torques.each, strict=True) if law.key is not None}
+        counted = {"works": state.extra["works"] + jnp.stack(works)} if "works" in state.extra else {}
+        return end._replace(extra=state.extra | after | counted), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not self.system.sampled(state, jnp.asarray(dt))[1]:
@@ -124,70 +92,7 @@ class TorquedMidpoint(Step):
                     "of the state: compute it in the type of its arguments"
                 )
         in_time = isinstance(self.system, AbstractTorquedBodyInTime) and advice_in_time(self.system, state, dt)
-        return in_time or _advice(self, dt, "the torque is too stiff")
-
-
-@pytree
-class DampedMidpoint(Step):
-    """The step made by `torqued_midpoint` for a body with internal friction."""
-
-    system: AbstractDampedBody
-    kappa: Kappa
-    iterations: int = static()
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
-
-    @property
-    def name(self) -> str:
-        return f"torqued_midpoint[{self.kappa.name}]"
-
-    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt, (J, r) = jnp.asarray(dt), unit_trace(self.system.inertia)
-        alpha, unit = self.system.friction / r, r * vector(so3.Ad_star(state.q, state.p))  # αΠ, Π/tr J
-
-        def turn(P: Vector) -> tuple[Vector, Vector]:
-            """Ω̄ and y = ½Θ̄ for P = Π̄/tr J."""
-            Omega = J.solve(P)
-            return Omega, 0.5 * dt * (Omega + internal_friction(alpha, P, Omega))
-
-        def balance(P: Vector) -> Vector:
-            """Π̄ + h × Π̄, over tr J."""
-            y = turn(P)[1]
-            return P + self.kappa(4 * dot(y, y)) * cross(y, P)
-
-        def correction(P: Vector, f: Vector) -> Vector:
-            return _jacobian(balance, P).solve(f)
-
-        size = lax.stop_gradient(max_abs(unit))
-        per = 1 / jnp.where(size > 0, size, 1)
-        P, f, steady = newton.root(
-            lambda P: balance(P) - unit,
-            correction,
-            unit,
-            self.iterations,
-            unroll=False,
-            length=lambda step: per * lax.stop_gradient(max_abs(step)),
-        )
-        Omega, y = turn(P)
-        k = self.kappa(4 * dot(y, y))
-        at = lax.stop_gradient
-        good = steady & J.well_conditioned
-        good &= on_branch(self.kappa, at(y), _jacobian(balance, at(P)))
-        info = newton.report(norm(f), good, size)
-        q = so3.cayley_increment(state.q, jnp.stack(k * y))
-        slip = cross(P, Omega)
-        work = None if state.work is None else state.work - k * dt * alpha / r * dot(slip, slip)
-        return state._replace(q=q, work=work), info._replace(residual=info.residual * jnp.abs(0.5 * dt))
-
-    def advice(self, state: State, dt: ArrayLike) -> str:
-        return _advice(self, dt, "the friction is too strong")
-
-
-def _advice(step: TorquedMidpoint | DampedMidpoint, dt: ArrayLike, reason: str) -> str:
-    return (
-        f"{step.name} does not converge at dt = {dt}: the branch of this κ {step.kappa.branch}, or {reason}. "
-        f"Use a smaller dt, or more than {step.iterations} iterations if |Δt Ω| < 1"
-    )
+        return in_time or advice(self, dt, "the torque is too stiff")
 
 
 def torqued_midpoint(
@@ -244,234 +149,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: System) -> dict[str, Step]:
+@PROPERTIES.by_name
+def examples(system: AbstractTorquedBody | AbstractTorquedBodyInTime | AbstractDampedBody) -> list[Step]:
     """The paper's three κ's, for bodies with a torque or with internal friction."""
-    if not isinstance(system, AbstractTorquedBody | AbstractTorquedBodyInTime | AbstractDampedBody):
-        return {}
-    return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
-
-
-_SHORT = 0.25  # the cheap first correction (J for the Jacobian) is used if shorter than this part of |½ΔtΩ_n|
-_Each = list[tuple[Array, Any, Any]]
-
-
-class _Torques(NamedTuple):
-    """The mean torques of a step.
-
-    Attributes:
-        body: the sum of those given in the body, (3,); None if there are none.
-        space: the sum of those given in space, (3,); None if there are none.
-        each: for each law its torque, and its internal state before and after.
-    """
-
-    body: Array | None
-    space: Array | None
-    each: _Each
-
-
-def _extra_after(
-    extra: dict[str, Array] | None,
-    laws: Sequence[Law],
-    each: _Each,
-    works: list[Array],
-) -> dict[str, Array] | None:
-    """`extra` with the internal states of the laws after a step, and with their works if they are counted."""
-    if extra is None:
-        return None
-    after = {law.key: end for law, (_, _, end) in zip(laws, each, strict=True) if law.key is not None}
-    counted = {"works": extra["works"] + jnp.stack(works)} if "works" in extra else {}
-    return extra | after | counted
-
-
-@dataclass(frozen=True)
-class _Equation(ImplicitEquation[Vector]):
-    """The equation of one step from a state; J and Π_n are divided by tr J, so that the unknowns are angles.
-
-    The unknowns x are y and, for each internal state η that a law leaves to the step, z = ½Δt(η_{n+1} − η_n)/tr J.
-
-    Attributes:
-        kappa: κ.
-        laws: the laws of torque.
-        inner: their internal states.
-        J: the inertia.
-        Pi: Π_n.
-        half_dt: ½Δt/tr J.
-        q: q_n.
-        t: t_n.
-        dt: Δt.
-    """
-
-    kappa: Kappa
-    laws: tuple[Law, ...]
-    inner: tuple[Array | None, ...]
-    J: Symmetric
-    Pi: Vector
-    half_dt: Array
-    q: Array
-    t: Array
-    dt: Array
-
-    @classmethod
-    def from_state(cls, kappa: Kappa, system: AbstractTorquedBody, state: State, dt: Any) -> _Equation:
-        """The equation of a step from a state."""
-        J, r = unit_trace(system.inertia)
-        Pi = vector(r * so3.Ad_star(state.q, state.p))
-        inner = tuple(system.inner(state, law) for law in system.laws)
-        laws = tuple(system.holding(state, law) for law in system.laws)
-        return cls(kappa, laws, inner, J, Pi, 0.5 * r * dt, state.q, clock(state), dt)
-
-    @property
-    def a(self) -> Vector:
-        """½ΔtΠ_n."""
-        return 0.5 * self.dt * self.Pi
-
-    @property
-    def implicit_states(self) -> Vector:
-        """The internal states η_n that belong to the unknowns, one after the other."""
-        return _flat(jnp.asarray(inner) for law, inner in zip(self.laws, self.inner, strict=True) if law.implicit)
-
-    def rotation(self, y: Vector) -> Rotation:
-        """The rotation of a step, the argument of the laws."""
-        q, k = self.q, self.kappa(4 * dot(y, y))
-        h = jnp.stack(k * y)
-        moves = self.dt != 0
-        per = 2 / jnp.where(moves, self.dt, 1)
-        Omega = jnp.stack([jnp.where(moves, *rates) for rates in zip(per * y, self.J.solve(self.Pi), strict=True)])
-        half = so3.cayley_increment(q, h / (1 + jnp.sqrt(1 + dot(h, h))))
-        return Rotation(self.t, self.dt, q, half, so3.cayley_increment(q, h), h, k, Omega, so3.Ad(q, Omega))
-
-    def torques(self, rotation: Rotation, z: Vector) -> _Torques:
-        """The mean torques of all laws. A law that reads an internal state receives its mean over the step."""
-        sums, each, means, unknown = {}, {}, {}, iter(z)
-        for k, law in sorted(enumerate(self.laws), key=lambda numbered: numbered[1].reads is not None):
-            inner = self.inner[k] if law.reads is None else means[law.reads]
-            if law.implicit:
-                inner = jnp.asarray(inner)
-                torque, after = law.implicit_mean(rotation, inner, self._state_after(inner, unknown))
-            else:
-                torque, after = law.mean(rotation, inner)
-            torque = jnp.asarray(torque).astype(self.q.dtype)
-            sums[law.frame] = sums[law.frame] + torque if law.frame in sums else torque
-            each[k] = (torque, inner, after)
-            if law.key is not None:
-                means[law.key] = jax.tree.map(lambda a, b: (a + b) / 2, inner, after)
-        return _Torques(sums.get("body"), sums.get("space"), [each[k] for k in range(len(each))])
-
-    def _state_after(self, inner: Array, z: Iterator[Array]) -> Array:
-        """η_{n+1} by the unknowns."""
-        moves = self.half_dt != 0
-        change = jnp.stack([next(z) for _ in range(inner.size)]).reshape(inner.shape)
-        return inner + jnp.where(moves, change / jnp.where(moves, self.half_dt, 1), 0)
-
-    def scaled_torques(self, rotation: Rotation, z: Vector) -> Vector:
-        """sT̄, with T̄ = ΣT̄_k in the body; and what the laws make of z."""
-        found = self.torques(rotation, z)
-        terms = [] if found.body is None else [vector(found.body)]
-        if found.space is not None:
-            T = vector(so3.Ad_star(rotation.q_n, found.space))
-            terms.append(T - cross(rotation.h, T))
-        sT = 0.5 * self.dt * self.half_dt * sum(terms)
-        changes = (
-            self.half_dt * (after - before)
-            for law, (_, before, after) in zip(self.laws, found.each, strict=True)
-            if law.implicit
-        )
-        return Vector((*sT, *_flat(changes)))
-
-    def scaled_torques_at(self, x: Vector) -> Vector:
-        """`scaled_torques` as a function of the unknowns."""
-        return self.scaled_torques(self.rotation(Vector(x[:3])), Vector(x[3:]))
-
-    def residual(self, x: Vector) -> Vector:
-        """Jy + κ y × Jy − a − sT̄, and z less what the laws make of it."""
-        free = gyration(self.kappa, self.J, Vector(x[:3])) - self.a
-        return Vector((*free, *x[3:])) - self.scaled_torques_at(x)
-
-    def correction(self, x: Vector, f: Vector) -> Vector:
-        return la.solve(self._matrix(x, _jacobian(self.scaled_torques_at, x)), f)
-
-    def _matrix(self, x: Vector, *of_sides: Matrix) -> Matrix:
-        """The derivative of the residual, that of `scaled_torques` being the sum of matrices."""
-        K, n = gyration_matrix(self.kappa, self.J, Vector(x[:3])), len(x)
-        free = Matrix((K[i][j] if max(i, j) < 3 else float(i == j) for j in range(n)) for i in range(n))
-        return functools.reduce(operator.sub, of_sides, free)
-
-    def guess(self) -> tuple[Vector, Array]:
-        """y and z to begin with, and the length that a steady solve may give its first correction."""
-        u = self.J.solve(self.a)  # ½ΔtΩ_n
-        f = self.residual(Vector((*u, *(jnp.zeros_like(u[0]) for _ in self.implicit_states))))
-        push = self.J.solve(f[:3])
-        limit = lax.stop_gradient(max_abs(u, f[3:]) + max_abs(push))
-        short = max_abs(push) <= _SHORT * max_abs(u)
-        return Vector((*(u - Vector(jnp.where(short, x, 0) for x in push)), *(-x for x in f[3:]))), limit
-
-    def report(self, x: Vector, f: Vector, steady: Array) -> StepInfo:
-        at = lax.stop_gradient
-        branch, sizes = self.branch_and_sizes(at(x))
-        good = steady & branch & self.J.well_conditioned & jnp.isfinite(at(self.t))
-        errors = [norm(rows) for rows in (f[:3], f[3:]) if rows]
-        infos = [newton.report(error, good, size) for error, size in zip(errors, sizes, strict=True)]
-        return functools.reduce(StepInfo.merge, infos)
-
-    def branch_and_sizes(self, x: Vector) -> tuple[Array, list[Array]]:
-        """Whether x is on the branch from Δt = 0, and the sizes of the terms, which measure their rounding errors.
-
-        Attitudes, velocities and internal states have rounding errors of their own size, so the laws contribute their
-        own size and those of their derivatives by all of these. There is a size for y and, if it exists, one for z.
-        """
-        y, z = Vector(x[:3]), Vector(x[3:])
-        now = self.rotation(y)
-
-        def by_attitude(x: Vector) -> Vector:
-            """`scaled_torques` at a constant velocity and constant internal states."""
-            return self.scaled_torques(self.rotation(Vector(x[:3]))._replace(Omega=now.Omega, omega=now.omega), z)
-
-        def by_velocity(x: Vector) -> Vector:
-            """`scaled_torques` at a constant attitude and constant internal states."""
-            moved = self.rotation(Vector(x[:3]))
-            return self.scaled_torques(now._replace(Omega=moved.Omega, omega=moved.omega), z)
-
-        def by_states(x: Vector) -> Vector:
-            """`scaled_torques` for one rotation."""
-            return self.scaled_torques(now, Vector(x[3:]))
-
-        speed = max_abs(y) / jnp.maximum(1, max_abs(vector(now.h)))  # h may enlarge h × T at will
-        here, A = _value_and_jacobian(by_attitude, x)
-        changes = [(1, A), (speed, _jacobian(by_velocity, x))]
-        states = max_abs([self.half_dt * state for state in self.implicit_states], z) if z else speed
-        if z:
-            changes.append((states, _jacobian(by_states, x)))
-        K = self._matrix(x, *(A for _, A in changes))
-
-        def size(rows: slice, own: Array) -> Array:
-            terms = [weight * max_abs(*A[rows]) for weight, A in changes]
-            return own + functools.reduce(jnp.maximum, terms, max_abs(here[rows]))
-
-        first, last = slice(3), slice(3, None)
-        if not z:
-            return on_branch(self.kappa, y, K), [size(first, max_abs(self.a))]
-        inner = la.factored(Matrix(row[3:] for row in K[3:]))
-        columns = [inner.solve(Vector(row[j] for row in K[3:])) for j in range(3)]  # of K_zz⁻¹ K_zy
-        rest = Matrix((K[i][j] - dot(K[i][3:], columns[j]) for j in range(3)) for i in range(3))
-        branch = on_branch(self.kappa, y, rest) & inner.positive
-        return branch, [size(first, max_abs(self.a)), size(last, states)]
-
-
-def _flat(arrays: Iterable[Array]) -> Vector:
-    """The entries of arrays, one after the other."""
-    return Vector(x for array in arrays for x in components(array.reshape(-1)))
-
-
-def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> Matrix:
-    """The derivative of a function of components, as rows."""
-    return _value_and_jacobian(function, x)[1]
-
-
-def _value_and_jacobian(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, Matrix]:
-    """A function of components, and its derivative as rows."""
-
-    def derivative(axis: Array) -> tuple[Vector, Vector]:
-        return jax.jvp(function, (x,), (vector(axis),))
-
-    value, rows = jax.vmap(derivative, out_axes=(None, 0))(jnp.eye(len(x), dtype=x[0].dtype))
-    return value, Matrix(components(row) for row in rows)
+    return [torqued_midpoint(system, kappa) for kappa in KAPPAS]

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.capabilities import AbstractDampedBody
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import TimedBody
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree
 
 __all__ = ["DampedBody", "damped_body"]

@@ -10,10 +10,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._gyrostat import Gyrostat
-from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.systems._shared.time_and_work import check_timed, timed
+from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.types import State, callable_pytree, clock, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 

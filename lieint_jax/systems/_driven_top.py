@@ -13,10 +13,10 @@ from lieint_jax import _checks, capabilities
 from lieint_jax._checks import concrete
 from lieint_jax._xla import unfused
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, System, callable_pytree, check_gradient, clock, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 

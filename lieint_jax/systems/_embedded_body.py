@@ -8,8 +8,8 @@ from jax import Array
 
 from lieint_jax import _checks, capabilities
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import Body
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, argument, pytree, vectors
 
 __all__ = ["EmbeddedBody", "embedded_body"]

@@ -14,9 +14,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, System, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import Time, Vector3
 
@@ -25,15 +25,10 @@ __all__ = ["GravityGradient", "gravity_gradient"]
 
 @pytree
 class TidalAxis:
-    """γ(t) = √(3μ/r³) r̂: a vector along the line to the center of attraction, scaled so that V = ½Γ·JΓ.
+    """γ(t) = √(3μ/r³) r̂: a vector along the line to the center of attraction, scaled so that V = ½Γ·JΓ."""
 
-    Attributes:
-        orbit: t ↦ (position (3,), velocity (3,)) about the center.
-        mu: μ; None for that of the orbit.
-    """
-
-    orbit: Any
-    mu: Array | None
+    orbit: Any  # t ↦ (position (3,), velocity (3,)) about the center
+    mu: Array | None  # None for that of the orbit
 
     def __call__(self, t: Time) -> Vector3:
         position = self.orbit(t)[0]

@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Rotating
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree, vectors
 from lieint_jax.types.shapes import Scalar, Vector3
 

@@ -9,18 +9,18 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
 from lieint_jax._checks import concrete, named
-from lieint_jax.systems._pseudo_rigid_body import PseudoRigidBody
+from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._pseudo_rigid_body import DeformingBody, PseudoRigidBody
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
 from lieint_jax.types import State, StoredEnergy, argument, pytree
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
+from lieint_jax.types.shapes import Matrix3, Scalar, Vector3
 
 __all__ = ["IncompressibleBody", "incompressible_body"]
 
 
 @pytree
-class IncompressibleBody(capabilities.AbstractIncompressibleBody):
+class IncompressibleBody(DeformingBody, capabilities.AbstractIncompressibleBody):
     """An elastic body that deforms homogeneously at constant volume, about its center of mass: F in SL(3).
 
     H = ½⟨P, PE⁻¹⟩ + W(FᵀF), det F = 1; Ḟ = PE⁻¹, Ṗ = −2F∇W + pF⁻ᵀ. The pressure p enforces det F = 1:
@@ -55,7 +55,7 @@ class IncompressibleBody(capabilities.AbstractIncompressibleBody):
         return PseudoRigidBody(self.inertia, self.stored_energy)
 
     @explained
-    def state(
+    def state(  # pyright: ignore[reportIncompatibleMethodOverride]
         self,
         deformation: ArrayLike | None = None,
         *,
@@ -75,21 +75,11 @@ class IncompressibleBody(capabilities.AbstractIncompressibleBody):
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or det F ≠ 1.
         """
-        state = self.compressible.state(
-            deformation, momentum=momentum, velocity=velocity, angular_velocity=angular_velocity
-        )
+        state = super().state(deformation, momentum=momentum, velocity=velocity, angular_velocity=angular_velocity)
         _volume("deformation", state.q)
         q = state.q / jnp.cbrt(jnp.linalg.det(state.q))
         space = self.phase_space
         return State(q, space.tangential(q, space.spatial_momentum(State(q, state.p))))
-
-    def energy(self, state: State) -> Scalar:
-        """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
-        return self.compressible.energy(state)
-
-    def momentum(self, state: State) -> MomentumMap:
-        """Φ = rot[PFᵀ] (6.4), shape (3,), half the angular momentum."""
-        return self.compressible.momentum(state)
 
     def circulation(self, state: State) -> Vector3:
         """rot[FᵀP], shape (3,): the vorticity in the reference state, which a liquid of equal particles conserves.
@@ -106,7 +96,7 @@ class IncompressibleBody(capabilities.AbstractIncompressibleBody):
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
-        self.compressible.check(state)
+        super().check(state)
         _volume("state.q", state.q)
 
 

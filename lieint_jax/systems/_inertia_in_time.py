@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractBodyInTime, AbstractFreeBodyInTime, AbstractTorquedBodyInTime
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._torqued_body import TorquedBody, torqued_body
 from lieint_jax.torques import thruster
 from lieint_jax.types import Law, State, callable_pytree, clock, pytree

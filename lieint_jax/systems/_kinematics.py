@@ -15,10 +15,9 @@ from lieint_jax import _checks
 from lieint_jax._numerics.lookup import increasing_times, interval
 from lieint_jax.capabilities import AbstractKinematics
 from lieint_jax.groups import so3
-from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.on_group import check_element, group_element
-from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import Group, State, callable_pytree, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, Time
 
@@ -91,14 +90,12 @@ class SampledRate:
     """A rate through the entries of a log, `rate(t)`, (d,). Made by `sampled_rate`.
 
     Between two times it is m + s u + c (u² − 1/12), with u from −½ to ½: its mean is m.
-
-    Attributes:
-        times: the ends of the intervals, (n+1,).
-        coefficients: m, s and c of each interval, one after the other, (3dn,): machine code reads long logs this way.
     """
 
-    times: Array
-    coefficients: Array
+    times: Array  # the ends of the intervals, (n+1,)
+    coefficients: (
+        Array  # m, s and c of each interval, one after the other, (3dn,): machine code reads long logs this way
+    )
 
     def __call__(self, t: Time | float) -> AlgebraVector:
         """The rate at time t, (d,). Outside the log: ValueError if t is concrete, otherwise NaN."""

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.capabilities import AbstractSphereSystem
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
@@ -32,14 +32,13 @@ class UniformGravity:
 
 @pytree
 class Pendulum(AbstractSphereSystem):
-    """H = |π|²/(2m) − g(γ·q) (1.3); q̇ = π × q/m, π̇ = −q × ∇V(q) with V(q) = −g(γ·q) (1.1), (1.4). Made by `pendulum`.
+    """H = |π|²/(2m) − g(γ·q) (1.3); q̇ = π × q/m, π̇ = −q × ∇V(q) with V(q) = −g(γ·q) (1.1), (1.4).
 
-    Attributes:
-        field: g.
+    Made by `pendulum`.
     """
 
     mass: Array
-    field: Callable[[Array], Array]
+    field: Callable[[Array], Array]  # g
     axis: Array
 
     @explained

@@ -14,9 +14,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.capabilities import AbstractTop
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Body
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import PotentialWithGradient, State, System, callable_pytree, check_gradient, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 

@@ -14,15 +14,14 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.capabilities import AbstractDeformingBody, AbstractElasticBody, AbstractViscousBody
 from lieint_jax.groups import so3
-from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
+from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._shared.arguments import check_counts, explained, timed
 from lieint_jax.systems._shared.stored_energy import (
     as_stored_energy,
     mooney_rivlin,
     neo_hookean,
     saint_venant_kirchhoff,
 )
-from lieint_jax.systems._shared.time_and_work import check_counts, timed
 from lieint_jax.types import State, StoredEnergy, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
@@ -37,8 +36,8 @@ __all__ = [
 ]
 
 
-class _Deforming(AbstractDeformingBody):
-    """The methods of elastic and viscous bodies that create and evaluate states."""
+class DeformingBody(AbstractDeformingBody):
+    """The methods of all bodies that deform homogeneously, which create and evaluate states."""
 
     _clock = None  # the time and the work of a state that is given none
 
@@ -75,7 +74,7 @@ class _Deforming(AbstractDeformingBody):
         if name == "angular_velocity":
             P = so3.hat(P) @ F
         if name != "momentum":
-            P = P @ self._inertia_matrix()
+            P = P @ (jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia)
         dtype = jnp.result_type(F, P)
         state = State(F.astype(dtype), P.astype(dtype))
         t, work = self._clock if t is None else t, self._clock if work is None else work
@@ -104,12 +103,9 @@ class _Deforming(AbstractDeformingBody):
         _checks.real_array("state.p", state.p, (3, 3))
         check_counts(state)
 
-    def _inertia_matrix(self) -> Matrix3:
-        return jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
-
 
 @pytree
-class PseudoRigidBody(_Deforming, AbstractElasticBody):
+class PseudoRigidBody(DeformingBody, AbstractElasticBody):
     """H = ½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2); Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3). Made by `pseudo_rigid_body`."""
 
     inertia: Array
@@ -117,7 +113,7 @@ class PseudoRigidBody(_Deforming, AbstractElasticBody):
 
 
 @pytree
-class ViscousBody(_Deforming, AbstractViscousBody):
+class ViscousBody(DeformingBody, AbstractViscousBody):
     """A `PseudoRigidBody` with the stress 2∇W(C) + νĊ, C = FᵀF. Made by `pseudo_rigid_body`."""
 
     inertia: Array
@@ -135,9 +131,7 @@ def pseudo_rigid_body(
     inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array], viscosity: ArrayLike
 ) -> ViscousBody: ...
 def pseudo_rigid_body(
-    inertia: ArrayLike,
-    stored_energy: StoredEnergy | Callable[[Array], Array],
-    viscosity: ArrayLike | None = None,
+    inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array], viscosity: ArrayLike | None = None
 ) -> PseudoRigidBody | ViscousBody:
     """A pseudo-rigid body: an elastic body that deforms homogeneously, x = F X, about its center of mass.
 

@@ -24,28 +24,11 @@ from lieint_jax.capabilities import (
     rotations,
 )
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
-from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.systems._shared.time_and_work import check_counts, timed
-from lieint_jax.types import (
-    ChainLaw,
-    PairLaw,
-    State,
-    callable_pytree,
-    clock,
-    pair_forces,
-    pytree,
-    vectors,
-)
-from lieint_jax.types.shapes import (
-    Masses,
-    MomentumMap,
-    Poses,
-    Positions,
-    PyTree,
-    Scalar,
-)
+from lieint_jax.systems._shared.arguments import check_counts, explained, timed
+from lieint_jax.types import ChainLaw, PairLaw, State, callable_pytree, clock, pair_forces, pytree, vectors
+from lieint_jax.types.shapes import Masses, MomentumMap, Poses, Positions, PyTree, Scalar
 
 __all__ = ["DissipativeBodies", "FreeBodies", "RigidBodies", "rigid_bodies"]
 
@@ -136,15 +119,10 @@ class _Many(AbstractManyBodies):
 
 @pytree
 class FreeBodies(_Many, AbstractFreeBodies):
-    """N free rigid bodies: `RigidBodies.free`.
+    """N free rigid bodies: `RigidBodies.free`."""
 
-    Attributes:
-        masses: (N,).
-        inertias: (N, 3) or (N, 3, 3).
-    """
-
-    masses: Array
-    inertias: Array
+    masses: Array  # (N,)
+    inertias: Array  # (N, 3) or (N, 3, 3)
 
     def energy(self, state: State) -> Scalar:
         """The kinetic energy."""
@@ -199,11 +177,7 @@ class RigidBodies(_Many, AbstractRigidBodies):
 
 @pytree
 class DissipativeBodies(_Many, AbstractDissipativeBodies):
-    """Bodies in a mutual potential with dissipative forces between pairs or given forces. Made by `rigid_bodies`.
-
-    Attributes:
-        dissipation: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `PairLaw` or a function; a `ChainLaw`; or None.
-    """
+    """Bodies in a mutual potential with dissipative forces between pairs or given forces. Made by `rigid_bodies`."""
 
     masses: Array
     inertias: Array
@@ -289,32 +263,21 @@ def _check_places(x: np.ndarray) -> None:
         )
 
 
+_V = Callable[[Array, Array], Array]
+_Law = Callable[..., PyTree]
+
+
 @overload
 def rigid_bodies(
-    masses: ArrayLike,
-    inertias: ArrayLike,
-    potential: Callable[[Array, Array], Array],
-    dissipation: None = None,
-    *,
-    forces: None = None,
+    masses: ArrayLike, inertias: ArrayLike, potential: _V, dissipation: None = None, *, forces: None = None
 ) -> RigidBodies: ...
 @overload
 def rigid_bodies(
-    masses: ArrayLike,
-    inertias: ArrayLike,
-    potential: Callable[[Array, Array], Array],
-    dissipation: Callable[..., PyTree],
-    *,
-    forces: Callable[..., PyTree] | None = None,
+    masses: ArrayLike, inertias: ArrayLike, potential: _V, dissipation: _Law, *, forces: _Law | None = None
 ) -> DissipativeBodies: ...
 @overload
 def rigid_bodies(
-    masses: ArrayLike,
-    inertias: ArrayLike,
-    potential: Callable[[Array, Array], Array],
-    dissipation: None = None,
-    *,
-    forces: Callable[..., PyTree],
+    masses: ArrayLike, inertias: ArrayLike, potential: _V, dissipation: None = None, *, forces: _Law
 ) -> DissipativeBodies: ...
 def rigid_bodies(
     masses: ArrayLike,

@@ -10,8 +10,8 @@ from lieint_jax import _checks, _free_body
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import Body
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree, vectors
 
 __all__ = ["RigidBody", "rigid_body", "tumbling_state"]

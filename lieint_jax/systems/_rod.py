@@ -16,21 +16,13 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, potentials
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_bodies import DissipativeBodies, RigidBodies, rigid_bodies
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import ChainLaw, State, callable_pytree, pytree, static
 from lieint_jax.types.shapes import PoseMomenta, Positions, PyTree, Rotations, Scalar, Time
 
-__all__ = [
-    "DissipativeRod",
-    "ElasticRod",
-    "KelvinVoigt",
-    "Section",
-    "circular_section",
-    "rectangular_section",
-    "rod",
-]
+__all__ = ["DissipativeRod", "ElasticRod", "KelvinVoigt", "Section", "circular_section", "rectangular_section", "rod"]
 
 End = str | ArrayLike | Callable[[Array], Array]
 _ENDS = '"free", "clamped", a pose (7,) or a function t ↦ pose (7,)'
@@ -147,8 +139,7 @@ class ElasticRod(_FromNaturalShape, RigidBodies):
     """A rod without damping and loads, its ends free or clamped. Made by `rod`.
 
     Attributes:
-        masses, inertias, potential: of the sections that move, as in `RigidBodies`.
-        natural: the poses of these sections in the natural shape, (N, 7).
+        natural: the poses of the sections that move in the natural shape, (N, 7); the others are of these sections too.
     """
 
     natural: Array
@@ -156,28 +147,18 @@ class ElasticRod(_FromNaturalShape, RigidBodies):
 
 @pytree
 class DissipativeRod(_FromNaturalShape, DissipativeBodies):
-    """A rod with damping, loads or driven ends. Made by `rod`.
+    """A rod with damping, loads or driven ends. Made by `rod`."""
 
-    Attributes:
-        masses, inertias, potential, dissipation, forces: of the sections that move, as in `DissipativeBodies`.
-        natural: the poses of these sections in the natural shape, (N, 7).
-    """
-
-    natural: Array = dataclasses.field(kw_only=True)
+    natural: Array = dataclasses.field(kw_only=True)  # as in `ElasticRod`
 
 
 @pytree
 class KelvinVoigt(ChainLaw):
-    """Internal damping of a rod: forces and moments opposite to the rates of its strains.
+    """Internal damping of a rod: forces and moments opposite to the rates of its strains."""
 
-    Attributes:
-        rod: `potentials.rod(…)`, or that with ends held.
-        strain, bend: the viscosities of Γ and of s, (elements, 3).
-    """
-
-    rod: potentials.Rod | potentials.Held
-    strain: Array
-    bend: Array
+    rod: potentials.Rod | potentials.Held  # perhaps with ends held
+    strain: Array  # the viscosity of Γ, (elements, 3)
+    bend: Array  # that of s, (elements, 3)
 
     def act(
         self, t: Time | None, x: Positions, R: Rotations, v: Positions, omega: Positions
@@ -197,17 +178,11 @@ class KelvinVoigt(ChainLaw):
 
 @pytree
 class Loads:
-    """Forces and moments on sections, functions of time: the `forces` of bodies.
+    """Forces and moments on sections, functions of time: the `forces` of bodies."""
 
-    Attributes:
-        loads: t ↦ (force, moment) in space, (6,), each.
-        bodies: the section on which each acts.
-        more: a further function of the signature of `forces`, or None.
-    """
-
-    loads: tuple[Callable[[Array], Array], ...]
-    bodies: tuple[int, ...] = static()
-    more: Callable[..., PyTree] | None = None
+    loads: tuple[Callable[[Array], Array], ...]  # t ↦ (force, moment) in space, (6,), each
+    bodies: tuple[int, ...] = static()  # the section on which each acts
+    more: Callable[..., PyTree] | None = None  # a further function of the signature of `forces`
 
     def __call__(
         self, t: Time, x: Positions, R: Rotations, v: Positions, omega: Positions

@@ -31,13 +31,9 @@ _V, _W = (x[_POINTS // 2 :] for x in np.polynomial.legendre.leggauss(_POINTS))
 
 @pytree
 class SelfGravity(StoredEnergy):
-    """W = −k R_F(c₁, c₂, c₃) of the eigenvalues of C. Made by `self_gravity`.
+    """W = −k R_F(c₁, c₂, c₃) of the eigenvalues of C. Made by `self_gravity`."""
 
-    Attributes:
-        strength: k = (3/5)GM²/R, an energy.
-    """
-
-    strength: Array
+    strength: Array  # k = (3/5)GM²/R, an energy
 
     def __call__(self, C: Array) -> Array:
         A = _stretch(vectors.symmetric(C))

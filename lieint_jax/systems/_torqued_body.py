@@ -17,9 +17,9 @@ from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractTorquedBody
 from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._shared.older_laws import MEMBERS, OlderLaw
-from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import Law, Rotation, State, System, as_law, callable_pytree, clock, labels, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
@@ -94,7 +94,8 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
             for key in (key for key in (law.key, law.held) if key is not None and key in rest):
                 _checks.real_array(f'state.extra["{key}"]', self.entry(state, law, key), rest[key].shape)
         if concrete(self, state) and not np.all(np.isfinite(torque := _torque_at(self, state))):
-            velocity = _velocity(self, state)
+            Omega = self.angular_velocity(state)
+            velocity = so3.Ad(state.q, Omega) if self.frame == "space" else Omega
             raise ValueError(
                 f"the torque must be finite, got {np.asarray(torque)} at t = {float(clock(state)):g}, "
                 f"q = {np.asarray(state.q)}, ω = {np.asarray(velocity)} in the {self.frame}: fix the law"
@@ -109,11 +110,6 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
 @partial(compiled, once=True)
 def _torque_at(body: TorquedBody, state: State) -> Vector3:
     return body.torque_at(state)
-
-
-def _velocity(body: TorquedBody, state: State) -> Vector3:
-    Omega = body.angular_velocity(state)
-    return so3.Ad(state.q, Omega) if body.frame == "space" else Omega
 
 
 def torqued_body(inertia: ArrayLike, torque: Any, frame: Literal["body", "space"] | None = None) -> TorquedBody:

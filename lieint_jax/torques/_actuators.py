@@ -83,21 +83,13 @@ def control_torque(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> A
 
 @pytree
 class WheelMotor:
-    """Motors of wheels that carry out a control law. Made by `wheel_motor`.
-
-    Attributes:
-        control: laws that give the torque.
-        axes: of the wheels, (m, 3).
-        allocation: from a torque to those of the wheels, (m, 3).
-        window: the times from and to which they act, or None.
-        gyroscopic: whether Ω × h of the wheels is canceled.
-    """
+    """Motors of wheels that carry out a control law. Made by `wheel_motor`."""
 
     control: tuple[Law, ...]
-    axes: Array
-    allocation: Array
-    window: tuple[Array, Array] | None = None
-    gyroscopic: bool = static(default=False)
+    axes: Array  # of the wheels, (m, 3)
+    allocation: Array  # from a torque to those of the wheels, (m, 3)
+    window: tuple[Array, Array] | None = None  # the times from and to which they act
+    gyroscopic: bool = static(default=False)  # whether Ω × h of the wheels is canceled
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
         """The torques dh_j/dt on the wheels, (m,)."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 from jax import Array
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import named, not_negative
@@ -16,17 +15,15 @@ from lieint_jax.types.vectors import dot
 __all__ = ["PDQuaternion", "PDTrace", "pd_quaternion", "pd_trace"]
 
 
-def _attitude(target: ArrayLike) -> Array:
-    return so3.normalize(_checks.unit_quaternion("target", target))
-
-
 @pytree
 class _ProportionalDerivative(Law):
     """A potential of the attitude and damping, which alone does work."""
 
     gain: Array = argument(converter=named(not_negative, "gain"))
     damping: Array = argument(converter=named(not_negative, "damping"))
-    target: Array = argument(converter=_attitude, default=(1.0, 0.0, 0.0, 0.0))
+    target: Array = argument(
+        converter=lambda q: so3.normalize(_checks.unit_quaternion("target", q)), default=(1.0, 0.0, 0.0, 0.0)
+    )
 
     def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """−Δt c|Ω̄|²."""

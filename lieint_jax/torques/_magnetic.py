@@ -12,14 +12,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import named, not_negative, positive
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import (
-    VectorOfTime,
-    cut,
-    dissipative_tensor,
-    tensor_of,
-    value_at,
-    vector_of_time,
-)
+from lieint_jax.torques._arguments import VectorOfTime, cut, dissipative_tensor, tensor_of, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, mean_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
@@ -37,10 +30,7 @@ class BDot(Law):
     gain: Array
     field: VectorOfTime
     frame = "space"
-
-    @property
-    def label(self) -> str:
-        return "bdot"
+    label = "bdot"  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """k b × (b × ω̄)."""
@@ -55,10 +45,7 @@ class LimitedBDot(Law):
     gain: Array
     field: VectorOfTime
     max_dipole: Array
-
-    @property
-    def label(self) -> str:
-        return "bdot"
+    label = "bdot"  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """m × B, in the field at the middle of the step and the attitude half-way."""

@@ -20,31 +20,20 @@ __all__ = ["Pointing", "SlidingMode", "Target", "pointing", "sliding_mode"]
 
 
 class _Error(NamedTuple):
-    """The difference of a body from its target.
-
-    Attributes:
-        scalar, vector: of the quaternion of the error with a scalar part ≥ 0: the short way.
-        velocity: Ω_e = Ω − Ω_t, in the body, (3,).
-        acceleration: the rate of Ω_t in the body, (3,).
-    """
+    """The difference of a body from its target, by a quaternion with a scalar part ≥ 0: the short way."""
 
     scalar: Array
     vector: Array
-    velocity: Array
-    acceleration: Array
+    velocity: Array  # Ω_e = Ω − Ω_t, in the body, (3,)
+    acceleration: Array  # the rate of Ω_t in the body, (3,)
 
 
 @pytree
 class Target:
-    """An attitude to point to: a frame, and the attitude of the body in it.
+    """An attitude to point to: a frame, and the attitude of the body in it."""
 
-    Attributes:
-        frame: a unit quaternion, or t ↦ one, perhaps with a method `angular_velocity(t)` in the axes of the frame.
-        offset: the attitude of the body in the frame, a unit quaternion.
-    """
-
-    frame: Any
-    offset: Array
+    frame: Any  # a unit quaternion, or t ↦ one, perhaps with a method `angular_velocity(t)` in the axes of the frame
+    offset: Array  # the attitude of the body in the frame, a unit quaternion
 
     def error(self, t: Array, q: Array, Omega: Array, accelerates: bool = True) -> _Error:
         """How a body at q with Ω differs from the target at time t; its acceleration is 0 if it is not asked for."""

@@ -152,10 +152,7 @@ class AnyPotential(DirectionalPotential):
 
     function: Callable[..., Array]
     direction: VectorOfTime
-
-    @property
-    def label(self) -> str:
-        return "potential"
+    label = "potential"  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
     def axis(self, t: Array) -> Array:
         """γ(t)."""

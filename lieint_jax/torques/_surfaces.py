@@ -11,10 +11,10 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete, not_negative, positive
+from lieint_jax._checks import concrete, named, not_negative, positive
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
 from lieint_jax.torques._body_axes import middle_axes
-from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, vector
 
@@ -32,34 +32,6 @@ __all__ = [
 
 @pytree
 class SolarPlate(Law):
-    """The torque of sunlight on a flat plate, in the body. Made by `solar_plate`."""
-
-    force: Array
-    normal: Array
-    arm: Array
-    sun: VectorOfTime
-    specular: Array
-    diffuse: Array
-
-    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        """r × F(Λᵀs)."""
-        s = middle_axes(rotation, direction_at(self.sun, rotation.t))
-        cosine = dot(self.normal, s)
-        lit = self.force * jnp.abs(cosine)  # either side may face the Sun
-        outward = 2 * (self.specular * cosine + jnp.sign(cosine) * self.diffuse / 3)
-        push = -lit * (1 - self.specular) * s - lit * outward * self.normal
-        return jnp.stack(cross(self.arm, push)), inner
-
-
-def solar_plate(
-    force: ArrayLike,
-    normal: ArrayLike,
-    arm: ArrayLike,
-    sun: Any,
-    *,
-    specular: ArrayLike = 0.0,
-    diffuse: ArrayLike = 0.0,
-) -> SolarPlate:
     """The pressure of sunlight on a flat plate, both sides of which reflect alike: T = r × F with
 
         F = −f|cos ϑ| [(1 − ρ_s)s + 2(ρ_s cos ϑ ± ρ_d/3)n],    cos ϑ = n·s,
@@ -78,30 +50,35 @@ def solar_plate(
 
     Source: McInnes 1999, Solar Sailing, chapter 2 (the optical model of a plate, without thermal emission).
     """
-    parts = [not_negative(name, x) for name, x in (("specular", specular), ("diffuse", diffuse))]
-    _check_parts(*parts)
-    return SolarPlate(
-        not_negative("force", force),
-        _checks.unit_vector("normal", normal),
-        _checks.real_array("arm", arm, (3,)),
-        direction_of_time("sun", sun),
-        *parts,
-    )
+
+    force: Array = argument(converter=named(not_negative, "force"))
+    normal: Array = argument(converter=named(_checks.unit_vector, "normal"))
+    arm: Array = argument(converter=named(_checks.real_array, "arm", (3,)))
+    sun: VectorOfTime = argument(converter=named(direction_of_time, "sun"))
+    specular: Array = argument(converter=named(not_negative, "specular"), default=0.0, kw_only=True)
+    diffuse: Array = argument(converter=named(not_negative, "diffuse"), default=0.0, kw_only=True)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if more light is reflected than arrives."""
+        _check_parts(self.specular, self.diffuse)
+
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
+        """r × F(Λᵀs)."""
+        s = middle_axes(rotation, direction_at(self.sun, rotation.t))
+        cosine = dot(self.normal, s)
+        lit = self.force * jnp.abs(cosine)  # either side may face the Sun
+        outward = 2 * (self.specular * cosine + jnp.sign(cosine) * self.diffuse / 3)
+        push = -lit * (1 - self.specular) * s - lit * outward * self.normal
+        return jnp.stack(cross(self.arm, push)), inner
 
 
 @pytree
 class Plates:
-    """One-sided flat plates on the surface of a body; what is common to sunlight and air.
+    """One-sided flat plates on the surface of a body; what is common to sunlight and air."""
 
-    Attributes:
-        sizes: of the plates, (m,): areas, or forces at normal incidence.
-        normals: outward unit vectors in the body, (m, 3).
-        arms: from the body's center of mass to the centers of the plates, (m, 3).
-    """
-
-    sizes: Array
-    normals: Array
-    arms: Array
+    sizes: Array  # of the plates, (m,): areas, or forces at normal incidence
+    normals: Array  # outward unit vectors in the body, (m, 3)
+    arms: Array  # from the body's center of mass to the centers of the plates, (m, 3)
 
     @property
     def normal(self) -> Vector:
@@ -254,3 +231,6 @@ def box_plates(sizes: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[A
 def _check_parts(specular: Array, diffuse: Array) -> None:
     if concrete(specular, diffuse) and np.max(np.asarray(specular) + np.asarray(diffuse)) > 1:
         raise ValueError(f"specular + diffuse must be at most 1, got {np.asarray(specular)} + {np.asarray(diffuse)}")
+
+
+solar_plate = SolarPlate

@@ -107,7 +107,8 @@ class Wheels(Law):
         """
         if self.motor is None:
             return jnp.zeros_like(h), h
-        torque = self._limit_torque(self.motor(rotation.t, rotation.q_mid, rotation.Omega, (h + end) / 2))
+        torque = jnp.asarray(self.motor(rotation.t, rotation.q_mid, rotation.Omega, (h + end) / 2))
+        torque = torque if self.max_torque is None else cut(torque, self.max_torque)
         after = h + rotation.dt * torque
         if self.max_momentum is None:
             return torque, after
@@ -116,10 +117,6 @@ class Wheels(Law):
         blocked = (jnp.abs(h) >= self.max_momentum) & (h * torque > 0)
         at_once = jnp.where(blocked, 0, torque)
         return jnp.where(moves, (after - h) / jnp.where(moves, rotation.dt, 1), at_once), after
-
-    def _limit_torque(self, torque: Array) -> Array:
-        torque = jnp.asarray(torque)
-        return torque if self.max_torque is None else cut(torque, self.max_torque)
 
 
 def wheels(

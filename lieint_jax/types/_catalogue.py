@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol, TypeVar
 
+__all__ = ["Catalogue"]
+
 
 class Entry(Protocol):
     """The declared properties of one scheme or system."""

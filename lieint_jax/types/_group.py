@@ -20,6 +20,8 @@ from lieint_jax.types.shapes import (
     Unrolled,
 )
 
+__all__ = ["AnalyticGroup", "Group", "PhaseSpace"]
+
 
 class Group(Protocol):
     """The functions that every group has; a group is a module such as `groups.so3`, or an object.

@@ -9,6 +9,8 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
+__all__ = ["ChainLaw", "PairLaw", "pair_forces"]
+
 Action = tuple[Array, Array, Array]  # the force on the second body, and the torques on both, each (3,), in space
 
 

@@ -14,6 +14,8 @@ from lieint_jax._checks import closed_form
 from lieint_jax.types.shapes import Matrix3, PyTree, Scalar, Time, Vector3
 from lieint_jax.types.vectors import Symmetric
 
+__all__ = ["PotentialWithGradient", "StoredEnergy", "autodiff_gradient", "check_gradient", "gradient"]
+
 
 class PotentialWithGradient(abc.ABC):
     """A potential Ṽ(Γ) or Ṽ(Γ, t) of tops with its gradient in closed form, which costs far less than autodiff."""
@@ -41,10 +43,7 @@ def check_gradient(potential: Callable[..., Array], dtype: DTypeLike, driven: bo
         return [jnp.array([0.48, -0.6, 0.64], dtype), *[jnp.zeros((), dtype)] * driven]
 
     closed_form(
-        potential,
-        "gradient",
-        lambda: potential.gradient(*arguments()),
-        lambda: jax.grad(potential)(*arguments()),
+        potential, "gradient", lambda: potential.gradient(*arguments()), lambda: jax.grad(potential)(*arguments())
     )
 
 

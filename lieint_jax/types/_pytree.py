@@ -11,6 +11,8 @@ import numpy as np
 
 from lieint_jax._checks import name_of
 
+__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static"]
+
 _T = TypeVar("_T")
 
 
@@ -57,10 +59,12 @@ def pytree(cls: type[_T]) -> type[_T]:
 
 
 def _convert(made: Any) -> None:
-    """Convert the fields of a new object that have a converter."""
+    """Convert the fields of a new object that have a converter; a method `check_fields` may then compare them."""
     for x in dataclasses.fields(made):
         if "converter" in x.metadata:
             object.__setattr__(made, x.name, x.metadata["converter"](getattr(made, x.name)))
+    if hasattr(made, "check_fields"):
+        made.check_fields()
 
 
 def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -7,13 +7,16 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
+from jax.typing import ArrayLike
 
 from lieint_jax._deprecated import warn_of_removal
 from lieint_jax.types import labeled
 from lieint_jax.types.members import Axis, map_over_run
 from lieint_jax.types.record import record
 from lieint_jax.types.shapes import Flag, PyTree, Scalar, Time
+
+__all__ = ["State", "StepInfo", "Trajectory", "all_finite", "clock", "counts_work", "periods_of"]
 
 
 @record
@@ -63,6 +66,12 @@ class StepInfo(NamedTuple):
     def merge(self, other: StepInfo) -> StepInfo:
         """The report of both: the larger residual, and whether both converged."""
         return StepInfo(jnp.maximum(self.residual, other.residual), self.converged & other.converged)
+
+    @classmethod
+    def of_root(cls, error: Array, good: Array, size: ArrayLike = 1) -> StepInfo:
+        """The report of a root: converged if it is `good`, and its error is round-off of terms of that size, 32ε."""
+        error = lax.stop_gradient(error)
+        return cls(error, (error <= 32 * jnp.finfo(error.dtype).eps * lax.stop_gradient(size)) & good)
 
     @classmethod
     def empty(cls, like: Array) -> StepInfo:

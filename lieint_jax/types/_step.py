@@ -18,12 +18,15 @@ from lieint_jax._checks import at_once, concrete, name_of, real_array, snake_cas
 from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
 from lieint_jax.native import scan
+from lieint_jax.types._group import PhaseSpace
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
-from lieint_jax.types._tangents import push_forward
-from lieint_jax.types.shapes import Flag, PyTree, Time
+from lieint_jax.types.shapes import Flag, PhaseVector, PyTree, TangentVectors, Time
+
+__all__ = ["Step", "StepError", "checked_step", "converges", "promoted", "push_forward", "start_time"]
 
 _T = TypeVar("_T")
+_Aux = TypeVar("_Aux")
 _SMALLER = 6  # step sizes, each a quarter of the one before, until advice to use a smaller one is given up
 _HOOKS = {"__call__": "advance", "prepare": "with_constants", "tangent": "advance_tangents"}  # by final method
 
@@ -47,6 +50,7 @@ class Step:
         reuses: whether the end of a step computes what the next one begins with, so that a run computes it once.
         approximate: whether fewer iterations are set than convergence requires: a run reports the residual and
             continues.
+        commuting: whether steps of different sizes commute, so that compositions need fewer stages (`schemes.compose`).
         velocity_weight: α of the momentum at n+α from which the step computes Θ, for `diagnostics.conditions`.
     """
 
@@ -56,6 +60,7 @@ class Step:
     own_time: bool = False
     reuses: bool = False
     approximate: bool = False
+    commuting: bool = False
     velocity_weight: ArrayLike = 0.5
 
     def __init_subclass__(cls, **options: object) -> None:
@@ -152,11 +157,6 @@ class Step:
     def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         """`advance`, and LT, for a scheme with L in closed form; by default by forward mode through the step."""
         return push_forward(self.system.phase_space, lambda z: self(z, dt), state, T)
-
-    @property
-    def commuting(self) -> bool:
-        """Whether steps of different sizes commute, so that compositions need fewer stages (`schemes.compose`)."""
-        return False
 
     @property
     def prepares(self) -> bool:
@@ -301,6 +301,34 @@ def _rate_and_slopes(system: System, state: State) -> tuple[State, tuple[PyTree,
 
     slopes = jax.jacfwd(lambda *z: (rate(*z).q, rate(*z).p), argnums=(0, 1))(state.q, state.p)
     return rate(state.q, state.p), ([x[0] for x in slopes], [x[1] for x in slopes])
+
+
+def push_forward(
+    space: PhaseSpace, function: Callable[[State], tuple[State, _Aux]], state: State, T: TangentVectors
+) -> tuple[State, _Aux, TangentVectors]:
+    """end, aux = function(state), and the images LT of tangent vectors, columns of T, under the derivative of end.
+
+    Time, work and extra are held fixed.
+    """
+
+    def push(delta: Array) -> tuple[Array, State, _Aux]:
+        start = state.q, state.p
+        along = jax.tree.map(lambda x, slope: slope.astype(x.dtype), start, _tangent_vector(space, state, delta))
+        end, tangent, aux = jax.jvp(lambda q, p: function(state._replace(q=q, p=p)), start, along, has_aux=True)
+        return space.trivialize(end, tangent), end, aux
+
+    LT, *values = jax.vmap(push, -1, -1)(T)
+    end, aux = jax.tree.map(lambda x: x[..., 0], values)  # the same for all vectors, and so computed once
+    return end, aux, LT
+
+
+def _tangent_vector(space: PhaseSpace, state: State, delta: PhaseVector) -> tuple[Array, Array]:
+    """(δq, δp), the inverse of `trivialize`; a space may have it as `tangent`, faster than the derivative here."""
+    own = getattr(space, "tangent", None)
+    if own is not None:
+        return own(state, delta)
+    tangent = jax.jvp(lambda x: space.perturb(state, x), (jnp.zeros_like(delta),), (delta,))[1]
+    return tangent.q, tangent.p
 
 
 def checked_step(step: object) -> Step:

@@ -14,6 +14,8 @@ from lieint_jax.types._group import PhaseSpace
 from lieint_jax.types._state import State, counted_work
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
+__all__ = ["System", "energy_less_work", "time_derivative"]
+
 
 class System(abc.ABC):
     """A system: the functions that every scheme and every diagnostic may call.

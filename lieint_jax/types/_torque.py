@@ -16,6 +16,8 @@ from lieint_jax._deprecated import old_calls
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types.shapes import PyTree
 
+__all__ = ["Function", "Law", "Rotation", "Total", "as_law", "instant", "labels", "laws_of", "parts", "total"]
+
 
 class Rotation(NamedTuple):
     """The rotation of a body in one step, the argument of a law of torque. With dt = 0 it is one instant.

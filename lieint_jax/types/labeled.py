@@ -146,17 +146,13 @@ def _invariants(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]
     methods["momentum_map"] = "momentum"
     if hasattr(system, "angular_velocity"):
         methods["angular_velocity"] = "angular_velocity"
-    measured = {name: _series(run, system, method, system_axis) for name, method in methods.items()}
-    return {name: x for name, x in measured.items() if x.size}
 
-
-def _series(run: Run, system: PyTree, method: str, system_axis: Axis) -> Array:
-    """The values of a method of the system along the run."""
-
-    def values(state: PyTree) -> Array:
+    def values(state: PyTree, method: str) -> Array:
         return map_over_run(lambda own, z: getattr(own, method)(z), system, run._replace(state=state), system_axis)
 
-    return jax.jit(values)(jax.tree.map(jnp.asarray, run.state))
+    states, along = jax.tree.map(jnp.asarray, run.state), jax.jit(values, static_argnums=1)
+    measured = {name: along(states, method) for name, method in methods.items()}
+    return {name: x for name, x in measured.items() if x.size}
 
 
 def _package(name: str) -> Any:

@@ -104,7 +104,8 @@ def member_axis(
         return None
     shared, own = _fits(system, one), _fits(jax.tree.map(lambda x: x[0], system), one)
     if given is None and own and not shared:
-        raise ValueError(f"there is one system per member ({told}): give {_words(name)}")
+        words = "own_step=True, or step_axis=0 to ensemble.run" if name == "step_axis" else f"{name}=0"
+        raise ValueError(f"there is one system per member ({told}): give {words}")
     if given == "auto" and own and shared:
         return "values"
     return 0 if own and not shared else None
@@ -117,10 +118,6 @@ def _has_tensors(system: PyTree) -> Array:
     symmetric = [jnp.allclose(x, x.T, rtol=1e-6, atol=1e-6 * jnp.abs(x).max()) for x in square]
     positive = [jnp.isfinite(jnp.linalg.cholesky(x)).all() for x in square]
     return jnp.asarray([*symmetric, *positive], bool).all()
-
-
-def _words(name: str) -> str:
-    return "own_step=True, or step_axis=0 to ensemble.run" if name == "step_axis" else f"{name}=0"
 
 
 def _check_single(system: PyTree, states: PyTree, given: Axis) -> None:

@@ -249,15 +249,10 @@ class Matrix(_Space):
         return Symmetric(dot(columns[i], columns[j]) for i, j in PAIRS)
 
 
-def _register(kind: type[_Space]) -> None:
-    def rebuilt(_: None, entries: Iterable[Scalar]) -> _Space:
-        return tuple.__new__(kind, entries)
-
-    jax.tree_util.register_pytree_node(kind, lambda v: (tuple(v), None), rebuilt)
-
-
 for _kind in (Vector, Symmetric, Matrix):
-    _register(_kind)
+    jax.tree_util.register_pytree_node(
+        _kind, lambda v: (tuple(v), None), lambda _, entries, kind=_kind: tuple.__new__(kind, entries)
+    )
 
 
 def components(v: Array) -> tuple[Array, ...]:

@@ -10,8 +10,8 @@ import lieint_jax
 PACKAGE = Path(lieint_jax.__file__).parent
 SOLVERS = {"root": 3, "chords": 3, "implicit_root": 2, "iterate_until_stalled": 2}  # and the number of their results
 ROOTS = {
-    "schemes/_shared/scalar_form.py:scalar_root": "every caller judges the residual of h, of which m is a part",
-    "schemes/_shared/scalar_form.py:solve_scalar": "no iteration: it gives h its derivative; F is returned",
+    "schemes/_shared/half_rotation.py:scalar_root": "every caller judges the residual of h, of which m is a part",
+    "schemes/_shared/half_rotation.py:solve_scalar": "no iteration: it gives h its derivative; F is returned",
 }
 LOOPS = {
     "_free_body.py:momentum_of_ratio": "bisection halves an interval, always",

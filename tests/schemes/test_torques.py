@@ -24,7 +24,7 @@ from lieint_jax.systems import damped_body, torqued_body
 from lieint_jax.types import StepInfo
 from lieint_jax.types.vectors import Vector
 
-EQUATION = _discover.modules_with("examples", schemes)["torqued_midpoint"]._Equation
+EQUATION = _discover.modules_with("examples", schemes)["torqued_midpoint"].TorqueEquation
 
 J = np.array([1.0, 2.0, 2.7])
 FULL = turned(J)

@@ -21,8 +21,11 @@ from lieint_jax.runs.store._leaves import store_name
 from lieint_jax.types import Partitioned, Step, callable_pytree
 
 _PACKAGE = __name__.partition(".")[0]
+_DRIFTS = f"{_PACKAGE}.schemes._shared.default_drift"
 _MOVED = {  # since 0.3.0
     f"{_PACKAGE}.torques._older.OlderLaw": f"{_PACKAGE}.systems._shared.older_laws.OlderLaw",
+    f"{_PACKAGE}.schemes._shared.bi_invariant.OneParameterSubgroup": f"{_DRIFTS}.OneParameterSubgroup",
+    f"{_PACKAGE}.schemes._shared.se3_free_body.FreeMotion": f"{_DRIFTS}.FreeMotion",
     "jax.numpy.ones_like": f"{_PACKAGE}.maps._cayley",
 }
 _RENAMED = {  # since version 0.2 or 0.3.0

@@ -18,12 +18,7 @@ from lieint_jax.types.shapes import Inertia
 
 @pytree
 class FreeFlight(Step):
-    """The drift of a splitting: free rigid bodies, each rotated by a step of one body.
-
-    Attributes:
-        system: free rigid bodies.
-        turn: a step of one free rigid body, which is applied with the inertia of each.
-    """
+    """The drift of a splitting: free rigid bodies, each rotated by `turn`, a step of one body, with its own inertia."""
 
     system: AbstractFreeBodies
     turn: Step
@@ -42,7 +37,7 @@ class FreeFlight(Step):
         return self.turn.symmetric
 
     @property
-    def commuting(self) -> bool:
+    def commuting(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.turn.commuting
 
     @property
@@ -50,21 +45,16 @@ class FreeFlight(Step):
         return "free_flight" if self.commuting else f"free_flight[{self.turn.name}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        attitudes, info = self._rotate_all(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
-        x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
-        together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))
-        return state._replace(q=jnp.concatenate([x, attitudes], axis=1)), together
-
-    def _rotate_all(self, inertias: Array, states: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
-        """The quaternions (N, 4) after a time, and the reports."""
-
         def rotate_body(J: Inertia, body: State) -> tuple[Array, StepInfo]:
             step: Any = self.turn
             own: Any = dataclasses.replace(step, system=dataclasses.replace(step.system, inertia=J))
             end, info = own.substep(body, dt)
             return end.q, info
 
-        return jax.vmap(rotate_body)(inertias, states)
+        attitudes, info = jax.vmap(rotate_body)(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]))
+        x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
+        together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))
+        return state._replace(q=jnp.concatenate([x, attitudes], axis=1)), together
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

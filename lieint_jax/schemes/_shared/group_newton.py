@@ -18,11 +18,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.capabilities import (
-    AbstractMechanicalSystem,
-    AbstractMetricSystem,
-    AbstractRightGeodesicFlow,
-)
+from lieint_jax.capabilities import AbstractMechanicalSystem, AbstractMetricSystem, AbstractRightGeodesicFlow
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
 from lieint_jax.types.shapes import AlgebraVector
@@ -30,27 +26,16 @@ from lieint_jax.types.vectors import Matrix, components
 
 
 class Equation(NamedTuple):
-    """The equation m Θ = known + ½Δt Π_{n+1} of one step by a map τ on a group.
-
-    Attributes:
-        group: the group G.
-        tau: the map τ.
-        m: the metric as a matrix.
-        state: where the step starts.
-        half: ½Δt.
-        a: ½Δt Π_n; −½Δt π_n for a right-invariant metric, whose equation is that of the inverse of q.
-        known: the part of the equation that is known in advance; a, except for `group_alpha`.
-        carried: ½Δt Ad*_q π, which on groups that are not compact can lose its digits.
-    """
+    """The equation m Θ = known + ½Δt Π_{n+1} of one step by a map τ on a group."""
 
     group: Group
     tau: Tau
-    m: la.Matrix
-    state: State
-    half: Array
-    a: la.Vector
-    known: la.Vector
-    carried: la.Vector
+    m: la.Matrix  # the metric
+    state: State  # where the step starts
+    half: Array  # ½Δt
+    a: la.Vector  # ½Δt Π_n; −½Δt π_n for a right-invariant metric, whose equation is that of the inverse of q
+    known: la.Vector  # a, except for `group_alpha`
+    carried: la.Vector  # ½Δt Ad*_q π, which on groups that are not compact can lose its digits
 
     @classmethod
     def from_state(cls, system: AbstractMetricSystem, tau: Tau, state: State, half: Array) -> Equation:
@@ -100,7 +85,7 @@ class Equation(NamedTuple):
         good = good & self._digits_left()
         Theta = la.as_array(theta, self.state.p)
         good = good & self.tau.holds(self.group, Theta) if self.tau.holds else good
-        return theta, Theta, newton.report(size(F), good)
+        return theta, Theta, StepInfo.of_root(size(F), good)
 
     def coadjoint(self, theta: la.Vector, mu: la.Vector) -> la.Vector:
         """Ad*_τ(Θ) μ."""

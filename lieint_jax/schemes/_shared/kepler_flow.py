@@ -47,4 +47,4 @@ def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, A
     r = r0 * G0 + eta * G1 + mu * G2
     moved = -mu * G2 / r0 * d + (dt - mu * G3) * v
     faster = -mu * G1 / (r0 * r) * d - mu * G2 / r * v
-    return moved, faster, newton.report(jnp.abs(F / where(dt == 0, 1, dt)), steady & (r > 0))
+    return moved, faster, StepInfo.of_root(jnp.abs(F / where(dt == 0, 1, dt)), steady & (r > 0))

@@ -52,27 +52,17 @@ class Coordinates(NamedTuple):
 
 
 class Quadratures(NamedTuple):
-    """Quantities that are integrated along the coordinates.
+    """Quantities that are integrated along the coordinates."""
 
-    Attributes:
-        momenta: the components of the state's own momenta, π̇ or (ṗ, π̇).
-        work: the work of a driven system, if it is tracked; otherwise None.
-    """
-
-    momenta: Components
-    work: Array | None
+    momenta: Components  # of the state itself: π, or (p, π)
+    work: Array | None  # of a driven system, if it is tracked
 
 
 class Increments(NamedTuple):
-    """The increments of a step, or rates.
-
-    Attributes:
-        z: the increments of the coordinates.
-        quadratures: those of the quantities integrated along them; None in a chart without any.
-    """
+    """The increments of a step, or rates."""
 
     z: Coordinates
-    quadratures: Quadratures | None
+    quadratures: Quadratures | None  # of the quantities integrated along the coordinates; None in a chart without any
 
 
 Moment = Array | None  # a time, or None of a state without one
@@ -82,19 +72,12 @@ class CanonicalChart(Chart):
     """Coordinates of a flat space in which the system is Hamiltonian, and quadratic invariants stay quadratic."""
 
     @abc.abstractmethod
-    def coordinates(self, state: State) -> Coordinates:
-        """The coordinates of a state."""
-
-    @abc.abstractmethod
     def configuration(self, z: Coordinates) -> Array:
         """The configuration of coordinates, with quaternions of unit length."""
 
     @abc.abstractmethod
     def force(self, system: Any) -> Callable[[Coordinates, Moment], Components] | None:
         """(z, t) ↦ the components of the rates of the state's momenta; None where the coordinates contain these."""
-
-    def unknowns(self, system: Any, state: State) -> Coordinates:
-        return self.coordinates(state)
 
     def stage_times(self, system: Any, state: State, passed: Array) -> Moment:
         """The times, (n,), of a state that has one."""
@@ -118,18 +101,12 @@ class CanonicalChart(Chart):
 
     def apply(self, system: Any, state: State, z: Coordinates, delta: Increments) -> State:
         """`state`, whose unknowns are z, after these increments."""
-        q = self.configuration(jax.tree.map(jnp.add, self.coordinates(state), delta.z))
-        end = state._replace(q=q, p=state.p + _momentum(state, delta))
-        done = delta.quadratures
-        if done is None or done.work is None or state.work is None:
-            return end
-        return end._replace(work=state.work + done.work)
-
-
-def _momentum(state: State, delta: Increments) -> Array:
-    """The increments of the momenta, in the shape of a state's."""
-    components = delta.z.p if delta.quadratures is None else delta.quadratures.momenta
-    return jnp.stack(components, axis=-1).reshape(state.p.shape)
+        before, done = self.unknowns(system, state), delta.quadratures  # z: but XLA rounds its sum with delta otherwise
+        q = self.configuration(jax.tree.map(jnp.add, before, delta.z))
+        p = state.p + jnp.stack(delta.z.p if done is None else done.momenta, axis=-1).reshape(state.p.shape)
+        work = None if done is None else done.work
+        work = state.work if work is None or state.work is None else state.work + work
+        return state._replace(q=q, p=p, work=work)
 
 
 class OneBody(CanonicalChart):
@@ -139,7 +116,7 @@ class OneBody(CanonicalChart):
         space = system.phase_space
         return isinstance(space, CotangentGroup) and space.group is so3
 
-    def coordinates(self, state: State) -> Coordinates:
+    def unknowns(self, system: Any, state: State) -> Coordinates:
         q = _components(state.q)
         return Coordinates(q, _from_left(2 * vector(state.p), q))
 
@@ -167,7 +144,8 @@ class OneBody(CanonicalChart):
             if not _is_forced(system):
                 return Vector((jnp.zeros_like(z.q[0]),) * 3)
             if _has_axis(system):
-                return _torque(system, z.q, t)
+                axis, slope = _axis_and_gradient(system, z.q, t)
+                return cross(axis, _times_conjugate(slope, z.q))
             q = self.configuration(z)
             at = (q,) if t is None or isinstance(system, AbstractForcedSystem) else (q, t)
             return vector(system.force(*at))
@@ -188,7 +166,7 @@ class ManyBodies(CanonicalChart):
     def supports(self, system: System) -> bool:
         return isinstance(system.phase_space, CotangentMotions)
 
-    def coordinates(self, state: State) -> Coordinates:
+    def unknowns(self, system: Any, state: State) -> Coordinates:
         q, p = _components(state.q), _components(state.p)
         return Coordinates(q, (*p[:3], *_from_left(2 * Vector(p[3:]), q[3:])))
 
@@ -220,7 +198,7 @@ class ManyBodies(CanonicalChart):
                 return (jnp.zeros_like(z.q[0]),) * 6
             q = z.q[3:]
             force, torque = _forces(system, Vector(z.q[:3]), _unit(q))
-            return (*force, *_rotate(q, torque))
+            return (*force, *(_inverse_square(q) * _times_conjugate(quat_times_vec(q, torque), q)))
 
         return pull_and_torque
 
@@ -231,7 +209,7 @@ class Matrices(CanonicalChart):
     def supports(self, system: System) -> bool:
         return isinstance(system.phase_space, CotangentMatrices)
 
-    def coordinates(self, state: State) -> Coordinates:
+    def unknowns(self, system: Any, state: State) -> Coordinates:
         return Coordinates(tuple(state.q.ravel()), tuple(state.p.ravel()))
 
     def configuration(self, z: Coordinates) -> Array:
@@ -240,7 +218,7 @@ class Matrices(CanonicalChart):
 
     def rate(self, system: Any) -> Callable[[Coordinates, Moment], Coordinates]:
         """The vector field."""
-        return lambda z, _: self.coordinates(system.vector_field(State(_matrix(z.q), _matrix(z.p))))
+        return lambda z, _: self.unknowns(system, system.vector_field(State(_matrix(z.q), _matrix(z.p))))
 
     def force(self, system: Any) -> None:
         """None: P is a coordinate."""
@@ -275,31 +253,15 @@ def _unit(q: Components) -> Components:
 
 
 def _rotation_rates(rotor: Array | None, inverse: Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
-    """½qΩ and ½pΩ."""
-    half = _half_rate(rotor, inverse, q, p)
-    return quat_times_vec(q, half), quat_times_vec(p, half)
-
-
-def _half_rate(rotor: Array | None, inverse: Symmetric, q: Components, p: Components) -> Vector:
-    """½Ω, of the momentum Π = ½ Im(q̄p)."""
+    """½qΩ and ½pΩ, with Ω of the momentum Π = ½ Im(q̄p)."""
     (w, v), (first, rest) = scalar_and_vector(q), scalar_and_vector(p)
     Pi = 0.5 * (w * rest - first * v - cross(v, rest))
-    return 0.5 * (inverse @ (Pi if rotor is None else Pi - rotor))
-
-
-def _rotate(q: Components, u: Vector) -> Vector:
-    """q(0, u)q̄/|q|²."""
-    return _inverse_square(q) * _times_conjugate(quat_times_vec(q, u), q)
+    half = 0.5 * (inverse @ (Pi if rotor is None else Pi - rotor))
+    return quat_times_vec(q, half), quat_times_vec(p, half)
 
 
 def _has_axis(system: Any) -> bool:
     return isinstance(system, AbstractTop | AbstractDrivenTop) and system.axis is not None
-
-
-def _torque(system: Any, q: Components, t: Any) -> Vector:
-    """The torque in space, γ × q∇Ṽq̄."""
-    axis, slope = _axis_and_gradient(system, q, t)
-    return cross(axis, _times_conjugate(slope, q))
 
 
 def _axis_and_gradient(system: Any, q: Components, t: Any) -> tuple[Vector, Components]:

@@ -16,8 +16,7 @@ from lieint_jax._free_body import Periods
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractRotatingBody
 from lieint_jax.groups import so3
-from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.systems._shared.time_and_work import check_timed, timed
+from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.types import State, vectors
 from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Vector3
 
@@ -171,10 +170,7 @@ class TimedBody(Body):
             ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is not a rotation.
         """
         start = super().state(
-            attitude,
-            angular_velocity=angular_velocity,
-            body_momentum=body_momentum,
-            spatial_momentum=spatial_momentum,
+            attitude, angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
         )
         return timed(start, t, work)
 

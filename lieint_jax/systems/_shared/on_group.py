@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics.metric import flat
+from lieint_jax._numerics.small_linalg import flat
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractMetricSystem
 from lieint_jax.groups import so3

@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._checks import named, positive
 from lieint_jax._numerics import power_series
-from lieint_jax.types import StoredEnergy, autodiff_gradient, callable_pytree, pytree, static, vectors
+from lieint_jax.types import StoredEnergy, argument, autodiff_gradient, callable_pytree, pytree, static, vectors
 from lieint_jax.types.shapes import Matrix3, Scalar
 from lieint_jax.types.vectors import Symmetric
 
@@ -61,10 +61,18 @@ class _VolumeAndTrace(StoredEnergy):
 
 @pytree
 class MooneyRivlin(_VolumeAndTrace):
-    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), the material of the paper's Figures 3 to 5."""
+    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), I₁ = tr C, I₃ = det C: that of the paper's Figures 3–5.
 
-    lam: Array
-    mu: Array
+    Args:
+        lam: λ > 0, resistance to a change of volume; an energy.
+        mu: μ > 0, resistance to shear; an energy.
+
+    Raises:
+        ValueError: not positive or not finite.
+    """
+
+    lam: Array = argument(converter=named(positive, "lam"))
+    mu: Array = argument(converter=named(positive, "mu"))
 
     def volume_energy(self, I3: Scalar) -> Scalar:
         change = I3 - 1  # I₃ − 1 − ln I₃ is of second order in it, and λ may be large
@@ -77,10 +85,10 @@ class MooneyRivlin(_VolumeAndTrace):
 
 @pytree
 class NeoHookean(_VolumeAndTrace):
-    """W = (μ/2)(I₁ − 3 − ln I₃) + (λ/8)(ln I₃)²."""
+    """W = (μ/2)(I₁ − 3 − ln I₃) + (λ/8)(ln I₃)², the common compressible neo-Hookean material; λ, μ > 0, energies."""
 
-    lam: Array
-    mu: Array
+    lam: Array = argument(converter=named(positive, "lam"))
+    mu: Array = argument(converter=named(positive, "mu"))
 
     def volume_energy(self, I3: Scalar) -> Scalar:
         log = jnp.log(I3)
@@ -93,10 +101,13 @@ class NeoHookean(_VolumeAndTrace):
 
 @pytree
 class SaintVenantKirchhoff(StoredEnergy):
-    """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²: quadratic in C, so S̄ is the stress at the middle."""
+    """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²; λ, μ > 0, energies. It is quadratic in C: S̄ is the stress at the middle.
 
-    lam: Array
-    mu: Array
+    It stays finite where the volume vanishes, so strong compression can invert a body; steps check det F.
+    """
+
+    lam: Array = argument(converter=named(positive, "lam"))
+    mu: Array = argument(converter=named(positive, "mu"))
 
     def __call__(self, C: Matrix3) -> Scalar:
         G = plus(-1, vectors.symmetric(C))
@@ -138,30 +149,7 @@ def plus(pressure: Array | float, S: Symmetric) -> Symmetric:
     return Symmetric((*(pressure + s for s in S[:3]), *S[3:]))
 
 
-def mooney_rivlin(lam: ArrayLike, mu: ArrayLike) -> MooneyRivlin:
-    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), I₁ = tr C, I₃ = det C: that of the paper's Figures 3–5.
-
-    Args:
-        lam: λ > 0, resistance to a change of volume; an energy.
-        mu: μ > 0, resistance to shear; an energy.
-
-    Raises:
-        ValueError: not positive or not finite.
-    """
-    return MooneyRivlin(*_moduli(lam, mu))
-
-
-def neo_hookean(lam: ArrayLike, mu: ArrayLike) -> NeoHookean:
-    """W = (μ/2)(I₁ − 3 − ln I₃) + (λ/8)(ln I₃)², the common compressible neo-Hookean material; λ, μ > 0, energies."""
-    return NeoHookean(*_moduli(lam, mu))
-
-
-def saint_venant_kirchhoff(lam: ArrayLike, mu: ArrayLike) -> SaintVenantKirchhoff:
-    """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²; λ, μ > 0, energies.
-
-    It stays finite where the volume vanishes, so strong compression can invert a body; steps check det F.
-    """
-    return SaintVenantKirchhoff(*_moduli(lam, mu))
+mooney_rivlin, neo_hookean, saint_venant_kirchhoff = MooneyRivlin, NeoHookean, SaintVenantKirchhoff
 
 
 def as_stored_energy(energy: StoredEnergy | Callable[[Array], Array]) -> StoredEnergy:
@@ -190,7 +178,3 @@ def as_stored_energy(energy: StoredEnergy | Callable[[Array], Array]) -> StoredE
     made = General(callable_pytree(energy), name)
     _checks.function(f"stored_energy {name}", made, "C = FᵀF (3, 3)", (), jnp.zeros((3, 3)))
     return made
-
-
-def _moduli(lam: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
-    return _checks.positive("lam", lam), _checks.positive("mu", mu)
