@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
-from pydantic import model_validator
 
 from lieint_jax import _checks, maps
 from lieint_jax.app.scenarios._files import BodyFile, ShapeFile
@@ -44,11 +43,9 @@ class InitialState(GivenRate):
     euler_313_deg: Triple | None = None
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
 
-    @model_validator(mode="after")
-    def _check_attitude(self) -> Self:
+    def _check_attitude(self) -> None:
         if (self.quaternion is None) == (self.euler_313_deg is None):
             raise ValueError("give the attitude by exactly one of quaternion and euler_313_deg")
-        return self
 
     def attitude(self) -> Any:
         if self.euler_313_deg is not None:
@@ -88,11 +85,9 @@ class TopKind(BodyKind):
     order: Literal[2, 4, 6, 8] = 2
     """The order of accuracy; above 2 by composition."""
 
-    @model_validator(mode="after")
-    def _check_kappa(self) -> Self:
+    def _check_kappa(self) -> None:
         if self.kappa is not None and self.scheme == "splitting":
             raise ValueError("kappa is a key of top_energy_momentum; splitting uses the symplectic one")
-        return self
 
     def make_step(self) -> Step:
         return self.step_by(self.scheme, self.make_system())
@@ -167,12 +162,10 @@ class ExtendedBody(GivenRate):
 
     files: ClassVar[Mapping[str, type[Table]]] = {"shape": BodyFile}
 
-    @model_validator(mode="after")
-    def _check_body(self) -> Self:
+    def _check_body(self) -> None:
         given = [x is not None for x in (self.mass_kg, self.moments_kg_m2, self.semi_axes_m, self.density_kg_m3)]
         if given not in ([True, True, False, False], [True, False, True, False], [False, False, True, True]):
             raise ValueError("give mass_kg and moments_kg_m2, or semi_axes_m and one of density_kg_m3 and mass_kg")
-        return self
 
     def attitude(self) -> Array:
         """The unit quaternion (4,), body to space."""

@@ -10,12 +10,12 @@ from __future__ import annotations
 import textwrap
 from datetime import datetime, timedelta
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from lieint_jax import _free_body, orbits
 from lieint_jax.app.scenarios import _flyby_motion as motion
@@ -61,11 +61,9 @@ class Measured(Table):
     source: str
     """A key of the table sources."""
 
-    @model_validator(mode="after")
-    def _check_error(self) -> Self:
+    def _check_error(self) -> None:
         if (self.below is None) != (self.above is None) or (self.error is not None and self.below is not None):
             raise ValueError("give error, or both below and above, or none of them")
-        return self
 
     def sides(self) -> tuple[float, float]:
         """The errors below and above."""
@@ -106,14 +104,12 @@ class Orbit(Table):
             raise ValueError("must be a date in UTC, such as 2029-04-13T21:45:04Z")
         return value
 
-    @model_validator(mode="after")
-    def _check_perigee(self) -> Self:
+    def _check_perigee(self) -> None:
         if abs(self.gm_km3_s2 / orbits.EARTH_GM - 1) < 0.01 and self.perigee_km <= orbits.EARTH_RADIUS:
             raise ValueError(
                 f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {orbits.EARTH_RADIUS:.0f} km: "
                 "give the distance from its center"
             )
-        return self
 
     def elements(self) -> tuple[float, ...]:
         """The arguments of `orbits.kepler`, in km, h and rad, in ecliptic axes."""
@@ -166,10 +162,8 @@ class Tumbling(SpinValues):
     rotation_phase_deg: float = 0.0
     """ψ of the nominal member at the perigee, in degrees."""
 
-    @model_validator(mode="after")
-    def _check_mode(self) -> Self:
+    def _check_mode(self) -> None:
         self.check()
-        return self
 
     def check(self) -> None:
         """Raise ValueError unless the body has a mode with these periods."""
@@ -264,28 +258,22 @@ class Flyby(Kind):
     own_step = True  # every member has its own body
     no_spread: ClassVar[str] = "the members are spread by the errors in the keys of spin; they share the orbit"
 
-    @model_validator(mode="after")
-    def _check_variants(self) -> Self:
+    def _check_variants(self) -> None:
         for variant in self.variant:
             try:
                 self.spin.with_changes(variant).check()
             except ValueError as error:
                 raise ValueError(f"variant {variant.label!r}: {error}") from None
-        return self
 
-    @model_validator(mode="after")
-    def _set_mean_step(self) -> Self:
+    def _check_and_set_dt(self) -> None:
         dt = 2 * self.hours / self.steps
         if self.dt is not None and self.dt != dt:
             raise ValueError("dt is given by hours and steps: leave it out")
         self.dt = dt  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self
 
-    @model_validator(mode="after")
-    def _check_epoch(self) -> Self:
+    def _check_epoch(self) -> None:
         if self.epoch is not None:
             raise ValueError("epoch: t = 0 is the perigee, whose date is orbit.perigee_utc: leave epoch out")
-        return self
 
     def date_of_zero(self) -> datetime:
         """That of the perigee."""

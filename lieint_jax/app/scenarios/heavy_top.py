@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import model_validator
 
 from lieint_jax import measure, systems
 from lieint_jax.app import plots
@@ -38,11 +37,9 @@ class HeavyTop(TopKind):
     """The direction in space along which the potential energy grows: upwards."""
     scheme: Literal["nystrom", "top_energy_momentum", "splitting"] = "top_energy_momentum"  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
+    def _check_order(self) -> None:
         if self.scheme == "nystrom":
             check_order("nystrom", self.order)
-        return self
 
     def make_system(self) -> PotentialTop:
         return systems.heavy_top(self.inertia, self.weight, self.axis)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import measure, systems
 from lieint_jax.app import plots
@@ -41,11 +41,9 @@ class Maclaurin(Kind):
 
     no_spread: ClassVar[str] = "the members are spheroids of eccentricities at equal distances"
 
-    @model_validator(mode="after")
-    def _check_members(self) -> Self:
+    def _check_members(self) -> None:
         if (self.last_eccentricity is None) != (self.members == 1):
             raise ValueError("last_eccentricity and members > 1 go together")
-        return self
 
     def eccentricities(self) -> np.ndarray:
         """The eccentricities of all members."""

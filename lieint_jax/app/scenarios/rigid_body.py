@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import model_validator
 
 from lieint_jax import diagnostics, maps, measure, systems
 from lieint_jax.app import plots
@@ -71,15 +70,12 @@ class FreeBody(_body.BodyKind):
 
     files: ClassVar[Mapping[str, type[Table]]] = {**_body.BodyKind.files, "observation": ObservationFile}
 
-    @model_validator(mode="after")
-    def _check_scheme(self) -> Self:
+    def _check_scheme(self) -> None:
         if self.kappa is not None and self.scheme != "so3_midpoint":
             raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
         check_order(self.scheme, self.order)
-        return self
 
-    @model_validator(mode="after")
-    def _check_observations(self) -> Self:
+    def _check_observations(self) -> None:
         interval = self.dt * self.save_every
         for seen in self.observation:
             if seen.t * interval < 0:
@@ -89,7 +85,6 @@ class FreeBody(_body.BodyKind):
                 )
             if abs(seen.t / interval - round(seen.t / interval)) > 1e-6:
                 raise ValueError(f"observation.t = {seen.t} must be a multiple of dt·save_every = {interval:.9g}")
-        return self
 
     def make_system(self) -> RigidBody:
         return systems.rigid_body(self.inertia)

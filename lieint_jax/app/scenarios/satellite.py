@@ -5,12 +5,12 @@ from __future__ import annotations
 import datetime
 import itertools
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import field_validator
 
 from lieint_jax import schemes, systems, torques
 from lieint_jax.app import plots
@@ -93,8 +93,7 @@ class Satellite(BodyKind):
             raise ValueError(f'must be a day such as "2026-03-01": {error}') from error
         return value
 
-    @model_validator(mode="after")
-    def _check_equipment(self) -> Self:
+    def _check_equipment(self) -> None:
         for name in self.controls():
             if name != "pointing" and self.max_dipole is None:
                 raise ValueError(f"{name} needs torquers: give max_dipole")
@@ -104,13 +103,10 @@ class Satellite(BodyKind):
             (a, b), (c, d) = self.detumbling.window, self.unloading.window
             if a < d and c < b:
                 raise ValueError("detumbling and unloading use the same torquers: their windows must not overlap")
-        return self
 
-    @model_validator(mode="after")
-    def _check_orbit_and_wheels(self) -> Self:
+    def _check_orbit_and_wheels(self) -> None:
         self.environment()
         self._driven_inertia(jnp.asarray(inertia_matrix(self)))
-        return self
 
     def environment(self) -> equipment.Surroundings:
         """The functions of time along the orbit."""
