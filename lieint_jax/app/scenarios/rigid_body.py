@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from lieint_jax import diagnostics, maps, measure, systems
+from lieint_jax import adjoints, diagnostics, maps, measure, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._files import ObservationFile
 from lieint_jax.app.scenarios._keys import TINY, Published, Table, Text
-from lieint_jax.app.scenarios._kind import check_order, picture
+from lieint_jax.app.scenarios._kind import picture
 from lieint_jax.app.scenarios._report import Quantity
 from lieint_jax.app.scenarios._runs import angles, drawn_steps, length, nominal_state, nominal_system, series
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State, Step
 
 Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
 
@@ -73,7 +70,6 @@ class FreeBody(_body.BodyKind):
     def _check_scheme(self) -> None:
         if self.kappa is not None and self.scheme != "so3_midpoint":
             raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
-        check_order(self.scheme, self.order)
 
     def _check_observations(self) -> None:
         interval = self.dt * self.save_every
@@ -222,21 +218,9 @@ class FreeBody(_body.BodyKind):
         plots.log_error(axes[0], t, {"nominal member": energy}, "relative energy error", self.time_unit)
         plots.log_error(axes[1], t, {"nominal member": sigma}, "Poisson error |σ|", self.time_unit)
         if sigma.max() > _AMPLIFIED:
-            plots.amplified_round_off(axes[1], t, np.asarray(_linearizations(step, z, self.dt, n)[::every]))
+            L = adjoints.transition(step, z, self.dt, n, save_every=every).matrix
+            plots.amplified_round_off(axes[1], t, np.asarray(L))
         _draw_polhode(axes[2], one)
-
-
-@partial(jax.jit, static_argnames="num_steps")
-def _linearizations(step: Step, state: State, dt: float, num_steps: int) -> Array:
-    """The derivatives of the states after 0, 1, … steps by the initial one, (num_steps + 1, 6, 6)."""
-
-    def advance(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], Array]:
-        state, L = carry
-        after = diagnostics.linearization(step, state, dt) @ L
-        return (step(state, dt)[0], after), after
-
-    start = jnp.eye(6, dtype=state.p.dtype)
-    return jnp.concatenate([start[None], jax.lax.scan(advance, (state, start), length=num_steps)[1]])
 
 
 def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed: np.ndarray) -> None:
