@@ -65,7 +65,7 @@ class GivenOrbit:
         return jnp.asarray(self.elements[0])
 
     def __call__(self, t: Array) -> tuple[Array, Array]:
-        return orbit_of(self.elements)(t)
+        return orbits.kepler(*self.elements)(t)
 
 
 def moments(spin: Spin) -> Array:
@@ -111,18 +111,12 @@ class Passage(NamedTuple):
     converged: Array
 
 
-def orbit_of(elements: Numbers) -> orbits.Kepler:
-    """The orbit of elements in the order of `orbits.kepler`."""
-    names = ("mu", "semi_major_axis", "eccentricity", "inclination", "node", "periapsis", "periapsis_time")
-    return orbits.kepler(**dict(zip(names, elements, strict=False)))
-
-
 @cache
 def passages(order: int, long_axis: bool) -> Callable[..., Passage]:
     """The function (spins, elements of the orbit, times (N + 1,) of steps) ↦ passages of many members."""
 
     def passage(spin: Spin, elements: Array, times: Array) -> Passage:
-        start = step_and_state(spin, orbit_of(elements), times[0], order, long_axis)
+        start = step_and_state(spin, orbits.kepler(*elements), times[0], order, long_axis)
         return _integrate_passage(moments(spin), *start, times)
 
     return _map_over_members(passage)
@@ -150,7 +144,7 @@ def slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]:
 
     def spin_after(spin: Spin, perigee: Array, elements: Array, times: Array) -> Array:
         mu, a, _, *others = elements
-        orbit = orbit_of((mu, a, 1 - perigee / a, *others))
+        orbit = orbits.kepler(mu, a, 1 - perigee / a, *others)
         J = moments(spin)
         near = state_at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
         # by steps, since XLA compiles tangents of `solution` for minutes
