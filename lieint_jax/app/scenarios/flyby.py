@@ -8,7 +8,6 @@ have the member axis.
 from __future__ import annotations
 
 from datetime import datetime, timedelta
-from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import jax
@@ -288,12 +287,14 @@ class Flyby(Kind):
             f"{spin.momentum_latitude_deg}°), errors along parallel and meridian; all errors {self.sigmas:g} sigma"
         )
 
-    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
-        """The step, whose leaves have the member axis, and the states at the start, which share their time."""
+    def deviates(self, indices: np.ndarray) -> motion.Spin:
+        """The spins of all members."""
+        return motion.members(self)[0]
+
+    def member(self, noise: motion.Spin) -> tuple[Step, State]:
+        """The step and the state at the start of a member."""
         orbit, t = motion.GivenOrbit(self.orbit.elements()), jnp.asarray(-self.hours)
-        made = partial(motion.step_and_state, orbit=orbit, t=t, order=self.order, long_axis=self.spin.long_axis)
-        step, states = jax.jit(jax.vmap(made))(motion.members(self)[0])
-        return step, states._replace(t=t)
+        return motion.step_and_state(noise, orbit, t, self.order, self.spin.long_axis)
 
     report = _flyby_study.report  # pyright: ignore[reportAssignmentType]
     draw_map, draw_after = _flyby_study.draw_map, _flyby_study.draw_after
