@@ -54,7 +54,7 @@ def study(scenario: Flyby, run: Run) -> Study:
     outcomes, J = jax.jit(jax.vmap(motion.outcome)), system.inertia
     ends = [jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), run.state) for k in (0, -1)]
     before, after = (jax.tree.map(np.asarray, outcomes(J, State(z.q, z.p))) for z in ends)
-    own = Passage(before, after, ends[1].q, np.asarray(run.info.converged).all(axis=0))
+    own = Passage(before, after, ends[1].q, jnp.asarray(run.info.converged).all(axis=0))
     grid, first = phases(scenario), _first_members(scenario, _CHECKED)
     orbit, long_axis = scenario.orbit.elements(), scenario.spin.long_axis
     passages, slopes = motion.passages(scenario.order, long_axis), motion.slopes(_SLOPE_ORDER, long_axis)

@@ -46,7 +46,6 @@ ORDERS: dict[str, list[Any]] = {
     "bodies_energy_momentum": [2, 4, 6, 8],
 }
 """The orders of schemes, the default first; of those not named here 2, and higher ones by composition."""
-_EXACT = ("exact", "calibrated")  # schemes without an order
 
 
 def step_of(system: Any, scheme: str, order: Any = None, *options: Any) -> Step:
@@ -58,6 +57,14 @@ def step_of(system: Any, scheme: str, order: Any = None, *options: Any) -> Step:
         return make(system, order // 2)
     step = make(system, *options)
     return step if order == 2 else schemes.compose(step, order)
+
+
+def check_order(scheme: str, order: Any) -> None:
+    """Raise ValueError if a scheme does not have the given order; an exact scheme has none."""
+    allowed = ORDERS.get(scheme, [])
+    if order is not None and order not in allowed:
+        known = " or ".join(map(str, allowed)) or "none, since it is exact"
+        raise ValueError(f"order of {scheme} is {known}, got {order}")
 
 
 class Kind(Table):
@@ -136,13 +143,6 @@ class Kind(Table):
         if self.steps % self.save_every:
             near = _checks.nearest_multiples(self.steps, self.save_every)
             raise ValueError(f"steps = {self.steps} must be a multiple of save_every = {self.save_every}: give {near}")
-
-    def _check_order(self) -> None:
-        keys = dict(self)
-        scheme, order = keys.get("scheme"), keys.get("order")
-        if order is not None and scheme in (*ORDERS, *_EXACT) and order not in ORDERS.get(scheme, []):
-            known = " or ".join(map(str, ORDERS.get(scheme, []))) or "none, since it is exact"
-            raise ValueError(f"order of {scheme} is {known}, got {order}")
 
     def _check_sources(self) -> None:
         for key in _sources(self.model_dump()):

@@ -20,7 +20,7 @@ from lieint_jax import measure, potentials, runs, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import ExtendedBody, MultibodyKind, member_bodies
 from lieint_jax.app.scenarios._keys import DAY, HOUR, NonNegative, NumberSpread, PositiveFloat, Published, Table
-from lieint_jax.app.scenarios._kind import for_last_run, picture, step_of
+from lieint_jax.app.scenarios._kind import check_order, for_last_run, picture, step_of
 from lieint_jax.app.scenarios._pictures import draw_errors
 from lieint_jax.app.scenarios._report import Conserved, Quantity, citation
 from lieint_jax.app.scenarios._runs import as_batch, drawn_steps, length, nominal_state, series, standard_deviation
@@ -91,6 +91,9 @@ class Binary(MultibodyKind):
     spread: Spread = Spread()
     published: dict[Name, Published] = {}
     """Periods in hours, rates in degrees a day, changes of speed in mm/s, as the names say."""
+
+    def _check_order(self) -> None:
+        check_order(self.scheme, self.order)
 
     def spreads(self) -> dict[str, tuple[float, str]]:
         pair = {"primary": self.primary, "secondary": self.secondary}

@@ -20,7 +20,7 @@ from lieint_jax import measure, potentials, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._body import BodySpread, ExtendedBody, MultibodyKind, member_bodies
-from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture, step_of
+from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, step_of
 from lieint_jax.app.scenarios._pictures import draw_changes
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runs import length, nominal_system, positive, series
@@ -175,6 +175,7 @@ class Bodies(MultibodyKind):
                     raise ValueError(f"between has {name!r}, which is no body; there are {', '.join(self.names())}")
 
     def _check_scheme(self) -> None:
+        check_order(self.scheme, self.order)
         if self.scheme == "kepler_splitting":
             if len(self.bodies) != 2:
                 raise ValueError(f"kepler_splitting is for two bodies, got {len(self.bodies)}; use nystrom")

@@ -10,7 +10,7 @@ from lieint_jax import measure, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import TopKind, axis_in_space, inertia_matrix
 from lieint_jax.app.scenarios._keys import Direction, Triple, checked
-from lieint_jax.app.scenarios._kind import for_last_run, picture
+from lieint_jax.app.scenarios._kind import check_order, for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_on_sphere
 from lieint_jax.app.scenarios._report import CLOSED_FORM, Conserved, Quantity
 from lieint_jax.app.scenarios._runs import LONGEST, POINTS, drawn_run, length, nominal_state, nominal_system, series
@@ -36,6 +36,10 @@ class HeavyTop(TopKind):
     axis: Direction = [0.0, 0.0, 1.0]
     """The direction in space along which the potential energy grows: upwards."""
     scheme: Literal["nystrom", "top_energy_momentum", "splitting"] = "top_energy_momentum"  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def _check_order(self) -> None:
+        if self.scheme == "nystrom":
+            check_order("nystrom", self.order)
 
     def make_system(self) -> PotentialTop:
         return systems.heavy_top(self.inertia, self.weight, self.axis)

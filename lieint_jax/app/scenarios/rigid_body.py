@@ -14,7 +14,7 @@ from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._files import ObservationFile
 from lieint_jax.app.scenarios._keys import TINY, Published, Table, Text
-from lieint_jax.app.scenarios._kind import picture
+from lieint_jax.app.scenarios._kind import check_order, picture
 from lieint_jax.app.scenarios._report import Quantity
 from lieint_jax.app.scenarios._runs import angles, drawn_steps, length, nominal_state, nominal_system, series
 from lieint_jax.groups import so3
@@ -58,6 +58,7 @@ class FreeBody(_body.BodyKind):
     def _check_scheme(self) -> None:
         if self.kappa is not None and self.scheme != "so3_midpoint":
             raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
+        check_order(self.scheme, self.order)
 
     def _check_observations(self) -> None:
         interval = self.dt * self.save_every
