@@ -296,6 +296,6 @@ class Flyby(Kind):
         orbit, t = motion.GivenOrbit(self.orbit.elements()), jnp.asarray(-self.hours)
         return motion.step_and_state(noise, orbit, t, self.order, self.spin.long_axis)
 
-    report = _flyby_study.report
+    report = _flyby_study.report  # pyright: ignore[reportAssignmentType]
     draw_map, draw_after = _flyby_study.draw_map, _flyby_study.draw_after
     draw_sensitivity = _flyby_study.draw_sensitivity
