@@ -88,7 +88,7 @@ def test_the_elements_are_ecliptic():
 
 
 def test_the_nominal_body_has_the_published_periods_and_energy():
-    spin = jax.tree.map(lambda x: x[0], _flyby_study.members(changed(members=1))[0])
+    spin = jax.tree.map(lambda x: x[0], motion.members(changed(members=1))[0])
     near = jax.jit(motion.state_at_perigee, static_argnums=2)(spin, jnp.asarray([1.0, 0, 0]), False)
     found = jax.jit(motion.outcome)(motion.moments(spin), near)
     assert float(found.precession) == pytest.approx(27.38, rel=1e-13)
@@ -130,7 +130,7 @@ def test_errors_to_one_side_are_drawn_to_that_side():
     """Also those of the pole."""
     below = dict(value=-75.0, below=14.0, above=0.0, source="pravec")
     one_side = dict(momentum_longitude_deg=dict(value=250.0, source="pravec"), momentum_latitude_deg=below)
-    spins, _ = _flyby_study.members(changed(members=2000, spin=one_side))
+    spins, _ = motion.members(changed(members=2000, spin=one_side))
     latitude = np.rad2deg(np.asarray(spins.latitude))
     assert latitude.max() < -75 + 1e-9
     assert latitude.min() < -80
@@ -145,14 +145,14 @@ def test_members_without_a_mode_are_an_error():
         rotation_period_h=dict(value=179.9, below=5.0, above=0.0, source="pravec"),
     )
     with pytest.raises(ValueError, match=r"\d+ members: none of 16 draws within the errors is a short_axis mode"):
-        _flyby_study.members(changed(members=2000, spin=edge, variant=[]))
+        motion.members(changed(members=2000, spin=edge, variant=[]))
 
 
 def test_members_are_drawn_from_the_published_errors():
     """The same member in ensembles of every size; means and deviations within 4 standard errors of 2000 members."""
     scenario = changed(members=2000)
-    spins, first = _flyby_study.members(scenario)
-    few, _ = _flyby_study.members(changed(members=2))
+    spins, first = motion.members(scenario)
+    few, _ = motion.members(changed(members=2))
     for a, b in zip(few, spins, strict=True):
         np.testing.assert_array_equal(a, b[:2])
     assert (float(spins.phi[0]), float(spins.psi[0])) == (0, 0)

@@ -100,6 +100,15 @@ def test_a_class_that_is_no_kind_is_refused_when_it_is_read(folder, name, old, n
         scenarios.load(name.replace(".py", ".toml"))
 
 
+def test_the_checks_of_a_kind_and_of_those_it_extends_are_called(folder):
+    check = "    def _check_tilt(self):\n        if self.tilt_deg > 90:\n            raise ValueError('too far')\n\n"
+    write("    def make_system(self)", f"{check}    def make_system(self)", "spun.py")
+    for keys, message in ((["tilt_deg=91.0"], "spun.toml: too far"), (["tilt_deg=91.0", "dt=0.0"], "dt must not be 0")):
+        with pytest.raises(ValueError, match=message):
+            scenarios.load("spun.toml", keys)
+    assert scenarios.load("spun.toml", ["tilt_deg=89.0"]).tilt_deg == 89
+
+
 def test_a_published_value_of_no_quantity_is_refused(folder):
     table = scenarios.table("spun.toml")
     table["published"]["precession"] = table["published"].pop("precession_rate")

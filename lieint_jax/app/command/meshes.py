@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from functools import reduce
 from operator import add
 from pathlib import Path
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import shapes
 from lieint_jax.app import plots, scenarios
@@ -189,11 +189,9 @@ class Part(Table):
     density: PositiveFloat = 1.0
     """Relative to other parts."""
 
-    @model_validator(mode="after")
-    def _check_solid(self) -> Self:
+    def _check_solid(self) -> None:
         if sum(x is not None for x in (self.box, self.cylinder, self.ellipsoid)) != 1:
             raise ValueError("give exactly one of box, cylinder and ellipsoid")
-        return self
 
     def placed(self) -> tuple[Solid, shapes.Shape]:
         """Its surface and its moments, in the axes of the body."""

@@ -17,49 +17,8 @@ from lieint_jax.runs import store as archives
 from lieint_jax.types.shapes import PyTree
 
 _PACKAGE = __name__.partition(".")[0]
-_RENAMED = {  # since version 0.2
-    "lieint_jax.studies.": "lieint_jax.app.studies.",
-    "studies._equivalents:": "studies._satellite_fit:",
-    "studies._symmetric_solutions:": "studies._satellite_fit:",
-    "studies._minima:": "studies._satellite_sky:",
-    "studies._satellite_result:": "studies._satellite_fit:",
-    "studies._spin_fit:": "studies.inference:",
-    "studies._toutatis_result:": "studies.toutatis:",
-    "studies._toutatis:": "studies.toutatis:",
-    "fitting._outcome:Starts": "fitting._outcome:MultiStartResult",
-    "kappa:LearntKappas": "kappa:LearnedKappas",
-    "app.studies._period_search:Peak": "measure._combinations:Sine",
-    "app.studies._period_search:TwoPeriods": "measure._combinations:DoublePeriods",
-    "studies._period_search:": "studies._satellite_fit:",
-    "app.studies._satellite_fit:Change": "measure._equal_light:LightChange",
-}
-_RENAMED_FIELDS = {  # of named tuples of the studies, since version 0.2
-    "_combinations:DoublePeriods": {"left": "unexplained"},
-    "_satellite_fit:Estimate": {"turned": "facet_symmetry"},
-    "inference:Coverage": {"distance": "mahalanobis_squared"},
-    "_equal_light:LightChange": {"turn": "symmetry"},
-    "gyro:GyroTrials": {"within": "within_2_sigma", "inside": "inside_ellipsoid"},
-    "kappa:KappaErrors": {
-        "learnt": "training_defect",
-        "unseen": "test_defect",
-        "sizes": "defect_by_dt",
-        "poisson": "poisson_error",
-        "energy": "energy_error",
-        "converged": "converged_runs",
-    },
-    "sensitivity:LyapunovSpectrum": {
-        "apart": "two_trajectories",
-        "pairs": "pair_defect",
-        "short": "short_run",
-        "independent": "variational",
-    },
-    "toutatis:Prediction": {
-        "off": "fix_angles",
-        "members_off": "member_fix_angles",
-        "farther": "farther_share",
-    },
-    "toutatis:SpinFit": {"apart": "mahalanobis_squared", "same": "share_at_minimum"},
-}
+_OLD: dict[str, dict[str, Any]] = archives.read_toml(Path(__file__).with_name("renamed.toml"), "renamed.toml")
+_RENAMED, _RENAMED_FIELDS = _OLD["names"], _OLD["fields"]
 
 
 def save(path: Path, tree: PyTree, metadata: dict[str, Any]) -> None:
@@ -129,7 +88,7 @@ def _decode(value: Any, arrays: dict[str, np.ndarray], own: ModuleType | None) -
         return value
     if "type" in value:
         found: Any = _find_class(value["type"], own)
-        renamed: dict[str, str] = _RENAMED_FIELDS.get(f"{found.__module__.rpartition('.')[2]}:{found.__qualname__}", {})
+        renamed = _RENAMED_FIELDS.get(f"{found.__module__.rpartition('.')[2]}:{found.__qualname__}", {})
         fields = {str(name): _decode(x, arrays, own) for name, x in value["fields"].items()}
         return found(**{renamed.get(name, name): x for name, x in fields.items()})
     [(kind, inner)] = value.items()

@@ -152,35 +152,29 @@ def validate(model: Any, table: dict[str, Any], name: str) -> Any:
 
 def _kind_of(system: Any, name: str) -> type[Kind]:
     """The kind that the key `system` names."""
-    if isinstance(system, str) and system in kind_names():
-        return kind(system)
+    try:
+        return kind(system) if system in kind_names() else _own_kind(system, name)
+    except ValueError as error:
+        raise ValueError(f"{name}: system: {error}") from error
+
+
+def _own_kind(system: Any, name: str) -> type[Kind]:
+    """The kind of a class in a user's file, FILE.py:CLASS, which is imported."""
     file, _, chosen = system.partition(":") if isinstance(system, str) else ("", "", "")
     if not file.endswith(".py"):
         allowed = " or ".join(map(repr, kind_names()))
-        raise ValueError(f"{name}: system: must be {allowed}, or 'FILE.py:CLASS' (got {_quoted(system)})")
-    try:
-        path = _place_of(file, name)
-    except ValueError as error:
-        raise ValueError(f"{name}: system: {error}") from error
-    return _own_kind(path, chosen, name)
-
-
-def _own_kind(path: Path, chosen: str, name: str) -> type[Kind]:
-    """The kind of a class in a user's file, which is imported."""
-    try:
-        module = import_file(path, f"lieint_kind_{path.stem}")
-    except ValueError as error:
-        raise ValueError(f"{name}: system: {error}") from error
-    found = {kind.__name__: kind for kind in _classes(module)}
+        raise ValueError(f"must be {allowed}, or 'FILE.py:CLASS' (got {_quoted(system)})")
+    path = _place_of(file, name)
+    found = {kind.__name__: kind for kind in _classes(import_file(path, f"lieint_kind_{path.stem}"))}
     if chosen not in found:
         there = ", ".join(found) or "none: a kind is a subclass of lieint_jax.app.kind.Kind"
-        raise ValueError(f"{name}: system: {path} has no kind {_quoted(chosen)}; it has {there}")
+        raise ValueError(f"{path} has no kind {_quoted(chosen)}; it has {there}")
     made = found[chosen]
     if made.build is Kind.build:
         own = {"make_system": (made.make_system, made.make_step), "start": (made.start,)}
         base = (Kind.make_system, Kind.make_step, Kind.start)
         if lacking := [method for method, ways in own.items() if all(way in base for way in ways)]:
-            raise ValueError(f"{name}: system: {chosen} of {path} must define {' and '.join(lacking)}, as a kind does")
+            raise ValueError(f"{chosen} of {path} must define {' and '.join(lacking)}, as a kind does")
     return made
 
 

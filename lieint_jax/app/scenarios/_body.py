@@ -3,52 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
-from pydantic import model_validator
 
 from lieint_jax import _checks, maps
+from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._files import BodyFile, ShapeFile
-from lieint_jax.app.scenarios._keys import (
-    AttitudeSpread,
-    GivenRate,
-    Moments,
-    NonNegative,
-    PositiveFloat,
-    PositiveTriple,
-    Quaternion,
-    RateSpread,
-    RotationSpread,
-    Stated,
-    Table,
-    Triple,
-    array,
-    checked,
-)
 from lieint_jax.app.scenarios._kind import Kind, step_of
 from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step
 
 
-class InitialState(GivenRate):
+class InitialState(keys.GivenRate):
     """The nominal state: an attitude, given by one of two keys, and an angular velocity in the body."""
 
-    quaternion: Quaternion | None = None
+    quaternion: keys.Quaternion | None = None
     """Attitude (w, x, y, z), body to space, of unit length."""
-    euler_313_deg: Triple | None = None
+    euler_313_deg: keys.Triple | None = None
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
 
-    @model_validator(mode="after")
-    def _check_attitude(self) -> Self:
+    def _check_attitude(self) -> None:
         if (self.quaternion is None) == (self.euler_313_deg is None):
             raise ValueError("give the attitude by exactly one of quaternion and euler_313_deg")
-        return self
 
     def attitude(self) -> Any:
         if self.euler_313_deg is not None:
@@ -59,12 +41,12 @@ class InitialState(GivenRate):
 class BodyKind(Kind):
     """The keys of every scenario of a rigid body."""
 
-    inertia: Annotated[list[Any], INERTIA, checked(_checks.inertia)]
+    inertia: Annotated[list[Any], INERTIA, keys.checked(_checks.inertia)]
     """Principal moments (3) or a tensor in body axes (3 × 3)."""
     state: InitialState
-    spread: RotationSpread = RotationSpread()
+    spread: keys.RotationSpread = keys.RotationSpread()
 
-    files: ClassVar[Mapping[str, type[Table]]] = {"shape": ShapeFile}
+    files: ClassVar[Mapping[str, type[keys.Table]]] = {"shape": ShapeFile}
     fixed: ClassVar[dict[str, str]] = Kind.fixed | {
         "state.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg",
         "observation.*": "it is an observed value",
@@ -88,11 +70,9 @@ class TopKind(BodyKind):
     order: Literal[2, 4, 6, 8] = 2
     """The order of accuracy; above 2 by composition."""
 
-    @model_validator(mode="after")
-    def _check_kappa(self) -> Self:
+    def _check_kappa(self) -> None:
         if self.kappa is not None and self.scheme == "splitting":
             raise ValueError("kappa is a key of top_energy_momentum; splitting uses the symplectic one")
-        return self
 
     def make_step(self) -> Step:
         return self.step_by(self.scheme, self.make_system())
@@ -141,38 +121,36 @@ def spin_axis(inertia: np.ndarray, Pi: np.ndarray) -> np.ndarray:
     return axis if axis @ Pi >= 0 else -axis
 
 
-class BodySpread(RateSpread, AttitudeSpread):
+class BodySpread(keys.RateSpread, keys.AttitudeSpread):
     """Standard deviations of the members' bodies about the nominal one."""
 
-    mass_percent: NonNegative = 0.0
+    mass_percent: keys.NonNegative = 0.0
     """Relative standard deviation of the mass, at fixed size and shape."""
-    axes_percent: Annotated[NonNegative, Stated("semi-axes", "%")] = 0.0
+    axes_percent: Annotated[keys.NonNegative, keys.Stated("semi-axes", "%")] = 0.0
     """Relative standard deviation of each semi-axis of the equivalent ellipsoid, at fixed mass."""
 
 
-class ExtendedBody(GivenRate):
+class ExtendedBody(keys.GivenRate):
     """The keys of a body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity."""
 
-    mass_kg: PositiveFloat | None = None
+    mass_kg: keys.PositiveFloat | None = None
     """In kg."""
-    moments_kg_m2: Annotated[Moments, INERTIA] | None = None
+    moments_kg_m2: Annotated[keys.Moments, INERTIA] | None = None
     """Principal moments about the center of mass, in kg m²."""
-    semi_axes_m: PositiveTriple | None = None
+    semi_axes_m: keys.PositiveTriple | None = None
     """Semi-axes of an ellipsoid along the principal axes, in m."""
-    density_kg_m3: PositiveFloat | None = None
+    density_kg_m3: keys.PositiveFloat | None = None
     """The density of the ellipsoid, in kg/m³."""
-    euler_313_deg: Triple = [0.0, 0.0, 0.0]
+    euler_313_deg: keys.Triple = [0.0, 0.0, 0.0]
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
     spread: BodySpread = BodySpread()
 
-    files: ClassVar[Mapping[str, type[Table]]] = {"shape": BodyFile}
+    files: ClassVar[Mapping[str, type[keys.Table]]] = {"shape": BodyFile}
 
-    @model_validator(mode="after")
-    def _check_body(self) -> Self:
+    def _check_body(self) -> None:
         given = [x is not None for x in (self.mass_kg, self.moments_kg_m2, self.semi_axes_m, self.density_kg_m3)]
         if given not in ([True, True, False, False], [True, False, True, False], [False, False, True, True]):
             raise ValueError("give mass_kg and moments_kg_m2, or semi_axes_m and one of density_kg_m3 and mass_kg")
-        return self
 
     def attitude(self) -> Array:
         """The unit quaternion (4,), body to space."""
@@ -184,13 +162,13 @@ class ExtendedBody(GivenRate):
             return self.mass_kg
         assert self.semi_axes_m is not None
         assert self.density_kg_m3 is not None
-        return self.density_kg_m3 * 4 / 3 * np.pi * array(self.semi_axes_m).prod()
+        return self.density_kg_m3 * 4 / 3 * np.pi * keys.array(self.semi_axes_m).prod()
 
     def second_moments(self) -> Any:
         """The second moments per mass: those of a homogeneous ellipsoid are the squared semi-axes over 5."""
         if self.semi_axes_m is not None:
-            return array(self.semi_axes_m) ** 2 / 5
-        J = array(self.moments_kg_m2) / self.mass()
+            return keys.array(self.semi_axes_m) ** 2 / 5
+        J = keys.array(self.moments_kg_m2) / self.mass()
         return J.sum() / 2 - J
 
 

@@ -1,4 +1,4 @@
-"""A tumbling body that passes a planet: its state from periods and phases, its passage, and the derivatives of it.
+"""A tumbling body that passes a planet: its members, their states from periods and phases, passages and derivatives.
 
 Units: km for the orbit, h for times, rad for angles; the greatest moment of inertia is 1, only ratios count.
 """
@@ -6,7 +6,7 @@ Units: km for the orbit, h for times, rad for angles; the greatest moment of ine
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,14 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax import orbits, systems
-from lieint_jax.app.scenarios._body import direction
+from lieint_jax import _free_body, orbits, systems
+from lieint_jax.app.scenarios._body import direction, longitude_latitude
 from lieint_jax.app.scenarios._kind import step_of as step_by
-from lieint_jax.app.scenarios._runs import Numbers, map_on_local_devices
+from lieint_jax.app.scenarios._runs import Numbers, angles, map_on_local_devices
+from lieint_jax.groups import so3
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static, vectors
 
+_TRIES = 16  # draws of a member's moments; the first for which the mode exists is used
 _FREE_STEPS = 128  # of the torque-free motion, where it is differentiated
 
 
@@ -65,7 +67,7 @@ class GivenOrbit:
         return jnp.asarray(self.elements[0])
 
     def __call__(self, t: Array) -> tuple[Array, Array]:
-        return orbit_of(self.elements)(t)
+        return orbits.kepler(*self.elements)(t)
 
 
 def moments(spin: Spin) -> Array:
@@ -102,19 +104,86 @@ def step_and_state(
     return step_of(J, orbit, order), state._replace(t=t, work=jnp.zeros_like(t))
 
 
+def members(scenario: Any) -> tuple[Spin, np.ndarray]:
+    """The members' spins, the nominal one first, and whether the mode exists for the first draw of each.
+
+    A member is the same in ensembles of every size.
+    """
+    spin, seed = scenario.spin, jax.random.key(scenario.seed)
+    known = np.array([[x.value, *x.sides()] for x in spin.measured().values()])
+    known[:, 1:] /= scenario.sigmas
+    phases = np.deg2rad([spin.precession_phase_deg, spin.rotation_phase_deg])
+    spins, good = _draw_member(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
+    good = np.asarray(good)
+    if failed := int((~good.any(axis=1)).sum()):
+        raise ValueError(f"{failed} members: none of {_TRIES} draws within the errors is a {spin.mode} mode")
+    return spins, good[:, 0]
+
+
+@partial(jax.jit, static_argnums=4)
+@partial(jax.vmap, in_axes=(None, 0, None, None, None))
+def _draw_member(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) -> tuple[Spin, Array]:
+    """The k-th member, and whether the mode exists for each of its draws, (_TRIES,).
+
+    `known` has a row for each key of `SpinValues`: value, standard deviations below and above.
+    """
+    key = jax.random.fold_in(seed, k)
+    noise = jnp.where(k == 0, 0.0, jax.random.normal(key, (_TRIES, 6)))
+    drawn = known[:, 0] + jnp.where(noise < 0, known[:, 1], known[:, 2]) * noise
+    least, middle, precession, rotation = drawn.T[:4]
+    ordered = (least > 0) & (least < middle) & (middle < 1)
+    J = jnp.stack([jnp.where(ordered, least, 0.5), jnp.where(ordered, middle, 0.75), jnp.ones_like(least)], axis=1)
+    exists = jax.vmap(lambda J, ratio: _free_body.mode_exists(J, ratio, long_axis))(J, rotation / precession)
+    good = ordered & exists
+    first = jnp.argmax(good)
+    longitude, latitude = _along_great_circle(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))
+    uniform = jax.random.uniform(jax.random.fold_in(key, 1), (2,)) * 2 * jnp.pi
+    phi, psi = jnp.where(k == 0, phases, uniform)
+    return Spin(least[first], middle[first], precession[first], rotation[first], longitude, latitude, phi, psi), good
+
+
+def _along_great_circle(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
+    """The longitude and latitude at the end of an arc (east, north) of a great circle, rad."""
+    pole = direction(longitude, latitude)
+    to_east = jnp.stack([-jnp.sin(longitude), jnp.cos(longitude), jnp.zeros_like(longitude)])
+    to_north = direction(longitude, latitude + jnp.pi / 2)
+    away = east * to_east + north * to_north
+    x, y, z = so3.Ad(so3.exp(jnp.stack(vectors.cross(pole, away))), pole)
+    return jnp.arctan2(y, x), jnp.arcsin(z)
+
+
+class SpinChange(NamedTuple):
+    """The changes of the members' spins by a passage."""
+
+    momentum: np.ndarray  # |π| after, over that before
+    rate: np.ndarray  # 2H/|π| after, over that before
+    pole_angle: np.ndarray  # the angle between the poles before and after, in degrees
+    longitude: np.ndarray  # the change of the pole's longitude, in degrees
+    latitude: np.ndarray  # the change of the pole's distance from the ecliptic, in degrees
+    same_mode: np.ndarray  # whether the mode is the same
+
+
 class Passage(NamedTuple):
-    """A passage: the spin before and after, the attitude at the end, and whether every step converged."""
+    """The passages of members."""
 
-    before: Outcome
-    after: Outcome
-    q: Array
-    converged: Array
+    before: Outcome  # their spins before
+    after: Outcome  # those after
+    q: Array  # the attitudes at the end
+    converged: Array  # whether every step converged
 
-
-def orbit_of(elements: Numbers) -> orbits.Kepler:
-    """The orbit of elements in the order of `orbits.kepler`."""
-    names = ("mu", "semi_major_axis", "eccentricity", "inclination", "node", "periapsis", "periapsis_time")
-    return orbits.kepler(**dict(zip(names, elements, strict=False)))
+    @property
+    def change(self) -> SpinChange:
+        """The changes of the spins."""
+        before, after = self.before, self.after
+        longitudes, latitudes = np.asarray(longitude_latitude(np.stack([before.pole, after.pole]))).transpose(2, 0, 1)
+        return SpinChange(
+            after.momentum / before.momentum,
+            after.rate / before.rate,
+            np.rad2deg(angles(before.pole, after.pole)),
+            (longitudes[1] - longitudes[0] + 180) % 360 - 180,
+            abs(latitudes[1]) - abs(latitudes[0]),
+            after.long_axis == before.long_axis,
+        )
 
 
 @cache
@@ -122,7 +191,7 @@ def passages(order: int, long_axis: bool) -> Callable[..., Passage]:
     """The function (spins, elements of the orbit, times (N + 1,) of steps) ↦ passages of many members."""
 
     def passage(spin: Spin, elements: Array, times: Array) -> Passage:
-        start = step_and_state(spin, orbit_of(elements), times[0], order, long_axis)
+        start = step_and_state(spin, orbits.kepler(*elements), times[0], order, long_axis)
         return _integrate_passage(moments(spin), *start, times)
 
     return _map_over_members(passage)
@@ -150,7 +219,7 @@ def slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]:
 
     def spin_after(spin: Spin, perigee: Array, elements: Array, times: Array) -> Array:
         mu, a, _, *others = elements
-        orbit = orbit_of((mu, a, 1 - perigee / a, *others))
+        orbit = orbits.kepler(mu, a, 1 - perigee / a, *others)
         J = moments(spin)
         near = state_at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
         # by steps, since XLA compiles tangents of `solution` for minutes

@@ -1,89 +1,40 @@
-"""The members of a flyby, further passages (a map of phases, other arcs, other assumptions), and their pictures."""
+"""What a flyby shows: its members, further passages (a map of phases, other arcs, other assumptions), the report."""
 
 from __future__ import annotations
 
-from functools import partial
+import textwrap
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from matplotlib.colors import LogNorm
 from matplotlib.patheffects import withStroke
 
-from lieint_jax import _free_body
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._body import direction, longitude_latitude
+from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
+from lieint_jax.app.scenarios._keys import HOUR
 from lieint_jax.app.scenarios._kind import for_last_run, picture
+from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
 from lieint_jax.app.scenarios._runs import angles
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
-from lieint_jax.types import State, vectors
+from lieint_jax.types import State
 
 Flyby: TypeAlias = Any  # the scenario, whose module imports this one
-_TRIES = 16  # draws of a member's moments; the first for which the mode exists is used
 _SLOPE_ORDER = 4  # of the differentiated steps: the errors of derivatives are below 5e-4 of the largest
+_QUANTILES = (0.05, 0.5, 0.95)
 _LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last color shows all larger values
 _MARGIN = 10.0  # ° from the edge of a map, where the axis would cross a label of a contour
-CHECKED = 256  # members that are integrated again in shorter steps and over other arcs
-
-
-def members(scenario: Flyby) -> tuple[Spin, np.ndarray]:
-    """The members' spins, the nominal one first, and whether the mode exists for the first draw of each.
-
-    A member is the same in ensembles of every size.
-    """
-    spin, seed = scenario.spin, jax.random.key(scenario.seed)
-    known = np.array([[x.value, *x.sides()] for x in spin.measured().values()])
-    known[:, 1:] /= scenario.sigmas
-    phases = np.deg2rad([spin.precession_phase_deg, spin.rotation_phase_deg])
-    spins, good = _draw_member(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
-    good = np.asarray(good)
-    if failed := int((~good.any(axis=1)).sum()):
-        raise ValueError(f"{failed} members: none of {_TRIES} draws within the errors is a {spin.mode} mode")
-    return spins, good[:, 0]
-
-
-@partial(jax.jit, static_argnums=4)
-@partial(jax.vmap, in_axes=(None, 0, None, None, None))
-def _draw_member(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) -> tuple[Spin, Array]:
-    """The k-th member, and whether the mode exists for each of its draws, (_TRIES,).
-
-    `known` has a row for each key of `SpinValues`: value, standard deviations below and above.
-    """
-    key = jax.random.fold_in(seed, k)
-    noise = jnp.where(k == 0, 0.0, jax.random.normal(key, (_TRIES, 6)))
-    drawn = known[:, 0] + jnp.where(noise < 0, known[:, 1], known[:, 2]) * noise
-    least, middle, precession, rotation = drawn.T[:4]
-    ordered = (least > 0) & (least < middle) & (middle < 1)
-    J = jnp.stack([jnp.where(ordered, least, 0.5), jnp.where(ordered, middle, 0.75), jnp.ones_like(least)], axis=1)
-    exists = jax.vmap(lambda J, ratio: _free_body.mode_exists(J, ratio, long_axis))(J, rotation / precession)
-    good = ordered & exists
-    first = jnp.argmax(good)
-    longitude, latitude = _along_great_circle(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))
-    uniform = jax.random.uniform(jax.random.fold_in(key, 1), (2,)) * 2 * jnp.pi
-    phi, psi = jnp.where(k == 0, phases, uniform)
-    return Spin(least[first], middle[first], precession[first], rotation[first], longitude, latitude, phi, psi), good
-
-
-def _along_great_circle(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
-    """The longitude and latitude at the end of an arc (east, north) of a great circle, rad."""
-    pole = direction(longitude, latitude)
-    to_east = jnp.stack([-jnp.sin(longitude), jnp.cos(longitude), jnp.zeros_like(longitude)])
-    to_north = direction(longitude, latitude + jnp.pi / 2)
-    away = east * to_east + north * to_north
-    x, y, z = so3.Ad(so3.exp(jnp.stack(vectors.cross(pole, away))), pole)
-    return jnp.arctan2(y, x), jnp.arcsin(z)
+_CHECKED = 256  # members that are integrated again in shorter steps and over other arcs
 
 
 class Study(NamedTuple):
     """The contents of the report and the pictures."""
 
-    before: Outcome  # the spins of the members before the passage
-    after: Outcome  # those after it
+    run: Passage  # the passages of the members of the run
     grid: Spin  # the spins of the map, φ slowest
     mapped: Passage  # the passages of the map
     # derivatives at every second value of both phases, by name, as `_flyby_motion.slopes` returns them
@@ -103,7 +54,8 @@ def study(scenario: Flyby, run: Run) -> Study:
     outcomes, J = jax.jit(jax.vmap(motion.outcome)), system.inertia
     ends = [jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), run.state) for k in (0, -1)]
     before, after = (jax.tree.map(np.asarray, outcomes(J, State(z.q, z.p))) for z in ends)
-    grid, first = phases(scenario), _first_members(scenario, CHECKED)
+    own = Passage(before, after, ends[1].q, jnp.asarray(run.info.converged).all(axis=0))
+    grid, first = phases(scenario), _first_members(scenario, _CHECKED)
     orbit, long_axis = scenario.orbit.elements(), scenario.spin.long_axis
     passages, slopes = motion.passages(scenario.order, long_axis), motion.slopes(_SLOPE_ORDER, long_axis)
     count = 3 + len(scenario.arcs_hours) + len(scenario.variant)
@@ -122,10 +74,10 @@ def study(scenario: Flyby, run: Run) -> Study:
             variants[variant.label] = _passages_of_variant(scenario, variant, len(grid.phi))
             bar.update()
         by_unknown = counted(slopes, scenario.every_second_phase(grid))
-    count = min(CHECKED, run.state.q.shape[1])
-    step_error = float(np.max(_angles(fine.q[:count], run.state.q[-1, :count])))
+    count = min(_CHECKED, len(own.q))
+    step_error = float(np.max(_angles(fine.q[:count], own.q[:count])))
     failed = sum(int((~x.converged).sum()) for x in (mapped, fine, *arcs.values(), *variants.values()))
-    return Study(before, after, grid, mapped, by_unknown, step_error, arcs, variants, failed)
+    return Study(own, grid, mapped, by_unknown, step_error, arcs, variants, failed)
 
 
 _angles = jax.jit(jax.vmap(so3.angle))
@@ -143,7 +95,7 @@ def phases(scenario: Flyby) -> Spin:
 def _first_members(scenario: Flyby, count: int) -> Spin:
     """The first `count` members, drawn by the compiled program that draws all members of the run."""
     at_least = scenario.model_copy(update={"members": max(count, scenario.members)})
-    return jax.tree.map(lambda x: x[:count], members(at_least)[0])
+    return jax.tree.map(lambda x: x[:count], motion.members(at_least)[0])
 
 
 def _passages_of_variant(scenario: Flyby, variant: Any, count: int) -> Passage:
@@ -152,30 +104,6 @@ def _passages_of_variant(scenario: Flyby, variant: Any, count: int) -> Passage:
     orbit = scenario.orbit.model_copy(update={"frame": variant.frame or scenario.orbit.frame})
     spins = _first_members(scenario.model_copy(update={"spin": spin}), count)
     return motion.passages(scenario.order, spin.long_axis)(spins, orbit.elements(), scenario.times())
-
-
-class SpinChange(NamedTuple):
-    """The changes of the members' spins by a passage."""
-
-    momentum: np.ndarray  # |π| after, over that before
-    rate: np.ndarray  # 2H/|π| after, over that before
-    pole_angle: np.ndarray  # the angle between the poles before and after, in degrees
-    longitude: np.ndarray  # the change of the pole's longitude, in degrees
-    latitude: np.ndarray  # the change of the pole's distance from the ecliptic, in degrees
-    same_mode: np.ndarray  # whether the mode is the same
-
-
-def change_of_spin(before: Outcome, after: Outcome) -> SpinChange:
-    """The changes of the members."""
-    longitudes, latitudes = np.asarray(longitude_latitude(np.stack([before.pole, after.pole]))).transpose(2, 0, 1)
-    return SpinChange(
-        after.momentum / before.momentum,
-        after.rate / before.rate,
-        np.rad2deg(angles(before.pole, after.pole)),
-        (longitudes[1] - longitudes[0] + 180) % 360 - 180,
-        abs(latitudes[1]) - abs(latitudes[0]),
-        after.long_axis == before.long_axis,
-    )
 
 
 class Unknown(NamedTuple):
@@ -206,11 +134,193 @@ def unknowns(scenario: Flyby) -> dict[str, Unknown]:
     }
 
 
+def report(scenario: Flyby, run: Run) -> str:
+    """The passage, periods, spin rates and poles before and after with published ones, sensitivities and errors."""
+    found = study(scenario, run)
+    lines = [
+        *_published_lines(scenario, found),
+        *_change_lines(found),
+        *_expectations(scenario, found),
+        *_by_phase(scenario, found),
+        *_sensitivity(scenario, found),
+        *_errors(scenario, found),
+        *_variants(found),
+        *paragraphs(scenario.notes),
+        f"\n  {found.failed} of these passages had a step that did not converge",
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def facts(scenario: Flyby, before: Outcome) -> list[Quantity]:
+    """Quantities of the orbit and of the members before the passage, with published values."""
+    position, velocity = (np.asarray(x) for x in motion.GivenOrbit(scenario.orbit.elements())(jnp.zeros(())))
+    date, a = scenario.orbit.date(0), scenario.orbit.elements()[1]
+    at_infinity = float(np.sqrt(-scenario.orbit.gm_km3_s2 / a))
+    light = 1 / (1 / before.precession - 1 / before.rotation)
+    hours = date.hour + date.minute / 60 + date.second / HOUR
+
+    def quantity(name: str, values: np.ndarray | float, key: str = "") -> Quantity:
+        published = [known for known in scenario.published if known.quantity == key]
+        return Quantity(name, np.atleast_1d(values), published=published)
+
+    return [
+        quantity("distance at the perigee (km)", float(np.linalg.norm(position)), "perigee_distance_km"),
+        quantity("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
+        quantity("speed far away (km/s)", at_infinity),
+        quantity("time of the perigee (h, UTC)", hours, "perigee_time_utc_h"),
+        quantity("precession period P_φ (h)", before.precession, "precession_period_h"),
+        quantity("rotation period P_ψ (h)", before.rotation, "rotation_period_h"),
+        quantity("1/(1/P_φ − 1/P_ψ), strongest in light curves (h)", light, "lightcurve_period_h"),
+        quantity("energy over the least at this |L|", before.excitation, "energy_ratio"),
+    ]
+
+
+def _published_lines(scenario: Flyby, found: Study) -> list[str]:
+    date, hours = scenario.orbit.date, scenario.hours
+    redrawn = 1 - motion.members(scenario)[1].mean()
+    return [
+        f"\n  from {date(-hours):%Y-%m-%d %H:%M} to {date(hours):%Y-%m-%d %H:%M} UTC; "
+        f"perigee {date(0):%Y-%m-%d %H:%M:%S} UTC",
+        f"  {100 * redrawn:.3g} % of the moments were drawn again: no {scenario.spin.mode} mode has such periods",
+        *table_lines(scenario, facts(scenario, found.run.before), 52, "before"),
+    ]
+
+
+def _row(name: str, x: np.ndarray, form: str = "9.3f") -> str:
+    found = [*np.quantile(x, _QUANTILES), x.min(), x.max()] if x.size else [np.nan] * 5
+    return f"  {name:<52}" + "".join(f"{value:>{form}}" for value in found)
+
+
+def _change_lines(found: Study) -> list[str]:
+    changed, after = found.run.change, found.run.after
+    short = ~after.long_axis
+    return [
+        f"\n  {'after, members of the run':<52}{'5 %':>9}{'median':>9}{'95 %':>9}{'least':>9}{'most':>9}",
+        _row("P_φ (h)", after.precession),
+        _row("P_ψ (h)", after.rotation, "9.1f"),
+        _row("P_φ of short-axis modes (h)", after.precession[short]),
+        _row("P_φ of long-axis modes (h)", after.precession[~short]),
+        _row("|L| over that before", changed.momentum),
+        _row("effective spin rate 2H/|L| over that before", changed.rate),
+        _row("energy over the least at this |L|", after.excitation),
+        _row("rotation of the pole (°)", changed.pole_angle),
+        _row("pole's longitude changed by (°)", changed.longitude, "9.1f"),
+        _row("pole's distance from the ecliptic changed by (°)", changed.latitude, "9.2f"),
+        f"  {100 * short.mean():.1f} % end in a short-axis mode, {100 * (~short).mean():.1f} % in a long-axis mode",
+    ]
+
+
+def _expectations(scenario: Flyby, found: Study) -> list[str]:
+    x = found.run.change
+    share = lambda condition: f"{100 * np.mean(condition):.3g} %"  # noqa: E731
+    low, high = np.quantile(x.rate, (0.05, 0.95))
+    ours = {
+        "rate": f"× {low:.2f} to × {high:.2f} (5 to 95 %), × {x.rate.min():.2f} to × {x.rate.max():.2f} in all; "
+        f"halved or less in {share(x.rate <= 0.5)}, doubled or more in {share(x.rate >= 2)}",
+        "pole_angle": f"median {np.median(x.pole_angle):.1f}°; 10° or more in {share(x.pole_angle >= 10)}",
+        "longitude": f"it increases in {share(x.longitude > 0)}",
+        "latitude": f"it moves closer in {share(x.latitude < 0)}",
+        "mode": f"the same in {share(x.same_mode)}",
+    }
+    lines = ["\n  published expectations, and the members of the run"] if scenario.expected else []
+    for expected in scenario.expected:
+        lines += [f"  {expected.claim}  ({scenario.source(expected.source)})"]
+        lines += textwrap.wrap(ours[expected.quantity], 116, initial_indent="    here: ", subsequent_indent="    ")
+    return lines
+
+
+def _by_phase(scenario: Flyby, found: Study) -> list[str]:
+    x, after = found.mapped.change, found.mapped.after
+    phi, psi = (np.rad2deg(np.asarray(x)) for x in (found.grid.phi, found.grid.psi))
+    shift = scenario.spin.same_passage_deg
+    same = "φ + 180°, ψ + 180°" if shift else "φ, ψ + 180°"
+    lines = [f"\n  {f'nominal body, {len(phi)} pairs of phases':<52}{'value':>9}   at φ, ψ and at {same} (°)"]
+    for name, values in (
+        ("P_φ after (h)", after.precession),
+        ("effective spin rate over that before", x.rate),
+        ("rotation of the pole (°)", x.pole_angle),
+    ):
+        for which, k in (("least", values.argmin()), ("most", values.argmax())):
+            lines.append(f"  {f'{name}, {which}':<52}{values[k]:>9.3f}   {phi[k]:.0f}, {psi[k]:.0f}")
+    for name, holds in (
+        ("spin rate halved or less", x.rate <= 0.5),
+        ("spin rate below × 0.75", x.rate <= 0.75),
+        ("spin rate above × 1.5", x.rate >= 1.5),
+        ("spin rate doubled or more", x.rate >= 2),
+        ("long-axis mode after", after.long_axis),
+    ):
+        modulo = 180 if shift else 360
+        where = f"φ mod {modulo}° within {_interval(phi[holds], modulo)}" if holds.any() else "at no phase"
+        lines.append(f"  {name:<52}{100 * holds.mean():>7.1f} %   {where}")
+    return lines
+
+
+def _interval(phi: np.ndarray, modulo: int) -> str:
+    """The shortest interval that contains all of these angles, in degrees modulo 180° or 360°."""
+    x = np.unique(np.round(phi % modulo, 9))
+    gaps = np.diff(np.append(x, x[0] + modulo))
+    k = int(gaps.argmax())
+    first, last = x[(k + 1) % len(x)], x[k]
+    return f"{first if last >= first else first - modulo:.0f}° to {last:.0f}°"
+
+
+def _sensitivity(scenario: Flyby, found: Study) -> list[str]:
+    lines = [
+        "\n  sensitivities over the map, by forward differentiation of the whole passage: median and largest",
+        f"  {'by':<28}{'dP_φ (h)':>18}{'dP_ψ (h)':>22}{'d ln(spin rate)':>22}{'d pole (°)':>20}",
+    ]
+    rate = scenario.every_second_phase(found.mapped.after.rate)
+    for name, unknown in unknowns(scenario).items():
+        x = abs(found.slopes[name]) * unknown.size
+        scaled = (x[:, 0], x[:, 1], x[:, 2] / rate, np.rad2deg(x[:, 3]))
+        lines.append(f"  {unknown.change:<28}" + "".join(f"{np.median(v):>11.3g} {v.max():>9.3g}" for v in scaled))
+    return lines
+
+
+def _errors(scenario: Flyby, found: Study) -> list[str]:
+    longest = max(found.arcs)
+    best = found.arcs[longest].after
+    heads = ("P_φ (h)", "P_ψ (%)", "2H/|L| (%)", "pole (°)")
+    lines = [
+        f"\n  attitude at the end, {scenario.steps} steps and twice as many: {found.step_error:.1e} rad, largest of "
+        f"{min(_CHECKED, len(found.run.q))} members",
+        f"\n  {f'arcs against ± {longest:g} h, {len(best.rate)} members':<34}" + "".join(f"{x:>20}" for x in heads),
+        f"  {'':<34}" + f"{'median':>11}{'largest':>9}" * 4,
+    ]
+    for hours, passage in found.arcs.items():
+        if hours == longest:
+            continue
+        x = passage.after
+        parts = (
+            abs(x.precession - best.precession),
+            100 * abs(x.rotation / best.rotation - 1),
+            100 * abs(x.rate / best.rate - 1),
+            np.rad2deg(angles(x.pole, best.pole)),
+        )
+        lines.append(f"  {f'± {hours:g} h':<34}" + "".join(f"{np.median(v):>11.2g}{v.max():>9.2g}" for v in parts))
+    return lines
+
+
+def _variants(found: Study) -> list[str]:
+    heads = {"P_φ (h)": 22, "spin rate": 20, "pole rotated (°)": 22, "same mode": 11}
+    title = "other assumptions: 5 %, median, 95 %"
+    lines = [f"\n  {title:<42}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
+    for name, passage in ({"the run": found.run} | found.variants).items():
+        x, after = passage.change, passage.after
+        columns = [(after.precession, 22, ".1f"), (x.rate, 20, ".2f"), (x.pole_angle, 22, ".1f")]
+        text = "".join(
+            f"{', '.join(format(v, form) for v in np.quantile(values, _QUANTILES)):>{width}}"
+            for values, width, form in columns
+        )
+        lines.append(f"  {name:<42}{text}{100 * np.mean(x.same_mode):>9.1f} %")
+    return lines
+
+
 @picture(2, 2)
 def draw_map(scenario: Flyby, axes: np.ndarray, run: Run) -> None:
     """Plot periods, effective spin rate and rotation of the pole after the passage, over both phases at the perigee."""
     found = study(scenario, run)
-    x, after = change_of_spin(found.mapped.before, found.mapped.after), found.mapped.after
+    x, after = found.mapped.change, found.mapped.after
     shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
     P_phi, P_psi = found.mapped.before.precession[0], found.mapped.before.rotation[0]
     contours, shown = (18, 20, 24, 28, 32, 36, 40), np.clip(after.rotation, None, _LONGEST)
@@ -269,7 +379,7 @@ def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: st
 def draw_after(scenario: Flyby, axes: np.ndarray, run: Run) -> None:
     """Plot the members after the passage: distributions of periods, spin rate and rotation of the pole, and poles."""
     found = study(scenario, run)
-    x, after, before = change_of_spin(found.before, found.after), found.after, found.before
+    x, after, before = found.run.change, found.run.after, found.run.before
     panels = (
         ("precession period $P_\\phi$ (h)", after.precession, before.precession[0]),
         ("rotation period $P_\\psi$ (h)", after.rotation, before.rotation[0]),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import datetime
+import inspect
 from collections.abc import Callable, Mapping
+from types import FunctionType
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import jax.numpy as jnp
@@ -65,12 +67,19 @@ Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib 
 class Table(BaseModel):
     """A table of keys, strictly validated: no unknown keys, no text for a number, no nan.
 
-    The text below a key is its description in the JSON schema, with its unit. The unit of an angle is in its key.
+    The text below a key is its description in the JSON schema, with its unit. The unit of an angle is in its key. The
+    methods `_check_NAME` raise ValueError for keys that do not fit together; those of general tables are called first.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
     files: ClassVar[Mapping[str, type[Table]]] = {}
     """Keys that may be {file = "…"} instead, with the keys of that table: see `_files`."""
+
+    @model_validator(mode="after")
+    def _run_checks(self) -> Self:
+        for check in methods(type(self), "_check_"):
+            check(self)
+        return self
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: Any, handler: Any) -> Any:
@@ -80,6 +89,13 @@ class Table(BaseModel):
             table = handler(model.__pydantic_core_schema__)
             keys[key] = {"anyOf": [keys[key], table]} if key in keys else table
         return made
+
+
+def methods(table: type[Table], prefix: str = "") -> list[FunctionType]:
+    """The methods of a table and of those that it extends, with a prefix, in the order of their definition."""
+    names = dict.fromkeys(name for base in reversed(table.__mro__) if issubclass(base, Table) for name in vars(base))
+    found = (inspect.getattr_static(table, name) for name in names if name.startswith(prefix))
+    return [f for f in found if isinstance(f, FunctionType)]
 
 
 class Published(Table):
@@ -126,11 +142,9 @@ class Rate(Table):
 class GivenRate(Rate):
     """An angular velocity, given by exactly one of two keys."""
 
-    @model_validator(mode="after")
-    def _check_rate(self) -> Self:
+    def _check_rate(self) -> None:
         if self.rate() is None:
             raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
-        return self
 
 
 class Stated(NamedTuple):
@@ -182,11 +196,9 @@ class RateSpread(Spread):
     angular_velocity_deg: NonNegative = 0.0
     """In degrees per time_unit, each component."""
 
-    @model_validator(mode="after")
-    def _check_rate_keys(self) -> Self:
+    def _check_rate_keys(self) -> None:
         if self.angular_velocity_rad and self.angular_velocity_deg:
             raise ValueError("give angular_velocity_rad or angular_velocity_deg, not both")
-        return self
 
     def rate(self) -> float:
         """Radians per time_unit."""

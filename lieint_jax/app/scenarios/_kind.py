@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
-from types import FunctionType
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +16,7 @@ from lieint_jax import _checks, schemes
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
-from lieint_jax.app.scenarios._keys import Date, PositiveInt, Table, Text
+from lieint_jax.app.scenarios._keys import Date, PositiveInt, Table, Text, methods
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity, join_members, text
 from lieint_jax.app.scenarios._runs import (
     LONGEST,
@@ -139,34 +137,26 @@ class Kind(Table):
             raise ValueError(f"spread: {cls.no_spread}")
         return keys
 
-    @model_validator(mode="after")
-    def _check_steps(self) -> Self:
+    def _check_steps(self) -> None:
         if self.dt == 0:
             raise ValueError("dt must not be 0")
         if self.steps % self.save_every:
             near = _checks.nearest_multiples(self.steps, self.save_every)
             raise ValueError(f"steps = {self.steps} must be a multiple of save_every = {self.save_every}: give {near}")
-        return self
 
-    @model_validator(mode="after")
-    def _check_sources(self) -> Self:
+    def _check_sources(self) -> None:
         for key in _sources(self.model_dump()):
             if self.sources and key not in self.sources:
                 raise ValueError(f"source {key!r} is not one of the keys of [sources]: {', '.join(self.sources)}")
-        return self
 
-    @model_validator(mode="after")
-    def _check_number_spreads(self) -> Self:
+    def _check_number_spreads(self) -> None:
         self.own_numbers()
-        return self
 
-    @model_validator(mode="after")
-    def _check_published(self) -> Self:
-        keys = {mark[1] for f in _methods(type(self)) if (mark := vars(f).get("quantity")) is not None}
+    def _check_published(self) -> None:
+        keys = {mark[1] for f in methods(type(self)) if (mark := vars(f).get("quantity")) is not None}
         if keys and (unknown := set(self._published()) - keys):
             known = " or ".join(sorted(keys - {""}))
             raise ValueError(f"published.{min(unknown)}: no quantity has this key; {known} has")
-        return self
 
     def own_numbers(self) -> dict[_spread.Path, _spread.GivenSpread]:
         """The spreads of the numbers that differ between members, by the paths of the numbers."""
@@ -265,7 +255,7 @@ class Kind(Table):
     def quantities(self, run: Run) -> list[Quantity]:
         """The values of the methods that are marked `quantity`, in their order."""
         found = []
-        for function in _methods(type(self)):
+        for function in methods(type(self)):
             if (mark := vars(function).get("quantity")) is not None:
                 name, published, options = mark
                 values, name = np.asarray(function(self, run)), name.format(time_unit=self.time_unit)
@@ -298,7 +288,7 @@ class Kind(Table):
     @classmethod
     def pictures(cls) -> dict[str, Picture]:
         """The functions that draw a run, by the suffix of their file names."""
-        return {f.__name__.removeprefix("draw_"): f for f in _methods(cls) if f.__name__.startswith("draw_")}
+        return {f.__name__.removeprefix("draw_"): f for f in methods(cls, "draw_")}
 
     def drawn(
         self, one: Run, fine: int = 1, steps: int | None = None, longest: int = LONGEST, step: Step | None = None
@@ -383,12 +373,6 @@ def for_last_run(method: Callable[[Any, Run], R]) -> Callable[[Any, Run], R]:
         return last[0][1]
 
     return cached
-
-
-def _methods(kind: type[Kind]) -> list[FunctionType]:
-    """The methods of a kind and of those that it extends, in the order of their definition."""
-    names = dict.fromkeys(name for base in reversed(kind.__mro__) if issubclass(base, Kind) for name in vars(base))
-    return [f for name in names if isinstance(f := inspect.getattr_static(kind, name), FunctionType)]
 
 
 def _sources(tree: Any) -> list[str]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import orbits, torques
 from lieint_jax.app.scenarios._keys import NonNegative, PositiveFloat, PositiveTriple, Table, Triple, UnitVector
@@ -96,11 +96,9 @@ class Control(Table):
     window: Window
     """The first and last time at which it acts, in time_unit."""
 
-    @model_validator(mode="after")
-    def _check_window(self) -> Self:
+    def _check_window(self) -> None:
         if not self.window[0] < self.window[1]:
             raise ValueError(f"window must be [from, to] with from < to, got {self.window}")
-        return self
 
 
 class Detumbling(Control):

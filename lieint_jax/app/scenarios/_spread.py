@@ -338,7 +338,8 @@ def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
         return with_numbers(scenario, numbers).member(noise)
 
     if scenario.own_step:
-        return jax.jit(jax.vmap(member))(own, noise)
+        step, states = jax.jit(jax.vmap(member))(own, noise)
+        return step, _with_shared_time(states)
     nominal = scenario.make_step()
     if not own:
         return nominal, _with_shared_time(jax.vmap(partial(scenario.start, nominal.system))(noise))

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import model_validator
 
 from lieint_jax import measure, potentials, runs, systems
 from lieint_jax.app import plots
@@ -93,10 +92,8 @@ class Binary(MultibodyKind):
     published: dict[Name, Published] = {}
     """Periods in hours, rates in degrees a day, changes of speed in mm/s, as the names say."""
 
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
+    def _check_order(self) -> None:
         check_order(self.scheme, self.order)
-        return self
 
     def spreads(self) -> dict[str, tuple[float, str]]:
         pair = {"primary": self.primary, "secondary": self.secondary}

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import operator
 from functools import reduce
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from lieint_jax import measure, potentials, systems
 from lieint_jax.app import plots
@@ -65,11 +65,9 @@ class Body(ExtendedBody):
     published: dict[PublishedKey, keys.Published] = {}
     """Orbital period about the first body and rotation period in hours, precession of the apsides in degrees a day."""
 
-    @model_validator(mode="after")
-    def _check_attitude(self) -> Self:
+    def _check_attitude(self) -> None:
         if self.quaternion is not None and any(self.euler_313_deg):
             raise ValueError("give the attitude by quaternion or euler_313_deg, not both")
-        return self
 
     def attitude(self) -> Array:
         return super().attitude() if self.quaternion is None else jnp.asarray(self.quaternion)
@@ -107,8 +105,7 @@ class Term(keys.Table):
     field_m_s2: keys.Triple | None = None
     """For uniform_field: the acceleration of every mass, in m/s²."""
 
-    @model_validator(mode="after")
-    def _check_keys(self) -> Self:
+    def _check_keys(self) -> None:
         required, optional = _KEYS[self.kind]
         given = [name for name, value in self if name != "kind" and value is not None]
         for name in given:
@@ -122,7 +119,6 @@ class Term(keys.Table):
             raise ValueError(f"a spring must join two bodies, got {self.between[0]!r} twice")
         if self.field_m_s2 is not None and not any(self.field_m_s2):
             raise ValueError("field_m_s2 must not be 0")
-        return self
 
     def gravity(self) -> float:
         """The constant of gravity of this potential."""
@@ -157,8 +153,7 @@ class Bodies(MultibodyKind):
             raise ValueError(f"is a list of tables: write [[{info.field_name}]] for [{info.field_name}]")
         return value
 
-    @model_validator(mode="after")
-    def _check_names_and_positions(self) -> Self:
+    def _check_names_and_positions(self) -> None:
         names: dict[Any, str] = {}
         for body in self.bodies:
             if body.name in self.names()[: len(names)]:
@@ -167,10 +162,8 @@ class Bodies(MultibodyKind):
             if position in names:
                 raise ValueError(f"{names[position]} and {body.name} are at one place, {body.position_m}")
             names[position] = body.name
-        return self
 
-    @model_validator(mode="after")
-    def _check_potentials(self) -> Self:
+    def _check_potentials(self) -> None:
         gravities = [term.kind for term in self.potential if term.kind in _GRAVITY]
         if len(gravities) > 1:
             raise ValueError(f"gravity is given {len(gravities)} times, by {' and '.join(gravities)}: give it once")
@@ -180,17 +173,14 @@ class Bodies(MultibodyKind):
             for name in term.between or []:
                 if name not in self.names():
                     raise ValueError(f"between has {name!r}, which is no body; there are {', '.join(self.names())}")
-        return self
 
-    @model_validator(mode="after")
-    def _check_scheme(self) -> Self:
+    def _check_scheme(self) -> None:
         check_order(self.scheme, self.order)
         if self.scheme == "kepler_splitting":
             if len(self.bodies) != 2:
                 raise ValueError(f"kepler_splitting is for two bodies, got {len(self.bodies)}; use nystrom")
             if self.attraction() is None:
                 raise ValueError("kepler_splitting is for bodies that attract each other; use nystrom")
-        return self
 
     def names(self) -> list[str]:
         """The names of the bodies."""

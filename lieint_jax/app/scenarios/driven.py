@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import measure, orbits, systems
 from lieint_jax.app import plots
@@ -49,10 +49,8 @@ class Orbit(Table):
     periapsis_time: float = 0.0
     """The time of periapsis, in time_unit, on the clock of state.t."""
 
-    @model_validator(mode="after")
-    def _check_orbit(self) -> Self:
+    def _check_orbit(self) -> None:
         self.motion()
-        return self
 
     def motion(self) -> Kepler:
         inclination, node, periapsis = radians([self.inclination_deg, self.node_deg, self.periapsis_deg])
@@ -90,8 +88,7 @@ class Driven(TopKind):
         "state.t": "all members share their time",
     }
 
-    @model_validator(mode="after")
-    def _set_dt(self) -> Self:
+    def _check_and_set_dt(self) -> None:
         if (self.dt is None) == (self.steps_per_orbit is None):
             raise ValueError("give exactly one of dt and steps_per_orbit")
         if self.steps_per_orbit is not None:
@@ -101,12 +98,9 @@ class Driven(TopKind):
             period = 2 * np.pi / float(self.orbit.motion().mean_motion)
             self.dt = period / self.steps_per_orbit  # pyright: ignore[reportIncompatibleVariableOverride]
             self.steps_per_orbit = None  # files of results have dt
-        return self
 
-    @model_validator(mode="after")
-    def _check_motion(self) -> Self:
+    def _check_motion(self) -> None:
         self.motion()
-        return self
 
     def motion(self) -> Kepler | EphemerisOrbit:
         """The orbit, a function of time."""

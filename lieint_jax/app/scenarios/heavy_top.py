@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import model_validator
 
 from lieint_jax import measure, systems
 from lieint_jax.app import plots
@@ -38,11 +37,9 @@ class HeavyTop(TopKind):
     """The direction in space along which the potential energy grows: upwards."""
     scheme: Literal["nystrom", "top_energy_momentum", "splitting"] = "top_energy_momentum"  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
+    def _check_order(self) -> None:
         if self.scheme == "nystrom":
             check_order("nystrom", self.order)
-        return self
 
     def make_system(self) -> PotentialTop:
         return systems.heavy_top(self.inertia, self.weight, self.axis)
@@ -72,7 +69,17 @@ class HeavyTop(TopKind):
 
     def quantities(self, run: Run) -> list[Quantity]:
         """Nutation and precession of the axis to the center of mass, measured for every member, and in closed form."""
-        return nutations(self.nutation(run), closed_form(nominal_system(run), nominal_state(run)), self.time_unit)
+        found, closed = self.nutation(run), closed_form(nominal_system(run), nominal_state(run))
+        known = [np.nan] * 4
+        if closed is not None:
+            known = [closed.nutation_period, closed.precession_rate, *np.rad2deg(closed.inclination)]
+        rows = {
+            f"nutation period ({self.time_unit})": found.period,
+            f"mean precession (rad/{self.time_unit})": found.precession_rate,
+            "least inclination (°)": np.rad2deg(found.least),
+            "greatest inclination (°)": np.rad2deg(found.greatest),
+        }
+        return [Quantity(*row, closed_form=float(x)) for row, x in zip(rows.items(), known, strict=True)]
 
     def remarks(self, run: Run) -> list[str]:
         """How to read the table."""
@@ -142,18 +149,3 @@ def _weight(top: PotentialTop) -> np.ndarray:
 
 def _unit(x: np.ndarray) -> np.ndarray:
     return x / np.linalg.norm(x)
-
-
-def nutations(found: Nutation, closed: LagrangeMotion | None, time_unit: str) -> list[Quantity]:
-    """The measured nutation of the members, and that of the nominal one in closed form."""
-    known = [np.nan] * 4
-    if closed is not None:
-        known = [closed.nutation_period, closed.precession_rate, *np.rad2deg(closed.inclination)]
-    rows = {
-        f"nutation period ({time_unit})": found.period,
-        f"mean precession (rad/{time_unit})": found.precession_rate,
-        "least inclination (°)": np.rad2deg(found.least),
-        "greatest inclination (°)": np.rad2deg(found.greatest),
-    }
-    columns = zip(rows.items(), known, strict=True)
-    return [Quantity(name, x, closed_form=float(exact)) for (name, x), exact in columns]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import measure, systems
 from lieint_jax.app import plots
@@ -17,7 +16,7 @@ from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, change_lines
 from lieint_jax.app.scenarios._runs import length, series
 from lieint_jax.runs import Run
 from lieint_jax.systems import IncompressibleBody
-from lieint_jax.types import State, Step
+from lieint_jax.types import State
 
 SECULAR, DYNAMICAL = 0.812670, 0.952887  # eccentricities at which a bar may and must grow [Chandrasekhar 1969, § 33]
 _MAX_BAR = 1e-3  # largest bar whose modes are measured
@@ -41,11 +40,9 @@ class Maclaurin(Kind):
 
     no_spread: ClassVar[str] = "the members are spheroids of eccentricities at equal distances"
 
-    @model_validator(mode="after")
-    def _check_members(self) -> Self:
+    def _check_members(self) -> None:
         if (self.last_eccentricity is None) != (self.members == 1):
             raise ValueError("last_eccentricity and members > 1 go together")
-        return self
 
     def eccentricities(self) -> np.ndarray:
         """The eccentricities of all members."""
@@ -58,16 +55,16 @@ class Maclaurin(Kind):
     def options(self) -> tuple[Any, ...]:
         return ("incompressible",)
 
-    def build(self, indices: np.ndarray | None = None) -> tuple[Step, State]:
-        """The step and the spheroids with a small bar, each in its rotation."""
-        step, e = self.make_step(), self.eccentricities()[self.indices(indices)]
+    def deviates(self, indices: np.ndarray) -> tuple[Array, Array]:
+        """The semi-axes with a small bar, (m, 3), and the angular velocities of the members."""
+        e = self.eccentricities()[indices]
         a, Omega = systems.maclaurin_spheroid(e)
         axes = np.stack([a * (1 + self.bar), a / (1 + self.bar), a * np.sqrt(1 - e * e)], axis=1)
+        return jnp.asarray(axes), jnp.asarray(Omega)
 
-        def member(axes: Array, Omega: Array) -> State:
-            return step.system.state(jnp.diag(axes), angular_velocity=Omega * jnp.array([0.0, 0.0, 1.0]))
-
-        return step, jax.vmap(member)(jnp.asarray(axes), jnp.asarray(Omega))
+    def start(self, system: IncompressibleBody, noise: tuple[Array, Array]) -> State:
+        axes, Omega = noise
+        return system.state(jnp.diag(axes), angular_velocity=Omega * jnp.array([0.0, 0.0, 1.0]))
 
     def conserved(self, run: Run) -> list[Conserved]:
         """Energy, angular momentum, circulation and volume."""

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Annotated, Any, ClassVar, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
@@ -130,8 +130,7 @@ class Moon(Kind):
         "the members are a grid of planar starts; members about observed states are spread by the table around"
     )
 
-    @model_validator(mode="after")
-    def _check_steps_per_orbit(self) -> Self:
+    def _check_steps_per_orbit(self) -> None:
         dt = _PERIOD / self.steps_per_orbit
         if self.dt is not None and self.dt != dt:
             raise ValueError("dt is given by steps_per_orbit: leave it out")
@@ -141,7 +140,6 @@ class Moon(Kind):
             near = _checks.nearest_multiples(self.members, self.angles)
             raise ValueError(f"members = {self.members} must be a multiple of angles = {self.angles}: give {near}")
         self.dt, self.save_every = dt, self.steps_per_orbit  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self
 
     @property
     def orbits(self) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import AliasChoices, Field
 
 from lieint_jax import measure, schemes, systems
 from lieint_jax.app.scenarios._keys import NonNegative, NumberSpread, PositiveFloat, Table, Triple, UnitVector
@@ -58,11 +58,9 @@ class SphericalPendulum(Kind):
     state: InitialState
     spread: Spread = Spread()
 
-    @model_validator(mode="after")
-    def _check_gravity(self) -> SphericalPendulum:
+    def _check_gravity(self) -> None:
         if self.gravity == 0:
             raise ValueError("gravity must not be 0")
-        return self
 
     def make_system(self) -> Pendulum:
         return systems.pendulum(self.mass, self.gravity, self.axis)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import _checks, diagnostics, systems
 from lieint_jax._numerics import random_bits
@@ -53,11 +53,9 @@ class InitialState(keys.Rate):
     momentum: Matrix | None = None
     """P, of F: velocity times the second moments of mass."""
 
-    @model_validator(mode="after")
-    def _check_motion(self) -> Self:
+    def _check_motion(self) -> None:
         if len(self.motion()) != 1:
             raise ValueError("give exactly one of angular_velocity_rad, angular_velocity_deg, velocity, momentum")
-        return self
 
     def motion(self) -> dict[str, Any]:
         given = {"angular_velocity": self.rate(), "velocity": self.velocity, "momentum": self.momentum}
@@ -90,13 +88,11 @@ class PseudoRigid(Kind):
 
     fixed: ClassVar[dict[str, str]] = Kind.fixed | {"alpha": "it is a number of the scheme"}
 
-    @model_validator(mode="after")
-    def _check_alpha(self) -> Self:
+    def _check_alpha(self) -> None:
         if self.alpha != 0.5 and self.rule != "symplectic":
             raise ValueError(f"alpha: the rule {self.rule!r} conserves energy for 0.5 only (got {self.alpha})")
         if self.steps <= 2 * self.lag:
             raise ValueError(f"steps = {self.steps} must be more than 2·lag = {2 * self.lag}")
-        return self
 
     def make_system(self) -> PseudoRigidBody:
         material = getattr(systems, self.material.law)(self.material.lam, self.material.mu)

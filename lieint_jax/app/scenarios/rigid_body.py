@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from pydantic import model_validator
 
-from lieint_jax import diagnostics, maps, measure, systems
+from lieint_jax import adjoints, diagnostics, maps, measure, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._files import ObservationFile
@@ -23,7 +20,6 @@ from lieint_jax.app.scenarios._runs import angles, drawn_steps, length, nominal_
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State, Step
 
 Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
 
@@ -39,18 +35,6 @@ class Observation(_body.InitialState):
     """In time_unit, a multiple of dt times save_every."""
     source: str
     """A key of the table sources, or the source itself if there is no such table."""
-
-
-class Prediction(NamedTuple):
-    """The prediction of an observation; angles in degrees."""
-
-    observation: Observation
-    euler_313_deg: np.ndarray  # the predicted attitude, (3,)
-    angular_velocity_deg: np.ndarray  # the predicted angular velocity in the body, (3,)
-    misfit_deg: float  # the angle between the predicted and the observed attitude
-    spread_deg: float  # the root mean square angle of the members about the nominal one
-    # the angle between the nominal attitude and that of `diagnostics.flow`, which is accurate to round-off
-    integrator_error_deg: float
 
 
 class FreeBody(_body.BodyKind):
@@ -71,15 +55,12 @@ class FreeBody(_body.BodyKind):
 
     files: ClassVar[Mapping[str, type[Table]]] = {**_body.BodyKind.files, "observation": ObservationFile}
 
-    @model_validator(mode="after")
-    def _check_scheme(self) -> Self:
+    def _check_scheme(self) -> None:
         if self.kappa is not None and self.scheme != "so3_midpoint":
             raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
         check_order(self.scheme, self.order)
-        return self
 
-    @model_validator(mode="after")
-    def _check_observations(self) -> Self:
+    def _check_observations(self) -> None:
         interval = self.dt * self.save_every
         for seen in self.observation:
             if seen.t * interval < 0:
@@ -89,7 +70,6 @@ class FreeBody(_body.BodyKind):
                 )
             if abs(seen.t / interval - round(seen.t / interval)) > 1e-6:
                 raise ValueError(f"observation.t = {seen.t} must be a multiple of dt·save_every = {interval:.9g}")
-        return self
 
     def make_system(self) -> RigidBody:
         return systems.rigid_body(self.inertia)
@@ -105,69 +85,55 @@ class FreeBody(_body.BodyKind):
         """Mean periods of the tumbling and the direction of the angular momentum, with their published values."""
         periods, pole = measure.periods(run), measure.pole(run)
         rows = {
-            "precession_period": f"precession period ({self.time_unit})",
-            "rotation_period": f"rotation period ({self.time_unit})",
-            "momentum_longitude_deg": "angular momentum longitude (°)",
-            "momentum_latitude_deg": "angular momentum latitude (°)",
+            "precession_period": (f"precession period ({self.time_unit})", periods.precession),
+            "rotation_period": (f"rotation period ({self.time_unit})", periods.rotation),
+            "momentum_longitude_deg": ("angular momentum longitude (°)", np.rad2deg(pole.longitude[0])),
+            "momentum_latitude_deg": ("angular momentum latitude (°)", np.rad2deg(pole.latitude[0])),
         }
-        angles = np.rad2deg(pole.longitude[0]), np.rad2deg(pole.latitude[0])
-        values: Any = (periods.precession, periods.rotation, *angles)
         known: dict[str, Published] = {**self.published}
-        return [
-            Quantity(name, x, published=known.get(key), angle=key.endswith("_deg"))
-            for (key, name), x in zip(rows.items(), values, strict=True)
-        ]
+        return [Quantity(*row, published=known.get(key), angle=key.endswith("_deg")) for key, row in rows.items()]
 
     def remarks(self, run: Run) -> list[str]:
         """The reason for a missing period, and predictions next to observations."""
         one = run.member(0)
         missing = "  — no period: the body spins about an axis, or states are saved too rarely (lower save_every)"
         lines = [missing] if np.isnan(measure.periods(one)[:2]).any() else []
-        return lines + [self._prediction_lines(found) for found in self.predictions(run)]
+        return lines + [self._prediction(run, seen) for seen in self.observation if self._is_seen(run, seen)]
 
     def save_index(self, seen: Observation) -> int:
         """The index of the saved state at the time of an observation."""
         return round(seen.t / (self.dt * self.save_every))
 
-    def predictions(self, run: Run) -> list[Prediction]:
-        """The predictions of the nominal member for the observations within the run."""
-        body, found = nominal_system(run), []
-        for seen in self.observation:
-            k = self.save_index(seen)
-            if not 0 <= k < len(run.t):
-                continue
-            now, start = nominal_state(run, k), nominal_state(run)
-            Omega = jnp.linalg.norm(body.angular_velocity(start))
-            true = diagnostics.flow(body, start, seen.t, 2 * int(abs(seen.t * Omega)) + 2)
-            angles = jax.vmap(so3.angle, in_axes=(0, None))(jnp.asarray(run.state.q[k]), now.q)
-            found.append(
-                Prediction(
-                    seen,
-                    np.rad2deg(np.asarray(so3.to_euler_313(now.q))) % 360,
-                    np.rad2deg(np.asarray(body.angular_velocity(now))),
-                    float(jnp.rad2deg(so3.angle(now.q, seen.attitude()))),
-                    float(jnp.rad2deg(jnp.sqrt(jnp.mean(angles**2)))),
-                    float(jnp.rad2deg(so3.angle(now.q, true.q))),
-                )
-            )
-        return found
+    def _is_seen(self, run: Run, seen: Observation) -> bool:
+        return 0 <= self.save_index(seen) < len(run.t)
 
-    def _prediction_lines(self, found: Prediction) -> str:
-        seen = found.observation
+    def _prediction(self, run: Run, seen: Observation) -> str:
+        """The predicted attitude and rate of the nominal member next to an observation, with the sizes of errors.
+
+        The integrator's own error is that against `diagnostics.flow`, which is accurate to round-off.
+        """
+        body, k = nominal_system(run), self.save_index(seen)
+        now, start = nominal_state(run, k), nominal_state(run)
+        Omega = jnp.linalg.norm(body.angular_velocity(start))
+        true = diagnostics.flow(body, start, seen.t, 2 * int(abs(seen.t * Omega)) + 2)
+        members = jax.vmap(so3.angle, in_axes=(0, None))(jnp.asarray(run.state.q[k]), now.q)
+        misfit, own = (float(jnp.rad2deg(so3.angle(now.q, q))) for q in (seen.attitude(), true.q))
+        spread = float(jnp.rad2deg(jnp.sqrt(jnp.mean(members**2))))
 
         def triple(values: np.ndarray | list[float]) -> str:
             return "(" + ", ".join(f"{x:8.2f}" for x in values) + ")"
 
         lines = [f"\n  {seen.label}: t = {seen.t:g} {self.time_unit}   [{self.source(seen.source)}]"]
+        euler, rate = np.rad2deg(np.asarray(so3.to_euler_313(now.q))) % 360, body.angular_velocity(now)
         for name, predicted, observed in (
-            ("Euler 3-1-3 (°)", found.euler_313_deg, seen.euler_313_deg),
-            (f"body rate (°/{self.time_unit})", found.angular_velocity_deg, seen.angular_velocity_deg),
+            ("Euler 3-1-3 (°)", euler, seen.euler_313_deg),
+            (f"body rate (°/{self.time_unit})", np.rad2deg(np.asarray(rate)), seen.angular_velocity_deg),
         ):
             if observed:
                 lines.append(f"    {name}      predicted {triple(predicted)}   observed {triple(observed)}")
         lines += [
-            f"    angle between attitudes predicted and observed: {found.misfit_deg:.2f}°; members about the nominal "
-            f"one: {found.spread_deg:.2f}° rms; the integrator's own error: {found.integrator_error_deg:.2g}°",
+            f"    angle between attitudes predicted and observed: {misfit:.2f}°; members about the nominal "
+            f"one: {spread:.2f}° rms; the integrator's own error: {own:.2g}°",
             "    (torque-free: the angle includes errors of the initial state and the observation, and omitted "
             "torques)",
         ]
@@ -183,7 +149,7 @@ class FreeBody(_body.BodyKind):
         place, close = axes
         wide = place.figure.add_subplot(place.get_subplotspec(), projection="mollweide")
         place.remove()
-        seen = [s for s in self.observation if 0 <= self.save_index(s) < len(run.t)][:1]
+        seen = [s for s in self.observation if self._is_seen(run, s)][:1]
         last = self.save_index(seen[0]) if seen else len(run.t) - 1
         long = self.drawn(one, steps=last * self.save_every)
         path, members = _body.axis_in_space(long.state.q, Z), _body.axis_in_space(run.state.q[last], Z)
@@ -227,21 +193,9 @@ class FreeBody(_body.BodyKind):
         plots.log_error(axes[0], t, {"nominal member": energy}, "relative energy error", self.time_unit)
         plots.log_error(axes[1], t, {"nominal member": sigma}, "Poisson error |σ|", self.time_unit)
         if sigma.max() > _AMPLIFIED:
-            plots.amplified_round_off(axes[1], t, np.asarray(_linearizations(step, z, self.dt, n)[::every]))
+            L = adjoints.transition(step, z, self.dt, n, save_every=every).matrix
+            plots.amplified_round_off(axes[1], t, np.asarray(L))
         _draw_polhode(axes[2], one)
-
-
-@partial(jax.jit, static_argnames="num_steps")
-def _linearizations(step: Step, state: State, dt: float, num_steps: int) -> Array:
-    """The derivatives of the states after 0, 1, … steps by the initial one, (num_steps + 1, 6, 6)."""
-
-    def advance(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], Array]:
-        state, L = carry
-        after = diagnostics.linearization(step, state, dt) @ L
-        return (step(state, dt)[0], after), after
-
-    start = jnp.eye(6, dtype=state.p.dtype)
-    return jnp.concatenate([start[None], jax.lax.scan(advance, (state, start), length=num_steps)[1]])
 
 
 def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed: np.ndarray) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.tree_util import Partial
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import systems
 from lieint_jax.app.scenarios import _keys as keys
@@ -50,11 +50,9 @@ class Load(keys.Table):
     factors: list[float]
     """The factor of force and moment at each of the times."""
 
-    @model_validator(mode="after")
-    def _check_times(self) -> Self:
+    def _check_times(self) -> None:
         if len(self.factors) != len(self.times) or not np.all(np.diff(self.times) > 0):
             raise ValueError("times must increase, and factors must have as many numbers")
-        return self
 
     def impulse(self) -> np.ndarray:
         """That of the force, (3,)."""
@@ -100,12 +98,10 @@ class Rod(Kind):
         "loads.*.factors": "give force and moment a spread instead",
     }
 
-    @model_validator(mode="after")
-    def _check_loads(self) -> Self:
+    def _check_loads(self) -> None:
         at = [load.section % (self.elements + 1) for load in self.loads]
         if len(set(at)) < len(at):
             raise ValueError("loads: two act on the same section: give one load for each section")
-        return self
 
     def make_system(self) -> ElasticRod | DissipativeRod:
         """Its loads are pytrees, so that members may have loads of their own."""

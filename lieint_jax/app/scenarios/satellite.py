@@ -5,14 +5,14 @@ from __future__ import annotations
 import datetime
 import itertools
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import field_validator
 
-from lieint_jax import schemes, systems, torques
+from lieint_jax import measure, schemes, systems, torques
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios import _satellite_laws as equipment
@@ -22,13 +22,11 @@ from lieint_jax.app.scenarios._keys import HOUR, NonNegative, PositiveFloat, Rot
 from lieint_jax.app.scenarios._kind import for_last_run, picture
 from lieint_jax.app.scenarios._pictures import draw_balance, draw_members
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
-from lieint_jax.app.scenarios._runs import angles, series
+from lieint_jax.app.scenarios._runs import energy, length, series
 from lieint_jax.app.scenarios._spread import draw_members as draw_numbers
 from lieint_jax.app.scenarios._spread import stretch_inertia, with_numbers
 from lieint_jax.groups import so3
-from lieint_jax.measure import captured_since, first_below
 from lieint_jax.runs import Run
-from lieint_jax.systems import TorquedBody
 from lieint_jax.types import State, Step, labels
 
 _CAPTURED = 10.0  # degrees from the nadir
@@ -93,8 +91,7 @@ class Satellite(BodyKind):
             raise ValueError(f'must be a day such as "2026-03-01": {error}') from error
         return value
 
-    @model_validator(mode="after")
-    def _check_equipment(self) -> Self:
+    def _check_equipment(self) -> None:
         for name in self.controls():
             if name != "pointing" and self.max_dipole is None:
                 raise ValueError(f"{name} needs torquers: give max_dipole")
@@ -104,13 +101,10 @@ class Satellite(BodyKind):
             (a, b), (c, d) = self.detumbling.window, self.unloading.window
             if a < d and c < b:
                 raise ValueError("detumbling and unloading use the same torquers: their windows must not overlap")
-        return self
 
-    @model_validator(mode="after")
-    def _check_orbit_and_wheels(self) -> Self:
+    def _check_orbit_and_wheels(self) -> None:
         self.environment()
         self._driven_inertia(jnp.asarray(inertia_matrix(self)))
-        return self
 
     def environment(self) -> equipment.Surroundings:
         """The functions of time along the orbit."""
@@ -181,19 +175,12 @@ class Satellite(BodyKind):
     @for_last_run
     def course(self, run: Run) -> Course:
         """The measured series of all members."""
-        axes = None if self.wheels is None else self.wheels.axes()
-
-        def measure(body: TorquedBody, state: State) -> tuple[Any, ...]:
-            Omega = body.angular_velocity(state)
-            z = so3.Ad(state.q, jnp.array([0.0, 0.0, 1.0], state.q.dtype))
-            extra: Any = state.extra
-            h = jnp.zeros(()) if axes is None else jnp.linalg.norm(extra["wheels"] @ axes)
-            return jnp.linalg.norm(Omega), z, h, extra["works"], body.energy(state)
-
-        rate, z, h, works, energy = series(measure, run)
-        frames = jax.vmap(self.environment().frame)(jnp.asarray(run.t))
-        down = np.asarray(jax.vmap(so3.Ad, (0, None))(frames, jnp.array([0.0, 0.0, 1.0])))[:, None]
-        return Course(np.rad2deg(rate), np.rad2deg(angles(z, down)), h, works, energy, labels(run.system))
+        extra, frame = run.state.extra or {}, self.environment().frame
+        axes = np.zeros((0, 3)) if self.wheels is None else np.asarray(self.wheels.axes())
+        h = length(np.asarray(extra["wheels"]) @ axes) if len(axes) else np.zeros(run.state.p.shape[:2])
+        nadir = measure.tilt(run, direction=lambda t: so3.Ad(frame(t), jnp.array([0.0, 0.0, 1.0])))
+        rate, H = measure.rotation_rates(run), series(energy, run)
+        return Course(np.rad2deg(rate), np.rad2deg(nadir), h, np.asarray(extra["works"]), H, labels(run.system))
 
     def conserved(self, run: Run) -> list[Conserved]:
         """The energy less the work of all laws, relative to the largest energy of each member."""
@@ -204,7 +191,7 @@ class Satellite(BodyKind):
     def quantities(self, run: Run) -> list[Quantity]:
         """Rates, angles and momenta at the end, and when the members were captured."""
         c, t = self.course(run), np.asarray(run.t)
-        slow, captured = first_below(t, c.rate, _SLOW), captured_since(t, c.nadir_angle, _CAPTURED)
+        slow, captured = measure.first_below(t, c.rate, _SLOW), measure.captured_since(t, c.nadir_angle, _CAPTURED)
         found = [
             Quantity("rate at the end (°/s)", c.rate[-1]),
             Quantity("z axis from the nadir at the end (°)", c.nadir_angle[-1]),
@@ -293,8 +280,8 @@ class Satellite(BodyKind):
         """Plot when each start became slow, by its initial rate and fate, and how many are slow or captured."""
         left, right = axes
         c, t = self.course(run), np.asarray(run.t)
-        slow = first_below(t, c.rate, _SLOW, interpolate=True)
-        captured, never = np.isfinite(captured_since(t, c.nadir_angle, _CAPTURED)), int(np.isnan(slow).sum())
+        slow = measure.first_below(t, c.rate, _SLOW, interpolate=True)
+        captured, never = np.isfinite(measure.captured_since(t, c.nadir_angle, _CAPTURED)), int(np.isnan(slow).sum())
         hours = np.where(np.isnan(slow), t[-1], slow) / HOUR
         for fate, chosen, color in (("captured", captured, plots.BLUE), ("not captured", ~captured, plots.RED)):
             label = f"{fate}: {chosen.sum()} of {chosen.size}"

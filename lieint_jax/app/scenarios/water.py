@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lieint_jax import measure, potentials, schemes, systems
 from lieint_jax._numerics import random_bits
@@ -62,11 +62,9 @@ class Water(Kind):
     """Standard deviations of how a droplet is made by their paths, such as `settling.temperature_kelvin`."""
     published: PublishedValues | None = None
 
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
+    def _check_order(self) -> None:
         if self.scheme == "nystrom" and self.order == 2:
             raise ValueError("nystrom has order = 4 and order = 6")
-        return self
 
     def assumption(self) -> str:
         made = "members: other attitudes of the molecules on the grid, and other velocities, before they settle"

@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import schemes
+from lieint_jax import measure, schemes
 from lieint_jax.app.studies._satellite_sky import (
     Lightcurve,
     Minima,
@@ -29,32 +29,21 @@ from lieint_jax.app.studies._satellite_sky import (
 from lieint_jax.fitting import Fit, inertia_ratios, inference
 from lieint_jax.fitting.inference import Params, Problem, Unknown
 from lieint_jax.fitting.tumbling import mean_periods, model, rotate, rotation_between
-from lieint_jax.measure import (
-    SPACE_CHANGES,
-    DoublePeriods,
-    LightChange,
-    Sine,
-    SpinStates,
-    double_periods,
-    equivalent_pairs,
-    periodogram,
-    sines,
-)
 from lieint_jax.runs import integrate, over_members
 from lieint_jax.shapes import GlossyFacets
 
 
-def solutions(params: dict[str, np.ndarray], begin: np.ndarray) -> SpinStates:
+def solutions(params: dict[str, np.ndarray], begin: np.ndarray) -> measure.SpinStates:
     """The solutions of the parameters of n fits, with their reference attitudes `begin`, (n, 4)."""
     q = _attitudes(params["attitude"], begin)
     J = np.concatenate([np.asarray(params["inertia"]), np.ones((len(q), 1))], axis=1)
-    return SpinStates(np.asarray(q), np.asarray(params["rate"]), J / np.cbrt(J.prod(axis=1, keepdims=True)))
+    return measure.SpinStates(np.asarray(q), np.asarray(params["rate"]), J / np.cbrt(J.prod(axis=1, keepdims=True)))
 
 
 _attitudes = jax.jit(jax.vmap(rotate))
 
 
-def parameters(found: SpinStates) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def parameters(found: measure.SpinStates) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The parameters of fits and their reference attitudes `begin`, (n, 4): the inverse of `solutions`."""
     inertia = found.inertia[:, :2] / found.inertia[:, 2:]
     return {"attitude": np.zeros_like(found.rate), "inertia": inertia, "rate": found.rate}, found.q
@@ -71,8 +60,8 @@ class Search(NamedTuple):
 
     frequencies: np.ndarray  # the frequencies of the spectrum, 1/min, (k,)
     power: np.ndarray  # the share of the variance that each frequency explains alone, (k,)
-    peaks: list[Sine]  # the strongest sines, one after the other
-    pairs: DoublePeriods  # the best pairs of frequencies, best first
+    peaks: list[measure.Sine]  # the strongest sines, one after the other
+    pairs: measure.DoublePeriods  # the best pairs of frequencies, best first
     lines: np.ndarray  # pairs of frequencies that generate the same combinations as the best pair, (c, 2)
 
     @property
@@ -83,10 +72,10 @@ class Search(NamedTuple):
 
 def search(t: np.ndarray, y: np.ndarray) -> Search:
     """The spectrum of magnitudes y at times t (min), its peaks, and pairs of frequencies."""
-    spectrum = periodogram(t, y, frequencies=np.arange(*SPECTRUM, 1 / (6 * (t[-1] - t[0]))))
-    pairs = double_periods(t, y, *BAND, separation=_SEPARATION, count=_SHOWN)
-    found = sines(t, y, spectrum.frequency, _SHOWN)
-    return Search(spectrum.frequency, spectrum.power, found, pairs, equivalent_pairs(pairs.pairs[0], *BAND))
+    spectrum = measure.periodogram(t, y, frequencies=np.arange(*SPECTRUM, 1 / (6 * (t[-1] - t[0]))))
+    pairs = measure.double_periods(t, y, *BAND, separation=_SEPARATION, count=_SHOWN)
+    found = measure.sines(t, y, spectrum.frequency, _SHOWN)
+    return Search(spectrum.frequency, spectrum.power, found, pairs, measure.equivalent_pairs(pairs.pairs[0], *BAND))
 
 
 UNKNOWNS = {
@@ -95,6 +84,7 @@ UNKNOWNS = {
     "rate": Unknown(("body rate x (°/min)", "body rate y (°/min)", "body rate z (°/min)"), (0.0, 0.0, 0.0)),
 }
 QUANTITIES = ("precession period (min)", "rotation period (min)")
+Changes = list[measure.LightChange]
 Guesses = dict[str, np.ndarray]  # parameters of many fits
 STEP = 0.75  # min
 _FINE = 4000
@@ -198,7 +188,7 @@ class SatelliteFit(NamedTuple):
     minima: Minima  # the minima of the true light in the first session
     search: Search  # the search for periods
     guesses: int  # the number of random bodies that were compared with the first session
-    changes: list[LightChange]  # every change of a solution that may leave the light unchanged
+    changes: list[measure.LightChange]  # every change of a solution that may leave the light unchanged
     first: Ends  # the ends of all starts on the first session
     candidate: np.ndarray  # the index of the candidate pair of periods of each start, (starts,)
     night: Ends  # the ends on the whole night of the fits that begin at the best ends of the first session
@@ -216,14 +206,14 @@ class SatelliteFit(NamedTuple):
     devices: int  # the number of devices over which the fits were split
 
 
-def true_solution(made: Scene) -> SpinStates:
+def true_solution(made: Scene) -> measure.SpinStates:
     """The true spin state, as one solution."""
     rate, J = np.rad2deg(made.body.angular_velocity(made.state)), np.asarray(made.body.inertia)
-    return SpinStates(np.asarray(made.state.q)[None], rate[None], (J / np.cbrt(J.prod()))[None])
+    return measure.SpinStates(np.asarray(made.state.q)[None], rate[None], (J / np.cbrt(J.prod()))[None])
 
 
 def estimate(
-    made: Scene, curve: Lightcurve, night: Fit, begin: np.ndarray, chosen: int, several: int, every: list[LightChange]
+    made: Scene, curve: Lightcurve, night: Fit, begin: np.ndarray, chosen: int, several: int, every: Changes
 ) -> Estimate:
     """Compare the fit number `chosen` with the truth; the fits from number `several` on are those of synthetic sets."""
     starts, asked = night.starts, problem(made.facets, curve)
@@ -236,7 +226,7 @@ def estimate(
     true = inference.Estimate.exact(_parameter_vector(truth, truth.q[0]), mean_periods(made.body, made.state))
     tested = inference.estimates(asked, night, data, which=every_set)
     pulls = inference.compare(asked, true, tested, starts.success[several:]).pulls
-    symmetry = min((c for c in every if c.name == SPACE_CHANGES[0]), key=lambda c: c(truth).distance(best)[0])
+    symmetry = min((c for c in every if c.name == measure.SPACE_CHANGES[0]), key=lambda c: c(truth).distance(best)[0])
     best_params = {name: jnp.asarray(leaf[chosen]) for name, leaf in params.items()}
     body, state = model(best_params, jnp.asarray(begin[chosen]))
     light = np.asarray(jax.jit(lambda p: magnitudes(p, begin[chosen], made.facets, curve)[0])(best_params))
@@ -250,7 +240,7 @@ def estimate(
     return Estimate(*compared, light + zero, fine, fine_light + zero, integration)
 
 
-def _parameter_vector(solution: SpinStates, begin: np.ndarray) -> np.ndarray:
+def _parameter_vector(solution: measure.SpinStates, begin: np.ndarray) -> np.ndarray:
     """The parameters of the fit, (8,), of a single solution."""
     rotation = rotation_between(jnp.asarray(solution.q[0]), jnp.asarray(begin))
     return np.concatenate([rotation, solution.inertia[0, :2] / solution.inertia[0, 2], solution.rate[0]])

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, maps, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.studies._report import table
+from lieint_jax.app.studies.inference import table
 from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.fitting import Fit, fit
 from lieint_jax.runs import integrate

@@ -21,8 +21,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lieint_jax import measure
 from lieint_jax.app import plots
-from lieint_jax.app.studies import _report, _satellite_fit
+from lieint_jax.app.studies import _satellite_fit, inference
 from lieint_jax.app.studies._satellite_fit import (
     HARMONICS,
     QUANTITIES,
@@ -42,19 +43,8 @@ from lieint_jax.app.studies._satellite_sky import (
     scene,
     scene_minima,
 )
-from lieint_jax.fitting import Fit, inference
+from lieint_jax.fitting import Fit
 from lieint_jax.fitting.tumbling import mean_periods, random_guesses
-from lieint_jax.measure import (
-    SPACE_CHANGES,
-    LightChange,
-    SpinStates,
-    chance_of_match,
-    classify_light,
-    combination,
-    combinations,
-    light_changes,
-    light_differences,
-)
 
 __all__ = ["SatelliteFit", "draw", "run", "scene", "text"]
 
@@ -78,7 +68,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     fits = _satellite_fit.fit_magnitudes(guess, begin, observed, made.facets, first, progress)
     clock.append(time.perf_counter())
     assert fits.starts is not None
-    every = light_changes(made.facets, first.sun, first.observer)
+    every = measure.light_changes(made.facets, first.sun, first.observer)
     ends, order = solutions(fits.starts.params, begin), np.argsort(fits.starts.loss)
     images = _images(ends.select(order[0]), every)
     several, truth = _join(ends.select(order[:continued]), images), _satellite_fit.true_solution(made)
@@ -107,7 +97,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
         candidate=candidate,
         night=Ends(*(leaf[:continued] for leaf in of_night)),
         images=Ends(*(leaf[continued:count] for leaf in of_night)),
-        named=classify_light(images, best, every),
+        named=measure.classify_light(images, best, every),
         fit=night,
         estimate=_satellite_fit.estimate(made, curve, night, begin, chosen, count, every),
         light_changes=_light_changes(made, first, curve),
@@ -116,26 +106,26 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     )
 
 
-def _images(best: SpinStates, every: list[LightChange]) -> SpinStates:
+def _images(best: measure.SpinStates, every: list[measure.LightChange]) -> measure.SpinStates:
     """The images of a solution under the changes of every kind, including the solution itself."""
     return _join(*(change(best) for change in every if change.symmetry == 0))
 
 
-def _join(*parts: SpinStates) -> SpinStates:
-    return SpinStates(*map(np.concatenate, zip(*parts, strict=True)))
+def _join(*parts: measure.SpinStates) -> measure.SpinStates:
+    return measure.SpinStates(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndarray:
     middle = len(first.t) // 2
     held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
     q = np.asarray(closed_form(made, night.t)[0])
-    change = light_differences
+    change = measure.light_differences
     return np.stack([change(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
 
 
-def _ends(fit: Fit, ends: SpinStates, best: SpinStates, every: list[LightChange]) -> Ends:
+def _ends(fit: Fit, ends: measure.SpinStates, best: measure.SpinStates, every: list[measure.LightChange]) -> Ends:
     assert fit.starts is not None
-    return Ends(fit.starts.loss, classify_light(ends, best, every), fit.starts.success)
+    return Ends(fit.starts.loss, measure.classify_light(ends, best, every), fit.starts.success)
 
 
 def text(found: SatelliteFit) -> str:
@@ -163,22 +153,22 @@ def _head(found: SatelliteFit) -> list[str]:
 
 def _periods(found: SatelliteFit) -> list[str]:
     s, true, width = found.search, 1 / found.periods, float(1 / found.curve.t[-1])  # width: the resolution, 1/min
-    jk = combinations(HARMONICS)
-    by_chance = [100 * chance_of_match(part @ true, *SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
+    jk = measure.combinations(HARMONICS)
+    by_chance = [100 * measure.chance_of_match(part @ true, *SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
     rows = [("1/min", "period (min)", "variance", "j", "k", "off (1/min)")]
     for f, share in s.peaks:
-        j, k, off = combination(f, true, HARMONICS, width)
+        j, k, off = measure.combination(f, true, HARMONICS, width)
         rows.append((f"{f:.5f}", f"{1 / f:.2f}", f"{100 * share:.1f}%", str(j), str(k), f"{off:.5f}"))
     lines = [
         "\n  sines in the light, the strongest first, each with the simplest j f_precession + k f_rotation, |j|, |k| ≤ "
         f"{HARMONICS}",
         f"  within {width:.4f} per min (by chance {by_chance[0]:.0f} % of all frequencies are as near to one, "
         f"{by_chance[1]:.0f} % to one with even k)",
-        *_report.table(rows, "    "),
+        *inference.table(rows, "    "),
         "  pairs of frequencies of a double Fourier series of order 2, the best first, with their true combinations",
     ]
     for pair, left in list(zip(*s.pairs, strict=True))[:6]:
-        names = [(f, *combination(f, true, HARMONICS, width)) for f in pair]
+        names = [(f, *measure.combination(f, true, HARMONICS, width)) for f in pair]
         each = "  and  ".join(f"{f:.5f} = ({j:>2}, {k:>2}) {off:+.5f}" for f, j, k, off in names)
         lines.append(f"    {each}   leaves {100 * left:.1f} % of the variance")
     off = np.abs(s.candidates - true).max(axis=1)
@@ -221,7 +211,7 @@ def _solutions(found: SatelliteFit) -> list[str]:
             seen = f"{2 * before:.1f}" if np.isfinite(before) else ""
             rows += [(name, counts.sum(), *counts, seen, f"{2 * after:.1f}" if np.isfinite(after) else "none")]
     rows += [("elsewhere", len(other), *[""] * 4, f"{2 * other.min():.1f}" if len(other) else "")]
-    right = [k for k, change in enumerate(found.changes) if change.name == SPACE_CHANGES[0]]
+    right = [k for k, change in enumerate(found.changes) if change.name == measure.SPACE_CHANGES[0]]
     same, some = (100 * share.mean() for share in (np.isin(first.change, right), first.change >= 0))
     return [
         f"\n  {found.guesses} random bodies of these periods compared with the first session: {a:.0f} s on "
@@ -231,7 +221,7 @@ def _solutions(found: SatelliteFit) -> list[str]:
         f"and to {len(found.estimate.errors)} synthetic sets: {c:.0f} s",
         "  ends of the starts, by the half turn of the body, which does not change its light; χ² of "
         f"{n} exposures, then of {night}:",
-        *_report.table(rows, "    "),
+        *inference.table(rows, "    "),
         f"  {same:.1f} % of the starts end at the true motion or one of equal light, {some:.1f} % at a named one; "
         f"{100 * first.success.mean():.0f} % of the fits succeeded",
         f"  {sum(not np.isfinite(x.after) for x in named.values())} of the {len(named)} named solutions are not minima "
@@ -245,7 +235,7 @@ def _symmetries(found: SatelliteFit) -> list[str]:
     rows += [(label, *(f"{x:.2g}" for x in row)) for label, row in zip(labels, found.light_changes, strict=True)]
     return [
         "\n  effect of changes in space on the true motion's light, the largest over half turns of the body (mag, rms)",
-        *_report.table(rows, "    "),
+        *inference.table(rows, "    "),
     ]
 
 
@@ -257,15 +247,15 @@ def _estimate(found: SatelliteFit) -> list[str]:
         (name, f"{x:.4f}", f"{s:.4f}", f"{t:.4f}", f"{(x - t) / s:+.2f} σ")
         for name, x, s, t in zip(names, *values, strict=True)
     ]
-    tested = _report.coverage_cells(e.errors)
+    tested = inference.coverage_cells(e.errors)
     rows = [
         ("", "fitted", "± 1σ", "truth", "off", "within 1σ", "2σ", "rms/σ"),
         *((*row, *cells) for row, cells in zip(compared, tested, strict=False)),
-        ("all parameters", *[""] * 4, *_report.coverage_cells(e.errors.reshape(-1, 1))[0]),
+        ("all parameters", *[""] * 4, *inference.coverage_cells(e.errors.reshape(-1, 1))[0]),
         ("expected of each", *[""] * 4, "68%", "95%", "1.00"),
         *compared[8:],
     ]
-    lines = _report.table(rows, "    ")
+    lines = inference.table(rows, "    ")
     by_chance = f"   ± {chance.within_1:.0f} %, {chance.within_2:.0f} %, {chance.rms:.2f} by chance"
     truth = "itself" if np.allclose(e.facet_symmetry, np.eye(3)) else "after a half turn of the body"
     return [
@@ -280,9 +270,9 @@ def _estimate(found: SatelliteFit) -> list[str]:
 
 def _published(found: SatelliteFit) -> list[str]:
     width, true, named = float(1 / found.curve.t[-1]), 1 / found.periods, _ends_by_name(found)
-    names = [combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
+    names = [measure.combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]
-    best, mirror = named[SPACE_CHANGES[0]], named[SPACE_CHANGES[1]]
+    best, mirror = named[measure.SPACE_CHANGES[0]], named[measure.SPACE_CHANGES[1]]
     before, after = 2 * (mirror.before - best.before), 2 * (mirror.after - best.after)
     return [
         "\n  published statements and this fit:",
@@ -320,7 +310,7 @@ def draw(found: SatelliteFit) -> Figure:
     for ax, draw_panel in zip(axes.flat, panels, strict=False):
         draw_panel(ax, found)
     e = found.estimate
-    _report.draw_pulls(axes[1, 2], e.errors, (e.value - e.truth) / e.sigma)
+    inference.draw_pulls(axes[1, 2], e.errors, (e.value - e.truth) / e.sigma)
     plots.letter_panels(axes, _TITLES)
     fig.suptitle(f"{found.title}, simulated", fontsize="medium")
     return fig
@@ -368,7 +358,7 @@ def _draw_pairs(ax: Axes, found: SatelliteFit) -> None:
 
 def _name(found: SatelliteFit, frequency: float) -> str:
     """The combination (j, k) of the true frequencies that a frequency is."""
-    j, k, _ = combination(frequency, 1 / found.periods, HARMONICS, 1 / found.curve.t[-1])
+    j, k, _ = measure.combination(frequency, 1 / found.periods, HARMONICS, 1 / found.curve.t[-1])
     return f"({j}, {k})".replace("-", "−")
 
 
