@@ -137,9 +137,11 @@ def real_array(
 ) -> Array:
     """`value` as a floating-point array of one of `shapes` (any if none is given), finite where it is concrete.
 
-    Python numbers, which have no dtype, get that of `like`.
+    Python numbers, which have no dtype, get that of `like`. Without it a single one is weakly typed, an integer too.
     """
     try:
+        if isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
         array = as_array(value, None if like is None or hasattr(value, "dtype") else like.dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
