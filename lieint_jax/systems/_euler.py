@@ -78,7 +78,7 @@ def euler(group: Group, metric: ArrayLike, invariance: Invariance = "left") -> E
     """
     if invariance not in get_args(Invariance):
         raise ValueError(f"invariance must be 'left' or 'right', got {invariance!r}")
-    metric = _checks.positive_definite("metric", metric, group.dim)
+    metric = _checks.positive_definite("metric", metric, group.dim, mixed_units=True)
     return Euler(metric, group) if invariance == "left" else RightEuler(metric, group)
 
 
