@@ -120,6 +120,7 @@ def test_a_step_of_singles_makes_no_doubles_where_doubles_are_on(name, step, sta
     assert {x.dtype for x in jax.tree.leaves((end, info.residual))} == {np.dtype(np.float32)}
 
 
+@pytest.mark.long
 def test_defaults_and_python_numbers_do_not_decide_the_type_where_doubles_are_on():
     """No leaf is a double but weakly typed ones, which a run of singles converts."""
     laws, bodies, at = li.torques, li.potentials, np.array([[1, 0, 0], [0, 1, 0]], SINGLE)
