@@ -137,9 +137,11 @@ def real_array(
 ) -> Array:
     """`value` as a floating-point array of one of `shapes` (any if none is given), finite where it is concrete.
 
-    Python numbers, which have no dtype, get that of `like`.
+    Python numbers, which have no dtype, get that of `like`. Without it a single one is weakly typed, an integer too.
     """
     try:
+        if isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
         array = as_array(value, None if like is None or hasattr(value, "dtype") else like.dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
@@ -409,8 +411,11 @@ def of_shapes(attribute: str, value: Input) -> Input:
     return jnp.stack(each)
 
 
-def positive_definite(name: str, value: Input, d: int = 3) -> Array:
-    """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d); the inertia of a shape too."""
+def positive_definite(name: str, value: Input, d: int = 3, *, mixed_units: bool = False) -> Array:
+    """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d); the inertia of a shape too.
+
+    With `mixed_units`, as a metric of rotations and translations has, Jᵢⱼ/√(JᵢᵢJⱼⱼ) is judged.
+    """
     value = getattr(value, "inertia", value)
     array = real_array(name, value, (d,), (d, d))
     if not concrete(array):
@@ -418,7 +423,10 @@ def positive_definite(name: str, value: Input, d: int = 3) -> Array:
     J = np.asarray(array, float)
     if J.ndim == 2 and not _symmetric(J):
         raise ValueError(f"{name} must be symmetric, got\n{J}\nUse (A + A.T) / 2 if the difference is noise")
-    moments = _moments(array)
+    if mixed_units and J.ndim == 2 and np.all(np.diag(J) > 0):
+        size = np.sqrt(np.diag(J))
+        J = J / size / size[:, None]
+    moments = _moments(J)
     rounding = 4 * float(jnp.finfo(array.dtype).eps) * moments[-1] if J.ndim == 2 else 0.0
     if moments[0] <= rounding:
         straight = "; a straight molecule takes a small axial_moment, as in files.Atoms.shape" if d == 3 else ""
@@ -433,7 +441,7 @@ def _symmetric(J: np.ndarray) -> bool:
     return np.allclose(J, J.T, rtol=1e-6, atol=1e-6 * np.abs(J).max())
 
 
-def _moments(array: Array) -> np.ndarray:
+def _moments(array: Array | np.ndarray) -> np.ndarray:
     J = np.asarray(array, float)
     return np.sort(J if J.ndim == 1 else np.linalg.eigvalsh(J))
 

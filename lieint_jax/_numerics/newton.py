@@ -234,8 +234,17 @@ def chords(
         return x, (function(x), monitor.growth)
 
     traced_once = jax.jit(residual)  # its equations are many, and used five times
-    x, (F, growth) = implicit_root(traced_once, guess, solve, _tangent_solve)
+    x, (F, growth) = implicit_root(traced_once, guess, solve, _tangent_solve_by_elimination)
     return x, F, _steady(growth)
+
+
+def _tangent_solve_by_elimination(linear: Callable[[_Unknown], _Unknown], y: _Unknown) -> _Unknown:
+    """x with linear(x) = y, by the elimination of `chords`: pivoting, as of LU, depends on the units of the rows."""
+    eye = jnp.eye(len(y), dtype=y[0].dtype)
+    if isinstance(y, tuple | list):
+        rows = [linear(type(y)(vectors.components(e))) for e in eye]
+        return la.factored(vectors.Matrix(rows).T).solve(y)
+    return la.factored(jax.vmap(linear, out_axes=1)(eye)).solve(y)
 
 
 class _Chord(NamedTuple):

@@ -219,7 +219,7 @@ def _measure_invariants(system: System, run: Trajectory) -> MeasuredInvariants:
 
     def largest_change(function: Callable[[State], Array]) -> Array:
         x = jax.vmap(function)(run.state)
-        return jnp.max(jnp.abs(x - x[0]))
+        return jnp.max(jnp.abs(x - x[:1]))
 
     total = system.momentum(start)
     none = not total.size

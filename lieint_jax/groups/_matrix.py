@@ -115,12 +115,17 @@ class MatrixGroup:
         return la.as_array(self._inverse(self._element(a)), jnp.asarray(a))
 
     def exp(self, xi: AlgebraVector) -> SquareMatrix:
-        """exp ξ̂: to round-off for norms up to 128 (largest row or column sum of |ξ̂|), NaN beyond.
+        """exp ξ̂: to round-off for sizes up to 128, NaN beyond.
 
-        A Taylor polynomial of degree 23 for norms up to 2, scaling and squaring beyond. The cost is fixed.
+        The size is |λ| if ξ̂ has the eigenvalues 0 and ±λ only, as on SE(3), so that a translation may be long;
+        otherwise the norm, the largest row or column sum of |ξ̂|. A Taylor polynomial of degree 23 for sizes up to 2,
+        scaling and squaring beyond. The cost is fixed.
         """
         X = self.hat(xi)
-        size = jnp.minimum(jnp.abs(X).sum(0).max(), jnp.abs(X).sum(1).max())
+        if self._closed is None:
+            size = jnp.minimum(jnp.abs(X).sum(0).max(), jnp.abs(X).sum(1).max())
+        else:
+            size = jnp.sqrt(jax.lax.stop_gradient(jnp.abs(self._closed.square(self._vector(xi)))))
         halvings = jnp.ceil(jnp.log2(jnp.maximum(jax.lax.stop_gradient(size) / 2, 1)))
         E = _sum_and_difference(*_taylor(X * 2.0**-halvings))[0]
         E = jax.lax.fori_loop(0, _SQUARINGS, lambda k, E: jnp.where(k < halvings, E @ E, E), E)

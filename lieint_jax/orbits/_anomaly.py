@@ -1,7 +1,7 @@
 """Kepler's equation, elliptic and hyperbolic: the eccentric anomaly and its derivatives.
 
-Everything is written with 1 − e and with E − sin E by its series, so that no digits cancel near a parabola. Derivatives
-are those of the equation for E, not of the iterations that solve it.
+Everything is written with rest = |1 − e| and with E − sin E by its series, so that no digits cancel near a parabola.
+Derivatives are those of the equation for E, not of the iterations that solve it.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ def _halley(E: Array, m: Array, e: Array, rest: Array, sine: Function, less: Fun
 
 
 @jax.custom_jvp
-def elliptic_anomaly(M: Array, e: Array) -> Array:
+def elliptic_anomaly(M: Array, e: Array, rest: Array) -> Array:
     """E of E − e sin E = M for |M| ≤ π."""
-    m, rest = jnp.abs(M), 1 - e
+    m = jnp.abs(M)
     alpha = (3 * jnp.pi**2 + 1.6 * jnp.pi * (jnp.pi - m) / (1 + e)) / (jnp.pi**2 - 6)
     d = 3 * rest + alpha * e
     q = 2 * alpha * d * rest - m * m
@@ -49,20 +49,20 @@ def elliptic_anomaly(M: Array, e: Array) -> Array:
 
 
 @elliptic_anomaly.defjvp
-def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
-    M, e = primals
-    E = elliptic_anomaly(M, e)
-    return E, (tangents[0] + jnp.sin(E) * tangents[1]) / slope(E, e, 1 - e, jnp.sin)
+def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    E = elliptic_anomaly(*primals)
+    M, e, rest = tangents
+    return E, (M - E * rest - (E - jnp.sin(E)) * e) / slope(E, *primals[1:], jnp.sin)
 
 
 @jax.custom_jvp
-def hyperbolic_anomaly(M: Array, e: Array) -> Array:
+def hyperbolic_anomaly(M: Array, e: Array, rest: Array) -> Array:
     """E of e sinh E − E = M.
 
     The cubic (e − 1)E + eE³/6 = M gives an upper bound of |E|, and E ↦ asinh((|M| + E)/e) maps an upper bound to a
     smaller one. The left side is convex, so from there the corrections decrease to the root.
     """
-    m, rest = jnp.abs(M), e - 1
+    m = jnp.abs(M)
     p = 2 * rest / e
     s = 3 * m / e
     w = jnp.cbrt(s + jnp.sqrt(s * s + p**3))
@@ -73,10 +73,10 @@ def hyperbolic_anomaly(M: Array, e: Array) -> Array:
 
 
 @hyperbolic_anomaly.defjvp
-def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
-    M, e = primals
-    E = hyperbolic_anomaly(M, e)
-    return E, (tangents[0] - jnp.sinh(E) * tangents[1]) / slope(E, e, e - 1, jnp.sinh)
+def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    E = hyperbolic_anomaly(*primals)
+    M, e, rest = tangents
+    return E, (M - E * rest - (jnp.sinh(E) - E) * e) / slope(E, *primals[1:], jnp.sinh)
 
 
 def less_sine(E: Array) -> Array:

@@ -48,7 +48,7 @@ class KeplerFromState:
     def eccentricity(self) -> Array:
         """e."""
         c, s, _ = self._anomaly_parts()
-        return jnp.where(self._inverse_axis > 0, jnp.sqrt(c * c + s * s), 1 + self._excess)
+        return jnp.where(self._inverse_axis > 0, jnp.sqrt(c * c + s * s), 1 + self._rest)
 
     @property
     def mean_motion(self) -> Array:
@@ -61,8 +61,9 @@ class KeplerFromState:
         """The same orbit by its elements. The node is 0 for an orbit in the xy-plane, the periapsis 0 for a circle."""
         c, s, _ = self._anomaly_parts()
         closed, e = self._inverse_axis > 0, self.eccentricity
+        rest = self._rest
         E = jnp.where(closed, jnp.arctan2(s, c), jnp.arcsinh(s / e))
-        M = jnp.where(closed, E - s, s - E)
+        M = jnp.where(closed, _elliptic_mean(E, s, e, rest), _hyperbolic_mean(E, s, e, rest))
         h = jnp.stack(cross(self.position, self.velocity))
         tilt = jnp.hypot(h[0], h[1])
         inclination, node = jnp.arctan2(tilt, h[2]), jnp.where(tilt == 0, 0, jnp.arctan2(h[0], -h[1]))
@@ -70,7 +71,7 @@ class KeplerFromState:
         across = jnp.stack(cross(h, N)) / norm(h)
         latitude = jnp.arctan2(dot(self.position, across), dot(self.position, N))
         half = jnp.where(closed, jnp.tan(E / 2), jnp.tanh(E / 2))
-        anomaly = 2 * jnp.arctan(jnp.sqrt((1 + e) / jnp.abs(1 - e)) * half)
+        anomaly = 2 * jnp.arctan(jnp.sqrt((1 + e) / rest) * half)
         time = self.start - M / self.mean_motion
         return Kepler(self.mu, self.semi_major_axis, e, inclination, node, latitude - anomaly, time)
 
@@ -89,42 +90,41 @@ class KeplerFromState:
         return 2 / jnp.sqrt(dot(self.position, self.position)) - dot(self.velocity, self.velocity) / self.mu
 
     def _anomaly_parts(self) -> tuple[Array, Array, Array]:
-        """e cos E₀ and e sin E₀, or e cosh E₀ and e sinh E₀, and 1/|a|, which is never 0 here."""
+        """e cos E₀ and e sin E₀, or e cosh E₀ and e sinh E₀, and r₀/|a|, which is never 0 here."""
         alpha = self._inverse_axis
         beta = jnp.abs(alpha)
         size = jnp.sqrt(dot(self.position, self.position))
-        return 1 - size * alpha, dot(self.position, self.velocity) * jnp.sqrt(beta / self.mu), beta
+        return 1 - size * alpha, dot(self.position, self.velocity) * jnp.sqrt(beta / self.mu), size * beta
 
     @property
-    def _excess(self) -> Array:
-        """e − 1 of a hyperbola by h = r₀ × v₀: far from the center e cosh E₀ and e sinh E₀ are nearly equal."""
-        h = jnp.stack(cross(self.position, self.velocity))
-        ratio = dot(h, h) * jnp.abs(self._inverse_axis) / self.mu  # e² − 1
-        return ratio / (1 + jnp.sqrt(1 + ratio))
+    def _rest(self) -> Array:
+        """|1 − e| by h = r₀ × v₀; by E₀ it has few digits near a parabola and far from the center of a hyperbola."""
+        h, (c, s, _) = jnp.stack(cross(self.position, self.velocity)), self._anomaly_parts()
+        ratio = dot(h, h) * jnp.abs(self._inverse_axis) / self.mu  # |1 − e²|
+        return ratio / (1 + jnp.where(self._inverse_axis > 0, jnp.sqrt(c * c + s * s), jnp.sqrt(1 + ratio)))
 
     def _on_ellipse(self, t: ArrayLike) -> tuple[Array, Array]:
         M = self.mean_motion * (t - self.start)
         M = M - 2 * jnp.pi * lax.stop_gradient(jnp.round(M / (2 * jnp.pi)))
-        c, s, _ = self._anomaly_parts()
-        x = _elliptic_change(M, c, s)
+        c, s, r0 = self._anomaly_parts()  # lengths over |a|, times over 1/n
+        x = _elliptic_change(M, c, s, r0, self._rest)
         S, rest = jnp.sin(x), 2 * jnp.sin(x / 2) ** 2  # rest = |1 − cos x|
-        r0 = 1 - c  # lengths over |a|, times over 1/n
         return self._propagate(S, rest, r0 * jnp.cos(x) + rest + s * S, r0 * S + s * rest)
 
     def _on_hyperbola(self, t: ArrayLike) -> tuple[Array, Array]:
         M = self.mean_motion * (t - self.start)
-        c, s, _ = self._anomaly_parts()
-        excess = self._excess
+        c, s, r0 = self._anomaly_parts()
+        excess = self._rest
         e = 1 + excess
-        x = _hyperbolic_change(M, c, s, e)
+        x = _hyperbolic_change(M, c, s, r0, excess)
         S, rest = jnp.sinh(x), 2 * jnp.sinh(x / 2) ** 2
         # the terms with r₀ cancel from far to far, those with M from near to far
-        g = jnp.where(c + jnp.abs(s) < 2, (c - 1) * S + s * rest, M - jnp.sign(x) * sinh_less(jnp.abs(x)))
+        g = jnp.where(c + jnp.abs(s) < 2, r0 * S + s * rest, M - jnp.sign(x) * sinh_less(jnp.abs(x)))
         return self._propagate(S, rest, slope(jnp.arcsinh(s / e) + x, e, excess, jnp.sinh), g)
 
     def _propagate(self, S: Array, rest: Array, r: Array, g: Array) -> tuple[Array, Array]:
         """Position and velocity, from sin x, |1 − cos x|, r over |a|, and n g."""
-        r0 = jnp.sqrt(dot(self.position, self.position)) * self._anomaly_parts()[2]
+        r0 = self._anomaly_parts()[2]
         n = self.mean_motion
         f, dg = 1 - rest / r0, 1 - rest / r
         return f * self.position + g / n * self.velocity, -n * S / (r * r0) * self.position + dg * self.velocity
@@ -137,7 +137,7 @@ def from_state(mu: ArrayLike, position: Any, velocity: Any, t: ArrayLike = 0.0) 
     `kepler`. Positions on an ellipse are right to a few ulp of a, plus the effect of rounding the mean anomaly; on a
     hyperbola with e ≥ 1.3 to 20 ulp of |a|(1 + r₀r/a²). That is 4e-8 |a| from r₀ = 4500 |a| on one side to the same
     on the other, where an ulp of the state changes the position by 1.5e-9 |a|; `orbit.elements(t)` is right to 4e-10
-    |a| there. Near a parabola the state determines a less well.
+    |a| there. Near a parabola the state determines a less well, but positions near the center to a few ulp of r.
 
     Args:
         mu: the gravitational parameter GM, > 0, in length³ / time².
@@ -183,45 +183,59 @@ def _check(mu: float, r: np.ndarray, v: np.ndarray) -> None:
         )
 
 
+def _elliptic_mean(E: Array, s: Array, e: Array, rest: Array) -> Array:
+    """E − s for s = e sin E; near a parabola and the periapsis its terms cancel, not these."""
+    size = jnp.abs(E)
+    return jnp.where(size < 1, rest * E + e * jnp.sign(E) * less_sine(size), E - s)
+
+
+def _hyperbolic_mean(E: Array, s: Array, e: Array, rest: Array) -> Array:
+    """s − E for s = e sinh E."""
+    size = jnp.abs(E)
+    return jnp.where(size < 1, rest * E + e * jnp.sign(E) * sinh_less(size), s - E)
+
+
 @jax.custom_jvp
-def _elliptic_change(M: Array, c: Array, s: Array) -> Array:
-    """x of x − c sin x + s(1 − cos x) = M for |M| ≤ π, with c = e cos E₀ and s = e sin E₀."""
-    first = jnp.arctan2(s, c)
-    mean = M + first - s
+def _elliptic_change(M: Array, c: Array, s: Array, r0: Array, rest: Array) -> Array:
+    """x of x − c sin x + s(1 − cos x) = M for |M| ≤ π, with c = e cos E₀, s = e sin E₀, r₀ = 1 − c and rest = 1 − e."""
+    first, e = jnp.arctan2(s, c), jnp.sqrt(c * c + s * s)
+    mean = M + _elliptic_mean(first, s, e, rest)
     whole = 2 * jnp.pi * jnp.round(mean / (2 * jnp.pi))
-    x = elliptic_anomaly(mean - whole, jnp.sqrt(c * c + s * s)) + whole - first
+    x = elliptic_anomaly(mean - whole, e, rest) + whole - first
     less = jnp.sign(x) * less_sine(jnp.abs(x))
-    f = (1 - c) * x + c * less + 2 * s * jnp.sin(x / 2) ** 2 - M  # without cancellation where x is small
-    return x - f / _elliptic_slope(x, c, s)
+    f = r0 * x + c * less + 2 * s * jnp.sin(x / 2) ** 2 - M  # without cancellation where x is small
+    return x - f / _elliptic_slope(x, c, s, r0)
 
 
-def _elliptic_slope(x: Array, c: Array, s: Array) -> Array:
-    return 1 - c + 2 * c * jnp.sin(x / 2) ** 2 + s * jnp.sin(x)
+def _elliptic_slope(x: Array, c: Array, s: Array, r0: Array) -> Array:
+    return r0 + 2 * c * jnp.sin(x / 2) ** 2 + s * jnp.sin(x)
 
 
 @_elliptic_change.defjvp
 def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
     x = _elliptic_change(*primals)
-    M, c, s = tangents
-    return x, (M + jnp.sin(x) * c - 2 * jnp.sin(x / 2) ** 2 * s) / _elliptic_slope(x, *primals[1:])
+    M, c, s, *_ = tangents
+    return x, (M + jnp.sin(x) * c - 2 * jnp.sin(x / 2) ** 2 * s) / _elliptic_slope(x, *primals[1:4])
 
 
 @jax.custom_jvp
-def _hyperbolic_change(M: Array, c: Array, s: Array, e: Array) -> Array:
-    """x of c sinh x + s(cosh x − 1) − x = M, with c = e cosh E₀ and s = e sinh E₀; e is known from both."""
+def _hyperbolic_change(M: Array, c: Array, s: Array, r0: Array, rest: Array) -> Array:
+    """x of c sinh x + s(cosh x − 1) − x = M, with c = e cosh E₀, s = e sinh E₀, r₀ = c − 1 and rest = e − 1."""
+    e = 1 + rest
     first = jnp.arcsinh(s / e)
-    x = hyperbolic_anomaly(M + s - first, e) - first
+    x = hyperbolic_anomaly(M + _hyperbolic_mean(first, s, e, rest), e, rest) - first
     more = jnp.sign(x) * sinh_less(jnp.abs(x))
-    f = (c - 1) * x + c * more + 2 * s * jnp.sinh(x / 2) ** 2 - M
-    return jnp.where(jnp.abs(x) < 1, x - f / _hyperbolic_slope(x, c, s), x)  # terms of f cancel where x is large
+    f = r0 * x + c * more + 2 * s * jnp.sinh(x / 2) ** 2 - M
+    slope = _hyperbolic_slope(x, c, s, r0)
+    return jnp.where(jnp.abs(x) < 1, x - f / slope, x)  # terms of f cancel where x is large
 
 
-def _hyperbolic_slope(x: Array, c: Array, s: Array) -> Array:
-    return c - 1 + 2 * c * jnp.sinh(x / 2) ** 2 + s * jnp.sinh(x)
+def _hyperbolic_slope(x: Array, c: Array, s: Array, r0: Array) -> Array:
+    return r0 + 2 * c * jnp.sinh(x / 2) ** 2 + s * jnp.sinh(x)
 
 
 @_hyperbolic_change.defjvp
 def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
     x = _hyperbolic_change(*primals)
-    M, c, s, _ = tangents
-    return x, (M - jnp.sinh(x) * c - 2 * jnp.sinh(x / 2) ** 2 * s) / _hyperbolic_slope(x, *primals[1:3])
+    M, c, s, *_ = tangents
+    return x, (M - jnp.sinh(x) * c - 2 * jnp.sinh(x / 2) ** 2 * s) / _hyperbolic_slope(x, *primals[1:4])

@@ -8,6 +8,7 @@ With the eccentric anomaly E, M = n(t − T), n = √(μ/|a|³), in the orbit's 
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import jax
@@ -31,6 +32,7 @@ class Kepler:
         mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time: as in `kepler`, scalars.
         closed: whether it is an ellipse, where that was known when it was made: then JAX compiles the equation of one
             kind only. None: of both.
+        rest: |1 − e|, where it is known to more digits than e has, near a parabola. None: by e.
     """
 
     mu: Array
@@ -41,6 +43,7 @@ class Kepler:
     periapsis: Array
     periapsis_time: Array
     closed: bool | None = static(default=None)
+    rest: Array | None = None
 
     @property
     def mean_motion(self) -> Array:
@@ -71,19 +74,20 @@ class Kepler:
 def _motion(orbit: Kepler, t: ArrayLike, closed: bool | None) -> tuple[Array, Array]:
     """The position and the velocity, on an ellipse, on a hyperbola, or on either."""
     a, e = jnp.abs(orbit.semi_major_axis), orbit.eccentricity
+    rest = jnp.abs(1 - e) if orbit.rest is None else orbit.rest
     M = orbit.mean_motion * (t - orbit.periapsis_time)
     if closed is None:
         is_closed = e < 1
         # In a loop over bodies that share e and t, only one branch runs, and XLA does not fuse it into each of them
         in_plane = lax.cond(
             is_closed,
-            lambda: _on_ellipse(M, jnp.where(is_closed, e, 0.5)),
-            lambda: _on_hyperbola(M, jnp.where(is_closed, 2, e)),
+            lambda: _on_ellipse(M, *(jnp.where(is_closed, x, 0.5) for x in (e, rest))),
+            lambda: _on_hyperbola(M, jnp.where(is_closed, 2, e), jnp.where(is_closed, 1, rest)),
         )
     elif closed:
-        in_plane = _on_ellipse(jnp.where(e < 1, M, jnp.nan), e)
+        in_plane = _on_ellipse(jnp.where(e < 1, M, jnp.nan), e, rest)
     else:
-        in_plane = _on_hyperbola(jnp.where(e > 1, M, jnp.nan), e)
+        in_plane = _on_hyperbola(jnp.where(e > 1, M, jnp.nan), e, rest)
     x, y, vx, vy = in_plane
     speed = jnp.sqrt(orbit.mu / a)
     P, Q = orbit.axes()
@@ -159,7 +163,9 @@ def hyperbola(mu: ArrayLike, distance: ArrayLike, speed: ArrayLike) -> Kepler:
         ([2.0, 0.0, 0.0], 10.0)
     """
     square = jnp.asarray(speed) ** 2
-    return kepler(mu, -jnp.asarray(mu) / square, 1 + distance * square / mu)
+    excess = jnp.asarray(distance * square / mu)
+    orbit = kepler(mu, -jnp.asarray(mu) / square, 1 + excess)
+    return dataclasses.replace(orbit, rest=excess.astype(orbit.eccentricity.dtype))
 
 
 def encounter_speed(semi_major_axis: ArrayLike, eccentricity: ArrayLike, inclination: ArrayLike) -> Array:
@@ -200,15 +206,15 @@ def _check_elements(mu: float | None, a: float | None, e: float | None) -> None:
         )
 
 
-def _on_ellipse(M: Array, e: Array) -> tuple[Array, ...]:
+def _on_ellipse(M: Array, e: Array, rest: Array) -> tuple[Array, ...]:
     """x, y over a and their time derivatives over √(μ/a)."""
-    E = elliptic_anomaly(M - 2 * jnp.pi * lax.stop_gradient(jnp.round(M / (2 * jnp.pi))), e)
-    return _in_plane(E, e, 1 - e, jnp.sin, jnp.cos)
+    E = elliptic_anomaly(M - 2 * jnp.pi * lax.stop_gradient(jnp.round(M / (2 * jnp.pi))), e, rest)
+    return _in_plane(E, e, rest, jnp.sin, jnp.cos)
 
 
-def _on_hyperbola(M: Array, e: Array) -> tuple[Array, ...]:
+def _on_hyperbola(M: Array, e: Array, rest: Array) -> tuple[Array, ...]:
     """x, y over |a| and their time derivatives over √(μ/|a|)."""
-    return _in_plane(hyperbolic_anomaly(M, e), e, e - 1, jnp.sinh, jnp.cosh)
+    return _in_plane(hyperbolic_anomaly(M, e, rest), e, rest, jnp.sinh, jnp.cosh)
 
 
 def _in_plane(E: Array, e: Array, rest: Array, sine: Function, cosine: Function) -> tuple[Array, ...]:

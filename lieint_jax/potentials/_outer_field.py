@@ -121,8 +121,9 @@ def outer_field(
     if not callable(phi):
         raise ValueError(f"phi must be a function of a position (3,), got {phi!r}")
     groups, at, (w,) = group_sites({"weights": weights}, points)
-    rows = jnp.zeros((0, 6)) if conserved is None else _checks.real_array("conserved", conserved)
+    dtype = jnp.result_type(*w)
+    rows = jnp.zeros((0, 6), dtype) if conserved is None else _checks.real_array("conserved", conserved)
     if rows.ndim != 2 or rows.shape[1] != 6:
         raise ValueError(f"conserved must be rows (k, 6) of combinations of (P, L), got shape {rows.shape}")
-    kept = jnp.linalg.pinv(rows) @ rows if len(rows) else jnp.zeros((6, 6))
+    kept = jnp.linalg.pinv(rows) @ rows if len(rows) else jnp.zeros((6, 6), dtype)
     return OuterField(callable_pytree(phi), w, at, kept, groups)

@@ -261,7 +261,8 @@ def group_sites(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Arr
     """
     rows = {name: _rows(name, given) for name, given in numbers.items()}
     first, *_ = rows.values()
-    at = [jnp.zeros((1, 3))] * len(first) if points is None else [_checks.real_array("points", s) for s in points]
+    centers = [jnp.zeros((1, 3), c.dtype) for c in first]
+    at = centers if points is None else [_checks.real_array("points", s) for s in points]
     for name, given in rows.items():
         shapes = [c.shape for c in given]
         if shapes != [s.shape[:1] for s in at] or any(s.shape[1:] != (3,) for s in at):

@@ -78,7 +78,7 @@ def euler(group: Group, metric: ArrayLike, invariance: Invariance = "left") -> E
     """
     if invariance not in get_args(Invariance):
         raise ValueError(f"invariance must be 'left' or 'right', got {invariance!r}")
-    metric = _checks.positive_definite("metric", metric, group.dim)
+    metric = _checks.positive_definite("metric", metric, group.dim, mixed_units=True)
     return Euler(metric, group) if invariance == "left" else RightEuler(metric, group)
 
 
@@ -114,13 +114,14 @@ def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of
     with at_once():
         r = np.asarray(_checks.real_array("center_of_mass", center_of_mass, (3,)), float)
     A = _depolarization(axes)
-    added_mass = A / (2 - A)
+    added_mass = A / (np.roll(A, 1) + np.roll(A, 2))  # the other two, 2 − A: no digits cancel for a disc
     added_inertia, inertia = np.zeros(3), np.zeros(3)
     for i in range(3):
         (b, B), (c, C) = ((axes[k] ** 2, A[k]) for k in ((i + 1) % 3, (i + 2) % 3))
         inertia[i] = (b + c) / 5
         if abs(b - c) > 1e-9 * (b + c):
-            added_inertia[i] = (b - c) ** 2 * (C - B) / (2 * (b - c) + (b + c) * (B - C)) / 5
+            rest = (b + c) * (A[i] + 2 * min(B, C)) - 4 * min(b, c)  # |2(b − c) + (b + c)(B − C)|
+            added_inertia[i] = (b - c) ** 2 * abs(C - B) / rest / 5
     skew = np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
     J = np.diag(inertia + added_inertia) - skew @ skew
     return euler(special_euclidean(3), np.block([[J, skew], [-skew, np.diag(1 + added_mass)]]))
@@ -208,10 +209,12 @@ def examples() -> dict[str, tuple[Euler | RightEuler, State, float]]:
 
 
 def _depolarization(axes: np.ndarray) -> np.ndarray:
-    """abc ∫₀^∞ ds / ((i² + s)√((a²+s)(b²+s)(c²+s))) by Gauss–Legendre, each i."""
-    x, w = np.polynomial.legendre.leggauss(200)
-    u, w = (x + 1) / 2, w / 2
-    g2 = np.prod(axes) ** (2 / 3)
-    s, ds = g2 * (1 / (u * u) - 1), 2 * g2 / u**3  # the integrand decays as s^(−5/2): regular in u = (1 + s/g²)^(−1/2)
-    root = np.sqrt(np.prod(axes[:, None] ** 2 + s, axis=0))
-    return np.prod(axes) * np.array([np.sum(w * ds / ((i * i + s) * root)) for i in axes])
+    """abc ∫₀^∞ ds / ((i² + s)√((a²+s)(b²+s)(c²+s))), each i, by the trapezoidal rule in ln s.
+
+    There the integrand is analytic for |Im ln s| < π, and decays exponentially at both ends: the error is
+    exp(−2π²/h) = 4e-22, for any ratio of the axes.
+    """
+    h, squares = 0.4, axes[:, None] ** 2
+    s = np.exp(np.arange(np.log(squares.min()) - 40, np.log(squares.max()) + 40, h))
+    ratio = np.prod(axes[:, None] / np.sqrt(squares + s), axis=0)  # abc/√…
+    return h * np.sum(ratio * s / (squares + s), axis=1)

@@ -132,7 +132,7 @@ def group_potential(
         >>> weight.force(weight.state(velocity=[0.0, 0.0, 0.0]).q).tolist()
         [-0.0, -0.0, -19.62]
     """
-    metric = _checks.positive_definite("metric", metric, group.dim)
+    metric = _checks.positive_definite("metric", metric, group.dim, mixed_units=True)
     if not callable(potential):
         raise ValueError(f"potential must be a function of q, got {potential!r}")
     none = jnp.zeros((0, group.dim), metric.dtype)

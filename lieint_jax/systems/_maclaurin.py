@@ -36,7 +36,8 @@ def maclaurin_spheroid(eccentricity: ArrayLike) -> Spheroid:
     """
     e = np.asarray(eccentricity, float)
     q = np.sqrt(1 - e * e)
-    square = 2 * q / e**3 * (3 - 2 * e * e) * np.arcsin(e) - 6 * q * q / e**2  # over πGρ = 3/4
+    _, first, second = _arcsine(e)
+    square = 2 * (q * e) ** 2 * (3 * second - 2 * first)  # 2q/e³ (3 − 2e²) arcsin e − 6q²/e², over πGρ = 3/4
     return Spheroid(q ** (-1 / 3), np.sqrt(0.75 * square))
 
 
@@ -53,9 +54,22 @@ def maclaurin_modes(eccentricity: ArrayLike) -> np.ndarray:
     """
     e = np.asarray(eccentricity, float)
     Omega, q = maclaurin_spheroid(e).angular_velocity, np.sqrt(1 - e * e)
-    A1 = q / e**3 * np.arcsin(e) - q * q / e**2
-    A3 = 2 / e**2 - 2 * q / e**3 * np.arcsin(e)
-    A13 = (A1 - A3) / (q * q - 1)  # times a², and so are A₁₁ and B₁₁
+    _, first, second = _arcsine(e)
+    A1 = q * q * first  # q/e³ arcsin e − q²/e²; A₃ = 2/e² − 2q/e³ arcsin e
+    A13 = 3 * (first - second)  # (A₁ − A₃)/(q² − 1) times a², and so are A₁₁ and B₁₁
     B11 = A1 - (2 - A13) / 4
     root = np.conj(np.sqrt(3 * B11 - Omega**2 + 0j))  # 4B₁₁ over πGρ
     return np.stack([Omega + root, Omega - root], axis=-1)
+
+
+def _arcsine(e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """g = arcsin e/(e√(1 − e²)) = 1 + ⅔e² + …, (g − 1)/e², and ((g − 1)/e² − ⅔)/e²: by the series of g for e² < ½."""
+    x = e * e
+    k = np.arange(1, 60)
+    coefficients = np.cumprod(2 * k / (2 * k + 1))[1:]
+    small = np.polynomial.polynomial.polyval(np.where(x < 0.5, x, 0), coefficients)
+    large = np.where(x < 0.5, 0.5, x)
+    g = np.arcsin(np.sqrt(large)) / np.sqrt(large * (1 - large))
+    second = np.where(x < 0.5, small, ((g - 1) / large - 2 / 3) / large)
+    first = 2 / 3 + x * second
+    return 1 + x * first, first, second

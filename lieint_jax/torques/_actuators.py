@@ -37,7 +37,8 @@ def wheel_pyramid(tilt: ArrayLike = 0.6154797086703874, wheels: int = 4) -> Arra
     m, beta = _checks.count("wheels", wheels, 3), _checks.real_array("tilt", tilt, ())
     angle = 2 * np.pi * np.arange(m) / m
     c, s = jnp.cos(beta), jnp.sin(beta)
-    return jnp.stack([c * np.cos(angle), c * np.sin(angle), jnp.broadcast_to(s, (m,))], axis=1)
+    x, y = (f(angle).astype(c.dtype) for f in (np.cos, np.sin))
+    return jnp.stack([c * x, c * y, jnp.broadcast_to(s, (m,))], axis=1)
 
 
 def allocation(axes: ArrayLike) -> Array:

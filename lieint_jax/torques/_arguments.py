@@ -13,10 +13,19 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax.groups import so3
 from lieint_jax.types import callable_pytree
 from lieint_jax.types.vectors import Symmetric, norm, symmetric
 
 VectorOfTime = Array | Callable[[Array], Array]
+NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
+
+
+def rotation(name: str, value: ArrayLike) -> Array:
+    """A unit quaternion, normalized. That of a default, NO_ROTATION, is weakly typed, as a Python number is."""
+    if value is NO_ROTATION:
+        return jnp.stack(NO_ROTATION)
+    return so3.normalize(_checks.unit_quaternion(name, value))
 
 
 def vector_of_time(name: str, value: Any) -> VectorOfTime:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax import _checks
 from lieint_jax._checks import named, not_negative
 from lieint_jax.groups import so3
+from lieint_jax.torques._arguments import NO_ROTATION, rotation
 from lieint_jax.types import Law, Rotation, argument, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import dot
@@ -21,9 +23,7 @@ class _ProportionalDerivative(Law):
 
     gain: Array = argument(converter=named(not_negative, "gain"))
     damping: Array = argument(converter=named(not_negative, "damping"))
-    target: Array = argument(
-        converter=lambda q: so3.normalize(_checks.unit_quaternion("target", q)), default=(1.0, 0.0, 0.0, 0.0)
-    )
+    target: Array = argument(converter=partial(rotation, "target"), default=NO_ROTATION)
 
     def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """−Δt c|Ω̄|²."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import not_negative, positive
 from lieint_jax.groups import so3
+from lieint_jax.torques._arguments import NO_ROTATION, rotation
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross
@@ -68,11 +69,11 @@ class Target:
 
 
 def _target(frame: Any, offset: ArrayLike) -> Target:
-    mounted = so3.normalize(_checks.unit_quaternion("offset", offset))
+    mounted = rotation("offset", offset)
     if callable(frame):
         _checks.function("frame", frame, "the time t", (4,), jnp.zeros(()))
         return Target(callable_pytree(frame), mounted)
-    return Target(so3.normalize(_checks.unit_quaternion("frame", frame)), mounted)
+    return Target(rotation("frame", frame), mounted)
 
 
 def _feedforward(J: Array | None, Omega: Array, acceleration: Array) -> Array:
@@ -105,7 +106,7 @@ def pointing(
     damping: ArrayLike,
     inertia: ArrayLike | None = None,
     *,
-    offset: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    offset: ArrayLike = NO_ROTATION,
 ) -> Pointing:
     """Proportional-derivative control to a frame that may move, such as `orbits.lvlh(orbit)`: T = −k e − c Ω_e.
 
@@ -164,7 +165,7 @@ def sliding_mode(
     rate: ArrayLike,
     *,
     layer: ArrayLike,
-    offset: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    offset: ArrayLike = NO_ROTATION,
 ) -> SlidingMode:
     """Sliding-mode control to a frame that may move: s = Ω_e + λe falls to 0 at the rate k, then the error as e^(−½λt).
 

@@ -222,7 +222,8 @@ def box_plates(sizes: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[A
     Raises:
         ValueError: sizes that are not positive, no vectors.
     """
-    a, c = positive("sizes", sizes, (3,)), _checks.real_array("center", center, (3,))
+    a = positive("sizes", sizes, (3,))
+    c = _checks.real_array("center", center, (3,), like=a)
     normals = jnp.concatenate([jnp.eye(3, dtype=a.dtype), -jnp.eye(3, dtype=a.dtype)])
     areas = jnp.stack([a[1] * a[2], a[2] * a[0], a[0] * a[1]])
     return jnp.concatenate([areas, areas]), normals, c + normals * a / 2

@@ -162,7 +162,10 @@ def test_exp_is_nan_beyond_its_range_and_near_is_false():
     g = groups.special_orthogonal(3)
     assert np.isnan(g.exp(jnp.array([200.0, 0, 0]))).all()
     assert not g.near(jnp.array([2.5, 0, 0]))
-    assert groups.special_euclidean(3).near(jnp.array([0.5, 0, 0, 1e4, 0, 0]))  # a long translation is no obstacle
+    xi = jnp.array([0.5, 0, 0, 1e4, 0, 0])  # a long translation is no obstacle
+    assert groups.special_euclidean(3).near(xi)
+    close(groups.special_euclidean(3).exp(xi)[:3, 3], [1e4, 0, 0], 2e-12)
+    close(groups.special_euclidean(3).exp(xi)[:3, :3], expm(groups.special_euclidean(3).hat(xi)[:3, :3]), 2e-15)
 
 
 @pytest.mark.long

@@ -118,3 +118,32 @@ def test_a_step_of_singles_makes_no_doubles_where_doubles_are_on(name, step, sta
         )
         end, info = jax.eval_shape(lambda step, state, dt: step(state, dt), *single)
     assert {x.dtype for x in jax.tree.leaves((end, info.residual))} == {np.dtype(np.float32)}
+
+
+@pytest.mark.long
+def test_defaults_and_python_numbers_do_not_decide_the_type_where_doubles_are_on():
+    """No leaf is a double but weakly typed ones, which a run of singles converts."""
+    laws, bodies, at = li.torques, li.potentials, np.array([[1, 0, 0], [0, 1, 0]], SINGLE)
+    with jax.enable_x64(True):
+        one, q, rate = SINGLE(1), jnp.asarray(START.q), jnp.asarray(START.p)
+        outer = bodies.outer_field(lambda x: x[0], at[0])
+        made = {
+            "state": _body().state(angular_velocity=rate),
+            "integer": laws.viscous(1),
+            "pd_trace": laws.pd_trace(0.3, 0.2),
+            "pd_quaternion": laws.pd_quaternion(one, one),
+            "pointing": laws.pointing(q, 0.3, 0.2),
+            "sliding_mode": laws.sliding_mode(q, MOMENTS, one, one, layer=one),
+            "wheel_pyramid": laws.wheel_pyramid(SINGLE(0.6)),
+            "box_plates": laws.box_plates(MOMENTS),
+            "point_masses": bodies.point_masses(one, at[0]),
+            "uniform_field": bodies.uniform_field(at[0], at[0]),
+            "outer_field": (outer.strengths, outer.points, outer.kept),
+        }
+        law = laws.pd_trace(0.3, 1)
+        step = li.schemes.torqued_midpoint(li.systems.torqued_body(MOMENTS, law))
+        end = jax.eval_shape(step, step.system.state(q, angular_velocity=rate), 0.1)[0]
+    leaves = [(name, jnp.asarray(x)) for name, tree in made.items() for x in jax.tree.leaves(tree)]
+    wide = {name for name, x in leaves if x.dtype == np.float64 and not x.weak_type}
+    assert not wide
+    assert end.p.dtype == SINGLE

@@ -164,13 +164,26 @@ def test_the_anomaly_of_any_hyperbola_is_right_to_round_off():
     """e − 1 from 1e-12 to 1e15 and M from 1e-12 to 1e12, against Newton's method in 50 digits; seen: 3.5e-16."""
     rng = np.random.default_rng(1)
     e, M = 1 + 10 ** rng.uniform(-12, 15, 200), 10 ** rng.uniform(-12, 12, 200)
-    ours = jax.jit(jax.vmap(orbits._anomaly.hyperbolic_anomaly))(M, e)
+    ours = jax.jit(jax.vmap(orbits._anomaly.hyperbolic_anomaly))(M, e, e - 1)
     with mp.workdps(50):
         for m, x, found in zip(*(map(mp.mpf, map(float, v)) for v in (M, e, ours)), strict=True):
             E = found
             for _ in range(4):
                 E -= (x * mpmath.sinh(E) - E - m) / (x * mpmath.cosh(E) - 1)
             assert abs(found - E) < 6e-16 * E
+
+
+def test_a_slow_flyby_is_right_to_round_off():
+    """e − 1 = 1e-2 to 1e-10, of which e has 14 to 6 digits; observed: 8e-16 of the radius and of the speed."""
+    move = jax.jit(lambda v, t: orbits.hyperbola(1.5, 0.75, v)(t))
+    for speed, t in ((0.1, 3.0), (0.001, -1.0), (1e-5, 20.0)):
+        with mp.workdps(40):
+            square = mp.mpf(speed) ** 2
+            wanted = exact(mp.mpf(1.5), -1.5 / square, 1 + square / 2, 0, 0, 0, 0, mp.mpf(t))
+        found = move(speed, t)
+        for x, y in zip(found, (wanted[:3], wanted[3:]), strict=True):
+            size = float(mpmath.norm(y))
+            assert max(abs(float(mp.mpf(float(a)) - b)) for a, b in zip(x, y, strict=True)) < 4e-15 * size
 
 
 FLYBY = orbits.kepler(398600.4418, -28400.0, 2.35)

@@ -58,12 +58,14 @@ class Rotating(AbstractRotatingBody):
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is not a rotation.
         """
-        attitude = _checked_attitude(attitude)
+        turn = _checked_attitude(attitude)
         name, given = _checks.one_of(
             angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
         )
         value = _checks.real_array(name, given, (3,))
-        q, p = _attitude_and_momentum(self.inertia, self.own_momentum, attitude, value, name)
+        if isinstance(attitude, list | tuple):  # Python numbers, such as those of the default, have no dtype
+            turn = turn.astype(value.dtype)
+        q, p = _attitude_and_momentum(self.inertia, self.own_momentum, turn, value, name)
         return State(self.configuration(q), _checks.real_array("the spatial momentum", p))
 
     def momentum(self, state: State) -> MomentumMap:
