@@ -31,7 +31,7 @@ _UNITS = {  # how many of them a second has; radians per second
     "time": {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9},
     "rates": {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30},
 }
-_DATE, _VALUE = re.compile(r"\d{4}-\d"), re.compile(r"[+-]?\.?\d|[+-]?(nan|inf)", re.IGNORECASE)
+_DATE, _VALUE = re.compile(r"\d{4}-\d"), re.compile(r"[+-]?\.?\d|[+-]?(nan|inf(inity)?)$", re.IGNORECASE)
 _SHOWN, _SEARCHED = 40, 10_000  # the most columns that a message lists, and among which it guesses
 
 
