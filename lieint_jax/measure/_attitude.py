@@ -49,8 +49,8 @@ def tilt(run: Run, axis: ArrayLike = (0.0, 0.0, 1.0), direction: Directions | No
     e = series_of(run, _axis_in_space, _checks.real_array("axis", axis, (3,)))
     if direction is None:
         return angles(e, e[0])
-    given = np.asarray(directions("direction", direction, jnp.asarray(run.t)))
-    return angles(e, given.reshape(-1, *[1] * (e.ndim - 2), 3))
+    given = np.asarray(directions("direction", direction, run))
+    return angles(e, given.reshape(*given.shape[:-1], *[1] * (e.ndim - given.ndim), 3))
 
 
 def _axis_in_space(axis: Array, step: Step, state: State) -> Array:

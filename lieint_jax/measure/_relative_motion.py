@@ -112,7 +112,7 @@ def _motion_at(first: Array, second: Array, step: Step, state: State) -> tuple[d
         "spin_1": about_up(x[0]),
         "spin_2": about_up(x[1]),
         "libration": -jnp.arctan2(Gamma[1], Gamma[0]),
-        "out_of_plane": jnp.arcsin(Gamma[2] / vectors.norm(d)),
+        "out_of_plane": jnp.arctan2(Gamma[2], vectors.norm(Gamma[:2])),
         "obliquity": vectors.angle(z[1], normal),
         "inclination": vectors.angle(up, normal),
         "node": about_up(normal),

@@ -87,13 +87,15 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
 
 
-def directions(name: str, given: Directions, t: Array) -> Array:
-    """Directions at the times of a run, (times, 3)."""
+def directions(name: str, given: Directions, run: Run) -> Array:
+    """Directions at the times of a run, (times, 3); (times, members, 3) of a function if each member has its own."""
+    count = len(run.t)
     if callable(given):
-        _checks.function(name, given, "the time", (3,), t[0])
-        return jax.vmap(given)(t)
-    found = _checks.real_array(name, given, (3,), (len(t), 3))
-    return jnp.broadcast_to(found, (len(t), 3))
+        t = jnp.asarray(run.t if run.state.t is None else run.state.t)
+        _checks.function(name, given, "the time", (3,), t.ravel()[0])
+        return jax.vmap(given)(t.ravel()).reshape(*t.shape, 3)
+    found = _checks.real_array(name, given, (3,), (count, 3))
+    return jnp.broadcast_to(found, (count, 3))
 
 
 def principal_axes(run: Run) -> tuple[np.ndarray, np.ndarray]:

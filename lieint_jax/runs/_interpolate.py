@@ -118,7 +118,8 @@ def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tu
             return jnp.concatenate([space.displacement(a, z), _raveled(z)[0] - rest])
 
         (_, v0, w0), (end, v1, w1) = (_jet(system, coordinates, z) for z in (a, b))
-        d = _quintic((time - t[k]) / h, end, h * v0, h * v1, h * h * w0, h * h * w1)
+        part = (time - t[k]) / jnp.where(h == 0, 1, h)  # 0 between two saves at one time
+        d = _quintic(part, end, h * v0, h * v1, h * h * w0, h * h * w1)
         n = d.size - rest.size
         found = space.displaced(a, d[:n])._replace(**unravel(rest + d[n:]))
         found = found if a.t is None else found._replace(t=jnp.where(a.t == t[k], time, a.t + (time - t[k])))
