@@ -40,6 +40,13 @@ def series_of(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> 
     return jax.tree.map(np.asarray, map_run(run, function, *arguments))
 
 
+def times_of(run: Run) -> np.ndarray:
+    """The times of a run, (times,); ValueError of a batch whose step has its own time, each member another."""
+    if run.members is not None and run.step.own_time:
+        raise ValueError(f"with {run.step.name} each member has its own times: give one of them, run.member(k)")
+    return np.asarray(run.t)
+
+
 def count_bodies(run: Run) -> int:
     """The number of bodies of a run of several; ValueError if it is none."""
     if not isinstance(system_of(run), AbstractManyBodies):
