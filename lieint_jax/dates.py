@@ -197,7 +197,7 @@ def _from_text(date: str, scale: str | None) -> Epoch:
     if int(hour or 0) > 24 or int(minute or 0) > 59 or seconds >= 61:
         raise ValueError(f"the date {date[:100]!r} has no time of a day: hours to 24, minutes to 59, seconds to 60")
     total = int(hour or 0) * 3600 + int(minute or 0) * 60 + seconds
-    if total > _DAY + 1:
+    if int(hour or 0) == 24 and total > _DAY:
         raise ValueError(f"the date {date[:100]!r} has no time of a day: it ends at 24:00:00")
     return Epoch(first, Fraction(0), named or _scale(scale or "UTC"))._later(total)
 

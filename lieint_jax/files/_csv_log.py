@@ -21,6 +21,7 @@ from lieint_jax._text import Text, read_text
 from lieint_jax.attitude import Frame
 from lieint_jax.capabilities import AbstractRotatingBody
 from lieint_jax.dates import Epoch
+from lieint_jax.files import _ccsds
 from lieint_jax.files._signs import join_signs
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
@@ -31,7 +32,7 @@ _UNITS = {  # how many of them a second has; radians per second
     "time": {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9},
     "rates": {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30},
 }
-_DATE, _VALUE = re.compile(r"\d{4}-\d"), re.compile(r"[+-]?\.?\d|[+-]?(nan|inf)", re.IGNORECASE)
+_DATE, _VALUE = re.compile(r"\d{4}-\d"), re.compile(r"[+-]?\.?\d|[+-]?(nan|inf(inity)?)$", re.IGNORECASE)
 _SHOWN, _SEARCHED = 40, 10_000  # the most columns that a message lists, and among which it guesses
 
 
@@ -153,8 +154,8 @@ class _Clock:
     def _since_epoch(self, text: Text, line: int, cell: str) -> float:
         if self.has_unit:
             text.fail(line, f"the times are dates, such as {_checks.printable(cell)!r}, which have no unit")
+        date = _ccsds.moment(text, line, cell, None)
         try:
-            date = dates.epoch(cell)
             self.epoch = date if self.epoch is None else self.epoch
             return date - self.epoch
         except ValueError as error:

@@ -19,6 +19,8 @@ _TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _DATE = re.compile(r"A\.D\.\s+(\d{4})-([A-Z][a-z]{2})-(\d{2})(?:\s+(\d{2}:\d{2}(?::\d{2}(?:\.\d*)?)?))?(?:\s+[A-Z]+)?")
 _LABELS = re.compile(r"\b[A-Z]+\s*=")
+_JULIAN = re.compile(r"JD(?:TDB|TT|UT|CT)\b")
+_COLUMNS = ["X", "Y", "Z", "VX", "VY", "VZ"]
 _SCALES = {"CT": "TDB", "TDB": "TDB", "TT": "TT", "UT": "UTC", "UTC": "UTC"}
 
 
@@ -61,9 +63,10 @@ def read_horizons(path: str | Path) -> OrbitTable:
     line, word = header.get("output type", (0, "GEOMETRIC"))
     if "GEOMETRIC" not in word.upper():
         text.fail(line, f"the states must be geometric, without aberration, got {_checks.printable(word)!r}")
+    _check_columns(text, stripped, start)
     lines, moments, states = _records(text, stripped, start + 1, stop, scale)
-    names = [_field(text, header, key)[1] for key in ("center body name", "target body name")]
-    names.insert(0, _field(text, header, "reference frame")[1])
+    axes = "coordinate systm" if "coordinate systm" in header else "reference frame"  # of older and newer files
+    names = [_field(text, header, key)[1] for key in (axes, "center body name", "target body name")]
     times = _ccsds.elapsed(text, lines, moments)
     values = np.array(states) * np.repeat([_LENGTHS[length], _LENGTHS[length] / _TIMES[unit]], 3)
     return orbit_table(text, moments[0], times, values, names)
@@ -73,6 +76,18 @@ def _field(text: Text, header: Mapping[str, tuple[int, str]], key: str) -> tuple
     if key not in header:
         text.fail(0, f"the header of the table must have a line {key.capitalize()}")
     return header[key]
+
+
+def _check_columns(text: Text, stripped: Sequence[str], start: int) -> None:
+    """ValueError if the names of the columns, from a line JDTDB to the entries, are not those of states."""
+    first = next((k for k in range(start - 1, -1, -1) if _JULIAN.match(stripped[k])), start)
+    listed = " ".join(stripped[first:start]).replace("Calendar Date", "")
+    names = [word for word in re.split(r"[\s,*]+", listed) if word and not re.match(r"JD|\(", word)]
+    if names and names[:6] != _COLUMNS:
+        shown = _checks.printable(", ".join(names[:6]))
+        text.fail(
+            first + 1, f"an entry must be a position and a velocity (vector table 2 or 3), it begins with {shown}"
+        )
 
 
 def _records(

@@ -14,7 +14,7 @@ _MARKS = {  # what only files of a format have; the first that is found decides
     "AEM": r"^\s*CCSDS_AEM_VERS\s*=",
     "OMM": r"^\s*CCSDS_OMM_VERS\s*=|<omm\b|\"MEAN_MOTION\"",
     "Horizons": r"^\$\$SOE",
-    "TLE": r"^1 [ 0-9A-Z]{5}[A-Z ].{55,62}\n2 [ 0-9A-Z]{5} ",
+    "TLE": r"^1 [ 0-9A-Z]{5}[A-Z ].{55,61}[ \t]*\n2 [ 0-9A-Z]{5} ",
     "URDF": r"<robot\b",
     "MJCF": r"<mujoco\b",
     "light curves": r"^STARTMETADATA|\"LightCurve\"|\A\s*\d+\s*\n\s*\d+\s+[01]\s*\n(?:[ \t]*[-+.\dEeDd]+){8}[ \t]*$",
@@ -40,7 +40,9 @@ def identify(path: str | Path) -> str:
         ValueError: there is no file nothing.oem
     """
     head, name = read_bytes(path, _HEAD), str(path).lower().removesuffix(".gz")
-    text = "" if b"\0" in head else re.sub(r"\r\n?", "\n", head.decode("utf-8-sig", "replace"))
+    encoding = "utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    text = re.sub(r"\r\n?", "\n", head.decode(encoding, "replace"))
+    text = "" if "\0" in text else text
     for form, mark in _MARKS.items():
         if re.search(mark, text, re.MULTILINE):
             return form

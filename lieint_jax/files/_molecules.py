@@ -21,10 +21,15 @@ H 1.008 He 4.0026 Li 6.94 Be 9.0122 B 10.81 C 12.011 N 14.007 O 15.999 F 18.998 
 Si 28.085 P 30.974 S 32.06 Cl 35.45 Ar 39.95 K 39.098 Ca 40.078 Sc 44.956 Ti 47.867 V 50.942 Cr 51.996 Mn 54.938
 Fe 55.845 Co 58.933 Ni 58.693 Cu 63.546 Zn 65.38 Ga 69.723 Ge 72.630 As 74.922 Se 78.971 Br 79.904 Kr 83.798 Rb 85.468
 Sr 87.62 Y 88.906 Zr 91.224 Nb 92.906 Mo 95.95 Tc 97 Ru 101.07 Rh 102.91 Pd 106.42 Ag 107.87 Cd 112.41 In 114.82
-Sn 118.71 Sb 121.76 Te 127.60 I 126.90 Xe 131.29
-"""  # standard atomic weights, IUPAC 2021, abridged; of technetium, which has none, a mass number
-_MASSES: dict[str, float] = {symbol: float(mass) for symbol, mass in re.findall(r"(\w+) ([\d.]+)", _WEIGHTS)}
-_NUMBERED = list(_MASSES)
+Sn 118.71 Sb 121.76 Te 127.60 I 126.90 Xe 131.29 Cs 132.91 Ba 137.33 La 138.91 Ce 140.12 Pr 140.91 Nd 144.24 Pm -
+Sm 150.36 Eu 151.96 Gd 157.25 Tb 158.93 Dy 162.50 Ho 164.93 Er 167.26 Tm 168.93 Yb 173.05 Lu 174.97 Hf 178.49 Ta 180.95
+W 183.84 Re 186.21 Os 190.23 Ir 192.22 Pt 195.08 Au 196.97 Hg 200.59 Tl 204.38 Pb 207.2 Bi 208.98 Po - At - Rn - Fr -
+Ra - Ac - Th 232.04 Pa 231.04 U 238.03 Np - Pu - Am - Cm - Bk - Cf - Es - Fm - Md - No - Lr - Rf - Db - Sg - Bh - Hs -
+Mt - Ds - Rg - Cn - Nh - Fl - Mc - Lv - Ts - Og -
+"""  # standard atomic weights, IUPAC 2021, abridged, of the elements that have one; of technetium a mass number
+_SYMBOLS, _NUMBERS = _WEIGHTS.split()[::2], _WEIGHTS.split()[1::2]
+_MASSES = {symbol: float(mass) for symbol, mass in zip(_SYMBOLS, _NUMBERS, strict=True) if mass != "-"}
+_LIGHT = frozenset(_SYMBOLS[:54])  # to xenon
 _STRAIGHT = 1e-6  # of the largest second moment: files have three digits after the point
 
 
@@ -141,8 +146,8 @@ def read_molecules(path: str | Path, *, masses: Mapping[str, float] | None = Non
 
     Args:
         path: a path that ends in .xyz, .pdb or .ent, or in one of these and .gz.
-        masses: in u, by names of atoms or symbols of elements, in place of the standard atomic weights of hydrogen to
-            xenon: {"MW": 0.0} for a site without mass, {"H": 2.014} for heavy water.
+        masses: in u, by names of atoms or symbols of elements, in place of the standard atomic weights: {"MW":
+            0.0} for a site without mass, {"H": 2.014} for heavy water.
         scale: the factor from Å, the unit of these files, to your unit of length: 0.1 for nm.
 
     Raises:
@@ -209,17 +214,22 @@ def _xyz_row(text: Text, line: int) -> _Row:
         text.fail(
             line, f"an atom needs an element and three coordinates, got {_checks.printable(text.lines[line - 1])!r}"
         )
-    if words[0].isdecimal() and 0 < int(words[0][:9]) <= len(_NUMBERED):
-        element = _NUMBERED[int(words[0]) - 1]
+    if words[0].isdecimal() and 0 < int(words[0][:9]) <= len(_SYMBOLS):
+        element = _SYMBOLS[int(words[0]) - 1]
     else:
         element = _symbol(re.sub(r"[^A-Za-z].*", "", words[0]))
     return _Row(line, words[0], element, text.numbers(line, words[1:4], "a coordinate"))
 
 
 def _symbol(letters: str) -> str:
-    """The element of a label: its first two letters if that is one, else its first, as written."""
+    """The element of a label: its first two letters if that is one, else its first, as written.
+
+    Beyond xenon they must be written as the symbol, Pt: PT may be a phosphorus too, and is returned as it is.
+    """
     two, one = letters[:2].capitalize(), letters[:1].upper()
-    return two if two in _MASSES or one not in _MASSES else one
+    if two in _LIGHT or two not in _SYMBOLS:
+        return two if two in _LIGHT or one not in _LIGHT else one
+    return letters[:2]
 
 
 def _pdb_residues(text: Text) -> Iterator[list[_Row]]:

@@ -21,6 +21,7 @@ from lieint_jax.measure._states import (
     rotation,
     series_of,
     system_of,
+    times_of,
 )
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
@@ -49,8 +50,8 @@ def tilt(run: Run, axis: ArrayLike = (0.0, 0.0, 1.0), direction: Directions | No
     e = series_of(run, _axis_in_space, _checks.real_array("axis", axis, (3,)))
     if direction is None:
         return angles(e, e[0])
-    given = np.asarray(directions("direction", direction, jnp.asarray(run.t)))
-    return angles(e, given.reshape(-1, *[1] * (e.ndim - 2), 3))
+    given = np.asarray(directions("direction", direction, run))
+    return angles(e, given.reshape(*given.shape[:-1], *[1] * (e.ndim - given.ndim), 3))
 
 
 def _axis_in_space(axis: Array, step: Step, state: State) -> Array:
@@ -139,12 +140,12 @@ def periods(run: Run) -> MeasuredPeriods:
         saved too rarely to count revolutions (more than 2.5 rad at the rate |Π|/J₁).
 
     Raises:
-        ValueError: the body is not free.
+        ValueError: the body is not free, or a batch whose step has its own time.
     """
     if not isinstance(system_of(run), AbstractFreeBody):
         raise ValueError(f"periods are those of a free body, such as systems.rigid_body(…); got {run.system!r}")
     (moments, axes), R = principal_axes(run), series_of(run, rotation)
-    pi, t = np.asarray(run.state.p[0], float), np.asarray(run.t, float)
+    pi, t = np.asarray(run.state.p[0], float), np.asarray(times_of(run), float)
     Pi = np.einsum("t...ji,...j,...ik->t...k", R, pi, axes)
     square = np.sum(Pi[0] ** 2, axis=-1)
     long = square < np.sum(Pi[0] ** 2 / moments, axis=-1) * moments[..., 1]

@@ -140,8 +140,7 @@ def light_curve(
     R = map_run(run, rotation)
     if R.ndim != 3 + (run.members is not None):
         raise ValueError("light_curve is that of one body, not of several: call brightness for each of them")
-    t = jnp.asarray(run.t)
-    s, o = (directions(name, given, t) for name, given in (("sun", sun), ("observer", observer)))
+    s, o = (directions(name, given, run) for name, given in (("sun", sun), ("observer", observer)))
     return _curve(callable_pytree(law), facets, R, s, o)
 
 
@@ -151,7 +150,8 @@ def _curve(law: ScatteringLaw, facets: Facets, R: Array, sun: Array, observer: A
 
     def at_time(given: tuple[Array, Array, Array]) -> Array:
         R, s, o = given
-        light = partial(brightness, facets, sun=s, observer=o, law=law)
-        return light(R) if R.ndim == 2 else jax.vmap(light)(R)
+        light = partial(brightness, facets, law=law)
+        members = [0 if v.ndim == 2 else None for v in (s, o)]  # those that have times of their own
+        return light(R, s, o) if R.ndim == 2 else jax.vmap(light, (0, *members))(R, s, o)
 
     return jax.lax.map(at_time, (R, sun, observer))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractSphereSystem, AbstractTop
 from lieint_jax.measure._spectrum import even_spacing
-from lieint_jax.measure._states import rotate, series_of
+from lieint_jax.measure._states import rotate, series_of, times_of
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, System, vectors
@@ -59,11 +59,12 @@ def nutation(run: Run, axis: ArrayLike | None = None) -> Nutation:
         6 times in a nutation. The angles are then those of the saved states.
 
     Raises:
-        ValueError: the system is neither, its field has no fixed axis, or its axis is not known; uneven times.
+        ValueError: the system is neither, its field has no fixed axis, or its axis is not known; uneven times; a batch
+            whose step has its own time.
     """
     given = None if axis is None else _checks.unit_vector("axis", axis)
     rows, down = series_of(run, _motion, given)
-    h = even_spacing(run.t)
+    h = even_spacing(times_of(run))
     members = rows.reshape(len(rows), -1, 3, 3).astype(float)
     found = np.array([_measure(h, members[:, m]) for m in range(members.shape[1])])
     period, rate, least, greatest = found.T.reshape(4, *rows.shape[1:-2])

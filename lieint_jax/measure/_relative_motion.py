@@ -17,7 +17,7 @@ from lieint_jax.capabilities import AbstractManyBodies
 from lieint_jax.groups import so3
 from lieint_jax.measure._series import mean_rate, unwrapped
 from lieint_jax.measure._spectrum import line
-from lieint_jax.measure._states import angular_momentum, count_bodies, longitude, series_of
+from lieint_jax.measure._states import angular_momentum, count_bodies, longitude, series_of, times_of
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, vectors
 
@@ -71,11 +71,12 @@ def relative_motion(run: Run, first: int = 0, second: int = 1) -> RelativeMotion
         first, second: the numbers of the bodies, from 0.
 
     Raises:
-        ValueError: the run is not of several bodies, or has no bodies of these numbers.
+        ValueError: the run is not of several bodies, has no bodies of these numbers, or is a batch whose step has its
+            own time.
     """
     first, second = _two(run, first, second)
     found, rates = series_of(run, _motion_at, first, second)
-    t = np.asarray(run.t)
+    t = times_of(run)
     continued = {name: unwrapped(t, found[name], rate[0]) for name, rate in rates.items()}
     continued |= {name: unwrapped(t, found[name]) for name in ("libration", "node")}
     return RelativeMotion(t, **(found | continued))
@@ -112,7 +113,7 @@ def _motion_at(first: Array, second: Array, step: Step, state: State) -> tuple[d
         "spin_1": about_up(x[0]),
         "spin_2": about_up(x[1]),
         "libration": -jnp.arctan2(Gamma[1], Gamma[0]),
-        "out_of_plane": jnp.arcsin(Gamma[2] / vectors.norm(d)),
+        "out_of_plane": jnp.arctan2(Gamma[2], vectors.norm(Gamma[:2])),
         "obliquity": vectors.angle(z[1], normal),
         "inclination": vectors.angle(up, normal),
         "node": about_up(normal),

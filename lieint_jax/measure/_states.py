@@ -40,6 +40,13 @@ def series_of(run: Run, function: Callable[..., PyTree], *arguments: PyTree) -> 
     return jax.tree.map(np.asarray, map_run(run, function, *arguments))
 
 
+def times_of(run: Run) -> np.ndarray:
+    """The times of a run, (times,); ValueError of a batch whose step has its own time, each member another."""
+    if run.members is not None and run.step.own_time:
+        raise ValueError(f"with {run.step.name} each member has its own times: give one of them, run.member(k)")
+    return np.asarray(run.t)
+
+
 def count_bodies(run: Run) -> int:
     """The number of bodies of a run of several; ValueError if it is none."""
     if not isinstance(system_of(run), AbstractManyBodies):
@@ -87,13 +94,17 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
 
 
-def directions(name: str, given: Directions, t: Array) -> Array:
-    """Directions at the times of a run, (times, 3)."""
+def directions(name: str, given: Directions, run: Run) -> Array:
+    """Directions at the times of a run, (times, 3); (times, members, 3) of a function if each member has its own."""
+    count = len(run.t)
     if callable(given):
-        _checks.function(name, given, "the time", (3,), t[0])
-        return jax.vmap(given)(t)
-    found = _checks.real_array(name, given, (3,), (len(t), 3))
-    return jnp.broadcast_to(found, (len(t), 3))
+        t = jnp.asarray(run.t if run.state.t is None else run.state.t)
+        if t.ndim == 2 and _checks.concrete(t) and bool((t == t[:, :1]).all()):
+            t = t[:, 0]  # the members share it
+        _checks.function(name, given, "the time", (3,), t.ravel()[0])
+        return jax.vmap(given)(t.ravel()).reshape(*t.shape, 3)
+    found = _checks.real_array(name, given, (3,), (count, 3))
+    return jnp.broadcast_to(found, (count, 3))
 
 
 def principal_axes(run: Run) -> tuple[np.ndarray, np.ndarray]:

@@ -35,7 +35,8 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
         times: any times (m,) from the first to the last of `trajectory.t`, in any order.
 
     Returns:
-        The states, every leaf with a leading axis (m,). Traced times outside the trajectory give NaN.
+        The states, every leaf with a leading axis (m,). Traced times outside the trajectory give NaN, as do times next
+        to saved states that are NaN.
 
     Raises:
         ValueError: concrete times outside the trajectory; a single entry; several members; too few saved states for
@@ -66,7 +67,7 @@ def interpolate_members(system: System, trajectory: Trajectory, times: ArrayLike
     """
     trajectory, wanted = _checked(trajectory, times)
     found, gaps = _of_members(system, trajectory, wanted, system_axis)
-    _refuse_gaps(gaps.max(axis=1), wanted)
+    _refuse_gaps(jnp.nanmax(gaps, axis=1), wanted)
     return found
 
 
@@ -92,9 +93,9 @@ def _checked(trajectory: Trajectory, times: ArrayLike) -> tuple[Trajectory, Arra
 
 
 def _refuse_gaps(gaps: Array, wanted: Array) -> None:
-    """Raise ValueError if the saved states about a time are too far apart."""
-    if concrete(gaps) and wanted.size and not float(np.max(gaps)) < 1:
-        k = int(np.argmax(gaps))
+    """Raise ValueError if the saved states about a time are too far apart; where they are NaN, the result is NaN."""
+    if concrete(gaps) and bool((gaps >= 1).any()):
+        k = int(np.argmax(gaps >= 1))
         raise ValueError(
             f"the saved states about t = {float(wanted[k]):.6g} are too far apart to interpolate: their derivatives do "
             "not predict the next state; save more often"
@@ -118,7 +119,8 @@ def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tu
             return jnp.concatenate([space.displacement(a, z), _raveled(z)[0] - rest])
 
         (_, v0, w0), (end, v1, w1) = (_jet(system, coordinates, z) for z in (a, b))
-        d = _quintic((time - t[k]) / h, end, h * v0, h * v1, h * h * w0, h * h * w1)
+        part = (time - t[k]) / jnp.where(h == 0, 1, h)  # 0 between two saves at one time
+        d = _quintic(part, end, h * v0, h * v1, h * h * w0, h * h * w1)
         n = d.size - rest.size
         found = space.displaced(a, d[:n])._replace(**unravel(rest + d[n:]))
         found = found if a.t is None else found._replace(t=jnp.where(a.t == t[k], time, a.t + (time - t[k])))

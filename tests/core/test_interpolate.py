@@ -62,3 +62,14 @@ def test_traced_times_outside_of_the_trajectory_have_no_state():
     assert jnp.isnan(traced.q[0]).all()
     turned = np.array([np.cos(0.25), 0, 0, np.sin(0.25)])
     np.testing.assert_allclose(traced.q[1], turned, rtol=0, atol=1e-15)  # a uniform rotation is a straight line of exp
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("times", [[0.0, 0.5, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]])
+def test_of_saves_at_one_time_the_state_is_that_save(times):
+    """`save_at` allows repeated times, of which the last have no interval after them."""
+    t = jnp.array(times)
+    q = jnp.stack([jnp.cos(t / 2), 0 * t, 0 * t, jnp.sin(t / 2)], axis=1)
+    path = li.Trajectory(t, li.State(q, jnp.tile(jnp.array([0.0, 0.0, 3.0]), (4, 1))), None)
+    found = li.interpolate(li.systems.rigid_body([1.0, 2.0, 3.0]), path, times)
+    np.testing.assert_allclose(found.q, q, rtol=0, atol=1e-15)

@@ -204,6 +204,7 @@ ORBITS = [
     (lambda: epoch("2023-366"), "2023 has no day 366"),
     (lambda: epoch("yesterday"), "must be as in"),
     (lambda: epoch("2024-03-01T25:00"), "no time of a day"),
+    (lambda: epoch("2024-03-01T24:00:01"), "ends at 24:00:00"),
     (lambda: epoch("2024-03-01 PST"), "one of UTC, UT1"),
     *rows(epoch, "a Julian date", float("nan"), None),
     (lambda: epoch("2024-03-01 TT", "UTC"), "is in TT, and UTC was asked for"),

@@ -143,6 +143,12 @@ def test_states_between_the_saves_are_near_the_exact_ones():
         run.at([6.0])
     with pytest.raises(ValueError, match="too far apart to interpolate"):
         li.run(step, bodies(3), 0.05, 1000, save_every=500, **QUIET).at([1.0])
+    lost = jax.tree.map(lambda x: x.at[50:, 1].set(jnp.nan), jax.tree.map(jnp.asarray, run.state))  # one member fails
+    after = li.Run.of(step, li.Trajectory(run.t, lost, run.info)).at(times)
+    np.testing.assert_array_equal(
+        np.isnan(after.q).any(axis=2), [[False] * 3, [False] * 3, [False, True, False], [False] * 3]
+    )
+    np.testing.assert_array_equal(after.q[:, 2], found.q[:, 2])
 
 
 @pytest.mark.long

@@ -97,6 +97,23 @@ def test_frames_of_xyz_and_their_shapes(tmp_path):
         one.superpose(files.Atoms(one.names, ("O",) * 3, one.positions, one.masses))
 
 
+def test_heavy_atoms_are_not_their_first_letters(tmp_path):
+    """Platinum has the mass of platinum, not that of phosphorus; what may be either is refused."""
+    path, heavy = (
+        tmp_path / "heavy.xyz",
+        {"Pt": 195.08, "Pb1": 207.2, "Hg": 200.59, "Ir": 192.22, "Cs": 132.91, "W": 183.84},
+    )
+    path.write_text("7\n\n" + "".join(f"{name} {k} 0 0\n" for k, name in enumerate([*heavy, "80"])))
+    found = files.read_molecule(path)
+    np.testing.assert_array_equal(found.masses, [*heavy.values(), 200.59])
+    assert found.elements == ("Pt", "Pb", "Hg", "Ir", "Cs", "W", "Hg")
+    for name, shown in {"PT": "PT", "HG11": "HG", "Po": "Po", "Cm": "Cm", "WAT": "Wa", "94": "Pu"}.items():
+        path.write_text(f"1\n\n{name} 0 0 0\n")
+        with pytest.raises(ValueError, match=rf"line 3: no mass is known of '{shown}': give it as masses="):
+            files.read_molecule(path)
+        assert files.read_molecule(path, masses={name: 1.5}).masses.tolist() == [1.5]
+
+
 def test_residues_alternate_locations_models_and_names_of_pdb(tmp_path):
     at = np.arange(12.0).reshape(4, 3)
     lines = [

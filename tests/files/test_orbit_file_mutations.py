@@ -87,3 +87,12 @@ def test_any_cut_of_a_file_is_read_or_refused_in_a_sentence(tmp_path):
                 except ValueError as error:
                     message = str(error)
                     assert message.startswith(str(path))
+
+
+@pytest.mark.parametrize("kind", ["OEM", "AEM", "TLE", "OMM", "Horizons"])
+def test_a_file_is_identified_whatever_its_encoding_and_line_ends(kind, tmp_path):
+    text, path = READERS[kind.upper()][0], tmp_path / "file"
+    for changed in (text, text.replace("\n", "\r\n"), text.replace("\n", " \t  \n"), "\n" + text):
+        for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+            path.write_bytes(changed.encode(encoding))
+            assert files.identify(path) == kind

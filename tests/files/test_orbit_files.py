@@ -344,6 +344,14 @@ def test_a_table_of_horizons_is_read_in_km_and_s(units, comma, tmp_path):
     np.testing.assert_allclose(found.velocities, STATES[1][:6], rtol=1e-14)
 
 
+def test_axes_of_older_tables_of_horizons_are_those_of_the_coordinates(tmp_path):
+    """Until 2019 "ICRF/J2000.0" was named with axes that may be those of the ecliptic."""
+    path, axes = tmp_path / "h.txt", "Ecliptic and Mean Equinox of Reference Epoch"
+    old = f"Reference frame : ICRF/J2000.0\nCoordinate systm: {axes}"
+    path.write_text(horizons().replace("Reference frame : Ecliptic of J2000.0", old))
+    assert files.read_horizons(path).frame == axes
+
+
 def test_columns_of_a_table_are_read_by_name(tmp_path):
     path, names = tmp_path / "e.csv", dict(time="t", positions=("x", "y", "z"), velocities=("vx", "vy", "vz"))
     dates = [EPOCH.iso().replace("12:00", f"12:{k:02d}") for k in range(15)]

@@ -179,6 +179,23 @@ def test_a_light_curve_is_the_brightness_of_each_state():
 
 
 @pytest.mark.long
+def test_members_that_start_at_different_times_have_the_directions_of_their_own_times():
+    """Functions of time are evaluated on the clock of each member, as of `run.member(k)`."""
+    body = li.systems.rigid_body([1.0, 1.4, 1.9])
+    state = body.state(TILTED, angular_velocity=[0.3, 0.1, 1.0])
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), state._replace(t=0.0))._replace(t=jnp.array([0.0, 5.0]))
+    run = li.run(li.schemes.so3_midpoint(body), states, 0.2, 10, progress=False)
+    facets = shapes.ellipsoid_facets([3.0, 2.0, 1.5], 6)
+    moving = lambda t: jnp.stack([jnp.cos(t), jnp.sin(t), 0.3 + 0 * t])  # noqa: E731
+    light, tilts = measure.light_curve(run, facets, moving, OBSERVER), measure.tilt(run, direction=moving)
+    for k in range(2):
+        table = np.array([moving(t) for t in np.asarray(run.t) + 5.0 * k])
+        expected = [measure.brightness(facets, q, s, OBSERVER) for q, s in zip(run.state.q[:, k], table, strict=True)]
+        np.testing.assert_allclose(light[:, k], expected, rtol=1e-13)
+        np.testing.assert_allclose(tilts[:, k], measure.tilt(run.member(k), direction=table), rtol=0, atol=1e-14)
+
+
+@pytest.mark.long
 def test_the_light_of_an_ellipsoid_repeats_twice_in_a_rotation():
     """At 80 random times over 30 rotations of 1.7; the period is found to a hundredth of its resolution."""
     body = li.systems.rigid_body([1.0, 1.4, 1.9])

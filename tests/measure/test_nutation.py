@@ -78,5 +78,19 @@ def test_a_nutation_that_is_not_shown_is_nan(tops):
     assert np.isnan(measure.nutation(run, axis=[0, 0, 1]).period)
 
 
+@pytest.mark.long
+def test_a_batch_of_times_of_their_own_has_no_common_nutation():
+    """In steps of a fictitious time, which a batch counts, the period would be 2.8 times too long."""
+    top = li.systems.heavy_top([1.0, 1.0, 0.5], [0.0, 0.0, -3.0], [0.0, 0.0, 1.0])
+    state = top.state(TILTED, angular_velocity=[0.4, 0.2, 5.0])._replace(t=jnp.zeros(()))
+    step = li.schemes.log_hamiltonian(top, top.energy(state))
+    run = go(step, jax.tree.map(lambda x: jnp.stack([x, x]), state), 0.02, 40)
+    assert float(run.t[-1]) > 2 * float(run.state.t[-1, 0])
+    with pytest.raises(ValueError, match=r"each member has its own times: give one of them, run\.member\(k\)"):
+        measure.nutation(run)
+    with pytest.raises(ValueError, match="times must be evenly spaced"):
+        measure.nutation(run.member(0))
+
+
 def _no_center(Gamma):
     return Gamma[0] * Gamma[1]

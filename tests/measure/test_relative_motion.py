@@ -107,6 +107,20 @@ def test_the_energies_of_a_pair_add_up(pairs):
             measure.relative_motion(pairs, first, second)
 
 
+@pytest.mark.long
+def test_over_its_pole_a_body_is_at_a_right_angle_from_its_equator():
+    """Of 200 random directions, all along the z axis of the second body; the arcsine was NaN for a third of them."""
+    masses, J = jnp.ones(2), jnp.ones((2, 3))
+    bodies = li.systems.rigid_bodies(masses, J, li.potentials.point_masses(1.0, masses))
+    q = jax.vmap(so3.normalize)(jnp.asarray(np.random.default_rng(0).normal(size=(200, 4))))
+    along = jax.vmap(so3.Ad, (0, None))(q, jnp.array([0.0, 0.0, 1.0]))
+    home = jnp.array([1.0, 0, 0, 0])
+    make = lambda q, d: bodies.state([0 * d, d], [home, q], velocities=[0 * d, jnp.flip(d)], angular_velocities=J)  # noqa: E731
+    states = jax.vmap(make)(q, along)
+    run = go(li.schemes.splitting(bodies), states, 0.1, 0)
+    np.testing.assert_allclose(measure.relative_motion(run).out_of_plane[0], np.pi / 2, rtol=0, atol=1e-15)
+
+
 def test_the_distances_of_random_points_in_a_ball_have_their_density():
     """1 − 3r/2D + r³/2D³ of N²/2V, for a ball of diameter D; a cluster of equal distances has its peak there."""
     random = np.random.default_rng(0)
