@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from lieint_jax.runs import _layout
-from lieint_jax.runs._clock import GridClock, RoundedClock, UniformClock
+from lieint_jax.runs._clock import Clock
 from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Carry, Change, Reduction, start, step_dtype
@@ -119,7 +119,7 @@ class Job(NamedTuple):
     states: State
     t0: Numbers | None
     dt: float | None
-    clock: UniformClock | RoundedClock | GridClock
+    clock: Clock
     planned_steps: int
     times: np.ndarray
     nodes: np.ndarray

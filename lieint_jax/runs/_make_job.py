@@ -16,9 +16,8 @@ from lieint_jax import _checks
 from lieint_jax.native import make_once
 from lieint_jax.runs import _layout
 from lieint_jax.runs._clock import (
+    Clock,
     GridClock,
-    RoundedClock,
-    StateClock,
     UniformClock,
     clock_of,
     intervals,
@@ -214,20 +213,20 @@ def _make_clock(
     dt: jax.typing.ArrayLike | None,
     num_steps: int | None,
     times: ArrayLike | None,
-) -> tuple[UniformClock | RoundedClock | GridClock, int]:
+) -> tuple[Clock, int]:
     """The clock of the steps, as host arrays, and their number; since the start if members start at different times."""
     if t0 is not None and t0.ndim:
         if times is not None:
             raise ValueError("times hold for all members: give all members the same states.t, or none")
         t0 = None
     clock, planned_steps = clock_of(step, states._replace(t=t0), dtype, dt, num_steps, times)
-    if isinstance(clock, StateClock):
+    if isinstance(clock, UniformClock) and clock.t0 is None:
         clock = UniformClock(jnp.zeros((), dtype), clock.dt)
     return jax.tree.map(np.asarray, clock), planned_steps
 
 
 def _entries_at_times(
-    save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, planned_steps: int, dtype: np.dtype
+    save_at: ArrayLike, clock: Clock, planned_steps: int, dtype: np.dtype
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, None]:
     """The entries at given times, that of the start first: times, nodes, rests and save_every of a `Job`."""
     wanted = outputs(save_at, clock, planned_steps, dtype)
