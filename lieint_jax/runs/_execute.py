@@ -183,12 +183,14 @@ class MemoryOutput:
     def result(self, carry: Carry) -> Saves:
         """The saves, after the last step."""
         state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
-        job, times = self._job, self._job.times
+        job, times, has_time = self._job, self._job.times, self._job.t0 is not None
         if job.reduction is None:
             info, states = self._out
-            return Saves(Trajectory(times, job.with_times(states), info), failed)  # pyright: ignore
+            states = states._replace(t=job.state_times()) if has_time else states
+            return Saves(Trajectory(times, states, info), failed)  # pyright: ignore
         series = {name: x for name, x in self._out.items() if name != "sums"}
-        ends = {"state": job.with_last_time(state), "failed": failed}
+        state = state._replace(t=job.state_times(slice(-1, None))[0]) if has_time else state
+        ends = {"state": state, "failed": failed}
         if not job.per_member:
             return Saves(Summary(times, **series, **ends), failed)
         change: Any = _layout.gather(self._layout, carry.change)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +13,6 @@ from lieint_jax.runs._clock import Clock
 from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Carry, Change, Reduction, start, step_dtype
-from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs.store._leaves import Saves, shared_time
 from lieint_jax.types import State, Step, Trajectory
 
@@ -21,6 +21,7 @@ _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save int
 _OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
 CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
 MAX_NAMED = 5  # members in a message
+MakeStates = Callable[[np.ndarray], State]  # of the members of these numbers
 Series = dict[str, np.ndarray]  # of a reduction, by name
 SERIES = ("least", "greatest", "mean", "residual", "unconverged")  # their names; of single members only the last two
 _CHUNKS_OF_BUFFER = _BUFFER_BYTES // _OBJECT_BYTES  # so many such chunks fill the buffer
@@ -198,19 +199,6 @@ class Job(NamedTuple):
             return np.asarray(self.t0)[members] + self.times[entries, None]
         return shared_time(self.times[entries], self.members)[:, members]
 
-    def with_times(self, states: State) -> State:
-        """The states of all entries with their time."""
-        return states if self.t0 is None else states._replace(t=self.state_times())  # pyright: ignore[reportArgumentType]
-
-    def without_time(self, state: State) -> State:
-        """States as in `states`: without a time that follows from the number of steps."""
-        return state if self.t0 is None else state._replace(t=None)
-
-    def with_last_time(self, state: State) -> State:
-        """The states at the end of the run with their time."""
-        last = slice(-1, None)
-        return state if self.t0 is None else state._replace(t=self.state_times(last)[0])
-
     def first_change(self, value: Any, reached: Any) -> Change | None:
         """What is known of the reduced quantity at the start, of this value; the condition is `reached` or not."""
         if value is None:
@@ -313,7 +301,7 @@ def first_rows(job: Job, carry: Carry) -> Tree | Series:
 def rows_and_carry(job: Job, saves: Saves) -> tuple[Tree | Series, Carry]:
     """The rows of a run in memory, that of the start first, and the carry at its end."""
     found, failed = saves.found, saves.failed
-    states, change = job.without_time(found.state), None
+    states, change = found.state if job.t0 is None else found.state._replace(t=None), None
     if isinstance(found, Trajectory):
         rows: Tree = found.info, states
         states = jax.tree.map(lambda x: x[-1], states)
