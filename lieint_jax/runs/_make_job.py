@@ -15,15 +15,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.native import make_once
 from lieint_jax.runs import _layout
-from lieint_jax.runs._clock import (
-    Clock,
-    GridClock,
-    UniformClock,
-    clock_of,
-    intervals,
-    outputs,
-    refuse_times,
-)
+from lieint_jax.runs._clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
 from lieint_jax.runs._job import Job, MakeStates, chunk_members, list_members
 from lieint_jax.runs._loop import Reduction, energy
 from lieint_jax.runs.store._leaves import leaves_by_name

@@ -47,17 +47,7 @@ from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.runs.store._reading import read_written
 from lieint_jax.runs.store._storage import StoreOptions, Url, address, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.types import (
-    State,
-    Step,
-    StepInfo,
-    System,
-    Trajectory,
-    callable_pytree,
-    labeled,
-    pytree,
-    static,
-)
+from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree, labeled, pytree, static
 
 if TYPE_CHECKING:
     from pandas import DataFrame
