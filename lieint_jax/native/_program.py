@@ -45,22 +45,15 @@ class Value:
         dtype: its NumPy type.
         data: the parameter of the operation: the value of a constant, the exponent of a power.
         block: the block that computes it; None for constants.
+        is_constant: whether it is a constant.
+        is_array: whether it stands for an array in memory, whose entries are numbers of its type.
     """
 
-    __slots__ = ("block", "data", "dtype", "inputs", "op")
+    __slots__ = ("block", "data", "dtype", "inputs", "is_array", "is_constant", "op")
 
     def __init__(self, op: str, inputs: tuple[Value, ...], dtype: np.dtype, data: Data, block: Block | None):
         self.op, self.inputs, self.dtype, self.data, self.block = op, inputs, dtype, data, block
-
-    @property
-    def is_constant(self) -> bool:
-        """True if it is a constant."""
-        return self.op == "const"
-
-    @property
-    def is_array(self) -> bool:
-        """True if it stands for an array in memory, whose entries are numbers of its type."""
-        return self.op in _ARRAYS
+        self.is_constant, self.is_array = op == "const", op in _ARRAYS
 
     @property
     def length(self) -> int:

@@ -218,7 +218,7 @@ def run(
         threads=threads,
         same_bits=same_bits,
         batch=batch,
-        epoch=text_of(epoch),
+        epoch="" if epoch is None else text_of(epoch),
     )
 
 
