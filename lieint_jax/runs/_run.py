@@ -24,19 +24,10 @@ from lieint_jax._free_body import Periods
 from lieint_jax.runs import _facts, _layout, processes
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._engine import engine_of
-from lieint_jax.runs._execute import MemoryOutput, execute
+from lieint_jax.runs._execute import MemoryOutput, execute, rows_and_carry
 from lieint_jax.runs._facts import Facts, dates_of, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
-from lieint_jax.runs._job import (
-    Job,
-    MakeStates,
-    MemberSummary,
-    Summary,
-    member_of,
-    rows_and_carry,
-    saves_of_batch,
-    with_member_axis,
-)
+from lieint_jax.runs._job import Job, MakeStates, MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._layout import Layout
 from lieint_jax.runs._loop import energy
 from lieint_jax.runs._make_job import checked_job, is_batch, made_states, make_jobs
