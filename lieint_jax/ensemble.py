@@ -87,7 +87,7 @@ def run(
         shared time of the members. If they have no time or start at different times, t is the time since the start. If
         the step has its `own_time`, t is nΔt, and state.t the time of each member.
     """
-    return compute(
+    found = compute(
         step,
         states,
         dt,
@@ -103,4 +103,5 @@ def run(
         save_at=save_at,
         part=part,
         members=members,
-    ).saves.found
+    )
+    return found.trajectory if found.summary is None else found.summary

@@ -26,12 +26,7 @@ the trajectory itself is accurate.
 """
 
 from lieint_jax.adjoints._observe import observe
-from lieint_jax.adjoints._reversible import (
-    RecursiveCheckpointAdjoint,
-    ReversibleAdjoint,
-    reversible,
-    round_trip_error,
-)
+from lieint_jax.adjoints._reversible import RecursiveCheckpointAdjoint, ReversibleAdjoint, reversible, round_trip_error
 from lieint_jax.adjoints._transition import Ellipse, Transition, transition
 from lieint_jax.runs import Adjoint
 

@@ -14,8 +14,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.adjoints._checkpoint import checkpointed
-from lieint_jax.adjoints._reversible import Derivative, checked
+from lieint_jax.adjoints._reversible import Derivative, checked, checkpointed
 from lieint_jax.adjoints._undo import undoable
 from lieint_jax.runs import MOST_TO_OUTPUTS, Reached, refuse_far_times, refuse_times, splits, uniform_clock
 from lieint_jax.types import State, Step

@@ -12,14 +12,7 @@ Triton compiles the whole loop as one kernel (`_kernel`).
 
 from lieint_jax.native._explain import Explanation, LoopReport, explain
 from lieint_jax.native._march import Loop, hoisted, march
-from lieint_jax.native._march_code import (
-    computed_by,
-    engine,
-    engine_name,
-    loops_of,
-    machine_code,
-    warn_once,
-)
+from lieint_jax.native._march_code import computed_by, engine, engine_name, loops_of, machine_code, warn_once
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._scan import scan
 from lieint_jax.native._traced import make_once

@@ -133,6 +133,11 @@ class Loop(NamedTuple):
         return self.rows * self.known_every
 
     @property
+    def one_step(self) -> Loop:
+        """A single step without members, on which alone that of a derivative depends."""
+        return Loop(self.step, self.carried, self.fixed, 1, 1, False)
+
+    @property
     def owns(self) -> tuple[bool, ...]:
         """For each argument, whether each member has its own."""
         return (self.members is not None,) * self.carried + self.own
@@ -318,7 +323,21 @@ def by_xla(*arguments: AnyArray, loop: Loop) -> Arrays:
 
     if loop.every is None:
         every, count = (x.astype(loop.step.in_avals[0].dtype) for x in fixed[:2])
-        return _counted_by_xla(step_once, carry, series, every, count, loop.rows)
+
+        def row_of(n: AnyArray) -> Arrays:
+            return [lax.dynamic_index_in_dim(x, n, keepdims=False) for x in series]
+
+        shapes = jax.eval_shape(lambda carry: step_once(jnp.zeros_like(every), carry, row_of(0))[1], carry)
+        empty = [jnp.zeros(s.shape, s.dtype) for s in shapes]
+
+        def counted_row(k: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
+            begin = both[0], empty
+            carry, found = lax.fori_loop(0, every, lambda i, both: step_once(k * every + i, both[0], row_of(k)), begin)
+            return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], found, strict=True)]
+
+        rows = [jnp.zeros((loop.rows, *x.shape), x.dtype) for x in empty]
+        carry, ys = lax.fori_loop(0, count, counted_row, (carry, rows))
+        return [*carry, *ys]
     numbers = jnp.arange(loop.rows, dtype=loop.step.in_avals[0].dtype)
     if loop.every == 1:
         carry, ys = lax.scan(lambda c, x: step_once(x[0], c, x[1]), carry, (numbers, series), reverse=loop.reverse)
@@ -339,27 +358,4 @@ def by_xla(*arguments: AnyArray, loop: Loop) -> Arrays:
         carry, ys = row(carry, (numbers[0], [x[0] for x in in_rows]))
         return [*carry, *(y[None] for y in ys)]
     carry, ys = lax.scan(row, carry, (numbers, in_rows), reverse=loop.reverse)
-    return [*carry, *ys]
-
-
-def _counted_by_xla(
-    step: Callable[[AnyArray, Arrays, Arrays], tuple[Arrays, Arrays]],
-    carry: Arrays,
-    series: Arrays,
-    every: AnyArray,
-    count: AnyArray,
-    rows: int,
-) -> Arrays:
-    def row_of(n: AnyArray) -> Arrays:
-        return [lax.dynamic_index_in_dim(x, n, keepdims=False) for x in series]
-
-    shapes = jax.eval_shape(lambda carry: step(jnp.zeros_like(every), carry, row_of(0))[1], carry)
-    empty = [jnp.zeros(s.shape, s.dtype) for s in shapes]
-
-    def row(k: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
-        begin = both[0], empty
-        carry, found = lax.fori_loop(0, every, lambda i, both: step(k * every + i, both[0], row_of(k)), begin)
-        return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], found, strict=True)]
-
-    carry, ys = lax.fori_loop(0, count, row, (carry, [jnp.zeros((rows, *x.shape), x.dtype) for x in empty]))
     return [*carry, *ys]

@@ -4,29 +4,38 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import logging
+import math
 import os
 import time
 import warnings
-from collections.abc import Iterator, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal
 
 import jax
 import numpy as np
 from jax.core import ShapedArray
+from jax.experimental.custom_partitioning import ArrayMapping, SdyShardingRule, custom_partitioning
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.interpreters import mlir
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from lieint_jax._xla import unchecked
 from lieint_jax.native._arrays import computed_before
 from lieint_jax.native._kernel import KernelCode
 from lieint_jax.native._march import AnyArray, AnyArrays, Arrays, Deferred, Loop, by_xla, jaxpr_of, march_p, shape_of
+from lieint_jax.native._pieces import modules
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._primitives.control_flow import jaxprs_of
-from lieint_jax.native._spread import let_spread, spread
 from lieint_jax.native._traced import Traced, make_once
 
+try:
+    from jax._src.dispatch import prim_requires_devices_during_lowering as _of_devices  # no public name
+except ImportError:  # then members are gathered
+    _of_devices = set()
 _log = logging.getLogger(__name__)
+Places = Sequence[int | None]  # of the axis of members in each array, if it has one
 _SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
 _SOME = 100  # steps of a row, if their number is not known here
 _ALL = 2**30  # threads: as many as XLA's pool has
@@ -44,6 +53,11 @@ _chosen_threads = jax.make_user_context(None)  # a number, or None
 class LoopCode:
     """The step of a loop as machine code that XLA calls.
 
+    Args:
+        body: the step, its number of carries, and whether the last step comes first, the loop has one member, and it
+            is one step.
+        kinds: those of the arguments of the step; see `Traced`.
+
     Attributes:
         engine: its name.
         target, kernel: what XLA calls, and with which code.
@@ -56,22 +70,22 @@ class LoopCode:
 
     engine = ENGINES[0]
 
-    def __init__(self, body: _Body, kinds: Sequence[str], _: AnyArrays):
+    def __init__(self, body: tuple[ClosedJaxpr | Deferred, int, bool, bool, bool], kinds: Sequence[str], _: AnyArrays):
+        step, carried, reverse, is_single, runs_once = body
         try:
             from lieint_jax.native import _machine
         except (ImportError, OSError) as error:  # missing, or a library that this machine cannot load
             raise ImportError(NO_COMPILER) from error
-        from lieint_jax.native._pieces import modules
 
         begin = time.perf_counter()
-        traced = Traced(jaxpr_of(body.step), kinds, with_maps=True, runs_once=body.runs_once)
+        traced = Traced(jaxpr_of(step), kinds, with_maps=True, runs_once=runs_once)
         self._outside, self._leaves = traced.outside, traced.leaves
         with unsupported_if_it_fails():
-            results = body.step.out_avals
-            sizes = [int(np.prod(x.shape)) for x in results[body.carried :]]
-            lanes = 1 if body.is_single else _machine.lanes(traced.leaves, traced.pressure)
-            of_rows = _machine.lanes(traced.leaves) if body.is_single else 0
-            texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, body.reverse, of_rows)
+            results = step.out_avals
+            sizes = [int(np.prod(x.shape)) for x in results[carried:]]
+            lanes = 1 if is_single else _machine.lanes(traced.leaves, traced.pressure)
+            of_rows = _machine.lanes(traced.leaves) if is_single else 0
+            texts, self.shared = modules(traced.program, traced.leaves, sizes, lanes, reverse, of_rows)
             walked = time.perf_counter()
             inputs = len(traced.leaves) - 1  # all but the counter are in memory
             self.kernel, self.target = _machine.kernel(texts, inputs, len(results), lanes), _machine.TARGET
@@ -88,7 +102,7 @@ class LoopCode:
         places = [int(loop.is_series(k)) if own else None for k, own in enumerate(loop.owns)]
         places += [0 if leaf.varies else None for leaf in self._leaves[1 + count :]]
         of_results = [int(k >= loop.carried) for k in range(len(loop.step.out_avals))]
-        return spread(functools.partial(self._call, loop), loop.members, arrays, places, of_results)
+        return _spread(functools.partial(self._call, loop), loop.members, arrays, places, of_results)
 
     def _call(self, loop: Loop, arrays: AnyArrays, members: int | None) -> Arrays:
         """The results for so many members, from the arguments and what was computed before."""
@@ -104,14 +118,51 @@ class LoopCode:
         return list(call(*arrays, kernel=self.kernel.name, **numbers))
 
 
-class _Body(NamedTuple):
-    """What machine code has of a loop; `is_single`: whether it has one member; `runs_once`: whether it is one step."""
+def _spread(
+    call: Callable[[AnyArrays, int], Arrays], members: int, arrays: AnyArrays, places: Places, of_results: Places
+) -> Arrays:
+    """call(arrays, members), in which each device has the part of the members that XLA gives it."""
 
-    step: ClosedJaxpr | Deferred
-    carried: int
-    reverse: bool
-    is_single: bool
-    runs_once: bool
+    def partition(mesh: Mesh, given: AnyArrays, found: AnyArrays) -> tuple[Any, ...]:
+        axes = _axes_of_members(mesh, [*found, *given], [*of_results, *places])
+        part = -(-members // math.prod(mesh.shape[x] for x in axes))
+        own, of_arrays = ([NamedSharding(mesh, _spec(axes, place)) for place in of] for of in (of_results, places))
+        return mesh, lambda *arrays: call(arrays, part), own, tuple(of_arrays)
+
+    function = custom_partitioning(lambda *arrays: call(arrays, members))
+    function.def_partition(
+        partition,
+        decode_shardings=False,
+        sharding_rule=lambda mesh, given, found: _rule([*given, *found], [*places, *of_results], len(given)),
+    )
+    return list(function(*arrays))
+
+
+def _rule(types: AnyArrays, places: Places, inputs: int) -> SdyShardingRule:
+    """Only the axis of members may be spread, and is in all arrays alike."""
+    names = map("x{}".format, itertools.count())
+    dims = [
+        ["members" if k == place else next(names) for k in range(x.rank)]
+        for x, place in zip(types, places, strict=True)
+    ]
+    whole = tuple(x for each in dims for x in each if x != "members")
+    maps = [ArrayMapping(*x) for x in dims]
+    return SdyShardingRule(tuple(maps[:inputs]), tuple(maps[inputs:]), need_replication_factors=whole)
+
+
+def _spec(axes: tuple[str, ...], place: int | None) -> PartitionSpec:
+    return PartitionSpec() if place is None else PartitionSpec(*[None] * place, axes)
+
+
+def _axes_of_members(mesh: Mesh, arrays: AnyArrays, places: Places) -> tuple[str, ...]:
+    """The axes of the mesh over which one of these arrays spreads its members; none if they are parts of axes."""
+    names = mesh.axis_names
+    choices = [x for k in range(len(names)) for x in itertools.permutations(names, k + 1)]
+    for x, place in zip(arrays, places, strict=True):
+        for axes in choices if place is not None else ():
+            if NamedSharding(mesh, _spec(axes, place)).is_equivalent_to(x.sharding, len(x.shape)):
+                return axes
+    return ()
 
 
 def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | str:
@@ -134,8 +185,8 @@ def machine_code(loop: Loop, platform: str = "cpu") -> LoopCode | KernelCode | s
     try:
         if platform != "cpu" or chosen == _KERNEL:
             return make_once(KernelCode, loop.step, kinds, shapes)
-        runs_once = (loop.rows, loop.every) == (1, 1)
-        body = _Body(loop.step, loop.carried, loop.reverse, loop.members in (None, 1), runs_once)
+        is_single, runs_once = loop.members in (None, 1), (loop.rows, loop.every) == (1, 1)
+        body = loop.step, loop.carried, loop.reverse, is_single, runs_once
         return make_once(LoopCode, body, kinds, shapes)
     except (ImportError, UnsupportedError) as reason:  # no llvmlite, or on a GPU no Pallas; no program of numbers
         return str(reason)
@@ -230,7 +281,7 @@ def _lower(ctx: mlir.LoweringRuleContext, *operands: Any, loop: Loop, platform: 
     return lowered
 
 
-let_spread(march_p)
+_of_devices.add(march_p)  # JAX lowers it for the devices of a mesh, which its rule sees in the context
 mlir.register_lowering(march_p, _lower)
 for _platform in ("cpu", "gpu"):
     mlir.register_lowering(march_p, functools.partial(_lower, platform=_platform), platform=_platform)

@@ -101,7 +101,7 @@ def _tangent_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
     owns = _interleaved(loop, loop.owns, _chosen(loop.owns, active), active)
     carried = loop.carried + sum(carries)
     return loop._replace(
-        step=_tangent_step(loop.step, loop.carried, loop.fixed, active),
+        step=_tangent_step(loop.one_step, active),
         carried=carried,
         fixed=loop.fixed + sum(fixed),
         own=tuple(owns[carried:]),
@@ -110,9 +110,8 @@ def _tangent_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
 
 
 @functools.lru_cache(32)
-def _tangent_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
-    loop = Loop(step, carried, fixed, 1, 1, False)
-    mask, function = _mask_of_results(loop, active), function_of(step)
+def _tangent_step(loop: Loop, active: tuple[bool, ...]) -> Deferred:
+    step, mask, function = loop.step, _mask_of_results(loop, active), function_of(loop.step)
 
     def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
         plain, dots = _parted(loop, arguments, active)
@@ -206,7 +205,7 @@ def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
     stored = [loop.members is not None] * loop.carried
     own = _linear_arguments(loop, active, loop.owns, stored, _chosen(loop.owns, active))
     return loop._replace(
-        step=_linear_step(loop.step, loop.carried, loop.fixed, active),
+        step=_linear_step(loop.one_step, active),
         carried=sum(carries),
         fixed=loop.fixed + sum(fixed),
         own=tuple(own[sum(carries) :]),
@@ -231,18 +230,17 @@ def _of_linear(loop: Loop, active: Mask, arguments: AnyArrays) -> tuple[Arrays, 
 
 
 @functools.lru_cache(32)
-def _linear_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...]) -> Deferred:
-    loop = Loop(step, carried, fixed, 1, 1, False)
-    mask, function = _mask_of_results(loop, active), function_of(step)
-    number, *shapes = step.in_avals
+def _linear_step(loop: Loop, active: tuple[bool, ...]) -> Deferred:
+    mask, function = _mask_of_results(loop, active), function_of(loop.step)
+    number, *shapes = loop.step.in_avals
 
     def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
         plain, dots = _of_linear(loop, active, arguments)
         _, slopes = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
         return _chosen(slopes, mask)
 
-    arguments = _linear_arguments(loop, active, shapes, shapes[:carried], _chosen(shapes, active))
-    return Deferred(pushed, [number, *arguments], _chosen(step.out_avals, mask))
+    arguments = _linear_arguments(loop, active, shapes, shapes[: loop.carried], _chosen(shapes, active))
+    return Deferred(pushed, [number, *arguments], _chosen(loop.step.out_avals, mask))
 
 
 def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
@@ -263,7 +261,7 @@ def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
     lead = (loop.members,) if has_members else ()
     sums = [jnp.zeros((*lead, *x.shape), x.dtype) for x in _chosen(base.split(base.step.in_avals[1:])[1], fixed)]
     back = Loop(
-        _backward_step(base.step, base.carried, base.fixed, active, seen),
+        _backward_step(base.one_step, active, seen),
         len(lam) + len(sums),
         base.fixed,
         loop.steps,
@@ -294,9 +292,9 @@ def _spread(y_bar: AnyArray, loop: Loop) -> AnyArray:
 
 
 @functools.lru_cache(32)
-def _backward_step(step: _Step, carried: int, fixed: int, active: tuple[bool, ...], seen: tuple[bool, ...]) -> Deferred:
+def _backward_step(loop: Loop, active: tuple[bool, ...], seen: tuple[bool, ...]) -> Deferred:
     """(λ, sums, constants, carries before it, row, cotangents of results) ↦ (λ, sums, cotangents of the row)."""
-    loop = Loop(step, carried, fixed, 1, 1, False)
+    step, carried, fixed = loop[:3]
     mask, function = _mask_of_results(loop, active), function_of(step)
     carries, of_fixed, of_rows = loop.split(active)
     n, m = sum(carries), sum(carries) + sum(of_fixed)

@@ -10,8 +10,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from lieint_jax.native._llvm import Module, Text, constant, instruction, literal, suffix, with_lanes
-from lieint_jax.native._primitives.abstract_walk import UnsupportedError
-from lieint_jax.native._primitives.columns import NEXT
+from lieint_jax.native._primitives.abstract_walk import NEXT, UnsupportedError
 from lieint_jax.native._program import Program, Value, all_items, numbers_of
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions

@@ -6,6 +6,7 @@ not depend on a loop are moved out of it.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -44,22 +45,15 @@ class Value:
         dtype: its NumPy type.
         data: the parameter of the operation: the value of a constant, the exponent of a power.
         block: the block that computes it; None for constants.
+        is_constant: whether it is a constant.
+        is_array: whether it stands for an array in memory, whose entries are numbers of its type.
     """
 
-    __slots__ = ("block", "data", "dtype", "inputs", "op")
+    __slots__ = ("block", "data", "dtype", "inputs", "is_array", "is_constant", "op")
 
     def __init__(self, op: str, inputs: tuple[Value, ...], dtype: np.dtype, data: Data, block: Block | None):
         self.op, self.inputs, self.dtype, self.data, self.block = op, inputs, dtype, data, block
-
-    @property
-    def is_constant(self) -> bool:
-        """True if it is a constant."""
-        return self.op == "const"
-
-    @property
-    def is_array(self) -> bool:
-        """True if it stands for an array in memory, whose entries are numbers of its type."""
-        return self.op in _ARRAYS
+        self.is_constant, self.is_array = op == "const", op in _ARRAYS
 
     @property
     def length(self) -> int:
@@ -492,71 +486,45 @@ def numbers_of(item: Item) -> Iterable[Value]:
 
 def _live_numbers(root: Block, outputs: Sequence[Value], given: frozenset[Value]) -> set[Value]:
     """The numbers on which the outputs depend; given numbers depend on no others."""
-    place: dict[Value, tuple[Loop | Branch | Map, int]] = {}
-    for item in all_items(root):
-        if not isinstance(item, Value):
-            place |= {after: (item, k) for k, after in enumerate(item.results)}
-        if isinstance(item, Loop):
-            place |= {inside: (item, k) for k, inside in enumerate(item.carries)}
-    live: set[Value] = set()
-    pending = list(outputs)
-    while pending:
-        x = pending.pop()
-        if x in live:
-            continue
-        live.add(x)
-        if x in given:
-            continue
-        pending += x.inputs
-        if x in place:
-            item, k = place[x]
-            if isinstance(item, Loop):
-                pending += (item.carries[k], item.starts[k], item.following[k], item.test)
-            elif isinstance(item, Map):
-                pending.append(item.values[k])
-            else:
-                pending += (item.test, item.values[0][k], item.values[1][k])
-    return live
+    sources = _sources(root, with_tests=True)
+    return _reached(outputs, lambda x: () if x in given else (*x.inputs, *sources.get(x, ())))
 
 
 def _varying_numbers(root: Block, live: set[Value], start: set[Value], inside_only: bool = False) -> set[Value]:
     """The live numbers that depend on some that vary; outside of maps none does if these vary `inside_only`."""
-    varying = set(start)
+    users: dict[Value, list[Value]] = {}
+    inputs = ((x, x.inputs) for x in all_items(root) if isinstance(x, Value) and x in live)
+    others = (x for x in _sources(root, with_tests=False).items() if not (inside_only and x[0].op == "rows"))
+    for x, sources in itertools.chain(inputs, others):
+        for y in sources:
+            users.setdefault(y, []).append(x)
+    return _reached(start, lambda x: users.get(x, ()))
 
-    def visit(block: Block) -> None:
-        for item in block.items:
-            if isinstance(item, Value):
-                if item in live and any(x in varying for x in item.inputs):
-                    varying.add(item)
-            elif isinstance(item, Loop):
-                visit_loop(item)
-            elif isinstance(item, Map):
-                visit(item.body)
-                rows = zip(item.values, item.results, strict=True)
-                varying.update(after for x, after in rows if x in varying and not inside_only)
-            else:
-                for side in item.blocks:
-                    visit(side)
-                for k, after in enumerate(item.results):
-                    if item.test in varying or any(values[k] in varying for values in item.values):
-                        varying.add(after)
 
-    def visit_loop(loop: Loop) -> None:
-        for inside, start in zip(loop.carries, loop.starts, strict=True):
-            if start in varying:
-                varying.add(inside)
-        while True:
-            before = len(varying)
-            visit(loop.head)
-            visit(loop.body)
-            for inside, following in zip(loop.carries, loop.following, strict=True):
-                if following in varying or (loop.test in varying and following is not inside):
-                    varying.add(inside)
-            if len(varying) == before:
-                break
-        for inside, after in zip(loop.carries, loop.results, strict=True):
-            if inside in varying:
-                varying.add(after)
+def _reached(start: Iterable[Value], following: Callable[[Value], Iterable[Value]]) -> set[Value]:
+    """Some numbers, and all others to which steps lead from them."""
+    found, pending = set(start), list(start)
+    while pending:
+        for x in following(pending.pop()):
+            if x not in found:
+                found.add(x)
+                pending.append(x)
+    return found
 
-    visit(root)
-    return varying
+
+def _sources(root: Block, with_tests: bool) -> dict[Value, tuple[Value, ...]]:
+    """The numbers from which the results of loops, branches and maps come, and those that loops carry.
+
+    What a loop carries unchanged does not depend on the test of the loop, but needs it: `with_tests`.
+    """
+    found: dict[Value, tuple[Value, ...]] = {}
+    for item in all_items(root):
+        if isinstance(item, Map):
+            found |= {after: (x,) for x, after in zip(item.values, item.results, strict=True)}
+        elif isinstance(item, Branch):
+            found |= {after: (item.test, *x) for after, *x in zip(item.results, *item.values, strict=True)}
+        elif isinstance(item, Loop):
+            for inside, start, x, after in zip(item.carries, item.starts, item.following, item.results, strict=True):
+                test = (item.test,) if with_tests or x is not inside else ()
+                found |= {inside: (start, x, *test), after: (inside, *test)}
+    return found

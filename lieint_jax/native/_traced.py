@@ -17,15 +17,16 @@ from jax.typing import ArrayLike
 
 from lieint_jax.native._primitives.abstract_walk import (
     LARGEST,
+    Rows,
     Table,
     TooLongError,
     UnsupportedError,
     array_of,
     as_numbers,
+    columns_of,
     shapes_of,
     unsupported_if_it_fails,
 )
-from lieint_jax.native._primitives.columns import Rows, columns_of
 from lieint_jax.native._program import Builder, Column, Program, Value
 from lieint_jax.native._walk import LONGEST, Walk
 

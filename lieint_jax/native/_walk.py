@@ -20,23 +20,23 @@ from lieint_jax.native._primitives.abstract_walk import (
     AbstractWalk,
     Arrays,
     Parameters,
+    Rows,
     Table,
     TooLongError,
     UnsupportedError,
     array_of,
     as_numbers,
+    other_axis,
     shapes_of,
 )
-from lieint_jax.native._primitives.columns import Rows, columns_of, row_number
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW, READ_ROWS
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE, MOVES
 from lieint_jax.native._primitives.indexing import INDEXING, look_up
 from lieint_jax.native._primitives.linear_algebra import LINEAR_ALGEBRA
-from lieint_jax.native._primitives.parallel import Axes, Region, long_axis, of_one_row, rows_along, walk_regions
+from lieint_jax.native._primitives.parallel import Axes, Region, of_one_row, rows_along, walk_regions
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 from lieint_jax.native._program import Builder, Value
 
-_UNROLLED = (400, 6000)  # without and with maps: see `AbstractWalk.unrolled`
 _LARGEST_WITH_MAPS = 80_000  # the most entries of an array, most of which maps never make numbers of the program
 LONGEST = 100_000  # the most operations of a program
 _TYPES = set(map(np.dtype, ["bool", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"]))
@@ -61,10 +61,8 @@ class Walk(AbstractWalk):
         longest: int = LONGEST,
         with_maps: bool = False,
     ):
-        self.builder, self.unrolled, self.rows_at_once = builder, _UNROLLED[with_maps], 1
-        self._compute_before, self._longest, self._with_maps = compute_before, longest, with_maps
-        self._row: Value | None = None  # the number of the row inside of a map
-        self._rows_read: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+        super().__init__(builder, with_maps)
+        self._compute_before, self._longest = compute_before, longest
 
     def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> Arrays:
         """The results of a jaxpr, as arrays of numbers."""
@@ -81,7 +79,7 @@ class Walk(AbstractWalk):
         def walk_one(equation: JaxprEqn) -> None:
             inputs, axes = [read(x) for x in equation.invars], list[int | None]()
             if self._row is not None:  # some operands may have one row, where the equation has all
-                axes = [_other_axis(x.shape, y.shape) for x, y in zip(inputs, shapes_of(equation.invars), strict=True)]
+                axes = [other_axis(x.shape, y.shape) for x, y in zip(inputs, shapes_of(equation.invars), strict=True)]
             if any(d is not None for d in axes):
                 results = self._one_row(equation, inputs, *rows_along(equation, axes))
             else:
@@ -135,42 +133,6 @@ class Walk(AbstractWalk):
         parameters = of_one_row(equation.primitive.name, equation.params, axes, out)
         return self._apply(equation, rows, parameters, shapes)
 
-    def _row_of(self, x: np.ndarray, axis: int) -> np.ndarray:
-        """The row of a map, of an array that has all."""
-        assert self._row is not None
-        if isinstance(x, Rows) and x.axis == axis:
-            return x.row(self._row)
-        x, key = as_numbers(x), (id(x), axis)
-        if key not in self._rows_read:
-            rows = np.moveaxis(x, axis, 0)
-            numbers = [row_number(self, list(column), self._row) for column in rows.reshape(len(rows), -1).T]
-            self._rows_read[key] = x, np.moveaxis(array_of(numbers, (1, *rows.shape[1:])), 0, axis)
-        return self._rows_read[key][1]
-
-    def long_axis(self, shape: Sequence[int]) -> int | None:
-        return long_axis(shape) if self._with_maps and self._row is None else None
-
-    def packed(self, x: np.ndarray | Rows, own: Sequence[Value] = ()) -> list[Value]:
-        d = self.long_axis(x.shape)
-        if d is None or (isinstance(x, np.ndarray) and x.flat[0].is_array):
-            return list(as_numbers(x).flat)
-        return columns_of(self, x, d, own)
-
-    def unpacked(self, numbers: list[Value], like: Any) -> Any:
-        d = self.long_axis(like.shape)
-        if d is None or len(numbers) == np.prod(like.shape):
-            return array_of(numbers, like.shape)
-        return Rows(self, numbers, like.shape, d)
-
-    def matched(self, arrays: Sequence[np.ndarray], like: Sequence[Any]) -> Arrays:
-        found = list(arrays[: len(like)])
-        if self._row is None:
-            return found
-        for k, (x, y) in enumerate(zip(found, like, strict=False)):
-            longer = _other_axis(x.shape, y.shape)
-            found[k] = x if longer is None else self._row_of(x, longer)
-        return found
-
     def _apply(self, equation: JaxprEqn, inputs: Arrays, parameters: Parameters, out: list[ShapedArray]) -> Arrays:
         name = equation.primitive.name
         if out and all(x.dtype == jax.dtypes.float0 for x in out):  # tangents of integers, which nothing reads
@@ -207,11 +169,6 @@ class Walk(AbstractWalk):
         if results is None:
             raise UnsupportedError(f"{name} has no formula in machine code")
         return results
-
-
-def _other_axis(shape: Sequence[int], other: Sequence[int]) -> int | None:
-    """The axis along which arrays of these shapes differ in length, if there is one."""
-    return next((d for d, (n, m) in enumerate(zip(shape, other, strict=True)) if n != m), None)
 
 
 def _expand(equation: JaxprEqn) -> ClosedJaxpr | None:

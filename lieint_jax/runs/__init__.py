@@ -34,16 +34,14 @@ from lieint_jax.runs._driver import (
 from lieint_jax.runs._event import Event, event, events
 from lieint_jax.runs._integrate import Adjoint, integrate, join_start, of_any_length, rows_for, trajectory
 from lieint_jax.runs._interpolate import interpolate
-from lieint_jax.runs._job import Summary
+from lieint_jax.runs._job import MakeStates, Summary
 from lieint_jax.runs._layout import count_cores, first_devices, want_devices
 from lieint_jax.runs._loop import Reduction, compiler_options, energy
-from lieint_jax.runs._made_states import MakeStates
-from lieint_jax.runs._make_run import open_run, run
+from lieint_jax.runs._make_run import open_run, run, untransformed
 from lieint_jax.runs._memory import peak_memory
 from lieint_jax.runs._over_members import over_members
 from lieint_jax.runs._part_of_task import part_of_task, part_of_text
-from lieint_jax.runs._results import compute, untransformed
-from lieint_jax.runs._run import Run
+from lieint_jax.runs._run import Run, compute
 from lieint_jax.runs._submit import Executor, submit
 
 __all__ = [

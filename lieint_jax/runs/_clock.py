@@ -27,69 +27,53 @@ def _times(n: ArrayLike, dt: Array) -> Array:
     return n * dt  # pyright: ignore[reportReturnType]  # numpy's on the host
 
 
-def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) -> Array:
-    """The last node that is not after the time t."""
-    n = lax.stop_gradient((t - clock.t0) / clock.dt)
-    near = jnp.round(n)
-    at_node = jnp.abs(t - clock.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
-    return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
-
-
 class UniformClock(NamedTuple):
-    """Steps of one size.
-
-    Attributes:
-        t0: the time of the first.
-        dt: their size.
-    """
-
-    t0: Array
-    dt: Array
-
-    def size(self, n: ArrayLike) -> Array:
-        """The size of the step from node n."""
-        return self.dt
-
-    def time(self, n: ArrayLike) -> Array:
-        """The time of node n; a sum of n sizes would have the rounding errors of all."""
-        return self.t0 + _times(n, self.dt)
-
-    node = _uniform_node
-
-
-class RoundedClock(NamedTuple):
-    """Steps of one size up to rounding: the size of each is the difference of the rounded times of its two nodes.
+    """Steps of one size, or, with `coarse`, of one size up to rounding.
 
     A step that counts work evaluates the energies of time-dependent laws at its two ends, t and t + size. If the next
     step does not begin at t + size to the last bit, neither step counts the change of energy in between: a rounding
-    error in every step, which has the same sign for many steps.
+    error in every step, which has the same sign for many steps. With `coarse` the size of each step is the difference
+    of the rounded times of its two nodes.
 
     Attributes:
-        t0: the time of the first.
+        t0: the time of the first; None if the steps advance the time of the state themselves, by sizes in a fictitious
+            time.
         dt: their size.
         coarse: dt rounded to half of its digits: products with it and with the rest are exact, so that the time of a
-            node has the same bits wherever it is computed, with or without a fused multiply-add.
+            node has the same bits wherever it is computed, with or without a fused multiply-add. Or None.
     """
 
-    t0: Array
+    t0: Array | None
     dt: Array
-    coarse: Array
+    coarse: Array | None = None
 
     @classmethod
-    def of_size(cls, t0: Array, dt: Array) -> RoundedClock:
-        """The clock of steps of size dt from the time t₀."""
+    def rounded(cls, t0: Array | None, dt: Array) -> UniformClock:
+        """The clock of steps of size dt from the time t₀, up to rounding."""
         precision = jnp.finfo(dt.dtype)
         return cls(t0, dt, lax.stop_gradient(lax.reduce_precision(dt, precision.nexp, precision.nmant // 2)))
 
     def size(self, n: ArrayLike) -> Array:
         """The size of the step from node n; its derivative is that of dt."""
+        if self.coarse is None:
+            return self.dt
         return self.dt + lax.stop_gradient(self.time(n + 1) - self.time(n) - self.dt)
 
-    def time(self, n: ArrayLike) -> Array:
-        """The time of node n."""
+    def time(self, n: ArrayLike) -> Any:
+        """The time of node n, where a sum of n sizes would have the rounding errors of all; None without t₀."""
+        if self.t0 is None:
+            return None
+        if self.coarse is None:
+            return self.t0 + _times(n, self.dt)
         return self.t0 + _times(n, self.coarse) + _times(n, self.dt - self.coarse)
 
-    node = _uniform_node
+    def node(self, t: Array, num_steps: int) -> Array:
+        """The last node that is not after the time t."""
+        assert self.t0 is not None
+        n = lax.stop_gradient((t - self.t0) / self.dt)
+        near = jnp.round(n)
+        at_node = jnp.abs(t - self.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+        return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
 
 
 class GridClock(NamedTuple):
@@ -116,25 +100,7 @@ class GridClock(NamedTuple):
         return jnp.clip(after - 1, 0, num_steps)
 
 
-class StateClock(NamedTuple):
-    """Steps of one size in a fictitious time, which advance the time of the state themselves.
-
-    Attributes:
-        dt: their size.
-    """
-
-    dt: Array
-
-    def size(self, n: ArrayLike) -> Array:
-        """The size of the step from node n."""
-        return self.dt
-
-    def time(self, n: ArrayLike) -> None:
-        """Unknown before the run: the state of node n has it."""
-        return
-
-
-Clock = UniformClock | RoundedClock | GridClock | StateClock
+Clock = UniformClock | GridClock
 MOST_TO_OUTPUTS = np.iinfo(np.int32).max  # fewer steps may lead to output times
 _HALVINGS = 20  # the most that `more_times` tries
 
@@ -168,12 +134,12 @@ def clock_of(
     return GridClock(nodes), nodes.size - 1
 
 
-def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | RoundedClock | StateClock:
+def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock:
     """The clock of steps of size dt from a state; of a state without a time, since the start."""
     if step.own_time:
-        return StateClock(dt)
+        return UniformClock(None, dt)
     t0 = _checks.as_array(0.0, dt.dtype) if state.t is None else state.t
-    return RoundedClock.of_size(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
+    return UniformClock.rounded(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
 
 
 def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
@@ -229,9 +195,8 @@ def halved(clock: Clock) -> Clock:
     if isinstance(clock, GridClock):
         middles = (clock.times[1:] + clock.times[:-1]) / 2
         return GridClock(jnp.concatenate([clock.times[:1], jnp.stack([middles, clock.times[1:]], 1).ravel()]))
-    if isinstance(clock, RoundedClock):
-        return RoundedClock.of_size(clock.t0, clock.dt / 2)
-    return clock._replace(dt=clock.dt / 2)
+    half = clock.dt / 2
+    return UniformClock(clock.t0, half) if clock.coarse is None else UniformClock.rounded(clock.t0, half)
 
 
 def more_times(step: Step, state: State, size: ArrayLike) -> str:
@@ -245,9 +210,7 @@ def more_times(step: Step, state: State, size: ArrayLike) -> str:
     return ""
 
 
-def outputs(
-    save_at: npt.ArrayLike, clock: UniformClock | RoundedClock | GridClock, num_steps: int, dtype: Any
-) -> Array:
+def outputs(save_at: npt.ArrayLike, clock: Clock, num_steps: int, dtype: Any) -> Array:
     """The output times; ValueError if concrete ones are out of order or outside the run."""
     wanted = _checks.real_array("save_at", save_at).astype(dtype)
     if wanted.ndim != 1:

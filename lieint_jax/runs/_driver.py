@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import rematerialized
-from lieint_jax.runs._clock import Clock, GridClock, StateClock, at_time, uniform_clock
+from lieint_jax.runs._clock import Clock, GridClock, at_time, uniform_clock
 from lieint_jax.types import State, Step, StepInfo
 
 Tree = Any  # a tree of arrays
@@ -88,7 +88,7 @@ def saved_states(
     nodes = None
     if isinstance(clock, GridClock) and most is None:
         nodes = clock.times[:-1], clock.times[1:] - clock.times[:-1]
-    timed = state.t is not None and not isinstance(clock, StateClock)
+    timed = state.t is not None and (isinstance(clock, GridClock) or clock.t0 is not None)
 
     def step_once(
         n: Array, carry: tuple[Reached, Tree], node: tuple[Array, Array] | None

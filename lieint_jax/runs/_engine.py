@@ -17,7 +17,7 @@ from jax.sharding import Mesh
 from lieint_jax import native
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs import _layout, _loop
-from lieint_jax.runs._clock import UniformClock
+from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._job import Job, power_of_two
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Axes, Carry, Given, Intervals, Reduction, Span
@@ -65,7 +65,7 @@ class Engine:
 
     def __init__(self, job: Job, name: str, threads: int):
         self.job, self.name, self._threads = job, name, threads
-        self.prepares = job.step.prepares and isinstance(job.clock, UniformClock)
+        self.prepares = job.step.prepares and not isinstance(job.clock, GridClock)
         own, of_time = job.step_axis, 0 if job.own_times else None
         reduced = None if job.reduction is None else 0
         self._plain: Axes = Given(own, None, of_time, None, None)  # pyright: ignore[reportArgumentType]

@@ -27,6 +27,7 @@ from lieint_jax.types import clock as time_of
 from lieint_jax.types.record import record
 
 _RIGHT_TO = {4: 3e-4, 8: 1e-9}  # an event's time, in Δt, by the bytes of a number
+_Condition = Callable[[State], Array]
 _FEW = 8  # events whose search is machine code, of which each number of the buffer is an operation
 
 
@@ -108,7 +109,7 @@ def events(
     clock, _ = clock_of(step, state, dtype, dt, max_steps, None)
     if (parts := splits(step)) > 1:
         clock, max_steps = halved(clock), parts * max_steps
-    return _events(step, state, clock, callable_pytree(condition), max_steps, count, direction)
+    return _events(step, state, clock, callable_pytree(condition), (max_steps, count, direction))
 
 
 class _Bracket(NamedTuple):
@@ -145,17 +146,9 @@ class _Search(NamedTuple):
     buffer: _Bracket
 
 
-@partial(compiled, static_argnums=(4, 5, 6))
-def _events(
-    step: Step,
-    state: State,
-    clock: Clock,
-    condition: Callable[[State], Array],
-    max_steps: int,
-    count: int,
-    direction: int,
-) -> Event:
-    brackets = _brackets(step, state, clock, condition, max_steps, count, direction)
+@partial(compiled, static_argnums=4)
+def _events(step: Step, state: State, clock: Clock, condition: _Condition, wanted: tuple[int, int, int]) -> Event:
+    brackets = _brackets(step, state, clock, condition, wanted)
 
     def locate(bracket: _Bracket) -> Event:
         size = clock.size(bracket.n)
@@ -173,16 +166,12 @@ def _events(
     return jax.vmap(locate)(brackets)
 
 
-def _brackets(
-    step: Step,
-    state: State,
-    clock: Clock,
-    condition: Callable[[State], Array],
-    max_steps: int,
-    count: int,
-    direction: int,
-) -> _Bracket:
-    """The first `count` changes of sign; missing ones are filled with the last state."""
+def _brackets(step: Step, state: State, clock: Clock, condition: _Condition, wanted: tuple[int, int, int]) -> _Bracket:
+    """The first changes of sign; missing ones are filled with the last state.
+
+    `wanted` is (number of steps, of changes, direction of the changes).
+    """
+    max_steps, count, direction = wanted
     step_once = reported(prepared(step, state, clock), clock)
     start = condition(state)
     none = _Bracket(state, jnp.zeros((), int), jnp.stack([start, start]), jnp.zeros_like(start), jnp.zeros((), bool))
@@ -218,7 +207,7 @@ def _nearby(t0: Array | None, t1: Array | None, like: Array) -> Array:
     return jnp.maximum(least, rounding / jnp.abs(t1 - t0))
 
 
-def _root(step: Step, bracket: _Bracket, dt: Array, condition: Callable[[State], Array]) -> tuple[Array, Array]:
+def _root(step: Step, bracket: _Bracket, dt: Array, condition: _Condition) -> tuple[Array, Array]:
     """The τ between 0 and Δt at which the condition changes its sign, and the condition just before and after it."""
 
     def g(tau: Array) -> Array:

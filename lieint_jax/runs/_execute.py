@@ -15,21 +15,11 @@ from typing import Any, Self
 import jax
 import numpy as np
 
-from lieint_jax.runs import _layout
+from lieint_jax.runs import _layout, _loop
 from lieint_jax.runs._clock import GridClock, more_times
+from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
 from lieint_jax.runs._engine import Engine
-from lieint_jax.runs._job import (
-    MAX_NAMED,
-    Job,
-    MemberSummary,
-    Series,
-    Summary,
-    first_rows,
-    gather_rows,
-    list_members,
-    reduce_rows,
-    rows_and_carry,
-)
+from lieint_jax.runs._job import MAX_NAMED, Job, MemberSummary, Series, Summary, list_members
 from lieint_jax.runs._layout import Layout, Tree
 from lieint_jax.runs._loop import Carry, Given, energy
 from lieint_jax.runs.store._leaves import Saves
@@ -120,6 +110,57 @@ def warn_of_failures(failed: np.ndarray, first: int, system: System) -> None:
         )
 
 
+def gather_rows(layout: Layout, saved: Tree, number: int) -> Tree:
+    """The first `number` saved rows of all members, on every process."""
+    return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
+
+
+def first_rows(job: Job, carry: Carry) -> Tree | Series:
+    """The entry of the start: a row (1, members) of the report and the states, or that of the series of a reduction."""
+    if job.reduction is None:
+        return jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state))
+    found: Series = dict.fromkeys(job.series_names, np.zeros(1, job.dtype)) | {"unconverged": np.zeros(1, np.int64)}
+    if job.part is not None and not job.per_member:
+        found["sums"] = np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)
+    return found
+
+
+def rows_and_carry(job: Job, saves: Saves) -> tuple[Tree | Series, Carry]:
+    """The rows of a run in memory, that of the start first, and the carry at its end."""
+    found, failed = saves.found, saves.failed
+    states, change = found.state if job.t0 is None else found.state._replace(t=None), None
+    if isinstance(found, Trajectory):
+        rows: Tree = found.info, states
+        states = jax.tree.map(lambda x: x[-1], states)
+    else:
+        rows = {name: np.asarray(found._asdict()[name]) for name in job.series_names}
+        change = found.change if isinstance(found, MemberSummary) else job.first_change(failed, None)
+    return rows, _loop.start(states, change)._replace(failed=failed.astype(_loop.step_dtype()))
+
+
+def reduce_rows(rows: Tree, job: Job) -> Series:
+    """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
+
+    For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.
+    """
+    info, change = rows
+    reports = {
+        "residual": info.residual.max(axis=1),
+        "unconverged": (~np.asarray(info.converged)).sum(axis=1),
+    }
+    if change.per_member:
+        return reports  # pyright: ignore[reportReturnType]
+    sums = block_sums(np.asarray(change.total), job.first_member)
+    members = range(job.first_member, job.first_member + job.members)
+    found = {
+        "least": change.least.min(axis=1),
+        "greatest": change.greatest.max(axis=1),
+        "mean": total([(members, sums)]) / (job.members * (job.save_every or 1)),
+        **reports,
+    }
+    return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
+
+
 class MemoryOutput:
     """Results as numpy arrays; `earlier` are those of a run of which this one is the continuation.
 
@@ -183,12 +224,14 @@ class MemoryOutput:
     def result(self, carry: Carry) -> Saves:
         """The saves, after the last step."""
         state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
-        job, times = self._job, self._job.times
+        job, times, has_time = self._job, self._job.times, self._job.t0 is not None
         if job.reduction is None:
             info, states = self._out
-            return Saves(Trajectory(times, job.with_times(states), info), failed)  # pyright: ignore
+            states = states._replace(t=job.state_times()) if has_time else states
+            return Saves(Trajectory(times, states, info), failed)  # pyright: ignore
         series = {name: x for name, x in self._out.items() if name != "sums"}
-        ends = {"state": job.with_last_time(state), "failed": failed}
+        state = state._replace(t=job.state_times(slice(-1, None))[0]) if has_time else state
+        ends = {"state": state, "failed": failed}
         if not job.per_member:
             return Saves(Summary(times, **series, **ends), failed)
         change: Any = _layout.gather(self._layout, carry.change)

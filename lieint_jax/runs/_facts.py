@@ -1,19 +1,22 @@
-"""What is known of a run beside its numbers, and what it is in a few lines of text."""
+"""What is known of a run beside its numbers, what it is in a few lines of text, and the functions of its states."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax import Array
 
 from lieint_jax import dates
 from lieint_jax._checks import concrete
 from lieint_jax._version import __version__
 from lieint_jax.runs._job import Job, MemberSummary, list_members
 from lieint_jax.runs.store._leaves import Table, leaves_by_name
-from lieint_jax.types import Trajectory
+from lieint_jax.types import State, Step, Trajectory, periods_of
 
 _SECONDS = {"1": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "day": 86400.0}  # of units of time
 
@@ -134,3 +137,38 @@ def _saves(run: Any) -> str:
     how = "at given times" if every is None else "one per step" if every == 1 else f"one per {every} steps"
     what = "saves" if run.summary is None else "entries of changes over all members"
     return f"{len(run.t)} {what}, {how}"
+
+
+@lru_cache(16)
+def compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., Any]:
+    """A function of step and state of this structure, compiled for all states of a run."""
+
+    def map_states(numbers: list[Array], step: Step, states: State) -> Any:
+        function: Any = jax.tree.unflatten(structure, numbers)
+        if batch:
+            function = jax.vmap(function, (0 if own_step else None, 0))
+        return jax.vmap(function, (None, 0))(step, states)
+
+    return jax.jit(map_states)
+
+
+def momentum(step: Step, state: State) -> Array:
+    return step.system.momentum(state)
+
+
+def defect(step: Step, state: State) -> Array:
+    return step.system.phase_space.defect(state)
+
+
+def periods(step: Any, state: State) -> Any:
+    return periods_of(step.system, state)
+
+
+def from_start(series: Array) -> Array:
+    return series - series[:1]
+
+
+def plain(function: Any) -> Any:
+    """A function as it was given, without the pytree that has no leaves."""
+    partial = isinstance(function, jax.tree_util.Partial) and not (function.args or function.keywords)
+    return function.func if partial else function

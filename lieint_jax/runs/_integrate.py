@@ -19,9 +19,6 @@ from lieint_jax._xla import compiled
 from lieint_jax.runs._clock import (
     Clock,
     GridClock,
-    RoundedClock,
-    StateClock,
-    UniformClock,
     clock_of,
     halved,
     more_times,
@@ -124,7 +121,6 @@ def integrate(
     if save_every != 1:
         raise ValueError("give save_every or save_at, not both")
     refuse_times(step, "save_at")
-    assert not isinstance(clock, StateClock)
     wanted = outputs(save_at, clock, num_steps, dtype)
     refuse_far_times("save_at", num_steps, clock.time(0))
     _check_first(step, state, clock, first)
@@ -258,9 +254,7 @@ class _Entry(NamedTuple):
 
 
 @partial(compiled, static_argnums=4)
-def _at_output_times(
-    step: Step, state: State, clock: UniformClock | RoundedClock | GridClock, save_at: Array, num_steps: int
-) -> Reached:
+def _at_output_times(step: Step, state: State, clock: Clock, save_at: Array, num_steps: int) -> Reached:
     """The states at output times, without these, and the reports of the steps since the output before.
 
     Before each output there are whole steps and a shorter one from the last node. They are one loop over rows of
@@ -276,7 +270,7 @@ def _at_output_times(
 
     def step_once(_: Array, at: Reached, x: _Entry) -> tuple[Reached, Reached]:
         here = at[0]._replace(t=x.t if has_time else None)
-        dt = clock.dt if isinstance(clock, UniformClock) else x.dt
+        dt = x.dt if isinstance(clock, GridClock) or clock.coarse is not None else clock.dt
 
         def advanced(step: Step, dt: Array) -> Reached:
             end, info = step(here, dt)
@@ -293,9 +287,7 @@ def _at_output_times(
     return later, info._replace(converged=info.converged & inside & (own == nodes))  # else traced times are unordered
 
 
-def _entries(
-    clock: UniformClock | RoundedClock | GridClock, save_at: Array, nodes: Array, num_steps: int
-) -> tuple[_Entry, Array, int]:
+def _entries(clock: Clock, save_at: Array, nodes: Array, num_steps: int) -> tuple[_Entry, Array, int]:
     """The entries of all rows, the row of each output, and the number of entries of a row.
 
     Args:

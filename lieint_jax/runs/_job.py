@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from lieint_jax.runs import _layout
-from lieint_jax.runs._clock import GridClock, RoundedClock, UniformClock
-from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
-from lieint_jax.runs._layout import Layout, Numbers, Tree
-from lieint_jax.runs._loop import Carry, Change, Reduction, start, step_dtype
-from lieint_jax.runs._made_states import MakeStates
+from lieint_jax.runs._clock import Clock
+from lieint_jax.runs._layout import Numbers, Tree
+from lieint_jax.runs._loop import Change, Reduction
 from lieint_jax.runs.store._leaves import Saves, shared_time
 from lieint_jax.types import State, Step, Trajectory
 
@@ -21,6 +20,7 @@ _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save int
 _OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
 CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
 MAX_NAMED = 5  # members in a message
+MakeStates = Callable[[np.ndarray], State]  # of the members of these numbers
 Series = dict[str, np.ndarray]  # of a reduction, by name
 SERIES = ("least", "greatest", "mean", "residual", "unconverged")  # their names; of single members only the last two
 _CHUNKS_OF_BUFFER = _BUFFER_BYTES // _OBJECT_BYTES  # so many such chunks fill the buffer
@@ -119,7 +119,7 @@ class Job(NamedTuple):
     states: State
     t0: Numbers | None
     dt: float | None
-    clock: UniformClock | RoundedClock | GridClock
+    clock: Clock
     planned_steps: int
     times: np.ndarray
     nodes: np.ndarray
@@ -197,19 +197,6 @@ class Job(NamedTuple):
         if self.own_times:
             return np.asarray(self.t0)[members] + self.times[entries, None]
         return shared_time(self.times[entries], self.members)[:, members]
-
-    def with_times(self, states: State) -> State:
-        """The states of all entries with their time."""
-        return states if self.t0 is None else states._replace(t=self.state_times())  # pyright: ignore[reportArgumentType]
-
-    def without_time(self, state: State) -> State:
-        """States as in `states`: without a time that follows from the number of steps."""
-        return state if self.t0 is None else state._replace(t=None)
-
-    def with_last_time(self, state: State) -> State:
-        """The states at the end of the run with their time."""
-        last = slice(-1, None)
-        return state if self.t0 is None else state._replace(t=self.state_times(last)[0])
 
     def first_change(self, value: Any, reached: Any) -> Change | None:
         """What is known of the reduced quantity at the start, of this value; the condition is `reached` or not."""
@@ -293,57 +280,6 @@ def chunk_members(members: int, count: int, row: int, entries: int, remote: bool
     if not remote:
         return CHUNK_MEMBERS
     return max(CHUNK_MEMBERS, members // (count * _CHUNKS_OF_BUFFER), _OBJECT_BYTES // (row * entries))
-
-
-def gather_rows(layout: Layout, saved: Tree, number: int) -> Tree:
-    """The first `number` saved rows of all members, on every process."""
-    return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
-
-
-def first_rows(job: Job, carry: Carry) -> Tree | Series:
-    """The entry of the start: a row (1, members) of the report and the states, or that of the series of a reduction."""
-    if job.reduction is None:
-        return jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state))
-    found: Series = dict.fromkeys(job.series_names, np.zeros(1, job.dtype)) | {"unconverged": np.zeros(1, np.int64)}
-    if job.part is not None and not job.per_member:
-        found["sums"] = np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)
-    return found
-
-
-def rows_and_carry(job: Job, saves: Saves) -> tuple[Tree | Series, Carry]:
-    """The rows of a run in memory, that of the start first, and the carry at its end."""
-    found, failed = saves.found, saves.failed
-    states, change = job.without_time(found.state), None
-    if isinstance(found, Trajectory):
-        rows: Tree = found.info, states
-        states = jax.tree.map(lambda x: x[-1], states)
-    else:
-        rows = {name: np.asarray(found._asdict()[name]) for name in job.series_names}
-        change = found.change if isinstance(found, MemberSummary) else job.first_change(failed, None)
-    return rows, start(states, change)._replace(failed=failed.astype(step_dtype()))
-
-
-def reduce_rows(rows: Tree, job: Job) -> Series:
-    """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
-
-    For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.
-    """
-    info, change = rows
-    reports = {
-        "residual": info.residual.max(axis=1),
-        "unconverged": (~np.asarray(info.converged)).sum(axis=1),
-    }
-    if change.per_member:
-        return reports  # pyright: ignore[reportReturnType]
-    sums = block_sums(np.asarray(change.total), job.first_member)
-    members = range(job.first_member, job.first_member + job.members)
-    found = {
-        "least": change.least.min(axis=1),
-        "greatest": change.greatest.max(axis=1),
-        "mean": total([(members, sums)]) / (job.members * (job.save_every or 1)),
-        **reports,
-    }
-    return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
 
 
 def list_members(which: np.ndarray) -> str:

@@ -220,11 +220,6 @@ def all_reduce_max(mesh: Mesh, *values: float) -> tuple[float, ...]:
     return tuple(all_gather(mesh, np.array(values, float)).max(axis=0).tolist())
 
 
-def barrier(mesh: Mesh) -> None:
-    """Wait until every process has called this."""
-    all_gather(mesh, [0.0])
-
-
 def worst_energy_error(layout: Layout, H0: Numbers, H: Numbers, failed: Numbers) -> tuple[float, int]:
     """max|H − H₀| / max|H₀| over all members, and the number of members that have failed."""
     H0_, H_, failed_ = (local_part(layout, x) for x in (H0, H, failed))

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import compiled_for
-from lieint_jax.runs._clock import GridClock, RoundedClock, StateClock, UniformClock
+from lieint_jax.runs._clock import Clock, GridClock, UniformClock
 from lieint_jax.runs._driver import prepared
 from lieint_jax.runs._layout import Numbers, Tree
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
@@ -103,7 +103,7 @@ class Given(NamedTuple):
     step: Step
     plain: Step | None
     t0: Numbers | None
-    clock: UniformClock | RoundedClock | GridClock
+    clock: Clock
     quantity: Numbers | None
 
     def add_time(self, n: ArrayLike, state: State) -> State:
@@ -115,11 +115,11 @@ class Given(NamedTuple):
         return state if self.t0 is None else state._replace(t=None)
 
     @property
-    def own_clock(self) -> UniformClock | RoundedClock | GridClock | StateClock:
+    def own_clock(self) -> Clock:
         """The clock of a member, which begins at the time of its initial state."""
         if isinstance(self.clock, GridClock):
             return self.clock
-        return StateClock(self.clock.dt) if self.t0 is None else self.clock._replace(t0=self.t0)
+        return UniformClock(None, self.clock.dt) if self.t0 is None else self.clock._replace(t0=self.t0)
 
 
 class Span(NamedTuple):

@@ -15,19 +15,9 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.native import make_once
 from lieint_jax.runs import _layout
-from lieint_jax.runs._clock import (
-    GridClock,
-    RoundedClock,
-    StateClock,
-    UniformClock,
-    clock_of,
-    intervals,
-    outputs,
-    refuse_times,
-)
-from lieint_jax.runs._job import Job, chunk_members, list_members
+from lieint_jax.runs._clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
+from lieint_jax.runs._job import Job, MakeStates, chunk_members, list_members
 from lieint_jax.runs._loop import Reduction, energy
-from lieint_jax.runs._made_states import MadeStates, MakeStates
 from lieint_jax.runs.store._leaves import leaves_by_name
 from lieint_jax.runs.store._root import Split
 from lieint_jax.runs.store._storage import StoreOptions
@@ -35,7 +25,46 @@ from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_s
 from lieint_jax.types.members import member_axis
 
 _ENTRY, _SERIES = 2 * 8, 5 * 8  # bytes of an entry's time and node, and of its numbers in the series of `reduce`
+BLOCK = 2**16  # members whose states are made in one call
 _SCALARS = ("t", "work")  # the leaves of states that are scalars for each member, or one scalar for all
+
+
+class MadeStates:
+    """The initial states of a run as a function.
+
+    Attributes:
+        function: member numbers (m,) ↦ states, with the leading axis (m,) on every leaf but scalars t and work.
+        members: the number of members of the run.
+    """
+
+    def __init__(self, function: MakeStates, members: int) -> None:
+        self.function, self.members = function, members
+        self._last: tuple[int, State] | None = None  # the block that was made last, and where it begins
+
+    def make(self, members: range) -> State:
+        """The initial states of consecutive members, as host arrays.
+
+        The function is called for whole blocks of the run, whichever of their members are needed: the last bits of
+        compiled code may depend on the length of an array and on the place in it. So a member is the same in every
+        part.
+
+        Raises:
+            ValueError: the function returns no states, those of another number of members, or of changing shapes.
+        """
+        found, first = None, members.start // BLOCK * BLOCK
+        for start in range(first, members.stop, BLOCK):
+            made = self._block(start)
+            if found is None:
+                found = jax.tree.map(lambda x: np.empty((len(members), *x.shape[1:]), x.dtype) if x.ndim else x, made)
+            _fill(found, made, members, start)
+        assert found is not None
+        return found
+
+    def _block(self, start: int) -> State:
+        if self._last is None or self._last[0] != start:
+            numbers = np.arange(start, min(start + BLOCK, self.members))
+            self._last = start, _checked(self.function(numbers), len(numbers))
+        return self._last[1]
 
 
 def is_batch(step: Step, states: State, own_step: bool) -> bool:
@@ -77,11 +106,13 @@ def make_jobs(
 
     `options` are further arguments of `checked_job`.
     """
-    _check_options(**options)
+    _check_options(options)
     if made is None:
         whole = checked_job(step, cast("State", states), **options)
-    elif part is not None:
-        whole = _describe_whole(step, made, options)
+    elif part is not None:  # the states of one member describe the arrays of all
+        first = _make_members(step, made, range(1), options)
+        own_step = promoted(checked_step(step), first.initial)[0]
+        whole = first.with_members(made.members, made.function)._replace(step=own_step)
     else:
         whole = _make_members(step, made, range(made.members), options)
     if part is None:
@@ -91,16 +122,9 @@ def make_jobs(
     return whole, job
 
 
-def _check_options(
-    step_axis: int | None,
-    save_every: int | None,
-    reduce: object = None,
-    save_at: object = None,
-    per: object = None,
-    first: object = None,
-    **_: object,
-) -> None:
+def _check_options(options: dict[str, Any]) -> None:
     """Raise ValueError unless these arguments of `checked_job` fit."""
+    step_axis, reduce, per, first = (options.get(name) for name in ("step_axis", "reduce", "per", "first"))
     if step_axis not in (None, 0):
         raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
     if reduce is not None and reduce != "energy" and not callable(reduce):
@@ -113,7 +137,7 @@ def _check_options(
         raise ValueError('per="member" is of a quantity: give reduce="energy" or a function (step, state) ↦ scalar')
     if first is not None and not callable(first):
         raise ValueError(f"first must be a function (step, state) ↦ True or False, got {first!r}")
-    if save_every is not None or save_at is not None:
+    if options["save_every"] is not None or options.get("save_at") is not None:
         raise ValueError('per="member" is over all steps: give no save_every and no save_at')
 
 
@@ -130,13 +154,6 @@ def _make_members(step: Step, made: MadeStates, members: range, options: dict[st
     if options["step_axis"] is not None:
         step = jax.tree.map(lambda leaf: leaf[own], step)
     return checked_job(step, made.make(members), made=members, **options)
-
-
-def _describe_whole(step: Step, made: MadeStates, options: dict[str, Any]) -> Job:
-    """The description of a run in parts whose states a function makes; only the first member's are made."""
-    first = _make_members(step, made, range(1), options)
-    step, _, _ = promoted(checked_step(step), first.initial)
-    return first.with_members(made.members, made.function)._replace(step=step)
 
 
 def checked_job(
@@ -214,20 +231,20 @@ def _make_clock(
     dt: jax.typing.ArrayLike | None,
     num_steps: int | None,
     times: ArrayLike | None,
-) -> tuple[UniformClock | RoundedClock | GridClock, int]:
+) -> tuple[Clock, int]:
     """The clock of the steps, as host arrays, and their number; since the start if members start at different times."""
     if t0 is not None and t0.ndim:
         if times is not None:
             raise ValueError("times hold for all members: give all members the same states.t, or none")
         t0 = None
     clock, planned_steps = clock_of(step, states._replace(t=t0), dtype, dt, num_steps, times)
-    if isinstance(clock, StateClock):
+    if isinstance(clock, UniformClock) and clock.t0 is None:
         clock = UniformClock(jnp.zeros((), dtype), clock.dt)
     return jax.tree.map(np.asarray, clock), planned_steps
 
 
 def _entries_at_times(
-    save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, planned_steps: int, dtype: np.dtype
+    save_at: ArrayLike, clock: Clock, planned_steps: int, dtype: np.dtype
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, None]:
     """The entries at given times, that of the start first: times, nodes, rests and save_every of a `Job`."""
     wanted = outputs(save_at, clock, planned_steps, dtype)
@@ -331,3 +348,46 @@ def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, Sta
 def _python_name(name: str) -> str:
     """The name of an array of the states, as written in Python."""
     return f'extra["{name.removeprefix("extra.")}"]' if name.startswith("extra.") else name
+
+
+def made_states(states: State | MakeStates, members: int | None) -> MadeStates | None:
+    """The function of the initial states and its number of members, checked; None if `states` are arrays."""
+    if not callable(states):
+        if members is not None:
+            raise ValueError("members is the number of members where states is a function; arrays have their own")
+        return None
+    if members is None:
+        raise ValueError("states is a function of member numbers: give their number, members=N")
+    return MadeStates(states, _checks.count("members", members, 1))
+
+
+def _checked(states: object, number: int) -> State:
+    """The result of a call of the function, as host arrays."""
+    if not isinstance(states, State):
+        raise ValueError(
+            f"states must return a State for an array of member numbers, such as jax.vmap(…) makes, got "
+            f"{type(states).__name__}"
+        )
+    found: Any = jax.tree.map(np.asarray, states)
+    leaves = [x for name, x in found._asdict().items() if not (name in ("t", "work") and np.ndim(x) == 0)]
+    lengths = {x.shape[:1] for x in jax.tree.leaves(leaves)}
+    if lengths != {(number,)}:
+        given = ", ".join(str(x.shape) for x in jax.tree.leaves(leaves))
+        raise ValueError(f"states must return the states of {number} member(s) for as many numbers, got shapes {given}")
+    return found
+
+
+def _fill(found: State, made: State, members: range, start: int) -> None:
+    """Copy those of the states of a block, which begins at the member `start`, that belong to `members`."""
+    structures = {jax.tree.structure(x) for x in (found, made)}
+    shapes = [[(x.shape[1:], x.ndim, x.dtype) for x in jax.tree.leaves(states)] for states in (found, made)]
+    if len(structures) > 1 or shapes[0] != shapes[1]:
+        raise ValueError(f"states must return arrays of the same shapes for all members, which changes at {start}")
+    for target, x in zip(jax.tree.leaves(found), jax.tree.leaves(made), strict=True):
+        if not x.ndim:
+            if target != x:
+                raise ValueError(f"states must return one scalar t and work for all members, got {target} and {x}")
+            continue
+        own = x[max(members.start - start, 0) : members.stop - start]
+        begin = max(start - members.start, 0)
+        target[begin : begin + len(own)] = own

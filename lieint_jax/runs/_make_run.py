@@ -2,23 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import Literal, TypedDict, Unpack, overload
+from typing import Any, Literal, TypedDict, TypeVar, Unpack, overload
 
+from jax.errors import ConcretizationTypeError, TracerArrayConversionError
 from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
+from lieint_jax import _checks
 from lieint_jax.dates import DateLike, text_of
-from lieint_jax.runs._job import MemberSummary, Summary, with_member_axis
+from lieint_jax.runs._job import MakeStates, MemberSummary, Summary, with_member_axis
 from lieint_jax.runs._loop import Reduction
-from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs._make_job import check_own_steps, is_batch
-from lieint_jax.runs._results import compute, untransformed
-from lieint_jax.runs._run import Run, computed_run, stored_run
+from lieint_jax.runs._run import Run, compute, stored_run
 from lieint_jax.runs.store._reading import open_with_step
 from lieint_jax.runs.store._storage import StoreOptions, address
 from lieint_jax.types import State, Step, Trajectory
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def untransformed(name: str) -> Callable[[_F], _F]:
+    """Raise TypeError where a function is called with tracers, or meets those of a function that closes over them."""
+    advice = (
+        f"{name} computes with numbers, outside of jax.jit, jax.vmap, jax.grad and jax.jvp: "
+        "inside of them use li.integrate, for a batch jax.vmap(lambda z: li.integrate(step, z, dt, num_steps))(states)"
+    )
+
+    def decorate(function: _F) -> _F:
+        @wraps(function)
+        def call(*args: object, **kwargs: object) -> object:
+            numbers = {name: x for name, x in kwargs.items() if name != "store"}  # whose attributes may hold anything
+            if _checks.staged() or not _checks.concrete(args, numbers):
+                raise TypeError(advice)
+            try:
+                return function(*args, **kwargs)
+            except (ConcretizationTypeError, TracerArrayConversionError) as error:
+                if _checks.outermost():
+                    raise
+                raise TypeError(advice) from error
+
+        return call  # pyright: ignore[reportReturnType]
+
+    return decorate
 
 
 class _Options(TypedDict, total=False):
@@ -169,7 +197,7 @@ def run(
     batch = callable(states) or is_batch(step, states, own_step)
     if own_step and not batch:
         raise ValueError("own_step=True is for a batch, and these states are of one body")
-    computed = compute(
+    return compute(
         step,
         states if batch else with_member_axis(states),
         dt,
@@ -190,9 +218,8 @@ def run(
         threads=threads,
         same_bits=same_bits,
         batch=batch,
-        epoch=text_of(epoch),
+        epoch="" if epoch is None else text_of(epoch),
     )
-    return computed_run(computed)
 
 
 def open_run(

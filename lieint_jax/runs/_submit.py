@@ -17,9 +17,8 @@ import numpy as np
 from lieint_jax._checks import count
 from lieint_jax.runs import processes
 from lieint_jax.runs._execute import Bar, warn_of_failures
-from lieint_jax.runs._made_states import MakeStates
-from lieint_jax.runs._make_run import run
-from lieint_jax.runs._results import untransformed
+from lieint_jax.runs._job import MakeStates
+from lieint_jax.runs._make_run import run, untransformed
 from lieint_jax.runs._run import Run, stored_run
 from lieint_jax.runs.store._reading import read_run
 from lieint_jax.runs.store._storage import StoreOptions, address

@@ -74,7 +74,7 @@ class Composition(Step):
             return compose_stages(self.step.substep, state, (self._sizes(state, dt),), store=False)
 
         def substep_to(state: State, h: Array, end: Array) -> tuple[State, StepInfo]:
-            """A sub-step that ends at a given time to the last bit, as in a `RoundedClock`, so that no work is lost."""
+            """A sub-step that ends at a given time to the last bit, as in `UniformClock.rounded`: no work is lost."""
             return self.step.substep(state, h + lax.stop_gradient(end - clock(state) - h))
 
         parts = np.append(np.cumsum(self.gammas)[:-1], 1)

@@ -28,7 +28,7 @@ LOOPS = {
     "groups/_matrix.py:near": "four products, no iteration",
     "measure/_nutation.py:from_slope": "halves an interval in which the slope changes sign, to its last digit",
     "measure/_spectrum.py:line": "parabolas over ever smaller steps; the frequency stays near the transform's peak",
-    "native/functions/_powers.py:_cbrt": "two corrections, tested in ulps for all exponents",
+    "native/functions/_exponentials.py:_cbrt": "two corrections, tested in ulps for all exponents",
     "files/_tle.py:secular_j2": "each sweep gains three digits, since the drift is 1e-3, and tests compare with sgp4",
     "orbits/_anomaly.py:_halley": "two corrections suffice for all M and e, which tests compare with mpmath",
     "orbits/_graded_times.py:graded_times": "any grid will do",

@@ -21,9 +21,9 @@ from lieint_jax.native._primitives.abstract_walk import (
     Shapes,
     array_of,
     as_numbers,
+    row_of,
     shapes_of,
 )
-from lieint_jax.native._primitives.columns import row_of
 from lieint_jax.native._primitives.elementwise import MOVES, stack
 from lieint_jax.native._primitives.indexing import empty_rows, rows_of, write_rows
 from lieint_jax.native._primitives.reductions import reduce_terms

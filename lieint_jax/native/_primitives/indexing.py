@@ -19,8 +19,9 @@ from lieint_jax.native._primitives.abstract_walk import (
     UnsupportedError,
     array_of,
     as_numbers,
+    entry_at,
+    run_of,
 )
-from lieint_jax.native._primitives.columns import entry_at, run_of
 from lieint_jax.native._primitives.reductions import reduce_terms
 from lieint_jax.native._program import Value
 

@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 from jax.extend.core import JaxprEqn, Literal
 
-from lieint_jax.native._primitives.abstract_walk import Table, shapes_of
+from lieint_jax.native._primitives.abstract_walk import Table, long_axis, shapes_of
 from lieint_jax.native._primitives.control_flow import CALLS, jaxprs_of, size_of, split_scan, split_while
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE, MOVES
 from lieint_jax.native._primitives.reductions import REDUCTIONS
 
-LONG = 8  # the shortest axis of a map
 _LITTLE = 64  # operations on all rows that are not worth a map
 Axes = list[int | None]
 _Rule = Callable[[JaxprEqn, Axes], tuple[Axes, Axes]]
@@ -378,11 +377,6 @@ def _first_axes(equation: JaxprEqn, values: Mapping[Any, Any], length: int = 0) 
         length = length if d is None else shape[d]
         axes.append(d)
     return length, axes
-
-
-def long_axis(shape: Sequence[int], length: int = 0) -> int | None:
-    """The first or second axis if it is long, and of this length."""
-    return next((k for k, n in enumerate(shape[:2]) if n >= LONG and length in (0, n)), None)
 
 
 def _variables(atoms: Sequence[Any]) -> list[Any]:

@@ -12,8 +12,7 @@ from jax import lax
 from jax.core import ShapedArray
 from jax.typing import DTypeLike
 
-from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Arrays, UnsupportedError, array_of
-from lieint_jax.native._primitives.columns import row_number
+from lieint_jax.native._primitives.abstract_walk import AbstractWalk, Arrays, UnsupportedError, array_of, row_number
 from lieint_jax.native._program import Value
 
 

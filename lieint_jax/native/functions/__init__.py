@@ -10,9 +10,8 @@ Reductions follow Cody & Waite, *Software Manual for the Elementary Functions*, 
 from lieint_jax.native._llvm import Module
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native.functions._angles import ANGLES
-from lieint_jax.native.functions._exponentials import EXPONENTIALS
+from lieint_jax.native.functions._exponentials import EXPONENTIALS, POWERS
 from lieint_jax.native.functions._logarithms import LOGARITHMS
-from lieint_jax.native.functions._powers import POWERS
 from lieint_jax.native.functions._value import Formula, LlvmValue, define
 
 FUNCTIONS: dict[str, Formula] = {**ANGLES, **EXPONENTIALS, **LOGARITHMS, **POWERS}

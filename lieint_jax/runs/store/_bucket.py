@@ -6,7 +6,6 @@ middle, and where one that creates an object is lost.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import re
@@ -69,9 +68,6 @@ class Bucket(Storage):
         except FileNotFoundError:
             raise OSError(f"{self.address} cannot be written: there is no such bucket") from None
 
-    def settle(self) -> None:
-        """See `Storage`: each request has waited."""
-
     def create_store(self, root: str, files: Mapping[str, bytes]) -> bool:
         """See `Storage`. If an answer was lost, the repeated request finds the object that the first has created."""
         import obstore.exceptions
@@ -90,10 +86,6 @@ class Bucket(Storage):
             return {entry["path"]: entry["size"] for batch in batches for entry in batch}
 
         return self._retry(folder, listed)
-
-    def lock(self, folder: str, alone: bool = True) -> contextlib.AbstractContextManager[object]:
-        """See `Storage`: object storage has no locks."""
-        return contextlib.nullcontext()
 
     def zarr_store(self) -> Any:
         """See `Storage`."""

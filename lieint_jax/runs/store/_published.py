@@ -11,7 +11,7 @@ from lieint_jax.runs._dyadic_sum import blocks, total
 from lieint_jax.runs.store._chunks import dims_of, first_of, is_along_time
 from lieint_jax.runs.store._files import open_zarr
 from lieint_jax.runs.store._leaves import Saves, states_in
-from lieint_jax.runs.store._root import PartStatus, Root
+from lieint_jax.runs.store._root import PartState, Root
 from lieint_jax.runs.store._untrusted import UnreadableError
 from lieint_jax.types import StepInfo, Trajectory
 
@@ -21,12 +21,17 @@ class PublishedArray:
 
     Flags are False there, and counts −1. It has the attributes and the indexing of a Zarr array.
 
+    Args:
+        array: the whole array.
+        entries, members: those that are shown.
+        parts: the first member of each part, and its number of published entries.
+
     Attributes:
         dtype, shape: those of the array.
     """
 
-    def __init__(self, array: Any, entries: int, members: range, statuses: list[PartStatus]) -> None:
-        self._array, self._members, self._statuses = array, members, statuses
+    def __init__(self, array: Any, entries: int, members: range, parts: list[tuple[int, int]]) -> None:
+        self._array, self._members, self._parts = array, members, parts
         self.dtype: np.dtype = array.dtype
         self.shape: tuple[int, ...] = (entries, len(members), *array.shape[2:])
 
@@ -53,7 +58,7 @@ class PublishedArray:
     @property
     def first_published(self) -> int:
         """The first member with entries; 0 if there is none."""
-        found = [status.members.start for status in self._statuses if status.progress["entries"]]
+        found = [start for start, entries in self._parts if entries]
         return found[0] - self._members.start if found else 0
 
     def __len__(self) -> int:
@@ -83,8 +88,7 @@ class PublishedArray:
         return {"f": np.nan, "i": -1}.get(self.dtype.kind, 0)
 
     def _published(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        starts = [status.members.start for status in self._statuses]
-        entries = np.array([status.progress["entries"] for status in self._statuses])
+        starts, entries = np.array(self._parts).T
         return rows[:, None] < entries[np.searchsorted(starts, columns, side="right") - 1]
 
 
@@ -110,7 +114,7 @@ def _as_slice(numbers: np.ndarray) -> Any:
     return numbers
 
 
-def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Saves:
+def load(root: Root, thorough: bool, part: tuple[int, PartState] | None = None) -> Saves:
     """The published results of all parts or of one.
 
     The attributes have "machines" too, pairs of a part and what has computed it; those of a run in parts have
@@ -119,7 +123,7 @@ def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Saves:
     Args:
         root: the root of the store.
         thorough: look at every file of a run in parts, and count a damaged part as missing.
-        part: the state of the only part to load; None means all of them.
+        part: the number and the state of the only part to load; None means all of them.
 
     Raises:
         UnreadableError: a run with `reduce` whose parts are not all complete.
@@ -127,18 +131,19 @@ def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Saves:
     import zarr
 
     thorough = thorough and root.in_parts
-    statuses = root.statuses(thorough) if part is None else [part]
-    members = range(statuses[0].members.start, statuses[-1].members.stop)
+    statuses = dict(enumerate(root.statuses(thorough)) if part is None else [part])
+    ranges, shown = [root.split.part(k) for k in statuses], [status.progress for status in statuses.values()]
+    members = range(ranges[0].start, ranges[-1].stop)
     progress = {
-        "commits": sum(status.progress["commits"] for status in statuses),
-        "entries": max(status.progress["entries"] for status in statuses),
-        "steps": min(status.progress["steps"] for status in statuses),
-        "complete": all(status.progress["complete"] for status in statuses),
+        "commits": sum(x["commits"] for x in shown),
+        "entries": max(x["entries"] for x in shown),
+        "steps": min(x["steps"] for x in shown),
+        "complete": all(x["complete"] for x in shown),
     }
-    machines = [(status.number, machine) for status in statuses for machine in status.machines]
+    machines = [(k, machine) for k, status in statuses.items() for machine in status.machines]
     attributes = root.attributes | {"progress": progress, "machines": machines}
     if root.in_parts:
-        attributes["missing"] = [line for line in (status.sentence(root.entries) for status in statuses) if line]
+        attributes["missing"] = [line for k, x in statuses.items() if (line := root.sentence(k, x))]
     group: Any = zarr.open_group(open_zarr(root.storage), mode="r", use_consolidated=root.in_parts)
     if attributes["reduce"] is not None:
         if attributes.get("missing"):
@@ -146,9 +151,11 @@ def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Saves:
                 f"{root.storage.address} is an incomplete run with `reduce`: {first_of(attributes['missing'])}. Run "
                 "these parts, or read it by xarray.open_zarr"
             )
-        return Saves(_series(root, group, statuses, members, progress["entries"]), None, attributes)
+        which = slice(min(statuses), max(statuses) + 1)
+        return Saves(_series(root, group, which, ranges, progress["entries"]), None, attributes)
+    parts = [(own.start, x["entries"]) for own, x in zip(ranges, shown, strict=True)]
     arrays = {
-        name: PublishedArray(group[name], progress["entries"], members, statuses)
+        name: PublishedArray(group[name], progress["entries"], members, parts)
         for name, meta in root.metas.items()
         if dims_of(meta)[:2] == ["time", "member"]
     }
@@ -162,23 +169,21 @@ def load(root: Root, thorough: bool, part: PartStatus | None = None) -> Saves:
 _MERGE = {"least": np.min, "greatest": np.max, "residual": np.max, "unconverged": np.sum}  # the series of several parts
 
 
-def _series(root: Root, group: Any, statuses: list[PartStatus], members: range, entries: int) -> dict[str, np.ndarray]:
+def _series(root: Root, group: Any, parts: slice, ranges: list[range], entries: int) -> dict[str, np.ndarray]:
     """The arrays of a run with `reduce`, with the series of its parts merged to those of all members."""
-    parts = slice(statuses[0].number, statuses[-1].number + 1)
+    first, end = ranges[0].start, ranges[-1].stop
     found: dict[str, np.ndarray] = {}
     for name, meta in root.metas.items():
         dims = dims_of(meta)
         if is_along_time(meta):
             found[name] = np.asarray(group[name][:entries])
         elif dims[:1] == ["member"] and name not in root.constants:
-            found[name] = np.asarray(group[name][members.start : members.stop])
+            found[name] = np.asarray(group[name][first:end])
         elif dims == ["part", "time"]:
             of = np.asarray(group[name][parts])
             found[name] = _MERGE[name](of, axis=0) if name in _MERGE else of[0]
     if "sums" in root.metas:
-        sums = [
-            (status.members, x[:, : len(blocks(status.members.start, status.members.stop))])
-            for status, x in zip(statuses, np.asarray(group["sums"][parts]), strict=True)
-        ]
-        found["mean"] = total(sums) / (len(members) * (root.attributes["save_every"] or 1))
+        pairs = zip(ranges, np.asarray(group["sums"][parts]), strict=True)
+        sums = total([(own, x[:, : len(blocks(own.start, own.stop))]) for own, x in pairs])
+        found["mean"] = sums / ((end - first) * (root.attributes["save_every"] or 1))
     return found

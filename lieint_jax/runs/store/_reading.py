@@ -22,7 +22,7 @@ from lieint_jax.runs.store._leaves import Saves, Table, states_in
 from lieint_jax.runs.store._open_archive import open_archive, read_trajectory
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
-from lieint_jax.runs.store._root import PartStatus, Root, read_root
+from lieint_jax.runs.store._root import PartState, Root, read_root
 from lieint_jax.runs.store._storage import Address, Url, address
 from lieint_jax.runs.store._untrusted import wrap_errors
 from lieint_jax.types import Step, System, Trajectory, pytree, static
@@ -130,7 +130,7 @@ def _load(path: Address, thorough: bool | None = None) -> Saves:
 
 def read_part(root: Root, k: int, progress: Table) -> Saves:
     """The run of part k of a store, which this process has written up to this progress."""
-    return _as_stored(_published.load(root, False, PartStatus(k, root.split.part(k), progress, None)))
+    return _as_stored(_published.load(root, False, (k, PartState(progress, {}))))
 
 
 def read_written(path: Path) -> Saves:

@@ -93,12 +93,14 @@ class PartState(NamedTuple):
         arrays: the checksums of its files, and the carry of an incomplete part by name.
         initial: the digest of the initial states of its members.
         machines: the processors, versions and engines that have computed it.
+        problem: a sentence about a part that is missing or damaged, whose progress is that of the start; else None.
     """
 
     progress: Table
     arrays: dict[str, np.ndarray]
     initial: str = ""
     machines: tuple[Table, ...] = ()
+    problem: str | None = None
 
     def encode(self, place: Table) -> bytes:
         """The bytes of a state: a line of JSON, the arrays, and a digest; `place` is its part and its run."""
@@ -141,33 +143,6 @@ def decode_state(data: bytes, place: Table) -> PartState:
         arrays[name] = np.frombuffer(content[begin : begin + size], dtype).reshape(shape)
         begin += size
     return PartState(header["progress"], arrays, header["initial states"], tuple(header.get("machines", ())))
-
-
-class PartStatus(NamedTuple):
-    """The state of a part, as far as it can be used.
-
-    Attributes:
-        number: which part.
-        members: its members.
-        progress: its published progress; that of the start if it is missing or damaged.
-        problem: a sentence about a missing or damaged part, else None.
-        machines: those that have computed it.
-    """
-
-    number: int
-    members: range
-    progress: Table
-    problem: str | None
-    machines: tuple[Table, ...] = ()
-
-    def sentence(self, entries: int) -> str | None:
-        """A sentence about a part that is not complete, or None. `entries` is the number of entries of the run."""
-        where = f"part {self.number} (members {self.members.start} … {self.members.stop - 1})"
-        if self.problem:
-            return f"{where} {self.problem}"
-        if self.progress["complete"]:
-            return None
-        return f"{where} has {self.progress['entries']} of {entries} entries"
 
 
 class Root:
@@ -315,21 +290,30 @@ class Root:
                 yield f"{name}/{ROOT} is missing or altered"
         yield from damage_of_constants(self.storage, self.constants, self.metas)
 
-    def statuses(self, thorough: bool) -> list[PartStatus]:
-        """The state of every part; if `thorough`, with a look at each of its files."""
-        return list(in_threads(lambda k: self.status(k, thorough), range(self.split.parts), self.storage))
+    def statuses(self, thorough: bool) -> list[PartState]:
+        """The state of every part, without arrays, as far as it can be used; if `thorough`, by a look at its files."""
+        return list(in_threads(lambda k: self._status(k, thorough), range(self.split.parts), self.storage))
 
-    def status(self, k: int, thorough: bool) -> PartStatus:
-        """The state of part k."""
-        members = self.split.part(k)
+    def _status(self, k: int, thorough: bool) -> PartState:
         try:
             state = self.state(k)
         except UnusablePartError as error:
-            return PartStatus(k, members, START, f"is damaged: {error}")
+            return PartState(START, {}, problem=f"is damaged: {error}")
         if state is None:
-            return PartStatus(k, members, START, "is missing: it was not started, or has published nothing yet")
+            return PartState(START, {}, problem="is missing: it was not started, or has published nothing yet")
         lost = next(self.damage_of_part(k, state), None) if thorough else None
-        return PartStatus(k, members, START if lost else state.progress, lost and f"is damaged: {lost}", state.machines)
+        found = state._replace(arrays={})
+        return found._replace(progress=START, problem=f"is damaged: {lost}") if lost else found
+
+    def sentence(self, k: int, status: PartState) -> str | None:
+        """A sentence about part k if it is missing, damaged or not complete, or None."""
+        members = self.split.part(k)
+        where = f"part {k} (members {members.start} … {members.stop - 1})"
+        if status.problem:
+            return f"{where} {status.problem}"
+        if status.progress["complete"]:
+            return None
+        return f"{where} has {status.progress['entries']} of {self.entries} entries"
 
 
 def encode_root(root: Table, metas: Mapping[str, Table]) -> bytes:

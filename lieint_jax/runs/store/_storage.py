@@ -122,9 +122,8 @@ class Storage(abc.ABC):
     def stage(self, name: str, data: bytes) -> None:
         """Replace or create a file in one indivisible step; after `settle` it outlasts a loss of power."""
 
-    @abc.abstractmethod
-    def settle(self) -> None:
-        """Wait until all that is staged outlasts a loss of power."""
+    def settle(self) -> None:  # noqa: B027
+        """Wait until all that is staged outlasts a loss of power; where each request has waited, nothing is to do."""
 
     def put(self, name: str, data: bytes) -> None:
         """Replace or create a file in one indivisible step; when it returns, the file outlasts a loss of power."""
@@ -143,12 +142,12 @@ class Storage(abc.ABC):
     def sizes(self, folder: str = "") -> dict[str, int]:
         """The number of bytes of each file below a folder."""
 
-    @abc.abstractmethod
     def lock(self, folder: str, alone: bool = True) -> contextlib.AbstractContextManager[object]:
         """A context in which no other process of this machine locks the folder, where the storage has locks.
 
         With `alone=False` for the other processes of a run whose first one has locked it.
         """
+        return contextlib.nullcontext()
 
     @abc.abstractmethod
     def zarr_store(self) -> Any:

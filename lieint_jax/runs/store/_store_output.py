@@ -176,7 +176,7 @@ class StoreOutput:
     def result(self, carry: Carry) -> None:
         """Wait until everything is written."""
         self._settle(wait=True)
-        _layout.barrier(self._layout.mesh)
+        _layout.all_gather(self._layout.mesh, [0.0])  # and until all processes are here
 
 
 def _leaves_of_carry(carry: Carry) -> dict[str, Numbers]:
