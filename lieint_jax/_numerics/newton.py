@@ -240,11 +240,12 @@ def chords(
 
 def _tangent_solve_by_elimination(linear: Callable[[_Unknown], _Unknown], y: _Unknown) -> _Unknown:
     """x with linear(x) = y, by the elimination of `chords`: pivoting, as of LU, depends on the units of the rows."""
-    eye = jnp.eye(len(y), dtype=y[0].dtype)
     if isinstance(y, tuple | list):
-        rows = [linear(type(y)(vectors.components(e))) for e in eye]
+        rows = [linear(type(y)(vectors.components(e))) for e in jnp.eye(len(y), dtype=y[0].dtype)]
         return la.factored(vectors.Matrix(rows).T).solve(y)
-    return la.factored(jax.vmap(linear, out_axes=1)(eye)).solve(y)
+    if y.ndim == 0:
+        return y / linear(jnp.ones_like(y))
+    return la.factored(jax.vmap(linear, out_axes=1)(jnp.eye(len(y), dtype=y.dtype))).solve(y)
 
 
 class _Chord(NamedTuple):
