@@ -238,7 +238,7 @@ def chords(
     return x, F, _steady(growth)
 
 
-def _tangent_solve_by_elimination(linear: Callable[[_Unknown], _Unknown], y: _Unknown) -> _Unknown:
+def _tangent_solve_by_elimination(linear: Callable[[PyTree], PyTree], y: PyTree) -> PyTree:
     """x with linear(x) = y, by the elimination of `chords`: pivoting, as of LU, depends on the units of the rows."""
     if isinstance(y, tuple | list):
         rows = [linear(type(y)(vectors.components(e))) for e in jnp.eye(len(y), dtype=y[0].dtype)]

@@ -50,9 +50,8 @@ def elliptic_anomaly(M: Array, e: Array, rest: Array) -> Array:
 
 @elliptic_anomaly.defjvp
 def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
-    E = elliptic_anomaly(*primals)
-    M, e, rest = tangents
-    return E, (M - E * rest - (E - jnp.sin(E)) * e) / slope(E, *primals[1:], jnp.sin)
+    E, (_, e, rest), (dM, de, drest) = elliptic_anomaly(*primals), primals, tangents
+    return E, (dM - E * drest - (E - jnp.sin(E)) * de) / slope(E, e, rest, jnp.sin)
 
 
 @jax.custom_jvp
@@ -74,9 +73,8 @@ def hyperbolic_anomaly(M: Array, e: Array, rest: Array) -> Array:
 
 @hyperbolic_anomaly.defjvp
 def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
-    E = hyperbolic_anomaly(*primals)
-    M, e, rest = tangents
-    return E, (M - E * rest - (jnp.sinh(E) - E) * e) / slope(E, *primals[1:], jnp.sinh)
+    E, (_, e, rest), (dM, de, drest) = hyperbolic_anomaly(*primals), primals, tangents
+    return E, (dM - E * drest - (jnp.sinh(E) - E) * de) / slope(E, e, rest, jnp.sinh)
 
 
 def less_sine(E: Array) -> Array:
