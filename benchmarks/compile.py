@@ -1,10 +1,9 @@
 """How long does one wait for the first call: of a run, and of its gradient, by every scheme on every kind of system?
 
-For each kind of system and every scheme, the first example that the scheme takes, float64, one core, no program kept
-from before: seconds of the first call of `jax.jit` of `integrate` (tracing and compiling, then 16 steps) and of the
-second one, each the shorter of two, and the lines of the program that XLA compiles; the same for the gradient of a sum
-over the end with respect to the state, through the scan. Then first and second calls of both by `li.jit`, and of
-`integrate` by itself, outside of jit. Last, other calls that people wait for.
+For each kind of system and every scheme, the first example that the scheme takes, float64, one core, in a fresh process
+with nothing cached: CPU seconds of the first call of `jax.jit` of `integrate` (tracing and compiling, then 16 steps)
+and of the second one; the same for `integrate` by itself, outside of jit, and for the gradient of a sum over the end
+with respect to the state, through the scan, by `jax.jit` and by `li.jit`. Last, other calls that people wait for.
 
     python benchmarks/compile.py [--quick] [--out DIR] [--only NAME …]
 
@@ -14,14 +13,16 @@ over the end with respect to the state, through the scan. Then first and second 
 from __future__ import annotations
 
 import functools
-import itertools
+import json
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from lib import command, report
+from lib.pairs import example, in_a_process, pairs
 
 STEPS, FORWARD, REVERSE, COMMON = 16, 3.5, 10.0, 0.5  # steps of a run; bars in seconds
+WAYS = ("forward", "all states", "reverse", "quick reverse")
 LATER = 50  # calls after the first, where the host's part of a call is measured
 _EVERYDAY = ("so3_midpoint", "so3_explicit", "splitting", "preprocessed")  # of free bodies and tops: the common ones
 _FIRST = ("rigid_body", "heavy_top")
@@ -30,81 +31,61 @@ _FIRST = ("rigid_body", "heavy_top")
 def main() -> None:
     parser = command.parser(__doc__)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="the schemes to measure")
+    parser.add_argument("--one", nargs=4, metavar="NAME", help="way, system, scheme and step: measured in this process")
     options = command.parsed(parser)
     command.pin()
-    data = command.under_load(lambda: {"rows": list(rows(options.quick, options.only)), "others": others()})
+    if options.one:
+        print(json.dumps(of_pair(*options.one)))
+        return
+    data = command.under_load(lambda: {"rows": rows(options.quick, options.only), "others": others()})
     report.publish("compile", render(data), data, options.out)
 
 
-def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
-    """A row for each system and scheme; `quick` takes free bodies and tops."""
+def rows(quick: bool, only: list[str] | None) -> list[dict[str, Any]]:
+    """A row for each system and scheme, each way in a process of its own; `quick` takes free bodies and tops."""
+    found = [x for x in pairs(_FIRST if quick else ()) if not only or x[1] in only]
+    return [
+        {"system": x[0], "scheme": x[1], "step": x[2]} | {way: in_a_process(__file__, way, *x) for way in WAYS}
+        for x in found
+    ]
+
+
+def of_pair(way: str, *names: str) -> dict[str, float]:
+    """CPU seconds of the first and the second call, in one of the ways."""
     import jax
     import jax.numpy as jnp
 
     import lieint_jax as li
-    from lieint_jax import _discover
 
-    jax.config.update("jax_enable_x64", True)
-    for name, module in _discover.modules_with("examples", li.systems).items():
-        if quick and name not in _FIRST:
-            continue
-        examples = list(module.examples().values())
-        for scheme, schemes in _discover.modules_with("examples", li.schemes).items():
-            if only and scheme not in only:
-                continue
-            for step, state, dt in itertools.islice(accepted_steps(schemes, examples), 1):
-                start = step.start(state)
+    step, start, dt = example(*names)
 
-                def run(z: Any, step: Any = step, dt: float = dt) -> Any:
-                    return li.integrate(step, z, dt, STEPS, save_every=STEPS).state
+    def run(z: Any) -> Any:
+        return li.integrate(step, z, dt, STEPS, save_every=STEPS).state
 
-                def loss(p: Any, z: Any = start, run: Any = run) -> Any:
-                    return sum(jnp.sum(x**2) for x in run(z._replace(p=p))[:2])
+    def loss(p: Any) -> Any:
+        return sum(jnp.sum(x**2) for x in run(start._replace(p=p))[:2])
 
-                gradient = jax.grad(loss)
-                yield {
-                    "system": name,
-                    "scheme": scheme,
-                    "step": step.name,
-                    "forward": of_program(run, start),
-                    "reverse": of_program(gradient, start.p),
-                    "quick forward": waited(functools.partial(li.jit(run), start)),
-                    "quick reverse": waited(functools.partial(li.jit(gradient), start.p)),
-                    "all states": waited(functools.partial(li.integrate, step, start, dt, STEPS)),
-                    "last state": waited(functools.partial(run, start)),
-                }
-
-
-def accepted_steps(scheme: Any, examples: Iterable[tuple[Any, Any, float]]) -> Iterator[tuple[Any, Any, float]]:
-    """A step by the scheme, a state and Δt, for each example that the scheme takes."""
-    for system, state, dt in examples:
-        for step in scheme.examples(system).values():
-            yield step, state, dt
+    gradient = jax.grad(loss)
+    calls = {
+        "forward": functools.partial(jax.jit(run), start),
+        "all states": functools.partial(li.integrate, step, start, dt, STEPS),
+        "reverse": functools.partial(jax.jit(gradient), start.p),
+        "quick reverse": functools.partial(li.jit(gradient), start.p),
+    }
+    return waited(calls[way])
 
 
 def waited(call: Callable[[], Any], later: int = 1) -> dict[str, float]:
-    """Seconds of the first call and of the shortest of `later` ones, each the shorter of two: timings are noisy."""
+    """CPU seconds of the first call and of the shortest of `later` ones."""
     import jax
 
     def seconds() -> float:
-        begin = time.perf_counter()
+        begin = time.process_time()
         jax.block_until_ready(jax.tree.leaves(call()))
-        return time.perf_counter() - begin
+        return time.process_time() - begin
 
-    def time_twice() -> tuple[float, float]:
-        jax.clear_caches()
-        return seconds(), min(seconds() for _ in range(later))
-
-    first, second = map(min, zip(time_twice(), time_twice(), strict=True))
-    return {"first": first, "second": second}
-
-
-def of_program(function: Callable[[Any], Any], argument: Any) -> dict[str, float]:
-    """What one waits for a jitted function, and the lines of its program."""
-    import jax
-
-    compiled = jax.jit(function)
-    return {**waited(lambda: compiled(argument)), "lines": compiled.lower(argument).as_text().count("\n")}
+    first = seconds()
+    return {"first": first, "second": min(seconds() for _ in range(later))}
 
 
 def others() -> list[dict[str, Any]]:
@@ -113,17 +94,14 @@ def others() -> list[dict[str, Any]]:
     import jax.numpy as jnp
 
     import lieint_jax as li
-    from lieint_jax import _discover
 
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     states = jax.vmap(lambda w: body.state(angular_velocity=w))(jnp.eye(4, 3) + 0.1)
     one = jax.tree.map(lambda x: x[0], states)
     step, solution = li.schemes.so3_midpoint(body), jax.jit(jax.vmap(body.solution, (0, None)))
     run = functools.partial(li.ensemble.run, num_steps=STEPS, progress=False)
-    modules = functools.partial(_discover.modules_with, "examples")
-    satellite = modules(li.systems)["gravity_gradient"].examples().values()
-    orbiting, start, dt = next(accepted_steps(modules(li.schemes)["splitting"], satellite))
-    satellites = jax.tree.map(lambda x: jnp.stack([x] * 4), orbiting.start(start))
+    orbiting, start, dt = example(*next(x for x in pairs(("gravity_gradient",)) if x[1] == "splitting"))
+    satellites = jax.tree.map(lambda x: jnp.stack([x] * 4), start)
 
     calls = {
         "integrate, not jitted": lambda: li.integrate(step, one, 0.05, STEPS),
@@ -138,26 +116,20 @@ def others() -> list[dict[str, Any]]:
 def render(data: dict[str, Any]) -> list[str]:
     """The tables and the bars."""
     before, after = data["load"]
-    head = ["system", "step", "forward: first", "second", "lines", "reverse: first", "second", "lines"]
-    ours = ["system", "step", "`li.jit`, forward: first", "second", "reverse: first", "second"]
-    ours += ["`integrate`, all states: first", "second", "the last one: first", "second"]
+    head = ["system", "step", "forward", "second", "`integrate`", "second"]
+    head += ["reverse", "second", "by `li.jit`", "second"]
     everyday = [r for r in data["rows"] if r["system"] in _FIRST and r["scheme"] in _EVERYDAY]
     bars = [
         _bar("forward", data["rows"], "forward", FORWARD),
         _bar("reverse", data["rows"], "reverse", REVERSE),
-        _bar("forward by `li.jit`", data["rows"], "quick forward", FORWARD),
         _bar("reverse by `li.jit`", data["rows"], "quick reverse", REVERSE),
-        _bar("`integrate`, all states", data["rows"], "all states", FORWARD),
-        _bar("`integrate`, the last state", data["rows"], "last state", FORWARD),
+        _bar("`integrate`, outside of jit", data["rows"], "all states", FORWARD),
         _bar("forward, the common schemes of free bodies and tops", everyday, "forward", COMMON),
     ]
     others = [[r["call"], f"{r['first']:.2f}", f"{1e3 * r['second']:.1f} ms"] for r in data["others"]]
     return [
-        f"Seconds of the first and second call of {STEPS} steps, one core, load {before:.1f} to {after:.1f}",
-        "By `jax.jit`, with the options of the user's XLA",
-        report.table(head, _lines(data["rows"], "forward", "reverse")),
-        "By the package's own options: by `li.jit`, and by `integrate` outside of jit",
-        report.table(ours, _lines(data["rows"], "quick forward", "quick reverse", "all states", "last state")),
+        f"CPU seconds of the first and second call of {STEPS} steps, one core, load {before:.1f} to {after:.1f}",
+        report.table(head, _lines(data["rows"], *WAYS)),
         report.table(["", "longest, s", "of", "bar", ""], [bar for bar in bars if bar]),
         f"Other calls, seconds of the first and of the shortest of {LATER} later ones",
         report.table(["", "first", "later"], others),
@@ -169,8 +141,7 @@ def _lines(rows: list[dict[str, Any]], *ways: str) -> list[list[str]]:
 
 
 def _cells(waited: dict[str, float]) -> list[str]:
-    times = [f"{waited['first']:.2f}", f"{waited['second']:.4f}"]
-    return [*times, f"{waited['lines']:.0f}"] if "lines" in waited else times
+    return [f"{waited['first']:.2f}", f"{waited['second']:.4f}"]
 
 
 def _bar(name: str, rows: list[dict[str, Any]], way: str, bar: float) -> list[str]:

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import json
 import logging
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from typing import Any
 
 from lib import command, report
+from lib.pairs import example, in_a_process, pairs
 
 MEMBERS, STEPS = 100, 10
 
@@ -30,32 +28,14 @@ def main() -> None:
     if options.one:
         print(json.dumps(waited(*options.one)))
         return
-    data = command.under_load(lambda: {"rows": [in_a_process(*names) for names in pairs(options.quick)]})
+    data = command.under_load(lambda: {"rows": rows(options.quick)})
     report.publish("first_ensembles", render(data), data, options.out)
 
 
-def pairs(quick: bool) -> Iterator[tuple[str, str, str]]:
-    """The names of a system, a scheme and its step; `quick` takes free bodies."""
-    import jax
-
-    import lieint_jax as li
-    from lieint_jax import _discover
-
-    jax.config.update("jax_enable_x64", True)
-    for name, module in _discover.modules_with("examples", li.systems).items():
-        if quick and name != "rigid_body":
-            continue
-        systems = [system for system, _, _ in module.examples().values()]
-        for scheme, schemes in _discover.modules_with("examples", li.schemes).items():
-            steps = [step for system in systems for step in schemes.examples(system).values()]
-            if steps:
-                yield name, scheme, steps[0].name
-
-
-def in_a_process(*names: str) -> dict[str, Any]:
-    """What `waited` measures, in a fresh process."""
-    run = subprocess.run([sys.executable, __file__, "--one", *names], check=True, stdout=subprocess.PIPE, text=True)
-    return {"system": names[0], "step": names[2], **json.loads(run.stdout)}
+def rows(quick: bool) -> list[dict[str, Any]]:
+    """What each pair takes, in a process of its own; `quick` takes free bodies."""
+    found = pairs(("rigid_body",) if quick else ())
+    return [{"system": x[0], "step": x[2], **in_a_process(__file__, *x)} for x in found]
 
 
 def waited(system: str, scheme: str, name: str) -> dict[str, Any]:
@@ -64,18 +44,9 @@ def waited(system: str, scheme: str, name: str) -> dict[str, Any]:
     import numpy as np
 
     import lieint_jax as li
-    from lieint_jax import _discover
 
-    jax.config.update("jax_enable_x64", True)
-    examples = _discover.modules_with("examples", li.systems)[system].examples().values()
-    schemes = _discover.modules_with("examples", li.schemes)[scheme]
-    step, state, dt = next(
-        (step, state, dt)
-        for system, state, dt in examples
-        for step in schemes.examples(system).values()
-        if step.name == name
-    )
-    states = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], MEMBERS, axis=0), step.start(state))
+    step, state, dt = example(system, scheme, name)
+    states = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], MEMBERS, axis=0), state)
     by_xla: list[str] = []
     handler = logging.Handler()
     handler.emit = lambda record: by_xla.append(record.getMessage())
