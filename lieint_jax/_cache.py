@@ -19,8 +19,7 @@ def cache_programs(path: str | os.PathLike[str] | None = None) -> Path:
     """Store compiled programs on disk, so that later processes start without compiling them again.
 
     This enables JAX's persistent compilation cache for everything that JAX compiles. A process still traces its
-    functions, which is the smaller part of a first call. Processes may share the folder, and it may be deleted at any
-    time.
+    functions, which is the smaller part of a first call. Processes may share the folder, which you may delete.
 
     Args:
         path: a folder, which is created; by default `lieint` in the user's cache directory (`~/.cache` on Linux).

@@ -21,12 +21,11 @@ _refused: set[str] = set()  # options that this XLA does not have
 
 
 def jit(function: _Function, static_argnums: int | tuple[int, ...] = ()) -> _Function:
-    """`jax.jit` with options of XLA that suit the loops of this package: the first call takes half of the time.
+    """`jax.jit` with options of XLA that suit the loops of this package: the first call may take less time.
 
-    Meant for the outermost function, such as the gradient of a loss that runs `integrate`. On a CPU XLA's older
-    emitters, which jaxlib has up to 0.10, compile gradients in about 0.6 of the time. Values are the same to round-off,
-    and later calls are as fast, but gradients of a thousand bodies need 1.5 times the time. With a later jaxlib, on a
-    GPU, and inside jit, grad and other transformations, it is `jax.jit`.
+    For the outermost function, such as the gradient of a loss. On a CPU XLA's older emitters, up to jaxlib 0.10,
+    compile what is not machine code in 0.6 to 1.1 of the time; values are the same to round-off, and gradients of a
+    thousand bodies run 1.5 times as long. With a later jaxlib, on a GPU, and inside jit or grad, it is `jax.jit`.
 
     Args:
         function: a function of arrays.

@@ -35,8 +35,7 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
         times: any times (m,) from the first to the last of `trajectory.t`, in any order.
 
     Returns:
-        The states, every leaf with a leading axis (m,). Traced times outside the trajectory give NaN, as do times next
-        to saved states that are NaN.
+        The states, every leaf with a leading axis (m,): NaN at traced times outside the trajectory, and beside a NaN.
 
     Raises:
         ValueError: concrete times outside the trajectory; a single entry; several members; too few saved states for

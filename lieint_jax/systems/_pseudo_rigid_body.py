@@ -17,6 +17,9 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.arguments import check_counts, explained, timed
 from lieint_jax.systems._shared.stored_energy import (
+    MooneyRivlin,
+    NeoHookean,
+    SaintVenantKirchhoff,
     as_stored_energy,
     mooney_rivlin,
     neo_hookean,
@@ -26,7 +29,10 @@ from lieint_jax.types import State, StoredEnergy, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 __all__ = [
+    "MooneyRivlin",
+    "NeoHookean",
     "PseudoRigidBody",
+    "SaintVenantKirchhoff",
     "StoredEnergy",
     "ViscousBody",
     "mooney_rivlin",
