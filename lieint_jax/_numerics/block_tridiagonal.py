@@ -44,7 +44,7 @@ class BlockTridiagonal(NamedTuple):
 
         def columns(c: Array) -> list[Array]:
             """A column of each block, (n, k)."""
-            seeds = jnp.where((jnp.arange(k) == c)[:, None] & neighbors[1][:, None], jnp.ones((), dtype), 0)
+            seeds = jnp.where((jnp.arange(k) == c)[None, :, None] & neighbors[1][:, None], jnp.ones((), dtype), 0)
             moved = jax.vmap(linear, -1, -1)(seeds)  # (n, k, every)
             return [jnp.sum(jnp.where(which[:, None], moved, 0), axis=2) for which in neighbors]
 
