@@ -93,9 +93,7 @@ class SampledRate:
     """
 
     times: Array  # the ends of the intervals, (n+1,)
-    coefficients: (
-        Array  # m, s and c of each interval, one after the other, (3dn,): machine code reads long logs this way
-    )
+    coefficients: Array  # m, s and c of each interval, one after the other, (3dn,), as machine code reads long logs
 
     def __call__(self, t: Time | float) -> AlgebraVector:
         """The rate at time t, (d,). Outside the log: ValueError if t is concrete, otherwise NaN."""
