@@ -14,7 +14,7 @@ import scenario_runs
 
 from lieint_jax import _discover, measure, schemes, systems
 from lieint_jax.app import scenarios
-from lieint_jax.app.command import check, check_groups, cli
+from lieint_jax.app.command import check_groups, cli
 from lieint_jax.app.command import info as info_command
 from lieint_jax.app.scenarios import rigid_body
 from lieint_jax.runs import store as archives
@@ -366,8 +366,3 @@ def test_check_in_several_processes_prints_in_order(capfd):
     names = ("sphere_chart", "sphere_midpoint[plain]", "sphere_midpoint[normalized]")
     assert heads == [(f"pendulum.{bob}", name) for name in names for bob in ("uniform", "quadratic")]
     assert os.environ.get("XLA_FLAGS") == before
-
-
-def test_a_flag_unknown_to_xla_is_not_set():
-    assert check._xla_has_flag("xla_backend_optimization_level", "0")
-    assert not check._xla_has_flag("xla_no_such_flag", "0")

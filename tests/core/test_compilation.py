@@ -163,6 +163,13 @@ def test_li_jit_compiles_by_the_older_emitters_of_a_cpu_and_without_options_else
     assert given == [{"xla_cpu_use_fusion_emitters": False}, None]
 
 
+def test_an_option_unknown_to_xla_is_left_out(monkeypatch):
+    monkeypatch.setattr(_compile, "_ONCE", {"xla_backend_optimization_level": 0, "xla_no_such_flag": False})
+    monkeypatch.setattr(_compile, "_refused", set())
+    assert _compile.compiled_for(lambda x: 2 * x, 1.5)(1.5) == 3
+    assert _compile._refused == {"xla_no_such_flag"}
+
+
 @pytest.mark.long
 def test_the_first_example_of_the_readme_compiles_its_run_once(caplog):
     readme = Path(__file__).parents[2] / "README.md"

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import difflib
 import multiprocessing
-import os
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cache
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from itertools import product
+from typing import Any
 
 import jax
 
@@ -20,30 +19,8 @@ from lieint_jax.app.printer import show
 from lieint_jax.diagnostics import certify
 from lieint_jax.runs import count_cores
 
-# Each program runs once, so its compilation dominates: with XLA's older emitters it needs a third of the time
-_QUICK: dict[str, str | bool] = {
-    "xla_cpu_use_fusion_emitters": False,
-    "xla_cpu_parallel_codegen_split_count": "1",
-    "xla_backend_optimization_level": "0",
-}
-
-
-class _Task(NamedTuple):
-    """The examples of one module of systems by the steps of one module of schemes: they share compiled programs."""
-
-    system: str  # the name of a module of systems
-    scheme: str  # that of a module of schemes
-    example: str  # the name of the only example to check; all examples if empty
-    wanted: str  # text that the names of the steps must contain
-    brief: bool  # check only the first example that the scheme accepts
-    num_steps: int  # the length of a run in steps
-
-
-class _TaskResult(NamedTuple):
-    """The names of all steps that accept the examples of a task, and the certificates of the requested ones as text."""
-
-    steps: list[str]
-    text: str
+_Modules = tuple[str, str]  # the names of a module of systems, and of one of schemes
+_Certificates = tuple[list[str], str]  # the names of all steps that accept these systems; text on the wanted ones
 
 
 def check(system: str, scheme: str, num_steps: int | None, every: bool = False) -> None:
@@ -61,16 +38,12 @@ def check(system: str, scheme: str, num_steps: int | None, every: bool = False) 
         return
     named, example = _find_modules(system)
     brief = not (system or every)
-    tasks = [
-        _Task(x, y, example, scheme, brief, num_steps or 1000)
-        for x in named
-        for y in _discover.modules_with("examples", schemes)
-    ]
+    work = partial(_certificates, example=example, wanted=scheme, brief=brief, num_steps=num_steps or 1000)
     steps, printed = [], False
-    for found in _run_tasks(tasks):
-        steps += found.steps
-        if found.text:
-            show(found.text)
+    for names, text in _in_processes(work, [*product(named, _discover.modules_with("examples", schemes))]):
+        steps += names
+        if text:
+            show(text)
             printed = True
     if not printed:
         whole, names = f"lieint check {system}".strip(), ", ".join(dict.fromkeys(steps))
@@ -110,36 +83,41 @@ def _examples(system: str) -> dict[str, Any]:
     return _discover.modules_with("examples", systems)[system].examples()
 
 
-def _run_tasks(tasks: list[_Task]) -> Iterator[_TaskResult]:
-    """Run the tasks in one process per core, with a progress bar on a terminal; the results in the tasks' order."""
+def _in_processes(work: Callable[[_Modules], _Certificates], tasks: list[_Modules]) -> Iterator[_Certificates]:
+    """Do the work on the tasks in one process per core, with a progress bar on a terminal; the results in order."""
     from tqdm import tqdm
 
     processes = min(count_cores(), len(tasks))
     if processes == 1:
-        yield from map(_certificates, tasks)
+        yield from map(work, tasks)
         return
     bar = tqdm(total=len(tasks), unit=" schemes", disable=None, leave=False, dynamic_ncols=True)
-    with bar, _quick_compilation(), multiprocessing.get_context("spawn").Pool(processes, _start_worker) as pool:
-        for found in pool.imap(_certificates, tasks):
+    with bar, multiprocessing.get_context("spawn").Pool(processes, _start_worker) as pool:
+        for found in pool.imap(work, tasks):
             bar.clear()
             yield found
             bar.update()
 
 
-def _certificates(task: _Task) -> _TaskResult:
-    scheme, uses = _discover.modules_with("examples", schemes)[task.scheme], {}
-    for name, (body, state, dt) in _examples(task.system).items():
-        if task.example in ("", name) and not (task.brief and uses):
+def _certificates(modules: _Modules, *, example: str, wanted: str, brief: bool, num_steps: int) -> _Certificates:
+    """The examples of a module of systems, or the one that is named, by the steps of a module of schemes.
+
+    They share compiled programs. `brief` is to check only the first example that the scheme accepts, `wanted` is text
+    that the names of the steps must contain, `num_steps` the length of a run.
+    """
+    system, scheme, uses = modules[0], _discover.modules_with("examples", schemes)[modules[1]], {}
+    for name, (body, state, dt) in _examples(system).items():
+        if example in ("", name) and not (brief and uses):
             for label, step in scheme.examples(body).items():
                 uses.setdefault(label, []).append((name, step, state, dt))
     lines = [
-        f"{task.system}.{name}\n{certify(step, step.start(state), dt, task.num_steps)}\n"
+        f"{system}.{name}\n{certify(step, step.start(state), dt, num_steps)}\n"
         for label, those in uses.items()
-        for name, step, state, dt in (those if task.wanted in label else ())
+        for name, step, state, dt in (those if wanted in label else ())
     ]
     if lines:
         jax.clear_caches()  # otherwise memory grows with every scheme
-    return _TaskResult(list(uses), "\n".join(lines))
+    return list(uses), "\n".join(lines)
 
 
 def _start_worker() -> None:
@@ -147,29 +125,6 @@ def _start_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     jax.config.update("jax_enable_x64", True)
     use_program_cache()
-
-
-@contextmanager
-def _quick_compilation() -> Iterator[None]:
-    """Let processes started in this context compile quickly, by the flags in `_QUICK` that this XLA has."""
-    before = os.environ.get("XLA_FLAGS")
-    flags = [f"--{name}={str(value).lower()}" for name, value in _QUICK.items() if _xla_has_flag(name, value)]
-    os.environ["XLA_FLAGS"] = " ".join([before or "", *flags]).strip()
-    try:
-        yield
-    finally:
-        os.environ.pop("XLA_FLAGS")
-        if before is not None:
-            os.environ["XLA_FLAGS"] = before
-
-
-def _xla_has_flag(name: str, value: str | bool) -> bool:
-    """Whether XLA has a flag: as an option of one program, an unknown flag raises, and does not end the process."""
-    try:
-        jax.jit(lambda x: x).lower(0.0).compile(compiler_options={name: value})
-    except jax.errors.JaxRuntimeError:
-        return False
-    return True
 
 
 def check_published() -> None:
