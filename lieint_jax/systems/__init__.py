@@ -2,8 +2,8 @@
 
 Stored energies of a `pseudo_rigid_body` and an `incompressible_body` are `mooney_rivlin`, `neo_hookean`,
 `saint_venant_kirchhoff`, `self_gravity`, or any function. Integrals and closed forms to test with: `lagrange_motion`,
-`pendulum_as_top`, `kovalevskaya_integral`, `clebsch_integral`, `manakov_integrals`, `kirchhoff_spin`,
-`maclaurin_spheroid`, `maclaurin_modes`, and `body.solution(state, t)` of a `rigid_body`.
+`is_lagrange_top`, `pendulum_as_top`, `kovalevskaya_integral`, `clebsch_integral`, `manakov_integrals`,
+`kirchhoff_spin`, `maclaurin_spheroid`, `maclaurin_modes`, and `body.solution(state, t)` of a `rigid_body`.
 `tumbling_state` is the state of a free body with given mean periods.
 The section of a `rod` is a `circular_section`, a `rectangular_section`, or any other stiffness.
 Each module has `examples()`: systems with a state worth integrating and a time step.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
@@ -22,10 +23,13 @@ __all__ = [
     "LagrangeMotion",
     "LinearPotential",
     "heavy_top",
+    "is_lagrange_top",
     "kovalevskaya_integral",
     "lagrange_motion",
     "pendulum_as_top",
 ]
+
+_ROUNDING = 4096  # largest difference of equal numbers, in units of their rounding
 
 
 @pytree
@@ -99,11 +103,19 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
     of precession has the rate (b − cu)/(1 − u²), so both are complete elliptic integrals, of the first and the third
     kind. The result is right to about 1e-13, except for tops that pass close to γ or −γ, and NaN for a sleeping top.
 
+    Raises:
+        ValueError: another top, see `is_lagrange_top`. If its numbers are traced, this is not checked.
+
     Source: Whittaker, Analytical Dynamics, §71–72.
     """
-    assert isinstance(top.potential, LinearPotential)
+    potential = top.potential
+    if not isinstance(potential, LinearPotential) or (_checks.concrete(top) and not is_lagrange_top(top)):
+        raise ValueError(
+            f"a closed form is known for J₁ = J₂ and the weight along the third axis, got {top!r}; measure.nutation "
+            "measures the motion of any heavy top"
+        )
     J, size = vectors.symmetric(top.inertia), vectors.norm(top._axis)
-    E = top.potential.weight[2]
+    E = potential.weight[2]
     Pi = top.body_momentum(state)
     spin = jnp.sign(E) * Pi[2]
     alpha = 2 * jnp.abs(E) * size / J[0]
@@ -120,6 +132,20 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
     up, down = (b - c) / (1 - u1) * third_kind(swing / (1 - u1)), (b + c) / (1 + u1) * third_kind(-swing / (1 + u1))
     period, turned = slow * K, slow * (up + down) / 2
     return LagrangeMotion(period, turned / period, jnp.arccos(jnp.clip(jnp.stack([u2, u1]), -1, 1)))
+
+
+def is_lagrange_top(top: PotentialTop) -> bool:
+    """Whether a heavy top is Lagrange's, whose motion is `lagrange_motion`: J₁ = J₂ and E along the third axis.
+
+    Args:
+        top: a top whose numbers are known; those that differ by rounding are equal.
+    """
+    if not isinstance(top.potential, LinearPotential):
+        return False
+    J, E = np.asarray(top.inertia), np.asarray(top.potential.weight)
+    J, tolerance = np.diag(J) if J.ndim == 1 else J, _ROUNDING * np.finfo(J.dtype).eps
+    symmetric = max(abs(J[0, 0] - J[1, 1]), abs(J - np.diag(np.diag(J))).max()) <= tolerance * J.max()
+    return bool(symmetric and abs(E[:2]).max() <= tolerance * abs(E[2]))
 
 
 def pendulum_as_top(bob: Pendulum, state: State) -> tuple[PotentialTop, State]:

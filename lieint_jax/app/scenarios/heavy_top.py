@@ -17,7 +17,7 @@ from lieint_jax.app.scenarios._runs import LONGEST, POINTS, drawn_run, length, n
 from lieint_jax.diagnostics import RungeKutta, step_cost
 from lieint_jax.measure import Nutation
 from lieint_jax.runs import Run
-from lieint_jax.systems import LagrangeMotion, PotentialTop, kovalevskaya_integral, lagrange_motion
+from lieint_jax.systems import LagrangeMotion, PotentialTop, is_lagrange_top, kovalevskaya_integral, lagrange_motion
 from lieint_jax.types import State
 
 _LONG = 10  # length of the picture of energies, over that of the run
@@ -54,7 +54,7 @@ class HeavyTop(TopKind):
             Conserved("energy, relative", series(PotentialTop.energy, run), kinetic + size),
             Conserved("γ·π, relative to |π|", series(PotentialTop.momentum, run)[..., 0], momentum),
         ]
-        if is_lagrange(top):
+        if is_lagrange_top(top):
             found.append(Conserved("Π₃, relative to |π|", series(PotentialTop.body_momentum, run)[..., 2], momentum))
         if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], rtol=1e-12, atol=0) and not E[1:].any():
             K = series(kovalevskaya_integral, run)
@@ -84,7 +84,7 @@ class HeavyTop(TopKind):
     def remarks(self, run: Run) -> list[str]:
         """How to read the table."""
         lines = [CLOSED_FORM]
-        if not is_lagrange(nominal_system(run)):
+        if not is_lagrange_top(nominal_system(run)):
             lines = ["  (a closed form is known for J₁ = J₂ and the weight along the third axis: Lagrange's top)"]
         if np.isnan(self.nutation(run).period[0]):
             lines.append("  — not measured: fewer than two nutations, or states saved fewer than 6 times in one")
@@ -130,17 +130,9 @@ class HeavyTop(TopKind):
         ax.set_title("Runge–Kutta: steps of equal cost per unit of time")
 
 
-def is_lagrange(top: PotentialTop) -> bool:
-    """Whether the top is symmetric about the axis to its center of mass, and that axis is the third."""
-    J, E = inertia_matrix(top), _weight(top)
-    size = 1e-12 * J.max()
-    symmetric = abs(J[0, 0] - J[1, 1]) <= size and abs(J - np.diag(np.diag(J))).max() <= size
-    return bool(symmetric and abs(E[:2]).max() <= 1e-12 * abs(E[2]))
-
-
 def closed_form(top: PotentialTop, state: State) -> LagrangeMotion | None:
     """The motion of Lagrange's top; None of another one."""
-    return lagrange_motion(top, state) if is_lagrange(top) else None
+    return lagrange_motion(top, state) if is_lagrange_top(top) else None
 
 
 def _weight(top: PotentialTop) -> np.ndarray:
