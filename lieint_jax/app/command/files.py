@@ -81,17 +81,13 @@ def read_numbers(path: Path) -> list[float]:
         raise ValueError(f"{path} must hold one number per line: {error}") from error
 
 
-def size(path: Address) -> int:
-    """The number of bytes of a file, or of all files of a folder or below a URL."""
-    if isinstance(path, Url):
-        return sum(archives.open_storage(path).sizes().values())
-    files = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file()]
-    return sum(f.stat().st_size for f in files)
-
-
 def megabytes(path: Address) -> str:
-    """The size of results in megabytes, as text."""
-    return f"{size(path) / 1e6:.3g} MB"
+    """The size of a file, or of all files of a folder or below a URL, in megabytes, as text."""
+    if isinstance(path, Url):
+        size = sum(archives.open_storage(path).sizes().values())
+    else:
+        size = sum(file.stat().st_size for file in (path, *path.rglob("*")) if file.is_file())
+    return f"{size / 1e6:.3g} MB"
 
 
 def unused_path(path: Path, companions: Callable[[Path], Iterable[Path]]) -> Path:

@@ -106,8 +106,11 @@ def parse(table: dict[str, Any], name: str, reads_files: bool = True) -> Any:
     """The scenario of a table of keys, and of the files that they name; error messages begin with `name`."""
     if "system" not in table:
         raise ValueError(f"{name}: system: key missing")
-    kind = _kind_of(table["system"], name)
-    return validate(kind, _with_files(kind, table, name) if reads_files else table, name)
+    try:
+        model = kind(table["system"]) if table["system"] in kind_names() else _own_kind(table["system"], name)
+    except ValueError as error:
+        raise ValueError(f"{name}: system: {error}") from error
+    return validate(model, _with_files(model, table, name) if reads_files else table, name)
 
 
 def _with_files(model: Any, table: dict[str, Any], name: str, place: str = "") -> dict[str, Any]:
@@ -148,14 +151,6 @@ def validate(model: Any, table: dict[str, Any], name: str) -> Any:
         return model.model_validate(table)
     except ValidationError as error:
         raise ValueError(f"{name}: {_explain(error, model, table)}") from error
-
-
-def _kind_of(system: Any, name: str) -> type[Kind]:
-    """The kind that the key `system` names."""
-    try:
-        return kind(system) if system in kind_names() else _own_kind(system, name)
-    except ValueError as error:
-        raise ValueError(f"{name}: system: {error}") from error
 
 
 def _own_kind(system: Any, name: str) -> type[Kind]:
@@ -224,15 +219,6 @@ def table(name: str) -> dict[str, Any]:
     return archives.read_toml(path, name)
 
 
-def _allowed_keys(model: Any, path: list[str]) -> list[str]:
-    """The keys of the table at `path` in a model; none if there are several kinds of such tables."""
-    for part in path:
-        model = _model_of(model, part)
-        if model is None:
-            return []
-    return list(dict.fromkeys([*model.model_fields, *model.files]))
-
-
 def _model_of(model: Any, key: str) -> Any:
     """The model of the table, or of the tables of a list, at a key of a model; None if there is none or are several."""
     annotation = model.model_fields[key].annotation if key in getattr(model, "model_fields", {}) else None
@@ -240,11 +226,21 @@ def _model_of(model: Any, key: str) -> Any:
     return inner[0] if len(inner) == 1 else None
 
 
-def _nearest(key: str, allowed: list[str]) -> list[str]:
-    """The allowed key that is most like `key`, or two that are equally like it; none if none is like it."""
+def _unknown_key(model: Any, place: tuple[int | str, ...]) -> str:
+    """The message for a key that a model lacks: the key that is most like it, or two, and the allowed ones.
+
+    None are named if there are several kinds of tables at its place.
+    """
+    *tables, key = map(str, (part for part in place if isinstance(part, str)))
+    for part in tables:
+        model = _model_of(model, part)
+    if model is None:
+        return "unknown key"
+    allowed = list(dict.fromkeys([*model.model_fields, *model.files]))
     near = difflib.get_close_matches(key, allowed, 2)
     likeness = [difflib.SequenceMatcher(None, key, candidate).ratio() for candidate in near]
-    return [candidate for candidate, x in zip(near, likeness, strict=True) if x == likeness[0]]
+    meant = " or ".join(candidate for candidate, x in zip(near, likeness, strict=True) if x == likeness[0])
+    return f"unknown key; {f'did you mean {meant}?; ' if meant else ''}allowed: {', '.join(allowed)}"
 
 
 def _quoted(value: object) -> str:
@@ -263,26 +259,19 @@ def _component_keys(place: tuple[int | str, ...], table: dict[str, Any]) -> list
     return [f"{path}{at}{key}" for at, x in tables.items() for key in x if key.rpartition("_")[0] == quantity]
 
 
-def _path_of(problem: Any) -> str:
-    """The path of a key in a file, such as `state.attitude`."""
-    return ".".join(_checks.printable(part) for part in problem["loc"] if part != "[key]")
-
-
 def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
     """The first problem of a validation in one line that names the key; for an unknown key, with the allowed ones."""
     problem, *others = sorted(error.errors(), key=lambda x: x["type"] != "extra_forbidden")  # a misspelled key first
     missing = [x for x in others if x["type"] == problem["type"] == "missing"]
-    key = ", ".join(map(_path_of, [problem, *missing]))
+    paths = ((_checks.printable(part) for part in x["loc"] if part != "[key]") for x in (problem, *missing))
+    key = ", ".join(map(".".join, paths))
     without_value = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
     given = "" if without_value else f" (got {_quoted(problem['input'])})"
-    message = {"extra_forbidden": "unknown key", "missing": "keys missing" if missing else "key missing"}.get(
-        problem["type"], _checks.printable(problem["msg"], _MESSAGE)
-    )
+    message = _checks.printable(problem["msg"], _MESSAGE)
     if problem["type"] == "extra_forbidden":
-        allowed = _allowed_keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])
-        near = " or ".join(_nearest(str(problem["loc"][-1]), allowed))
-        message += f"; did you mean {near}?" if near else ""
-        message += f"; allowed: {', '.join(allowed)}" if allowed else ""
+        message = _unknown_key(model, problem["loc"])
+    elif problem["type"] == "missing":
+        message = "keys missing" if missing else "key missing"
     if problem["type"] == "float_type" and _SPREAD in problem["loc"][:-1] and isinstance(problem["input"], list):
         given += "".join(f"; in [spread], {name} accepts a list" for name in _component_keys(problem["loc"], table))
     more = f"; and {len(others) - len(missing)} more" if len(others) > len(missing) else ""

@@ -67,8 +67,7 @@ class TopKind(BodyKind):
     scheme: Literal["top_energy_momentum", "splitting"] = "top_energy_momentum"
     kappa: Literal["cayley", "exponential", "symplectic"] | None = None
     """The κ of top_energy_momentum; by default cayley."""
-    order: Literal[2, 4, 6, 8] = 2
-    """The order of accuracy; above 2 by composition."""
+    order: keys.Order = 2
 
     def _check_kappa(self) -> None:
         if self.kappa is not None and self.scheme == "splitting":

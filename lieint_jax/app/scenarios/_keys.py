@@ -6,7 +6,7 @@ import datetime
 import inspect
 from collections.abc import Callable, Mapping
 from types import FunctionType
-from typing import Annotated, Any, ClassVar, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -61,6 +61,8 @@ Quaternion = Annotated[list[float], Field(min_length=4, max_length=4), AfterVali
 NonNegative = Annotated[float, Field(ge=0)]
 PositiveInt = Annotated[int, Field(gt=0, le=10**12)]
 Date = Annotated[str, BeforeValidator(_date_text)]
+Order = Annotated[Literal[2, 4, 6, 8], Field(description="The order of accuracy; above 2 by composition.")]
+Source = Annotated[str, Field(description="A key of the table sources.")]
 Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
 
 

@@ -117,10 +117,13 @@ def join_members(members: Sequence[Sequence[Any]]) -> list[Any]:
 def text(
     scenario: _Citing, conserved: Sequence[Conserved], quantities: Sequence[Quantity], remarks: Sequence[str] = ()
 ) -> str:
-    """The report of a run: what is conserved, what was measured, and the remarks of the kind."""
+    """The report of a run: what is conserved, what was measured, why it does not test its published values, remarks."""
     width = max([_WIDTH, *(len(x.name) + 2 for x in (*conserved, *quantities))])
-    lines = [*change_lines(conserved, width), *table_lines(scenario, quantities, width), *_notes(quantities), *remarks]
-    return "\n".join(line.rstrip() for line in lines)
+    lines = [*change_lines(conserved, width), *table_lines(scenario, quantities, width)]
+    for x in quantities:
+        for misfit in filter(None, (_misfit(x, published) for published in x.citations)):
+            lines += textwrap.wrap(f"{x.name}: {misfit}", 116, initial_indent="  ! ", subsequent_indent="    ")
+    return "\n".join(line.rstrip() for line in (*lines, *remarks))
 
 
 def change_lines(conserved: Sequence[Conserved], width: int = _WIDTH) -> list[str]:
@@ -168,14 +171,6 @@ def citation(scenario: _Citing, published: Published) -> str:
     """A published value with its error and source."""
     error = f" ± {published.error:g}" if published.error is not None else ""
     return f"{published.value:g}{error}  ({scenario.source(published.source)})"
-
-
-def _notes(quantities: Sequence[Quantity]) -> list[str]:
-    """The lines on quantities that do not test their published values, with the reasons."""
-    notes = [f"{x.name}: {found}" for x in quantities for published in x.citations if (found := _misfit(x, published))]
-    return [
-        line for note in notes for line in textwrap.wrap(note, 116, initial_indent="  ! ", subsequent_indent="    ")
-    ]
 
 
 def _misfit(x: Quantity, published: Published) -> str:

@@ -79,11 +79,6 @@ def _holds_for_all(good: np.ndarray) -> np.ndarray:
     return np.all(good.reshape(len(good), -1), axis=1)
 
 
-def _is_positive_definite(value: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Whether tensors (members, 3, 3), or principal values (members, 3), are positive definite."""
-    return (x if x.ndim == 2 else np.linalg.eigvalsh(x)).min(axis=1) > 0
-
-
 def _scale_second_moments(P: Array, factors: Array) -> Array:
     """Multiply second moments of mass (3, 3) by factors along the axes."""
     size = jnp.sqrt(factors)
@@ -99,24 +94,27 @@ def stretch_inertia(inertia: Array, factors: Array) -> Array:
     return jnp.trace(P) * jnp.eye(3) - P
 
 
-def _apply_along_axes(function: Callable[..., Any], tensor: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """Apply a function of a tensor and factors, for deviations of their logarithms; principal values stay principal."""
-    given = np.diag(tensor) if tensor.ndim == 1 else tensor
-    found = np.asarray(function(given, np.exp(deviation)))
-    return np.diagonal(found, axis1=1, axis2=2) if tensor.ndim == 1 else found
+def _along_axes(function: Callable[..., Any]) -> DeviationLaw:
+    """Deviations of the logarithms of the second moments of mass: see the page on covariance.
+
+    `function` is one of a tensor and three factors; a tensor that is given by its principal values stays principal.
+    """
+    mapped = jax.jit(jax.vmap(function, (None, 0)))
+
+    def value(tensor: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+        found = np.asarray(mapped(np.diag(tensor) if tensor.ndim == 1 else tensor, np.exp(deviation)))
+        return np.diagonal(found, axis1=1, axis2=2) if tensor.ndim == 1 else found
+
+    def is_positive_definite(_: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return (x if x.ndim == 2 else np.linalg.eigvalsh(x)).min(axis=1) > 0
+
+    basis = "of the second moments of mass along the body axes"
+    return DeviationLaw(value, is_positive_definite, basis, by_axis=True)
 
 
 def _deviate_direction(value: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     found = value + deviation
     return found / np.linalg.norm(found, axis=-1, keepdims=True)
-
-
-def _along_axes(function: Callable[..., Any]) -> DeviationLaw:
-    """Deviations of the logarithms of the second moments of mass: see the page on covariance."""
-    mapped = partial(_apply_along_axes, jax.jit(jax.vmap(function, (None, 0))))
-    return DeviationLaw(
-        mapped, _is_positive_definite, "of the second moments of mass along the body axes", by_axis=True
-    )
 
 
 ADDITIVE = DeviationLaw(np.add)

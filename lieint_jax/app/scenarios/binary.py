@@ -222,7 +222,11 @@ class Binary(MultibodyKind):
     @picture(2, size=(5.5, 3.8))
     def draw_orbit(self, axes: np.ndarray, run: Run) -> None:
         """Plot distance and libration of the secondary: the nominal member, and 90 % of up to `_MAX_DRAWN` members."""
-        days, found = self._fine_motion(run)
+        given = run.step, State(run.state.q[0], run.state.p[0])
+        first, start = jax.tree.map(lambda x: jnp.asarray(x)[:_MAX_DRAWN], given)
+        count, every = drawn_steps(_FINE * self.steps)  # in smaller steps than those of the run
+        made = runs.run(first, start, self.dt / _FINE, count, save_every=every, own_step=True, progress=False)
+        days, found = np.asarray(made.t) / DAY, measure.relative_motion(made)
         swing = np.rad2deg(found.libration - np.pi * np.round(found.libration[0] / np.pi))
         panels = (found.distance, "distance (m)"), (swing, "libration of the secondary (°)")
         for ax, (x, label) in zip(axes, panels, strict=True):
@@ -235,14 +239,6 @@ class Binary(MultibodyKind):
         low, high = axes[0].get_ylim()
         axes[0].set_ylim(low, high + 0.1 * (high - low))  # room for the legend
         axes[0].legend(loc="upper right", ncols=2)
-
-    def _fine_motion(self, run: Run) -> tuple[np.ndarray, RelativeMotion]:
-        """The times in days and the motion of the first members, in smaller steps than those of the run."""
-        given = run.step, State(run.state.q[0], run.state.p[0])
-        first, start = jax.tree.map(lambda x: jnp.asarray(x)[:_MAX_DRAWN], given)
-        count, every = drawn_steps(_FINE * self.steps)
-        made = runs.run(first, start, self.dt / _FINE, count, save_every=every, own_step=True, progress=False)
-        return np.asarray(made.t) / DAY, measure.relative_motion(made)
 
     @picture(size=(7.2, 4.2))
     def draw_spectrum(self, axes: np.ndarray, run: Run) -> None:

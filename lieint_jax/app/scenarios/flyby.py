@@ -18,7 +18,7 @@ from pydantic import BeforeValidator, Field, field_validator
 from lieint_jax import _free_body, orbits
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios import _flyby_study
-from lieint_jax.app.scenarios._keys import HOUR, PositiveFloat, PositiveInt, Published, Table, Text
+from lieint_jax.app.scenarios._keys import HOUR, PositiveFloat, PositiveInt, Published, Source, Table, Text
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step
@@ -41,8 +41,7 @@ class Measured(Table):
     """To the lower side."""
     above: Annotated[float, Field(ge=0)] | None = None
     """To the upper side."""
-    source: str
-    """A key of the table sources."""
+    source: Source
 
     def _check_error(self) -> None:
         if (self.below is None) != (self.above is None) or (self.error is not None and self.below is not None):
@@ -210,8 +209,7 @@ class Expected(Table):
         BeforeValidator(lambda x: "pole_angle" if x == "turn" else x),
     ]
     """The measured quantity with which the report compares it."""
-    source: str
-    """A key of the table sources."""
+    source: Source
 
 
 class Flyby(Kind):

@@ -45,8 +45,7 @@ class Kirchhoff(Kind):
     """In body axes from the center of the ellipsoid, in the same unit."""
     scheme: Literal["group_midpoint"] = "group_midpoint"
     map: Literal["exponential", "cayley"] = "exponential"
-    order: Literal[2, 4, 6, 8] = 2
-    """The order of accuracy; above 2 by composition."""
+    order: keys.Order = 2
     state: InitialState
     spread: Spread = Spread()
     traced = False

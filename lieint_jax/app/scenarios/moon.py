@@ -68,8 +68,7 @@ class Observed(keys.Table):
     """The direction of the angular velocity, components along a, b, c; of any length."""
     spin_rate: keys.PositiveFloat
     """The size of the angular velocity, in mean motions."""
-    source: str
-    """A key of the table sources."""
+    source: keys.Source
 
 
 class Ensemble(keys.Table):
@@ -174,7 +173,10 @@ class Moon(Kind):
         planes[_IN_PLANE, 0] = planes[_OUT_OF_PLANE, 1] = 1
         per_orbit = self.steps_per_orbit
         found = [section := _exponents(run.step, starts, self.orbits, per_orbit, planes)]
-        zone = self.large_zone(np.asarray(section.exponents[:, 0]))
+        growth = np.asarray(section.exponents[:, 0])
+        chaotic = growth[growth > chaos_limit(self.orbits)]
+        # the large chaotic zone, without thin layers
+        zone = np.flatnonzero(growth > np.median(chaotic) / 2) if chaotic.size else np.zeros(0, int)
         planar = spatial = np.zeros((0, 6))
         if zone.size:
             drawn = _select_evenly(starts, zone, self.planar.starts)
@@ -188,11 +190,6 @@ class Moon(Kind):
         failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*found, *observed))
         exponents, errors = (np.array([np.asarray(x[k])[:, 0] for x in observed]) for k in (0, 1))
         return Chaos(np.asarray(section.exponents), planar, spatial, exponents, errors, failed)
-
-    def large_zone(self, exponents: np.ndarray) -> np.ndarray:
-        """The members in the large chaotic zone, without thin layers: exponents above half the chaotic ones' median."""
-        chaotic = exponents[exponents > chaos_limit(self.orbits)]
-        return np.flatnonzero(exponents > np.median(chaotic) / 2) if chaotic.size else np.zeros(0, int)
 
     def _exponents_about(self, k: int) -> Lyapunov:
         """The largest exponents of the members about the k-th observed state."""

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AliasChoices, Field
 
 from lieint_jax import measure, schemes, systems
-from lieint_jax.app.scenarios._keys import NonNegative, NumberSpread, PositiveFloat, Table, Triple, UnitVector
+from lieint_jax.app.scenarios._keys import NonNegative, NumberSpread, Order, PositiveFloat, Table, Triple, UnitVector
 from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._pictures import draw_errors, draw_on_sphere
 from lieint_jax.app.scenarios._report import CLOSED_FORM, ROUND_OFF, Conserved, Quantity
@@ -53,8 +53,7 @@ class SphericalPendulum(Kind):
     scheme: Literal["sphere_midpoint"] = "sphere_midpoint"
     normalized: bool = Field(default=False, validation_alias=AliasChoices("normalized", "normalised"))
     """Whether the midpoint is projected to the sphere, which makes the scheme symplectic."""
-    order: Literal[2, 4, 6, 8] = 2
-    """The order of accuracy; above 2 by composition."""
+    order: Order = 2
     state: InitialState
     spread: Spread = Spread()
 

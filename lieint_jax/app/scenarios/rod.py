@@ -88,8 +88,7 @@ class Rod(Kind):
     loads: list[Load] = []
     """Forces and moments on sections, at most one load for each."""
     scheme: Literal["bodies_energy_momentum"] = "bodies_energy_momentum"
-    order: Literal[2, 4, 6, 8] = 2
-    """The order of accuracy; above 2 by composition."""
+    order: keys.Order = 2
     spread: keys.NumberSpread = keys.NumberSpread()
     certified = False
     fixed: ClassVar[dict[str, str]] = Kind.fixed | {

@@ -138,7 +138,8 @@ class Tides(Kind):
             "energy H plus the energy lost": abs(H - H[0]).max() / abs(H[0]).max(),
             "linear momentum P, over that of a body": abs(P.sum(axis=2)).max() / abs(P).max(),
             "angular momentum L": abs(L - L[0]).max() / abs(L[0]).max(),
-            "least loss between two saved states, over all of it": _least_loss(found.lost),
+            "least loss between two saved states, over all of it": np.diff(found.lost, axis=0).min(initial=np.inf)
+            / max(abs(found.lost[-1]).max(), 1e-300),
         }
         lines = ["largest relative changes of all members:", *(f"  {k:<54}{x:>10.1e}" for k, x in sizes.items())]
         rows = self._rows(found, run)
@@ -207,10 +208,6 @@ class Course(NamedTuple):
     lost: np.ndarray  # the energy lost since the start
     balance: np.ndarray  # the energy plus the energy lost
     momentum: np.ndarray  # the angular momentum of orbit and bodies about the normal of the orbit
-
-
-def _least_loss(lost: np.ndarray) -> float:
-    return float(np.diff(lost, axis=0).min(initial=np.inf) / max(abs(lost[-1]).max(), 1e-300))
 
 
 def _draw_distance(ax: Axes, t: np.ndarray, distance: np.ndarray, locked: float) -> None:

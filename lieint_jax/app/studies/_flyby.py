@@ -37,13 +37,13 @@ class Flyby(NamedTuple):
     rates: np.ndarray  # the changes of the mean rates of precession and rotation, 360°/period, in °/d, (members, 2)
 
 
-def passage(body: RigidBody, state: State, distance: float, speed: float, members: int, seed: int = 2004) -> Flyby:
+def passage(body: RigidBody, state: State, distance: float, speed: float, members: int) -> Flyby:
     """Integrate an ensemble of flybys of a free body whose energy and momentum are those of `state`.
 
     A member begins, 12 days before the least distance, with the state after a random time, rotated at random. Its
     momentum and mean periods are compared with those 24 days later: in torque-free motion they are equal.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(2004)
     times = jnp.asarray(rng.uniform(0, 1000, members))
     rotations = rng.normal(size=(members, 4))
     rotations = jnp.asarray(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))

@@ -9,6 +9,7 @@ learned κ is tested on unseen states, at other step sizes, and over long runs.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -111,10 +112,11 @@ def run(quick: bool = False, progress: bool = True) -> LearnedKappas:
     rows, series = {}, {}
     for name, weights in kappas.items():
         kappa = jnp.asarray(weights)
-        sizes = {h: _rms(kappa, training, h) for h in (DT / 2, DT, 2 * DT)}
+        sizes = {h: float(_rms(kappa, training, h)) for h in (DT / 2, DT, 2 * DT)}
         growth, energy, converged = _long_run_errors(kappa, long, steps)
         series[name] = growth
-        rows[name] = KappaErrors(sizes[DT], _rms(kappa, unseen, DT), sizes, float(growth[-1]), energy, converged)
+        on_unseen = float(_rms(kappa, unseen, DT))
+        rows[name] = KappaErrors(sizes[DT], on_unseen, sizes, float(growth[-1]), energy, converged)
     t = DT * np.linspace(0, steps, len(next(iter(series.values()))))
     return LearnedKappas(coefficients, both, rows, steps, (t, series))
 
@@ -133,13 +135,9 @@ def defects(kappa: Callable[[Array], Array], states: State, dt: ArrayLike) -> tu
 
 
 @jax.jit
-def _mean_square(weights: Array, states: State, dt: Array) -> Array:
+def _rms(weights: Array, states: State, dt: ArrayLike) -> Array:
     matrices, converged = defects(family_member(weights), states, dt)
-    return jnp.where(converged, jnp.mean(jnp.sum(matrices**2, axis=(1, 2))), jnp.nan)
-
-
-def _rms(weights: Array, states: State, dt: float) -> float:
-    return float(jnp.sqrt(_mean_square(weights, states, jnp.asarray(dt))))
+    return jnp.sqrt(jnp.where(converged, jnp.mean(jnp.sum(matrices**2, axis=(1, 2))), jnp.nan))
 
 
 def _long_run_errors(weights: Array, states: State, steps: int) -> tuple[np.ndarray, float, int]:
@@ -149,15 +147,14 @@ def _long_run_errors(weights: Array, states: State, steps: int) -> tuple[np.ndar
     return np.concatenate([[0.0], growth]), float(jnp.max(energy)), int(jnp.sum(converged))
 
 
-def _integrate_long_run(weights: Array, state: State, steps: int) -> tuple[Array, Array, Array]:
+@partial(jax.jit, static_argnums=2)
+@partial(jax.vmap, in_axes=(None, 0, None))
+def _integrate_long_runs(weights: Array, state: State, steps: int) -> tuple[Array, Array, Array]:
     step = schemes.top_energy_momentum(top(), family_member(weights))
     path = integrate(step, state, DT, steps, save_every=steps // 50)
     whole = diagnostics.poisson_error(step, state, DT, steps)
     energy = jnp.max(jnp.abs(diagnostics.energy_error(step.system, path)))
     return jnp.max(jnp.abs(whole), axis=(1, 2)), energy, jnp.all(path.info.converged)
-
-
-_integrate_long_runs: Any = jax.jit(jax.vmap(_integrate_long_run, (None, 0, None)), static_argnums=2)
 
 
 def text(found: LearnedKappas) -> str:
