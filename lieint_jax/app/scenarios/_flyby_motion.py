@@ -222,7 +222,7 @@ def slopes(order: int, long_axis: bool) -> Callable[..., dict[str, np.ndarray]]:
         orbit = orbits.kepler(mu, a, 1 - perigee / a, *others)
         J = moments(spin)
         near = state_at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
-        # by steps, since XLA compiles tangents of `solution` for minutes
+        # by steps: with tangents of `solution` the program takes half as long again to compile
         free = step_by(RigidBody(J), "so3_midpoint", order)
         run = integrate(free, near, times[0] / _FREE_STEPS, _FREE_STEPS, save_every=_FREE_STEPS)
         state = jax.tree.map(lambda x: x[-1], run.state)
