@@ -180,8 +180,8 @@ class MatrixGroup:
     def log(self, q: SquareMatrix) -> AlgebraVector:
         """ξ with exp ξ̂ = q, for q near the identity: to round-off for rotations by up to 3 radians.
 
-        Beyond, it is NaN or, where ξ̂ has several eigenvalues, another logarithm. The corrections converge quadratically,
-        so after a last one below √ε (1 + |ξ̂|)², as matrices entry by entry, only rounding errors remain.
+        Beyond, it is NaN or, where ξ̂ has several eigenvalues, another logarithm. The corrections converge
+        quadratically, so after a last one below √ε (1 + |ξ̂|)², as matrices entry by entry, only rounding errors remain.
         """
 
         def improve(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -136,7 +136,7 @@ def test_exp_log_and_the_derivative_maps(name):
 
 @pytest.mark.parametrize("name", ["SE(3)", pytest.param("SO(4)", marks=pytest.mark.long)])
 def test_log_of_rotations_by_up_to_three_radians(name):
-    """In any unit of length, in which a rotation by more is NaN too. Observed 2e-15 for an angle, 2e-14 for a length."""
+    """In any unit of length, in which a rotation by more is NaN too. Observed 2e-15 for angles, 2e-14 for lengths."""
     g, rng = light(CATALOGUE[name]), np.random.default_rng(5)
     log = jax.jit(jax.vmap(g.log), compiler_options=QUICK)
     angles, xi = np.repeat([0.5, 1.9, 2.4, 3.0], 4), rng.normal(size=(16, g.dim))
@@ -145,8 +145,8 @@ def test_log_of_rotations_by_up_to_three_radians(name):
     q = np.array([expm(hat(g, x * units)) for x in xi])
     np.testing.assert_allclose(log(q) / units, xi, rtol=0, atol=1e-13)
     if name == "SE(3)":
-        q = np.array([expm(hat(g, 3.13 / 3 * x * units)) for x in xi[12:] for units in ([1] * 6, [1, 1, 1] + [1e9] * 3)])
-        assert np.isnan(log(q)).all()
+        farther = [3.13 / 3 * x * units for x in xi[12:] for units in (np.ones(6), [1, 1, 1, 1e9, 1e9, 1e9])]
+        assert np.isnan(log(np.array([expm(hat(g, x)) for x in farther]))).all()
 
 
 @jax.jit
