@@ -80,10 +80,11 @@ class MatrixGroup:
 
         Elsewhere Ad_q may grow, and the error of Π = Ad*_q π grows like ε‖Ad_q‖².
         """
-        ad = np.tensordot(np.random.default_rng(0).normal(size=(8, self.dim)), self.structure.transpose(0, 2, 1), 1)
+        structure = self._normalized[1]
+        ad = np.tensordot(np.random.default_rng(0).normal(size=(8, self.dim)), structure.transpose(0, 2, 1), 1)
         ad /= max(np.linalg.norm(ad, 2, axis=(1, 2)).max(), 1e-300)
         nilpotent = np.abs(np.linalg.matrix_power(ad, self.dim)).max() <= 1e-12
-        killing = np.einsum("iab,jba->ij", self.structure, self.structure)
+        killing = np.einsum("iab,jba->ij", structure, structure)
         return bool(nilpotent or np.linalg.eigvalsh(killing).max() < -1e-9)
 
     @cached_property
@@ -205,7 +206,7 @@ class MatrixGroup:
     def cayley_lands(self) -> bool:
         """True if the Cayley map lands in this group, that is, if X³ is in the algebra for every X of the algebra."""
         rng = np.random.default_rng(0)
-        X = np.tensordot(rng.normal(size=(2 * self.dim**2 + 8, self.dim)), self.basis, 1)
+        X = np.tensordot(rng.normal(size=(2 * self.dim**2 + 8, self.dim)), self._unit_basis, 1)
         return bool(self._outside(X @ X @ X) <= bases.TOLERANCE * np.abs(X).max() ** 3)
 
     def defect(self, q: SquareMatrix) -> Scalar:
@@ -382,7 +383,13 @@ class MatrixGroup:
 
     @cached_property
     def _closed(self) -> closed_forms.ClosedForm | None:
-        return closed_forms.find(self.basis, _POWERS)
+        found = closed_forms.find(self._unit_basis, _POWERS)
+        return None if found is None else found.rescaled(bases.units(self.basis))
+
+    @cached_property
+    def _unit_basis(self) -> np.ndarray:
+        """The basis in units in which its matrices are of size 1 to 2: what holds for the span is judged by it."""
+        return self.basis / bases.units(self.basis)[:, None, None]
 
     @cached_property
     def _normalized(self) -> tuple[np.ndarray, np.ndarray]:
@@ -396,7 +403,10 @@ class MatrixGroup:
 
     @cached_property
     def _closed_ad(self) -> closed_forms.ClosedForm | None:
-        return closed_forms.find(self.structure.transpose(0, 2, 1), _POWERS)
+        units = bases.units(self.basis)
+        of_units = self.structure / np.outer(units, units)[:, :, None] * units
+        found = closed_forms.find(of_units.transpose(0, 2, 1), _POWERS)
+        return None if found is None else found.rescaled(units)
 
     @cached_property
     def _ad(self) -> np.ndarray:
@@ -417,11 +427,12 @@ class MatrixGroup:
     @cached_property
     def _form(self) -> tuple[np.ndarray, np.ndarray] | None:
         """S and S⁻¹ of an invertible bilinear form with EᵀS + SE = 0 for every E, or None if none is known."""
-        forms = bases.invariant_forms(self.basis)
+        E = self._unit_basis
+        forms = bases.invariant_forms(E)
         candidates = [self.identity, *(forms if len(forms) == 1 else [])]
         for S in candidates:
             S = S / np.abs(S).max()
-            error = np.abs(self.basis.transpose(0, 2, 1) @ S + S @ self.basis).max()
+            error = np.abs(E.transpose(0, 2, 1) @ S + S @ E).max()
             if error < bases.TOLERANCE and np.linalg.cond(S) < 1e3:
                 return bases.round_entries(S), bases.round_entries(np.linalg.inv(S))
         return None
@@ -429,14 +440,15 @@ class MatrixGroup:
     @cached_property
     def _constraints(self) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray], bool]:
         """The complement of the span of all q − 1, invariant forms on vectors and on covectors, whether det q = 1."""
-        span = bases.algebra(self.basis)
-        complement = bases.null(span.reshape(len(span), -1)).reshape(-1, *self.basis.shape[1:])
-        forms = bases.invariant_forms(self.basis), bases.invariant_forms(self.basis.transpose(0, 2, 1))
+        E = self._unit_basis
+        span = bases.algebra(E)
+        complement = bases.null(span.reshape(len(span), -1)).reshape(-1, *E.shape[1:])
+        forms = bases.invariant_forms(E), bases.invariant_forms(E.transpose(0, 2, 1))
         return complement, *forms, self._traceless
 
     @cached_property
     def _traceless(self) -> bool:
-        return bool(np.abs(np.trace(self.basis, axis1=1, axis2=2)).max() < bases.TOLERANCE)
+        return bool(np.abs(np.trace(self._unit_basis, axis1=1, axis2=2)).max() < bases.TOLERANCE)
 
     def _outside(self, M: np.ndarray) -> float:
         """The largest distance of the matrices M from the algebra."""
