@@ -26,8 +26,8 @@ from lieint_jax._checks import at_once, concrete, name_of
 from lieint_jax._numerics import power_series
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.select import where
-from lieint_jax.groups import so3
-from lieint_jax.groups.bases import ideals
+from lieint_jax.groups import MatrixGroup, so3
+from lieint_jax.groups.bases import ideals, units
 from lieint_jax.groups.closed_forms import squared_eigenvalue
 from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static, vectors
 from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupElement, PyTree, Scalar
@@ -180,6 +180,8 @@ def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
     d = group.dim
     with at_once():
         ad = np.array([[group.ad(x, y) for y in jnp.eye(d)] for x in jnp.eye(d)]).transpose(0, 2, 1)  # ad[i] is ad_eᵢ
+    unit = units(group.basis) if isinstance(group, MatrixGroup) else np.ones(d)
+    ad = ad / unit[:, None, None] / unit * unit[:, None]  # of a basis of like sizes
     forms = []
     for factor in ideals(ad):
         form = squared_eigenvalue(ad[factor])
@@ -189,7 +191,7 @@ def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
                 f"a product); {group} is not such a group: use maps.exponential"
             )
         forms.append((factor, np.zeros((d, d))))
-        forms[-1][1][np.ix_(factor, factor)] = -form
+        forms[-1][1][np.ix_(factor, factor)] = -form * np.outer(unit[factor], unit[factor])
     return forms
 
 

@@ -14,6 +14,8 @@ def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = np.linalg.norm(flat, axis=1)
     if not size.all():
         raise ValueError(f"basis[{int(np.argmin(size))}] is zero: remove it")
+    unit = units(E)
+    E, flat, size = E / unit[:, None, None], flat / unit[:, None], size / unit
     values = np.linalg.svd(flat / size[:, None], compute_uv=False)
     if d > flat.shape[1] or values[-1] < TOLERANCE * values[0]:
         guilty = next(k for k in range(d) if np.linalg.matrix_rank(flat[: k + 1] / size[: k + 1, None], 1e-10) <= k)
@@ -30,7 +32,13 @@ def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             f"the bracket of basis[{min(i, j)}] and basis[{max(i, j)}] leaves the span of the basis (by "
             f"{outside.max():.2g} of their sizes): add it, or correct one of the two"
         )
-    return round_entries(dual).reshape(E.shape), round_entries(c)
+    of_dual, of_c = 1 / unit[:, None], unit[:, None, None] * unit[:, None] / unit
+    return _rounded(dual, of_dual).reshape(E.shape), _rounded(c, of_c)
+
+
+def units(E: np.ndarray) -> np.ndarray:
+    """The sizes of the matrices, rounded down to powers of 2, (d,): E over them has the same digits in any units."""
+    return 2.0 ** np.floor(np.log2(np.linalg.norm(E, axis=(1, 2))))
 
 
 def ideals(c: np.ndarray) -> list[list[int]]:
@@ -76,11 +84,16 @@ def null(M: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
     return rows[int(np.sum(values > tolerance * max(1.0, values.max(initial=0)))) :]
 
 
-def round_entries(x: np.ndarray, tolerance: float | None = None) -> np.ndarray:
+def round_entries(x: np.ndarray, tolerance: float | np.ndarray | None = None) -> np.ndarray:
     """x with entries near a multiple of 1/12, by default within round-off, set to it, so that 0 and 1 are exact."""
     near = np.round(12 * x) / 12
     least = 1e-14 * max(1.0, np.abs(x).max()) if tolerance is None else tolerance
     return np.where(np.abs(x - near) < least, near, x)
+
+
+def _rounded(x: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """x in these units, its entries rounded as in `round_entries`, by the rounding errors that they have in them."""
+    return round_entries(x * unit, 1e-14 * max(1.0, np.abs(x).max()) * unit)
 
 
 def freeze(x: np.ndarray) -> np.ndarray:

@@ -43,6 +43,10 @@ class ClosedForm(NamedTuple):
         """x, the square of the eigenvalue λ of ξ̂."""
         return la.quadratic(self.form, xi)
 
+    def rescaled(self, units: np.ndarray) -> ClosedForm:
+        """The closed form by coordinates ξ, if this is that by ξ·units, (d,)."""
+        return self._replace(form=self.form * np.outer(units, units))
+
     def series(self, weights: Sequence[float]) -> list[list[float]]:
         """The coefficients in x of each c_m."""
         found: list[list[float]] = [[] for _ in range(self.powers)]

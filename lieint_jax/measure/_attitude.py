@@ -29,6 +29,7 @@ from lieint_jax.types import State, Step, vectors
 
 __all__ = ["MeasuredPeriods", "Pole", "periods", "pole", "rotation_rates", "tilt"]
 
+_UPRIGHT = 64  # eps: a smaller angle between Π and the axis is rounding
 _COARSE = 2.5  # largest angle, at the rate |Π|/J₁, between saved states that can be unwrapped safely
 
 
@@ -156,10 +157,11 @@ def periods(run: Run) -> MeasuredPeriods:
     x, y = (np.where(long, Pi[..., k + 1], Pi[..., k]) for k in (0, 1))
     psi = np.unwrap(np.arctan2(y, x), axis=0)
     coarse = np.sqrt(square) / moments[..., 0] * np.max(abs(np.diff(t)), initial=0) > _COARSE
+    upright = np.hypot(x[0], y[0]) <= _UPRIGHT * np.finfo(np.asarray(run.state.p).dtype).eps * np.sqrt(square)
 
     def period(angle: np.ndarray) -> np.ndarray:
         turned = abs(angle[-1] - angle[0])
-        missing = coarse | (turned == 0)
+        missing = coarse | upright | (turned == 0)
         return np.where(missing, np.nan, 2 * np.pi * abs(t[-1] - t[0]) / np.where(missing, 1, turned))[()]
 
     return MeasuredPeriods(period(phi), period(psi), long)

@@ -18,6 +18,8 @@ from lieint_jax.types import State, Step
 
 __all__ = ["PairDensity", "distances", "pair_density"]
 
+_EVEN = 1e-6  # largest difference of the widths of two bins, over their mean
+
 
 def distances(run: Run, point: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
     """The distances of all pairs i < j of bodies.
@@ -71,13 +73,20 @@ def pair_density(r: ArrayLike, edges: ArrayLike, peak_below: float = np.inf) -> 
         A `PairDensity`; its peak is at a bin's middle where the density has no maximum there.
 
     Raises:
-        ValueError: fewer than three bins.
+        ValueError: fewer than three bins, bins of different widths, or none whose middle is below `peak_below`.
 
     Source: Allen & Tildesley 2017, Computer Simulation of Liquids, 8.2.
     """
     r, edges = np.asarray(r), np.asarray(edges, float)
     if edges.ndim != 1 or len(edges) < 4 or not edges[0] > 0:
         raise ValueError(f"edges must be positive, (bins + 1,), of at least three bins, got {edges}")
+    widths = np.diff(edges)
+    if not np.ptp(widths) <= _EVEN * widths.mean():
+        raise ValueError(f"edges must be evenly spaced, got bins from {widths.min():.6g} to {widths.max():.6g} wide")
+    if not (edges[0] + edges[1]) / 2 < peak_below:
+        raise ValueError(
+            f"peak_below must be above the middle of the first bin, {edges[:2].mean():.6g}, got {peak_below}"
+        )
     counts, middles, width = np.histogram(r, edges)[0], (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
     density = counts / middles**2 / (4 * np.pi * width * np.prod(r.shape[:-1]))
     k = int(np.clip(np.argmax(density[middles < peak_below]), 1, len(density) - 2))

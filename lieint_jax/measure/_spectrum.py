@@ -47,7 +47,8 @@ def spectrum(t: ArrayLike, x: ArrayLike) -> Spectrum:
     """The amplitudes of a series at all frequencies that its duration resolves: Fourier's transform, Hann's window.
 
     A line a cos(2πft + φ), separated from others by two resolutions 1/duration, has a peak of height a, or down to
-    0.85 a where f is between two of the frequencies.
+    0.85 a where f is between two of the frequencies. It interferes with its own image, of frequency −f, within a
+    resolution of 0 and of the Nyquist frequency, the last one of an even number of times.
 
     Args:
         t: evenly spaced times, (times,).
@@ -59,13 +60,17 @@ def spectrum(t: ArrayLike, x: ArrayLike) -> Spectrum:
     if len(np.asarray(t)) < _FEWEST:
         raise ValueError(f"a spectrum needs at least {_FEWEST} times, got {len(np.asarray(t))}")
     spacing, windowed, weight = _windowed(t, x)
-    return Spectrum(np.fft.rfftfreq(len(windowed), spacing), 2 * abs(np.fft.rfft(windowed, axis=0)) / weight)
+    amplitude = 2 * abs(np.fft.rfft(windowed, axis=0)) / weight
+    if len(windowed) % 2 == 0:
+        amplitude[-1] /= 2  # at the Nyquist frequency a line and its image coincide
+    return Spectrum(np.fft.rfftfreq(len(windowed), spacing), amplitude)
 
 
 def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
     """The frequency and the amplitude of the strongest line of a series between two frequencies.
 
-    It is the highest value of the transform under Hann's window between them, refined between its two neighbors.
+    It is the highest value of the transform under Hann's window between them, refined between its two neighbors. Within
+    a resolution of the Nyquist frequency it interferes with its own image, by a factor of up to 2 of the amplitude.
 
     Args:
         t: evenly spaced times, (times,).
@@ -113,7 +118,7 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
         count: the number of terms; a real oscillation has two.
 
     Returns:
-        The rates in radians per unit of time; NaN for fewer than 4 × `count` times, and where z has a NaN.
+        The rates in radians per unit of time; NaN for fewer than 4 × `count` times, and where z has a NaN or is 0.
 
     Source: Prony 1795; Marple 1987, Digital Spectral Analysis, § 11.3.
 
@@ -123,7 +128,7 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
         [(2-0.1j), (-1+0j)]
     """
     z = np.asarray(z)
-    if len(z) < 4 * count or not np.isfinite(z).all():
+    if len(z) < 4 * count or not np.isfinite(z).all() or not z.any():
         return np.full(count, np.nan + 0j)
     columns = np.stack([z[count - k : len(z) - k] for k in range(1, count + 1)], axis=1)
     coefficients = np.linalg.lstsq(columns, z[count:], rcond=None)[0]

@@ -18,6 +18,7 @@ from lieint_jax.types import pytree
 from lieint_jax.types.vectors import cross, dot, norm
 
 _LINE = 1e-12  # |r × v| over |r||v| below which an orbit is a line
+_REST = 0.25  # |1 − e| above which e has all its digits
 
 
 @pytree
@@ -73,7 +74,8 @@ class KeplerFromState:
         half = jnp.where(closed, jnp.tan(E / 2), jnp.tanh(E / 2))
         anomaly = 2 * jnp.arctan(jnp.sqrt((1 + e) / rest) * half)
         time = self.start - M / self.mean_motion
-        return Kepler(self.mu, self.semi_major_axis, e, inclination, node, latitude - anomaly, time)
+        digits = None if concrete(rest) and float(rest) > _REST else rest
+        return Kepler(self.mu, self.semi_major_axis, e, inclination, node, latitude - anomaly, time, rest=digits)
 
     def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
         """Position (3,) and velocity (3,) at time t, a scalar of either sign."""

@@ -74,7 +74,7 @@ class Kepler:
 def _motion(orbit: Kepler, t: ArrayLike, closed: bool | None) -> tuple[Array, Array]:
     """The position and the velocity, on an ellipse, on a hyperbola, or on either."""
     a, e = jnp.abs(orbit.semi_major_axis), orbit.eccentricity
-    rest = jnp.abs(1 - e) if orbit.rest is None else orbit.rest
+    rest = _rest(e, orbit.rest)
     M = orbit.mean_motion * (t - orbit.periapsis_time)
     if closed is None:
         is_closed = e < 1
@@ -92,6 +92,15 @@ def _motion(orbit: Kepler, t: ArrayLike, closed: bool | None) -> tuple[Array, Ar
     speed = jnp.sqrt(orbit.mu / a)
     P, Q = orbit.axes()
     return a * (x * P + y * Q), speed * (vx * P + vy * Q)
+
+
+def _rest(e: Array, known: Array | None) -> Array:
+    """|1 − e| with the digits of `known` that e has not, unless e is another; its derivatives are those by e."""
+    rest = jnp.abs(1 - e)
+    if known is None:
+        return rest
+    lost = lax.stop_gradient(known - rest)
+    return rest + jnp.where(jnp.abs(lost) <= 2 * jnp.finfo(e.dtype).eps * jnp.maximum(1, e), lost, 0)
 
 
 def kepler(

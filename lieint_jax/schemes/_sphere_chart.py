@@ -36,19 +36,20 @@ class SphereChart(Step):
     symmetric: bool = static(default=True)
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt, z, m = jnp.asarray(dt), self.chart.coordinates(state), self.system.mass
+        dt, m = jnp.asarray(dt), self.system.mass
+        z = self.chart.coordinates(state._replace(p=state.p / m))  # so that nothing depends on the unit of mass
         near = jnp.sin(z[0]) <= _pole(z.dtype)
         z = jnp.where(near, jnp.stack([jnp.ones_like(dt), *z[1:]]), z)  # on the axis, harmless numbers and a flag
 
         def potential(angles: Array) -> Array:
             at_rest = jnp.zeros_like(angles)
-            return self.system.potential(self.chart.state(jnp.concatenate([angles, at_rest])).q)
+            return self.system.potential(self.chart.state(jnp.concatenate([angles, at_rest])).q) / m
 
         def rate(z: Array) -> Array:
-            """𝒥∇H."""
+            """𝒥∇H, with H, p_θ and p_φ over m."""
             slope, sine = autodiff_gradient(potential)(z[:2]), jnp.sin(z[0])
-            turn = z[3] / (m * sine * sine)
-            return jnp.stack([z[2] / m, turn, turn * z[3] * jnp.cos(z[0]) / sine - slope[0], -slope[1]])
+            turn = z[3] / (sine * sine)
+            return jnp.stack([z[2], turn, turn * z[3] * jnp.cos(z[0]) / sine - slope[0], -slope[1]])
 
         def residual(u: Array) -> Array:
             return u - dt * rate(z + u / 2)
@@ -71,7 +72,7 @@ class SphereChart(Step):
         inside &= (after[0] > 0) & (after[0] < np.pi) & ~near
         unfolded = la.determinant(la.unrolled(lax.stop_gradient(jax.jacfwd(residual)(u)))) > 0
         end = self.chart.state(after)
-        return state._replace(q=end.q, p=end.p), StepInfo.of_root(
+        return state._replace(q=end.q, p=m * end.p), StepInfo.of_root(
             error, steady & inside & unfolded, 1 + _largest(u / unit)
         )
 

@@ -64,12 +64,12 @@ class SphereMidpoint(Step):
         u, f, steady = newton.root(equation, correction, guess, self.iterations)
         # with a positive K the equation is monotone, so it has one root; without normalization that is a proof
         K = matrix(lax.stop_gradient(jax.jacfwd(equation)(u))).plus_transpose()
-        unique = K.positive_definite & (jnp.abs(h) * norm(p) < _TURN)
+        unique = K.positive_definite & (norm(h * p) < _TURN)
         info = StepInfo.of_root(max_abs(f), (dot(u, u) < 4) & steady & unique)
         return state._replace(q=q + u, p=p + torque(u)[1]), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        turn = float(np.abs(dt / self.system.mass) * np.linalg.norm(state.p))
+        turn = float(np.linalg.norm(dt / self.system.mass * state.p))
         more = f", or more iterations than {self.iterations}" if turn < 1 else ""
         return (
             f"{self.name} does not converge at dt = {dt}, where |Δt q̇| = {turn:.3g}: it may be 2.5, and the "

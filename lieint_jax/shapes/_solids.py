@@ -426,11 +426,13 @@ def _sums(a: Array, b: Array) -> Array:
 
 
 def closed_surface(vertices: ArrayLike, faces: Any) -> tuple[Array, np.ndarray]:
-    """The vertices (V, 3) and faces (F, 3) of a closed surface of triangles, checked as in `mesh`."""
+    """The vertices (V, 3) of the faces (F, 3) of a closed surface of triangles, checked as in `mesh`, and the faces."""
     at = _checks.real_array("vertices", vertices)
     if at.ndim != 2 or at.shape[1] != 3:
         raise ValueError(f"vertices must have shape (V, 3), got {at.shape}")
-    return at, _triangles(faces, len(at))
+    triangles = _triangles(faces, len(at))
+    used, indices = np.unique(triangles, return_inverse=True)
+    return (at, triangles) if len(used) == len(at) else (at[used], indices.reshape(-1, 3))
 
 
 def _triangles(faces: Any, count: int) -> np.ndarray:

@@ -143,8 +143,10 @@ def kirchhoff_spin(body: Euler) -> float:
         1.9785
     """
     m = np.asarray(body.metric)
-    I1, I2, _, m1, m2, m3 = np.diag(m)
-    if max(abs(I1 - I2), abs(m1 - m2), abs(m - np.diag(np.diag(m))).max()) > 1e-12 * m.max():
+    I1, _, I3, m1, _, m3 = np.diag(m)
+    units = np.sqrt(np.repeat([m[:3, :3].max(), m[3:, 3:].max()], 3))
+    off = np.abs(m - np.diag([I1, I1, I3, m1, m1, m3])) / (units[:, None] * units)
+    if off.max() > 1e-12:
         return float("nan")
     return float(2 * np.sqrt(max(I1 * (1 / m3 - 1 / m1), 0.0)))
 

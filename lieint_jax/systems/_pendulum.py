@@ -60,7 +60,7 @@ class Pendulum(AbstractSphereSystem):
         q = _unit("direction", direction)
         vector = _checks.real_array(name, given, (3,))
         along = vectors.dot(q, vector)
-        if concrete(along) and abs(float(along)) > _checks.UNIT_TOLERANCE * float(np.linalg.norm(vector)):
+        if concrete(along) and abs(float(along)) > _checks.UNIT_TOLERANCE * np.linalg.norm(np.asarray(vector, float)):
             raise ValueError(f"{name} must be orthogonal to q: its component on q is {float(along):.3g}; subtract it")
         vector = vector - along * q
         p = vector if name == "momentum" else self.mass * jnp.cross(q, vector)

@@ -134,6 +134,40 @@ def test_exp_log_and_the_derivative_maps(name):
     close(out["cay"], np.linalg.solve(np.eye(g.size) - X, np.eye(g.size) + X), 1e-15)
 
 
+@pytest.mark.parametrize("name", ["SL(2)", "SE(3)", "SO(4)"])
+@pytest.mark.parametrize("unit", [1e-12, 1e9])
+def test_the_units_of_a_basis_do_not_matter(name, unit):
+    """Brackets and inverses, of which only numpy's rounding is left: 2e-16 of the same in equal units."""
+    of_one, rng = light(CATALOGUE[name]), np.random.default_rng(6)
+    units = np.where(np.arange(of_one.dim) % 2, 1, unit)
+    g = groups.matrix(of_one.basis * units[:, None, None], unrolled=False)
+    c = of_one.structure * units[:, None, None] * units[:, None] / units
+    np.testing.assert_allclose(g.structure, c, rtol=1e-14, atol=0)
+    x = 0.5 * rng.normal(size=g.dim)
+    q = expm(hat(of_one, x))
+    close(g.inverse(q) @ q, np.eye(g.size), 1e-14)
+    close(g.exp_near(x / units), q, 1e-14)
+    if name != "SO(4)":
+        close(maps.arcsine(g, x / 3 / units), maps.arcsine(of_one, x / 3), 1e-14)
+    assert g.corank == of_one.corank
+    assert g.has_bounded_adjoint == of_one.has_bounded_adjoint
+
+
+@pytest.mark.parametrize("name", ["SE(3)", pytest.param("SO(4)", marks=pytest.mark.long)])
+def test_log_of_rotations_by_up_to_three_radians(name):
+    """In any unit of length, in which a rotation by more is NaN too. Observed 2e-15 for angles, 2e-14 for lengths."""
+    g, rng = light(CATALOGUE[name]), np.random.default_rng(5)
+    log = jax.jit(jax.vmap(g.log), compiler_options=QUICK)
+    angles, xi = np.repeat([0.5, 1.9, 2.4, 3.0], 4), rng.normal(size=(16, g.dim))
+    xi *= (angles / np.abs(np.linalg.eigvals(np.array([hat(g, x) for x in xi])).imag).max(axis=1))[:, None]
+    units = np.where(np.arange(g.dim) < 3, 1, 1e6) if name == "SE(3)" else np.ones(g.dim)
+    q = np.array([expm(hat(g, x * units)) for x in xi])
+    np.testing.assert_allclose(log(q) / units, xi, rtol=0, atol=1e-13)
+    if name == "SE(3)":
+        farther = [3.13 / 3 * x * units for x in xi[12:] for units in (np.ones(6), [1, 1, 1, 1e9, 1e9, 1e9])]
+        assert np.isnan(log(np.array([expm(hat(g, x)) for x in farther]))).all()
+
+
 @jax.jit
 def exp_and_tangents(xi):
     g = groups.special_euclidean(3)

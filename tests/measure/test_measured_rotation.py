@@ -40,6 +40,16 @@ def tumblers():
     return go(jax.vmap(li.schemes.so3_midpoint)(bodies), states, 0.05, 6000, own_step=True)
 
 
+def test_a_body_that_spins_about_an_axis_has_no_periods_of_tumbling():
+    """The rounding of its attitude would be a wobble, of any period; one of 1e-9 rad is measured."""
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    rates = jnp.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [1e-9, 0.0, 1.0]])
+    run = go(li.schemes.exact(body), jax.vmap(lambda w: body.state(TILTED, angular_velocity=w))(rates), 0.2, 1000)
+    found = measure.periods(run)
+    assert np.isnan([found.precession[:2], found.rotation[:2]]).all()
+    np.testing.assert_allclose(found.rotation[2], 2 * np.pi, rtol=5e-3)  # Ω₃√((J₃−J₁)(J₃−J₂)/J₁J₂) = 1
+
+
 def test_periods_of_members_with_their_own_bodies_and_modes(tumblers):
     found = measure.periods(tumblers)
     expected = jax.jit(jax.vmap(lambda body, z: body.periods(z)))(

@@ -83,6 +83,8 @@ def test_a_line_is_found_with_its_frequency_and_amplitude():
     top = whole.amplitude.max(axis=0)
     assert (top <= a * 1.001).all()
     assert (top >= 0.84 * a).all()
+    fastest = measure.spectrum(T[:-1], np.where(np.arange(400) % 2, -0.7, 0.7)).amplitude  # of 1/2Δt
+    np.testing.assert_allclose(fastest[-1], 0.7, rtol=1e-14)
 
 
 def test_a_line_that_cannot_be_measured_is_nan():
@@ -172,6 +174,7 @@ def test_complex_rates_are_those_of_the_terms():
     np.testing.assert_allclose(
         measure.complex_rates(t, z), [1.5 - 0.2j, -0.7 + 0.05j], rtol=0, atol=1e-11
     )  # observed: 2e-13
+    assert np.isnan(measure.complex_rates(t, 0 * z)).all()
     cosine = measure.complex_rates(t, np.cos(1.3 * t))
     np.testing.assert_allclose(cosine, [1.3, -1.3], rtol=0, atol=1e-13)  # observed: 2e-15
     slow = measure.complex_rates(2.0**30 * t, z.conj())

@@ -138,6 +138,10 @@ def test_the_distances_of_random_points_in_a_ball_have_their_density():
     assert measure.pair_density(np.concatenate([shell, shell + 0.1], axis=-1), edges, peak_below=0.35).peak == peak.peak
     with pytest.raises(ValueError, match="at least three bins"):
         measure.pair_density(shell, [0.1, 0.2])
+    with pytest.raises(ValueError, match=r"evenly spaced, got bins from 0\.1 to 0\.3 wide"):
+        measure.pair_density(shell, [0.1, 0.2, 0.3, 0.6])
+    with pytest.raises(ValueError, match="peak_below must be above the middle of the first bin"):
+        measure.pair_density(shell, edges, peak_below=0.0)
     with pytest.raises(ValueError, match="measurements need a run"):
         measure.distances(r)
 

@@ -210,3 +210,6 @@ def test_the_spin_needed_is_where_the_linearized_equations_turn_unstable():
         assert (np.abs(slopes.real).max() < 1e-6) == stable
     assert li.systems.kirchhoff_spin(li.systems.kirchhoff((2.0, 2.0, 1.0))) == 0  # broadside on, a disc needs no spin
     assert np.isnan(li.systems.kirchhoff_spin(li.systems.kirchhoff((3.0, 2.0, 1.0))))  # no body of revolution
+    for unit in (1e-13, 1.0, 1e9):  # the center of mass is above the center
+        above = li.systems.kirchhoff((unit, unit, 3 * unit), (0, 0, 1e-7 * unit))
+        assert np.isnan(li.systems.kirchhoff_spin(above))

@@ -219,6 +219,27 @@ def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     assert constraint < 2e-12
 
 
+@pytest.mark.parametrize("make", [li.schemes.sphere_midpoint, li.schemes.sphere_chart])
+def test_single_precision_in_any_unit_of_mass(make):
+    """The squares of these momenta leave the range of float32: flags and motion are those of m = 1."""
+
+    @jax.jit
+    def end(mass, dt):
+        bob = li.systems.pendulum(mass, jnp.float32(2.0))
+        state = State(jnp.float32([0.6, 0.0, -0.8]), mass * jnp.float32([0.72, -0.94, 0.54]))
+        (q, p, *_), info = make(bob)(state, dt)
+        return q, p / mass, info.converged
+
+    for dt, converges in ((0.1, True), (2.5, False)):
+        q, p, converged = end(jnp.float32(1), dt)
+        assert converged == converges
+        for mass in (1e-20, 1e20):
+            there = end(jnp.float32(mass), dt)
+            assert there[2] == converges
+            if converges:  # seen: 3e-8
+                np.testing.assert_allclose(np.hstack(there[:2]), np.hstack([q, p]), rtol=0, atol=3e-7)
+
+
 def test_a_step_back_undoes_a_step():
     for normalized in (False, True):
         step = li.schemes.sphere_midpoint(BOBS["cubic"], normalized)

@@ -111,6 +111,9 @@ def test_a_mesh_of_a_box_is_the_box():
     exact = shapes.box([3, 2, 1], density=2.0).moved([101.5, 1.0, -49.5])
     assert_same(found, exact, 1e-13)  # observed 2e-14, the rounding of the vertices
     assert_same(shapes.mesh(CUBE * [3, 2, 1] + [100, 0, -50], np.array(FACES)[:, ::-1], mass=12.0), exact, 1e-13)
+    at, F = np.vstack([[[0, 0, 1e9]], CUBE * [3, 2, 1] + [100, 0, -50]]), np.add(FACES, 1)
+    assert_same(shapes.mesh(at, F, density=2.0), exact, 1e-13)  # a vertex of no face is not of the body
+    assert np.isclose(shapes.facets(at, F).areas.sum(), 22, rtol=1e-14, atol=0)
 
 
 INWARD = [face[::-1] for face in FACES]
