@@ -374,7 +374,7 @@ def _by_scipy(
 
     def look(x: np.ndarray) -> Look:
         at = evaluated(x).carry
-        return Look(np.asarray(at.memory.r), np.asarray(at.memory.J), bool(np.isfinite(at.loss)))
+        return Look(np.asarray(at.memory.r, float), np.asarray(at.memory.J, float), bool(np.isfinite(at.loss)))
 
     found = by_scipy(look, np.asarray(search.carry.x), problem.box, problem.tolerance, iterations)
     end = evaluated(found.x)

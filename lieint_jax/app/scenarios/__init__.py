@@ -275,9 +275,9 @@ def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
     key = ", ".join(map(_path_of, [problem, *missing]))
     without_value = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
     given = "" if without_value else f" (got {_quoted(problem['input'])})"
-    message = {"extra_forbidden": "unknown key", "missing": "keys missing" if missing else "key missing"}.get(
-        problem["type"], _checks.printable(problem["msg"], _MESSAGE)
-    )
+    known = {"extra_forbidden": "unknown key", "missing": "keys missing" if missing else "key missing"}
+    known |= dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), f"must be a table, as below [{key}]")
+    message = known.get(problem["type"], _checks.printable(problem["msg"], _MESSAGE))
     if problem["type"] == "extra_forbidden":
         allowed = _allowed_keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])
         near = " or ".join(_nearest(str(problem["loc"][-1]), allowed))
