@@ -99,8 +99,8 @@ def _start(
 def _stop_code(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
     """RUNNING, or the code of why the search stops.
 
-    The gradient has vanished when its `_slopes` are small compared with the largest ones so far. If a search has `ended` otherwise,
-    it is a success if a step as long as the coordinates, or to a side, would hardly change the loss.
+    The gradient has vanished when its `_slopes` are small compared with the largest ones so far. If a search has
+    `ended` otherwise, it is a success if a step as long as the coordinates, or to a side, would hardly change the loss.
     """
     small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
     slope = _slope(box, x, memory.gradient)
