@@ -208,6 +208,14 @@ def test_a_failed_trial_never_poisons_the_fit(optimizer):
             assert found.failures > 0
 
 
+@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton", "scipy"])
+def test_a_search_that_ends_where_trials_fail_is_no_success(optimizer):
+    """The minimum at 3 lies in the region of failure: steps toward it become as short as the tolerance."""
+    found = li.fit(lambda x: (jnp.array([x - 3, x * x - 9]), x < 2.9), 0.5, optimizer, iterations=60)
+    assert not found.success
+    assert np.isnan(found.covariance).all()
+
+
 @pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "scipy"])
 def test_a_first_guess_that_fails_is_reported(optimizer):
     found = li.fit(lambda x: jnp.sqrt(x), jnp.array([-1.0]), optimizer)
