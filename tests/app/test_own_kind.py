@@ -18,7 +18,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     [(_, top), (_, spun)] = blocks(PAGE, "python")
     Path("top.py").write_text(top, encoding="utf-8")
-    Path("spun.py").write_text(f"{top.partition('class')[0]}\n{spun}", encoding="utf-8")  # with the first one's imports
+    Path("spun.py").write_text(spun, encoding="utf-8")
     for name, (_, table) in zip(("top", "spun"), blocks(PAGE, "toml"), strict=True):
         small = table.replace("members = 20", "members = 3").replace("members = 10", "members = 3")
         Path(f"{name}.toml").write_text(small, encoding="utf-8")
