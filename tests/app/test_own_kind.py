@@ -128,6 +128,7 @@ def test_a_quantity_of_another_shape_is_refused(folder):
 
 def test_numpy_in_a_kind_whose_numbers_have_a_spread_is_explained(folder):
     write("jnp.deg2rad(self.tilt_deg)", "np.deg2rad(self.tilt_deg)", "spun.py")
+    write("import jax.numpy as jnp", "import jax.numpy as jnp\nimport numpy as np", "spun.py")
     with pytest.raises(ValueError, match=r"traced in SpunTop: use jax\.numpy .* or set traced = False"):
         scenarios.load("spun.toml").build()
     write("    mass_kg: PositiveFloat", "    traced = False\n    mass_kg: PositiveFloat", "spun.py")
