@@ -66,7 +66,7 @@ def _user_folder() -> Path:
 def _processor() -> str:
     """A name for this kind of processor: home directories are shared by machines with other instruction sets."""
     try:
-        features = re.search(r"(?m)^(?:flags|Features)\s*:(.*)$", Path("/proc/cpuinfo").read_text())
+        features = re.search(r"(?m)^(?:flags|Features)\s*:(.*)$", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
     except OSError:
         features = None
     model = features.group(1) if features else platform.processor()

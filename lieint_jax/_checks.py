@@ -305,7 +305,7 @@ def limits_of_groups(controller: str, unified: str, *files: str) -> Iterator[lis
         files: the files in version 1, one for each number.
     """
     try:
-        groups = [line.split(":", 2) for line in _OWN_GROUPS.read_text().splitlines()]
+        groups = [line.split(":", 2) for line in _OWN_GROUPS.read_text(encoding="utf-8").splitlines()]
     except OSError:  # another system
         return
     for _, controllers, place in groups:
@@ -315,7 +315,7 @@ def limits_of_groups(controller: str, unified: str, *files: str) -> Iterator[lis
         own = top / place.lstrip("/")
         for folder in (own, *(x for x in own.parents if x.is_relative_to(top))):
             try:
-                yield [float(x) for name in names for x in (folder / name).read_text().split()]
+                yield [float(x) for name in names for x in (folder / name).read_text(encoding="utf-8").split()]
             except (OSError, ValueError):  # no such file, as where a container sees the path outside of it; or "max"
                 continue
 

@@ -47,7 +47,7 @@ def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: 
         stage, gammas = native.hoisted(lambda z, h: ready.step(z, h), state, dt), ready.gammas
     apart = native.hoisted(lambda a, b: distance(a, b, space), state, state)
     run, arrays = _Undoable(whole[0], stage[0], apart[0], gammas, tolerance), (whole[1], stage[1], apart[1])
-    given = with_common_axes((arrays, state, dt, lax.stop_gradient(clock)))
+    given = with_common_axes((arrays, state, dt, clock))
     later, info = _run(run, *given, counts)
     if later.t is not None and state.t is not None and not step.own_time:
         # times that members of a batch share have a derivative of their own: JAX 0.12 refuses it from a custom_vjp

@@ -42,7 +42,9 @@ def show(*lines: object, error: bool = False, always: bool = False) -> None:
     """Print lines on stdout or stderr, control characters escaped. If quiet, only errors and what is `always` shown."""
     if error or always or _log.verbosity != "quiet":
         text = _checks.printable("\n".join(map(str, lines)), sys.maxsize, keep="\n")
-        print(text, file=sys.stderr if error else sys.stdout, flush=True)
+        stream = sys.stderr if error else sys.stdout
+        if stream is not None:  # else it is closed, and print would write an error to stdout
+            print(text, file=stream, flush=True)
 
 
 def show_written(*paths: object, about: str = "") -> None:

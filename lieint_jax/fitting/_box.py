@@ -57,6 +57,12 @@ class Box(NamedTuple):
         room = jnp.where(gradient > 0, y - low, high - y)
         return gradient * jnp.minimum(1, room / jnp.maximum(jnp.abs(y), 1))
 
+    def changes(self, y: Array, gradient: Array, size: Array) -> Array:
+        """By how much the loss would change along each coordinate on a way of length `size`, or to the side."""
+        low, high = self._sides(y)
+        room = jnp.where(gradient > 0, y - low, high - y)
+        return jnp.abs(gradient) * jnp.minimum(jnp.where(size > 0, size, 1), room)
+
     def at_side(self, y: Array, start: Array) -> Array:
         """True for coordinates whose distance from a side is negligible compared with that of the first guess."""
         low, high = self._sides(y)

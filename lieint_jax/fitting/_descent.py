@@ -31,7 +31,8 @@ class _Memory(NamedTuple):
 
     Attributes:
         gradient: with respect to x, at the current point.
-        largest: the largest `_slope` so far.
+        largest: the largest `_slopes` so far, (2,).
+        size: the largest absolute values of the coordinates so far, (p,).
         state: optax's own state.
         unit: for `descent` the fraction of a step that is used; for `lbfgs` the unit of the loss.
         quiet: the number of consecutive iterations without a significant decrease of the loss.
@@ -39,6 +40,7 @@ class _Memory(NamedTuple):
 
     gradient: Array
     largest: Array
+    size: Array
     state: PyTree
     unit: Array
     quiet: Array
@@ -64,6 +66,23 @@ def _largest(slope: Array) -> Array:
     return jnp.max(jnp.abs(slope))
 
 
+def _slopes(box: Box, x: Array, gradient: Array, size: Array) -> Array:
+    """Two measures of the gradient that vanish at a minimum in the box, (2,): the second in the unit of the loss.
+
+    The first alone would be that of the coordinate with the smallest unit.
+    """
+    by_coordinates = gradient / box.slope(x)
+    changes = box.changes(box.inside(x), by_coordinates, size)
+    return jnp.stack([_largest(_slope(box, x, gradient)), _largest(changes)])
+
+
+def _with_largest(memory: _Memory, box: Box, x: Array) -> _Memory:
+    """The memory at x, with the largest coordinates and slopes so far."""
+    size = jnp.maximum(memory.size, jnp.abs(box.inside(x)))
+    largest = jnp.maximum(memory.largest, _slopes(box, x, memory.gradient, size))
+    return memory._replace(size=size, largest=largest)
+
+
 def _start(
     look: Callable[[Array], tuple[Array, Array, Array]], box: Box, optimizer: GradientTransformation
 ) -> Callable[[Array], PyTree]:
@@ -71,8 +90,8 @@ def _start(
 
     def first(x: Array) -> tuple[Array, _Memory, Array]:
         value, gradient, ok = look(x)
-        largest, one, none = _largest(_slope(box, x, gradient)), jnp.ones((), x.dtype), jnp.zeros((), jnp.int32)
-        return value, _Memory(gradient, largest, optimizer.init(x), one, none), ok
+        size, one, none = jnp.abs(box.inside(x)), jnp.ones((), x.dtype), jnp.zeros((), jnp.int32)
+        return value, _Memory(gradient, _slopes(box, x, gradient, size), size, optimizer.init(x), one, none), ok
 
     return first
 
@@ -80,14 +99,15 @@ def _start(
 def _stop_code(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
     """RUNNING, or the code of why the search stops.
 
-    The gradient has vanished when it is small compared with the largest one so far. If a search has `ended` otherwise,
-    it is a success if a step as long as the coordinates, or to a side, would hardly change the loss.
+    The gradient has vanished when its `_slopes` are small compared with the largest ones so far. If a search has
+    `ended` otherwise, it is a success if a step as long as the coordinates, or to a side, would hardly change the loss.
     """
     small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
     slope = _slope(box, x, memory.gradient)
     level = _largest(slope * jnp.maximum(jnp.abs(box.inside(x)), 1)) <= _LEVEL * jnp.abs(loss)
     code = jnp.where(ended, jnp.where(level, STILL, STUCK), RUNNING)
-    return jnp.where(_largest(slope) <= small * memory.largest, FLAT, code).astype(jnp.int32)
+    flat = jnp.all(_slopes(box, x, memory.gradient, memory.size) <= small * memory.largest)
+    return jnp.where(flat, FLAT, code).astype(jnp.int32)
 
 
 def descent(scalar: Scalar, box: Box, optimizer: GradientTransformation, tolerance: float) -> Method:
@@ -97,14 +117,14 @@ def descent(scalar: Scalar, box: Box, optimizer: GradientTransformation, toleran
     look = _evaluation(scalar, box)
 
     def iterate(carry: Carry) -> Carry:
-        gradient, largest, state, share, quiet = carry.memory
+        gradient, _, _, state, share, quiet = carry.memory
         update, after = optimizer.update(gradient, state, carry.x)
         x: PyTree = optax.apply_updates(carry.x, share * update)
         value, slope, ok = look(x)
         quiet = jnp.where(jnp.abs(carry.loss - value) <= tolerance * jnp.abs(carry.loss), quiet + 1, 0)
         bad = jnp.where(ok, 0, carry.bad + 1)
-        largest = jnp.maximum(largest, _largest(_slope(box, x, slope)))
-        memory = where(ok, _Memory(slope, largest, after, share, quiet), carry.memory)
+        ahead = carry.memory._replace(gradient=slope, state=after, quiet=quiet)
+        memory = where(ok, _with_largest(ahead, box, x), carry.memory)
         memory = memory._replace(unit=jnp.where(ok, jnp.minimum(1, 1.1 * share), share / 4))
         x, value = where(ok, (x, value), (carry.x, carry.loss))
         ended = (memory.quiet >= _QUIET["other"]) | (bad > SHORTENINGS)
@@ -149,7 +169,7 @@ def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
         return value, memory._replace(unit=jnp.where(steepest > 0, steepest, 1)), ok
 
     def iterate(carry: Carry) -> Carry:
-        gradient, largest, state, unit, quiet = carry.memory
+        gradient, _, _, state, unit, quiet = carry.memory
         now = carry.loss / unit
         wall = now + 1e3 * (1 + jnp.abs(now))
         scaled, loss_or_wall = gradient / unit, _loss_with_wall(look, unit, wall)
@@ -160,9 +180,9 @@ def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
         better = ok & (value <= carry.loss)
         quiet = jnp.where(better & (carry.loss - value <= tolerance * jnp.abs(carry.loss)), quiet + 1, 0)
         bad = jnp.where(better, 0, carry.bad + 1)
-        largest = jnp.maximum(largest, _largest(_slope(box, x, slope)))
+        ahead = carry.memory._replace(gradient=slope, state=after, quiet=quiet)
         again = carry.memory._replace(state=optimizer.init(carry.x))  # restart, after a failed line search
-        memory = where(better, _Memory(slope, largest, after, unit, quiet), again)
+        memory = where(better, _with_largest(ahead, box, x), again)
         x, value = where(better, (x, value), (carry.x, carry.loss))
         ended = (quiet >= _QUIET["lbfgs"]) | (bad >= _SEARCHES)
         return Carry(x, value, memory, _stop_code(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)

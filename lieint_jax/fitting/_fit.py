@@ -26,13 +26,14 @@ from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
 from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
 from lieint_jax.fitting._outcome import End, Fit, Params, number_names, outcome, parameter_names
-from lieint_jax.fitting._scipy import Look
+from lieint_jax.fitting._scipy import Look, is_stuck
 from lieint_jax.fitting._scipy import least_squares as by_scipy
 from lieint_jax.fitting._search import (
     GOOD,
     NOWHERE,
     REASONS,
     RUNNING,
+    STUCK,
     TARGET,
     Carry,
     Method,
@@ -374,12 +375,16 @@ def _by_scipy(
 
     def look(x: np.ndarray) -> Look:
         at = evaluated(x).carry
-        return Look(np.asarray(at.memory.r), np.asarray(at.memory.J), bool(np.isfinite(at.loss)))
+        return Look(np.asarray(at.memory.r, float), np.asarray(at.memory.J, float), bool(np.isfinite(at.loss)))
 
     found = by_scipy(look, np.asarray(search.carry.x), problem.box, problem.tolerance, iterations)
     end = evaluated(found.x)
-    code = TARGET if problem.target is not None and float(end.least) <= problem.target else found.code
-    carry = end.carry._replace(code=np.int32(code), failures=np.int32(found.failures))
+    memory, code = end.carry.memory, found.code
+    here = Look(np.asarray(memory.r, float), np.asarray(memory.J, float), True)
+    if code != RUNNING and is_stuck(found, here, float(memory.newton), problem.box):
+        code = STUCK
+    code = TARGET if problem.target is not None and float(end.least) <= problem.target else code
+    carry = end.carry._replace(code=np.int32(code), failures=np.int32(len(found.failed)))
     return end._replace(carry=carry, made=np.int32(len(found.history) - 1)), found.history  # pyright: ignore
 
 

@@ -79,7 +79,7 @@ def least_squares(
         loss = jnp.vdot(trial, trial) / 2
         fall = carry.loss - loss
         better = ok & ((fall >= 1e-4 * step.fall) | ~begun)
-        grown = jnp.maximum(D, jnp.linalg.norm(J_trial, axis=0))
+        grown = jnp.maximum(D, _column_norms(J_trial))
         fraction = jnp.where(better, jnp.minimum(1, 2 * radius), radius / 2)  # of the next step of Gauss–Newton
         adapted = fraction if undamped else _radius(radius, better, fall, step)
         opening = 1 if undamped else _FIRST * jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1))
@@ -105,6 +105,14 @@ def _scale(D: Array) -> Array:
     return jnp.where(D > 0, D, 1)
 
 
+def _column_norms(J: Array) -> Array:
+    """The norms of the columns of J, even where their squares leave the range of floating-point numbers."""
+    largest = jnp.finfo(J.dtype).maxexp - 2
+    exponent = jnp.clip(jnp.frexp(jnp.max(jnp.abs(J), axis=0))[1], -largest, largest)
+    unit = jnp.ldexp(jnp.ones((), J.dtype), exponent)  # powers of 2, which round nothing
+    return unit * jnp.linalg.norm(J / unit, axis=0)
+
+
 def _radius(radius: Array, better: Array, fall: Array, step: Step) -> Array:
     """The trust radius after a step, from the ratio of the actual to the predicted decrease of the loss."""
     length = jnp.linalg.norm(step.z)
@@ -117,7 +125,7 @@ def _stop_code(box: Box, x: Array, loss: Array, memory: _Memory, newton: Step, s
     """FLAT or STILL if x is a minimum in the box, otherwise RUNNING; `still`: the last step hardly changed the loss."""
     r, J = memory.r, memory.J
     room = jnp.where(J.T @ r > 0, x - jnp.asarray(box.low, x.dtype), jnp.asarray(box.high, x.dtype) - x)
-    norm, size = jnp.linalg.norm(r), jnp.linalg.norm(J, axis=0)
+    norm, size = jnp.linalg.norm(r), _column_norms(J)
     cosines = jnp.abs(J.T @ r) / jnp.where(size * norm > 0, size * norm, 1)
     cosine = jnp.max(cosines * jnp.minimum(1, room * size / jnp.where(norm > 0, norm, 1)))
     rounding = (_ROUNDING * jnp.finfo(x.dtype).eps) ** 2 * memory.begin
@@ -154,17 +162,22 @@ def spread(J: Array, B: Array, held: Array) -> tuple[Array, Array]:
     """The covariance B (JᵀJ)⁻¹ Bᵀ, and the rank of J; J is the Jacobian by coordinates, B that of the parameters.
 
     Coordinates that are `held` at a side of the box are treated as known. Parameters that depend on them have the
-    variance nan; those that the residuals do not determine have an infinite variance, and covariances nan.
+    variance nan; those that the residuals do not determine have an infinite variance, and covariances nan. A variance
+    outside the range of floating-point numbers, such as 1e-50 in float32, is nan.
     """
     J = jnp.where(held, 0, J)
-    size = jnp.linalg.norm(J, axis=0)
-    size = jnp.where(size > 0, size, 1)
+    size = _scale(_column_norms(J))
     _, s, Vt = svd(J / size)
     known = above_rounding(s, J)
     W = jnp.where(held, 0, B) @ (Vt / size).T  # a column for each singular value
     half = W * jnp.where(known, 1 / jnp.where(known, s, 1), 0)
-    lost = jnp.sum(jnp.where(known, 0, W * W), axis=1) > jnp.finfo(s.dtype).eps * jnp.sum(W * W, axis=1)
+    squares = jnp.square(W / _scale(jnp.max(jnp.abs(W), axis=1, keepdims=True)))
+    lost = jnp.sum(jnp.where(known, 0, squares), axis=1) > jnp.finfo(s.dtype).eps * jnp.sum(squares, axis=1)
     unknown = jnp.where(jnp.eye(lost.size, dtype=bool), jnp.inf, jnp.nan)
-    covariance = jnp.where(lost[:, None] | lost, unknown, half @ half.T)
+    covariance = half @ half.T
+    variance = jnp.diagonal(covariance)
+    out_of_range = ~lost & (jnp.isinf(variance) | (variance == 0) & jnp.any(half != 0, axis=1))
+    covariance = jnp.where(jnp.diag(out_of_range), jnp.nan, covariance)
+    covariance = jnp.where(lost[:, None] | lost, unknown, covariance)
     at_side = jnp.any(held & (B != 0), axis=1)
     return jnp.where(at_side[:, None] | at_side, jnp.nan, covariance), jnp.sum(known)

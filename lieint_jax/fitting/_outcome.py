@@ -93,7 +93,8 @@ class Fit(NamedTuple, Generic[Params]):
         history: the loss after each iteration, shape (iterations + 1,), the first guess first.
         covariance: the covariance of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the
             Gauss–Newton matrix, for residuals in units of their standard deviation. A parameter at its bound has NaN,
-            and is treated as known in that of the others. NaN without success; None if the fit is not by least squares.
+            and is treated as known in that of the others. NaN without success, or of a variance
+            that its precision cannot hold, as 1e-50 in float32; None if the fit is not by least squares.
         starts: with many starts, the result of each as a `MultiStartResult`, which prints as a table; otherwise None.
         message: the problem and remedies; empty after a success with no parameter at its bound and, for standardized
             residuals, with steps of negligible error.

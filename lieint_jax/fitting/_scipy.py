@@ -11,6 +11,7 @@ import numpy as np
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._search import FLAT, RUNNING, SETTLED, STILL
 
+_CLOSE = 1e-3  # cosine of residuals and derivatives, and relative step of Gauss–Newton, of a point near a minimum
 _CODES = {0: RUNNING, 1: FLAT, 2: STILL, 3: SETTLED, 4: STILL}  # by scipy's status
 
 
@@ -23,12 +24,31 @@ class Look(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The end of a search: the point, why it stopped, the least losses up to each trial, the first guess first."""
+    """The end of a search: the point, why it stopped, the least losses up to each trial, and the trials that failed."""
 
     x: np.ndarray
     code: int
     history: np.ndarray
-    failures: int
+    failed: list[np.ndarray]
+
+
+def is_stuck(found: Found, look: Look, newton: float, box: Box) -> bool:
+    """Whether the last steps of a search were short because trials next to its end fail, far from a minimum in the box.
+
+    Args:
+        found: the search.
+        look: residuals and Jacobian at its end.
+        newton: the length of the step of Gauss–Newton in the box, in units of the norms of the columns of J.
+        box: the bounds.
+    """
+    slope, size, length = look.J.T @ look.r, np.linalg.norm(look.J, axis=0), np.linalg.norm(look.r)
+    near = _CLOSE * np.linalg.norm(size * found.x)
+    if not any(np.linalg.norm(size * (x - found.x)) <= near for x in found.failed):
+        return False
+    room = np.where(slope > 0, found.x - box.low, box.high - found.x)
+    cosines = np.abs(slope) / np.where(size * length > 0, size * length, 1)
+    cosine = np.max(cosines * np.minimum(1, room * size / (length or 1)))
+    return bool(cosine > _CLOSE and newton > near)
 
 
 def least_squares(look: Callable[[np.ndarray], Look], x: np.ndarray, box: Box, tolerance: float, trials: int) -> Found:
@@ -45,17 +65,16 @@ def least_squares(look: Callable[[np.ndarray], Look], x: np.ndarray, box: Box, t
         from scipy.optimize import least_squares as by_scipy
     except ImportError as error:
         raise ImportError('optimizer="scipy" needs scipy: python -m pip install scipy') from error
-    losses, failures = [], 0
+    losses, failed = [], []
 
     @functools.lru_cache(2)  # scipy asks for the Jacobian where it has asked for the residuals
     def seen_at(numbers: bytes) -> Look:
         return look(np.frombuffer(numbers))
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        nonlocal failures
         seen = seen_at(x.tobytes())
         losses.append(float(seen.r @ seen.r) / 2 if seen.ok else np.nan)
-        failures += not seen.ok
+        failed.extend([] if seen.ok else [x.copy()])
         return seen.r if seen.ok else np.full(seen.r.shape, np.nan)
 
     def jacobian(x: np.ndarray) -> np.ndarray:
@@ -67,4 +86,4 @@ def least_squares(look: Callable[[np.ndarray], Look], x: np.ndarray, box: Box, t
     found = find(
         residuals, x, jacobian, sides, ftol=least, xtol=least, gtol=least, x_scale="jac", max_nfev=max(trials, 1)
     )
-    return Found(found.x.astype(x.dtype), _CODES[found.status], np.fmin.accumulate(losses), failures)
+    return Found(found.x.astype(x.dtype), _CODES[found.status], np.fmin.accumulate(losses), failed)

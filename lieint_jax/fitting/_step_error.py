@@ -36,7 +36,7 @@ def shift(J: np.ndarray, B: np.ndarray, held: np.ndarray, change: np.ndarray) ->
 
     Coordinates that are held at a side do not move.
     """
-    J = np.where(held, 0, J)
+    J = np.where(held, 0, np.asarray(J, float))  # in which squares of numbers in float32 are in range
     size = np.linalg.norm(J, axis=0)
     size = np.where(size > 0, size, 1)
     return -np.where(held, 0, B) @ (np.linalg.lstsq(J / size, change)[0] / size)

@@ -121,14 +121,14 @@ def _handler() -> str:
     """The module of `_handler.ll`, what XLA calls, for the foreign function interface of this jaxlib."""
     if sys.platform == "win32":
         raise UnsupportedError("machine code inside jit, on Windows")
-    interface = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
+    interface = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text(encoding="utf-8")
     major, minor = (int(re.findall(rf"#define XLA_FFI_API_{x} (\d+)", interface)[0]) for x in ("MAJOR", "MINOR"))
     if (major, minor) not in _VERSIONS:
         raise UnsupportedError(f"version {major}.{minor} of XLA's foreign function interface")
     table = re.findall(r"_XLA_FFI_API_STRUCT_FIELD\(XLA_FFI_(\w+)\);", interface)
     lines = [f"@{name} = internal constant i32 {x}" for name, x in (("major", major), ("minor", minor))]
     lines += [f"@{name} = internal constant i64 {table.index(x)}" for name, x in _OF_INTERFACE.items()]
-    return "\n".join([*lines, Path(__file__).with_name("_handler.ll").read_text()])
+    return "\n".join([*lines, Path(__file__).with_name("_handler.ll").read_text(encoding="utf-8")])
 
 
 def _key(texts: Sequence[str]) -> str:

@@ -64,7 +64,7 @@ def modules(
         "per.row": shared,
     }
     lines = [f"@{name} = internal constant i64 {x}" for name, x in constants.items()]
-    pieces = "\n".join([*lines, Path(__file__).with_suffix(".ll").read_text()])
+    pieces = "\n".join([*lines, Path(__file__).with_suffix(".ll").read_text(encoding="utf-8")])
     return [rest, first, pieces, functions.text()], shared
 
 

@@ -7,6 +7,7 @@ import inspect
 import pickle
 import time
 import uuid
+from concurrent.futures import BrokenExecutor
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -71,7 +72,8 @@ def submit(
         The run of all members, read from the store.
 
     Raises:
-        TypeError: an argument that `li.run` does not have; the call is inside of jit, vmap, grad or jvp.
+        TypeError: an argument that `li.run` does not have; an executor without `submit`; the call is inside of jit,
+            vmap, grad or jvp.
         processes.PermanentError: a part fails for a reason that stays, one of those of the ValueError of `li.run`. The
             task returns it instead of raising it, so that no engine repeats it; parts that have not begun are canceled.
         processes.LostProcess: parts whose workers were lost, or which failed for a reason that may pass, such as a full
@@ -86,14 +88,17 @@ def submit(
         raise ValueError(f"{refused[0]} is not for a run in parts: each task has its own")
     if store is None:
         raise ValueError("the parts of a run need a store that all workers reach: store=PATH.zarr, or a URL")
+    if isinstance(executor, type) or not callable(getattr(executor, "submit", None)):
+        raise TypeError(
+            "executor must have the method submit, such as concurrent.futures.ThreadPoolExecutor(2) or "
+            f"client.get_executor() of Dask, got {executor!r}"
+        )
     given = {"dt": dt, "num_steps": num_steps, "store": store, **options}
     inspect.signature(run).bind(step, states, **given)
     place = address(StoreOptions.of(store).path)
     call = _pickler().dumps((step, states, given, uuid.uuid4().hex))  # the last, as Dask keeps results of equal calls
     task = partial(_run_part, call, bool(jax.config.jax_enable_x64))  # pyright: ignore[reportAttributeAccessIssue]
-    with getattr(executor, "batch", contextlib.nullcontext)():  # of submitit: the tasks become one array of jobs
-        tasks = {k: executor.submit(task, k, parts) for k in range(parts)}
-    _wait(tasks, progress)
+    _wait(*_submitted(executor, task, parts), parts, progress)
     found = stored_run(str(place), read_run(place), step)
     warn_of_failures(np.atleast_1d(found.failed), 0, step.system)
     return found
@@ -125,9 +130,25 @@ def _pickler() -> Any:
     return cloudpickle
 
 
-def _wait(tasks: dict[int, Any], shown: bool) -> None:
-    """Wait until all tasks have ended, and raise the errors of those that failed."""
-    parts, failed = len(tasks), dict[int, Exception]()
+def _submitted(executor: Executor, task: Any, parts: int) -> tuple[dict[int, Any], dict[int, Exception]]:
+    """The futures of all parts, and the errors of those that a broken pool has not accepted."""
+    tasks, failed = dict[int, Any](), dict[int, Exception]()
+    try:
+        with getattr(executor, "batch", contextlib.nullcontext)():  # of submitit: the tasks become one array of jobs
+            for k in range(parts):
+                try:
+                    tasks[k] = executor.submit(task, k, parts)
+                except BrokenExecutor as error:
+                    failed[k] = error
+    except BaseException:
+        for begun in tasks.values():
+            begun.cancel()
+        raise
+    return tasks, failed
+
+
+def _wait(tasks: dict[int, Any], failed: dict[int, Exception], parts: int, shown: bool) -> None:
+    """Wait until all tasks have ended, and raise their errors, or those of parts that have `failed` before."""
     try:
         with Bar(shown, parts, 1, 0, unit=" parts") as bar:
             while tasks:
@@ -144,7 +165,7 @@ def _wait(tasks: dict[int, Any], shown: bool) -> None:
         for task in tasks.values():
             task.cancel()
     if failed:
-        k, error = min(failed.items())
+        k, error = min(failed.items(), key=lambda item: item[0])
         raise processes.LostProcess(
             f"{len(failed)} of {parts} part(s) did not finish. Part {k}: {type(error).__name__}: "
             f"{str(error).partition(chr(10))[0]} What is in the store is kept: the same call computes the rest"

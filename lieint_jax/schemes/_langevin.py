@@ -219,7 +219,8 @@ def langevin(system: Any, temperature: ArrayLike, friction: npt.ArrayLike, metro
         temperature: kT, in units of energy, > 0.
         friction: rates γ ≥ 0. A number; or (3,), the rates about the principal axes of bodies with principal moments,
             which for several bodies are also those of the motion of the centers along these axes; or, for several
-            bodies, (6,), the rates of the centers, then those of the rotations.
+            bodies, (6,), the rates of the centers, then those of the rotations. Friction about axis 1 alone does not
+            sample the canonical measure of a free body: it conserves (1/J₂ − 1/J₁)Π₂² + (1/J₃ − 1/J₁)Π₃².
         metropolis: whether to accept or reject each step by its change of energy; `State.extra["rejections"]` counts
             rejected steps.
 

@@ -249,6 +249,7 @@ def test_check_reports_where_there_is_nothing_to_check(lieint):
 
 
 def test_bad_commands_end_with_a_message_that_helps(lieint):
+    Path("file").write_text("")
     for arguments, message in (
         (["run", "nowhere"], "there is no scenario 'nowhere': `lieint list` shows all; or give a .toml file"),
         (["run", "toutatos"], r"there is no scenario 'toutatos': did you mean toutatis\? `lieint list`"),
@@ -263,6 +264,8 @@ def test_bad_commands_end_with_a_message_that_helps(lieint):
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
         (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
+        (["run", "toutatis", "--out", "file/x.npz"], "file is a file, not a folder; choose another --out"),
+        (["animate", "."], r"\. is a folder without results; pass a file NAME\.npz or a store NAME\.zarr"),
         (["run", "toutatis", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
         (["run", "toutatis", "--processes", "2"], "require --distributed"),
         (["run", "toutatis", "--devices", "99"], "99 devices were requested"),
@@ -272,6 +275,12 @@ def test_bad_commands_end_with_a_message_that_helps(lieint):
         (["figure", "9"], "figure 9 is not one of those recomputed; lieint figure 1 2 3 4 5"),
     ):
         assert re.search(message, lieint.refuse(*arguments))
+
+
+def test_an_error_is_not_printed_on_stdout_where_stderr_is_closed(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stderr", None)
+    assert cli.main(["run", "nowhere"]) == 2
+    assert capsys.readouterr().out == ""
 
 
 def test_a_mistyped_command_points_to_its_help(capsys):

@@ -18,7 +18,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     [(_, top), (_, spun)] = blocks(PAGE, "python")
     Path("top.py").write_text(top, encoding="utf-8")
-    Path("spun.py").write_text(f"{top.partition('class')[0]}\n{spun}", encoding="utf-8")  # with the first one's imports
+    Path("spun.py").write_text(spun, encoding="utf-8")
     for name, (_, table) in zip(("top", "spun"), blocks(PAGE, "toml"), strict=True):
         small = table.replace("members = 20", "members = 3").replace("members = 10", "members = 3")
         Path(f"{name}.toml").write_text(small, encoding="utf-8")
@@ -128,6 +128,7 @@ def test_a_quantity_of_another_shape_is_refused(folder):
 
 def test_numpy_in_a_kind_whose_numbers_have_a_spread_is_explained(folder):
     write("jnp.deg2rad(self.tilt_deg)", "np.deg2rad(self.tilt_deg)", "spun.py")
+    write("import jax.numpy as jnp", "import jax.numpy as jnp\nimport numpy as np", "spun.py")
     with pytest.raises(ValueError, match=r"traced in SpunTop: use jax\.numpy .* or set traced = False"):
         scenarios.load("spun.toml").build()
     write("    mass_kg: PositiveFloat", "    traced = False\n    mass_kg: PositiveFloat", "spun.py")

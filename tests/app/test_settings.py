@@ -79,6 +79,11 @@ def test_a_table_of_a_list_is_named_or_counted():
         ("dt", "--set dt: give KEY=VALUE, such as dt=0.1"),
         ("save_at=", "--set save_at: there is no such key to remove; the keys are title, time_unit, system"),
         (f"dt={'[' * 10000}", "--set dt: .*"),
+        ("dt=1\nmembers=2", "--set dt: .* got several lines: 1\nmembers=2; give each key a --set of its own"),
+        ("a.b=", r"--set a\.b: there is no such key to remove; its table has no keys"),
+        ("dt.=1", r"--set dt\.=1: give KEY=VALUE"),
+        (".dt=1", r"--set \.dt=1: give KEY=VALUE"),
+        ("state=3", r"book\.toml: state: must be a table, as below \[state\] \(got 3\)"),
     ],
 )
 def test_a_bad_value_is_named_as_in_a_file(setting, message):

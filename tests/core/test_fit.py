@@ -127,6 +127,32 @@ def test_the_unit_of_a_loss_does_not_matter():
         np.testing.assert_allclose(found.params, 0.3, rtol=0, atol=2e-3 if dtype == jnp.float64 else 1e-2)
 
 
+def test_the_units_of_parameters_do_not_decide_when_the_gradient_has_vanished():
+    """In float64 and 1e-20, 1e20 and 1: the gradient by the first is 1e40 times that by the second."""
+    unit, truth = np.array([1e-20, 1e20, 1.0]), np.array([3.0, 2.0, 0.5])
+    t = np.linspace(0, 1, 9)
+
+    def loss(p, exp=jnp.exp):
+        a, k, c = jnp.asarray(p) / unit
+        return jnp.sum((a * exp(-k * t) + c - truth[0] * np.exp(-truth[1] * t) - truth[2]) ** 2)
+
+    for bounds in (li.fitting.positive, [li.fitting.interval(0, 10 * u) for u in unit]):
+        found = li.fit(loss, list(np.array([2.0, 1.0, 0.3]) * unit), "lbfgs", bounds=bounds, iterations=300)
+        assert found.success
+        np.testing.assert_allclose(found.params / unit, truth, rtol=1e-5)  # 2e-7
+
+
+@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton", "scipy"])
+def test_squares_of_derivatives_may_leave_the_range_of_float32(optimizer):
+    """Derivatives of 1e25 and 1e-20, whose squares are infinite and 0. The variance 1e-51 is no number in float32."""
+    unit = np.array([1e20, 1.0, 1e-25], np.float32)
+    found = li.fit(lambda p: A32 @ (p / unit) - A32 @ np.arange(1, 4, dtype=np.float32), 5 * unit, optimizer)
+    assert found.success
+    np.testing.assert_allclose(found.params / unit, [1, 2, 3], rtol=2e-6)
+    variances = np.diagonal(np.linalg.inv(A32.T.astype(float) @ A32))
+    np.testing.assert_allclose(np.diagonal(found.covariance)[1:], [variances[1], np.nan], rtol=1e-5)
+
+
 def test_the_best_parameters_of_the_search_are_returned():
     found = li.fit(lambda x: jnp.sum((x - 0.3) ** 2), jnp.ones(2), optax.adam(1.0), iterations=11)
     assert found.loss == found.history.min() < found.history[-1]
@@ -180,6 +206,14 @@ def test_a_failed_trial_never_poisons_the_fit(optimizer):
         assert optimizer != "scipy" or found.success
         if not isinstance(optimizer, str):
             assert found.failures > 0
+
+
+@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton", "scipy"])
+def test_a_search_that_ends_where_trials_fail_is_no_success(optimizer):
+    """The minimum at 3 lies in the region of failure: steps toward it become as short as the tolerance."""
+    found = li.fit(lambda x: (jnp.array([x - 3, x * x - 9]), x < 2.9), 0.5, optimizer, iterations=60)
+    assert not found.success
+    assert np.isnan(found.covariance).all()
 
 
 @pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "scipy"])
@@ -321,6 +355,7 @@ def test_the_covariance_is_that_of_the_parameters_not_of_their_coordinates():
 
 
 A = np.array([[1.0, 0.2], [0.3, 2.0], [0.5, -0.4]])
+A32 = np.random.default_rng(4).normal(size=(6, 3)).astype(np.float32)
 
 
 def test_a_bound_changes_neither_steps_nor_covariance_where_it_is_not_active():

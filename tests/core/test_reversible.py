@@ -124,6 +124,23 @@ def test_a_hessian_by_undoing_steps():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(slope))(BODY.inertia), forward, rtol=1e-11, atol=1e-12)  # 1e-15
 
 
+def test_a_hessian_by_undoing_steps_in_the_step_size_and_the_initial_time():
+    """Of a driven body too: the tangent vectors of the clock, not its states alone, pass the backward run."""
+
+    def torque(t, q, omega):
+        return jnp.stack([jnp.sin(t), 0.3 * t, jnp.cos(t)]) - 0.1 * omega
+
+    def last(x, adjoint):
+        step = li.schemes.torqued_midpoint(li.systems.torqued_body(x[:3], torque, "body"))
+        state = STATE._replace(t=x[4])
+        return jnp.sum(li.integrate(step, state, x[3], 6, save_every=2, adjoint=adjoint).state.p[1:] ** 3)
+
+    at = jnp.array([1.0, 2.0, 3.0, 0.05, 0.7])
+    undone, plain = li.adjoints.ReversibleAdjoint(), li.adjoints.RecursiveCheckpointAdjoint()
+    forward = jax.jit(jax.jacfwd(jax.jacfwd(lambda x: last(x, plain))))(at)
+    np.testing.assert_allclose(jax.jit(jax.hessian(lambda x: last(x, undone)))(at), forward, rtol=1e-11, atol=1e-12)
+
+
 def temporaries(make, num_steps):
     def last(J, states):
         step = make(li.schemes.so3_midpoint(li.systems.RigidBody(J)))

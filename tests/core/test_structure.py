@@ -221,6 +221,14 @@ def test_schemes_give_no_hints_to_a_compiler():
         assert not words & {"checkpoint", "remat", "optimization_barrier"}, path
 
 
+def test_text_files_have_an_encoding():
+    """That of the user's locale cannot read the package's own files: machine code was lost where it is not UTF-8."""
+    for path in ROOT.rglob("*.py"):
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") in ("read_text", "write_text"):
+                assert "encoding" in [k.arg for k in node.keywords], f"{path}, line {node.lineno}"
+
+
 @pytest.mark.parametrize("package", [li.groups, li.systems, li.schemes], ids=lambda p: p.__name__)
 def test_every_module_has_examples_and_is_exported(package):
     names = {name for name, _ in systems()}

@@ -6,8 +6,9 @@ import re
 import signal
 import threading
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import internals
 import jax
@@ -113,6 +114,8 @@ def test_arguments_that_no_part_can_have_are_refused_before_a_task_is_made(tmp_p
         (dict(store=None), ValueError, "the parts of a run need a store"),
         (dict(parts=0), ValueError, "parts must be an integer ≥ 1"),
         (dict(save_evry=5), TypeError, "save_evry"),
+        (dict(executor=None), TypeError, "executor must have the method submit, such as .* got None"),
+        (dict(executor=ThreadPoolExecutor), TypeError, "executor must have the method submit"),
     ):
         with pytest.raises(error, match=message):
             submit(**dict(store=tmp_path / "run.zarr", executor=engine) | options)
@@ -136,6 +139,23 @@ def test_lost_workers_are_replaced_by_the_engine_or_named_and_the_same_call_comp
         submit(tmp_path / "run.zarr", engine, **options)
     assert engine.calls == [0, 1, 1, 2, 2]
     assert_same(submit(tmp_path / "run.zarr", Engine(), **options).state, whole.state)
+
+
+def test_a_pool_that_breaks_while_parts_are_submitted_is_a_lost_worker_and_other_errors_cancel_them(tmp_path):
+    class Breaking(Engine):
+        def submit(self, task, k, parts):
+            if k == 1:
+                raise BrokenExecutor("a worker was killed")
+            return super().submit(task, k, parts)
+
+    with pytest.raises(processes.LostProcess, match=r"1 of 3 .* Part 1: BrokenExecutor: a worker"):
+        submit(tmp_path / "run.zarr", Breaking())
+    begun = []
+    assert_same(submit(tmp_path / "run.zarr", Engine()).state, li.run(STEP, STATES, **OPTIONS).state)
+    full = SimpleNamespace(submit=lambda task, k, parts: begun.append(Future()) or begun[k] if k == 0 else 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        submit(tmp_path / "other.zarr", full)
+    assert begun[0].cancelled()
 
 
 def test_a_part_that_another_process_writes_may_be_repeated(tmp_path):

@@ -15,17 +15,19 @@ from lieint_jax.app.command import files, info, meshes
 from lieint_jax.app.command.scene import Scene, Span, scene_of
 from lieint_jax.app.printer import show, show_written
 from lieint_jax.runs import store as archives
+from lieint_jax.runs.store import Address
 from lieint_jax.types import Trajectory
 
 SUFFIXES = (".gif", ".mp4", ".html")
 _DPI = 100
 _INCHES = 4.8
 _SECONDS, _LONGEST = 6.0, 30.0  # durations of an animation without --seconds: with --to it is as long as is smooth
+_MOST_FRAMES = 5000  # 5 GB of memory for a GIF, and minutes
 _EDGES = 60  # faces of a body, up to which their edges are drawn
 
 
 def animate(
-    path: Path,
+    path: Address,
     out: Path | None = None,
     member: int = 0,
     seconds: float | None = None,
@@ -38,7 +40,7 @@ def animate(
 
     Args:
         path: the file of results.
-        out: NAME.gif, NAME.mp4 or NAME.html; by default a GIF next to the file.
+        out: NAME.gif, NAME.mp4 or NAME.html; by default a GIF next to the file, or here if that is at a URL.
         member: the index of the member.
         seconds: the duration of the animation; it is shorter if the run has fewer states to show. By default 6, or with
             the end of a span as many as show it smoothly, up to 30.
@@ -50,10 +52,17 @@ def animate(
     Raises:
         ValueError: `out` cannot be written, the run has no rigid bodies or no states, or a program is not installed.
     """
-    out = path.with_suffix(".gif") if out is None else out
+    named = files.path_in_folder(path, None)
+    out = Path(f"{named.parent / named.stem}.gif") if out is None else out
     _check(out, force)
     if seconds is not None and not 0 < seconds < float("inf"):
         raise ValueError(f"--seconds must be positive, got {seconds:g}")
+    frames = max(2, round((seconds or _SECONDS) * fps))
+    if frames > _MOST_FRAMES:
+        raise ValueError(
+            f"{seconds or _SECONDS:g} seconds of {fps} frames are {frames:.7g} frames, the most are {_MOST_FRAMES}: "
+            "give fewer --seconds or --fps"
+        )
     run, metadata = archives.load_results(path)
     if not isinstance(run, Trajectory):
         raise ValueError(f"{path} holds a run with `reduce`, which stores no states: there is nothing to animate")
@@ -63,9 +72,9 @@ def animate(
         raise ValueError(f"the run has members 0 to {run.state.p.shape[1] - 1}, got --member {member}")
     title, select = info.title_and_states(path, run, metadata)
     one, found = select(members=slice(member, member + 1)).member(0), [meshes.read(file) for file in shapes]
-    scene = scene_of(one, title, max(2, round((seconds or _SECONDS) * fps)), span, found)
+    scene = scene_of(one, title, frames, span, found)
     if seconds is None and span[1] is not None and scene.needed > len(scene.t):
-        scene = scene_of(one, title, min(scene.needed, round(_LONGEST * fps)), span, found)
+        scene = scene_of(one, title, min(scene.needed, round(_LONGEST * fps), _MOST_FRAMES), span, found)
     show(f"{scene.title}, member {member}: {scene.clock(0)} … {scene.clock(-1)}, {len(scene.t)} frames")
     show(*(f"  {note}" for note in scene.notes))
     if scene.needed > len(scene.t):
@@ -83,8 +92,7 @@ def _check(out: Path, force: bool) -> None:
 
     if out.suffix not in SUFFIXES:
         raise ValueError(f"an animation is written as {', '.join(SUFFIXES)}, got {out}")
-    if not out.parent.is_dir():
-        raise ValueError(f"the folder {out.parent} does not exist; make it first")
+    files.check_folder(out.parent)
     if out.exists() and not force:
         raise ValueError(f"{out} exists and is not overwritten; --force replaces it, --out chooses another name")
     if out.suffix == ".mp4" and not FFMpegWriter.isAvailable():

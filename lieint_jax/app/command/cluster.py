@@ -60,7 +60,7 @@ def slurm(options: argparse.Namespace) -> None:
         f"#SBATCH {' '.join(options.slurm.split())}",
         f"exec {shlex.join([sys.executable, '-m', 'lieint_jax.app.command.cli', *words])}",
     ]
-    script.write_text("\n".join(lines) + "\n")
+    script.write_text("\n".join(lines) + "\n", encoding="utf-8")
     try:
         found = subprocess.run(["sbatch", "--parsable", str(script)], capture_output=True, text=True)
     except FileNotFoundError:

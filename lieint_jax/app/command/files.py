@@ -35,11 +35,18 @@ def check_writable(path: Address, kinds: Iterable[str] = (), resume: bool = Fals
         if file.exists():
             more = "; resume continues it" if file.suffix == ".zarr" else ""
             raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out{more}")
-    if not path.parent.is_dir():
-        raise ValueError(f"the folder {path.parent} does not exist; make it first")
+    check_folder(path.parent)
     if not os.access(path.parent, os.W_OK):
         raise ValueError(f"the folder {path.parent} cannot be written to; choose another --out")
     return path
+
+
+def check_folder(folder: Path) -> None:
+    """Raise ValueError if there is no such folder."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} is a file, not a folder; choose another --out")
+    if not folder.is_dir():
+        raise ValueError(f"the folder {folder} does not exist; make it first")
 
 
 def picture(path: Path, kind: str) -> Path:
@@ -59,8 +66,8 @@ def path_in_folder(path: Address, folder: Path | None) -> Path:
     """
     if isinstance(path, Url):
         path = Path(path.name)
-    if folder and not folder.is_dir():
-        raise ValueError(f"the folder {folder} does not exist; make it first")
+    if folder:
+        check_folder(folder)
     return folder / path.name if folder else path
 
 

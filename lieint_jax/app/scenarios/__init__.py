@@ -272,6 +272,8 @@ def _explain(error: ValidationError, model: Any, table: dict[str, Any]) -> str:
         message = _unknown_key(model, problem["loc"])
     elif problem["type"] == "missing":
         message = "keys missing" if missing else "key missing"
+    elif problem["type"] in ("model_type", "model_attributes_type", "dict_type"):
+        message = f"must be a table, as below [{key}]"
     if problem["type"] == "float_type" and _SPREAD in problem["loc"][:-1] and isinstance(problem["input"], list):
         given += "".join(f"; in [spread], {name} accepts a list" for name in _component_keys(problem["loc"], table))
     more = f"; and {len(others) - len(missing)} more" if len(others) > len(missing) else ""

@@ -10,6 +10,7 @@ from lieint_jax import _checks
 from lieint_jax.runs import store as archives
 
 _PART = re.compile(r'"([^"]*)"|([^."]+)')  # of a key
+_KEY = re.compile(rf"(?:{_PART.pattern})(?:\.(?:{_PART.pattern}))*")
 _WORDS = re.compile(r"([^\W\d]|\d{4}-)[^\[\]{}\"'=#\n]*")  # a text or a date without quotes
 
 
@@ -24,7 +25,7 @@ def set_key(table: dict[str, Any], text: str) -> None:
     """
     key, equals, value = (part.strip() for part in text.partition("="))
     path = [quoted or plain for quoted, plain in _PART.findall(key)]
-    if not equals or not path:
+    if not equals or not _KEY.fullmatch(key):
         raise ValueError(f"--set {_checks.printable(text)}: give KEY=VALUE, such as dt=0.1")
     try:
         _assign(table, path, value)
@@ -48,15 +49,18 @@ def _assign(table: dict[str, Any], path: Sequence[str], text: str) -> None:
     elif text:
         table[part] = _value(text)
     elif table.pop(part, None) is None:
-        raise ValueError(f"there is no such key to remove; the keys are {', '.join(table)}")
+        known = f"the keys are {', '.join(table)}" if table else "its table has no keys"
+        raise ValueError(f"there is no such key to remove; {known}")
 
 
 def _value(text: str) -> object:
     """The value of a text, as TOML reads it, or the text itself if it has no quotes and is no such value."""
     try:
-        [(_, value)] = archives.parse_toml(f"value = {text}").items()
+        values = archives.parse_toml(f"value = {text}")
     except ValueError as error:
         if _WORDS.fullmatch(text):
             return text
         raise ValueError(f"must be a value of TOML, such as 0.1, [1, 0, 0] or text, got {text}: {error}") from error
-    return value
+    if len(values) > 1:
+        raise ValueError(f"must be a value of TOML, got several lines: {text}; give each key a --set of its own")
+    return values["value"]

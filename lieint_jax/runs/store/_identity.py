@@ -150,7 +150,7 @@ def device() -> str:
     if first.platform != "cpu":
         return first.device_kind
     try:
-        flags = re.search(r"(?m)^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text())
+        flags = re.search(r"(?m)^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
     except OSError:
         flags = None
     found = [isa for isa in ("avx512f", "avx2", "avx") if flags and isa in flags.group(1).split()]
