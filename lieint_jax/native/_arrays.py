@@ -99,10 +99,6 @@ class Evaluation:
             return found
         return jax.tree.map(lambda y: y if y.ndim else lax.broadcast(y, (self.members,)), found)
 
-    def vector(self, x: Value) -> Array:
-        """A number as an array (members,)."""
-        return self.value(x, True)
-
     def block(self, block: Block) -> None:
         """Evaluate the items of a block."""
         for item in block.items:
