@@ -475,6 +475,8 @@ def numbers_of(item: Item) -> Iterable[Value]:
 
 def _varying_numbers(root: Block, live: set[Value], start: set[Value], inside_only: bool = False) -> set[Value]:
     """The live numbers that depend on some that vary; outside of maps none does if these vary `inside_only`."""
+    if not start:
+        return set()
     users: dict[Value, list[Value]] = {}
     inputs = ((x, x.inputs) for x in all_items(root) if isinstance(x, Value) and x in live)
     others = (x for x in _sources(root, with_tests=False).items() if not (inside_only and x[0].op == "rows"))
