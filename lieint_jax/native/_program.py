@@ -504,11 +504,13 @@ def _sources(root: Block, with_tests: bool) -> dict[Value, tuple[Value, ...]]:
     """
     found: dict[Value, tuple[Value, ...]] = {}
     for item in all_items(root):
+        if isinstance(item, Value):
+            continue
         if isinstance(item, Map):
             found |= {after: (x,) for x, after in zip(item.values, item.results, strict=True)}
         elif isinstance(item, Branch):
             found |= {after: (item.test, *x) for after, *x in zip(item.results, *item.values, strict=True)}
-        elif isinstance(item, Loop):
+        else:
             for inside, start, x, after in zip(item.carries, item.starts, item.following, item.results, strict=True):
                 test = (item.test,) if with_tests or x is not inside else ()
                 found |= {inside: (start, x, *test), after: (inside, *test)}
