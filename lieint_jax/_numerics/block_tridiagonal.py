@@ -39,9 +39,9 @@ class BlockTridiagonal(NamedTuple):
         """
         every = min(n, 3)
         link, colors = np.arange(n)[:, None], np.arange(every)
-        linear = jax.linearize(linear, jnp.zeros((n, k), dtype))[1]  # what it has of its own is computed once
         neighbors = [(link + s) % every == colors for s in (-1, 0, 1)]  # which of the moved links, (n, every)
 
+        @partial(jax.jit, inline=True)  # for both platforms traced once
         def columns(c: Array) -> list[Array]:
             """A column of each block, (n, k)."""
             seeds = jnp.where((jnp.arange(k) == c)[None, :, None] & neighbors[1][:, None], jnp.ones((), dtype), 0)

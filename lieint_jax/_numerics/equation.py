@@ -119,21 +119,23 @@ class ChainEquation(abc.ABC):
         (n, k), dtype = guess.shape, guess.dtype
         eps = float(jnp.finfo(dtype).eps)
         unit = lax.stop_gradient(unit)
+        residual = jax.jit(self.residual, inline=True)  # its equations are many, and used four times
 
         def factored(linear: _Linear[Array]) -> Factored:
             return block_tridiagonal.factored(BlockTridiagonal.of(linear, n, k, dtype))
 
         def factored_at(x: Array) -> Factored:
-            return factored(lambda v: jax.jvp(self.residual, (x,), (v,))[1])
+            linear = lambda v: jax.jvp(residual, (x,), (v,))[1]  # noqa: E731
+            return factored(jax.linearize(linear, jnp.zeros_like(x))[1])
 
         def solve(_: _Linear[Array], x: Array) -> tuple[Array, Array]:
-            return newton.repeated_chords(self.residual, factored_at, self.length, x, first, eps * unit, most)
+            return newton.repeated_chords(residual, factored_at, self.length, x, first, eps * unit, most)
 
         def tangent_solve(linear: _Linear[Array], b: Array) -> Array:
             inverse = lambda matvec: factored(matvec).solve  # noqa: E731
             return _refined(linear, b, inverse, inverse, 1 if self.is_exact else most)
 
-        x, missing = newton.implicit_root(self.residual, guess, solve, tangent_solve)
+        x, missing = newton.implicit_root(residual, guess, solve, tangent_solve)
         missing = lax.stop_gradient(missing) / unit
         return x, StepInfo(missing, missing <= _CONVERGED * eps)
 

@@ -50,10 +50,7 @@ def unchecked() -> contextlib.AbstractContextManager[Any]:
 
 
 def _axes_of(x: Value) -> frozenset[str]:
-    kind = _type(x)
-    if hasattr(kind, "vma"):  # JAX 0.9
-        return kind.vma
-    return getattr(getattr(kind, "manual_axis_type", None), "varying", frozenset())
+    return getattr(getattr(_type(x), "manual_axis_type", None), "varying", frozenset())
 
 
 def _type(x: Value) -> Any:

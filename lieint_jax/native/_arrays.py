@@ -99,10 +99,6 @@ class Evaluation:
             return found
         return jax.tree.map(lambda y: y if y.ndim else lax.broadcast(y, (self.members,)), found)
 
-    def vector(self, x: Value) -> Array:
-        """A number as an array (members,)."""
-        return self.value(x, True)
-
     def block(self, block: Block) -> None:
         """Evaluate the items of a block."""
         for item in block.items:
@@ -215,9 +211,7 @@ _SAME_NAMES = (
     "logistic lt max min mul ne neg pow rem select shift_left shift_right_arithmetic shift_right_logical sin sinh sqrt "
     "sub tan tanh"
 )
-_OPERATIONS: dict[str, Callable[..., Array]] = {
-    name: getattr(lax, name) for name in _SAME_NAMES.split() if hasattr(lax, name)
-} | {
+_OPERATIONS: dict[str, Callable[..., Array]] = {name: getattr(lax, name) for name in _SAME_NAMES.split()} | {
     "and": lax.bitwise_and,
     "not": lax.bitwise_not,
     "or": lax.bitwise_or,

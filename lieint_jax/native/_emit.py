@@ -152,8 +152,14 @@ class Writer(Operations):
         """The place in its leaf, or in a result, of an entry of a column."""
         return self.add(f"add i64 {self.add(f'mul i64 {k}, {column.stride}')}, {column.first}")
 
-    def write_column(self, x: Value, pointer: str, size: int, row: str | None = None) -> None:
-        """Write a column of a result; of what is carried, as it is before the next row."""
+    def write_result(
+        self, x: Value, pointer: str, size: int, entry: int, row: str | None = None, value: str = ""
+    ) -> None:
+        """Write a number of a result, or another `value` of it; or a column: if carried, as before the next row."""
+        if x.op != "stored":
+            value = value or self.value(x, True)
+            self.scatter(value, x.dtype, self.entry_pointers(pointer, x.dtype, size, entry, row))
+            return
         with self.counted_loop("write", x.length) as k:
             at = self.entry_pointers(pointer, x.dtype, size, self.entry_at(x.data, k), row)
             self.scatter(self.as_vector(x.inputs[-1], k), x.dtype, at)
@@ -199,13 +205,8 @@ class Writer(Operations):
         self.lines[place:place] = [*phis, *(line.format(before=before, end=end) for line in store)]
         self.begin("row.exit")
         for (k, found), pointer in zip(self.after.items(), self.carry_outputs, strict=True):
-            leaf = self.leaves[k]
             for entry, x in found:
-                if x.op == "stored":
-                    self.write_column(x, pointer, leaf.size)
-                else:
-                    at = self.entry_pointers(pointer, leaf.dtype, leaf.size, entry)
-                    self.scatter(inside[k, entry], leaf.dtype, at)
+                self.write_result(x, pointer, self.leaves[k].size, entry, value=inside.get((k, entry), ""))
         self.jump("block.end")
 
     def from_the_end(self, count: str, index: str) -> str:
@@ -220,10 +221,7 @@ class Writer(Operations):
         at = self.from_the_end("%stored", stored) if self.reverse else stored
         for found, size, pointer in zip(self.stored, self.results, self.row_outputs, strict=True):
             for entry, x in found:
-                if x.op == "stored":
-                    self.write_column(x, pointer, size, at)
-                else:
-                    self.scatter(self.value(x, True), x.dtype, self.entry_pointers(pointer, x.dtype, size, entry, at))
+                self.write_result(x, pointer, size, entry, at)
         self.jump("row.after")
         self.begin("row.after")
         fewer = self.add(f"sub i64 {left}, 1")
@@ -236,14 +234,15 @@ class Writer(Operations):
 
     def block(self, block: Block) -> None:
         for item in block.items:
-            if isinstance(item, Loop):
+            if isinstance(item, Value):
+                if item in self.program.live and item not in self.absorbed and item not in self.names:
+                    self.names[item] = self.operation(item)
+            elif isinstance(item, Loop):
                 self.loop(item)
             elif isinstance(item, Branch):
                 self.branch(item)
-            elif isinstance(item, Map):
+            else:
                 self.map(item)
-            elif item in self.program.live and item not in self.absorbed and item not in self.names:
-                self.names[item] = self.operation(item)
 
     def loop(self, loop: Loop) -> None:
         carried = self.program.needed_positions(loop.carries)
@@ -268,7 +267,9 @@ class Writer(Operations):
         if masked:
             self.lines.append(f"  {active} = trunc {self.mask_type} {mask_phi} to {mask}")
         for k, phi in zip(carried, phis, strict=True):
-            self.names[loop.carries[k]] = self.names[loop.results[k]] = self.out_of_phi(phi, loop.carries[k])
+            x = loop.carries[k]
+            name = self.converted("trunc", phi, self.phi_type(x), self.type_of(x))
+            self.names[x] = self.names[loop.results[k]] = name
         self.block(loop.head)
         if masked:
             going = self.add(f"and {mask} {active}, {self.value(loop.test, True)}")
@@ -368,12 +369,7 @@ class Writer(Operations):
         return self.mask_type if carry.dtype.kind == "b" and self.varies(carry) else self.type_of(carry)
 
     def into_phi(self, value: str, carry: Value) -> str:
-        kind, mask = self.type_of(carry), self.phi_type(carry)
-        return value if kind == mask else self.add(f"sext {kind} {value} to {mask}")
-
-    def out_of_phi(self, phi: str, carry: Value) -> str:
-        kind, mask = self.type_of(carry), self.phi_type(carry)
-        return phi if kind == mask else self.add(f"trunc {mask} {phi} to {kind}")
+        return self.converted("sext", value, self.type_of(carry), self.phi_type(carry))
 
     def branch(self, branch: Branch) -> None:
         live = self.program.needed_positions(branch.results)

@@ -158,7 +158,7 @@ class _Kernel:
             values |= {x: n for place, x in arguments.items() if leaves[place].kind == "counter"}
             evaluation = Evaluation(self.program, _BLOCK, block.entry, values)
             evaluation.block(self.program.block)
-            return [evaluation.vector(x) for x in self.after], [evaluation.vector(x) for x in self.saved]
+            return [evaluation.value(x, True) for x in self.after], [evaluation.value(x, True) for x in self.saved]
 
         return step
 

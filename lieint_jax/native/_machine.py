@@ -29,12 +29,6 @@ _LEVEL = 1  # of LLVM's optimizations: 2 makes no code faster, and takes three t
 _lock = threading.Lock()
 
 
-@functools.cache
-def target() -> Any:
-    """The machine that runs this process."""
-    return _new_target()
-
-
 def lanes(leaves: Sequence[Leaf], pressure: int = _FEW + 1) -> int:
     """Members in a vector of a program that reads these arrays, with so many numbers in an innermost loop."""
     features = llvm.get_host_cpu_features()
@@ -133,7 +127,7 @@ def _handler() -> str:
 
 def _key(texts: Sequence[str]) -> str:
     """A hash of modules and of the machine that runs them."""
-    here = [llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()]
+    here = [llvmlite.__version__, _target().triple, llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()]
     return hashlib.sha256("\n".join([*here, "\n;\n".join(texts)]).encode()).hexdigest()
 
 
@@ -158,6 +152,9 @@ def _new_target() -> Any:
         codemodel="jitdefault",
         jit=True,
     )
+
+
+_target = functools.cache(_new_target)  # one that no engine owns
 
 
 def _object_code(key: str, texts: list[str], names: Sequence[str]) -> bytes:
@@ -191,7 +188,7 @@ def _compile(texts: list[str], names: Sequence[str]) -> bytes:
     options = llvm.create_pipeline_tuning_options(speed_level=_LEVEL)
     options.loop_vectorization = options.slp_vectorization = False
     options.loop_unrolling = False
-    builder = llvm.create_pass_builder(target(), options)
+    builder = llvm.create_pass_builder(_target(), options)
     manager = builder.getModulePassManager()
     manager.run(module, builder)
-    return target().emit_object(module)
+    return _target().emit_object(module)

@@ -321,19 +321,18 @@ def by_xla(*arguments: AnyArray, loop: Loop) -> Arrays:
         found = list(step(n, *carry, *fixed, *row))
         return found[: loop.carried], found[loop.carried :]
 
+    def at(k: AnyArray, rows: Arrays) -> Arrays:
+        return [lax.dynamic_index_in_dim(x, k, keepdims=False) for x in rows]
+
+    lead = () if loop.members is None else (loop.members,)
+    empty = [jnp.zeros((*lead, *x.shape), x.dtype) for x in loop.step.out_avals[loop.carried :]]
     if loop.every is None:
         every, count = (x.astype(loop.step.in_avals[0].dtype) for x in fixed[:2])
 
-        def row_of(n: AnyArray) -> Arrays:
-            return [lax.dynamic_index_in_dim(x, n, keepdims=False) for x in series]
-
-        shapes = jax.eval_shape(lambda carry: step_once(jnp.zeros_like(every), carry, row_of(0))[1], carry)
-        empty = [jnp.zeros(s.shape, s.dtype) for s in shapes]
-
         def counted_row(k: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
             begin = both[0], empty
-            carry, found = lax.fori_loop(0, every, lambda i, both: step_once(k * every + i, both[0], row_of(k)), begin)
-            return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], found, strict=True)]
+            carry, y = lax.fori_loop(0, every, lambda i, both: step_once(k * every + i, both[0], at(k, series)), begin)
+            return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], y, strict=True)]
 
         rows = [jnp.zeros((loop.rows, *x.shape), x.dtype) for x in empty]
         carry, ys = lax.fori_loop(0, count, counted_row, (carry, rows))
@@ -345,14 +344,11 @@ def by_xla(*arguments: AnyArray, loop: Loop) -> Arrays:
     in_rows = [x.reshape(loop.rows, loop.known_every, *x.shape[1:]) for x in series]
 
     def row(carry: Arrays, given: tuple[AnyArray, Arrays]) -> tuple[Arrays, Arrays]:
-        def next_step(k: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
-            at = loop.known_every - 1 - k if loop.reverse else k
-            x = [lax.dynamic_index_in_dim(x, at, keepdims=False) for x in given[1]]
-            return step_once(given[0] * loop.known_every + at, both[0], x)
+        def next_step(i: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
+            i = loop.known_every - 1 - i if loop.reverse else i
+            return step_once(given[0] * loop.known_every + i, both[0], at(i, given[1]))
 
-        first, x = given[0], [x[0] for x in given[1]]
-        shapes = jax.eval_shape(lambda c: step_once(first, c, x)[1], carry)
-        return lax.fori_loop(0, loop.known_every, next_step, (carry, [jnp.zeros(s.shape, s.dtype) for s in shapes]))
+        return lax.fori_loop(0, loop.known_every, next_step, (carry, empty))
 
     if loop.rows == 1:
         carry, ys = row(carry, (numbers[0], [x[0] for x in in_rows]))

@@ -157,12 +157,8 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
         return _results_of(base, active, out, slopes)
     if base.steps > _MOST_STORED and not base.is_piece:
         with set_current_trace(trace):
-            unknown = iter(dots)
-            given = [
-                next(unknown) if a else jnp.zeros(x.shape, x.dtype if _is_real(x) else jax.dtypes.float0)
-                for x, a in zip(known, active, strict=True)
-            ]
-            out, out_dots = jax.jvp(functools.partial(_in_pieces, base), tuple(known), tuple(given))
+            of_active = _of_active(lambda _, *x: _in_pieces(base, *x), None, known, active)
+            out, out_dots = jax.jvp(of_active, tuple(_chosen(known, active)), tuple(dots))
         slopes = _chosen(out_dots, _mask_of_results(base, active))
         out, slopes = ([trace.to_jaxpr_tracer(x) for x in values] for values in (out, slopes))
     else:

@@ -94,20 +94,17 @@ class Operations(Text):
 
     def store(self, value: str, dtype: DTypeLike, at: str, vector: bool, align: str = "") -> None:
         """Write a value to an address."""
-        kind, value = self.stored_type(dtype, vector), self.as_stored(value, dtype, vector)
+        kind = self.stored_type(dtype, vector)
+        value = self.converted("zext", value, self.type(dtype, vector), kind)
         self.lines.append(f"  store {kind} {value}, ptr {at}{align}")
 
-    def as_stored(self, value: str, dtype: DTypeLike, vector: bool) -> str:
-        """A value as it is in memory."""
-        if np.dtype(dtype).kind != "b":
-            return value
-        return self.add(f"zext {self.type(bool, vector)} {value} to {self.stored_type(dtype, vector)}")
+    def converted(self, instruction: str, value: str, before: str, after: str) -> str:
+        """A value of one type as one of another, by an instruction if they differ."""
+        return value if before == after else self.add(f"{instruction} {before} {value} to {after}")
 
     def from_stored(self, value: str, dtype: DTypeLike, vector: bool) -> str:
         """A value that was read from memory."""
-        if np.dtype(dtype).kind != "b":
-            return value
-        return self.add(f"trunc {self.stored_type(dtype, vector)} {value} to {self.type(bool, vector)}")
+        return self.converted("trunc", value, self.stored_type(dtype, vector), self.type(dtype, vector))
 
     def load(self, array: str, dtype: DTypeLike, k: str, vector: bool = False) -> str:
         """An entry of an array, as it is or as a vector."""
@@ -147,7 +144,7 @@ class Operations(Text):
 
     def scatter(self, value: str, dtype: DTypeLike, at: str) -> None:
         kind, n = self.stored_type(dtype, True), self.lanes
-        value = self.as_stored(value, dtype, True)
+        value = self.converted("zext", value, self.type(dtype, True), kind)
         name = f"llvm.masked.scatter.{suffix(kind)}.v{n}p0"
         self.module.declared[f"declare void @{name}({kind}, <{n} x ptr>, <{n} x i1>)"] = None
         self.lines.append(f"  call void @{name}({kind} {value}, <{n} x ptr> {at}, <{n} x i1> splat (i1 true))")
@@ -209,7 +206,7 @@ class Operations(Text):
             return self.add(f"{'sitofp' if before.kind == 'i' else 'uitofp'} {a} {value} to {b}")
         if before.kind == "b" or after.itemsize > before.itemsize:
             return self.add(f"{'sext' if before.kind == 'i' else 'zext'} {a} {value} to {b}")
-        return value if a == b else self.add(f"trunc {a} {value} to {b}")
+        return self.converted("trunc", value, a, b)
 
     def op_sin(self, x: Value, vector: bool) -> str:
         """The sine or cosine; if both are needed, one call computes both."""

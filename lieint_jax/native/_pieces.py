@@ -78,12 +78,13 @@ def _split(program: Program, leaves: Sequence[Leaf]) -> tuple[Program, Program, 
     shared = {x for x in _numbers(program.block) if x in of_rows} | {x for loop in loops for x in _numbers(loop.body)}
     own = (x for x in shared if x in program.live and x not in program.varying)
     shared = {x for x in own if x.dtype.kind == "f" and not x.is_array}
-    rest = program.with_given(shared)
+    rest = Program(program.block, program.outputs, program.varying_arguments, given=frozenset(shared))
     bodies = program.block, *(loop.body for loop in loops)
     numbers = {body: [x for x in _numbers(body) if x in shared and x in rest.live] for body in bodies}
     numbers = {body: inside for body, inside in numbers.items() if inside}
     tests = [loop.test for loop in loops]  # included so that both programs run through the same loops
-    first = program.part_that_computes([*tests, *(x for inside in numbers.values() for x in inside)])
+    written = [*tests, *(x for inside in numbers.values() for x in inside)]
+    first = Program(program.block, [], program.varying_arguments, written)
     if sum(_length(body, first, numbers) for body in numbers) <= _FEW:
         return None
     return first, rest, numbers

@@ -175,12 +175,8 @@ class Builder:
         return self._constants[key]
 
     def argument(self, dtype: DTypeLike, data: Data) -> Value:
-        """An argument of the program."""
-        return self._new("argument", (), np.dtype(dtype), data, self.root)
-
-    def column(self, dtype: DTypeLike, column: Column) -> Value:
-        """Entries of an argument of the program, as an array."""
-        return self._new("column", (), np.dtype(dtype), column, self.root)
+        """An argument of the program, or entries of one as an array, if `data` are a `Column`."""
+        return self._new("column" if isinstance(data, Column) else "argument", (), dtype, data, self.root)
 
     def result_column(self, array: Value, column: Column, before: Value | None) -> Value:
         """An array as entries of a result; for what is carried, `before` are those of the argument."""
@@ -189,7 +185,7 @@ class Builder:
 
     def empty(self, length: int, dtype: DTypeLike) -> Value:
         """A new array in memory, of which one loop writes each entry."""
-        found = self._new("empty", (), np.dtype(dtype), length, self.block.floor)
+        found = self._new("empty", (), dtype, length, self.block.floor)
         self.block.floor.items.append(found)
         return found
 
@@ -400,7 +396,8 @@ class Program:
     Attributes:
         block, outputs: its operations, and its results.
         written: numbers that it computes for another program, in addition to its results.
-        given: numbers that another program has computed.
+        given: numbers that another program has computed, which depend on no others here.
+        varying_arguments: whether an argument depends on the member.
         live: the numbers on which the outputs depend.
         varying: the numbers that depend on the member.
     """
@@ -414,17 +411,9 @@ class Program:
         given: frozenset[Value] = frozenset(),
     ):
         self.block, self.outputs, self.written, self.given = block, list(outputs), list(written), given
-        self._varying_arguments = varying_arguments
-        self.live = _live_numbers(block, [*self.outputs, *self.written], given)
+        self.varying_arguments, sources = varying_arguments, _sources(block, with_tests=True)
+        self.live = _reached([*outputs, *written], lambda x: () if x in given else (*x.inputs, *sources.get(x, ())))
         self.varying = self.depending_on(varying_arguments)
-
-    def part_that_computes(self, written: Sequence[Value]) -> Program:
-        """The part of this program that computes some of its numbers for another one."""
-        return Program(self.block, [], self._varying_arguments, written=written)
-
-    def with_given(self, given: Iterable[Value]) -> Program:
-        """This program, with some of its numbers computed by another one."""
-        return Program(self.block, self.outputs, self._varying_arguments, given=frozenset(given))
 
     def depending_on(self, arguments: Callable[[Value], bool]) -> set[Value]:
         """The numbers that depend on some of the arguments."""
@@ -484,14 +473,10 @@ def numbers_of(item: Item) -> Iterable[Value]:
     return (item.test, *item.values[0], *item.values[1])
 
 
-def _live_numbers(root: Block, outputs: Sequence[Value], given: frozenset[Value]) -> set[Value]:
-    """The numbers on which the outputs depend; given numbers depend on no others."""
-    sources = _sources(root, with_tests=True)
-    return _reached(outputs, lambda x: () if x in given else (*x.inputs, *sources.get(x, ())))
-
-
 def _varying_numbers(root: Block, live: set[Value], start: set[Value], inside_only: bool = False) -> set[Value]:
     """The live numbers that depend on some that vary; outside of maps none does if these vary `inside_only`."""
+    if not start:
+        return set()
     users: dict[Value, list[Value]] = {}
     inputs = ((x, x.inputs) for x in all_items(root) if isinstance(x, Value) and x in live)
     others = (x for x in _sources(root, with_tests=False).items() if not (inside_only and x[0].op == "rows"))
@@ -519,11 +504,13 @@ def _sources(root: Block, with_tests: bool) -> dict[Value, tuple[Value, ...]]:
     """
     found: dict[Value, tuple[Value, ...]] = {}
     for item in all_items(root):
+        if isinstance(item, Value):
+            continue
         if isinstance(item, Map):
             found |= {after: (x,) for x, after in zip(item.values, item.results, strict=True)}
         elif isinstance(item, Branch):
             found |= {after: (item.test, *x) for after, *x in zip(item.results, *item.values, strict=True)}
-        elif isinstance(item, Loop):
+        else:
             for inside, start, x, after in zip(item.carries, item.starts, item.following, item.results, strict=True):
                 test = (item.test,) if with_tests or x is not inside else ()
                 found |= {inside: (start, x, *test), after: (inside, *test)}

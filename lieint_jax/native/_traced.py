@@ -131,7 +131,7 @@ class Traced:
         if d is None:
             numbers = [self._builder.argument(x.dtype, (k, entry)) for entry in range(self.leaves[k].size)]
             return array_of(numbers, x.shape)
-        columns = [self._builder.column(x.dtype, Column(k, *place)) for place in _places(x.shape, d)]
+        columns = [self._builder.argument(x.dtype, Column(k, *place)) for place in _places(x.shape, d)]
         return Rows(self._walker, columns, x.shape, d)
 
     def _outputs(self, x: np.ndarray, before: np.ndarray | None) -> list[Value]:

@@ -42,6 +42,7 @@ LONGEST = 100_000  # the most operations of a program
 _TYPES = set(map(np.dtype, ["bool", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"]))
 # They change no value here. A formula names all others that it reads: by any more, Python's TypeError, XLA runs it.
 _HARMLESS = {"accuracy", "indices_are_sorted", "out_sharding", "sharding", "unique_indices", "weak_type"}
+_OF_ONE_RESULT = REDUCTIONS | INDEXING
 
 
 class Walk(AbstractWalk):
@@ -157,10 +158,8 @@ class Walk(AbstractWalk):
             return found if isinstance(found, list) else [found]
         if name in LINEAR_ALGEBRA:
             return LINEAR_ALGEBRA[name](self, inputs, out, **parameters)
-        if name in REDUCTIONS:
-            return [REDUCTIONS[name](self, inputs, out[0], **parameters)]
-        if name in INDEXING:
-            return [INDEXING[name](self, inputs, out[0], **parameters)]
+        if name in _OF_ONE_RESULT:
+            return [_OF_ONE_RESULT[name](self, inputs, out[0], **parameters)]
         if name in ELEMENTWISE:
             arrays, dtype = np.broadcast_arrays(*inputs), np.dtype(out[0].dtype)
             rows = zip(*(x.flat for x in arrays), strict=True)

@@ -18,7 +18,7 @@ from lieint_jax import native
 from lieint_jax._xla import compiled_for
 from lieint_jax.runs._clock import Clock, GridClock, UniformClock
 from lieint_jax.runs._driver import prepared
-from lieint_jax.runs._layout import Numbers, Tree
+from lieint_jax.runs._layout import Numbers, Tree, on_host
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
 Reduction = Callable[[Step, State], Array]
@@ -262,6 +262,7 @@ class Intervals:
     def by_xla(self, members: Iterable[tuple[Carry, Given, Span]]) -> list[tuple[Carry, Tree]]:
         """(carry, saved) after one interval of each of these members, by one program of XLA."""
         arguments = [(np.zeros((), step_dtype()), carry, span, given) for carry, given, span in members]
+        arguments = jax.tree.map(on_host, arguments)  # of no weak types, as in a loop: JAX traces it once
         traced = self._of_member.trace(*arguments[0])
         structure = jax.tree.structure(traced.out_info)
         with native.engine("xla"):

@@ -365,14 +365,6 @@ class StoredRun(Run):
     """A run whose arrays are read from disk. It is no pytree, so that no transformation reads them all unasked."""
 
 
-def _run_in_memory(job: Job, engine: str, saves: Saves) -> Run:
-    """The run of these saves, which an engine of this name has computed."""
-    start = job.initial if job.reduction is not None else None
-    times = job.clock.times if isinstance(job.clock, GridClock) else None
-    functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
-    return _make_run(job.step, saves, Facts.of_job(job, engine), start, *functions, times)
-
-
 def stored_run(path: str, saves: Saves, step: Step) -> Run:
     """The run in a store; that of one body is read at once."""
     return _make_run(step, saves, Facts.of_store(path, saves.attributes))
@@ -435,7 +427,10 @@ def compute(
             layout = _layout.layout_of(mesh, job.members)
             saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
             assert saves is not None
-            return _run_in_memory(job, engine.name, saves)
+            start = job.initial if job.reduction is not None else None
+            functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
+            times = job.clock.times if isinstance(job.clock, GridClock) else None
+            return _make_run(job.step, saves, Facts.of_job(job, engine.name), start, *functions, times)
         saves = run_into_store(
             job,
             engine.name,

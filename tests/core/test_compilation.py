@@ -19,6 +19,7 @@ import lieint_jax as li
 from lieint_jax._cache import use_program_cache
 from lieint_jax._xla import _compile
 from lieint_jax.native import _machine, _traced
+from lieint_jax.runs import _loop
 
 NAMES = (
     "jax_compilation_cache_dir",
@@ -126,14 +127,19 @@ def run_and_scale(p, factor=1.0, count=4):
 @pytest.mark.compared
 @pytest.mark.parametrize("members", [1, 3])
 def test_a_run_compiles_its_machine_code_once(monkeypatch, members):
-    """The check against XLA of a run of one body was of code for vectors of members, which nothing else used."""
+    """The check against XLA of a run of one body was of code for vectors of members, which nothing else used.
+
+    Numbers of the step that JAX promotes to the type of others (here the inertia) were traced again for this check.
+    """
     made, kernel = [], _machine.kernel
     monkeypatch.setattr(_machine, "kernel", lambda *given: made.append(given) or kernel(*given))
-    top = li.systems.potential_top([1.0, 2.0, 3.0], lambda g: 0.3 * g[2] ** 2)
+    traced, interval = [], _loop.Intervals._interval
+    monkeypatch.setattr(_loop.Intervals, "_interval", lambda *given: traced.append(given) or interval(*given))
+    top = li.systems.potential_top(jnp.full(3, 2.0), lambda g: 0.3 * g[2] ** 2)
     states = jax.vmap(lambda w: top.state(angular_velocity=w))(jnp.eye(3)[:members])
     run = li.run(li.schemes.splitting(top), states, 0.05, 20, progress=False)
     assert run.converged.all()
-    assert len(made) == 1
+    assert len(made) == len(traced) == 1
 
 
 def test_li_jit_gives_the_values_of_jax_jit_and_serves_inside_transformations():

@@ -393,6 +393,17 @@ def test_gradients_of_a_sum_over_members():
     near(*(jax.jit(jax.grad(total(scan), **GRADIENT))(zs, r, xs) for scan in (by_li, by_lax)))
 
 
+def test_gradients_of_long_loops_compute_nothing_for_constants():
+    """The pieces of a loop of more than 64 steps had zero tangents of all that it closes over."""
+
+    def loss(x, c):
+        return li.scan(lambda x, _: (jnp.sin(c @ x), None), x, length=100)[0].sum()
+
+    given = jax.ShapeDtypeStruct((3,), float), jax.ShapeDtypeStruct((3, 3), float)
+    of_state, of_both = (li.explain(jax.grad(loss, argnums), *given).loops for argnums in (0, (0, 1)))
+    assert max(x.operations for x in of_state) < max(x.operations for x in of_both)
+
+
 @pytest.mark.long
 def test_gradients_of_a_checkpoint_around_a_long_loop_in_a_scan():
     def total(scan):

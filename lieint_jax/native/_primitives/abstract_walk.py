@@ -242,7 +242,11 @@ def row_number(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
         if not parts or part != parts[-1]:
             ends.append(n)
             parts.append(part)
-    near = all(_is_near(array, offset, len(column)) for array, offset in parts if offset is not None)
+    near = all(  # entries of an array in memory, or next to it
+        array.op in _STORED and n >= -NEXT and n + len(column) <= array.length + NEXT
+        for array, n in parts
+        if n is not None
+    )
     if len(parts) > _PARTS or not near:
         if all(x.is_constant for x in column):
             return entry_at(walk, column, k)
@@ -252,11 +256,6 @@ def row_number(walk: AbstractWalk, column: list[Value], k: Value) -> Value:
     for end, x in zip(ends[:0:-1], numbers[-2::-1], strict=True):
         found = walk.select(walk.number("lt", k, walk.index(end)), x, found)
     return found
-
-
-def _is_near(array: Value, offset: int, rows: int) -> bool:
-    """Whether entries from `offset` on are those of an array, or in the memory next to it."""
-    return array.op in _STORED and offset >= -NEXT and offset + rows <= array.length + NEXT
 
 
 def run_of(walk: AbstractWalk, column: list[Value]) -> tuple[Value, int, int] | None:

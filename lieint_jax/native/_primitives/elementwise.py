@@ -60,10 +60,6 @@ def _shift(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, op: str) -> 
     return found if op == "shift_right_arithmetic" else walk.select(inside, found, zero)
 
 
-def _absolute(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
-    return x[0] if dtype.kind == "u" else walk.number("abs", x[0])
-
-
 def _reduce_precision(
     walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, *, exponent_bits: int, mantissa_bits: int
 ) -> Value:
@@ -81,18 +77,6 @@ def _sign(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     return walk.select(walk.number("gt", x[0], zero), one, below)
 
 
-def _round(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype, *, rounding_method: lax.RoundingMethod) -> Value:
-    return walk.number(_ROUNDINGS[rounding_method], x[0])
-
-
-def _power(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
-    return walk.number("pow", x[0], walk.number("convert", x[1], dtype=dtype))
-
-
-def _log2(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
-    return walk.number("mul", walk.number("log", x[0]), walk.builder.constant(1 / np.log(2.0), dtype))
-
-
 def _one_minus_square(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
     one = walk.builder.constant(1, dtype)
     return walk.number("mul", walk.number("add", one, x[0]), walk.number("sub", one, x[0]))
@@ -102,10 +86,6 @@ def _polynomial(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Valu
     """Horner's rule; the coefficients begin with the constant."""
     at, *coefficients = x
     return functools.reduce(lambda y, c: walk.number("add", walk.number("mul", y, at), c), coefficients[::-1])
-
-
-def _is_finite(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
-    return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
 
 def _is_before(walk: AbstractWalk, x: Sequence[Value], dtype: np.dtype) -> Value:
@@ -129,7 +109,7 @@ _OPERATIONS = (  # of programs, which JAX calls by the same names
 ELEMENTWISE: dict[str, Callable[..., Value]] = {
     name: functools.partial(_operation, op=name) for name in _OPERATIONS.split()
 } | {
-    "abs": _absolute,
+    "abs": lambda walk, x, dtype: x[0] if dtype.kind == "u" else walk.number("abs", x[0]),
     "add_any": functools.partial(_operation, op="add"),
     "clamp": lambda walk, x, dtype: walk.number("min", walk.number("max", x[1], x[0]), x[2]),
     "convert_element_type": lambda walk, x, dtype, *, new_dtype: walk.number("convert", x[0], dtype=dtype),
@@ -137,17 +117,21 @@ ELEMENTWISE: dict[str, Callable[..., Value]] = {
     "copy_p": lambda walk, x, dtype: x[0],
     "div": functools.partial(_quotient, op="div"),
     "integer_pow": _integer_power,
-    "is_finite": _is_finite,
-    "log2": _log2,
+    "is_finite": lambda walk, x, dtype: walk.number(
+        "lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype)
+    ),
+    "log2": lambda walk, x, dtype: walk.number(
+        "mul", walk.number("log", x[0]), walk.builder.constant(1 / np.log(2.0), dtype)
+    ),
     "lt_to": _is_before,
     "name": lambda walk, x, dtype, *, name: x[0],
     "once": lambda walk, x, dtype: x[0],
     "one_minus_square": _one_minus_square,
     "polynomial": _polynomial,
-    "pow": _power,
+    "pow": lambda walk, x, dtype: walk.number("pow", x[0], walk.number("convert", x[1], dtype=dtype)),
     "reduce_precision": _reduce_precision,
     "rem": functools.partial(_quotient, op="rem"),
-    "round": _round,
+    "round": lambda walk, x, dtype, *, rounding_method: walk.number(_ROUNDINGS[rounding_method], x[0]),
     "rsqrt": lambda walk, x, dtype: walk.number("div", walk.builder.constant(1, dtype), walk.number("sqrt", x[0])),
     "select_n": _select,
     "shift_left": functools.partial(_shift, op="shift_left"),
@@ -186,10 +170,6 @@ def stack(*arrays: np.ndarray, axis: int = 0) -> np.ndarray:
     return np.concatenate([np.expand_dims(x, axis) for x in arrays], axis)
 
 
-def _reshape(x: np.ndarray, new_sizes: Sequence[int], dimensions: Sequence[int] | None = None) -> np.ndarray:
-    return (x if dimensions is None else x.transpose(dimensions)).reshape(new_sizes)
-
-
 def _unstack(x: np.ndarray, axis: int) -> Arrays:
     return [array_of(list(y.flat), y.shape) for y in (x.take([k], axis).squeeze(axis) for k in range(x.shape[axis]))]
 
@@ -199,7 +179,7 @@ MOVES: dict[str, Callable[..., Any]] = {
     "concatenate": lambda *x, dimension: np.concatenate(x, dimension),
     "expand_dims": lambda x, dimensions: np.expand_dims(x, dimensions),
     "pad": _pad,
-    "reshape": _reshape,
+    "reshape": lambda x, new_sizes, dimensions=None: x.transpose(dimensions or range(x.ndim)).reshape(new_sizes),
     "reshard": lambda x, dst_sharding: x,
     "rev": lambda x, dimensions: np.flip(x, dimensions),
     "slice": _slice,

@@ -26,14 +26,6 @@ def _sincos(x: LlvmValue) -> tuple[LlvmValue, LlvmValue]:
     return where(odd, cosine, sine).flip((k & 2) << 62), where(odd, sine, cosine).flip(((k + 1) & 2) << 62)
 
 
-def _sin(x: LlvmValue) -> LlvmValue:
-    return _sincos(x)[0]
-
-
-def _cos(x: LlvmValue) -> LlvmValue:
-    return _sincos(x)[1]
-
-
 def _tan(x: LlvmValue) -> LlvmValue:
     """sin r / cos r, or −cos r / sin r."""
     sine, cosine, k = _angle_parts(x)
@@ -113,6 +105,6 @@ def _acos(x: LlvmValue) -> LlvmValue:
 
 
 ANGLES = {
-    "sin": _sin, "cos": _cos, "sincos": _sincos, "tan": _tan,
+    "sin": lambda x: _sincos(x)[0], "cos": lambda x: _sincos(x)[1], "sincos": _sincos, "tan": _tan,
     "asin": _asin, "acos": _acos, "atan": _atan, "atan2": _atan2,
 }  # fmt: skip

@@ -14,7 +14,7 @@ import hashlib
 import inspect
 import platform
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -115,15 +115,12 @@ class _Digest:
         if isinstance(x, tuple | list) and type(x) in (tuple, list):
             return self.join(type(x).__name__, x)
         if isinstance(x, dict) and type(x) is dict:
-            return self._dict(x)
+            items = sorted((self.add(key), self.add(value)) for key, value in x.items())
+            return _hash("dict", *(part for item in items for part in item))
         if not jax.tree_util.all_leaves([x]):
             leaves, structure = jax.tree.flatten(x)
             return self.join("tree", (structure, *leaves))
         return self._object(x)
-
-    def _dict(self, x: Mapping[object, object]) -> bytes:
-        items = sorted((self.add(key), self.add(value)) for key, value in x.items())
-        return _hash("dict", *(part for item in items for part in item))
 
     def _array(self, x: jax.Array | np.ndarray | np.generic) -> bytes:
         if not concrete(x):
@@ -144,14 +141,14 @@ class _Digest:
 
     def _function(self, f: FunctionType) -> bytes:
         self._trail.append(f"{f.__module__}.{f.__qualname__}")
-        attributes = _attributes(f.__code__)
+        attributes = _names(f.__code__, "LOAD_ATTR", "LOAD_METHOD")  # of any object
         parts = [self.add(f.__code__), self.add(f.__defaults__), self.add(f.__kwdefaults__)]
         for name, cell in zip(f.__code__.co_freevars, f.__closure__ or (), strict=True):
             parts.append(self._variable(name, lambda cell=cell: cell.cell_contents, attributes))
         own = {name: value for name, value in vars(f).items() if not name.startswith("__")}
         parts.append(self.add(own))
         if not _is_installed(f.__module__):
-            for name in sorted(_globals_of(f.__code__)):
+            for name in sorted(_names(f.__code__, "LOAD_GLOBAL", "LOAD_NAME")):
                 parts.append(_hash(name) + self._variable(name, lambda name=name: _global(f, name), attributes))
         self._trail.pop()
         return _hash("function", *parts)
@@ -233,18 +230,13 @@ def _instructions(code: CodeType) -> Iterable[dis.Instruction]:
             yield from _instructions(inner)
 
 
-def _globals_of(code: CodeType) -> set[str]:
-    """The names of the global variables that a function refers to."""
-    return {str(i.argval) for i in _instructions(code) if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+def _names(code: CodeType, *operations: str) -> set[str]:
+    """The names that operations of a function, or of one that it defines, refer to."""
+    return {str(i.argval) for i in _instructions(code) if i.opname in operations}
 
 
 def _global(f: FunctionType, name: str) -> object:
     return f.__globals__[name] if name in f.__globals__ else vars(builtins)[name]
-
-
-def _attributes(code: CodeType) -> set[str]:
-    """The names of the attributes that a function reads, of any object."""
-    return {str(i.argval) for i in _instructions(code) if i.opname in ("LOAD_ATTR", "LOAD_METHOD")}
 
 
 def _installed_name(x: object) -> str | None:
