@@ -48,15 +48,12 @@ def a_step(dt=0.05):
         lambda s, z, dt: li.integrate(s, z, dt, 6, save_every=3),
         lambda s, z, dt: li.observe(s, z, dt, [0.3, 0.7]),
         lambda s, z, dt: jax.grad(lambda h: li.observe(s, z, h, [0.3, 0.7])[0].q[-1, 0])(dt),
-        pytest.param(
-            lambda s, z, dt: li.observe(s, z, dt, [6 * dt, 14.2 * dt], derivative="checkpoint"),
-            marks=pytest.mark.long,  # the numbers of steps are compiled in
-        ),
-        pytest.param(lambda s, z, dt: li.reversible(s, z, dt, 6, save_every=3), marks=pytest.mark.long),
-        pytest.param(lambda s, z, dt: li.adjoints.round_trip_error(s, z, dt, 6), marks=pytest.mark.long),
-        pytest.param(lambda s, z, dt: li.diagnostics.poisson_error(s, z, dt, 6), marks=pytest.mark.long),
-        pytest.param(lambda s, z, dt: li.diagnostics.order(s, z, dt), marks=pytest.mark.long),
-        pytest.param(lambda s, z, dt: s.system.solution(z, dt), marks=pytest.mark.long),
+        lambda s, z, dt: li.observe(s, z, dt, [6 * dt, 14.2 * dt], derivative="checkpoint"),
+        lambda s, z, dt: li.reversible(s, z, dt, 6, save_every=3),
+        lambda s, z, dt: li.adjoints.round_trip_error(s, z, dt, 6),
+        lambda s, z, dt: li.diagnostics.poisson_error(s, z, dt, 6),
+        lambda s, z, dt: li.diagnostics.order(s, z, dt),
+        lambda s, z, dt: s.system.solution(z, dt),
     ],
 )
 def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):

@@ -160,11 +160,7 @@ def crossings(dtype):
 
 
 @pytest.mark.parametrize(
-    ("dtype", "tolerance"),
-    [
-        pytest.param(jnp.float64, 1e-14, id="float64"),
-        pytest.param(jnp.float32, 3e-6, id="float32", marks=pytest.mark.long),
-    ],
+    ("dtype", "tolerance"), [(jnp.float64, 1e-14), (jnp.float32, 3e-6)], ids=["float64", "float32"]
 )
 def test_the_time_of_a_root_is_right_and_what_is_no_root_is_not_found(dtype, tolerance):
     """Bracketed to round-off, whatever the shape of the condition: 12 steps of regula falsi erred by up to 0.07."""

@@ -21,7 +21,6 @@ OUTPUTS = np.array([0.0, 0.07, 0.07, 0.3, 0.44, 1.0])
 GRADED = 2 * np.sinh(np.linspace(0, 1.2, 13)) / np.sinh(1.2)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):
     nodes = li.integrate(SPLITTING, STATE, sign * 0.1, 10)

@@ -140,7 +140,6 @@ def test_no_step_ends_where_the_potential_is_not_defined(scheme):
     assert not np.any(np.asarray(run.info.converged) & ~defined)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["cayley", "symplectic", "so3_explicit", "exact"])
 def test_a_full_tensor_of_a_needle_is_flagged(scheme):
     """Energy is kept to 1e-10 wherever a step converged: 2000 turned rods and needles each of 1 : 1e3 … 1e10."""
@@ -218,7 +217,6 @@ KAPPAS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", KAPPAS)
 def test_every_converged_root_is_that_of_the_branch_from_zero(name):
     """Against a homotopy in dt of 600 steps, with |dt Ω| up to 7: most solves are flagged there, and none is wrong."""

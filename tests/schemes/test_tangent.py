@@ -40,7 +40,6 @@ def check(step, state, dt):
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rotations", "motions of a body in a fluid", "three bodies"])
 def test_a_tangent_vector_is_the_derivative_of_a_perturbation(name):
     """And `trivialize` gives its coordinates back."""

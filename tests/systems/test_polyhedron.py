@@ -276,14 +276,8 @@ def conserved(scheme, steps, small=None, levels=1):
     return H, float(moved[:3].max()) / p, float(moved[3:].max()) / L
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize(
-    ("scheme", "steps"),
-    [
-        pytest.param("splitting", 300, marks=pytest.mark.long),
-        pytest.param("splitting", 100_000, marks=pytest.mark.long),
-        pytest.param("bodies_energy_momentum", 300, marks=pytest.mark.long),
-    ],
+    ("scheme", "steps"), [("splitting", 300), ("splitting", 100_000), ("bodies_energy_momentum", 300)]
 )
 def test_a_pebble_in_orbit_close_to_a_bilobed_body(scheme, steps):
     """Both momenta to round-off; the energy to round-off by the energy–momentum scheme, bounded by splitting."""

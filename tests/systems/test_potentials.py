@@ -206,13 +206,10 @@ def test_momentum_shows_what_an_outer_field_leaves_and_zero_for_the_rest():
     np.testing.assert_allclose(bodies.momentum(state), [0, 0, 0, 0, 0, turning[:, 2].sum()], rtol=0, atol=1e-15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("field", "scheme"),
-    [
-        pytest.param("uniform", "splitting", marks=pytest.mark.long),
-        pytest.param("uniform", "bodies_energy_momentum", marks=pytest.mark.long),
-        pytest.param("central", "splitting", marks=pytest.mark.long),
-    ],
+    [("uniform", "splitting"), ("uniform", "bodies_energy_momentum"), ("central", "splitting")],
 )
 def test_two_bodies_and_a_spring_conserve_the_momenta_that_an_outer_field_leaves(field, scheme):
     """What is left of P and L is kept: 3e-15 at most was observed; and energy, by the scheme that keeps it, 2e-15."""
