@@ -111,4 +111,4 @@ def test_a_slew_in_a_sampled_loop_is_that_of_scipy():
             state, Omega = held_for(jnp.asarray(control(state.q, Omega)), state, period, substeps, order)
         errors.append(attitude_error(state.q, y[:4]))
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.2)
-    assert errors[2] < 1e-3 * errors[0]  # observed: 6e-12 and 3e-7
+    assert errors[2] < 1e-4 * errors[0]  # observed: 6e-12 and 3e-7

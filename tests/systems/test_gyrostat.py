@@ -87,7 +87,7 @@ def test_a_full_tensor_is_the_same_gyrostat_in_other_axes():
     q = li.groups.so3.multiply(state.q, li.groups.so3.from_matrix(jnp.array(axes)))
     ends = [after(schemes.so3_midpoint(s), z, 0.1, 50)[0] for s, z in ((FULL, state), (same, State(q, state.p)))]
     other = li.groups.so3.multiply(ends[0].q, li.groups.so3.from_matrix(jnp.array(axes)))
-    assert angle(other, ends[1].q) < 1e-13  # floor 4e-15
+    assert angle(other, ends[1].q) < 3e-14  # floor 4e-15
 
 
 def test_a_gyrostat_without_rotor_momentum_is_the_free_body():
