@@ -48,12 +48,10 @@ def example(name):
     return body, body.state([1.0, 0, 0, 0], angular_velocity=[0.4, 0.5, 0.9], **more), 0.5
 
 
-LONG = pytest.mark.long
+LARGER = [pytest.param(name, marks=pytest.mark.long) for name in ("driven", "binary", "many")]
 
 
-@pytest.mark.parametrize(
-    "name", ["top", "gyrostat", *(pytest.param(name, marks=LONG) for name in ("driven", "binary", "many"))]
-)
+@pytest.mark.parametrize("name", ["top", "gyrostat", *LARGER])
 def test_canonical_coordinates_are_those_of_the_system(name):
     """There and back; their rate pushed forward is the vector field; the pair (q, p) has the lengths that it should."""
     system, state, _ = example(name)
@@ -88,7 +86,7 @@ def test_gauss_conserves_form_and_momentum_of_elastic_bodies_and_is_reversible()
     assert diagnostics.symplectic_defect(step, state, dt) < 2e-14
     assert jnp.max(jnp.abs(system.momentum(end) - system.momentum(state))) < 1e-15
     assert diagnostics.reversibility(step, state, dt) < 3e-15
-    assert abs(float(system.energy(end) - system.energy(state))) < 1e-12
+    assert abs(float(system.energy(end) - system.energy(state))) < 4e-15
 
 
 def test_the_work_on_a_body_at_rest_is_the_quadrature_of_the_power():
