@@ -37,7 +37,7 @@ def test_the_grid_has_the_spacing_and_its_middle_at_the_origin():
     assert points.shape == (64, 3)
     np.testing.assert_allclose(points.mean(axis=0), 0, rtol=0, atol=1e-15)
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(64, 1)]
-    assert apart.min() == pytest.approx(0.31)
+    assert apart.min() == pytest.approx(0.31, rel=1e-15)
     assert np.linalg.norm(points, axis=1).max() < 0.31 * 2.7  # a ball of 64 cells has a radius of 2.48 of them
 
 

@@ -111,9 +111,8 @@ def test_events_of_many_members_are_found_at_once_and_in_order():
     for m in range(2):
         start = jax.tree.map(lambda x: x[m], starts)  # noqa: B023
         for k in range(3):
-            assert li.event(SPLITTING, start, 0.05, level, max_steps=400, count=k + 1).t == pytest.approx(
-                float(many.t[m, k])
-            )
+            alone = li.event(SPLITTING, start, 0.05, level, max_steps=400, count=k + 1)
+            assert float(alone.t) == pytest.approx(float(many.t[m, k]), rel=1e-14)  # observed 0
 
 
 def test_the_event_of_a_falling_top_lies_on_its_trajectory():

@@ -197,7 +197,7 @@ def test_the_work_of_a_motor_is_the_gain_of_energy(kappa):
         end.extra["rotor"] - H_R, MOTOR.momentum, rtol=0, atol=4e-15
     )  # a midpoint sum of whole periods
     assert abs(float(end.work)) > 0.1
-    assert float(end.t) == pytest.approx(4)
+    assert float(end.t) == pytest.approx(4, rel=5e-15)
 
 
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
