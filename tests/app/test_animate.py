@@ -310,11 +310,11 @@ def volume(solid):
 def test_solids_have_their_volumes_and_keep_their_surface_in_smaller_faces():
     sides = np.sin(np.pi / 12) * 12 / np.pi  # of a polygon of 24 corners, over a circle
     cylinder, ball = meshes.cylinder(0.5, 3.0), meshes.ellipsoid(np.array([1.0, 2.0, 3.0]))
-    assert volume(meshes.box(np.array([1.0, 2.0, 3.0]))) == pytest.approx(6, rel=1e-12)
-    assert volume(cylinder) == pytest.approx(sides * np.pi * 0.75, rel=1e-12)
+    assert volume(meshes.box(np.array([1.0, 2.0, 3.0]))) == pytest.approx(6, rel=1e-12, abs=0)
+    assert volume(cylinder) == pytest.approx(sides * np.pi * 0.75, rel=1e-12, abs=0)
     assert volume(ball) == pytest.approx(8 * np.pi, rel=0.05)
     joined = meshes.join([cylinder, meshes.box(np.array([1.0, 2.0, 3.0]))])
-    assert area(joined) == pytest.approx(area(cylinder) + 22, rel=1e-12)
+    assert area(joined) == pytest.approx(area(cylinder) + 22, rel=1e-12, abs=0)
     assert max(np.ptp(joined.corners[list(face)], axis=0).max() for face in joined.faces) <= 0.25 * 3
 
 
@@ -344,7 +344,7 @@ def test_a_shape_of_triangles_is_drawn_about_its_center_of_mass(tmp_path):
     path.write_text("v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     found = meshes.read(path)
     assert len(found.solid.faces) == 4
-    assert area(found.solid) == pytest.approx(24 + 8 * np.sqrt(3), rel=1e-12)
+    assert area(found.solid) == pytest.approx(24 + 8 * np.sqrt(3), rel=1e-12, abs=1e-12)
     np.testing.assert_allclose(found.centered().corners.min(axis=0), [-1, -1, -1], rtol=0, atol=1e-12)
 
 

@@ -137,7 +137,7 @@ def test_residues_alternate_locations_models_and_names_of_pdb(tmp_path):
     np.testing.assert_array_equal(found[0].positions, at[:2])
     whole = files.read_molecule(path, masses={"MW": 0.0})
     assert len(whole.positions) == 6
-    assert float(whole.shape().mass) == pytest.approx(12.011 + 1.008 + 40.078 + 2 * 15.999, rel=1e-14)
+    assert float(whole.shape().mass) == pytest.approx(12.011 + 1.008 + 40.078 + 2 * 15.999, rel=1e-14, abs=0)
     with pytest.raises(ValueError, match=r"a\.ent, line 8: no mass is known of 'M': give it as masses="):
         files.read_molecules(path)
 

@@ -64,7 +64,7 @@ def test_a_sum_over_sites_is_the_sum_over_all_pairs_of_different_bodies(kind):
         for b, d in zip(at[j], NUMBERS[j], strict=True)
     )
     assert len(potential.groups) == 3
-    assert float(jax.jit(potential)(PLACES, TURNS)) == pytest.approx(total, rel=1e-13)
+    assert float(jax.jit(potential)(PLACES, TURNS)) == pytest.approx(total, rel=1e-13, abs=0)
 
 
 @pytest.mark.long
@@ -80,7 +80,7 @@ def test_a_spring_obeys_hooke_s_law():
     V = potentials.springs([[0, 1]], [[[1.0, 0, 0], [0, 1, 0]]], 2.0, 1.5)
     ends = PLACES[0] + TURNS[0][:, 0], PLACES[1] + TURNS[1][:, 1]
     length = np.linalg.norm(ends[0] - ends[1])
-    assert float(jax.jit(V)(PLACES[:2], TURNS[:2])) == pytest.approx((length - 1.5) ** 2, rel=1e-14)
+    assert float(jax.jit(V)(PLACES[:2], TURNS[:2])) == pytest.approx((length - 1.5) ** 2, rel=1e-14, abs=0)
     slack = potentials.springs([[0, 1]], np.zeros((1, 2, 3)), 2.0, 0.0)
     pull = jax.jit(jax.grad(slack))(jnp.zeros((2, 3)), TURNS[:2])
     assert float(jnp.abs(pull).max()) == 0  # finite where its ends meet
@@ -126,16 +126,16 @@ def test_the_discrete_gradient_of_a_pair_of_sites_gives_the_difference():
         potentials.lennard_jones([1.5, 0.7], [0.9, 1.2]),
     ):
         [D] = V.discrete_gradient((start,), (end,))
-        assert float(D[0, 0]) * 1.6 == pytest.approx(float(V.value((end,)) - V.value((start,))), rel=1e-14)
+        assert float(D[0, 0]) * 1.6 == pytest.approx(float(V.value((end,)) - V.value((start,))), rel=1e-14, abs=0)
     spring = potentials.springs([[0, 1]], np.zeros((1, 2, 3)), 2.0, 0.8)
     [D] = spring.discrete_gradient(start[0], end[0])
-    assert float(D) * 1.6 == pytest.approx(float(spring.value(end[0]) - spring.value(start[0])), rel=1e-14)
+    assert float(D) * 1.6 == pytest.approx(float(spring.value(end[0]) - spring.value(start[0])), rel=1e-14, abs=0)
 
 
 def test_a_uniform_field_of_many_bodies_acts_on_the_sum_over_their_points():
     at = [np.asarray(x + s @ np.asarray(R).T) for x, R, s in zip(PLACES, TURNS, UNEVEN, strict=True)]
     total = sum(w @ (r @ [0.3, -0.2, -1.0]) for w, r in zip(NUMBERS, at, strict=True))
-    assert float(jax.jit(FIELD)(PLACES, TURNS)) == pytest.approx(-total, rel=1e-14)
+    assert float(jax.jit(FIELD)(PLACES, TURNS)) == pytest.approx(-total, rel=1e-14, abs=0)
 
 
 def test_carlson_s_integrals_agree_with_scipy():
