@@ -17,6 +17,8 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import bodies
 from lieint_jax.groups import so3
 
+pytestmark = pytest.mark.long
+
 
 def body(name, x, **keys):
     """The table of a round body of 2 kg at x on the x axis."""
@@ -33,6 +35,7 @@ SPRING = dict(kind="spring", between=["A", "B"], points_m=[[0.5, 0.0, 0.0], [0.0
 FIELD = dict(kind="uniform_field", field_m_s2=[0.0, 0.0, -9.81])
 
 
+@pytest.mark.quick
 def test_a_quaternion_of_five_digits_is_normalized_with_a_warning():
     q = [0.73674, 0.57997, 0.13156, 0.32176]
     with pytest.warns(RuntimeWarning, match=r"quaternion has the norm 0\.9999.*: normalized"):
@@ -41,12 +44,14 @@ def test_a_quaternion_of_five_digits_is_normalized_with_a_warning():
     assert scenarios.parse(found.model_dump(), "mine.npz") == found  # without a warning
 
 
+@pytest.mark.quick
 def test_the_scenario_stored_with_a_run_reads_back():
     given = book(bodies=[body("A", 0.0, quaternion=[0.6, 0.8, 0.0, 0.0]), body("B", 1.0)], potential=[SPRING, FIELD])
     scenario = scenarios.parse(given, "mine.toml")
     assert scenarios.parse(scenario.model_dump(), "mine.npz") == scenario
 
 
+@pytest.mark.quick
 def test_the_schema_has_the_kind_with_its_tables():
     definitions = scenarios.schema()["$defs"]
     (keys,) = (
@@ -58,7 +63,6 @@ def test_the_schema_has_the_kind_with_its_tables():
         assert all("description" in inner[key] for key in inner if key not in ("kind", "spread"))
 
 
-@pytest.mark.long
 def test_the_reference_of_the_site_has_the_kind():
     source = Path(__file__).parents[2] / "docs" / "hooks" / "scenario_keys.py"
     pytest.importorskip("mkdocs")
@@ -69,7 +73,6 @@ def test_the_reference_of_the_site_has_the_kind():
         assert text in page
 
 
-@pytest.mark.long
 def test_a_sum_of_potentials_agrees_with_the_same_bodies_by_the_library():
     """Gravity, a spring and a field, one step: potential, state and step are those of the package, to the bit."""
     three = [
@@ -103,7 +106,6 @@ def test_a_sum_of_potentials_agrees_with_the_same_bodies_by_the_library():
     assert float(kept[2]) == 0  # P along the field is not conserved
 
 
-@pytest.mark.long
 def test_one_body_falls_in_a_field():
     """x = x₀ + vt + gt²/2 after ten steps; the splitting is exact there. Observed 2e-15."""
     only = [body("A", 1.0, velocity_m_s=[0.0, 3.0, 4.0])]
@@ -137,7 +139,6 @@ def as_bodies(pair):
     return scenarios.parse(book(bodies=tables, potential=gravity, **clock), "pair.toml")
 
 
-@pytest.mark.long
 def test_two_bodies_move_as_those_of_the_kind_binary():
     """1999 KW4 over 26 d by both kinds, from one state: positions and periods."""
     pair = scenarios.load("kw4", members=1, steps=1248)
@@ -159,7 +160,6 @@ def test_two_bodies_move_as_those_of_the_kind_binary():
         assert ours[b] == pytest.approx(theirs[a], rel=1e-7)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("scheme", get_args(bodies.Bodies.model_fields["scheme"].annotation))
 def test_every_scheme_can_be_chosen(scheme):
     """A third of an eccentric orbit of two points, by the orders that are the default, against nystrom of order 6."""
@@ -174,7 +174,6 @@ def test_every_scheme_can_be_chosen(scheme):
     assert abs(path.state.q[-1] - fine.state.q[-1]).max() < error
 
 
-@pytest.mark.long
 def test_members_spread_as_the_file_says_and_the_first_is_the_nominal_one():
     spread = dict(position_m=1e-3, velocity_m_s=1e-2, mass_percent=1.0, attitude_deg=2.0)
     scenario = scenarios.parse(
@@ -193,6 +192,7 @@ def test_members_spread_as_the_file_says_and_the_first_is_the_nominal_one():
     assert "A's mass 1 %" in scenario.assumption()
 
 
+@pytest.mark.quick
 def test_the_states_of_sn263_are_those_of_its_elements():
     """Periods and eccentricities of the file's comments, in Jacobi's coordinates; rounded to mm and 1e-7 m/s."""
     scenario = scenarios.load("sn263")
@@ -213,7 +213,6 @@ def test_the_states_of_sn263_are_those_of_its_elements():
         np.testing.assert_allclose(found.velocity_m_s, y[1], rtol=0, atol=6e-8)
 
 
-@pytest.mark.long
 def test_sn263_conserves_its_invariants_and_has_the_published_precession(lieint):
     out = lieint("run", "sn263", "--members", "2", "--out", "x.npz")
     assert "2 of 2 members converged" in out
@@ -228,7 +227,6 @@ def test_sn263_conserves_its_invariants_and_has_the_published_precession(lieint)
     assert "Beta about Alpha: period (h)" in lieint("plot", "x.npz", "--force")
 
 
-@pytest.mark.long
 def test_sn263_agrees_with_the_same_bodies_by_the_library():
     """Ten steps of the nominal member against li.integrate of bodies made by hand."""
     scenario = scenarios.load("sn263", members=1, steps=10)

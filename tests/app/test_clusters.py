@@ -101,19 +101,8 @@ def test_options_that_do_not_fit_are_refused(folder, lieint, options, message):
 def test_a_kind_in_a_file_that_workers_do_not_have_is_refused(folder, lieint):
     text = "from lieint_jax.app.scenarios.rigid_body import FreeBody\n\nclass Mine(FreeBody):\n    'Mine.'\n"
     Path("mine.py").write_text(text)
-    command = [
-        "run",
-        "my.toml",
-        "--set",
-        "system=mine.py:Mine",
-        "--out",
-        "x.zarr",
-        "--parts",
-        "2",
-        "--dask",
-        "localhost:1",
-    ]
-    assert "the workers of Dask do not have the file of mine.py:Mine: use --slurm" in lieint.refuse(*command)
+    command = "run my.toml --set system=mine.py:Mine --out x.zarr --parts 2 --dask localhost:1"
+    assert "the workers of Dask do not have the file of mine.py:Mine: use --slurm" in lieint.refuse(*command.split())
 
 
 def test_the_commands_of_gnu_parallel_parse():

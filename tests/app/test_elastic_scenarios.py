@@ -40,15 +40,14 @@ def test_pseudo_rigid_has_the_energy_variation_of_figure_3c_in_its_first_quarter
     lieint.drew("ball-torus.png", "ball-energy.png")
 
 
-@pytest.mark.slow
 def test_shipped_pseudo_rigid_has_the_energy_variation_of_figure_3c():
     scenario = scenarios.load("pseudo_rigid", members=8)
     made = run(scenario)
     energy, momentum = scenario.conserved(made)
     assert made.info.converged.all()
     assert [x.promise for x in (energy, momentum)] == ["conserved to round-off"] * 2
-    assert energy.change().max() < 1e-12  # floor 3e-14
-    assert momentum.change().max() < 1e-12  # floor 1e-14
+    assert energy.change().max() < 2e-13  # floor 3e-14
+    assert momentum.change().max() < 1e-13  # floor 1e-14
     series = scenario.energies(made)
     assert series.converged
     assert np.ptp(series.energy[pseudo_rigid.MIDPOINT]) == pytest.approx(2.31e-3, rel=3e-3)

@@ -91,8 +91,8 @@ def test_the_nominal_body_has_the_published_periods_and_energy():
     spin = jax.tree.map(lambda x: x[0], motion.members(changed(members=1))[0])
     near = jax.jit(motion.state_at_perigee, static_argnums=2)(spin, jnp.asarray([1.0, 0, 0]), False)
     found = jax.jit(motion.outcome)(motion.moments(spin), near)
-    assert float(found.precession) == pytest.approx(27.38, rel=1e-13)
-    assert float(found.rotation) == pytest.approx(263.0, rel=1e-13)
+    assert float(found.precession) == pytest.approx(27.38, rel=1e-13, abs=1e-12)
+    assert float(found.rotation) == pytest.approx(263.0, rel=1e-13, abs=1e-12)
     assert not found.long_axis
     assert float(1 / (1 / found.precession - 1 / found.rotation)) == pytest.approx(30.56, abs=0.01)  # published
     assert float(found.excitation) == pytest.approx(1.024, abs=0.013)  # published; 1.0285
@@ -234,11 +234,11 @@ def test_derivatives_of_a_passage_agree_with_differences():
 
 
 def test_the_shipped_run_has_the_declared_accuracy():
-    """640 steps: attitudes of 256 members to 1e-8 rad (observed 2.2e-10); ± 96 h: P_φ to 0.01 h (observed 0.0026)."""
+    """640 steps: attitudes of 256 members to 2e-9 rad (observed 2.2e-10); ± 96 h: P_φ to 0.01 h (observed 0.0026)."""
     _, path, found = small_study()
     assert found.failed == 0
     assert path.info.converged.all()
-    assert found.step_error < 1e-8
+    assert found.step_error < 2e-9
     errors = [abs(found.arcs[h].after.precession - found.arcs[192.0].after.precession) for h in (24.0, 48.0, 96.0)]
     assert max(errors[2]) < 0.01
     assert np.median(errors[0]) > 2 * np.median(errors[1]) > 4 * np.median(errors[2])

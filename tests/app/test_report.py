@@ -86,4 +86,4 @@ def test_the_assumption_names_the_spreads_that_are_not_zero():
 
 
 def test_the_spread_of_an_angle_wraps_around_the_circle():
-    assert Quantity("longitude", np.array([0.1, 359.9, 0.3]), angle=True).spread == pytest.approx(0.2)
+    assert Quantity("longitude", np.array([0.1, 359.9, 0.3]), angle=True).spread == pytest.approx(0.2, rel=3e-13, abs=0)

@@ -15,6 +15,8 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import _spread, water
 from lieint_jax.ensemble import archives
 
+pytestmark = pytest.mark.long
+
 KINDS = data_files.table("spreads")  # of a scenario of each kind, the paths of all numbers that can be spread
 UNCERTAIN = {key: value for key, value in KINDS.items() if key != "water"}  # whose members are systems of their own
 
@@ -57,6 +59,7 @@ def possible(scenario):
     return str(found.value).partition("these can be spread: ")[2].removesuffix(" (got").split(", ")
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_every_number_of_a_scenario_can_be_spread(name):
@@ -70,6 +73,7 @@ def second_moments(J):
     return J.sum(axis=-1, keepdims=True) / 2 - J
 
 
+@pytest.mark.quick
 def test_draws_have_the_given_mean_and_deviation():
     """4000 members: the mean is uncertain by 1/√4000 of the deviation, the deviation by 1.1 %."""
     spread = {"inertia_percent": 2.0, "state.angular_velocity_deg": [0.1, 0.2, 0.3]}
@@ -86,7 +90,6 @@ def test_draws_have_the_given_mean_and_deviation():
     assert abs(np.corrcoef(np.concatenate([x, y], axis=1).T) - np.eye(6)).max() < 4 / np.sqrt(4000)
 
 
-@pytest.mark.long
 def test_a_member_is_the_same_in_ensembles_of_every_size_and_with_other_spreads():
     many = _spread.draw_members(load("toutatis", {"inertia": 0.01}, members=50))
     few = _spread.draw_members(load("toutatis", {"inertia": 0.01, "state.euler_313_deg": 1.0}, members=7))
@@ -95,7 +98,6 @@ def test_a_member_is_the_same_in_ensembles_of_every_size_and_with_other_spreads(
     assert (other[("inertia",)][1:] != few[("inertia",)][1:]).all()
 
 
-@pytest.mark.long
 def test_every_draw_belongs_to_a_body_an_orbit_a_direction():
     """However wide the spread: draws that no file could have are drawn again."""
     own = _spread.draw_members(load("driven", {"inertia": 1.0, "orbit.eccentricity": 0.5}, members=2000))
@@ -113,19 +115,20 @@ def test_every_draw_belongs_to_a_body_an_orbit_a_direction():
     np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1, rtol=0, atol=1e-15)
 
 
+@pytest.mark.quick
 def test_a_spread_that_leaves_members_without_a_value_is_refused():
     scenario = load("driven", {"orbit.eccentricity": 1e6}, members=50)
     with pytest.raises(ValueError, match=r"spread\.orbit\.eccentricity: \d+ of 50 members found no value"):
         _spread.draw_members(scenario)
 
 
+@pytest.mark.quick
 def test_a_spread_of_zero_changes_nothing():
     scenario = load("toutatis", {"inertia": 0.0})
     assert not scenario.has_own_steps()
     assert load("toutatis", {"inertia": 0.1}).has_own_steps()
 
 
-@pytest.mark.long
 def test_a_member_with_an_inertia_of_its_own_is_that_body_alone():
     """Observed: 5e-16 after 200 steps, where it differs from the nominal body by 1e-2."""
     scenario = load("toutatis", {"inertia_percent": 1.0}, members=3, steps=200, save_every=200)
@@ -182,7 +185,6 @@ def assert_close(tree, other):
         np.testing.assert_allclose(x, y, rtol=1e-11, atol=1e-12 * abs(np.asarray(y)).max(initial=0))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", UNCERTAIN)
 def test_a_member_is_the_system_of_a_file_with_its_numbers(name):
     """All numbers of a kind at once; the first member is that of the file without a spread."""
@@ -193,7 +195,6 @@ def test_a_member_is_the_system_of_a_file_with_its_numbers(name):
     assert_close(made[0], first(load(name, {}, **SHORT)))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", [x for x in UNCERTAIN if x != "cubesat"])  # whose steps need minutes to compile
 def test_a_member_moves_as_the_system_of_that_file(name):
     scenario, alone = with_all_numbers(name)
@@ -204,7 +205,6 @@ def test_a_member_moves_as_the_system_of_that_file(name):
     assert abs(made.state.q[-1, 2] - made.state.q[-1, 0]).max() > 1e-6 * abs(end.q).max()
 
 
-@pytest.mark.long
 def test_droplets_have_temperatures_of_their_own():
     settling = {"temperature_kelvin": 250.0, "steps": 20}
     scenario = load("water", {"settling.temperature_kelvin": 20.0}, members=4, molecules=3, settling=settling)
@@ -214,7 +214,6 @@ def test_droplets_have_temperatures_of_their_own():
     np.testing.assert_allclose(found, _spread.draw_members(scenario)[("settling", "temperature_kelvin")], rtol=1e-12)
 
 
-@pytest.mark.long
 def test_a_report_measures_every_member_in_its_own_system():
     """What is measured of members together is what is measured of each alone, and its spread is that of the weights."""
     scenario = load("heavy_top", {"weight": [0.0, 0.0, 1.0]}, members=4, steps=3000)
@@ -234,7 +233,6 @@ def test_a_report_measures_every_member_in_its_own_system():
     assert "closed form" in scenario.report(made)
 
 
-@pytest.mark.long
 def test_members_of_uncertain_inertia_scatter_as_the_derivatives_predict():
     """Each of 200 clones, to the square of its deviation: observed 1.2e-5 of the largest displacement at 1e-5."""
     scenario = load("toutatis", {"inertia": 1e-5}, members=200, steps=400, save_every=400)
@@ -257,7 +255,6 @@ def test_members_of_uncertain_inertia_scatter_as_the_derivatives_predict():
     np.testing.assert_allclose(moved, predicted, rtol=0, atol=5e-5 * abs(predicted).max())
 
 
-@pytest.mark.long
 def test_the_command_line_draws_and_stores_the_members_own_numbers(lieint):
     text = scenarios.resources.files("lieint_jax.app.scenarios").joinpath("driven.toml").read_text(encoding="utf-8")
     spread = "[spread]\ninertia_percent = 1.0\norbit.eccentricity = 0.001"
@@ -276,7 +273,6 @@ def test_the_command_line_draws_and_stores_the_members_own_numbers(lieint):
         assert stored["member.orbit.eccentricity"].shape == (4,)
 
 
-@pytest.mark.long
 def test_every_member_librates_about_the_axis_of_its_own_body():
     scenario = load("driven", {"inertia": 0.05}, members=3, steps=100, save_every=10)
     made = run(scenario)
@@ -284,6 +280,7 @@ def test_every_member_librates_about_the_axis_of_its_own_body():
     assert f"  {sum(map(int, each))} of 3 members librate" in "\n".join(scenario.remarks(made))
 
 
+@pytest.mark.quick
 def test_a_stretched_inertia_is_that_of_a_body():
     """Whatever the factors; against the sum over masses."""
     rng = np.random.default_rng(3)

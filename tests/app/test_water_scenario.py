@@ -37,7 +37,7 @@ def test_the_grid_has_the_spacing_and_its_middle_at_the_origin():
     assert points.shape == (64, 3)
     np.testing.assert_allclose(points.mean(axis=0), 0, rtol=0, atol=1e-15)
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(64, 1)]
-    assert apart.min() == pytest.approx(0.31)
+    assert apart.min() == pytest.approx(0.31, rel=1e-15, abs=0)
     assert np.linalg.norm(points, axis=1).max() < 0.31 * 2.7  # a ball of 64 cells has a radius of 2.48 of them
 
 
@@ -64,6 +64,6 @@ def test_distances_are_between_oxygens():
             li.Run.of(scenario.make_step(), Trajectory(np.zeros(1), State(q, 0 * q[..., 1:]), info))
         )
 
-    assert distance().item() == pytest.approx(0.3, rel=1e-15)
+    assert distance().item() == pytest.approx(0.3, rel=1e-15, abs=0)
     q[0, 0, 1, 3:] = [0, 1, 0, 0]  # its oxygen now lies 2 · 0.00656 nm farther off
     assert distance().item() == pytest.approx(0.3 + 2 * 0.00655627, abs=1e-7)

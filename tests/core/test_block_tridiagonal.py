@@ -32,7 +32,7 @@ def test_a_chain_is_solved_like_its_dense_matrix(n):
 
     expected = np.linalg.solve(dense.reshape(6 * n, 6 * n), b.ravel()).reshape(n, 6)
     found, positive = solve(b)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-15)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=6e-16)
     assert positive
 
 

@@ -274,17 +274,14 @@ def test_a_section_of_an_ensemble_against_the_events_of_another_integrator():
     found = diagnostics.section(step, states, 0.1, height, max_steps=150, count=2, direction=-1)
     assert found.t.shape == found.found.shape == (3, 2)
     for m in range(3):
-        start = np.concatenate([np.asarray(so3.to_matrix(states.q[m])).ravel(), TOP.angular_velocity(_of(states, m))])
+        Omega = TOP.angular_velocity(jax.tree.map(lambda x, m=m: x[m], states))
+        start = np.concatenate([np.asarray(so3.to_matrix(states.q[m])).ravel(), Omega])
         known = crossing(start, np.asarray(TOP.inertia), 15.0, np.asarray(E))
         assert found.found[m].tolist() == [len(known) > 0, len(known) > 1]
         both = known[:2]
         np.testing.assert_allclose(found.t[m, : len(both)], both, rtol=0, atol=2e-4)
     np.testing.assert_allclose(jax.vmap(jax.vmap(height))(found.state)[found.found], 0, rtol=0, atol=1e-13)
     assert int(found.found.sum()) >= 4
-
-
-def _of(states, m):
-    return jax.tree.map(lambda x: x[m], states)
 
 
 def test_two_other_ways_find_the_exponent_of_an_unstable_rotation():

@@ -103,18 +103,8 @@ def archives():
     yield "longer header than the file", packed({"q": header("", version=(2, 0))[:-4] + b"\xff\xff\xff\x7f"})
     yield "header of version 9", packed({"q": header("{}", version=(9, 9))})
     yield "no header", packed({"q": b"q"})
-    for text in (
-        "",
-        "{",
-        "[]",
-        "3",
-        "null",
-        '"text"',
-        '{"scenario": 3}',
-        '{"scenario": []}',
-        '{"lieint_jax": 3}',
-        "\\",
-    ):
+    tables = ['{"scenario": 3}', '{"scenario": []}', '{"lieint_jax": 3}']
+    for text in ("", "{", "[]", "3", "null", '"text"', *tables, "\\"):
         yield f"metadata {text!r}", packed({"metadata": np.array(text)})
     yield "nested metadata", packed({"metadata": np.array("[" * 100_000)})
     yield "deeply nested metadata", packed({"metadata": np.array('{"scenario": ' + "[" * 500 + "]" * 500 + "}")})

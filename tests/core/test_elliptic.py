@@ -8,6 +8,8 @@ import pytest
 
 from lieint_jax._numerics import elliptic
 
+pytestmark = pytest.mark.long
+
 EPS = 2.2e-16
 M1 = [1.0, 1 - 1e-16, 1 - 1e-8, 0.9, 0.500001, 0.5, 0.499999, 0.1, 1e-3, 1e-8, 1e-16, 1e-30, 1e-100]
 
@@ -20,6 +22,7 @@ def digits():
         yield
 
 
+@pytest.mark.quick
 def test_the_quarter_period_agrees_with_mpmath():
     K = jax.jit(jax.vmap(elliptic.quarter_period))(jnp.array(M1))
     exact = [mpmath.ellipk(1 - mpmath.mpf(m1)) for m1 in M1]
@@ -27,7 +30,6 @@ def test_the_quarter_period_agrees_with_mpmath():
     assert np.isfinite(elliptic.quarter_period(jnp.array(0.0)))
 
 
-@pytest.mark.long
 def test_jacobi_functions_agree_with_mpmath():
     """Each function to a few eps of itself and of its change over u·eps."""
     function = jax.jit(jax.vmap(elliptic.jacobi))
@@ -46,7 +48,6 @@ def test_jacobi_functions_agree_with_mpmath():
             assert abs(mpmath.mpf(float(value)) - exact) < 6 * allowed, (m1, u)  # floor 2.4
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("m1", [1.0, 0.7, 0.5, 0.2, 1e-6, 0.0])
 def test_derivatives_of_jacobi_functions_are_exact_also_at_the_ends(m1):
     """In u, the defining equations; in m1 against mpmath. At 0 and at 1 too."""
@@ -60,7 +61,6 @@ def test_derivatives_of_jacobi_functions_are_exact_also_at_the_ends(m1):
         assert float(value) == pytest.approx(float(mpmath.re(up - down) / (2 * h)), abs=2e-15)
 
 
-@pytest.mark.long
 def test_jacobi_functions_are_elementary_at_the_ends_of_the_parameter():
     u = jnp.linspace(-3, 3, 13)
     circle = elliptic.jacobi(u, jnp.ones_like(u))
@@ -69,7 +69,6 @@ def test_jacobi_functions_are_elementary_at_the_ends_of_the_parameter():
     assert np.abs(np.array(line) - np.array([np.tanh(u), 1 / np.cosh(u), 1 / np.cosh(u)])).max() < 5e-16
 
 
-@pytest.mark.long
 def test_carlson_rj_agrees_with_mpmath():
     cases = [
         (x, y, p) for x in (0, 1e-30, 1e-5, 0.2, 1) for y in (1, 0.5, 1e-3, 1e-20, 1e-60) for p in (1, 1.001, 2, 1e2)
@@ -82,7 +81,6 @@ def test_carlson_rj_agrees_with_mpmath():
             assert abs(mpmath.mpf(float(value)) / exact - 1) < 2e-15  # floor 6e-16
 
 
-@pytest.mark.long
 def test_derivatives_of_carlson_rj_agree_with_mpmath():
     """By all four arguments, forwards and in reverse, where x = 0 and where p = z too; observed 8e-16."""
     cases = [(x, y, p) for x in (0, 1e-10, 0.2) for y in (0.5, 1e-3) for p in (1.0, 1.001, 1e2)]
@@ -103,7 +101,6 @@ def _rj(a, b, c, p):
     return mpmath.elliprj(a * a, b * b, c * c, p)
 
 
-@pytest.mark.long
 def test_elliptic_functions_are_finite_in_float32():
     m1 = jnp.array([*M1, 0.0], "float32")
     for x in (*elliptic.jacobi(jnp.full_like(m1, 1.3), m1), elliptic.quarter_period(m1)):
@@ -111,6 +108,7 @@ def test_elliptic_functions_are_finite_in_float32():
         assert np.isfinite(x).all()
 
 
+@pytest.mark.quick
 def test_r_d_of_two_orders_agrees_with_mpmath():
     """R_D(x, z, y) and R_D(x, y, z): also of a quarter period, with a tiny y, and of equal arguments."""
     cases = [(0.0, 1.0, 1.0), (0.0, 1e-3, 1.0), (0.0, 1e-77, 1.0), (0.5, 0.7, 1.0), (1.0, 1.0, 1.0), (0.9, 0.99, 1.0)]

@@ -14,6 +14,8 @@ from stores import Crash, disk_for
 import lieint_jax as li
 from lieint_jax import ensemble, schemes, systems
 
+pytestmark = pytest.mark.long
+
 MEMBERS = 12
 UNIFORM = {"dt": 0.05, "num_steps": 60, "save_every": 5}
 GRADED = 0.7 + 3 * np.linspace(0, 1, 61) ** 1.5
@@ -68,7 +70,6 @@ def agree(found, m, expected):
         np.testing.assert_allclose(np.asarray(a)[:, m], b, rtol=0, atol=3e-15)  # observed 9e-16
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("t", [0.7, np.full(MEMBERS, 0.7)], ids=["scalar", "equal values"])
 def test_a_time_that_members_share_is_one_number_in_the_loop(t, monkeypatch):
     by_engine(monkeypatch, "xla")  # which maps over the members
@@ -83,7 +84,6 @@ def test_a_time_that_members_share_is_one_number_in_the_loop(t, monkeypatch):
     agree(found, 7, alone(SPLITTING, started(), 7))
 
 
-@pytest.mark.long
 def test_members_may_start_at_times_of_their_own(monkeypatch):
     by_engine(monkeypatch, "xla")  # which maps over the members
     BATCHED.clear()
@@ -96,6 +96,7 @@ def test_members_may_start_at_times_of_their_own(monkeypatch):
     np.testing.assert_array_equal(found.t, 0.05 * (5 * np.arange(13)))  # since the start of each
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize("keys", [["times", "save_at"], ["times"], ["save_at"]], ids=" and ".join)
 def test_steps_between_given_times_and_outputs_at_others(keys, small_chunks):
@@ -110,7 +111,6 @@ def test_steps_between_given_times_and_outputs_at_others(keys, small_chunks):
     agree(found, 5, expected)
 
 
-@pytest.mark.long
 def test_outputs_of_members_that_start_at_different_times_count_from_the_start():
     starts = 0.7 + 0.1 * np.arange(MEMBERS)
     found = run(states=started(starts), uniform={"dt": 0.05, "num_steps": 60, "save_at": OUTPUTS - 0.7})
@@ -119,7 +119,6 @@ def test_outputs_of_members_that_start_at_different_times_count_from_the_start()
     agree(found, 5, path)
 
 
-@pytest.mark.long
 def test_extra_arrays_and_work_of_each_member():
     step = schemes.so3_midpoint(WHEEL)
     made = [
@@ -135,7 +134,6 @@ def test_extra_arrays_and_work_of_each_member():
     assert np.abs(kept - kept[0]).max() < 2e-14  # observed 4e-15 of 2.6
 
 
-@pytest.mark.long
 def test_the_reduced_energy_is_energy_less_work():
     """Observed 2e-15; energy alone changes by 0.5."""
     found = run(step=MIDPOINT, reduce="energy")
@@ -144,6 +142,7 @@ def test_the_reduced_energy_is_energy_less_work():
     np.testing.assert_allclose(found.state.t, 3.7, rtol=4e-16)
 
 
+@pytest.mark.quick
 def test_a_reduced_quantity_is_that_of_the_states_at_their_own_times():
     """The time itself, of six steps that are saved in threes."""
     options = {"dt": 0.05, "num_steps": 6, "save_every": 3}
@@ -161,7 +160,6 @@ def controlled():
 RUNS = [dict, lambda: {"reduce": "energy"}, lambda: {"uniform": BETWEEN}, controlled]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("make", RUNS, ids=["trajectory", "summary", "given times and outputs", "own time"])
 def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, make):
     path, whole, options, ends = tmp_path / "run.zarr", tmp_path / "whole.zarr", make(), 0
@@ -176,7 +174,6 @@ def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, make)
     assert filecmp.cmpfiles(path, whole, names, shallow=False)[1:] == ([], [])
 
 
-@pytest.mark.long
 def test_a_run_at_another_time_does_not_resume(tmp_path):
     path = tmp_path / "run.zarr"
     run(path)
@@ -184,7 +181,6 @@ def test_a_run_at_another_time_does_not_resume(tmp_path):
         run(path, states=started(0.8), resume=True)
 
 
-@pytest.mark.long
 def test_states_without_what_they_need_are_refused():
     states = started()
     cases = {

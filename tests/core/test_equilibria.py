@@ -45,7 +45,7 @@ def test_a_satellite_in_the_regions_of_debra_and_delp():
         assert modes.definite == lagrange, J
         assert (modes.margin > 0) == stable
         if stable:
-            np.testing.assert_allclose(modes.frequencies, frequencies, rtol=1e-10)
+            np.testing.assert_allclose(modes.frequencies, frequencies, rtol=3e-14)
         seen[stable, lagrange] += 1
     assert min(seen.values()) >= 4, seen
 
@@ -109,7 +109,7 @@ def test_a_wheel_steadies_a_spin_about_the_middle_axis(wheel):
     square = (carried - J1 * spin) * (carried - J2 * spin) / (J1 * J2)
     assert modes.stable == (square > 0)
     value = modes.frequencies[0] if square > 0 else modes.growth[0]
-    assert float(value) == pytest.approx(np.sqrt(abs(square)), rel=1e-12)
+    assert float(value) == pytest.approx(np.sqrt(abs(square)), rel=1e-12, abs=0)
     np.testing.assert_allclose(modes.frequencies[1:], [0, spin], rtol=0, atol=1e-12)  # along the spin; a tilt of π
 
 
@@ -144,7 +144,7 @@ def planar_binary(m, J, radius):
 
 
 def test_a_synchronous_binary_librates_as_its_planar_problem():
-    """The naive √(3(B − A)/C · m₁/M), with the orbit held, is off by 7 %. Observed 1e-9."""
+    """The naive √(3(B − A)/C · m₁/M), with the orbit held, is off by 7 %. Observed 2e-8."""
     m, J, radius = np.array([1.0, 3.0]), np.array([0.30, 0.42, 0.48]), 6.0
     inertias = np.array([J, [0.03] * 3])
     bodies = li.systems.rigid_bodies(m, inertias, li.potentials.maccullagh(1.0, m, inertias))
@@ -185,7 +185,7 @@ def test_a_symmetric_primary_may_spin_faster_than_its_synchronous_secondary():
     assert apart(without.state) < 0.9
     assert apart(found.state) == pytest.approx(1.2, rel=3e-3)
     shift = np.asarray(found.change).reshape(2, 2, 6)[0, :, 0]
-    assert apart(found.state) == pytest.approx(1.2 + shift[1] - shift[0], rel=1e-12)
+    assert apart(found.state) == pytest.approx(1.2 + shift[1] - shift[0], rel=1e-12, abs=0)
     held = li.equilibrium(bodies, guess, spinning=(0,), free=range(12, 24))
     assert apart(held.state) == 1.2
     m, J, r = np.asarray(bodies.masses), np.asarray(bodies.inertias), 1.2
@@ -246,8 +246,8 @@ def test_bodies_that_are_not_symmetric_cannot_spin_at_rates_of_their_own(more, s
 def test_a_free_body_has_rates_and_a_spin_about_the_middle_axis_grows():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     modes = li.normal_modes(body, body.state(angular_velocity=[0.0, 1.0, 0.0]))
-    assert float(modes.growth[0]) == pytest.approx(np.sqrt(1 / 3), rel=1e-13)
-    assert modes.margin == pytest.approx(-np.sqrt(1 / 3), rel=1e-13)
+    assert float(modes.growth[0]) == pytest.approx(np.sqrt(1 / 3), rel=1e-13, abs=0)
+    assert modes.margin == pytest.approx(-np.sqrt(1 / 3), rel=1e-13, abs=0)
     assert modes.periods[0] == np.inf
     with pytest.raises(ValueError, match="not a relative equilibrium"):
         li.normal_modes(body, body.state(angular_velocity=[0.1, 1.0, 0.0]))

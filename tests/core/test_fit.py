@@ -96,10 +96,10 @@ def test_what_the_residuals_do_not_determine_has_an_infinite_variance():
     assert found.success
     np.testing.assert_allclose(found.params, [1.5, 1.5, 1], rtol=0, atol=1e-12)  # of all least ones the nearest
     C = found.covariance
-    np.testing.assert_allclose(np.diagonal(C), [np.inf, np.inf, 0.2])
+    np.testing.assert_allclose(np.diagonal(C), [np.inf, np.inf, 0.2], rtol=5e-15)
     assert np.isnan(C[0, 1])
     fewer = li.fit(lambda x: x[:1] - 1, jnp.zeros(2), "gauss_newton")
-    np.testing.assert_allclose(np.diagonal(fewer.covariance), [1, np.inf])
+    np.testing.assert_allclose(np.diagonal(fewer.covariance), [1, np.inf], rtol=5e-15)
 
 
 WALL = 2.0  # the least is behind a wall at 1
@@ -160,7 +160,7 @@ def test_the_best_parameters_of_the_search_are_returned():
 
 def test_a_pair_of_residuals_is_no_value_with_a_flag():
     found = li.fit(lambda x: (x - 1, x - 3), jnp.array(0.0))
-    assert float(found.params) == pytest.approx(2)
+    assert float(found.params) == pytest.approx(2, rel=1e-14, abs=0)
     assert not li.fit(lambda x: (x - 1, x > 5), jnp.array(0.0)).success  # a flag, and it is down
 
 
@@ -178,15 +178,7 @@ def test_scalar_losses_are_minimized_without_a_covariance(optimizer, iterations)
 
 
 @pytest.mark.parametrize(
-    "optimizer",
-    [
-        "levenberg_marquardt",
-        "gauss_newton",
-        "scipy",
-        pytest.param("lbfgs", marks=pytest.mark.long),
-        optax.adam(0.3),
-        optax.sgd(5.0),
-    ],
+    "optimizer", ["levenberg_marquardt", "gauss_newton", "scipy", "lbfgs", optax.adam(0.3), optax.sgd(5.0)]
 )
 def test_a_failed_trial_never_poisons_the_fit(optimizer):
     """The minimum at 1 lies beside a region where the solve fails, one time with nan, one time with its flag down."""
@@ -245,8 +237,8 @@ def test_each_start_may_have_data_of_its_own():
     np.testing.assert_allclose(found.starts.params, [2, 1, 30], rtol=0, atol=1e-9)
     assert (found.params, found.loss, found.message) == (found.starts.params[1], 0.5, "")  # the best
     assert list(found.starts.success) == [True, True, False]  # χ² = 4, 1, 900 of 1 degree of freedom
-    np.testing.assert_allclose(found.starts.covariance, [[[1]], [[1]], [[np.nan]]])
-    np.testing.assert_allclose(found.starts.standard_errors, [1, 1, np.nan])
+    np.testing.assert_allclose(found.starts.covariance, [[[1]], [[1]], [[np.nan]]], rtol=1e-14)
+    np.testing.assert_allclose(found.starts.standard_errors, [1, 1, np.nan], rtol=1e-14)
     alone = li.fit(lambda p: loss(p, 1.0), jnp.zeros(()), standardized=True)
     assert (found.starts.iterations[1], found.starts.stopped[1]) == (alone.iterations, alone.stopped)
     assert found.starts.failures.tolist() == [0, 0, 0]
@@ -419,7 +411,7 @@ def test_the_step_in_a_box_is_that_of_bounded_least_squares(side):
     for k in range(20):
         best = lsq_linear(J[k], -r[k], (low[k], high[k]), method="bvls", tol=1e-14)
         np.testing.assert_allclose(z[k], best.x, rtol=0, atol=1e-12)
-        assert float(fall[k]) == pytest.approx(r[k] @ r[k] / 2 - best.cost, rel=1e-10)
+        assert float(fall[k]) == pytest.approx(r[k] @ r[k] / 2 - best.cost, rel=1e-10, abs=0)
 
 
 def test_a_loss_is_traced_again_for_other_shapes_only():

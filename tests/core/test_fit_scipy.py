@@ -51,14 +51,11 @@ class Problem(NamedTuple):
 
         def residuals(params):
             seen, converged = self.model(params)
-            off = jax.vmap(_rotation)(data, seen) if attitudes else seen - data
+            turn = jax.vmap(lambda a, b: so3.log(so3.multiply(so3.inverse(a), b)))
+            off = turn(data, seen) if attitudes else seen - data
             return off / self.sigma, jnp.all(converged)
 
         return residuals
-
-
-def _rotation(a, b):
-    return so3.log(so3.multiply(so3.inverse(a), b))
 
 
 def _body(params):
@@ -238,14 +235,9 @@ def compared(name):
     return Comparison(ours, theirs, {key: result.nfev for key, result in found.items()}, float(difference))
 
 
-QUICK = "period"
-
-
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the error of the steps moves")  # both minimize one sum, by the same coarse steps
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == QUICK else pytest.mark.long) for name in PROBLEMS]
-)
+@pytest.mark.parametrize("name", PROBLEMS)
 def test_no_more_evaluations_than_scipy_and_the_same_answer(name):
     ours, theirs, evaluations, difference = compared(name)
     assert ours.success, ours.message

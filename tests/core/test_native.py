@@ -25,6 +25,8 @@ from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
 from lieint_jax.runs import _engine
 
+pytestmark = pytest.mark.long
+
 SPECIAL = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.5, -2.5]  # XLA takes subnormal numbers for 0
 TYPES = [np.int32, np.int64, np.uint32, np.uint8, np.int8, np.uint64, np.int16, np.uint16]
 
@@ -44,7 +46,6 @@ def single(names, count):
     return lambda *x: {name: getattr(lax, name)(*x[:count]) for name in names.split()}
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_real_arithmetic_has_the_bits_of_jax(dtype):
     """Signed zeros, infinities and NaN too."""
@@ -60,6 +61,7 @@ def test_real_arithmetic_has_the_bits_of_jax(dtype):
     check_against_jax(function, pairs([*SPECIAL, 300.7, -3e10, 1e20], dtype), signs=True)
 
 
+@pytest.mark.quick
 def test_greatest_and_least_show_nan():
     def function(x, y):
         return lax.max(x, y), lax.min(x, y), lax.clamp(-1.0, x, 2.0), lax.clamp(x, y, x + 1)
@@ -67,7 +69,6 @@ def test_greatest_and_least_show_nan():
     check_against_jax(function, pairs(SPECIAL, np.float64))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("dtype", "rtol"), [(np.float64, 4e-15), (np.float32, 2e-6)])
 def test_elementary_functions_have_the_names_types_and_arguments_of_jax(dtype, rtol):
     """Their errors in ulp are measured elsewhere; here their names, types and arguments."""
@@ -87,7 +88,6 @@ def test_elementary_functions_have_the_names_types_and_arguments_of_jax(dtype, r
     check_against_jax(function, (normal(dtype=dtype), np.abs(normal(seed=1, dtype=dtype))), rtol=rtol)
 
 
-@pytest.mark.long
 def test_derivatives_of_elementary_functions_are_programs_of_numbers():
     """First and second ones: releases of JAX write them with primitives of different names."""
     names = {
@@ -111,6 +111,7 @@ def test_derivatives_of_elementary_functions_are_programs_of_numbers():
     check_against_jax(function, (normal(), np.abs(normal(seed=1))), rtol=1e-13)
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", TYPES)
 def test_integers_wrap_and_divide_as_in_xla(dtype):
@@ -130,6 +131,7 @@ def test_integers_wrap_and_divide_as_in_xla(dtype):
     check_against_jax(function, pairs([info.min, info.max, 0, 1, 3, 7, 40, info.max - 1, info.max // 2 + 1], dtype))
 
 
+@pytest.mark.quick
 def test_booleans_have_the_values_of_jax():
     def function(x, y):
         found = single("eq ne lt le gt ge max min", 2)(x, y)
@@ -140,7 +142,6 @@ def test_booleans_have_the_values_of_jax():
     check_against_jax(function, pairs([True, False], bool))
 
 
-@pytest.mark.long
 def test_indexing_and_stacking_move_entries():
     def function(x):
         y = x[:, :2]
@@ -166,7 +167,6 @@ def test_indexing_and_stacking_move_entries():
     check_against_jax(function, [normal(4, 3)])
 
 
-@pytest.mark.long
 def test_reductions_and_products_are_those_of_jax():
     whole = np.random.default_rng(1).integers(-9, 9, (MEMBERS, 3, 4))
     with_nan = normal(3, 4)
@@ -206,7 +206,6 @@ def test_reductions_and_products_are_those_of_jax():
 MODES = ["clip", "fill", "promise_in_bounds"]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("dtype", [np.float64, np.int32, np.uint32, np.bool_])
 @pytest.mark.parametrize("mode", MODES)
 def test_indices_of_any_kind_are_those_of_jax(mode, dtype):
@@ -248,7 +247,6 @@ def test_indices_of_any_kind_are_those_of_jax(mode, dtype):
     check_against_jax(function, (x, long, k, inside, update), [np.array([2, 7])], rtol=1e-15)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("dtype", [np.float64, np.bool_])
 def test_slices_at_computed_indices_are_those_of_jax(dtype):
     def function(x, update, k, shared):
@@ -271,7 +269,6 @@ def test_slices_at_computed_indices_are_those_of_jax(dtype):
 _WINDOW = lax.ScatterDimensionNumbers((0, 1), (), (0, 1))
 
 
-@pytest.mark.long
 def test_loops_of_a_known_length_are_those_of_jax():
     """Written out and rolled, forwards and backwards, over what is known, shared, and a member's, with results."""
     series = jnp.array(np.random.default_rng(5).normal(size=(200, 2)))
@@ -304,7 +301,6 @@ def test_loops_of_a_known_length_are_those_of_jax():
     check_against_jax(function, (normal(30, 2), flags, normal(2, seed=1)), [series[::-1].copy()[:30]], rtol=1e-12)
 
 
-@pytest.mark.long
 def test_rows_that_a_step_writes_and_reads_are_those_of_jax():
     k = np.random.default_rng(3).integers(0, 20, MEMBERS)
     weights = normal(20, 2)[0] + 0.5
@@ -314,7 +310,6 @@ def test_rows_that_a_step_writes_and_reads_are_those_of_jax():
     assert made.length < 1400  # 1083; 1850 with each iteration by itself
 
 
-@pytest.mark.long
 def test_loops_of_an_unknown_length_are_those_of_jax():
     """As long as a shared number says, or a member's; nested, in a map over entries, with all kinds of carries."""
 
@@ -361,7 +356,6 @@ def test_loops_of_an_unknown_length_are_those_of_jax():
     check_against_jax(function, (x, k), [np.int64(7)], rtol=1e-13)
 
 
-@pytest.mark.long
 def test_branches_are_those_of_lax_cond():
     def function(x, k, flag, n, on):
         def sides(test):
@@ -387,7 +381,6 @@ def test_branches_are_those_of_lax_cond():
         check_against_jax(function, (normal(2), k, flag), [np.int64(n), np.bool_(on)], rtol=1e-14)
 
 
-@pytest.mark.long
 def test_solves_and_calls_are_those_of_jax():
     def function(x):
         root = lax.custom_root(
@@ -411,7 +404,6 @@ def test_solves_and_calls_are_those_of_jax():
     check_against_jax(function, [normal(3)], rtol=1e-13)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("dtype", "error"), [(np.float64, 4e-15), (np.float32, 1e-6)])
 def test_linear_algebra_and_sorts_are_those_of_jax(dtype, error):
     """By LAPACK there. Matrices need pivots, or have some of equal size; several at once. NaN stays NaN.
@@ -448,6 +440,7 @@ READ = {  # the parameters of control flow that the walk reads: releases of JAX 
 }
 
 
+@pytest.mark.quick
 def test_constants_carries_and_rows_are_recognized_by_number_and_shape(monkeypatch):
     def read_only(handler, names):
         return lambda walk, inputs, parameters, out: handler(walk, inputs, {k: parameters[k] for k in names}, out)
@@ -476,7 +469,6 @@ def test_constants_carries_and_rows_are_recognized_by_number_and_shape(monkeypat
     check_against_jax(function, [normal(3), np.arange(MEMBERS)], [1.5], rtol=1e-13)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("broken", [(CONTROL_FLOW, "while"), (ELEMENTWISE, "mul"), (_pieces, "emit")])
 def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, caplog, broken):
     """A failure of the walk or of what writes LLVM's text, as by a primitive that a later JAX has changed."""
@@ -500,6 +492,7 @@ def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, capl
     assert message == f"XLA runs {step.name}, which is slower than machine code: KeyError: {name!r}"
 
 
+@pytest.mark.quick
 @pytest.mark.compared
 @pytest.mark.slow
 @pytest.mark.parametrize("reduce", [None, "energy"])
@@ -526,6 +519,7 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
         np.testing.assert_allclose(runs[0].state.p[-1], expected.p, rtol=1e-14)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("ours", "theirs", "changed", "agree"),
     [
@@ -548,6 +542,7 @@ def test_results_agree_up_to_what_rounding_does_to_xla(ours, theirs, changed, ag
     assert _engine._agree(*(np.array([x]) for x in (ours, theirs, changed))) is agree
 
 
+@pytest.mark.quick
 def test_what_is_returned_may_be_known_shared_or_given():
     def function(x, flag, nothing, n, on, scale, rate):
         return {
@@ -564,6 +559,7 @@ def test_what_is_returned_may_be_known_shared_or_given():
     check_against_jax(function, member, [np.int64(3), np.bool_(True), 2.5, np.float32(3)], signs=True)
 
 
+@pytest.mark.quick
 def test_shared_tables_are_read_by_any_index():
     """A long shared array is read where a program needs it: by any index, and row by row."""
     table = np.random.default_rng(0).normal(size=300)
@@ -620,7 +616,6 @@ def _orbiting(x, e, steps):
     return lax.fori_loop(0, steps, step_once, x)
 
 
-@pytest.mark.long
 def test_what_members_share_in_a_loop_is_computed_once(monkeypatch):
     monkeypatch.setattr(_pieces, "_CAPACITY", 1)
     x, e = normal(), np.float64(0.3)
@@ -633,7 +628,6 @@ def test_what_members_share_in_a_loop_is_computed_once(monkeypatch):
     assert [kernels[lanes].shared for lanes in (4, 8)] == [22, 22]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("room", [22, 88, 4096])
 def test_what_members_share_goes_on_from_row_to_row(monkeypatch, room):
     monkeypatch.setattr(_pieces, "_CAPACITY", room)
@@ -652,7 +646,6 @@ def test_what_members_share_goes_on_from_row_to_row(monkeypatch, room):
     np.testing.assert_allclose(last, expected, rtol=0, atol=1e-13)
 
 
-@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="mprotect of Linux")
 def test_an_array_of_a_kernel_ends_at_an_unreadable_page():
     code = "import numpy as np, kernels, ctypes; x = kernels.guarded((5,), float); ctypes.memset(x.ctypes.data, 0, {})"
@@ -661,6 +654,7 @@ def test_an_array_of_a_kernel_ends_at_an_unreadable_page():
     assert ends == [0, -signal.SIGSEGV]
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("lanes", [4, 8, 16])
 def test_bits_depend_on_no_order_lanes_threads_or_other_members(lanes):
     x = np.abs(np.random.default_rng(0).normal(size=(101, 2)))
@@ -683,6 +677,7 @@ def cache_below(monkeypatch, folder):
     monkeypatch.setattr(_machine, "jax", SimpleNamespace(config=config))
 
 
+@pytest.mark.quick
 def test_machine_code_on_disk_is_checked(tmp_path, monkeypatch):
     """What is damaged, cut, empty or of another key is compiled again; a folder that cannot be written is no error."""
     key, other, compiled = "a" * 64, "b" * 64, []
@@ -708,6 +703,7 @@ def test_machine_code_on_disk_is_checked(tmp_path, monkeypatch):
     assert not is_read(key)
 
 
+@pytest.mark.quick
 def test_other_processors_have_other_keys(tmp_path, monkeypatch):
     cache_below(monkeypatch, tmp_path)
     text = "define void @run(i64 %a, i64 %b, i64 %c, i64 %d, ptr %p) {\n  ret void\n}\n"
@@ -732,7 +728,6 @@ assert li.run(li.schemes.exact(body), states, dt=0.1, num_steps=3, progress=Fals
 """
 
 
-@pytest.mark.long
 def test_without_llvmlite_everything_runs_by_xla_and_one_sentence_names_the_remedy():
     told = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True)
     assert told.returncode == 0, told.stderr

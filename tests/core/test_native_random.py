@@ -51,7 +51,6 @@ SEEDS = pytest.mark.parametrize("seed", range(0, 30, 3))
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @SEEDS
 def test_random_potentials_and_reduced_quantities_run_as_by_xla(monkeypatch, seed):
     top = li.systems.potential_top(J, lambda axis: bounded(seed, axis))
@@ -71,7 +70,6 @@ def test_random_potentials_of_attitudes_run_as_by_xla(monkeypatch, seed):
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @SEEDS
 def test_random_laws_run_as_by_xla(monkeypatch, seed):
     def law(t, q, w):

@@ -49,7 +49,7 @@ def test_functions_of_a_step_may_close_over_what_is_differentiated():
         return run(step, STATE, 0.5, 8).state.q[-1, 0]
 
     slopes = [jax.jit(jax.grad(lambda c, run=run: bent(c, run)))(0.3) for run in (li.reversible, li.integrate)]
-    assert slopes[0] == pytest.approx(float(slopes[1]), rel=1e-12)
+    assert slopes[0] == pytest.approx(float(slopes[1]), rel=1e-12, abs=0)
     assert abs(slopes[0]) > 1e-6
 
 
@@ -80,7 +80,6 @@ SECOND = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SECOND)
 def test_second_derivatives_through_a_run(name):
     """Forward over reverse, as `jax.hessian` has it, against forward over forward. JAX differentiates the solver itself
@@ -110,7 +109,7 @@ def test_second_derivatives_through_a_run(name):
         return jax.jvp(slope, (0.0,), (1.0,))[1], jax.jvp(forward, (0.0,), (1.0,))[1]
 
     reverse, forward = both()
-    assert float(reverse) == pytest.approx(float(forward), rel=1e-12)  # floor 1e-15
+    assert float(reverse) == pytest.approx(float(forward), rel=1e-14, abs=0)  # floor 1e-15
 
 
 def test_a_hessian_by_undoing_steps():
@@ -215,7 +214,7 @@ def test_derivatives_of_observations_of_a_composition_by_the_complex_step():
     for k, slope in enumerate(slopes):
         x = at + 1e-30j * np.eye(5)[k]
         exact = np.imag(weights @ observed_by_matrices(gammas, x[0], x[1], x[2:])) * 1e30
-        assert float(slope) == pytest.approx(exact, abs=1e-13)  # observed 2e-15
+        assert float(slope) == pytest.approx(exact, abs=2e-14)  # observed 2e-15
         assert abs(exact) > 1e-4
 
 
@@ -244,7 +243,7 @@ def test_observations_of_a_batch_with_one_clock_are_differentiable():
     x = jnp.array([1.3, 0.1, 0.2, 0.93, 0.47])  # stiffness, dt, the first time, times of observations
     slopes, h = batch(x)[1], 1e-6
     differences = [(batch(x + h * e)[0] - batch(x - h * e)[0]) / (2 * h) for e in jnp.eye(5)]
-    np.testing.assert_allclose(slopes, differences, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(slopes, differences, rtol=0, atol=2e-9)
     assert (jnp.abs(slopes) > 1e-4).all()
 
 

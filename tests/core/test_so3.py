@@ -21,21 +21,9 @@ def same(a, b, bound=4 * EPS):
     np.testing.assert_allclose(np.asarray(a), np.asarray(b), rtol=0, atol=bound)
 
 
-EXP, LOG, MUL, INVERSE, AD, AD_STAR, MATRIX, EULER, FROM_EULER = map(
-    jax.jit,
-    (
-        so3.exp,
-        so3.log,
-        so3.multiply,
-        so3.inverse,
-        so3.Ad,
-        so3.Ad_star,
-        so3.to_matrix,
-        so3.to_euler_313,
-        so3.from_euler_313,
-    ),
-)
-DEFECT = jax.jit(so3.defect)
+EXP, LOG, MUL, INVERSE = map(jax.jit, (so3.exp, so3.log, so3.multiply, so3.inverse))
+AD, AD_STAR, MATRIX, DEFECT = map(jax.jit, (so3.Ad, so3.Ad_star, so3.to_matrix, so3.defect))
+EULER, FROM_EULER = map(jax.jit, (so3.to_euler_313, so3.from_euler_313))
 
 
 @pytest.mark.long
@@ -241,7 +229,3 @@ def test_a_scipy_rotation_is_an_attitude():
     several = Rotation.from_euler("ZXZ", [[0.3, 0.5, -0.2], [1.0, 0.2, 0.4]])
     two = li.systems.rigid_bodies([1.0, 2.0], [[1.0, 2, 2.5]] * 2, li.potentials.point_masses(1.0, [1.0, 2.0]))
     same(two.state([[0.0, 0, 0], [3.0, 0, 0]], several).q[:, 3:], np.roll(several.as_quat(), 1, axis=1))
-    with pytest.raises(ValueError, match=r"one scipy Rotation, got shape \(2, 4\)"):
-        body.state(several, angular_velocity=[0.0, 0, 1])
-    with pytest.raises(ValueError, match=r"Euler angles: li\.attitude\.from_euler"):
-        body.state([0.1, 0.2, 0.3], angular_velocity=[0.0, 0, 1])

@@ -34,6 +34,8 @@ from lieint_jax.ensemble import archives
 from lieint_jax.runs import _layout
 from lieint_jax.runs.store import _identity
 
+pytestmark = pytest.mark.long
+
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)
 STEP = li.schemes.so3_midpoint(BODY)
@@ -57,7 +59,6 @@ def same_folders(a, b):
     return not different and not missing
 
 
-@pytest.mark.long
 def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
     memory, disk = run(), run(tmp_path / "run.zarr")
     assert_same(memory, disk)
@@ -69,6 +70,7 @@ def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
     assert metadata["run"]["versions"]["jax"] == jax.__version__
 
 
+@pytest.mark.quick
 def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
     every = ensemble.run(STEP, STATES, 0.1, 60, save_every=1, progress=False)
     change = (every.state.q[1:, :, 0] - every.state.q[0, :, 0]).reshape(12, 5 * 40)
@@ -90,7 +92,6 @@ def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
         run(reduce="momentum")
 
 
-@pytest.mark.long
 def test_xarray_reads_a_store(tmp_path, small_chunks):
     xarray = pytest.importorskip("xarray")
     memory = run()
@@ -116,7 +117,6 @@ def flipped(data):
     return data[:k] + bytes([data[k] ^ 1]) + data[k + 1 :]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, fault):
     """One file of each array, of its metadata, of the state, and the root, of a run that is half done."""
@@ -145,7 +145,6 @@ def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks
     assert same_folders(path, tmp_path / "whole.zarr")
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_path, small_chunks, reduce):
     """A crash at one wait for the disk after another, between which lie all writes and renames."""
@@ -176,7 +175,6 @@ def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_pa
     assert same_folders(path, whole)
 
 
-@pytest.mark.long
 def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunks, monkeypatch):
     path = tmp_path / "run.zarr"
     run(ensemble.StoreOptions(path, {"scenario": {"seed": 1}}))
@@ -241,7 +239,6 @@ def no_loop(monkeypatch):
     internals.refuse_to_integrate(monkeypatch, Begun)
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("no_loop")
 def test_a_function_that_has_captured_another_number_is_another_run(tmp_path):
     scaled = lambda k: lambda step, z: k * z.q[0]  # noqa: E731
@@ -258,7 +255,6 @@ def test_a_function_that_has_captured_another_number_is_another_run(tmp_path):
             begin(path, others[0], reduce=others[1], resume=True)
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("no_loop")
 def test_a_function_that_cannot_be_compared_draws_a_warning_and_is_refused_at_a_resume(tmp_path):
     with (tmp_path / "file").open("w") as file:
@@ -273,7 +269,6 @@ def test_a_function_that_cannot_be_compared_draws_a_warning_and_is_refused_at_a_
         begin(tmp_path / "partial.zarr", jax.tree_util.Partial(weighed, 0.7), resume=True)
 
 
-@pytest.mark.long
 def test_bytecode_of_another_python_is_refused_by_its_name(tmp_path, monkeypatch, no_loop):
     with pytest.raises(Begun):
         begin(tmp_path / "run.zarr", damped(0.1))
@@ -331,7 +326,6 @@ MIXTURES = {  # which commit, what is done to it, what is said of it
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("mixture", MIXTURES)
 def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_path, commits, mixture, no_loop):
     which, change, sentence = MIXTURES[mixture]
@@ -344,6 +338,7 @@ def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_p
         run(path, resume=True)
 
 
+@pytest.mark.quick
 def test_a_store_that_grows_while_it_is_checked_is_not_called_damaged(tmp_path, commits, monkeypatch):
     """Two commits come between the root and the state that are read: what the state lists is what is opened."""
     path, left = shutil.copytree(commits[0], tmp_path / "run.zarr"), [1]
@@ -358,6 +353,7 @@ def test_a_store_that_grows_while_it_is_checked_is_not_called_damaged(tmp_path, 
     assert left[0] < 0
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("commit", [2, 3], ids=["on the way", "at the end"])
 def test_a_root_that_was_not_written_after_a_commit_is_written_by_the_run_that_resumes(tmp_path, commits, commit):
     """A kill between the state and the root: nothing is lost, and readers of Zarr see the commit before."""
@@ -372,6 +368,7 @@ def test_a_root_that_was_not_written_after_a_commit_is_written_by_the_run_that_r
     assert same_folders(path, commits[3])
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("options", [{}, {"reduce": "energy"}, {"save_every": None}], ids=["states", "reduced", "end"])
 def test_chunks_of_one_entry_are_committed_one_by_one(tmp_path, monkeypatch, options):
     """As of runs of millions of members: the entry of the start is a commit of its own."""
@@ -385,6 +382,7 @@ def test_chunks_of_one_entry_are_committed_one_by_one(tmp_path, monkeypatch, opt
         assert_same(ensemble.open(tmp_path / "saved.zarr")[0], memory)
 
 
+@pytest.mark.quick
 def test_a_store_in_which_nothing_is_published_is_opened(tmp_path, no_loop):
     for name, part in (("whole", None), ("parts", (0, 2))):
         path = tmp_path / f"{name}.zarr"
@@ -398,6 +396,7 @@ def test_a_store_in_which_nothing_is_published_is_opened(tmp_path, no_loop):
         assert re.search("0 of 13 entries|0 of 2 part", info.contents(path))
 
 
+@pytest.mark.quick
 def test_folders_that_a_killed_process_made_are_synced_by_the_next(tmp_path, monkeypatch, small_chunks):
     path, synced, sync = tmp_path / "run.zarr", [], os.fsync
     with contextlib.suppress(Crash), disk_for(45):
@@ -424,6 +423,7 @@ def left_by_a_kill(path, chunk, **options):
     return [file.relative_to(path).parent.as_posix() for file in path.rglob("*.partial")]
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("chunk", [0, 7])
 def test_an_unfinished_file_of_a_killed_process_is_removed_by_the_next(tmp_path, small_chunks, chunk):
     path = tmp_path / "run.zarr"
@@ -432,6 +432,7 @@ def test_an_unfinished_file_of_a_killed_process_is_removed_by_the_next(tmp_path,
     assert not list(path.rglob("*.partial"))
 
 
+@pytest.mark.quick
 def test_an_unfinished_file_of_another_part_is_not_removed(tmp_path, small_chunks):
     """Its process may be alive."""
     path = tmp_path / "run.zarr"
@@ -442,6 +443,7 @@ def test_an_unfinished_file_of_another_part_is_not_removed(tmp_path, small_chunk
     assert not list(path.rglob("*.partial"))
 
 
+@pytest.mark.quick
 def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
     """The second comes between the check and the rename of the first."""
     path = tmp_path / "run.zarr"
@@ -457,6 +459,7 @@ def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
     assert ensemble.open(path)[0].info.converged[...].all()
 
 
+@pytest.mark.quick
 def test_what_a_killed_process_left_of_a_store_is_removed_when_it_is_old(tmp_path, no_loop):
     for age in (0, 7200.0):
         left = tmp_path / f".run.zarr.{age:.0f}-00.partial"
@@ -467,6 +470,7 @@ def test_what_a_killed_process_left_of_a_store_is_removed_when_it_is_old(tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == [".run.zarr.0-00.partial", "run.zarr"]
 
 
+@pytest.mark.quick
 @pytest.mark.usefixtures("no_loop")
 def test_places_and_attributes_that_no_store_can_have_are_refused_before_the_run(tmp_path):
     (tmp_path / "link.zarr").symlink_to("nowhere")
@@ -494,12 +498,14 @@ def shifted(step, z, by=1.0):
     return z.q[0] + by
 
 
+@pytest.mark.quick
 @pytest.mark.usefixtures("no_loop")
 def test_a_reduced_quantity_may_have_a_default_argument():
     with pytest.raises(Begun):
         run(reduce=shifted)
 
 
+@pytest.mark.quick
 def test_a_reduced_quantity_is_traced_in_the_first_call_only():
     traced = []
 
@@ -514,7 +520,6 @@ def test_a_reduced_quantity_is_traced_in_the_first_call_only():
     assert not traced
 
 
-@pytest.mark.long
 def test_a_quantity_that_is_nan_is_nan_in_all_of_its_interval_and_refused_at_the_start():
     """Above the values of the first half of the run it is NaN, for some members."""
     whole = run(num_steps=20, save_every=1).state.q[1:, :, 0]
@@ -529,6 +534,7 @@ def test_a_quantity_that_is_nan_is_nan_in_all_of_its_interval_and_refused_at_the
         run(reduce=lambda step, z: jnp.sqrt(z.q[0] + 0.5))
 
 
+@pytest.mark.quick
 def test_processes_that_are_about_to_do_different_runs_all_say_so(monkeypatch):
     """Two processes, of which the second is given other members at another step size."""
     mine = {"members": 40, "dt": 0.1, "scenario": {"seed": 1}, "store": "a.zarr"}
@@ -544,12 +550,14 @@ def test_processes_that_are_about_to_do_different_runs_all_say_so(monkeypatch):
                 _identity.check_processes(None, process)
 
 
+@pytest.mark.quick
 def test_an_error_of_one_process_ends_all(monkeypatch):
     monkeypatch.setattr(_layout, "all_gather", lambda mesh, failed: np.array([[True], failed]))
     with pytest.raises(ValueError, match="process 0 of this run has failed; see its own error message"):
         _layout.fail_together(None, lambda: 1)
 
 
+@pytest.mark.quick
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     run(tmp_path / "run.zarr")
     lock = archives.open_storage(tmp_path / "run.zarr").lock("parts/0")
@@ -557,6 +565,7 @@ def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
         run(tmp_path / "run.zarr", resume=True)
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize("step", range(3), ids=["check", "lock", "open"])
 def test_a_run_releases_its_store_where_another_process_fails(tmp_path, monkeypatch, step):
@@ -588,7 +597,6 @@ def tmpfs(path, size):
         subprocess.run(["umount", "-l", path], check=True)
 
 
-@pytest.mark.long
 def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_chunks):
     run(tmp_path / "whole.zarr", num_steps=600)
     with tmpfs(tmp_path / "disk", "240k"):
@@ -603,7 +611,6 @@ def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_ch
         assert same_folders(path, tmp_path / "whole.zarr")
 
 
-@pytest.mark.long
 def test_a_limit_on_the_size_of_files_ends_a_run_that_resumes_to_the_same_bits(tmp_path, monkeypatch):
     """What needs no root: the system refuses files above a size, below that of the metadata or that of the chunks."""
     internals.commit_every(monkeypatch, 13)
@@ -621,14 +628,12 @@ def test_a_limit_on_the_size_of_files_ends_a_run_that_resumes_to_the_same_bits(t
     assert same_folders(path, tmp_path / "whole.zarr")
 
 
-@pytest.mark.long
 def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     internals.commit_every(monkeypatch, 50)
     path, steps, before = tmp_path / "run.zarr", 20_000_000, signal.getsignal(signal.SIGINT)
 
     def interrupt():
-        while not (path.exists() and archives.load_store(path)[1]["progress"]["entries"]):
-            time.sleep(0.05)
+        wait_for_a_commit(path)
         os.kill(os.getpid(), signal.SIGINT)
 
     threading.Thread(target=interrupt, daemon=True).start()
@@ -655,7 +660,6 @@ def command(folder, *options, **popen):
     return subprocess.Popen(arguments, cwd=folder, stdout=subprocess.DEVNULL, **popen)
 
 
-@pytest.mark.long
 def test_a_run_killed_at_random_moments_resumes(book):
     delays = np.random.default_rng(11).uniform(1.5, 5.0, 5)
     ended = 0
@@ -679,7 +683,6 @@ def commits_of(path):
     return archives.load_store(path)[1]["progress"]["commits"] if path.exists() else 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("case", killed.CASES)
 def test_kills_at_random_moments_leave_the_same_bits(tmp_path, case):
     """Seven of each case: every second one within a second after a commit, the others from the start of Python on."""
@@ -703,16 +706,12 @@ def test_kills_at_random_moments_leave_the_same_bits(tmp_path, case):
     assert same_folders(path, tmp_path / "whole.zarr")
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("signals", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]], ids=["SIGINT twice", "SIGTERM"])
 def test_a_run_that_a_signal_ended_at_once_is_resumed(book, signals):
     """The second SIGINT does not wait for the chunk; SIGTERM is what a scheduler sends."""
     path = book / f"{len(signals)}.zarr"
     process = command(book, "--out", path.name, stderr=subprocess.DEVNULL)
-    limit = time.monotonic() + 60
-    while not (path.exists() and archives.load_store(path)[1]["progress"]["entries"]):
-        assert time.monotonic() < limit
-        time.sleep(0.05)
+    wait_for_a_commit(path)
     for number in signals:
         process.send_signal(number)
         time.sleep(0.1)
@@ -722,13 +721,19 @@ def test_a_run_that_a_signal_ended_at_once_is_resumed(book, signals):
     assert same_folders(path, book / "whole.zarr")
 
 
+def wait_for_a_commit(path):
+    limit = time.monotonic() + 60
+    while not (path.exists() and archives.load_store(path)[1]["progress"]["entries"]):
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+
+
 def meet(folder, port, *options, own=((), ())):
     distributed = ["--distributed", "--coordinator", f"localhost:{port}", "--processes", "2", "--process"]
     text = dict(stderr=subprocess.PIPE, text=True)
     return [command(folder, *options, *own[k], *distributed, str(k), **text) for k in range(2)]
 
 
-@pytest.mark.long
 def test_two_processes_write_the_store_of_one(book):
     for process in meet(book, free_port(), "--out", "two.zarr"):
         error = process.communicate(timeout=120)[1]
@@ -736,7 +741,6 @@ def test_two_processes_write_the_store_of_one(book):
     assert same_arrays(book / "two.zarr", book / "whole.zarr")
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("out", ["different.npz", "different.zarr"])
 def test_two_processes_of_different_scenarios_both_say_so_and_leave_nothing(book, out):
     own = ["--members", "96"], ["--members", "100"]
@@ -768,7 +772,6 @@ sys.exit(cli.main(sys.argv[1:]))
 """
 
 
-@pytest.mark.long
 def test_a_process_that_is_lost_before_the_store_exists_is_named(book):
     """Its sentence is the last line, and no stack of JAX's abort."""
     port, text = free_port(), dict(stderr=subprocess.PIPE, text=True, cwd=book)
@@ -784,15 +787,11 @@ def test_a_process_that_is_lost_before_the_store_exists_is_named(book):
     assert not (book / "never.zarr").exists()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("victim", [1, 0], ids=["worker", "coordinator"])
 def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim):
     path = book / f"lost-{victim}.zarr"
     both = meet(book, free_port(), "--out", path.name)
-    limit = time.monotonic() + 60
-    while not (path.exists() and archives.load_store(path)[1]["progress"]["entries"]):
-        assert time.monotonic() < limit
-        time.sleep(0.1)
+    wait_for_a_commit(path)
     both[victim].kill()
     both[victim].communicate()
     start = time.monotonic()
@@ -806,7 +805,6 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
     assert same_arrays(path, book / "whole.zarr")
 
 
-@pytest.mark.long
 def test_the_command_line_writes_resumes_and_shows(tmp_path, lieint):
     (tmp_path / "book.toml").write_text(scenario_files.book(steps="steps = 2000", members="members = 100"))
     arguments = ["run", "book.toml", "--out", "run.zarr", "--members", "3"]
@@ -843,7 +841,6 @@ for count in (1, 3, 8):
 """
 
 
-@pytest.mark.long
 def test_one_device_or_eight_are_the_same_bits():
     """States and reductions, of an inertia each, of members that divide evenly among the devices or not."""
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=8"}
@@ -852,7 +849,6 @@ def test_one_device_or_eight_are_the_same_bits():
     assert len(set(found.stdout.splitlines())) == 1
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("make", "bound"), [(li.schemes.so3_midpoint, 3e-13), (li.schemes.so3_explicit, 1e-14)])
 def test_energy_over_a_million_steps(make, bound):
     """Worst of 16 random bodies at any of 10⁶ steps; the floor is 6e-14 and 3e-15. benchmarks/round_off.py has 10⁸."""

@@ -309,3 +309,17 @@ def test_an_absolute_bound_is_no_looser_than_it_says():
         and {k.arg for k in call.keywords} & {"atol", "rtol"} == {"atol"}
     ]
     assert not loose
+
+
+def test_a_relative_bound_is_no_looser_than_it_says():
+    """pytest allows 1e-12 beside `rel` unless `abs` is given: of a number below 1, more than a `rel` of 1e-12."""
+    house = Path(__file__).parents[2]
+    loose = [
+        f"{path.relative_to(house)}:{call.lineno}"
+        for path in sorted((house / "tests").rglob("*.py"))
+        for call in ast.walk(parsed(path))
+        if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "approx"
+        for given in [{k.arg: k.value for k in call.keywords}]
+        if "abs" not in given and isinstance(given.get("rel"), ast.Constant) and given["rel"].value <= 1e-10
+    ]
+    assert not loose

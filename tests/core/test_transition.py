@@ -30,7 +30,6 @@ def step_of(name):
     return (li.schemes.so3_midpoint if name.startswith("rigid_body.") else li.schemes.splitting)(system), state, dt
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

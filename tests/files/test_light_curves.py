@@ -85,7 +85,7 @@ def test_sessions_of_alcdef():
     first, second = files.read_light_curves(data_files.FOLDER / "samples" / "sessions.alcdef")
     np.testing.assert_array_equal(first.dates, [2457000.5, 2457000.51])
     np.testing.assert_array_equal(first.errors, [0.01, 0.02])
-    assert first.intensity[1] / first.intensity[0] == pytest.approx(10**0.1, rel=1e-13)
+    assert first.intensity[1] / first.intensity[0] == pytest.approx(10**0.1, rel=1e-13, abs=0)
     assert (first.scale, first.light_time_corrected, first.calibrated, first.magnitudes) == ("UTC", False, False, True)
     assert first.sun is first.observer is None
     assert first.metadata["FILTER"] == "V"

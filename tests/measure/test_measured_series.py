@@ -77,7 +77,8 @@ def test_a_line_is_found_with_its_frequency_and_amplitude():
     np.testing.assert_allclose(found.amplitude, a, rtol=3e-6)
     backward = measure.line(-T, x, 0.9 * f, 1.1 * f)
     np.testing.assert_allclose(backward, found, rtol=1e-12)
-    assert measure.line(T, x[:, 0], 0.9 * f[0], 1.1 * f[0]).frequency == pytest.approx(found.frequency[0], rel=1e-13)
+    alone = measure.line(T, x[:, 0], 0.9 * f[0], 1.1 * f[0])
+    assert alone.frequency == pytest.approx(found.frequency[0], rel=1e-13, abs=0)
     whole = measure.spectrum(T, x)
     assert whole.amplitude.shape == (201, 2)
     top = whole.amplitude.max(axis=0)
@@ -113,10 +114,10 @@ def test_a_periodogram_is_that_of_scipy():
         theirs = lombscargle(
             t - t[0], x, 2 * np.pi * found.frequency, normalize=True, weights=weights, floating_mean=True
         )
-        np.testing.assert_allclose(found.power, np.stack([theirs, theirs], axis=1), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.power, np.stack([theirs, theirs], axis=1), rtol=0, atol=1e-13)
     resolution, duration = np.diff(found.frequency), np.ptp(t)
     np.testing.assert_allclose(resolution, 1 / (10 * duration), rtol=1e-9)
-    assert found.frequency[0] == pytest.approx(1 / duration, rel=1e-12)
+    assert found.frequency[0] == pytest.approx(1 / duration, rel=1e-12, abs=0)
     assert found.frequency[-1] == pytest.approx(59 / 2 / duration, abs=resolution[0])
 
 
@@ -176,7 +177,7 @@ def test_complex_rates_are_those_of_the_terms():
     )  # observed: 2e-13
     assert np.isnan(measure.complex_rates(t, 0 * z)).all()
     cosine = measure.complex_rates(t, np.cos(1.3 * t))
-    np.testing.assert_allclose(cosine, [1.3, -1.3], rtol=0, atol=1e-13)  # observed: 2e-15
+    np.testing.assert_allclose(cosine, [1.3, -1.3], rtol=0, atol=2e-14)  # observed: 2e-15
     slow = measure.complex_rates(2.0**30 * t, z.conj())
     np.testing.assert_array_equal(2.0**30 * slow, measure.complex_rates(t, z.conj()))
     for short_or_bad in (z[:7], np.where(t > 5, np.nan, z)):

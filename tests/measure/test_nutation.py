@@ -39,7 +39,7 @@ def test_nutation_is_that_of_lagrange_in_closed_form(tops):
     np.testing.assert_allclose(np.stack([found.least, found.greatest], axis=1), exact.inclination, rtol=0, atol=1e-12)
     one = measure.nutation(tops.member(1), axis=[0.0, 0.0, 1.0])
     np.testing.assert_allclose(one, [x[1] for x in found], rtol=1e-13)
-    assert np.isnan(measure.nutation(tops.member(2), axis=[0.0, 0.0, -1.0]).period) == 0
+    assert not np.isnan(measure.nutation(tops.member(2), axis=[0.0, 0.0, -1.0]).period)
     assert one.period.shape == ()
 
 

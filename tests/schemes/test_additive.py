@@ -158,7 +158,7 @@ LABELED = additive(SOFT, "symplectic", alpha=0.3)  # its static fields serve eve
 def test_6_17_is_symplectic_and_conserves_momentum_for_every_alpha(alpha):
     step = dataclasses.replace(LABELED, alpha=jnp.array(alpha))
     L = _linear(step, SOFT_STATE, 0.1)
-    assert np.abs(L.T @ OMEGA @ L - OMEGA).max() < 1e-13  # floor 3e-15
+    assert np.abs(L.T @ OMEGA @ L - OMEGA).max() < 2e-14  # floor 3e-15
     _, Phi, converged, _ = run(step, SOFT_STATE, 0.05, 100)
     assert converged.all()
     assert np.abs(Phi - Phi[0]).max() < 4e-14  # floor 6e-15
@@ -202,7 +202,7 @@ def vibrations():
 def test_6_17_is_stable_below_2_over_1_less_2_alpha(alpha):
     """At rest its eigenvalues are those of an oscillator: λ + 1/λ = (2 − (α² + β²)x)/(1 + αβx), x = (Δtω)², β = 1 − α.
 
-    So |λ| = 1 for all vibrations if and only if Δtω|1 − 2α| < 2 for the fastest.
+    So |λ| = 1 for all vibrations if and only if Δtω|1 − 2α| < 2 for the fastest. Observed 3e-15; α = ½: 2e-13.
     """
     step, squares = dataclasses.replace(LABELED, alpha=jnp.array(alpha)), vibrations()
     limit = 100 if alpha == 0.5 else 2 / abs(1 - 2 * alpha)
@@ -211,7 +211,7 @@ def test_6_17_is_stable_below_2_over_1_less_2_alpha(alpha):
         values, x = np.linalg.eigvals(_linear(step, REST, dt)), np.repeat(dt**2 * squares, 2)
         expected = (2 - (alpha**2 + (1 - alpha) ** 2) * x) / (1 + alpha * (1 - alpha) * x)
         found = values + 1 / values
-        np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=0, atol=1e-12)  # floor 3e-15; α = ½: 2e-13
+        np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=0, atol=1e-12 if alpha == 0.5 else 2e-14)
         assert (np.abs(values).max() < 1 + 1e-6) == stable  # 1 + 1e-8, as the six λ of rotations are 1; else over 1.1
 
 
@@ -316,22 +316,26 @@ def test_6_13_gamma_is_not_below_one_half():
     for _ in range(40):
         F, F1 = (np.eye(3) + 0.1 * rng.normal(size=(3, 3)) for _ in range(2))
         found = root(lambda g, F=F, F1=F1: condition_6_13(F, F1, g[0]), [0.5], options={"xtol": 1e-12})
-        assert abs(condition_6_13(F, F1, found.x[0])) < 1e-12  # floor 7e-15; scipy may call round-off no success
+        assert abs(condition_6_13(F, F1, found.x[0])) < 1e-13  # floor 7e-15; scipy may call round-off no success
         gammas.append(found.x[0])
     assert 10 < np.sum(np.array(gammas) > 0.5) < 30
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("dt", "Phi"), [(0.005, 6.0), (0.05, 10.0)], ids=["3c", "4c"])
-def test_average_conserves_energy_and_momentum_in_the_runs_of_the_figures(dt, Phi):
+@pytest.mark.parametrize(
+    ("dt", "Phi", "most", "most_momentum"),  # floors 9e-14 and 3e-14, of H = 18; 4.2e-12 and 2e-13, of H = 50
+    [(0.005, 6.0, 5e-13, 2e-13), (0.05, 10.0, 5e-12, 1e-12)],
+    ids=["3c", "4c"],
+)
+def test_average_conserves_energy_and_momentum_in_the_runs_of_the_figures(dt, Phi, most, most_momentum):
     """λ = 2000 makes rounding visible. Of 4c it is a random walk of 5e-14 per step once the motion has lost its
     symmetry (|F| up to 3.6): a stress rounded otherwise or further Newton corrections end between 4e-12 and 6e-12 as
     well.
     """
     H, moments, converged, end = run(additive(BALL), spinning(Phi), dt, 4000)
     assert converged.all()
-    assert np.abs(H - H[0]).max() < 5e-12  # floors 9e-14 and 4.2e-12, of H = 18 and 50
-    assert np.abs(moments - moments[0]).max() < 1e-12  # floors 3e-14 and 2e-13
+    assert np.abs(H - H[0]).max() < most
+    assert np.abs(moments - moments[0]).max() < most_momentum
     assert np.linalg.det(end.q) > 0
 
 

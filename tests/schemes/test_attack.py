@@ -224,12 +224,8 @@ def _bodies(rng, B, nearest):
     spin = J * turn * 10.0 ** rng.choice([-9, -3, -1, -1, 0, 0, 0.5, 12], (B, 2, 1)) / dt[:, None, None]
     rate = 10 ** rng.uniform(-5, 0, B) / np.abs(dt)
     v = rng.normal(size=(B, 3)) * (rate * apart)[:, None]
-    p = np.concatenate([m[..., None] * share * v[:, None], _turned_all(q, spin)], axis=2)
+    p = np.concatenate([m[..., None] * share * v[:, None], jax.vmap(_turned)(q, spin)], axis=2)
     return m, J, rate**2 * apart**3 / m.sum(1), np.concatenate([share * way[:, None], q], axis=2), p, dt
-
-
-def _turned_all(q, v):
-    return np.asarray(jax.vmap(jax.vmap(li.groups.so3.Ad))(q, v))
 
 
 def _binary(rng, B):
@@ -741,16 +737,9 @@ def accepted(name, seed, k):
     return done
 
 
-QUICK = {  # whose steps compile soon, or are compiled for the others
-    *("so3_midpoint[symplectic]", "so3_midpoint[cayley]", "so3_explicit", "exact", "calibrated", "preprocessed"),
-    *("compose", "top_energy_momentum", "splitting", "sphere_midpoint", "sphere_chart"),
-}
-NAMES = [pytest.param(name, marks=[pytest.mark.long] * (name not in QUICK)) for name in ATTACKS]
-
-
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore:principal moments")
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ATTACKS)
 @settings(max_examples=6)
 @given(seed=st.integers(0, 2**31), k=st.integers(0, SPOILT - 1))
 def test_impossible_bodies_states_and_step_sizes_are_refused(name, seed, k):

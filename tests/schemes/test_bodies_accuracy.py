@@ -23,14 +23,6 @@ FLOOR = 2e-12, 3e-12  # of the reference: DOP853 at 3e-14 and at 1e-13 differ by
 
 
 @pytest.mark.long
-def test_the_best_kepler_splitting_has_the_recorded_error_at_600_forces():
-    """Observed 4e-10 and 4e-9."""
-    position, attitude = kw4.errors("kepler (8, 6, 4)", 600)
-    assert position < 1e-9
-    assert attitude < 3e-8
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("name", EXPECTED)
 def test_errors_are_within_a_factor_of_three_of_the_table(name):
     """Observed: between 0.37 and 1.9 of each entry above the floor."""

@@ -103,7 +103,6 @@ def test_exact_steps_near_the_separatrix_lose_no_more_digits_than_the_state(off)
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "moments", [*itertools.permutations([1.0, 2.0, 3.0]), [1, 1, 2], [2, 1, 1], [1, 2, 1], [1, 1, 1]]
 )
@@ -195,7 +194,7 @@ def test_second_derivatives_are_right_for_every_symmetry(moments):
     second = jax.jit(jax.jacfwd(rows))(x)
     shifted = jax.jit(jax.vmap(lambda shift: jax.vmap(lambda e: rows(x + shift * e), out_axes=-1)(jnp.eye(7))))
     low2, low, high, high2 = shifted(step * np.array([-2.0, -1.0, 1.0, 2.0]))
-    assert difference(second, (8 * (high - low) - (high2 - low2)) / (12 * step)) < 1e-9  # observed 2e-11
+    assert difference(second, (8 * (high - low) - (high2 - low2)) / (12 * step)) < 2e-10  # observed 2e-11
 
 
 @jax.jit
@@ -225,7 +224,7 @@ def test_half_a_rotation_about_the_middle_axis_lasts_two_quarter_periods():
     middle, flipped = (np.array(rows(*solve(J, state, t).q)) @ state.p for t in (quarter, 2 * quarter))
     assert difference(flipped, Pi * np.array([-1, 1, 1])) < 5e-15
     assert abs(float(middle[0])) < 5e-15
-    assert float(np.abs(middle[1])) == pytest.approx(0.1 * (2 / 3 / (1 / 6)) ** 0.5, rel=1e-13)
+    assert float(np.abs(middle[1])) == pytest.approx(0.1 * (2 / 3 / (1 / 6)) ** 0.5, rel=1e-13, abs=0)
 
 
 @jax.jit

@@ -40,14 +40,14 @@ def test_a_narrower_inertia_is_widened_to_the_state(scheme):
     run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(narrow, state, 0.1, 500, save_every=500)
     assert run.info.converged.all()
     H = [float(narrow.system.energy(jax.tree.map(lambda leaf, i=i: leaf[i], run.state))) for i in (0, -1)]
-    assert H[1] == pytest.approx(H[0], rel=1e-14)  # floor 3e-15
+    assert H[1] == pytest.approx(H[0], rel=1e-14, abs=0)  # floor 3e-15
 
 
 @pytest.mark.quick
 def test_energy_of_a_narrower_full_tensor_has_the_digits_of_the_state():
     J = jnp.array([[1.1, 0.1, 0.2], [0.1, 2.3, 0.0], [0.2, 0.0, 3.3]], jnp.float32)
     narrow, wide = (li.systems.rigid_body(J).energy(STATE) for J in (J, J.astype(float)))
-    assert float(narrow) == pytest.approx(float(wide), rel=1e-15)
+    assert float(narrow) == pytest.approx(float(wide), rel=1e-15, abs=0)
 
 
 STEPS = {
@@ -140,7 +140,6 @@ def test_no_step_ends_where_the_potential_is_not_defined(scheme):
     assert not np.any(np.asarray(run.info.converged) & ~defined)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["cayley", "symplectic", "so3_explicit", "exact"])
 def test_a_full_tensor_of_a_needle_is_flagged(scheme):
     """Energy is kept to 1e-10 wherever a step converged: 2000 turned rods and needles each of 1 : 1e3 … 1e10."""
@@ -218,7 +217,6 @@ KAPPAS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", KAPPAS)
 def test_every_converged_root_is_that_of_the_branch_from_zero(name):
     """Against a homotopy in dt of 600 steps, with |dt Ω| up to 7: most solves are flagged there, and none is wrong."""

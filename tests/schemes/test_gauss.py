@@ -48,12 +48,10 @@ def example(name):
     return body, body.state([1.0, 0, 0, 0], angular_velocity=[0.4, 0.5, 0.9], **more), 0.5
 
 
-LONG = pytest.mark.long
+LARGER = [pytest.param(name, marks=pytest.mark.long) for name in ("driven", "binary", "many")]
 
 
-@pytest.mark.parametrize(
-    "name", ["top", "gyrostat", *(pytest.param(name, marks=LONG) for name in ("driven", "binary", "many"))]
-)
+@pytest.mark.parametrize("name", ["top", "gyrostat", *LARGER])
 def test_canonical_coordinates_are_those_of_the_system(name):
     """There and back; their rate pushed forward is the vector field; the pair (q, p) has the lengths that it should."""
     system, state, _ = example(name)
@@ -75,7 +73,7 @@ def test_canonical_coordinates_are_those_of_the_system(name):
     q, p = (jnp.stack(x).reshape(4, -1)[:, 0] for x in (z.q[-4:], z.p[-4:]))
     assert abs(float(q @ p)) < 1e-15
     spin = state.p.reshape(-1, state.p.shape[-1])[0, -3:]
-    assert float(p @ p) == pytest.approx(4 * float(spin @ spin), rel=1e-14)
+    assert float(p @ p) == pytest.approx(4 * float(spin @ spin), rel=1e-14, abs=0)
 
 
 @pytest.mark.long
@@ -88,7 +86,7 @@ def test_gauss_conserves_form_and_momentum_of_elastic_bodies_and_is_reversible()
     assert diagnostics.symplectic_defect(step, state, dt) < 2e-14
     assert jnp.max(jnp.abs(system.momentum(end) - system.momentum(state))) < 1e-15
     assert diagnostics.reversibility(step, state, dt) < 3e-15
-    assert abs(float(system.energy(end) - system.energy(state))) < 1e-12
+    assert abs(float(system.energy(end) - system.energy(state))) < 4e-15
 
 
 def test_the_work_on_a_body_at_rest_is_the_quadrature_of_the_power():
@@ -98,7 +96,7 @@ def test_the_work_on_a_body_at_rest_is_the_quadrature_of_the_power():
     step = schemes.gauss(body, 2)
     end, info = jax.jit(step)(start, 0.5)
     assert info.converged
-    assert float(end.work) == pytest.approx(0.9**3 - 0.4**3, rel=1e-15)
+    assert float(end.work) == pytest.approx(0.9**3 - 0.4**3, rel=1e-15, abs=0)
     nodes, Y = collocation.nodes(2), tuple(jnp.zeros((2, 8)).T)
     [times] = _Equation.from_state(step, start, jnp.array(0.5)).at_stages(lambda z, t: (t,), Y, nodes)
     np.testing.assert_allclose(times, 0.4 + 0.5 * nodes, rtol=1e-15)
@@ -225,7 +223,7 @@ def test_extrapolation_samples_the_time_of_each_sub_step():
         return _extrapolation(lambda u, t: u * jnp.cos(t), moments, jnp.ones(()), dt, numbers, True)[0]
 
     expected = np.expm1(np.sin(0.6) - np.sin(0.3))
-    assert float(jax.jit(end)(0.3, 0.3)) == pytest.approx(expected, rel=1e-14)
+    assert float(jax.jit(end)(0.3, 0.3)) == pytest.approx(expected, rel=3e-14, abs=0)
 
 
 def test_extrapolation_follows_the_axis_of_a_driven_top_through_the_step():

@@ -12,6 +12,8 @@ import lieint_jax as li
 from lieint_jax import groups, maps
 from lieint_jax.diagnostics import linearization, order
 
+pytestmark = pytest.mark.long
+
 QUICK = {"xla_llvm_disable_expensive_passes": True}
 SYMPLECTIC = maps.scaled_cayley(maps.kappa_symplectic)
 LINE = groups.translations(2)
@@ -47,8 +49,6 @@ def measured(step, state, dt):
     return after, info.converged, defect, *change
 
 
-@pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.3, 0.0, 1.0])
 def test_without_a_potential_momentum_alone_is_conserved_for_every_alpha(alpha):
     """Energy and form are lost as Δt² per step, even by the map that keeps both at α = ½; order 1."""
@@ -62,6 +62,7 @@ def test_without_a_potential_momentum_alone_is_conserved_for_every_alpha(alpha):
     assert order(step, SPIN, 0.05) == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("alpha", [0.0, 1.0])
 def test_the_ends_of_the_family_are_the_symplectic_euler_schemes(alpha):
     """On ℝ²: the velocity is that before the step and the force that after it, or the other way round."""
@@ -75,7 +76,6 @@ def test_the_ends_of_the_family_are_the_symplectic_euler_schemes(alpha):
     np.testing.assert_allclose(p1 - p0, 0.3 * force, rtol=0, atol=1e-15)
 
 
-@pytest.mark.long
 def test_without_a_potential_alpha_one_half_is_group_midpoint():
     step = li.schemes.group_alpha(FREE, 0.5, SYMPLECTIC)
     other = measured(li.schemes.group_midpoint(FREE, SYMPLECTIC), SPIN, 0.3)
@@ -87,7 +87,6 @@ def test_without_a_potential_alpha_one_half_is_group_midpoint():
 
 
 @pytest.mark.paper("1.1: (1.1), (1.2)", "canonical systems, on translations of ℝⁿ", "schemes/_group_alpha.py")
-@pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.3, 0.0, 0.5, 1.0])
 def test_on_an_abelian_group_the_form_is_conserved_for_every_alpha(alpha):
     """1″ to 3″ of Result 14 hold; energy is not kept; order 2 for ½ alone."""
@@ -99,8 +98,6 @@ def test_on_an_abelian_group_the_form_is_conserved_for_every_alpha(alpha):
     assert order(step, MOVING, 0.1) == pytest.approx(1 + (alpha == 0.5), abs=0.06)
 
 
-@pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.3, 0.5])
 def test_the_equations_5_43_and_5_45_hold_as_they_stand(alpha):
     """q₁ = q₀ + Δt m⁻¹p_{n+α}, p₁ = p₀ − Δt∇V(q_{n+1−α}), by numpy; with p_{n+1−α} in the first they do not."""
@@ -116,7 +113,6 @@ def test_the_equations_5_43_and_5_45_hold_as_they_stand(alpha):
 
 
 @pytest.mark.paper("5.4: (5.43), (5.44)", "the class, and momentum", "schemes/_group_alpha.py")
-@pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.5, 0.3])
 def test_with_a_potential_the_momentum_of_its_symmetry_is_conserved_and_the_form_is_not(alpha):
     """(5.44) for every α; Result 8: on SO(3) no member is symplectic, the best loses the form as Δt³."""
@@ -131,6 +127,7 @@ def test_with_a_potential_the_momentum_of_its_symmetry_is_conserved_and_the_form
     assert order(step, SPIN, 0.05) == pytest.approx(step.order, abs=0.05)
 
 
+@pytest.mark.quick
 @pytest.mark.slow
 @pytest.mark.parametrize(("system", "state"), [(PLANE, MOVING), (FREE, SPIN), (TOP, SPIN)], ids=["V", "free", "top"])
 def test_alpha_is_undone_by_one_less_alpha(system, state):
@@ -143,7 +140,6 @@ def test_alpha_is_undone_by_one_less_alpha(system, state):
         assert system is FREE or np.abs(lost - at_first).max() > 1e-3
 
 
-@pytest.mark.long
 def test_any_group_and_derivatives_by_alpha_dt_and_the_metric():
     """On SL(2) with a potential."""
     system = li.systems.group_potential(groups.special_linear(2), [1.0, 2.0, 3.0], lambda q: 0.2 * jnp.sum(q * q))

@@ -36,7 +36,6 @@ PAIRS = [("SE(3)", "exponential"), ("SL(2)", "arcsine")]
 MORE = [("Heis(3)", "exponential"), ("SE(3)", "cayley"), ("SO(3)", "cayley"), ("Sp(4)", "cayley"), ("T(3)", "cayley")]
 MORE += [(name, "arcsine") for name in ("SU(2)", "SE(2)", "SE(3)", "E(1,1)", "Heis(5)", "Aff(1)", "Bianchi V")]
 MORE += [(name, "exponential") for name in CATALOGUE if (name, "exponential") not in PAIRS + MORE]
-CHEAP = ("Aff(1)", "exponential")
 SYMPLECTIC = {(name, "arcsine") for name in ("SU(2)", "SL(2)", "SE(2)", "E(1,1)", "Heis(5)", "Aff(1)", "Bianchi V")}
 SYMPLECTIC |= {(name, "exponential") for name in ("R^3", "Heis(3)", "Heis(5)")}  # nilpotent: there arcsine is exp
 
@@ -86,9 +85,7 @@ def measured(step, state, dt):
 
 
 @pytest.mark.paper("5.2: (5.23)–(5.27), Results 9, 10", "energy and momentum on a group", "schemes/_group_midpoint.py")
-@pytest.mark.parametrize(
-    ("name", "tau"), [pytest.param(*pair, marks=pytest.mark.long) if pair != CHEAP else pair for pair in PAIRS + MORE]
-)
+@pytest.mark.parametrize(("name", "tau"), PAIRS + MORE)
 def test_results_9_10_11_momentum_energy_order_and_form(name, tau):
     """Spatial momentum bit for bit, energy, order 2, reversibility; the form exactly where the map is symplectic."""
     system, state = system_and_state(name)
@@ -113,7 +110,7 @@ def test_results_9_10_11_momentum_energy_order_and_form(name, tau):
         assert np.log2(small["form"] / half["form"]) == pytest.approx(3, abs=0.1)
 
 
-@pytest.mark.parametrize(("name", "tau"), PAIRS + [pytest.param(*pair, marks=pytest.mark.slow) for pair in MORE])
+@pytest.mark.parametrize(("name", "tau"), PAIRS + MORE)
 def test_the_energy_bar_over_random_metrics(name, tau):
     """Four metrics: 1000 steps of 0.1 where Ad_q is bounded, else 100 of 0.05 over max(1, ‖Ad_q‖²). Floor 1e-14."""
     kept = group_conservation(CATALOGUE[name], TAUS[tau])
@@ -186,8 +183,8 @@ def one_step(name, tau):
     return np.array(system.metric), dt, d, out
 
 
-FORMULAS = [("SL(2)", "arcsine")]
-LARGER = [
+FORMULAS = [
+    ("SL(2)", "arcsine"),
     ("SE(2)", "cayley"),
     ("Aff(1)", "exponential"),
     ("SE(3)", "exponential"),
@@ -195,7 +192,6 @@ LARGER = [
     ("Sp(4)", "cayley"),
     ("T(3)", "cayley"),
 ]
-FORMULAS += [pytest.param(*pair, marks=pytest.mark.slow) for pair in LARGER]
 formulas = pytest.mark.parametrize(("name", "tau"), FORMULAS)
 
 
@@ -209,7 +205,6 @@ def test_5_25_5_26_energy_condition(name, tau):
 
 
 @formulas
-@pytest.mark.slow
 def test_5_29_5_30_6_27_the_linearized_step(name, tau):
     m, dt, d, o = one_step(name, tau)
     C = o["Ad1"] @ np.linalg.inv(2 / dt * m @ np.linalg.inv(o["H"]) - o["A1"]) @ (o["Ad0"].T + o["Ad1"].T)
@@ -267,7 +262,6 @@ def test_6_31_and_6_32_explain_why_5_31_and_6_30_vanish_together(name, tau):
 
 
 @pytest.mark.paper("5.3: (5.34)–(5.40)", "Poisson errors on a group", "diagnostics/_poisson.py")
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "tau"), [("SE(2)", "cayley"), ("SL(2)", "arcsine")])
 def test_5_34_5_35_5_36_the_recursion_is_the_product(name, tau):
     system, state = system_and_state(name, seed=2)
@@ -411,8 +405,8 @@ def test_arcsine_scale_on_both_sides_of_its_series(x):
         exact = mpmath.re(f(mpmath.mpf(x)))
         slope = mpmath.re((f(mpmath.mpf(x) + mpmath.mpf("1e-12")) - f(mpmath.mpf(x) - mpmath.mpf("1e-12"))) / 2e-12)
     value, derivative = arcsine_scale(x)
-    assert value == pytest.approx(float(exact), rel=4e-16)
-    assert derivative == pytest.approx(float(slope), rel=1e-12)
+    assert value == pytest.approx(float(exact), rel=1e-15, abs=0)
+    assert derivative == pytest.approx(float(slope), rel=1e-12, abs=0)
 
 
 def test_hyperbolic_motion_is_flagged_before_digits_run_out():
@@ -478,7 +472,6 @@ def test_a_root_past_the_fold_is_flagged():
     assert not np.asarray(converged)[past].any()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("unit", [1e-9, 1e6])
 def test_the_linearized_step_is_the_same_in_any_unit_of_length(unit):
     """A body in a fluid, with a metric in full: to 4e-15, observed 4e-16; by LU 3e-14 in a unit of 1e6 lengths."""

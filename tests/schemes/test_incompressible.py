@@ -99,7 +99,7 @@ def test_second_order_reversible_and_the_hidden_constraint():
     exact = jax.jit(flow, static_argnums=(0, 3))(BODY, STATE, 0.32, 32)
     assert abs(np.linalg.det(exact.q) - 1) < 4e-15
     assert abs(BODY.volume_rate(exact)) < 4e-15
-    assert float(BODY.energy(exact)) == pytest.approx(float(BODY.energy(STATE)), rel=1e-14)
+    assert float(BODY.energy(exact)) == pytest.approx(float(BODY.energy(STATE)), rel=1e-14, abs=1e-12)
     errors, rates = [], []
     for n in (16, 32):
         end, rate = run(STATE, 0.32 / n, n)
@@ -133,7 +133,7 @@ def test_the_vector_field_is_hamiltonian_and_perturb_stays_on_the_manifold():
     np.testing.assert_allclose(one, np.eye(16), rtol=0, atol=1e-14)
     assert abs(volume) < 1e-14
     assert abs(rate) < 1e-14
-    assert abs(drift) < 1e-14  # observed: 3e-16; the pressure keeps tr(ḞF⁻¹) at 0
+    assert abs(drift) < 2e-15  # observed: 3e-16; the pressure keeps tr(ḞF⁻¹) at 0
 
 
 def test_an_incompressible_body_is_the_limit_of_stiff_ones():

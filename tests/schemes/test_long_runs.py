@@ -19,6 +19,7 @@ from lieint_jax.native import UnsupportedError
 
 MEMBERS, LONG, SHORT = 8, 2000, 20
 FLOOR = 1e-11  # the least error that shows an order: the reference is right to some 1e-14
+GRID = [pytest.param(*case, id=case[1]) for case in grid.cases()]
 FINER = {"pseudo_rigid_body": 8, "incompressible_body": 4}  # parts of an example's dt that resolve its fast vibrations
 
 
@@ -69,16 +70,8 @@ def order_and_error(name, step, states, dt):
     return np.log2(errors[0] / errors[1]), errors
 
 
-def cases():
-    """By default the first case of each scheme; the shards run all."""
-    seen = set()
-    for scheme, name, step, state, dt in grid.cases():
-        yield pytest.param(scheme, name, step, state, dt, id=name, marks=[pytest.mark.long] * (scheme in seen))
-        seen.add(scheme)
-
-
 @pytest.mark.long
-@pytest.mark.parametrize(("scheme", "name", "step", "state", "dt"), list(cases()))
+@pytest.mark.parametrize(("scheme", "name", "step", "state", "dt"), GRID)
 def test_long_runs_conserve_what_their_scheme_declares_at_its_order(scheme, name, step, state, dt):
     system_name = name.partition("-")[0]
     states = members(step, state)

@@ -67,7 +67,7 @@ def test_magnetic_detumbling_is_that_of_scipy():
         end = jax.tree.map(lambda x: x[-1], final(step, T / n, n))
         errors[order, n] = attitude_error(end.q, exact[:4])
         assert float(end.work) == pytest.approx(lost, rel=1e-3 if order == 2 else 1e-6)
-        assert float(body.energy(end) - end.work) == pytest.approx(float(body.energy(state)), rel=1e-13)
+        assert float(body.energy(end) - end.work) == pytest.approx(float(body.energy(state)), rel=1e-13, abs=1e-12)
     for order in (2, 4):
         assert np.log2(errors[order, 1400] / errors[order, 2800]) == pytest.approx(order, abs=0.1)
     assert errors[4, 2800] < 1e-6  # observed: 2.3e-7
@@ -111,4 +111,4 @@ def test_a_slew_in_a_sampled_loop_is_that_of_scipy():
             state, Omega = held_for(jnp.asarray(control(state.q, Omega)), state, period, substeps, order)
         errors.append(attitude_error(state.q, y[:4]))
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.2)
-    assert errors[2] < 1e-3 * errors[0]  # observed: 6e-12 and 3e-7
+    assert errors[2] < 1e-4 * errors[0]  # observed: 6e-12 and 3e-7

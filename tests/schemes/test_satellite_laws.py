@@ -220,7 +220,6 @@ def rhs(body, template):
     return f, lambda z: np.concatenate([z.q, z.p, z.extra["wheels"]])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 4, 6])
 def test_orders_against_another_package_with_saturation_in_force(order):
     """One limit of torque acts all the time, no other ever does, and plates stay lit: switches have no order."""

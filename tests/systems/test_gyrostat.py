@@ -62,7 +62,7 @@ def test_the_rate_of_a_motor_s_work_is_that_of_the_energy():
         return jax.jvp(DRIVEN.energy, (state,), (rate._replace(t=jnp.ones(())),))[1], rate.work
 
     energy, work = both(START._replace(t=jnp.array(1.3)))
-    assert float(energy) == pytest.approx(float(work), rel=1e-13)
+    assert float(energy) == pytest.approx(float(work), rel=1e-13, abs=0)
     assert abs(work) > 0.01
 
 
@@ -87,14 +87,14 @@ def test_a_full_tensor_is_the_same_gyrostat_in_other_axes():
     q = li.groups.so3.multiply(state.q, li.groups.so3.from_matrix(jnp.array(axes)))
     ends = [after(schemes.so3_midpoint(s), z, 0.1, 50)[0] for s, z in ((FULL, state), (same, State(q, state.p)))]
     other = li.groups.so3.multiply(ends[0].q, li.groups.so3.from_matrix(jnp.array(axes)))
-    assert angle(other, ends[1].q) < 1e-13  # floor 4e-15
+    assert angle(other, ends[1].q) < 3e-14  # floor 4e-15
 
 
 def test_a_gyrostat_without_rotor_momentum_is_the_free_body():
     body, still = systems.rigid_body(J), systems.gyrostat(J, np.zeros(3))
     state = body.state(Q, angular_velocity=OMEGA)
     np.testing.assert_array_equal(still.state(Q, angular_velocity=OMEGA).p, state.p)
-    assert float(still.energy(state)) == pytest.approx(float(body.energy(state)), rel=1e-15)
+    assert float(still.energy(state)) == pytest.approx(float(body.energy(state)), rel=1e-15, abs=0)
     for free, own in (
         (schemes.so3_midpoint(body, kappa_cayley), schemes.so3_midpoint(still, kappa_cayley)),
         (schemes.exact(body), schemes.splitting(still)),
@@ -197,7 +197,7 @@ def test_the_work_of_a_motor_is_the_gain_of_energy(kappa):
         end.extra["rotor"] - H_R, MOTOR.momentum, rtol=0, atol=4e-15
     )  # a midpoint sum of whole periods
     assert abs(float(end.work)) > 0.1
-    assert float(end.t) == pytest.approx(4)
+    assert float(end.t) == pytest.approx(4, rel=5e-15, abs=0)
 
 
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
@@ -223,7 +223,7 @@ def test_a_wheel_absorbs_all_momentum_and_the_body_stops():
     end, info = after(schemes.so3_midpoint(wheel), start, 0.1, 40)
     assert info.converged
     np.testing.assert_allclose(to_body(end.q, end.p) - end.extra["rotor"], 0, rtol=0, atol=4e-15)
-    assert float(end.work) == pytest.approx(-0.5 * 3 * 0.4**2, rel=1e-13)
+    assert float(end.work) == pytest.approx(-0.5 * 3 * 0.4**2, rel=1e-13, abs=0)
 
 
 def test_a_slow_wheel_turns_the_satellite_about_its_momentum():

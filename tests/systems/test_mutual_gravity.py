@@ -13,6 +13,8 @@ import lieint_jax as li
 from lieint_jax import diagnostics, potentials, shapes
 from lieint_jax.groups import so3
 
+pytestmark = pytest.mark.long
+
 RNG = np.random.default_rng(49)
 TURNS = jnp.stack(
     [so3.to_matrix(so3.exp(jnp.array(axis))) for axis in ([0.3, -0.5, 0.4], [1.0, 0.2, -0.7], [0.1, 2, 1])]
@@ -49,6 +51,7 @@ def exact_terms(orders):
     return totals
 
 
+@pytest.mark.quick
 def test_every_order_of_mutual_gravity_agrees_with_40_digits():
     with mpmath.workdps(40):
         terms = exact_terms((0, 2, 3, 4))
@@ -56,31 +59,30 @@ def test_every_order_of_mutual_gravity_agrees_with_40_digits():
     for order in (2, 3, 4):
         found = float(evaluate(potentials.mutual_gravity(2.0, BODIES[:2], order), PLACES[:2], TURNS[:2])[0])
         exact = float(terms[0] + sum(terms[n] for n in range(2, order + 1)))
-        assert found == pytest.approx(exact, rel=1e-14), order  # observed 4e-16
+        assert found == pytest.approx(exact, rel=3e-15, abs=0), order  # observed 4e-16
         if order > 2:
             assert abs(found - value - float(terms[order])) < 1e-14 * abs(exact)
             assert abs(float(terms[order])) > 1e-3 * abs(exact)  # the order itself counts here
         value = found
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("order", [2, 3, 4])
 def test_forces_and_torques_in_closed_form_are_the_derivative(order):
     """Of three bodies."""
     V = potentials.mutual_gravity(2.0, BODIES, order)
     _, force, (along_x, along_R) = evaluate(V, PLACES, TURNS)
     expected = jnp.concatenate([-along_x, potentials.torques(TURNS, along_R)], axis=1)
-    np.testing.assert_allclose(force, expected, rtol=0, atol=2e-14 * float(jnp.abs(expected).max()))  # observed 1e-15
+    np.testing.assert_allclose(force, expected, rtol=0, atol=6e-15 * float(jnp.abs(expected).max()))  # observed 1e-15
 
 
-@pytest.mark.long
 def test_mutual_gravity_of_order_2_is_maccullagh_s_formula():
     V = potentials.maccullagh(2.0, BODIES, BODIES)
     a, b = (evaluate(f, PLACES, TURNS) for f in (V, potentials.mutual_gravity(2.0, BODIES, 2)))
-    assert float(a[0]) == pytest.approx(float(b[0]), rel=1e-14)
+    assert float(a[0]) == pytest.approx(float(b[0]), rel=1e-14, abs=0)
     np.testing.assert_allclose(a[1], b[1], rtol=0, atol=1e-14 * float(jnp.abs(a[1]).max()))
 
 
-@pytest.mark.long
 def test_polyhedra_attract_as_their_tetrahedra_do():
     """By quadrature within each tetrahedron, of 1/r itself: the error falls as the first power that is left out."""
     parts = []
@@ -104,12 +106,11 @@ def test_polyhedra_attract_as_their_tetrahedra_do():
         assert np.log2(near / far) == pytest.approx(n + 2, abs=0.35), (n, sizes)
 
 
-@pytest.mark.long
 def test_spheres_and_points_attract_exactly_and_an_ellipsoid_to_order_6():
     ball = shapes.ellipsoid([2.0, 2.0, 2.0], mass=3.0)
     x = jnp.array([[0.0, 0, 0], [3.0, 4.0, 0.0]])
     assert float(evaluate(potentials.mutual_gravity(1.0, [ball, 2.0]), x, TURNS[:2])[0]) == pytest.approx(
-        -1.2, rel=1e-15
+        -1.2, rel=1e-15, abs=0
     )
     axes, errors = jnp.array([1.2, 1.0, 0.8]), []
     series = potentials.mutual_gravity(1.0, [shapes.ellipsoid(axes, mass=3.0), 2.0])
@@ -119,7 +120,6 @@ def test_spheres_and_points_attract_exactly_and_an_ellipsoid_to_order_6():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(7, abs=0.1)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("order", [2, 3, 4])
 def test_the_discrete_gradient_gives_the_difference(order):
     """Between distant and close invariants, consistent ones or not; and it is symmetric."""
@@ -152,8 +152,7 @@ def triple(order=4):
     return system, state
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("scheme", ["splitting", pytest.param("bodies_energy_momentum", marks=pytest.mark.long)])
+@pytest.mark.parametrize("scheme", ["splitting", "bodies_energy_momentum"])
 def test_polyhedra_conserve_both_momenta_and_by_the_energy_momentum_scheme_energy(scheme):
     system, state = triple()
     run = li.integrate(getattr(li.schemes, scheme)(system), state, 0.5, 400, save_every=40)
@@ -169,7 +168,6 @@ def test_polyhedra_conserve_both_momenta_and_by_the_energy_momentum_scheme_energ
         assert H < 1e-14  # observed 1.1e-15
 
 
-@pytest.mark.long
 def test_a_distant_sun_is_an_outer_field_of_bounded_energy_error():
     """A distant point that attracts the centers: the energy of the splitting oscillates with the square of the step."""
     system, state = triple(2)
@@ -184,7 +182,6 @@ def test_a_distant_sun_is_an_outer_field_of_bounded_energy_error():
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
 
 
-@pytest.mark.long
 def test_the_derivative_of_a_force_by_a_vertex_agrees_with_differences():
     """Through the moments of a mesh, forwards and in reverse, against a sixth-order difference."""
     at, faces = hull(8)
@@ -197,4 +194,4 @@ def test_the_derivative_of_a_force_by_a_vertex_agrees_with_differences():
     h = 0.01
     differences = sum(c * float(pull(k * h)) for k, c in ((-3, -1), (-2, 9), (-1, -45), (1, 45), (2, -9), (3, 1)))
     for way in (jax.jacfwd, jax.grad):
-        assert float(way(pull)(0.0)) == pytest.approx(differences / (60 * h), rel=1e-9)  # observed 2e-12
+        assert float(way(pull)(0.0)) == pytest.approx(differences / (60 * h), rel=2e-11, abs=1e-12)  # observed 2e-12

@@ -241,7 +241,7 @@ def test_the_air_thins_with_height_and_rotates_with_the_earth():
     density, velocity = air(1000.0)
     r, v = LOW(1000.0)
     height = np.linalg.norm(r) - 6378.137
-    assert float(density) == pytest.approx(6.967e-13 * np.exp(-(height - 500) / 63.822), rel=1e-10)
+    assert float(density) == pytest.approx(6.967e-13 * np.exp(-(height - 500) / 63.822), rel=1e-10, abs=0)
     np.testing.assert_allclose(velocity, v - np.cross([0, 0, orbits.EARTH_RATE], r), rtol=0, atol=1e-14)
 
 
