@@ -244,7 +244,7 @@ def test_waiting_for_processes_prints_what_it_waits_for(monkeypatch, lieint):
 
 
 def test_a_machine_without_a_description_of_its_processor_has_a_name(monkeypatch):
-    def unreadable(*_):
+    def unreadable(*_, **__):
         raise OSError
 
     monkeypatch.setattr(Path, "read_text", unreadable)
