@@ -45,7 +45,8 @@ def normalize(q: Quaternion) -> Quaternion:
 
 def defect(q: Quaternion) -> Scalar:
     """|q|² − 1, the distance of q from the group."""
-    return _norm_squared(q) - 1
+    # less 1 at once: |q|² is rounded more coarsely above 1 than below, and |q| corrected by it would stay above 1
+    return q[0] * q[0] - 1 + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
 
 
 def exp(xi: Vector3) -> Quaternion:
