@@ -189,15 +189,21 @@ class _Equation(FixedPointEquation[_Ends]):
         return force, work
 
     def mutual(self, ends: _Ends) -> tuple[Array, Array]:
-        """The part of f̄ and τ̄ of the potential, (N, 6), and the work of the poses that move in it as given."""
-        (x0, R0), (x1, R1) = _parts(self.state.q), _parts(self.configuration(ends))
+        """The part of f̄ and τ̄ of the potential, (N, 6), and the work of the poses that move in it as given.
+
+        As I is quadratic, ΔI is its derivative at the mean along the change, whose rounding errors are proportional to
+        the step. Those of I at x + Δx, proportional to |x|, would be added up by Newton's method in the energy.
+        """
         invariants, _, gradient = invariant_form(self.system.potential)
-        given0, given1 = (given_poses(self.system.potential, self.state, late) for late in (0, self.dt))
-        D = gradient(invariants(x0, R0, *given0), invariants(x1, R1, *given1))
-        R, given = (R0 + R1) / 2, [(a + b) / 2 for a, b in zip(given0, given1, strict=True)]
-        along_x, along_R, *along = jax.vjp(invariants, x0 + ends.move / 2, R, *given)[1](D)
-        work = [jnp.sum(a * (end - start)) for a, start, end in zip(along, given0, given1, strict=True)]
-        return jnp.concatenate([-along_x, torques(R, along_R)], axis=1), sum(work, jnp.zeros_like(self.dt))
+        given, then = (given_poses(self.system.potential, self.state, late) for late in (0, self.dt))
+        start, driven = (*_parts(self.state.q), *given), [b - a for a, b in zip(given, then, strict=True)]
+        change = (ends.move, jax.vmap(_turned)(start[1], ends.turn), *driven)
+        mean = tuple(a + d / 2 for a, d in zip(start, change, strict=True))
+        I0, delta = invariants(*start), jax.jvp(invariants, mean, change)[1]
+        D = gradient(I0, jax.tree.map(jnp.add, I0, delta))
+        along_x, along_R, *along = jax.vjp(invariants, *mean)[1](D)
+        work = [jnp.sum(a * moved) for a, moved in zip(along, driven, strict=True)]
+        return jnp.concatenate([-along_x, torques(mean[1], along_R)], axis=1), sum(work, jnp.zeros_like(self.dt))
 
     def applied(self, system: AbstractDissipativeBodies, ends: _Ends) -> tuple[Array, Array]:
         """The part of f̄ and τ̄ of dissipation and given forces, (N, 6), and their power."""
@@ -301,6 +307,12 @@ def _ends(unknowns: Array) -> _Ends:
 def _correction(K: Array, F: _Ends) -> _Ends:
     """The Newton correction of F, with its derivative but without that of the forces."""
     return _Ends(F.move, jax.vmap(lambda K, f: jnp.stack(matrix(K).solve(f)))(K, F.turn))
+
+
+def _turned(R: Array, y: Array) -> Array:
+    """R cay(2y) − R = 2/(1 + |y|²) R(ŷ + ŷ²), (3, 3)."""
+    once = [cross(row, y) for row in matrix(R)]
+    return 2 / (1 + jnp.sum(y * y)) * jnp.stack([jnp.stack(row + cross(row, y)) for row in once])
 
 
 def _parts(q: Array) -> tuple[Array, Array]:
