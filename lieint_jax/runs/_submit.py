@@ -72,8 +72,7 @@ def submit(
         The run of all members, read from the store.
 
     Raises:
-        TypeError: an argument that `li.run` does not have; an executor without `submit`; the call is inside of jit,
-            vmap, grad or jvp.
+        TypeError: an argument that `li.run` does not have; no method `submit`; inside of jit, vmap, grad or jvp.
         processes.PermanentError: a part fails for a reason that stays, one of those of the ValueError of `li.run`. The
             task returns it instead of raising it, so that no engine repeats it; parts that have not begun are canceled.
         processes.LostProcess: parts whose workers were lost, or which failed for a reason that may pass, such as a full
