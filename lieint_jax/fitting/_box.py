@@ -53,21 +53,22 @@ class Box(NamedTuple):
 
     def projected(self, y: Array, gradient: Array) -> Array:
         """The projected gradient at y, reduced where descent soon meets a side: it vanishes at a minimum in the box."""
-        low, high = self._sides(y)
-        room = jnp.where(gradient > 0, y - low, high - y)
-        return gradient * jnp.minimum(1, room / jnp.maximum(jnp.abs(y), 1))
+        return gradient * jnp.minimum(1, self._room(y, gradient) / jnp.maximum(jnp.abs(y), 1))
 
     def changes(self, y: Array, gradient: Array, size: Array) -> Array:
         """By how much the loss would change along each coordinate on a way of length `size`, or to the side."""
-        low, high = self._sides(y)
-        room = jnp.where(gradient > 0, y - low, high - y)
-        return jnp.abs(gradient) * jnp.minimum(jnp.where(size > 0, size, 1), room)
+        return jnp.abs(gradient) * jnp.minimum(jnp.where(size > 0, size, 1), self._room(y, gradient))
 
     def at_side(self, y: Array, start: Array) -> Array:
         """True for coordinates whose distance from a side is negligible compared with that of the first guess."""
         low, high = self._sides(y)
         lower = np.isfinite(low) & (y <= low + _EDGE * (start - low))
         return lower | np.isfinite(high) & (y >= high - _EDGE * (high - start))
+
+    def _room(self, y: Array, gradient: Array) -> Array:
+        """The distance from the side to which descent leads."""
+        low, high = self._sides(y)
+        return jnp.where(gradient > 0, y - low, high - y)
 
     def _sides(self, y: Array) -> tuple[PyTree, PyTree]:
         """The sides in the precision of the coordinates."""

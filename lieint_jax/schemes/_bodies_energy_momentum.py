@@ -197,7 +197,7 @@ class _Equation(FixedPointEquation[_Ends]):
         invariants, _, gradient = invariant_form(self.system.potential)
         given, then = (given_poses(self.system.potential, self.state, late) for late in (0, self.dt))
         start, driven = (*_parts(self.state.q), *given), [b - a for a, b in zip(given, then, strict=True)]
-        change = (ends.move, jax.vmap(_turned)(start[1], ends.turn), *driven)
+        change = (ends.move, jax.vmap(_cayley_difference)(start[1], ends.turn), *driven)
         mean = tuple(a + d / 2 for a, d in zip(start, change, strict=True))
         I0, delta = invariants(*start), jax.jvp(invariants, mean, change)[1]
         D = gradient(I0, jax.tree.map(jnp.add, I0, delta))
@@ -309,7 +309,7 @@ def _correction(K: Array, F: _Ends) -> _Ends:
     return _Ends(F.move, jax.vmap(lambda K, f: jnp.stack(matrix(K).solve(f)))(K, F.turn))
 
 
-def _turned(R: Array, y: Array) -> Array:
+def _cayley_difference(R: Array, y: Array) -> Array:
     """R cay(2y) − R = 2/(1 + |y|²) R(ŷ + ŷ²), (3, 3)."""
     once = [cross(row, y) for row in matrix(R)]
     return 2 / (1 + jnp.sum(y * y)) * jnp.stack([jnp.stack(row + cross(row, y)) for row in once])
