@@ -135,7 +135,7 @@ class ChainEquation(abc.ABC):
             inverse = lambda matvec: factored(matvec).solve  # noqa: E731
             return _refined(linear, b, inverse, inverse, 1 if self.is_exact else most)
 
-        x, missing = newton.implicit_root(residual, guess, solve, tangent_solve)
+        x, missing = newton.deferred_root(residual, guess, solve, tangent_solve)
         missing = lax.stop_gradient(missing) / unit
         return x, StepInfo(missing, missing <= _CONVERGED * eps)
 

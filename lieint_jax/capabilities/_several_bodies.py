@@ -16,7 +16,7 @@ from lieint_jax.capabilities._forces import AbstractForcedSystem
 from lieint_jax.capabilities._one_body import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
-from lieint_jax.types import ChainLaw, PhaseSpace, State, autodiff_gradient, clock, pair_forces
+from lieint_jax.types import ChainLaw, PhaseSpace, State, clock, pair_forces
 from lieint_jax.types.shapes import Inertia, PoseMomenta, Poses, Positions, PyTree, Rotations, Scalar, Time
 from lieint_jax.types.vectors import symmetric
 
@@ -83,11 +83,7 @@ class AbstractRigidBodies(AbstractForcedSystem, AbstractManyBodies):
     @equation
     def force(self, q: Poses) -> PoseMomenta:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)Λ)/∂δ in space, (N, 6)."""
-        R = rotations(q)
-        if hasattr(self.potential, "force"):
-            return self.potential.force(q[:, :3], R)  # pyright: ignore
-        along_x, along_R = autodiff_gradient(self.potential, (0, 1))(q[:, :3], R)
-        return jnp.concatenate([-along_x, potentials.torques(R, along_R)], axis=1)
+        return potentials.force(self.potential, q[:, :3], rotations(q))
 
 
 class AbstractDissipativeBodies(AbstractManyBodies):

@@ -14,9 +14,9 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.groups import so3
-from lieint_jax.potentials._potential import Potential, count, domain, invariant_form
+from lieint_jax.potentials._potential import Potential, count, domain, force, invariant_form
 from lieint_jax.types import callable_pytree, pytree
-from lieint_jax.types.shapes import Positions, Rotations, Scalar
+from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["Held", "held"]
 
@@ -75,12 +75,23 @@ class Held(Potential):
         Raises:
             ValueError: poses are functions of time, and `given` is missing.
         """
+        return invariant_form(self.potential).invariants(*self._all_bodies(x, R, *given))
+
+    def force(self, x: Positions, R: Rotations) -> PoseMomenta:
+        """The forces and torques on the moving bodies, (N, 6).
+
+        Raises:
+            ValueError: poses are functions of time.
+        """
+        first = int(self.first is not None)
+        return force(self.potential, *self._all_bodies(x, R))[first : first + len(x)]
+
+    def _all_bodies(self, x: Positions, R: Rotations, *given: Array) -> tuple[Positions, Rotations]:
+        """Positions and rotations of all bodies, with the constant poses or those at `given`."""
         if not given and self.driven:
             raise ValueError("a body moves in a given way, so the potential depends on time: use potential.at(t)")
         at, turned = given or self.poses(None)
-        return invariant_form(self.potential).invariants(
-            self.joined(x, at.astype(x.dtype)), self.joined(R, turned.astype(R.dtype))
-        )
+        return self.joined(x, at.astype(x.dtype)), self.joined(R, turned.astype(R.dtype))
 
     def value(self, invariants: Any) -> Scalar:
         """V of the invariants."""

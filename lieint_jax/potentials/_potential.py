@@ -11,8 +11,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
-from lieint_jax.types import State, callable_pytree, clock, pytree
-from lieint_jax.types.shapes import Positions, Rotations, Scalar
+from lieint_jax.types import State, autodiff_gradient, callable_pytree, clock, pytree
+from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = [
     "Potential",
@@ -20,6 +20,7 @@ __all__ = [
     "at_time",
     "count",
     "domain",
+    "force",
     "given_poses",
     "invariant_form",
     "is_chain",
@@ -107,6 +108,12 @@ class SumPotential(Potential):
         kept = axes * (lost < 1e-9)
         return kept @ kept.T
 
+    def force(self, x: Positions, R: Rotations) -> PoseMomenta:
+        """The forces and torques, (N, 6): in closed form of the terms that have one, by autodiff of the rest."""
+        rest = tuple(term for term in self.terms if not hasattr(term, "force"))
+        known = [force(term, x, R) for term in self.terms if hasattr(term, "force")]
+        return reduce(jnp.add, [*known, _by_autodiff(SumPotential(rest), x, R)] if rest else known)
+
     def invariants(self, x: Positions, R: Rotations) -> tuple[Any, ...]:
         """The invariants of every term."""
         return tuple(invariant_form(term).invariants(x, R) for term in self.terms)
@@ -161,6 +168,18 @@ def torques(R: Rotations, along_R: Rotations) -> Positions:
     """−∂V(exp(δ̂)R)/∂δ at δ = 0 of each body, (N, 3), where ∂V/∂R is `along_R`, both (N, 3, 3)."""
     turned = [[jnp.sum(along_R[:, i] * R[:, j], axis=1) for j in range(3)] for i in range(3)]
     return jnp.stack([turned[j][i] - turned[i][j] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
+
+
+def force(potential: Callable[[Array, Array], Array], x: Positions, R: Rotations) -> PoseMomenta:
+    """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ in space, (N, 6): in closed form, or by autodiff of V."""
+    own: Any = potential
+    return own.force(x, R) if hasattr(own, "force") else _by_autodiff(potential, x, R)
+
+
+def _by_autodiff(potential: Callable[[Array, Array], Array], x: Positions, R: Rotations) -> PoseMomenta:
+    """The forces and torques, (N, 6)."""
+    along_x, along_R = autodiff_gradient(potential, (0, 1))(x, R)
+    return jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
 
 
 class InvariantForm(NamedTuple):

@@ -35,7 +35,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree, static, vectors
-from lieint_jax.types.shapes import Poses, Positions, Rotations, Scalar
+from lieint_jax.types.shapes import PoseMomenta, Poses, Positions, Rotations, Scalar
 
 __all__ = ["Rod", "rod"]
 
@@ -67,9 +67,38 @@ class Rod(Potential):
     def invariants(self, x: Positions, R: Rotations) -> tuple[Array, Array, Array]:
         """Γ, s and o of the elements, each (N − 1, 3)."""
         d, apart = (R[:-1] + R[1:]) / 2, (x[1:] - x[:-1]) / self.lengths[:, None]
-        a, b = _product(R[:-1], self.half_turn), _product(R[1:], jnp.swapaxes(self.half_turn, 1, 2))
+        a, b = self._middle(R)
         s = [jnp.sum(a[:, :, k] * b[:, :, j] - a[:, :, j] * b[:, :, k], axis=1) / 2 for j, k in _OTHERS]
         return jnp.sum(d * apart[:, :, None], axis=1), jnp.stack(s, axis=1), jnp.sum((a - b) ** 2, axis=1) / 2
+
+    def force(self, x: Positions, R: Rotations) -> PoseMomenta:
+        """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), with half the operations of autodiff of V.
+
+        An element pulls its sections with ∓f and turns them by ±t, f = ½(Λ_i + Λ_{i+1})n with n = C_Γ(Γ − Γ₀). In the
+        axes a_k, with B_jk = a_j·b_k, a rotation δ of the second section changes s by ½(tr(B)δ − Bδ) and A·o by
+        −Σ A_k b_k × e_k · δ, so t is the gradient of V_b by δ.
+        """
+        apart, d = x[1:] - x[:-1], (R[:-1] + R[1:]) / 2
+        strain = jnp.sum(d * apart[:, :, None], axis=1) / self.lengths[:, None]
+        n = self.stretching * (strain - self.natural_strain)
+        before, after = (jnp.sum(turned * n[:, None, :], axis=2) for turned in (R[:-1], R[1:]))
+        f, t = (before + after) / 2, self._moment(R)
+        first = jnp.concatenate([f, t - jnp.cross(before, apart) / 2], axis=1)
+        second = jnp.concatenate([-f, -t - jnp.cross(after, apart) / 2], axis=1)
+        none = jnp.zeros_like(first[:1])
+        return jnp.concatenate([first, none]) + jnp.concatenate([none, second])
+
+    def _moment(self, R: Rotations) -> Array:
+        """The moment of bending and torsion on the first section of each element, in space, (N − 1, 3)."""
+        opened, squared = _ENERGIES[self.energy]
+        a, b = self._middle(R)
+        B = _product(jnp.swapaxes(a, 1, 2), b)
+        s = jnp.stack([B[:, k, j] - B[:, j, k] for j, k in _OTHERS], axis=1) / 2
+        o = 1 - jnp.diagonal(B, axis1=1, axis2=2)
+        A, C_s = self._opposite + self._outside(o), squared / 2 * self.bending * s
+        open_ = jnp.stack([A[:, j] * B[:, k, j] - A[:, k] * B[:, j, k] for j, k in _OTHERS], axis=1)
+        t = opened * open_ + jnp.trace(B, axis1=1, axis2=2)[:, None] * C_s - jnp.sum(B * C_s[:, :, None], axis=1)
+        return jnp.sum(a * (t / self.lengths[:, None])[:, None, :], axis=2)
 
     def value(self, invariants: tuple[Array, Array, Array]) -> Scalar:
         """V of Γ, s and o."""
@@ -89,6 +118,10 @@ class Rod(Potential):
         lengths = self.lengths[:, None]
         along_strain = lengths * self.stretching * (strain - self.natural_strain)
         return along_strain, squared * self.bending * s / lengths, opened * opposite / lengths
+
+    def _middle(self, R: Rotations) -> tuple[Array, Array]:
+        """The axes a_k and b_k of the two sections of each element, (N − 1, 3, 3)."""
+        return _product(R[:-1], self.half_turn), _product(R[1:], jnp.swapaxes(self.half_turn, 1, 2))
 
     def _outside(self, o: Array) -> Array:
         """NaN for elements whose energy is not convex, otherwise 0, (N − 1, 1)."""
