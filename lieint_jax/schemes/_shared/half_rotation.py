@@ -201,9 +201,7 @@ def cross_apply(y: Vector, J: Symmetric, b: VectorLike | None = None) -> Vector:
     """y × (Jy + b); b = 0 if it is None."""
     if b is not None:
         return cross_apply(y, J) + cross(y, b)
-    if len(J) == 3:
-        return Vector(((J[2] - J[1]) * (y[1] * y[2]), (J[0] - J[2]) * (y[2] * y[0]), (J[1] - J[0]) * (y[0] * y[1])))
-    return cross(y, J @ y)
+    return cross(y, J @ y)  # differences of moments are rounded alike in each step: the energy would have a slope
 
 
 def gyroscopic(J: Symmetric, y: Vector, b: VectorLike | None = None) -> Matrix:
