@@ -32,7 +32,7 @@ from lieint_jax.native._walk import LONGEST, Walk
 
 _Compiled = TypeVar("_Compiled")
 Tree = Any  # a tree of arrays, of shapes, or of the kinds of arguments
-_UNROLLED = 20_000  # the most numbers of a program without maps, if it may have them
+_UNROLLED = 8_000  # the most numbers of a program without maps, if it may have them
 _UNROLLED_ONCE = 2_000  # of one that runs once, and costs its compilation only
 _LONGEST_SHARED = 256  # the most entries of a shared array that are numbers of a program without maps, not a table
 _IN_COLUMNS = ("carry", "member", "shared")  # kinds of leaves that a program with maps has as arrays in memory
