@@ -10,8 +10,8 @@
 | `rod`, `held` | the stored energy of a chain of cross sections; its ends clamped or driven |
 | `springs`, `uniform_field`, `outer_field` | springs between bodies; fields from outside, uniform or any |
 
-Any function of positions and rotations is a potential too; autodiff then computes forces and torques. `symmetry` gives
-the momenta that a potential conserves.
+Any function of positions and rotations is a potential too; autodiff then computes forces and torques. `force` gives
+these of any potential, `symmetry` the momenta that it conserves.
 """
 
 from lieint_jax._discover import publish as _publish
