@@ -118,24 +118,23 @@ def scalar_root(J: Symmetric, a: Vector3, iterations: int) -> Scalar:
 
 
 def half_cayley(J: Symmetric, a: Vector3, m: Scalar, gain: Scalar | None = None) -> Vector3:
-    """h = (J − m − â)⁻¹a, shape (3,), for tr J = 1.
+    """h = (J − m − â)⁻¹a, shape (3,).
 
-    With adj(J − m − â)a = adj(J)a + (m² − m tr J + |a|²)a + m Ja − a×Ja everything is a polynomial in m. If m was
-    computed elsewhere on a trajectory, the value of the quartic is the error of the energy here; a rotation about
-    a × J⁻¹a removes the fraction `gain` of it.
+    With D = J − m, adj(D − â)a = adj(D)a + |a|²a − a × Da and det(D − â) = det D + a·Da. If m was computed elsewhere on
+    a trajectory, the value of the quartic is the error of the energy here; a rotation about a × J⁻¹a removes the
+    fraction `gain` of it.
     """
-    C = J.adjugate
-    J3, J2 = J.det(C), C.trace
-    Ja, Ca, s = J @ a, C @ a, dot(a, a)
-    k = s - m * (1 - m)
-    w = J3 - m * (J2 + k)
-    r = 1 / (w + dot(a, Ja))
+    D = Symmetric((J[0] - m, J[1] - m, J[2] - m, *J[3:]))
+    C = D.adjugate
+    Da, Ca, s = D @ a, C @ a, dot(a, a)
+    det = D.det(C) + dot(a, Da)
     if gain is None:
-        x = cross(a, Ja)
+        x = cross(a, Da)
     else:
-        t = gain * lax.stop_gradient(m * w - k * s - dot(a, Ca))  # 0 but for rounding, and so is its derivative
-        x = cross(a, Ja + t * Ca)
-    return (r * k) * a + r * jnp.stack(Ca + m * Ja - x)
+        t = gain * lax.stop_gradient(m * det - s * s - dot(a, Ca))  # 0 but for rounding, and so is its derivative
+        x = cross(a, Da + t * Ca)
+    r = 1 / det
+    return (r * s) * a + r * jnp.stack(Ca - x)
 
 
 def scalar_residual(J: Symmetric, a: Vector3, h: Vector3) -> Vector:
