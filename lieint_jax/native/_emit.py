@@ -63,7 +63,6 @@ class Writer(Operations):
         self.of_rows, shortest = program.depending_on_rows() if row_lanes else (set(), 0)
         self.width = min(row_lanes, 1 << shortest.bit_length() - 1) if shortest else 0
         self.tape, self.tape_pointer, self.capacity = tape, "", ""
-        self.wide = "i64" if any(leaf.dtype == np.float64 for leaf in leaves) else "i32"
 
     def text(self, name: str, results: Sequence[int], reverse: bool) -> str:
         """The text of a module with this function.
@@ -239,21 +238,15 @@ class Writer(Operations):
             self.copy(loop.carries[k], loop.starts[k])
         carried = [k for k in carried if k not in arrays]
         masked = self.varies(loop.test)
-        starts = [self.into_phi(self.value(loop.starts[k], self.varies(x := loop.carries[k])), x) for k in carried]
+        starts = [self.value(loop.starts[k], self.varies(loop.carries[k])) for k in carried]
         before, head, body, exit_ = self.label, *(self.new_label(x) for x in ("loop.head", "loop.body", "loop.exit"))
         self.jump(head)
         self.begin(head)
         place = len(self.lines)
-        phis_of_carries = [self.new() for _ in carried]
         mask = f"<{self.lanes} x i1>"
         active = self.new() if masked else ""
-        mask_phi = self.new() if masked else ""
-        if masked:
-            self.lines.append(f"  {active} = trunc {self.mask_type} {mask_phi} to {mask}")
-        for k, phi in zip(carried, phis_of_carries, strict=True):
-            x = loop.carries[k]
-            name = self.converted("trunc", phi, self.phi_type(x), self.type_of(x))
-            self.names[x] = self.names[loop.results[k]] = name
+        for k in carried:
+            self.names[loop.carries[k]] = self.names[loop.results[k]] = self.new()
         self.block(loop.head)
         if masked:
             going = self.add(f"and {mask} {active}, {self.value(loop.test, True)}")
@@ -272,13 +265,12 @@ class Writer(Operations):
                 value = self.add(f"select {mask} {going}, {kind} {value}, {kind} {self.names[inside]}")
             else:
                 value = self.value(after, self.varies(inside))
-            following.append(self.into_phi(value, inside))
+            following.append(value)
         for k in arrays:
             self.copy(loop.carries[k], loop.following[k], going)
-        going = self.add(f"sext {mask} {going} to {self.mask_type}") if masked else ""
-        phis = [(mask_phi, self.mask_type, f"splat ({self.wide} -1)", going)] if masked else []
-        for k, phi, start, after in zip(carried, phis_of_carries, starts, following, strict=True):
-            phis.append((phi, self.phi_type(loop.carries[k]), start, after))
+        phis = [(active, mask, "splat (i1 true)", going)] if masked else []
+        for k, start, after in zip(carried, starts, following, strict=True):
+            phis.append((self.names[loop.carries[k]], self.type_of(loop.carries[k]), start, after))
         self.insert_phis(place, before, phis)
         self.jump(head)
         self.begin(exit_)
@@ -337,17 +329,6 @@ class Writer(Operations):
                 self.names[x] = self.add(f"load {self.scalar(x.dtype)}, ptr {at}")
         if not self.tape.writes:
             self.block(block)
-
-    @property
-    def mask_type(self) -> str:
-        """The type of the members' booleans that a loop carries: integers as wide as a number."""
-        return f"<{self.lanes} x {self.wide}>"
-
-    def phi_type(self, carry: Value) -> str:
-        return self.mask_type if carry.dtype.kind == "b" and self.varies(carry) else self.type_of(carry)
-
-    def into_phi(self, value: str, carry: Value) -> str:
-        return self.converted("sext", value, self.type_of(carry), self.phi_type(carry))
 
     def branch(self, branch: Branch) -> None:
         live = self.program.needed_positions(branch.results)
