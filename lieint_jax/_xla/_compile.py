@@ -75,13 +75,14 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
 
         def attempt(names: Sequence[str]) -> Tree:
             key = kind, tuple(names)
-            if key not in kept:
+            program = kept.pop(key, None)
+            if program is None:
                 own = functools.wraps(function)(_with_fixed(function, fixed))
-                kept[key] = jax.jit(own, compiler_options={name: options[name] for name in names} or None)
-            kept.move_to_end(key)
+                program = jax.jit(own, compiler_options={name: options[name] for name in names} or None)
+            kept[key] = program
             while len(kept) > _MOST_KEPT:
                 kept.popitem(last=False)
-            return kept[key](*given, **named)
+            return program(*given, **named)
 
         return _with_known(options, attempt)
 
@@ -96,16 +97,6 @@ def _with_fixed(function: Callable[..., Tree], fixed: dict[int, object]) -> Call
         return function(*(fixed[k] if k in fixed else next(rest) for k in range(len(fixed) + len(given))), **named)
 
     return of_others
-
-
-def compiled_for(function: Callable[..., Tree], *arguments: Tree) -> Callable[..., Tree]:
-    """A function compiled quickly for arguments of these shapes; the program is freed with the result."""
-
-    def attempt(options: Sequence[str]) -> Callable[..., Tree]:
-        chosen = {name: _ONCE[name] for name in options}
-        return jax.jit(function, compiler_options=chosen).lower(*arguments).compile()
-
-    return _with_known(_ONCE, attempt)
 
 
 def _with_known(wanted: Collection[str], attempt: Callable[[Sequence[str]], Tree]) -> Tree:
