@@ -25,7 +25,7 @@ which runs what has no machine code, handles the same equations well with these 
 those of users.
 """
 
-from lieint_jax._xla._compile import compiled, compiled_for, jit
+from lieint_jax._xla._compile import compiled, jit
 from lieint_jax._xla._forward_mode import forward_mode, jvp_of_varied
 from lieint_jax._xla._materialize import (
     materialized,
@@ -39,7 +39,6 @@ from lieint_jax._xla._varying import differ, result_like, unchecked, with_common
 
 __all__ = [
     "compiled",
-    "compiled_for",
     "differ",
     "forward_mode",
     "jit",

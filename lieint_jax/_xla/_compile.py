@@ -15,8 +15,7 @@ Tree = Any  # a tree of arrays
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
 _QUICKLY = {"xla_cpu_use_fusion_emitters": False}
 _ONCE = {**_QUICKLY, "xla_backend_optimization_level": 0}
-_MOST_KEPT = 24  # programs of a check
-_MOST_STRUCTURES = 16  # of the arguments of a function whose programs are kept: JAX keeps all, some MiB for each
+_MOST_KEPT = 24  # programs of a function, for static arguments and structures of the others
 _refused: set[str] = set()  # options that this XLA does not have
 
 
@@ -54,72 +53,50 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
     On CPUs XLA's older emitters compile in half of the time, and loops over steps run as fast; an XLA without them, as
     in jaxlib beyond 0.10, compiles as usual. XLA accepts such options for whole programs only, and JAX does not
     differentiate programs with options: inside jit, grad and other transformations there are none. The programs for the
-    structures of arguments used last are kept: a user's new functions in a step are new structures.
+    structures of arguments used last are kept: a user's new functions are new structures, and JAX would keep the
+    programs of all, some MiB for each.
 
     Args:
         function, static_argnums: as in `jax.jit`.
-        once: True if a call is faster than its compilation, as that of a check: then LLVM's optimizations are off too,
-            and only the programs used last are kept. JAX keeps all, some MiB for each new function of a user.
+        once: True if a call is faster than its compilation, as that of a check: then LLVM's optimizations are off too.
     """
     plain = jax.jit(function, static_argnums=static_argnums, inline=True)
-
-    @functools.lru_cache(_MOST_STRUCTURES)
-    def quick(names: tuple[str, ...], _: object) -> _Function:
-        options = {name: _QUICKLY[name] for name in names}
-        own = functools.wraps(function)(lambda *arguments, **named: function(*arguments, **named))  # freed with its jit
-        return cast("_Function", jax.jit(own, static_argnums=static_argnums, compiler_options=options or None))
-
-    def call_quick(*arguments: Tree, **named: Tree) -> Tree:
-        structure = jax.tree.structure((arguments, named))
-
-        def attempt(options: Sequence[str]) -> Tree:
-            return quick(tuple(options), structure)(*arguments, **named)
-
-        return _with_known(_QUICKLY, attempt)
-
-    call_outermost = _LastPrograms(function, static_argnums) if once else call_quick
+    static = (static_argnums,) if isinstance(static_argnums, int) else static_argnums
+    options = _ONCE if once else _QUICKLY
+    kept: collections.OrderedDict[object, Callable[..., Tree]] = collections.OrderedDict()
 
     @functools.wraps(function)
     def call(*arguments: Tree, **named: Tree) -> Tree:
-        return (call_outermost if outermost() else plain)(*arguments, **named)
+        if not outermost():
+            return plain(*arguments, **named)
+        fixed = {k: x for k, x in enumerate(arguments) if k in static}
+        given = [x for k, x in enumerate(arguments) if k not in fixed]
+        kind = tuple(fixed.items()), jax.tree.structure((given, named))
+
+        def attempt(names: Sequence[str]) -> Tree:
+            key = kind, tuple(names)
+            program = kept.pop(key, None)
+            if program is None:
+                own = functools.wraps(function)(_with_fixed(function, fixed))
+                program = jax.jit(own, compiler_options={name: options[name] for name in names} or None)
+            kept[key] = program
+            while len(kept) > _MOST_KEPT:
+                kept.popitem(last=False)
+            return program(*given, **named)
+
+        return _with_known(options, attempt)
 
     return cast("_Function", call)
 
 
-class _LastPrograms:
-    """A function whose programs for the last `_MOST_KEPT` kinds of arguments are kept."""
+def _with_fixed(function: Callable[..., Tree], fixed: dict[int, object]) -> Callable[..., Tree]:
+    """A function of its other arguments; it is freed with its `jit`, of which JAX would keep static arguments."""
 
-    def __init__(self, function: Callable[..., Tree], static_argnums: int | tuple[int, ...]):
-        self._function = function
-        self._static = (static_argnums,) if isinstance(static_argnums, int) else static_argnums
-        self._programs: collections.OrderedDict[object, Callable[..., Tree]] = collections.OrderedDict()
+    def of_others(*given: Tree, **named: Tree) -> Tree:
+        rest = iter(given)
+        return function(*(fixed[k] if k in fixed else next(rest) for k in range(len(fixed) + len(given))), **named)
 
-    def __call__(self, *arguments: Tree) -> Tree:
-        fixed = {k: arguments[k] for k in self._static}
-        given = [x for k, x in enumerate(arguments) if k not in fixed]
-
-        def function(*given: Tree) -> Tree:
-            rest = iter(given)
-            return self._function(*(fixed[k] if k in fixed else next(rest) for k in range(len(arguments))))
-
-        leaves, structure = jax.tree.flatten(given)
-        kinds = tuple((jax.typeof(x), getattr(x, "sharding", None)) for x in leaves)
-        key = tuple(fixed.values()), structure, kinds, jax.config.jax_enable_x64  # pyright: ignore
-        program = self._programs.pop(key, None) or compiled_for(function, *given)
-        self._programs[key] = program
-        while len(self._programs) > _MOST_KEPT:
-            self._programs.popitem(last=False)
-        return program(*given)
-
-
-def compiled_for(function: Callable[..., Tree], *arguments: Tree) -> Callable[..., Tree]:
-    """A function compiled quickly for arguments of these shapes; the program is freed with the result."""
-
-    def attempt(options: Sequence[str]) -> Callable[..., Tree]:
-        chosen = {name: _ONCE[name] for name in options}
-        return jax.jit(function, compiler_options=chosen).lower(*arguments).compile()
-
-    return _with_known(_ONCE, attempt)
+    return of_others
 
 
 def _with_known(wanted: Collection[str], attempt: Callable[[Sequence[str]], Tree]) -> Tree:

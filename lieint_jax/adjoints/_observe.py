@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,9 +15,18 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.adjoints._reversible import Derivative, checked, checkpointed
+from lieint_jax.adjoints._reversible import Derivative, checked
 from lieint_jax.adjoints._undo import undoable
-from lieint_jax.runs import MOST_TO_OUTPUTS, Reached, refuse_far_times, refuse_times, splits, uniform_clock
+from lieint_jax.runs import (
+    MOST_TO_OUTPUTS,
+    Reached,
+    UniformClock,
+    at_output_times,
+    refuse_far_times,
+    refuse_times,
+    splits,
+    uniform_clock,
+)
 from lieint_jax.types import State, Step
 
 
@@ -77,19 +87,25 @@ def observe(
     nearest = xp.round(ratio)
     at_node = xp.abs(ratio - nearest) <= rounding * (1 + xp.abs(ratio))
     whole = xp.where(at_node, nearest, xp.floor(ratio)).astype(np.int32)
-    order = xp.argsort(whole)
     if derivative == "checkpoint":
         if not known:
             raise ValueError(
                 'derivative="checkpoint" needs concrete times, dt and state.t, which determine the number of compiled '
                 'steps: pass constants, or derivative="reversible"'
             )
-        later = checkpointed(
-            step, state, uniform_clock(step, state, h), tuple(np.diff(whole[order], prepend=0).tolist())
-        )
-    else:
-        later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
+        return _by_checkpoints(step, state, uniform_clock(step, state, h), t, int(np.max(whole, initial=0)) + 1)
+    order = xp.argsort(whole)
+    later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
     return _states_at(step, later, xp.argsort(order), _remaining_step(t - t0, h, jnp.asarray(whole, h.dtype)), reached)
+
+
+@partial(compiled, static_argnums=4)
+def _by_checkpoints(step: Step, state: State, clock: UniformClock, times: Array, num_steps: int) -> Reached:
+    """The states and reports at times of any order, which so many steps pass."""
+    order = jnp.argsort(times * jnp.sign(clock.dt))
+    later = at_output_times(step, state, clock, times[order], num_steps)
+    states, info = jax.tree.map(lambda x: x[jnp.argsort(order)], later)
+    return (states if state.t is None else states._replace(t=times)), info
 
 
 @jax.custom_jvp

@@ -6,10 +6,9 @@ import dataclasses
 from functools import partial
 from typing import Literal, get_args
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -22,12 +21,9 @@ from lieint_jax.runs import (
     Clock,
     GridClock,
     Reached,
-    at_start,
-    counted,
     integrate,
     intervals,
     prepared,
-    reported,
     saved_states,
     steps,
 )
@@ -95,33 +91,9 @@ class ReversibleAdjoint(Adjoint):
         return undoable(step, state, clock.dt, np.full(num_saves, save_every, np.int32), self.tolerance)
 
 
-@partial(compiled, static_argnums=(3,))
-def checkpointed(step: Step, state: State, clock: Clock, counts: tuple[int, ...]) -> Reached:
-    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between.
-
-    The derivative in reverse mode stores a few states, and computes the steps between them again. Unless all counts are
-    equal, one loop for the longest serves all, and the results of surplus steps are discarded.
-    """
-    step = prepared(step, state, clock)
-    if len(set(counts)) == 1 and counts[0]:
-        states, info = saved_states(step, state, clock, len(counts), counts[0])
-        if state.t is not None and states.t is None:
-            states = states._replace(t=clock.time(counts[0] * (1 + jnp.arange(len(counts)))))
-        return states, info
-    step_once, most = reported(step, clock), max((1, *counts))
-
-    def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], Reached]:
-        state, done = carry
-
-        def step_if_wanted(n: Array, at: Reached) -> Reached:
-            is_wanted = n < jnp.asarray(done + count, n.dtype)
-            return jax.tree.map(lambda new, old: jnp.where(is_wanted, new, old), step_once(n, at), at)
-
-        reached = counted(step_if_wanted, done, most, at_start(state))
-        return (reached[0], done + count), reached
-
-    start = (state, jnp.zeros((), jnp.int32))
-    return lax.scan(jax.checkpoint(interval), start, jnp.asarray(counts, jnp.int32))[1]
+@partial(compiled, static_argnums=(3, 4))
+def _saved_states(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Reached:
+    return saved_states(prepared(step, state, clock), state, clock, num_saves, save_every)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,7 +118,7 @@ class RecursiveCheckpointAdjoint(Adjoint):
 
     def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Reached:
         """See `Adjoint`."""
-        return checkpointed(step, state, clock, (save_every,) * num_saves)
+        return _saved_states(step, state, clock, num_saves, save_every)
 
 
 def reversible(

@@ -63,7 +63,6 @@ class Writer(Operations):
         self.of_rows, shortest = program.depending_on_rows() if row_lanes else (set(), 0)
         self.width = min(row_lanes, 1 << shortest.bit_length() - 1) if shortest else 0
         self.tape, self.tape_pointer, self.capacity = tape, "", ""
-        self.wide = "i64" if any(leaf.dtype == np.float64 for leaf in leaves) else "i32"
 
     def text(self, name: str, results: Sequence[int], reverse: bool) -> str:
         """The text of a module with this function.
@@ -100,22 +99,12 @@ class Writer(Operations):
             (x for x in self.program.live if x.op in ("argument", "column")), key=lambda x: (x.op, x.data)
         )
         self.read_leaves("shared")
-        before = self.label
-        self.jump("block.head")
-        self.begin("block.head")
-        self.lines.append(f"  %block = phi i64 [ %first, %{before} ], [ %block.next, %block.end ]")
-        self.lines.append("  %more.blocks = icmp slt i64 %block, %last")
-        self.lines.append("  br i1 %more.blocks, label %block.body, label %done")
-        self.begin("block.body")
-        if self.tape is not None:
-            self.lines.append("  store i64 0, ptr %cursor")
-        self.index = self.member_index()
-        self.read_leaves("carry", "member")
-        self.rows()
-        self.begin("block.end")
-        self.lines.append("  %block.next = add i64 %block, 1")
-        self.jump("block.head")
-        self.begin("done")
+        with self.counted_loop("block", "%last", first="%first") as block:
+            if self.tape is not None:
+                self.lines.append("  store i64 0, ptr %cursor")
+            self.index = self.member_index(block)
+            self.read_leaves("carry", "member")
+            self.rows()
         if self.tape is not None and self.tape.writes:
             self.lines.append(f"  store i64 {self.add('load i64, ptr %cursor')}, ptr {self.count_pointer}")
         self.reserve()
@@ -196,24 +185,21 @@ class Writer(Operations):
                 array, column = x.inputs
                 self.copy(column, array)
         after = self.add(f"add i64 {row}, 1")
-        end = self.label
-        self.jump(head)
-        phis = [f"  {row} = phi i64 [ %begin, %{before} ], [ {after}, %{end} ]"]
+        phis = [(row, "i64", "%begin", after), *store]
         for (leaf, entry), start, value in zip(carries, starts, following, strict=True):
-            kind = self.type(self.leaves[leaf].dtype, True)
-            phis.append(f"  {inside[leaf, entry]} = phi {kind} [ {start}, %{before} ], [ {value}, %{end} ]")
-        self.lines[place:place] = [*phis, *(line.format(before=before, end=end) for line in store)]
+            phis.append((inside[leaf, entry], self.type(self.leaves[leaf].dtype, True), start, value))
+        self.insert_phis(place, before, phis)
+        self.jump(head)
         self.begin("row.exit")
         for (k, found), pointer in zip(self.after.items(), self.carry_outputs, strict=True):
             for entry, x in found:
                 self.write_result(x, pointer, self.leaves[k].size, entry, value=inside.get((k, entry), ""))
-        self.jump("block.end")
 
     def from_the_end(self, count: str, index: str) -> str:
         return self.add(f"sub i64 {self.add(f'sub i64 {count}, 1')}, {index}")
 
-    def store_rows(self) -> list[str]:
-        """Store each `every`-th row; returns the phis of its counters, for labels `before` and `end` of the loop."""
+    def store_rows(self) -> list[tuple[str, str, str, str]]:
+        """Store each `every`-th row; returns what the loop carries for it, see `insert_phis`."""
         left, stored = "%left", "%stored.row"
         due = self.add(f"icmp eq i64 {left}, 1")
         self.lines.append(f"  br i1 {due}, label %row.store, label %row.after")
@@ -227,10 +213,7 @@ class Writer(Operations):
         fewer = self.add(f"sub i64 {left}, 1")
         fewer = self.add(f"select i1 {due}, i64 %every, i64 {fewer}")
         more = self.add(f"add i64 {stored}, {self.add(f'zext i1 {due} to i64')}")
-        return [
-            f"  {left} = phi i64 [ %first.left, %{{before}} ], [ {fewer}, %{{end}} ]",
-            f"  {stored} = phi i64 [ %first.stored, %{{before}} ], [ {more}, %{{end}} ]",
-        ]
+        return [(left, "i64", "%first.left", fewer), (stored, "i64", "%first.stored", more)]
 
     def block(self, block: Block) -> None:
         for item in block.items:
@@ -255,21 +238,15 @@ class Writer(Operations):
             self.copy(loop.carries[k], loop.starts[k])
         carried = [k for k in carried if k not in arrays]
         masked = self.varies(loop.test)
-        starts = [self.into_phi(self.value(loop.starts[k], self.varies(x := loop.carries[k])), x) for k in carried]
+        starts = [self.value(loop.starts[k], self.varies(loop.carries[k])) for k in carried]
         before, head, body, exit_ = self.label, *(self.new_label(x) for x in ("loop.head", "loop.body", "loop.exit"))
         self.jump(head)
         self.begin(head)
         place = len(self.lines)
-        phis = [self.new() for _ in carried]
         mask = f"<{self.lanes} x i1>"
         active = self.new() if masked else ""
-        mask_phi = self.new() if masked else ""
-        if masked:
-            self.lines.append(f"  {active} = trunc {self.mask_type} {mask_phi} to {mask}")
-        for k, phi in zip(carried, phis, strict=True):
-            x = loop.carries[k]
-            name = self.converted("trunc", phi, self.phi_type(x), self.type_of(x))
-            self.names[x] = self.names[loop.results[k]] = name
+        for k in carried:
+            self.names[loop.carries[k]] = self.names[loop.results[k]] = self.new()
         self.block(loop.head)
         if masked:
             going = self.add(f"and {mask} {active}, {self.value(loop.test, True)}")
@@ -288,21 +265,14 @@ class Writer(Operations):
                 value = self.add(f"select {mask} {going}, {kind} {value}, {kind} {self.names[inside]}")
             else:
                 value = self.value(after, self.varies(inside))
-            following.append(self.into_phi(value, inside))
+            following.append(value)
         for k in arrays:
             self.copy(loop.carries[k], loop.following[k], going)
-        going = self.add(f"sext {mask} {going} to {self.mask_type}") if masked else ""
-        end = self.label
+        phis = [(active, mask, "splat (i1 true)", going)] if masked else []
+        for k, start, after in zip(carried, starts, following, strict=True):
+            phis.append((self.names[loop.carries[k]], self.type_of(loop.carries[k]), start, after))
+        self.insert_phis(place, before, phis)
         self.jump(head)
-        text = []
-        if masked:
-            text.append(
-                f"  {mask_phi} = phi {self.mask_type} [ splat ({self.wide} -1), %{before} ], [ {going}, %{end} ]"
-            )
-        for k, phi, start, after in zip(carried, phis, starts, following, strict=True):
-            kind = self.phi_type(loop.carries[k])
-            text.append(f"  {phi} = phi {kind} [ {start}, %{before} ], [ {after}, %{end} ]")
-        self.lines[place:place] = text
         self.begin(exit_)
 
     def map(self, item: Map) -> None:
@@ -359,17 +329,6 @@ class Writer(Operations):
                 self.names[x] = self.add(f"load {self.scalar(x.dtype)}, ptr {at}")
         if not self.tape.writes:
             self.block(block)
-
-    @property
-    def mask_type(self) -> str:
-        """The type of the members' booleans that a loop carries: integers as wide as a number."""
-        return f"<{self.lanes} x {self.wide}>"
-
-    def phi_type(self, carry: Value) -> str:
-        return self.mask_type if carry.dtype.kind == "b" and self.varies(carry) else self.type_of(carry)
-
-    def into_phi(self, value: str, carry: Value) -> str:
-        return self.converted("sext", value, self.type_of(carry), self.phi_type(carry))
 
     def branch(self, branch: Branch) -> None:
         live = self.program.needed_positions(branch.results)

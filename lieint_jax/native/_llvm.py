@@ -64,18 +64,25 @@ class Text:
         self.lines.append(f"  br label %{label}")
 
     @contextlib.contextmanager
-    def counted_loop(self, name: str, count: int, step: int = 1) -> Iterator[str]:
-        """A loop over the indices from 0 below `count`, each `step`-th of them; it is run once at least."""
+    def counted_loop(self, name: str, end: int | str, step: int = 1, first: str = "0") -> Iterator[str]:
+        """A loop over the indices from `first` below `end`, each `step`-th of them; it is run once at least."""
         before, head, exit_ = self.label, self.new_label(name), self.new_label(f"{name}.exit")
         self.jump(head)
         self.begin(head)
         index, place = self.new(), len(self.lines)
         yield index
         after = self.add(f"add i64 {index}, {step}")
-        more = self.add(f"icmp slt i64 {after}, {count}")
-        self.lines.insert(place, f"  {index} = phi i64 [ 0, %{before} ], [ {after}, %{self.label} ]")
+        more = self.add(f"icmp slt i64 {after}, {end}")
+        self.insert_phis(place, before, [(index, "i64", first, after)])
         self.lines.append(f"  br i1 {more}, label %{head}, label %{exit_}")
         self.begin(exit_)
+
+    def insert_phis(self, place: int, before: str, carried: Sequence[tuple[str, str, str, str]]) -> None:
+        """Write at `place` what a loop carries that ends here: (name, type, value before it, value of the next)."""
+        self.lines[place:place] = [
+            f"  {name} = phi {kind} [ {start}, %{before} ], [ {following}, %{self.label} ]"
+            for name, kind, start, following in carried
+        ]
 
     def call(self, result: str, name: str, arguments: Sequence[tuple[str, str]]) -> str:
         """Call a function that is declared elsewhere; arguments are (type, value)."""

@@ -310,48 +310,32 @@ def _jitted(loop: Loop) -> Callable[..., Arrays]:
 
 
 def by_xla(*arguments: AnyArray, loop: Loop) -> Arrays:
-    """The loop by XLA: a scan over rows, of a loop over the steps of each."""
+    """The loop by XLA: over rows, and in each over its steps."""
     carry, fixed, series = loop.split(arguments)
-    step = function_of(loop.step)
+    step, number = function_of(loop.step), loop.step.in_avals[0].dtype
     if loop.members is not None:
         axes = [0 if own else None for own in loop.owns]
         step = jax.vmap(step, (None, *axes), 0, axis_size=loop.members)
+    every, count = (loop.every, loop.rows) if loop.every is not None else (x.astype(number) for x in fixed[:2])
 
-    def step_once(n: AnyArray, carry: Arrays, row: Arrays) -> tuple[Arrays, Arrays]:
-        found = list(step(n, *carry, *fixed, *row))
-        return found[: loop.carried], found[loop.carried :]
+    def in_order(k: AnyArray, count: int | AnyArray) -> AnyArray:
+        return count - 1 - k if loop.reverse else k
 
-    def at(k: AnyArray, rows: Arrays) -> Arrays:
-        return [lax.dynamic_index_in_dim(x, k, keepdims=False) for x in rows]
+    def row(k: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
+        k = in_order(k, count)
+
+        def next_step(i: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
+            n = jnp.asarray(k * every + in_order(i, every), number)
+            rows = [lax.dynamic_index_in_dim(x, n, keepdims=False) for x in series]
+            found = list(step(n, *both[0], *fixed, *rows))
+            return found[: loop.carried], found[loop.carried :]
+
+        carry, y = lax.fori_loop(0, every, next_step, (both[0], empty))
+        return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], y, strict=True)]
 
     lead = () if loop.members is None else (loop.members,)
     empty = [jnp.zeros((*lead, *x.shape), x.dtype) for x in loop.step.out_avals[loop.carried :]]
-    if loop.every is None:
-        every, count = (x.astype(loop.step.in_avals[0].dtype) for x in fixed[:2])
-
-        def counted_row(k: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
-            begin = both[0], empty
-            carry, y = lax.fori_loop(0, every, lambda i, both: step_once(k * every + i, both[0], at(k, series)), begin)
-            return carry, [lax.dynamic_update_index_in_dim(ys, y, k, 0) for ys, y in zip(both[1], y, strict=True)]
-
-        rows = [jnp.zeros((loop.rows, *x.shape), x.dtype) for x in empty]
-        carry, ys = lax.fori_loop(0, count, counted_row, (carry, rows))
-        return [*carry, *ys]
-    numbers = jnp.arange(loop.rows, dtype=loop.step.in_avals[0].dtype)
-    if loop.every == 1:
-        carry, ys = lax.scan(lambda c, x: step_once(x[0], c, x[1]), carry, (numbers, series), reverse=loop.reverse)
-        return [*carry, *ys]
-    in_rows = [x.reshape(loop.rows, loop.known_every, *x.shape[1:]) for x in series]
-
-    def row(carry: Arrays, given: tuple[AnyArray, Arrays]) -> tuple[Arrays, Arrays]:
-        def next_step(i: AnyArray, both: tuple[Arrays, Arrays]) -> tuple[Arrays, Arrays]:
-            i = loop.known_every - 1 - i if loop.reverse else i
-            return step_once(given[0] * loop.known_every + i, both[0], at(i, given[1]))
-
-        return lax.fori_loop(0, loop.known_every, next_step, (carry, empty))
-
-    if loop.rows == 1:
-        carry, ys = row(carry, (numbers[0], [x[0] for x in in_rows]))
-        return [*carry, *(y[None] for y in ys)]
-    carry, ys = lax.scan(row, carry, (numbers, in_rows), reverse=loop.reverse)
-    return [*carry, *ys]
+    both = carry, [jnp.zeros((loop.rows, *x.shape), x.dtype) for x in empty]
+    if 0 not in (loop.rows, loop.every):
+        both = lax.fori_loop(0, count, row, both)
+    return [*both[0], *both[1]]

@@ -68,8 +68,8 @@ def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[Arrays
     real = _mask_of_results(loop, given)
     active = (*real[: loop.carried], *given[loop.carried :])
     dots = [ad.instantiate_zeros(t) for t, a in zip(tangents, active, strict=True) if a]
-    found = _tangent_loop(loop, active).bind(_interleaved(loop, primals, dots, active))
-    out, slopes = _parted(loop._replace(fixed=0), found, real)
+    found = _derivative(loop, active).bind(_joined(loop, active, primals, dots))
+    out, slopes = _parted(loop._replace(fixed=0), real, found)
     left = iter(slopes)
     pairs = zip(out, real, strict=True)
     return out, [next(left) if m else ad.Zero(jax.typeof(x).to_tangent_aval()) for x, m in pairs]
@@ -78,52 +78,60 @@ def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[Arrays
 ad.primitive_jvps[march_p] = _jvp
 
 
-def _interleaved(loop: Loop, plain: AnyArrays, dots: AnyArrays, active: Mask) -> Arrays:
-    """(carries, their tangents, constants, their tangents, rows, their tangents)."""
-    found, left = [], iter(dots)
-    for values, mask in zip(loop.split(plain), loop.split(active), strict=True):
-        found += [*values, *(next(left) for m in mask if m)]
-    return found
+def _places(loop: Loop, active: Mask, linear: bool) -> list[int]:
+    """The order of the arguments of a derivative among those of its loop and, after these, their tangents.
+
+    Of carries, constants and rows first the plain ones, then their tangents. If it is linear, plain carries are rows.
+    """
+    carries, fixed, rows = loop.split(range(len(active)))
+    numbers = iter(range(len(active), len(active) + sum(active)))
+    of_carries, of_fixed, of_rows = ([next(numbers) for m in mask if m] for mask in loop.split(active))
+    carries, stored = ([], carries) if linear else (carries, [])
+    return [*carries, *of_carries, *fixed, *of_fixed, *stored, *rows, *of_rows]
 
 
-def _parted(loop: Loop, items: AnyArrays, active: Mask) -> tuple[Arrays, Arrays]:
-    """What `_interleaved` put together: the plain items, and those of the tangents."""
-    plain, dots, left = [], [], iter(items)
-    for mask in loop.split(active):
-        plain += [next(left) for _ in mask]
-        dots += [next(left) for m in mask if m]
-    return plain, dots
+def _joined(loop: Loop, active: Mask, plain: AnyArrays, dots: AnyArrays, linear: bool = False) -> Arrays:
+    """The arguments of a derivative, from those of its loop and their tangents; without constants its results."""
+    both = [*plain, *dots]
+    return [both[k] for k in _places(loop, active, linear)]
 
 
-def _tangent_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
-    """The loop of the step and its tangents."""
+def _parted(loop: Loop, active: Mask, items: AnyArrays, linear: bool = False) -> tuple[Arrays, Arrays]:
+    """What `_joined` put together: the plain items, and those of the tangents."""
+    both = dict(zip(_places(loop, active, linear), items, strict=True))
+    found = [both[k] for k in range(len(both))]
+    return found[: len(active)], found[len(active) :]
+
+
+def _derivative(loop: Loop, active: tuple[bool, ...], linear: bool = False) -> Loop:
+    """The loop of the step and its tangents; if it is linear, of the tangents alone, at stored carries."""
     carries, fixed, _ = loop.split(active)
-    owns = _interleaved(loop, loop.owns, _chosen(loop.owns, active), active)
-    carried = loop.carried + sum(carries)
+    carried = sum(carries) + (0 if linear else loop.carried)
+    owns = _joined(loop, active, loop.owns, _chosen(loop.owns, active), linear)
     return loop._replace(
-        step=_tangent_step(loop.one_step, active),
+        step=_step_of_derivative(loop.one_step, active, linear),
         carried=carried,
         fixed=loop.fixed + sum(fixed),
         own=tuple(owns[carried:]),
-        origin=Origin(loop, active, False),
+        origin=Origin(loop, active, linear),
     )
 
 
-@functools.lru_cache(32)
-def _tangent_step(loop: Loop, active: tuple[bool, ...]) -> Deferred:
-    step, mask, function = loop.step, _mask_of_results(loop, active), function_of(loop.step)
+@functools.lru_cache(64)
+def _step_of_derivative(loop: Loop, active: tuple[bool, ...], linear: bool) -> Deferred:
+    mask, function, shapes = _mask_of_results(loop, active), function_of(loop.step), loop.step.in_avals[1:]
+
+    def results(out: AnyArrays, slopes: AnyArrays) -> Arrays:
+        slopes = _chosen(slopes, mask)
+        return slopes if linear else _results_of(loop, active, out, slopes)
 
     def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
-        plain, dots = _parted(loop, arguments, active)
+        plain, dots = _parted(loop, active, arguments, linear)
         of_active = _of_active(function, n, plain, active)
-        out, slopes = jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots))
-        return _results_of(loop, active, out, _chosen(slopes, mask))
+        return results(*jax.jvp(of_active, tuple(_chosen(plain, active)), tuple(dots)))
 
-    number, *shapes = step.in_avals
-    arguments = _interleaved(loop, shapes, _chosen(shapes, active), active)
-    return Deferred(
-        pushed, [number, *arguments], _results_of(loop, active, step.out_avals, _chosen(step.out_avals, mask))
-    )
+    arguments = _joined(loop, active, shapes, _chosen(shapes, active), linear)
+    return Deferred(pushed, [loop.step.in_avals[0], *arguments], results(*[loop.step.out_avals] * 2))
 
 
 def _of_active(function: _Function, n: AnyArray, plain: AnyArrays, active: Mask) -> _Function:
@@ -145,7 +153,7 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
     if origin is None or origin.linear:
         return trace.default_process_primitive(march_p, tracers, {"loop": loop})
     base, active = origin.loop, origin.active
-    plain, dots = _parted(base, tracers, active)
+    plain, dots = _parted(base, active, tracers)
     if not all(x.is_known() for x in plain) or all(x.is_known() for x in dots):
         return trace.default_process_primitive(march_p, tracers, {"loop": loop})
     known = [jnp.asarray(x.pval.get_known()) for x in plain]
@@ -153,7 +161,7 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
     if base.every is None:
         out = [trace.new_const(x) for x in base.bind(known)]
         found = trace.default_process_primitive(march_p, tracers, {"loop": loop})
-        slopes = _parted(base._replace(fixed=0), found, _mask_of_results(base, active))[1]
+        slopes = _parted(base._replace(fixed=0), _mask_of_results(base, active), found)[1]
         return _results_of(base, active, out, slopes)
     if base.steps > _MOST_STORED and not base.is_piece:
         with set_current_trace(trace):
@@ -163,8 +171,8 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
         out, slopes = ([trace.to_jaxpr_tracer(x) for x in values] for values in (out, slopes))
     else:
         out, stored = _recorded(base, known)
-        linear = _linear_loop(base, active)
-        given = _linear_arguments(base, active, known, stored, dots)
+        linear = _derivative(base, active, linear=True)
+        given = _joined(base, active, [*stored, *known[base.carried :]], dots, linear=True)
         given = [x if isinstance(x, type(dots[0])) else trace.new_instantiated_const(x) for x in given]
         slopes = trace.default_process_primitive(march_p, given, {"loop": linear})
         out = [trace.new_const(x) for x in out]
@@ -176,7 +184,7 @@ partial_eval.custom_partial_eval_rules[march_p] = _partial_eval
 
 def _results_of(loop: Loop, active: tuple[bool, ...], out: AnyArrays, slopes: AnyArrays) -> Arrays:
     """The results of the loop of the step and its tangents: (carries, their tangents, results, their tangents)."""
-    return _interleaved(loop._replace(fixed=0), out, slopes, _mask_of_results(loop, active))
+    return _joined(loop._replace(fixed=0), _mask_of_results(loop, active), out, slopes)
 
 
 def _recorded(loop: Loop, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
@@ -195,50 +203,6 @@ def _recording(step: _Step, carried: int) -> ClosedJaxpr:
     return with_results(step, lambda arguments, results: [*results, *arguments[1 : 1 + carried]])
 
 
-def _linear_loop(loop: Loop, active: tuple[bool, ...]) -> Loop:
-    """The tangents of a loop, at stored carries, which are rows."""
-    carries, fixed, _ = loop.split(active)
-    stored = [loop.members is not None] * loop.carried
-    own = _linear_arguments(loop, active, loop.owns, stored, _chosen(loop.owns, active))
-    return loop._replace(
-        step=_linear_step(loop.one_step, active),
-        carried=sum(carries),
-        fixed=loop.fixed + sum(fixed),
-        own=tuple(own[sum(carries) :]),
-        origin=Origin(loop, active, True),
-    )
-
-
-def _linear_arguments(loop: Loop, active: Mask, plain: AnyArrays, stored: AnyArrays, dots: AnyArrays) -> Arrays:
-    """The arguments of `_linear_loop`: tangents of carries, constants and their tangents, carries, rows, tangents."""
-    carries, fixed, _ = loop.split(active)
-    _, constants, rows = loop.split(plain)
-    n, m = sum(carries), sum(carries) + sum(fixed)
-    return [*dots[:n], *constants, *dots[n:m], *stored, *rows, *dots[m:]]
-
-
-def _of_linear(loop: Loop, active: Mask, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
-    """What `_linear_arguments` put together: the plain arguments, and those of the tangents."""
-    count, places = len(active), range(len(active) + sum(active))
-    order = _linear_arguments(loop, active, places[:count], places[: loop.carried], places[count:])
-    given = dict(zip(order, arguments, strict=True))
-    return [given[k] for k in places[:count]], [given[k] for k in places[count:]]
-
-
-@functools.lru_cache(32)
-def _linear_step(loop: Loop, active: tuple[bool, ...]) -> Deferred:
-    mask, function = _mask_of_results(loop, active), function_of(loop.step)
-    number, *shapes = loop.step.in_avals
-
-    def pushed(n: AnyArray, *arguments: AnyArray) -> Arrays:
-        plain, dots = _of_linear(loop, active, arguments)
-        _, slopes = jax.jvp(_of_active(function, n, plain, active), tuple(_chosen(plain, active)), tuple(dots))
-        return _chosen(slopes, mask)
-
-    arguments = _linear_arguments(loop, active, shapes, shapes[: loop.carried], _chosen(shapes, active))
-    return Deferred(pushed, [number, *arguments], _chosen(loop.step.out_avals, mask))
-
-
 def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
     """The cotangents of the arguments of a linear loop: a loop in the other direction."""
     if loop.origin is None or not loop.origin.linear:
@@ -248,7 +212,7 @@ def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
     base, active = loop.origin.loop, loop.origin.active
     carries, fixed, rows = base.split(active)
     _, own_fixed, own_rows = base.split(base.owns)
-    stored, constants, series = base.split(_of_linear(base, active, arguments)[0])
+    stored, constants, series = base.split(_parted(base, active, arguments, linear=True)[0])
     n = sum(carries)
     lam, y_bars = [ad.instantiate_zeros(x) for x in bars[:n]], bars[n:]
     seen = tuple(type(x) is not ad.Zero for x in y_bars)
@@ -272,8 +236,7 @@ def _transpose(bars: AnyArrays, *arguments: AnyArray, loop: Loop) -> Arrays:
     if has_members:
         sums = [x if own else x.sum(0) for x, own in zip(sums, _chosen(own_fixed, fixed), strict=True)]
         x_bars = [x if own else x.sum(1) for x, own in zip(x_bars, _chosen(own_rows, rows), strict=True)]
-    none = [None] * len(active)
-    return _linear_arguments(base, active, none, none[: base.carried], [*lam, *sums, *x_bars])
+    return _joined(base, active, [None] * len(active), [*lam, *sums, *x_bars], linear=True)
 
 
 ad.primitive_transposes[march_p] = _transpose
@@ -319,13 +282,13 @@ def _partial_eval_of_equation(
     loop = equation.params["loop"]
     origin, out = loop.origin, equation.outvars
     more = [x for x, i in zip(equation.invars, instantiated, strict=True) if not i and isinstance(x, Var)]
-    if origin is None or origin.linear or any(_parted(origin.loop, unknown, origin.active)[0]):
+    if origin is None or origin.linear or any(_parted(origin.loop, origin.active, unknown)[0]):
         return None, equation, [True] * len(out), [True] * len(out), more
     base, active = origin.loop, origin.active
     mask = _mask_of_results(base, active)
     dots = _results_of(base, active, [False] * len(mask), [True] * sum(mask))
     primals = [x for x, d in zip(out, dots, strict=True) if not d]
-    inputs, loops = _parted(base, equation.invars, active)[0], {"loop": base}
+    inputs, loops = _parted(base, active, equation.invars)[0], {"loop": base}
     known = new_jaxpr_eqn(inputs, primals, march_p, loops, equation.effects, equation.source_info)
     staged = equation.replace(outvars=[x if d else DropVar(x.aval) for x, d in zip(out, dots, strict=True)])
     return known, staged, dots, dots, more

@@ -111,9 +111,9 @@ class Operations(Text):
         at = self.place(array, dtype, k, vector)
         return self.from_stored(self.add(f"load {self.stored_type(dtype, vector)}, ptr {at}"), dtype, vector)
 
-    def member_index(self) -> str:
-        """The indices of the block's members, a vector; none is beyond the last member."""
-        first = self.splat(self.add(f"mul i64 %block, {self.lanes}"), np.int64)
+    def member_index(self, block: str) -> str:
+        """The indices of a block's members, a vector; none is beyond the last member."""
+        first = self.splat(self.add(f"mul i64 {block}, {self.lanes}"), np.int64)
         last = self.splat(self.add("sub i64 %members, 1"), np.int64)
         kind = f"<{self.lanes} x i64>"
         each = ", ".join(f"i64 {k}" for k in range(self.lanes))

@@ -32,7 +32,15 @@ from lieint_jax.runs._driver import (
     steps,
 )
 from lieint_jax.runs._event import Event, event, events
-from lieint_jax.runs._integrate import Adjoint, integrate, join_start, of_any_length, rows_for, trajectory
+from lieint_jax.runs._integrate import (
+    Adjoint,
+    at_output_times,
+    integrate,
+    join_start,
+    of_any_length,
+    rows_for,
+    trajectory,
+)
 from lieint_jax.runs._interpolate import interpolate
 from lieint_jax.runs._job import MakeStates, Summary
 from lieint_jax.runs._layout import count_cores, first_devices, want_devices
@@ -57,6 +65,7 @@ __all__ = [
     "Run",
     "Summary",
     "UniformClock",
+    "at_output_times",
     "at_start",
     "at_time",
     "clock_of",

@@ -125,7 +125,7 @@ def integrate(
     refuse_far_times("save_at", num_steps, clock.time(0))
     _check_first(step, state, clock, first)
     _check_size(state, wanted.size + 1)
-    later = _at_output_times(step, state, clock, wanted, num_steps)
+    later = at_output_times(step, state, clock, wanted, num_steps)
     return join_start(state, later, jnp.concatenate([clock.time(0)[None], wanted]))
 
 
@@ -254,7 +254,7 @@ class _Entry(NamedTuple):
 
 
 @partial(compiled, static_argnums=4)
-def _at_output_times(step: Step, state: State, clock: Clock, save_at: Array, num_steps: int) -> Reached:
+def at_output_times(step: Step, state: State, clock: Clock, save_at: Array, num_steps: int) -> Reached:
     """The states at output times, without these, and the reports of the steps since the output before.
 
     Before each output there are whole steps and a shorter one from the last node. They are one loop over rows of
@@ -291,7 +291,7 @@ def _entries(clock: Clock, save_at: Array, nodes: Array, num_steps: int) -> tupl
     """The entries of all rows, the row of each output, and the number of entries of a row.
 
     Args:
-        clock, save_at, num_steps: see `_at_output_times`.
+        clock, save_at, num_steps: see `at_output_times`.
         nodes: the last node before each output.
     """
     count = save_at.size

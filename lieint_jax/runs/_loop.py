@@ -15,7 +15,7 @@ from jax.extend.core import jaxpr_as_fun
 from jax.typing import ArrayLike
 
 from lieint_jax import native
-from lieint_jax._xla import compiled_for
+from lieint_jax._xla import compiled
 from lieint_jax.runs._clock import Clock, GridClock, UniformClock
 from lieint_jax.runs._driver import prepared
 from lieint_jax.runs._layout import Numbers, Tree, on_host
@@ -264,7 +264,6 @@ class Intervals:
         arguments = [(np.zeros((), step_dtype()), carry, span, given) for carry, given, span in members]
         arguments = jax.tree.map(on_host, arguments)  # of no weak types, as in a loop: JAX traces it once
         traced = self._of_member.trace(*arguments[0])
-        structure = jax.tree.structure(traced.out_info)
+        structure, interval = jax.tree.structure(traced.out_info), compiled(jaxpr_as_fun(traced.jaxpr), once=True)
         with native.engine("xla"):
-            compiled = compiled_for(jaxpr_as_fun(traced.jaxpr), *jax.tree.leaves(arguments[0]))
-        return [jax.tree.unflatten(structure, compiled(*jax.tree.leaves(x))) for x in arguments]
+            return [jax.tree.unflatten(structure, interval(*jax.tree.leaves(x))) for x in arguments]

@@ -169,7 +169,7 @@ def test_li_jit_compiles_by_the_older_emitters_of_a_cpu_and_without_options_else
 def test_an_option_unknown_to_xla_is_left_out(monkeypatch):
     monkeypatch.setattr(_compile, "_ONCE", {"xla_backend_optimization_level": 0, "xla_no_such_flag": False})
     monkeypatch.setattr(_compile, "_refused", set())
-    assert _compile.compiled_for(lambda x: 2 * x, 1.5)(1.5) == 3
+    assert _compile.compiled(lambda x: 2 * x, once=True)(1.5) == 3
     assert _compile._refused == {"xla_no_such_flag"}
 
 

@@ -255,6 +255,12 @@ def test_the_clock_of_checkpoints_is_that_of_the_run():
     np.testing.assert_allclose(run.state.t, [0.3, 0.5, 0.7, 0.9], rtol=1e-15)
     seen, _ = li.observe(run_step, start, 0.1, [0.4, 0.7, 0.9], derivative="checkpoint")
     np.testing.assert_allclose(seen.t, [0.4, 0.7, 0.9], rtol=1e-15)
+    start, times = start._replace(p=jnp.ones((3, 3))), [0.7, 0.9, 0.45]
+    seen, undone = (
+        li.observe(run_step, start, 0.1, times, derivative=name)[0] for name in ("checkpoint", "reversible")
+    )
+    np.testing.assert_allclose(seen.t, times, rtol=1e-15)
+    np.testing.assert_allclose(seen.q, undone.q, rtol=1e-14, atol=1e-15)
 
 
 ADJOINTS = {"reversible": li.adjoints.ReversibleAdjoint(), "checkpoint": li.adjoints.RecursiveCheckpointAdjoint()}
