@@ -231,6 +231,26 @@ def test_verdicts_do_not_depend_on_units(scale):
         assert c.reversibility < 1e-15
 
 
+@pytest.mark.long
+def test_verdicts_of_bodies_released_at_rest_are_those_of_any_units():
+    """A top whose energy begins at 0, as its axis is horizontal, and a binary whose momenta all begin at 0."""
+    verdicts = []
+    for mass in (1.0, 2.0**40, 2.0**-40):
+        top = li.systems.heavy_top(mass * np.array([1.0, 1.5, 2.0]), mass * np.array([0.0, 0.0, 1.0]))
+        start = top.state(li.groups.so3.exp(jnp.array([np.pi / 2, 0.0, 0.0])), angular_velocity=[0.0, 0.0, 0.0])
+        m, J, rest = mass * np.array([1.0, 2.0]), mass * np.array([[0.1, 0.2, 0.3], [0.2, 0.3, 0.4]]), np.zeros((2, 3))
+        pair = li.systems.rigid_bodies(m, J, li.potentials.maccullagh(1 / mass, m, J))
+        apart = pair.state([[0.0, 0.0, 0.0], [5.0, 1.0, 1.0]], velocities=rest, angular_velocities=rest)
+        for step, state in ((li.schemes.top_energy_momentum(top), start), (li.schemes.splitting(pair), apart)):
+            verdicts.append(str(diagnostics.certify(step, state, 0.02, 50)))
+    assert verdicts[2:4] == verdicts[4:] == verdicts[:2]  # to the last digit: the units are powers of 2
+    assert "conserved to round-off" in verdicts[0].splitlines()[1]  # the energy
+    momentum, _, form, back = verdicts[1].splitlines()[2:6]
+    assert "conserved to round-off" in momentum
+    assert "exact to round-off" in form
+    assert "reversible to round-off" in back
+
+
 def test_delay_lists_values_at_equal_distances():
     points = diagnostics.delay(jnp.arange(10.0), 3)
     np.testing.assert_array_equal(points, [[k, k + 3, k + 6] for k in range(4)])
