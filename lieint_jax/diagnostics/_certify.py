@@ -43,8 +43,8 @@ class Certificate(NamedTuple):
         precision: "float64" or "float32".
         dt: step size.
         num_steps: length of the run that gives energy, momentum, constraint, residual and converged.
-        energy: max|H_n − H₀| / |H₀|; for H less work if the state counts work. Where H₀ is 0 to round-off it is over the
-            greatest kinetic energy.
+        energy: max|H_n − H₀| / |H₀|; for H less work if the state counts work. Where H₀ is 0 to round-off it is over
+            the greatest kinetic energy.
         momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none. Where Φ₀ is 0
             it is over the sum of its absolute terms.
         constraint: largest defect of the configuration, such as ||q|² − 1|.
