@@ -311,7 +311,7 @@ def test_the_exponent_of_neighbors_does_not_depend_on_the_units():
 
     known = exponent(1.0, 1.0, 1.0)
     for unit in ((2.0**37, 2.0**100, 2.0**23), (2.0**-30, 2.0**-83, 2.0**-40)):  # of planets, of atoms
-        assert exponent(*unit) == pytest.approx(known, rel=1e-12)  # observed: 0
+        assert exponent(*unit) == pytest.approx(known, rel=1e-12, abs=0)  # observed: 0
 
 
 def test_two_other_ways_find_the_exponent_of_an_unstable_rotation():
