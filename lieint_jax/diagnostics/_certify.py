@@ -26,6 +26,7 @@ from lieint_jax.types import State, Step, System, Trajectory, energy_less_work, 
 if TYPE_CHECKING:
     from lieint_jax.schemes import Langevin
 
+_ROUNDING = 64  # eps: an energy below this part of the kinetic energy is 0
 _SPAN = 8  # the number of steps of size dt over which the order is measured
 
 
@@ -42,8 +43,10 @@ class Certificate(NamedTuple):
         precision: "float64" or "float32".
         dt: step size.
         num_steps: length of the run that gives energy, momentum, constraint, residual and converged.
-        energy: max|H_n − H₀| / |H₀|; for H less work if the state counts work.
-        momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none.
+        energy: max|H_n − H₀| / |H₀|; for H less work if the state counts work. Where H₀ is 0 to round-off it is over
+            the greatest kinetic energy.
+        momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none. Where Φ₀ is 0
+            it is over the sum of its absolute terms.
         constraint: largest defect of the configuration, such as ||q|² − 1|.
         symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step, momenta measured in max|π|.
         symplectic_order: r of a defect O(Δtʳ) per step, from dt and dt/2; inf if the defect is round-off. If r is below
@@ -177,7 +180,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         dt=float(dt),
         num_steps=num_steps,
         energy=_relative(seen.energy, seen.size),
-        momentum=_relative(seen.momentum, seen.total),
+        momentum=_relative(seen.momentum, seen.total or seen.terms),
         constraint=float(seen.constraint),
         symplectic_defect=coarse,
         symplectic_order=math.inf if rounding else power,
@@ -199,7 +202,8 @@ class MeasuredInvariants(NamedTuple):
     """The largest errors of invariants in a run, and the sizes to which they are relative.
 
     Attributes:
-        energy, size: max|H_n − H₀|, for H less work if the state counts work, and |H₀|.
+        energy, size: max|H_n − H₀|, for H less work if the state counts work, and |H₀|, or the greatest kinetic energy
+            where H₀ is 0 to round-off.
         momentum, total, terms: max|Φ_n − Φ₀|, max|Φ₀|, and the largest sum of absolute terms of a component of Φ₀;
             nan, 0 and 0 where there is no momentum map.
         constraint: the largest defect of the configuration.
@@ -221,16 +225,26 @@ def _measure_invariants(system: System, run: Trajectory) -> MeasuredInvariants:
         x = jax.vmap(function)(run.state)
         return jnp.max(jnp.abs(x - x[:1]))
 
-    total = system.momentum(start)
+    total, p = system.momentum(start), run.state.p
     none = not total.size
+    fastest = jnp.argmax(jnp.max(jnp.abs(p), axis=range(1, p.ndim), initial=0))
+    moving = jax.tree.map(lambda x: x[jnp.where(jnp.any(total != 0), 0, fastest)], run.state)
     return MeasuredInvariants(
         energy=largest_change(partial(energy_less_work, system)),
-        size=jnp.abs(system.energy(start)),
+        size=_energy_size(system, run.state),
         momentum=jnp.nan if none else largest_change(system.momentum),
         total=0.0 if none else jnp.max(jnp.abs(total)),
-        terms=0.0 if none else jnp.max(_terms(system, start)),
+        terms=0.0 if none else jnp.max(_terms(system, moving)),
         constraint=jnp.max(jnp.abs(jax.vmap(system.phase_space.defect)(run.state))),
     )
+
+
+def _energy_size(system: System, states: State) -> Array:
+    """|H₀|, or the greatest kinetic energy where H₀ is 0 to round-off."""
+    first = jnp.abs(system.energy(jax.tree.map(lambda x: x[0], states)))
+    kinetic = jax.vmap(lambda z: system.energy(z) - system.energy(z._replace(p=jnp.zeros_like(z.p))))(states)
+    greatest = jnp.max(jnp.abs(kinetic))
+    return jnp.where(first <= _ROUNDING * jnp.finfo(first.dtype).eps * greatest, greatest, first)
 
 
 def _terms(system: System, state: State) -> Array:

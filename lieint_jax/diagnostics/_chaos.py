@@ -4,8 +4,9 @@
     MEGNO      Y_n = (2/n) Σ_k k ln(|δ_k| / |δ_{k−1}|),   its mean (1/n) Σ_k Y_k
 
 L is the derivative of the step itself (`Step.tangent`), so these are the exponents of the discrete flow. The momentum
-coordinates of a tangent vector are in units of the largest component of the initial momentum: the limits of the
-exponents do not depend on this, and the results are the same in any units of the state.
+coordinates of a tangent vector are in units of the largest component of the initial momentum, or at rest in those of a
+motion by about a radian: the limits of the exponents do not depend on this, and the results are the same in any units
+of the state.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.diagnostics.tangent import orthonormalize, units
+from lieint_jax.diagnostics.tangent import orthonormalize, units_at_start
 from lieint_jax.runs import Event, counted, events, saves, step_at_node, uniform_clock
 from lieint_jax.types import State, Step, StepInfo, checked_step, promoted
 from lieint_jax.types.shapes import PyTree, TangentVectors
@@ -120,14 +121,14 @@ def lyapunov(
             f"from 1 to {dim} tangent vectors are allowed, an array ({dim}, k), got "
             + (f"exponents = {count}" if vectors is None else f"shape {frame.shape}")
         )
-    unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
+    every, batches = _checks.count("every", every, 1), _checks.count("batches", batches, 1)
+    rounds = saves(_checks.count("num_steps", num_steps, 1), every)
+    h = jnp.asarray(_checks.step_size(dt), dtype)
+    unit = units_at_start(step.system, state)[:, None]
     frame = frame if vectors is None else frame / unit
     if concrete(frame) and np.linalg.matrix_rank(np.asarray(frame)) < frame.shape[1]:
         raise ValueError("the tangent vectors must be linearly independent")
-    every, batches = _checks.count("every", every, 1), _checks.count("batches", batches, 1)
-    rounds = saves(_checks.count("num_steps", num_steps, 1), every)
     step.check(state, dt)
-    h = jnp.asarray(_checks.step_size(dt), dtype)
     return _lyapunov(step, state, h, unit, jnp.asarray(frame, dtype), rounds, every, min(batches, rounds))
 
 
@@ -233,11 +234,11 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: np
     """
     step, state, dtype = promoted(_in_time(checked_step(step)), state)
     dim = step.system.phase_space.dim
-    unit = jnp.concatenate(units(step.system.phase_space, state))
+    h = jnp.asarray(_checks.step_size(dt), dtype)
+    unit = units_at_start(step.system, state)
     given = _generic(dim)[:, 0] if vector is None else _checks.real_array("vector", vector, (dim,)) / unit
     num_steps = _checks.count("num_steps", num_steps, 1)
     step.check(state, dt)
-    h = jnp.asarray(_checks.step_size(dt), dtype)
     return _megno(step, state, h, unit[:, None], jnp.asarray(given, dtype)[:, None], num_steps)
 
 

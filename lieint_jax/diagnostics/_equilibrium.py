@@ -29,11 +29,12 @@ from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
 from lieint_jax.diagnostics.tangent import distance, units
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import State, System, promoted
+from lieint_jax.types import PhaseSpace, State, System, promoted
 
 _ITERATIONS, _HALVINGS = 60, 12
 _WEIGHT = 0.1  # a change of the rates in the length of a correction; Newton's method fails sooner with more than 0.3
 _RANK = 1e-9  # singular values below this part of the largest one count as 0: those of symmetries are round-off
+_AT_REST = 1e-2  # least unit of a momentum, over that with which kinetic energy varies as much as the potential
 
 
 class Spins(NamedTuple):
@@ -150,8 +151,19 @@ def _derivatives(system: System, state: State, frame: Array, spins: Spins | None
         along, along2 = jnp.zeros((0, space.dim)), jnp.zeros((0, space.dim, space.dim))
     else:
         along, along2 = jax.jacfwd(momentum)(zero), jax.jacfwd(jax.jacfwd(momentum))(zero)
-    unit = jnp.concatenate(units(space, state))
-    return first(zero), second(zero), along, along2, space.omega(state), unit
+    hessian = second(zero)
+    return first(zero), hessian, along, along2, space.omega(state), _units(space, state, hessian)
+
+
+def _units(space: PhaseSpace, state: State, hessian: Array) -> Array:
+    """The units of the coordinates, (2d,); a body at rest, or nearly, gives none: it has a part of √(K_qq/K_pp)."""
+    of_q, _ = units(space, state)
+    n = of_q.size
+    stiffness = jnp.max(jnp.abs(of_q[:, None] * hessian[:n, :n] * of_q))
+    mobility = jnp.diagonal(hessian)[n:]
+    natural = _AT_REST * jnp.sqrt(stiffness / jnp.where(mobility > 0, mobility, jnp.inf))
+    natural = natural.reshape(state.p.shape) if natural.size == state.p.size else jnp.max(natural, initial=0)
+    return jnp.concatenate(units(space, state._replace(p=jnp.maximum(jnp.abs(state.p), natural))))
 
 
 def equilibrium(

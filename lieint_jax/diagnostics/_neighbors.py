@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax.diagnostics._order import flow
-from lieint_jax.diagnostics.tangent import orthonormalize, units, value_and_jacobian
+from lieint_jax.diagnostics.tangent import orthonormalize, units_at_start, value_and_jacobian
 from lieint_jax.types import State, Step, System
 
 __all__ = ["exponent_of_neighbors", "exponents_of_flow"]
@@ -28,7 +28,7 @@ def exponents_of_flow(system: System, state: State, t: float, pieces: int) -> Ar
         (2d,), in the order of the coordinates of the phase space, 1/time.
     """
     space = system.phase_space
-    unit = jnp.concatenate(units(space, state))[:, None]
+    unit = units_at_start(system, state)[:, None]
 
     def step_once(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
         state, frame, sums = carry
@@ -51,12 +51,12 @@ def exponent_of_neighbors(
         dt: step size.
         num_steps: a multiple of `every`.
         every: steps after which the separation is rescaled.
-        distance: to which it is rescaled, in the units of the phase space's coordinates at the start.
+        distance: to which it is rescaled, in the units of the phase space's coordinates at the start, such as max|π|.
 
     Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14, 2338.
     """
     space = step.system.phase_space
-    unit = jnp.concatenate(units(space, state))
+    unit = units_at_start(step.system, state)
 
     def separation(a: State, b: State) -> Array:
         return space.trivialize(a, jax.tree.map(jnp.subtract, b, a)) / unit
@@ -69,5 +69,5 @@ def exponent_of_neighbors(
         return (a, space.perturb(a, unit * delta * (distance / size)), total + jnp.log(size / distance)), None
 
     first = jnp.zeros(space.dim).at[0].set(distance)
-    start, count = (state, space.perturb(state, first), jnp.zeros(())), num_steps // every
+    start, count = (state, space.perturb(state, unit * first), jnp.zeros(())), num_steps // every
     return lax.scan(step_once, start, None, length=count)[0][2] / (dt * every * count)

@@ -15,7 +15,7 @@ from lieint_jax._checks import as_array, concrete
 from lieint_jax._numerics import collocation
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
-from lieint_jax.diagnostics.tangent import distance
+from lieint_jax.diagnostics.tangent import distance, swinging
 from lieint_jax.types import State, Step, System, clock, time_derivative
 from lieint_jax.types.shapes import Scalar
 
@@ -117,6 +117,11 @@ def _distance(step: Step, a: State, b: State) -> Scalar:
     return distance(a, b, step.system.phase_space)
 
 
+@partial(compiled, once=True)
+def _return_distance(step: Step, returned: State, state: State) -> Scalar:
+    return distance(returned, state, step.system.phase_space, scale=swinging(step.system, state))
+
+
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here.
 
@@ -130,7 +135,7 @@ def reversibility_of_run(step: Step, state: State, dt: Array, most: int) -> Scal
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))
     returned = _measure.run(step, there, back, 1, most)
-    found, accepted = _distance(step, _measure.last(returned), state), returned.info.converged[1]
+    found, accepted = _return_distance(step, _measure.last(returned), state), returned.info.converged[1]
     if step.approximate or (concrete(accepted) and accepted):
         return found
     return jnp.where(accepted, found, jnp.inf)

@@ -8,11 +8,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.runs import compiler_options, integrate
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import PhaseSpace, State, Step, StepInfo, System, pytree, static, time_derivative, vectors
 
 __all__ = ["RungeKutta", "step_cost"]
 
@@ -23,7 +25,8 @@ _BODIES, _STEPS, _ROUNDS = 256, 50, 5
 class RungeKutta(Step):
     """The classical Runge–Kutta step of order 4, which conserves nothing: what a scheme of this package improves on.
 
-    It evaluates the vector field four times, and normalizes a quaternion after each step.
+    It evaluates the vector field four times, and normalizes quaternions, and the direction of a pendulum, after each
+    step.
 
     Args:
         system: any system with a vector field.
@@ -47,16 +50,27 @@ class RungeKutta(Step):
         return "Runge–Kutta 4"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        def slope_after(h: ArrayLike, slope: State) -> State:
-            return self.system.vector_field(jax.tree.map(lambda x, v: x + h * v, state, slope))
+        state, fits = self.system.sampled(state, jnp.asarray(dt))
 
-        k1 = self.system.vector_field(state)
+        def slope_after(h: ArrayLike, slope: State) -> State:
+            return time_derivative(self.system, jax.tree.map(lambda x, v: x + h * v, state, slope))
+
+        k1 = time_derivative(self.system, state)
         k2 = slope_after(dt / 2, k1)
         k3 = slope_after(dt / 2, k2)
         k4 = slope_after(dt, k3)
         end = jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4)
-        q = so3.normalize(end.q) if end.q.ndim == 1 else end.q
-        return end._replace(q=q), StepInfo(jnp.zeros_like(dt), jnp.isfinite(end.p).all())
+        info = StepInfo(jnp.zeros_like(dt), jnp.isfinite(end.p).all() & fits)
+        return end._replace(q=_normalize(self.system.phase_space, end.q)), info
+
+
+def _normalize(space: PhaseSpace, q: Array) -> Array:
+    """Attitudes and directions of length 1; matrices as they are."""
+    if isinstance(space, CotangentMotions):
+        return jnp.concatenate([q[:, :3], jax.vmap(so3.normalize)(q[:, 3:])], axis=1)
+    if q.ndim > 1:
+        return q
+    return so3.normalize(q) if q.shape == (4,) else q / vectors.norm(q)
 
 
 def step_cost(step: Step, state: State, dt: float) -> float:
@@ -72,6 +86,6 @@ def step_cost(step: Step, state: State, dt: float) -> float:
     def run(states: State) -> Any:
         return jax.vmap(lambda z: integrate(step, z, dt, _STEPS, save_every=_STEPS))(states).state
 
-    states = jax.tree.map(lambda x: jnp.tile(x, (_BODIES, 1)), state)
+    states = jax.tree.map(lambda x: jnp.broadcast_to(x, (_BODIES, *jnp.shape(x))), state)
     jax.block_until_ready(run(states))
     return min(timeit.repeat(lambda: jax.block_until_ready(run(states)), repeat=_ROUNDS, number=1)) / _STEPS

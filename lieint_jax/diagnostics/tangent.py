@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from lieint_jax.types import PhaseSpace, State, push_forward
+from lieint_jax._xla import compiled
+from lieint_jax.types import PhaseSpace, State, System, push_forward, time_derivative
 from lieint_jax.types.shapes import PhaseVector, Scalar, TangentVectors
 
 _Aux = TypeVar("_Aux")
@@ -18,6 +21,7 @@ _Aux = TypeVar("_Aux")
 # element is computed again for each of its uses. With 64 molecules, and with three bodies by `nystrom`, a certificate
 # took many minutes.
 _LARGE = 24
+_SLOW = 1e-2  # of the momentum with which a system swings by a radian: with less it is at rest
 
 
 def value_and_jacobian(
@@ -36,14 +40,16 @@ def value_and_jacobian(
     return end, aux, jax.lax.map(lambda delta: space.trivialize(end, push(delta)), one).T
 
 
-def distance(a: State, b: State, space: PhaseSpace | None = None) -> Scalar:
+def distance(a: State, b: State, space: PhaseSpace | None = None, *, scale: State | None = None) -> Scalar:
     """The largest difference of two states, in q, and in p over the largest component of p: dimensionless.
 
-    If a phase space with its own units is given, differences are in these units.
+    If a phase space with its own units is given, differences are in these units. The units are those of the state
+    `scale`, by default b.
     """
+    scale = b if scale is None else scale
     if space is not None and getattr(space, "units", None):
-        return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, b))))
-    return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p), initial=0) / size(b.p))
+        return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, scale))))
+    return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p), initial=0) / size(scale.p))
 
 
 def size(p: Array) -> Scalar:
@@ -59,6 +65,40 @@ def units(space: PhaseSpace, state: State) -> tuple[PhaseVector, PhaseVector]:
         return own(state)
     momenta = space.dim // 2 if state.p.size else 0
     return jnp.ones(space.dim - momenta, state.p.dtype), jnp.ones(momenta, state.p.dtype) * size(state.p)
+
+
+def swinging(system: System, state: State) -> State:
+    """The state whose momenta are the units of momenta: the state itself, or at rest one that swings by a radian.
+
+    That has √(∂ṗ/∂q / ∂q̇/∂p) along generic directions, and no momentum where no force depends on q. A state with less
+    than _SLOW of it counts as at rest; of several bodies their positions and their attitudes each.
+    """
+    space, (of_q, of_p) = system.phase_space, units(system.phase_space, state)
+    if not of_p.size:
+        return state
+    zero, n = jnp.zeros(space.dim, state.p.dtype), of_q.size
+    direction = jnp.asarray(np.cos(np.arange(space.dim)), state.p.dtype)
+
+    def rates(delta: Array) -> tuple[Array, Array]:
+        z = space.perturb(state, delta)
+        velocity = space.trivialize(z, time_derivative(system, z))
+        return velocity[:n], velocity[n:]
+
+    _, force = jax.jvp(rates, (zero,), (zero.at[:n].set(of_q * direction[:n]),))[1]
+    speed, _ = jax.jvp(rates, (zero,), (zero.at[n:].set(direction[n:]),))[1]
+    stiffness, mobility = jnp.max(of_q * jnp.abs(force)), jnp.abs(speed)
+    natural = jnp.sqrt(stiffness / jnp.where(mobility > 0, mobility, jnp.inf))
+    several = getattr(space, "units", None) is not None
+    p, axes = (state.p.reshape(-1, 2, 3), (0, 2)) if several else (state.p, None)
+    natural = natural.reshape(p.shape) if natural.size == p.size else jnp.max(natural)
+    size, least = (jnp.max(jnp.abs(x), axis=axes, keepdims=several) for x in (p, natural))
+    return state._replace(p=jnp.where(size < _SLOW * least, natural, p).reshape(state.p.shape))
+
+
+@partial(compiled, once=True)
+def units_at_start(system: System, state: State) -> PhaseVector:
+    """The units of δq and δp, (2d,), as `units`, also of a state at rest."""
+    return jnp.concatenate(units(system.phase_space, swinging(system, state)))
 
 
 def orthonormalize(W: TangentVectors) -> tuple[Array, Array]:

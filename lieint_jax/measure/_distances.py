@@ -65,12 +65,13 @@ def pair_density(r: ArrayLike, edges: ArrayLike, peak_below: float = np.inf) -> 
     """The histogram of distances over the volume of their shells: the radial distribution of a droplet, unnormalized.
 
     Args:
-        r: distances, (times, pairs) or (times, members, pairs), as `distances` returns them.
+        r: distances, (times, pairs) or (times, members, pairs), as `distances` returns them; states with a NaN, such as
+            those of a failed member, are left out.
         edges: of the bins, evenly spaced and > 0, (bins + 1,), at least three bins; other distances are left out.
         peak_below: the peak is the greatest density at distances below this.
 
     Returns:
-        A `PairDensity`; its peak is at a bin's middle where the density has no maximum there.
+        A `PairDensity`; its peak is at a bin's middle where the density has no maximum there. NaN without any states.
 
     Raises:
         ValueError: fewer than three bins, bins of different widths, or none whose middle is below `peak_below`.
@@ -87,8 +88,11 @@ def pair_density(r: ArrayLike, edges: ArrayLike, peak_below: float = np.inf) -> 
         raise ValueError(
             f"peak_below must be above the middle of the first bin, {edges[:2].mean():.6g}, got {peak_below}"
         )
+    r = r[~np.isnan(r).any(axis=-1)]
     counts, middles, width = np.histogram(r, edges)[0], (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
-    density = counts / middles**2 / (4 * np.pi * width * np.prod(r.shape[:-1]))
+    if not len(r):
+        return PairDensity(middles, np.full(len(counts), np.nan), np.nan, np.nan)
+    density = counts / middles**2 / (4 * np.pi * width * len(r))
     k = int(np.clip(np.argmax(density[middles < peak_below]), 1, len(density) - 2))
     left, top, right = density[k - 1 : k + 2]
     curvature = left - 2 * top + right

@@ -55,10 +55,17 @@ def brightness(
     """
     q = jnp.asarray(q)
     s, o = (_to_body(q, jnp.asarray(v, q.dtype)) for v in (sun, observer))
-    mu0, mu = (rotate(facets.normals, v / vectors.norm(v)) for v in (s, o))
+    mu0, mu = (rotate(facets.normals, _unit(v)) for v in (s, o))
     dark = (mu0 <= 0) | (mu <= 0)  # a NaN is not dark, so that it is not lost
     mu0, mu = (jnp.where(dark, 1.0, x) for x in (mu0, mu))  # harmless to any law and its derivatives
     return jnp.sum(jnp.where(dark, 0.0, law(mu0, mu) * mu * facets.areas)) / jnp.pi
+
+
+def _unit(v: Vector3) -> Vector3:
+    """v/|v|, also where |v|² is out of range."""
+    exponent = jnp.frexp(jax.lax.stop_gradient(jnp.max(jnp.abs(v))))[1]
+    v = jnp.ldexp(v, -exponent)
+    return v / vectors.norm(v)
 
 
 def _to_body(q: Array, v: Array) -> Vector3:

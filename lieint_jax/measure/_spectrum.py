@@ -89,7 +89,7 @@ def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
         return Line(nothing, nothing)
     spacing, windowed, weight = _windowed(t, x)
     frequencies = np.fft.rfftfreq(len(windowed), spacing)
-    elapsed, column = (_column(a, windowed.ndim) for a in (np.asarray(t, float), frequencies))
+    elapsed, column = (_column(a, windowed.ndim) for a in (spacing * np.arange(len(windowed)), frequencies))
     inside = (column > low) & (column < high)
     peak = np.argmax(np.where(inside, abs(np.fft.rfft(windowed, axis=0)), -1.0), axis=0)
     found, reach = frequencies[peak], frequencies[1] / 2
@@ -138,10 +138,11 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
 
 
 def even_spacing(t: ArrayLike) -> float:
-    """The signed spacing of evenly spaced times; ValueError if they are not."""
+    """The signed spacing of evenly spaced times, up to the rounding of their type; ValueError if they are not."""
+    rounding = np.spacing(np.max(np.abs(np.asarray(t))))
     t = np.asarray(t, float)
     spacing = (t[-1] - t[0]) / max(len(t) - 1, 1)
-    if len(t) > 1 and not np.max(abs(np.diff(t) - spacing)) <= _EVEN * abs(spacing):
+    if len(t) > 1 and not np.max(abs(np.diff(t) - spacing)) <= _EVEN * abs(spacing) + rounding:
         raise ValueError("the times must be evenly spaced: save every step or every n-th one, or use periodogram")
     return float(spacing)
 

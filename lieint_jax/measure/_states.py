@@ -90,7 +90,8 @@ def longitude(up: Vector3, a: Vector3) -> Array:
 
 
 def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The angles between vectors (…, 3), accurate for small ones too."""
+    """The angles between vectors (…, 3) of any length, accurate for small ones too."""
+    a, b = (np.ldexp(x, -np.frexp(np.max(np.abs(x), axis=-1, keepdims=True))[1]) for x in (a, b))
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
 
 

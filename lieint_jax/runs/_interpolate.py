@@ -124,8 +124,9 @@ def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tu
         found = space.displaced(a, d[:n])._replace(**unravel(rest + d[n:]))
         found = found if a.t is None else found._replace(t=jnp.where(a.t == t[k], time, a.t + (time - t[k])))
         found = jax.tree.map(lambda x: jnp.where(inside, x, jnp.nan), found)
-        gap = jnp.abs(h * (v0 + v1) / 2 - end) / (1 + jnp.abs(end))
-        return found, jnp.where(inside, jnp.max(gap[: space.dim // 2 if a.p.size else None]), 0)
+        missed, moved = (jnp.abs(x)[: space.dim // 2 if a.p.size else None] for x in (h * (v0 + v1) / 2 - end, end))
+        unit = space.units(a)[0] if hasattr(space, "units") else 1  # lengths have one of their own
+        return found, jnp.where(inside, jnp.max(missed / (unit + moved)), 0)
 
     return jax.vmap(interpolate_at)(left, times, inside)
 

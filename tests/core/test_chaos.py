@@ -10,7 +10,7 @@ from grid import examples_of
 from paper import hat
 from scipy.integrate import solve_ivp
 
-from lieint_jax import diagnostics, orbits, schemes, systems
+from lieint_jax import diagnostics, orbits, potentials, schemes, systems
 from lieint_jax.diagnostics import _chaos
 from lieint_jax.groups import so3
 
@@ -224,6 +224,19 @@ def test_exponents_and_megno_do_not_depend_on_the_unit_of_mass():
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("attitude", [[0.4, -0.2, 0.0], [np.pi, 0.0, 0.0]], ids=["falling", "balanced"])
+def test_exponents_and_megno_of_a_body_at_rest_do_not_depend_on_the_unit_of_mass(attitude):
+    """1 as the unit of its momentum made the vectors of a top of 1e-12 parallel to round-off."""
+    found = []
+    for mass in (1.0, 2.0**-40):
+        top = systems.heavy_top(mass * np.array([1.0, 2.0, 2.5]), mass * np.array([0.0, 0.4, 1.0]))
+        run = schemes.splitting(top), top.state(so3.exp(jnp.array(attitude)), angular_velocity=[0.0, 0.0, 0.0]), 0.1
+        found.append((diagnostics.lyapunov(*run, 64).exponents, diagnostics.megno(*run, 64).mean))
+    for x, y in zip(*found, strict=True):
+        assert (x == y).all()
+
+
+@pytest.mark.long
 def test_exponents_work_in_float32_and_under_vmap_with_a_flag_for_failures():
     step, state = jax.tree.map(lambda x: x.astype(jnp.float32), REGULAR["free"])
     states = jax.tree.map(lambda x: jnp.stack([x, 100 * x if x.shape == (3,) else x]), state)
@@ -282,6 +295,23 @@ def test_a_section_of_an_ensemble_against_the_events_of_another_integrator():
         np.testing.assert_allclose(found.t[m, : len(both)], both, rtol=0, atol=2e-4)
     np.testing.assert_allclose(jax.vmap(jax.vmap(height))(found.state)[found.found], 0, rtol=0, atol=1e-13)
     assert int(found.found.sum()) >= 4
+
+
+@pytest.mark.long
+def test_the_exponent_of_neighbors_does_not_depend_on_the_units():
+    """A first separation of 1e-8 m was lost in positions of 1e11 m, or larger than the orbit of atoms."""
+    measured = jax.jit(functools.partial(diagnostics.exponent_of_neighbors, num_steps=100))
+
+    def exponent(length, mass, time):
+        m, J = mass * np.array([1.0, 0.1]), mass * length**2 * np.array([[0.04, 0.05, 0.06], [8e-4, 1e-3, 1.1e-3]])
+        bodies = systems.rigid_bodies(m, J, potentials.maccullagh(length**3 / (mass * time**2), m, J))
+        x, rate = np.array([[-0.1, 0, 0], [1.0, 0, 0]]) * length, np.array([0, 0.1, 0.95]) / time
+        state = bodies.state(x, velocities=np.cross(rate, x), angular_velocities=[rate, 1.3 * rate])
+        return time * float(measured(schemes.splitting(bodies), state, 0.05 * time))
+
+    known = exponent(1.0, 1.0, 1.0)
+    for unit in ((2.0**37, 2.0**100, 2.0**23), (2.0**-30, 2.0**-83, 2.0**-40)):  # of planets, of atoms
+        assert exponent(*unit) == pytest.approx(known, rel=1e-12, abs=0)  # observed: 0
 
 
 def test_two_other_ways_find_the_exponent_of_an_unstable_rotation():

@@ -225,6 +225,19 @@ def test_equilibria_and_modes_do_not_depend_on_the_units(unit):
         np.testing.assert_allclose(x, y, rtol=0, atol=1e-13)  # observed 0: the units are powers of 2
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("mass", [1e-24, 1e-8, 1e8])
+@pytest.mark.parametrize("rate", [0.0, 1e-12])
+def test_a_hanging_top_is_found_in_any_units_though_it_has_no_momentum(mass, rate):
+    """Frequencies √(Mgl/J). With 1 as the unit of its momentum any state of 1e-8 kg m² was an equilibrium."""
+    top = li.systems.heavy_top(mass * np.array([1.0, 1.5, 2.0]), mass * np.array([0.0, 0.0, 1.0]))
+    guess = top.state(so3.exp(jnp.array([np.pi - 0.3, 0.2, 0.0])), angular_velocity=[rate, 0.0, 0.0])
+    found = li.equilibrium(top, guess)
+    np.testing.assert_allclose(top.Gamma(found.state), [0, 0, -1], rtol=0, atol=2e-15)  # observed: 4e-16
+    frequencies = li.normal_modes(top, found).frequencies[:2]
+    np.testing.assert_allclose(frequencies, np.sqrt(1 / np.array([1.5, 1.0])), rtol=1e-11)  # observed: 6e-13
+
+
 @pytest.mark.parametrize(
     ("more", "spinning", "message"),
     [

@@ -74,3 +74,16 @@ def test_of_saves_at_one_time_the_state_is_that_save(times):
     path = li.Trajectory(t, li.State(q, jnp.tile(jnp.array([0.0, 0.0, 3.0]), (4, 1))), None)
     found = li.interpolate(li.systems.rigid_body([1.0, 2.0, 3.0]), path, times)
     np.testing.assert_allclose(found.q, q, rtol=0, atol=1e-15)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("length", [1.0, 1e-9, 1e9])
+def test_states_too_far_apart_are_refused_in_any_unit_of_length(length):
+    """A binary that is saved once in 0.8 revolutions: of a small one the states were wrong by a fifth of the orbit."""
+    m, J = np.array([1.0, 0.1]), length**2 * np.array([[0.04, 0.05, 0.06], [0.0008, 0.0010, 0.0011]])
+    bodies = li.systems.rigid_bodies(m, J, li.potentials.maccullagh(length**3, m, J))
+    x, rate = length * np.array([[-0.1, 0, 0], [1.0, 0, 0]]), np.array([0, 0, 0.95])
+    start = bodies.state(x, velocities=np.cross(rate, x), angular_velocities=np.zeros((2, 3)))
+    run = li.run(li.schemes.splitting(bodies), start, 0.05, 208, save_every=104)
+    with pytest.raises(ValueError, match="too far apart to interpolate"):
+        run.at([2.6])

@@ -78,8 +78,9 @@ def test_the_light_of_a_box_is_that_of_three_faces():
     box = shapes.box_facets([3.0, 2.0, 1.0])
     diagonal = np.ones(3)
     areas = np.array([2.0, 3.0, 6.0])
-    three = float(measure.brightness(box, HOME, diagonal, diagonal))
-    assert three == pytest.approx(areas.sum() / 3 / np.pi, rel=1e-14, abs=0)
+    for length in (1.0, 1e-200, 1e200):  # |d|² of the others is not in the range of float64
+        three = float(measure.brightness(box, HOME, length * diagonal, length * diagonal))
+        assert three == pytest.approx(areas.sum() / 3 / np.pi, rel=1e-14, abs=0)
     sun, seen = np.array([0.6, 0.0, 0.8]), np.array([0.0, 0.6, 0.8])  # z alone is lit and seen
     assert float(measure.brightness(box, HOME, sun, seen)) == pytest.approx(6 * 0.64 / np.pi, rel=1e-14, abs=0)
     assert float(measure.brightness(box, HOME, sun, -seen)) == 0

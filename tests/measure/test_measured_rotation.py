@@ -94,6 +94,7 @@ def test_a_spinning_body_has_its_tilt_pole_and_rate():
     np.testing.assert_allclose(measure.tilt(run, [1, 0, 0], follows), np.pi / 4, rtol=1e-12)
     table = np.array([follows(x) for x in t])
     np.testing.assert_allclose(measure.tilt(run, [1, 0, 0], table), np.pi / 4, rtol=1e-12)
+    np.testing.assert_allclose(measure.tilt(run, [1e-200, 0, 0], 1e-9 * table), np.pi / 4, rtol=1e-12)
     with pytest.raises(ValueError, match=r"direction must have shape \(3,\) or \(41, 3\)"):
         measure.tilt(run, direction=[[0.0, 0.0, 1.0]])
 

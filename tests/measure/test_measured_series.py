@@ -88,6 +88,16 @@ def test_a_line_is_found_with_its_frequency_and_amplitude():
     np.testing.assert_allclose(fastest[-1], 0.7, rtol=1e-14)
 
 
+def test_a_long_run_in_float32_has_even_times():
+    """At t = 2e4 times in steps of 0.1 are rounded to 0.002."""
+    t = 0.1 * np.arange(200_000)
+    x, rounded = 2.0 * np.cos(2 * np.pi * 0.0731 * t), t.astype(np.float32)
+    found = measure.line(rounded, x, 0.07, 0.08)
+    assert found.frequency == pytest.approx(0.0731, rel=1e-7)  # observed: 2e-8, the rounding of the last time
+    assert found.amplitude == pytest.approx(2.0, rel=1e-6)  # observed: 3e-8
+    assert measure.spectrum(rounded, x).amplitude.max() == pytest.approx(2.0, rel=1e-3)
+
+
 def test_a_line_that_cannot_be_measured_is_nan():
     x = np.sin(T)
     assert np.isnan(measure.line(T, x, 0.001, 0.002)).all()

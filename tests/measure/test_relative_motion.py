@@ -135,6 +135,9 @@ def test_the_distances_of_random_points_in_a_ball_have_their_density():
     peak = measure.pair_density(shell, edges, peak_below=0.35)
     assert peak.peak == pytest.approx(0.2812 - 2 * 0.02**2 / 0.2812, abs=2e-3)  # r⁻² moves the maximum inward
     assert peak.height == peak.density.max()
+    failed = np.concatenate([shell, np.full_like(shell[:, :1], np.nan)], axis=1)  # of one more member
+    np.testing.assert_array_equal(measure.pair_density(failed, edges, peak_below=0.35).density, peak.density)
+    assert np.isnan(measure.pair_density(failed[:, 5:], edges).peak)
     assert measure.pair_density(np.concatenate([shell, shell + 0.1], axis=-1), edges, peak_below=0.35).peak == peak.peak
     with pytest.raises(ValueError, match="at least three bins"):
         measure.pair_density(shell, [0.1, 0.2])
