@@ -895,6 +895,8 @@ OTHERS = [
         "the loss returned no residuals",
     ),
     (lambda: li.fitting.interval(2.0, 1.0), "an interval needs low < high, got 2.0 and 1.0"),
+    (lambda: li.fitting.interval(np.zeros(2), 1.0), "an interval needs two numbers, .*: give a tree of bounds"),
+    *rows(lambda tolerance: fit(tolerance=tolerance), "tolerance must be a finite number of at least 0", -1.0, np.nan),
     (lambda: fit(bounds=li.fitting.interval(-1.0, 0.0), starts=True), "inside their bounds"),
     (lambda: groups.matrix(BASIS), r"bracket of basis\[0\] and basis\[1\] leaves the span"),
     (lambda: groups.matrix(BASIS[[0, 2, 0]] + [0 * EYE, 0 * EYE, BASIS[2]]), r"basis\[2\] is a combination of"),
