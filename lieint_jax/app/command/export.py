@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,10 @@ from typing import Any
 from lieint_jax import files
 from lieint_jax.app.scenarios._files import SECONDS
 from lieint_jax.app.scenarios._kind import Kind
+from lieint_jax.capabilities import AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.dates import epoch
 from lieint_jax.runs import Run
+from lieint_jax.types import System
 
 
 def check(path: Path, scenario: Kind) -> None:
@@ -21,6 +24,8 @@ def check(path: Path, scenario: Kind) -> None:
         raise ValueError(f"{path} exists: remove it, or give another --export")
     if not path.absolute().parent.is_dir():
         raise ValueError(f"there is no folder {path.absolute().parent} for {path}")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise ValueError(f"the folder of {path} cannot be written to: give another --export")
     if path.suffix not in (".aem", ".oem"):
         return
     if scenario.date_of_zero() is None:
@@ -29,6 +34,13 @@ def check(path: Path, scenario: Kind) -> None:
         raise ValueError(f"{path} is in seconds: time_unit must be one of {', '.join(SECONDS)}")
     if path.suffix == ".oem" and scenario.unit_km is None:
         raise ValueError(f"{path} is in km, and a scenario of the kind {scenario.system} has no unit of length")
+
+
+def check_system(path: Path, system: System) -> None:
+    """Raise ValueError, before the run, if this file cannot be one of this system."""
+    several = {".csv": (), ".aem": (AbstractManyBodies,)}.get(path.suffix)
+    if several is not None and not isinstance(system, (AbstractRotatingBody, *several)):
+        raise ValueError(f"{path} has attitudes of rigid bodies, and {type(system).__name__} is none: .nc has any run")
 
 
 def write(path: Path, run: Run, scenario: Kind) -> None:

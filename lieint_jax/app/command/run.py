@@ -80,6 +80,8 @@ def run(
         step, states = scenarios.build_first(scenario, 1), partial(scenarios.states_of, scenario)
     else:
         step, states = scenario.build()
+    for path in exports:
+        export.check_system(path, step.system)
     show_time("making the scenario")
     if leader:
         show(info.headline(scenario, step))
