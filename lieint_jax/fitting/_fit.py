@@ -195,8 +195,9 @@ def _cause(loss: Callable[..., PyTree], result: str, params: PyTree, data: PyTre
     value, converged = jax.jit(lambda *given: value_and_flag(loss(*given)))(params, *(() if data is None else (data,)))
     for name, tree in (("data", data), (result, value)):
         for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
-            numbers = jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
-            bad = np.argwhere(~np.isfinite(leaf)) if numbers else ()
+            if not jnp.issubdtype(jnp.result_type(leaf), jnp.inexact):
+                continue
+            bad = np.argwhere(~np.isfinite(leaf))
             if len(bad):
                 index = tuple(bad[0].tolist())
                 return f"{name}{jax.tree_util.keystr(path)}{list(index) or ''} is {np.asarray(leaf)[index]}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,13 @@ from lieint_jax.runs import Run
 from lieint_jax.types import System
 
 
-def check(path: Path, scenario: Kind) -> None:
-    """Raise ValueError, before the run, if it cannot be written to this file."""
+def check(paths: Iterable[Path], scenario: Kind) -> None:
+    """Raise ValueError, before the run, if it cannot be written to these files."""
+    for path in paths:
+        _check(path, scenario)
+
+
+def _check(path: Path, scenario: Kind) -> None:
     if path.suffix not in _WRITERS:
         raise ValueError(f"--export writes {', '.join(_WRITERS)}, got {path}")
     if path.exists():
@@ -36,11 +41,13 @@ def check(path: Path, scenario: Kind) -> None:
         raise ValueError(f"{path} is in km, and a scenario of the kind {scenario.system} has no unit of length")
 
 
-def check_system(path: Path, system: System) -> None:
-    """Raise ValueError, before the run, if this file cannot be one of this system."""
-    several = {".csv": (), ".aem": (AbstractManyBodies,)}.get(path.suffix)
-    if several is not None and not isinstance(system, (AbstractRotatingBody, *several)):
-        raise ValueError(f"{path} has attitudes of rigid bodies, and {type(system).__name__} is none: .nc has any run")
+def check_system(paths: Iterable[Path], system: System) -> None:
+    """Raise ValueError, before the run, if one of these files has attitudes, and a run of this system has none."""
+    for path in paths:
+        several = {".csv": (), ".aem": (AbstractManyBodies,)}.get(path.suffix)
+        if several is not None and not isinstance(system, (AbstractRotatingBody, *several)):
+            name = type(system).__name__
+            raise ValueError(f"{path} has attitudes of rigid bodies, and {name} is none: .nc has any run")
 
 
 def write(path: Path, run: Run, scenario: Kind) -> None:
