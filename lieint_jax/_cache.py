@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import os
 import platform
 import re
@@ -23,7 +24,8 @@ def cache_programs(path: str | os.PathLike[str] | None = None) -> Path:
 
     Args:
         path: a folder, which is created; by default `lieint` in the user's cache directory (`~/.cache` on Linux).
-            Programs for each kind of processor are in a subfolder.
+            Programs for each kind of processor are in a subfolder. Where it is read-only, its programs are loaded and
+            no further ones are stored.
 
     Returns:
         The folder to which JAX writes.
@@ -38,7 +40,8 @@ def cache_programs(path: str | os.PathLike[str] | None = None) -> Path:
     folder = (_user_folder() if path is None else Path(path).expanduser().absolute()) / _processor()
     folder.mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTHWHILE)
+    least = _WORTHWHILE if os.access(folder, os.W_OK) else math.inf  # JAX would warn of each program
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     compilation_cache.reset_cache()  # otherwise JAX ignores the cache if it has already compiled a program
     return folder

@@ -13,6 +13,7 @@ exact conversions from UTC give an astropy `Time` in the scale that is needed, s
 
 from __future__ import annotations
 
+import calendar
 import dataclasses
 import datetime
 import math
@@ -72,7 +73,9 @@ class Epoch:
         return dataclasses.replace(self._later(_AFTER_TAI[scale] - _AFTER_TAI[self.scale]), scale=scale)
 
     def __add__(self, seconds: float) -> Epoch:
-        """The epoch so many seconds later."""
+        """The epoch so many seconds later; ValueError if they are not finite."""
+        if not math.isfinite(seconds):
+            raise ValueError(f"the seconds that are added to a date must be finite, got {seconds}")
         return self._later(Fraction(float(seconds)))
 
     def _later(self, seconds: Fraction) -> Epoch:
@@ -159,8 +162,9 @@ def epoch(date: DateLike, scale: str | None = None) -> Epoch:
         day = math.floor(days)
         return Epoch(day, Fraction(round((days - day) * _DAY * 10**12), 10**12), _scale(str(date.scale)))
     if isinstance(date, datetime.datetime):
-        utc = date.astimezone(datetime.UTC) if date.tzinfo else date
-        return _from_text(utc.replace(tzinfo=None).isoformat(), scale)
+        zone = "Z" if date.tzinfo else ""
+        utc = date.astimezone(datetime.UTC) if zone else date
+        return _from_text(utc.replace(tzinfo=None).isoformat() + zone, scale)
     if isinstance(date, str):
         return _from_text(date, scale)
     if isinstance(date, bool) or not isinstance(date, int | float) or not math.isfinite(date):
@@ -190,9 +194,9 @@ def _from_text(date: str, scale: str | None) -> Epoch:
     except ValueError as error:
         raise ValueError(f"the date {date[:100]!r} does not exist: {error}") from error
     if day_of_year:
-        first += int(day_of_year) - 1
-        if datetime.date.fromordinal(first).year != int(year) or day_of_year == "000":
+        if not 1 <= int(day_of_year) <= 365 + calendar.isleap(int(year)):
             raise ValueError(f"the date {date[:100]!r} does not exist: {year} has no day {day_of_year}")
+        first += int(day_of_year) - 1
     seconds = Fraction(second or 0)
     if int(hour or 0) > 24 or int(minute or 0) > 59 or seconds >= 61:
         raise ValueError(f"the date {date[:100]!r} has no time of a day: hours to 24, minutes to 59, seconds to 60")

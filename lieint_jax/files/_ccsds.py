@@ -96,7 +96,7 @@ def rows_of(segment: Segment, columns: Sequence[int], keys: Sequence[str]) -> Pa
         text.fail(segment.line, "the segment that begins here has no rows: the file is cut short")
     moments, values = [], []
     for line, words in segment.rows:
-        moments.append(moment(text, line, words[0], scale))
+        moments.append(moment(text, line, words[0].removesuffix("Z"), scale))
         if len(words) - 1 not in columns:
             counts = " or ".join(map(str, columns))
             text.fail(line, f"a row must be an epoch and {counts} numbers, got {len(words) - 1}")
@@ -106,7 +106,7 @@ def rows_of(segment: Segment, columns: Sequence[int], keys: Sequence[str]) -> Pa
     for key, end, sign in (("START_TIME", times[0], -1), ("STOP_TIME", times[-1], 1)):
         if key in segment.meta:
             line = segment.meta[key][0]
-            missing = sign * (moment(text, line, segment.get(key), scale) - moments[0] - end)
+            missing = sign * (moment(text, line, segment.get(key).removesuffix("Z"), scale) - moments[0] - end)
             if missing > max(step, 1e-3):
                 what = f"the rows miss {missing:g} s at {key}: the file may be cut short"
                 warnings.warn(f"{text.name}, line {line}: {what}", stacklevel=4)
@@ -119,7 +119,7 @@ def moment(text: Text, line: int, word: str, scale: str | None) -> dates.Epoch:
     if word.count(":") == 2 and word.split(":")[2].startswith("60"):
         text.fail(line, f"{_checks.printable(word)} is in a leap second, which no time here counts: give dates in TAI")
     try:
-        return dates.epoch(word.removesuffix("Z") if scale else word, scale)
+        return dates.epoch(word, scale)
     except (ValueError, OverflowError) as error:
         return text.fail(line, _checks.printable(str(error), 400))
 

@@ -234,24 +234,29 @@ def _symbol(letters: str) -> str:
 
 def _pdb_residues(text: Text) -> Iterator[list[_Row]]:
     """The atoms of each residue: rows with one chain, number and insertion code, up to TER."""
-    rows, last = [], ""
+    rows: list[_Row] = []
+    first = ("", "", "")  # of the residue's first atom: chain, number and code; name of the residue; alternate location
     places: dict[str, str] = {}  # the alternate location of each name in the residue
     for number, line in enumerate(text.lines, 1):
         record = line[:6].rstrip().upper()
-        if record in ("TER", "ENDMDL", "END"):
+        if record[:3] == "TER" or record in ("ENDMDL", "END"):
             if rows:
                 yield rows
-            rows, last, places = [], "", {}
-            if record != "TER":
+            rows, first, places = [], ("", "", ""), {}
+            if record[:3] != "TER":
                 return
-        if record not in ("ATOM", "HETATM"):
+        if record[:4] != "ATOM" and record != "HETATM":  # serial numbers from 100 000 begin in column 6
             continue
         if len(line) < 54:
             text.fail(number, f"an atom needs coordinates in columns 31 to 54, got {_checks.printable(line)!r}")
-        if line[17:27] != last and rows:
-            yield rows
-            rows, places = [], {}
-        name, last = line[12:16].strip(), line[17:27]
+        here = line[21:27], line[17:21], line[16]
+        if here[0] == first[0] and here[1] != first[1] and " " not in (here[2], first[2]):
+            continue  # of another residue, which is an alternate of this one
+        if here[:2] != first[:2]:
+            if rows:
+                yield rows
+            rows, first, places = [], here, {}
+        name = line[12:16].strip()
         if places.setdefault(name, line[16]) != line[16]:
             continue
         at = text.numbers(number, (line[k : k + 8] for k in (30, 38, 46)), "a coordinate")

@@ -146,7 +146,7 @@ def read_tle(lines: str | Path | Sequence[str], *, satellite: str | int | None =
 
     Source: Vallado et al. 2006, AIAA 2006-6753; alpha-5 catalog numbers: space-track.org.
     """
-    if isinstance(lines, Path) or (isinstance(lines, str) and not re.search(r"[\r\n]", lines)):
+    if isinstance(lines, Path) or (isinstance(lines, str) and lines and not re.search(r"[\r\n]", lines)):
         text = read_text(lines)
     else:
         joined = lines if isinstance(lines, str) else "\n".join(map(str, lines))
@@ -164,6 +164,9 @@ def read_tle(lines: str | Path | Sequence[str], *, satellite: str | int | None =
             name = line.removeprefix("0 ").strip()
     if first is not None:
         text.fail(len(text.lines), "the second line of the elements is missing: the file is cut short")
+    if not found:
+        lines = "a line of 69 characters that begins with '1 ', then one with '2 '"
+        text.fail(0, f"elements of one satellite are needed, got 0: give {lines}")
     return _chosen(text, found, satellite)
 
 
@@ -213,6 +216,10 @@ def _checked(text: Text, line: int, found: MeanElements) -> MeanElements:
 def _chosen(text: Text, found: Sequence[MeanElements], satellite: str | int | None) -> MeanElements:
     """The one satellite of this name or number, or the only one."""
     wanted = [x for x in found if satellite is None or str(satellite) in (x.name, str(x.catalog_number))]
+    epochs = sorted({str(x.epoch) for x in wanted})
+    if len({x.catalog_number or x.name for x in wanted}) == 1 < len(epochs):
+        name, span = _checks.printable(wanted[0].name), f"from {epochs[0]} to {epochs[-1]}"
+        text.fail(0, f"there are elements of {name} for {len(epochs)} epochs, {span}: give those of one epoch only")
     if len(wanted) != 1:
         names = _checks.printable(", ".join(f"{x.name} ({x.catalog_number})" for x in (wanted or found)[:8]))
         text.fail(0, f"elements of one satellite are needed, got {len(wanted)}: give satellite=, one of: {names}")

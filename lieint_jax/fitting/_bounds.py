@@ -76,6 +76,8 @@ def _itself(p: Array) -> Array:
 
 def interval(low: float, high: float) -> Bound:
     """The bound low < parameter < high for each component; either end may be infinite."""
+    if np.ndim(low) or np.ndim(high):
+        raise ValueError(f"an interval needs two numbers, got {low} and {high}: give a tree of bounds for several")
     if not low < high:
         raise ValueError(f"an interval needs low < high, got {low} and {high}")
     return _interval(float(low), float(high))

@@ -29,6 +29,7 @@ from lieint_jax.fitting._outcome import End, Fit, Params, number_names, outcome,
 from lieint_jax.fitting._scipy import Look, is_stuck
 from lieint_jax.fitting._scipy import least_squares as by_scipy
 from lieint_jax.fitting._search import (
+    BEYOND,
     GOOD,
     NOWHERE,
     REASONS,
@@ -150,6 +151,8 @@ def fit(
             bounds, or the loss is not a scalar where the optimizer needs one.
     """
     iterations = _checks.count("iterations", iterations, 0)
+    if not 0 <= tolerance < np.inf:
+        raise ValueError(f"tolerance must be a finite number of at least 0, got {tolerance}")
     y, tree = _vector(bounds, params, data, starts)
     problem = _Problem(loss, _flat(bounds), _flat(tree), optimizer, tolerance, target)
     if optimizer == "scipy" and starts:
@@ -171,7 +174,11 @@ def fit(
     end = jax.tree.map(np.asarray, end)
     estimates = programs.params(search.best)
     names = parameter_names(tree)
-    found = outcome(estimates, names, end, history, starts, standardized)
+    cause = ""
+    if np.all(end.code == NOWHERE):
+        first = jax.tree.map(lambda leaf: leaf[0] if starts else leaf, (estimates, data))
+        cause = _cause(loss, "residuals" if problem.has_residuals else "the loss", *first)
+    found = outcome(estimates, names, end, history, starts, standardized, cause)
     if not (standardized and found.stopped in [REASONS[k] for k in GOOD]):
         return found
     if starts:
@@ -181,6 +188,20 @@ def fit(
     if wrong:
         warnings.warn(wrong, UserWarning, stacklevel=2)
     return found._replace(message="; ".join(filter(None, [found.message, wrong])))
+
+
+def _cause(loss: Callable[..., PyTree], result: str, params: PyTree, data: PyTree) -> str:
+    """Why a loss fails: the first number of the data or its `result` that is not finite, a solve, or a derivative."""
+    value, converged = jax.jit(lambda *given: value_and_flag(loss(*given)))(params, *(() if data is None else (data,)))
+    for name, tree in (("data", data), (result, value)):
+        for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+            if not jnp.issubdtype(jnp.result_type(leaf), jnp.inexact):
+                continue
+            bad = np.argwhere(~np.isfinite(leaf))
+            if len(bad):
+                index = tuple(bad[0].tolist())
+                return f"{name}{jax.tree_util.keystr(path)}{list(index) or ''} is {np.asarray(leaf)[index]}"
+    return "a derivative is not finite" if converged else "its solves do not converge"
 
 
 def _vector(bounds: PyTree, params: PyTree, data: PyTree, starts: bool) -> tuple[Array, PyTree]:
@@ -367,7 +388,7 @@ def _by_scipy(
     problem: _Problem, programs: _Programs, search: _Search, data: PyTree, iterations: int
 ) -> tuple[_Search, np.ndarray]:
     """The search, of which the first guess is evaluated, after that of scipy; and the losses of its trials."""
-    if int(search.carry.code) == NOWHERE:
+    if int(search.carry.code) in (NOWHERE, BEYOND):
         return search, np.asarray([search.carry.loss])
 
     def evaluated(x: np.ndarray) -> _Search:

@@ -10,7 +10,19 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax.fitting._box import Box
-from lieint_jax.fitting._search import FLAT, NOWHERE, RUNNING, SETTLED, SHORTENINGS, STILL, STUCK, Carry, Method, where
+from lieint_jax.fitting._search import (
+    BEYOND,
+    FLAT,
+    NOWHERE,
+    RUNNING,
+    SETTLED,
+    SHORTENINGS,
+    STILL,
+    STUCK,
+    Carry,
+    Method,
+    where,
+)
 from lieint_jax.fitting._trust_region import Step, above_rounding, bounded_step, svd
 from lieint_jax.types.shapes import PyTree
 
@@ -96,6 +108,8 @@ def least_squares(
         minute = begun & (jnp.linalg.norm(step.z) <= jnp.finfo(x.dtype).eps * size)
         code = jnp.where((arrived == RUNNING) & (minute | (bad > SHORTENINGS)), STUCK, arrived)
         code = jnp.where(jnp.isfinite(loss), code, NOWHERE)
+        beyond = ok & ~begun & (jnp.isinf(loss) | (loss == 0) & jnp.any(r != 0))
+        code = jnp.where(beyond, BEYOND, code)
         return Carry(x, loss, memory, code.astype(jnp.int32), bad, carry.failures + ~ok)
 
     return Method(first, iterate)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from lieint_jax.fitting._search import GOOD, NOWHERE, REASONS, RUNNING, STUCK
+from lieint_jax.fitting._search import BEYOND, GOOD, NOWHERE, REASONS, RUNNING, STUCK
 from lieint_jax.types.shapes import PyTree
 
 Params = TypeVar("Params")  # a tree of arrays
@@ -22,6 +22,7 @@ _TRY = {
     RUNNING: "raise `iterations`, or fit from several guesses with starts=True",
     STUCK: "look for noise or jumps in the loss and for failing solves, or fit from several guesses with starts=True",
     NOWHERE: "start where loss and gradient are finite and the solves converge",
+    BEYOND: "divide the residuals by their standard deviation",
 }
 
 
@@ -163,7 +164,9 @@ class End(NamedTuple):
     degrees: _Numbers
 
 
-def outcome(params: PyTree, names: list[str], end: End, history: np.ndarray, starts: bool, standardized: bool) -> Fit:
+def outcome(
+    params: PyTree, names: list[str], end: End, history: np.ndarray, starts: bool, standardized: bool, cause: str
+) -> Fit:
     """The `Fit` of a search; with `starts`, that of the search with the least loss.
 
     Args:
@@ -173,6 +176,7 @@ def outcome(params: PyTree, names: list[str], end: End, history: np.ndarray, sta
         history: the losses after each iteration, (iterations + 1,) or (iterations + 1, starts).
         starts: whether there are many.
         standardized: whether χ² must be plausible.
+        cause: why the first guess failed; "" if it did not.
     """
     plausible = _plausible(end) if standardized else np.ones(np.shape(end.code), bool)
     success = np.isin(end.code, GOOD) & plausible
@@ -199,7 +203,7 @@ def outcome(params: PyTree, names: list[str], end: End, history: np.ndarray, sta
         params, end, success, plausible = jax.tree.map(lambda leaf: leaf[best], (params, end, success, plausible))
         history = history[:, best]
     code, made = int(end.code), int(end.made)
-    message = _message(end, names, bool(plausible))
+    message = _message(end, names, bool(plausible), cause)
     if not success and end.covariance is not None:
         warnings.warn(_warning(code, message), RuntimeWarning, stacklevel=3)
     return Fit(
@@ -211,7 +215,7 @@ def outcome(params: PyTree, names: list[str], end: End, history: np.ndarray, sta
         made,
         int(end.failures),
         history[: made + 1],
-        None if code == NOWHERE else end.covariance,
+        None if code in (NOWHERE, BEYOND) else end.covariance,
         every,
         message,
         None if end.degrees is None else int(end.degrees),
@@ -225,10 +229,10 @@ def _plausible(end: End) -> np.ndarray:
     return (2 * end.loss <= degrees * (1 - width + _RARE * np.sqrt(width)) ** 3) | (end.degrees < 1)
 
 
-def _message(end: End, names: list[str], plausible: bool) -> str:
+def _message(end: End, names: list[str], plausible: bool, cause: str = "") -> str:
     """The problem of a search, and remedies."""
     code, good = int(end.code), int(end.code) in GOOD
-    parts = [] if good else [f"{REASONS[code]}: {_TRY[code]}"]
+    parts = [] if good else [f"{REASONS[code]}: {f'{cause}; ' if cause else ''}{_TRY[code]}"]
     if good and not plausible:
         parts.append(
             f"χ² = {2 * end.loss:.4g} is implausible for {end.degrees} degrees of freedom: fit from several guesses "

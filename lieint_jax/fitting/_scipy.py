@@ -54,6 +54,9 @@ def is_stuck(found: Found, look: Look, newton: float, box: Box) -> bool:
 def least_squares(look: Callable[[np.ndarray], Look], x: np.ndarray, box: Box, tolerance: float, trials: int) -> Found:
     """Minimize |r(x)|²/2 inside a box by scipy's trust region; a trial that fails shortens the next step.
 
+    Scipy compares gradients with a number, and steps with the length of all coordinates: so it is given coordinates in
+    units of their derivatives at the first guess, and residuals that are not small there, all by powers of 2.
+
     Args:
         look: evaluates a point.
         x: the first guess, which does not fail.
@@ -71,19 +74,30 @@ def least_squares(look: Callable[[np.ndarray], Look], x: np.ndarray, box: Box, t
     def seen_at(numbers: bytes) -> Look:
         return look(np.frombuffer(numbers))
 
-    def residuals(x: np.ndarray) -> np.ndarray:
+    first = seen_at(x.astype(float).tobytes())
+    enlarged = 1 / min(1.0, _power(first.r))
+    unit = 1 / _power(enlarged * first.J)  # of each coordinate
+
+    def residuals(z: np.ndarray) -> np.ndarray:
+        x = unit * z
         seen = seen_at(x.tobytes())
         losses.append(float(seen.r @ seen.r) / 2 if seen.ok else np.nan)
-        failed.extend([] if seen.ok else [x.copy()])
-        return seen.r if seen.ok else np.full(seen.r.shape, np.nan)
+        failed.extend([] if seen.ok else [x])
+        return enlarged * seen.r if seen.ok else np.full(seen.r.shape, np.nan)
 
-    def jacobian(x: np.ndarray) -> np.ndarray:
-        return seen_at(x.tobytes()).J
+    def jacobian(z: np.ndarray) -> np.ndarray:
+        return enlarged * seen_at((unit * z).tobytes()).J * unit
 
     least = max(tolerance, 2 * np.finfo(x.dtype).eps)
-    sides = [np.broadcast_to(np.asarray(side, float), x.shape) for side in box]
+    sides = [np.broadcast_to(np.asarray(side, float) / unit, x.shape) for side in box]
     find: Any = by_scipy  # whose types take the name of a rule for the Jacobian only
     found = find(
-        residuals, x, jacobian, sides, ftol=least, xtol=least, gtol=least, x_scale="jac", max_nfev=max(trials, 1)
+        residuals, x / unit, jacobian, sides, ftol=least, xtol=least, gtol=least, x_scale="jac", max_nfev=max(trials, 1)
     )
-    return Found(found.x.astype(x.dtype), _CODES[found.status], np.fmin.accumulate(losses), failed)
+    end = (unit * found.x).astype(x.dtype)
+    return Found(end, _CODES[found.status], np.fmin.accumulate(losses), failed)
+
+
+def _power(numbers: np.ndarray) -> np.ndarray:
+    """The power of 2 above the largest of some numbers, or above that of each column; 1 if they are 0."""
+    return np.ldexp(1.0, np.clip(np.frexp(np.max(np.abs(numbers), axis=0))[1], -1000, 1000))

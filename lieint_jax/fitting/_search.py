@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from lieint_jax.types import StepInfo
 from lieint_jax.types.shapes import PyTree
 
-RUNNING, FLAT, STILL, SETTLED, TARGET, STUCK, NOWHERE = range(7)
+RUNNING, FLAT, STILL, SETTLED, TARGET, STUCK, NOWHERE, BEYOND = range(8)
 REASONS = (
     "the iterations were used up",
     "the gradient vanished",
@@ -23,6 +23,7 @@ REASONS = (
     "the target was reached",
     "no step led further down, though the gradient has not vanished",
     "the first guess failed",
+    "the sum of squares at the first guess leaves the range of floating-point numbers",
 )
 GOOD = (FLAT, STILL, SETTLED, TARGET)
 SHORTENINGS = 40  # the most in a row before a search gives up

@@ -1,5 +1,6 @@
 """Files of other software in scenarios, described by `lieint files`, and written by `lieint run --export`."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -198,6 +199,15 @@ def test_a_run_is_exported(lieint):
 )
 def test_what_cannot_be_exported_is_refused_before_the_run(file, message, lieint):
     assert message in lieint.refuse("run", "driven", "--export", file)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".aem"])
+def test_a_run_without_attitudes_is_not_exported_as_such(ending, lieint, monkeypatch):
+    given = ["run", "pendulum", "--set", f"epoch={EPOCH}", "--export", f"x{ending}"]
+    assert f"x{ending} has attitudes of rigid bodies, and Pendulum is none: .nc has any run" in lieint.refuse(*given)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert f"the folder of x{ending} cannot be written to" in lieint.refuse(*given)
+    assert not list(Path().glob("pendulum*"))
 
 
 @pytest.mark.long

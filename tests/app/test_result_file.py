@@ -1,5 +1,6 @@
 """What a study leaves on disk: the whole result, from which its report and its picture are made again."""
 
+import errno
 import json
 import re
 
@@ -94,6 +95,25 @@ def test_only_named_tuples_of_this_package_are_made(tmp_path):
             result_file.load(path)
     with pytest.raises(TypeError, match=r"0.x is of type object"):
         result_file.save(tmp_path / "other.npz", ({"x": object()},), {})
+
+
+@pytest.mark.parametrize("stopped", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+def test_a_file_that_cannot_be_written_whole_leaves_nothing(tmp_path, monkeypatch, stopped):
+    """On a full disk, or where an interrupt comes: the same command runs again, and the message names the file."""
+
+    def savez(file, **_):
+        file.write(b"PK")
+        raise stopped
+
+    path = tmp_path / "tree.npz"
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", savez)
+        with pytest.raises(type(stopped)) as caught:
+            result_file.save(path, TREE, {})
+    assert not path.exists()
+    if isinstance(stopped, OSError):
+        assert cli._sentence(caught.value) == f"{path}: No space left on device"
+    result_file.save(path, TREE, {})
 
 
 def test_two_arrays_of_one_name_and_a_missing_file_are_refused(tmp_path):

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 import lieint_jax as li
 from lieint_jax._cache import use_program_cache
@@ -190,6 +191,7 @@ def no_folder():
     yield
     for name, value in before.items():
         jax.config.update(name, value)
+    compilation_cache.reset_cache()  # which JAX opens once
 
 
 def test_programs_are_stored_in_the_user_s_cache_directory(no_folder, monkeypatch, tmp_path):
@@ -203,6 +205,14 @@ def test_a_custom_cache_folder_is_used(no_folder, monkeypatch, tmp_path):
     monkeypatch.setenv("LIEINT_CACHE", str(tmp_path))
     use_program_cache()
     assert jax.config.jax_compilation_cache_dir.startswith(str(tmp_path))
+
+
+def test_a_read_only_cache_folder_is_read_and_not_written_to(no_folder, monkeypatch, tmp_path):
+    for writable in (False, True):
+        monkeypatch.setattr(os, "access", lambda *_, writable=writable: writable)
+        folder = li.cache_programs(tmp_path)
+        jax.jit(lambda x, k=float(writable): jnp.sin(x) @ jnp.cos(x - k))(jnp.ones((3, 3))).block_until_ready()
+        assert any(folder.iterdir()) == writable
 
 
 def test_lieint_cache_0_disables_the_cache(no_folder, monkeypatch):

@@ -196,6 +196,9 @@ def test_the_command_line_ends_quietly(monkeypatch, capsys):
     monkeypatch.setattr(files.os, "access", lambda *_: False)
     with pytest.raises(ValueError, match="cannot be written to; choose another --out"):
         files.check_writable(Path("run.npz"))
+    for command in (["study", "gyro", "--quick"], ["figure", "1"]):
+        assert cli.main(command) == 2  # before anything is computed
+        assert "cannot be written to" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])

@@ -216,6 +216,57 @@ def test_a_first_guess_that_fails_is_reported(optimizer):
     assert found.params[0] == -1
 
 
+@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "scipy", "lbfgs"])
+def test_what_is_not_finite_at_the_first_guess_is_named(optimizer):
+    data = {"t": T, "y": np.where(np.arange(T.size) == 3, np.inf, DATA)}
+
+    def fitted(loss, guess=(1.0, 0.2), **options):
+        total = (lambda *given: jnp.sum(loss(*given) ** 2)) if optimizer == "lbfgs" else loss
+        return li.fit(total, jnp.array(guess), optimizer, **options).message
+
+    def of_data(p, data):
+        return p[0] * jnp.exp(-p[1] * data["t"]) - data["y"]
+
+    what = "the loss is inf" if optimizer == "lbfgs" else "residuals[3] is -inf"
+    assert "first guess failed: data['y'][3] is inf; start where" in fitted(of_data, data=data)
+    assert f"first guess failed: {what}; start where" in fitted(lambda p: of_data(p, data))
+    assert "first guess failed: a derivative is not finite" in fitted(lambda p: jnp.sqrt(jnp.abs(p)), (0.0, 1.0))
+    if optimizer == "levenberg_marquardt":
+        assert "failed: its solves do not converge; start" in fitted(lambda p: (p, jnp.array(False)))
+        several = {"starts": True, "data": jax.tree.map(lambda x: np.stack([x, x]), data)}
+        assert "data['y'][3] is inf; start where" in fitted(of_data, ((1.0, 0.2), (2.0, 0.3)), **several)
+
+
+@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton", "scipy"])
+@pytest.mark.parametrize("size", [1e-170, 1e170])
+def test_residuals_whose_squares_are_no_numbers_are_no_success(optimizer, size):
+    found = li.fit(lambda p: size * residuals(p), {"a": 1.0, "k": 0.2}, optimizer)
+    assert not found.success
+    assert found.covariance is None
+    assert found.message == (
+        "the sum of squares at the first guess leaves the range of floating-point numbers: divide the residuals by "
+        "their standard deviation"
+    )
+    assert li.fit(lambda p: 0 * residuals(p), {"a": 1.0, "k": 0.2}, optimizer).loss == 0  # which is a number
+
+
+@pytest.mark.quick
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-8, 1e-100, 1e100])
+@pytest.mark.parametrize("optimizer", ["scipy", "levenberg_marquardt", "gauss_newton"])
+def test_the_unit_of_residuals_and_parameters_does_not_matter(optimizer, size):
+    """Scipy itself stops at the first guess where the gradient is below 1e-10."""
+    ours = li.fit(residuals, {"a": 1.0, "k": 0.2}, "gauss_newton", tolerance=1e-14)
+    found = li.fit(
+        lambda p: size * residuals({"a": p["a"] / 1e-20, "k": p["k"] / 1e20}), {"a": 1e-20, "k": 0.2e20}, optimizer
+    )
+    assert found.success
+    both = [[float(x["a"]) * u, float(x["k"]) / u] for x, u in ((found.params, 1e20), (ours.params, 1.0))]
+    np.testing.assert_allclose(*both, rtol=1e-6)  # 1e-8; the standard errors are 1e-3
+    errors = found.standard_errors["a"] * 1e20 * size, found.standard_errors["k"] / 1e20 * size
+    np.testing.assert_allclose(errors, list(ours.standard_errors.values()), rtol=1e-5)
+
+
 def test_many_starts_are_fitted_at_once_and_the_best_is_returned():
     def loss(x):
         return jnp.array([jnp.sin(3 * x) + 0.2 * x**2 + 0.1 * x + 2])  # minima of different depths

@@ -4,6 +4,7 @@
 and files, and those of a run, are in the tests of these.
 """
 
+import datetime
 import functools
 
 import jax
@@ -208,6 +209,9 @@ ORBITS = [
     (lambda: epoch("2024-03-01 PST"), "one of UTC, UT1"),
     *rows(epoch, "a Julian date", float("nan"), None),
     (lambda: epoch("2024-03-01 TT", "UTC"), "is in TT, and UTC was asked for"),
+    (lambda: epoch(datetime.datetime(2024, 3, 1, tzinfo=datetime.UTC), "TT"), "is in UTC, and TT was asked for"),
+    (lambda: epoch("9999-366"), "9999 has no day 366"),
+    (lambda: epoch("2024-03-01") + float("inf"), "must be finite, got inf"),
     (lambda: epoch("2024-03-01 TT").to("UTC"), "leap seconds"),
     (lambda: orbits.graded_times(FLYBY, 0.0, 1.0, 8, c=0.0), "c must be positive and finite"),
 ]
@@ -895,6 +899,8 @@ OTHERS = [
         "the loss returned no residuals",
     ),
     (lambda: li.fitting.interval(2.0, 1.0), "an interval needs low < high, got 2.0 and 1.0"),
+    (lambda: li.fitting.interval(np.zeros(2), 1.0), "an interval needs two numbers, .*: give a tree of bounds"),
+    *rows(lambda tolerance: fit(tolerance=tolerance), "tolerance must be a finite number of at least 0", -1.0, np.nan),
     (lambda: fit(bounds=li.fitting.interval(-1.0, 0.0), starts=True), "inside their bounds"),
     (lambda: groups.matrix(BASIS), r"bracket of basis\[0\] and basis\[1\] leaves the span"),
     (lambda: groups.matrix(BASIS[[0, 2, 0]] + [0 * EYE, 0 * EYE, BASIS[2]]), r"basis\[2\] is a combination of"),

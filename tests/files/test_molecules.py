@@ -142,6 +142,19 @@ def test_residues_alternate_locations_models_and_names_of_pdb(tmp_path):
         files.read_molecules(path)
 
 
+def test_a_residue_with_an_alternate_of_another_kind_is_one(tmp_path):
+    """As residue 22 of crambin (1EJG), proline or serine: only the first is read. Six digits of serials begin early."""
+    at, path = np.arange(15.0).reshape(5, 3), tmp_path / "a.pdb"
+    rows = [(" N  ", "PRO", "A"), (" N  ", "SER", "B"), (" CG ", "PRO", "A"), (" OG ", "SER", "B")]
+    lines = [pdb_atom(k, name, 22, at[k], kind_name=kind, alternate=x) for k, (name, kind, x) in enumerate(rows)]
+    last = pdb_atom(4, " CA ", 23, at[4], kind="ATOM", kind_name="GLY")
+    for serial in ("ATOM      4", "ATOM  99999", "ATOM 100000"):
+        path.write_text("".join([*lines, last.replace("ATOM      4", serial)]))
+        found = files.read_molecules(path)
+        assert [x.names for x in found] == [("N", "CG"), ("CA",)], serial
+        np.testing.assert_array_equal(np.concatenate([x.positions for x in found]), at[::2])
+
+
 def test_a_straight_molecule_takes_an_axial_moment(tmp_path):
     path = tmp_path / "co2.xyz"
     path.write_text("3\n\nO 0 0 0\nC 0.672 0.672 0.672\nO 1.344 1.344 1.344\n")

@@ -371,6 +371,9 @@ def test_columns_of_a_table_are_read_by_name(tmp_path):
         ValueError, match=r"e\.csv: positions and velocities disagree: from t = .* the positions move by"
     ):
         files.read_ephemeris_csv(path, **names, unit_length="km", unit_velocity=1e-3)
+    path.write_text(path.read_text().replace(f"{dates[3]};", f"{dates[3]}Z;"))
+    with pytest.raises(ValueError, match=r"e\.csv, line 6: the date '.*Z' is in UTC, and TDB was asked for"):
+        files.read_ephemeris_csv(path, **names, unit_length="m", unit_velocity=1e-3, epoch=EPOCH)
 
 
 def kepler(M, e):

@@ -247,6 +247,7 @@ def _files(options: argparse.Namespace) -> None:
 
 def _figure(options: argparse.Namespace) -> None:
     from lieint_jax.app import plots
+    from lieint_jax.app.command import files
     from lieint_jax.app.command import list as listing
     from lieint_jax.app.command.figures import FIGURES
 
@@ -254,7 +255,7 @@ def _figure(options: argparse.Namespace) -> None:
     if unknown:
         every = " ".join(sorted(FIGURES))
         raise ValueError(f"figure {unknown[0]} is not one of those recomputed; lieint figure {every} draws them all")
-    options.out.mkdir(parents=True, exist_ok=True)
+    files.make_folder(options.out)
     for n in options.figures:
         listing.announce(f"figure {n}")
         show(FIGURES[n](options.out))

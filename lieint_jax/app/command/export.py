@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from lieint_jax import files
 from lieint_jax.app.scenarios._files import SECONDS
 from lieint_jax.app.scenarios._kind import Kind
+from lieint_jax.capabilities import AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.dates import epoch
 from lieint_jax.runs import Run
+from lieint_jax.types import System
 
 
-def check(path: Path, scenario: Kind) -> None:
-    """Raise ValueError, before the run, if it cannot be written to this file."""
+def check(paths: Iterable[Path], scenario: Kind) -> None:
+    """Raise ValueError, before the run, if it cannot be written to these files."""
+    for path in paths:
+        _check(path, scenario)
+
+
+def _check(path: Path, scenario: Kind) -> None:
     if path.suffix not in _WRITERS:
         raise ValueError(f"--export writes {', '.join(_WRITERS)}, got {path}")
     if path.exists():
         raise ValueError(f"{path} exists: remove it, or give another --export")
     if not path.absolute().parent.is_dir():
         raise ValueError(f"there is no folder {path.absolute().parent} for {path}")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise ValueError(f"the folder of {path} cannot be written to: give another --export")
     if path.suffix not in (".aem", ".oem"):
         return
     if scenario.date_of_zero() is None:
@@ -29,6 +39,15 @@ def check(path: Path, scenario: Kind) -> None:
         raise ValueError(f"{path} is in seconds: time_unit must be one of {', '.join(SECONDS)}")
     if path.suffix == ".oem" and scenario.unit_km is None:
         raise ValueError(f"{path} is in km, and a scenario of the kind {scenario.system} has no unit of length")
+
+
+def check_system(paths: Iterable[Path], system: System) -> None:
+    """Raise ValueError, before the run, if one of these files has attitudes, and a run of this system has none."""
+    for path in paths:
+        several = {".csv": (), ".aem": (AbstractManyBodies,)}.get(path.suffix)
+        if several is not None and not isinstance(system, (AbstractRotatingBody, *several)):
+            name = type(system).__name__
+            raise ValueError(f"{path} has attitudes of rigid bodies, and {name} is none: .nc has any run")
 
 
 def write(path: Path, run: Run, scenario: Kind) -> None:

@@ -36,9 +36,19 @@ def check_writable(path: Address, kinds: Iterable[str] = (), resume: bool = Fals
             more = "; resume continues it" if file.suffix == ".zarr" else ""
             raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out{more}")
     check_folder(path.parent)
-    if not os.access(path.parent, os.W_OK):
-        raise ValueError(f"the folder {path.parent} cannot be written to; choose another --out")
+    _check_access(path.parent)
     return path
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, if it does not exist; ValueError if nothing can be written to it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    _check_access(folder)
+
+
+def _check_access(folder: Path) -> None:
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"the folder {folder} cannot be written to; choose another --out")
 
 
 def check_folder(folder: Path) -> None:

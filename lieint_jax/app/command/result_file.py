@@ -33,8 +33,7 @@ def save(path: Path, tree: PyTree, metadata: dict[str, Any]) -> None:
     """
     arrays: dict[str, np.ndarray] = {}
     written = metadata | {"tree": _encode(tree, "", arrays)}
-    with path.open("xb") as file:
-        np.savez(file, allow_pickle=False, **arrays, metadata=np.array(json.dumps(written)))
+    archives.write_archive(path, arrays | {"metadata": np.array(json.dumps(written))})
 
 
 def metadata(path: Path) -> dict[str, Any] | None:

@@ -61,8 +61,7 @@ def run(
     resume = resume or part is not None or parts is not None  # a part always continues what it finds
     times = save_at and files.read_numbers(save_at)
     scenario = scenarios.load(name, given, members=members, steps=steps, save_at=times)
-    for path in exports:
-        export.check(path, scenario)
+    export.check(exports, scenario)
     if exports and part is not None:
         raise ValueError("--export writes the whole run: open the store of all parts in Python, with li.open")
     drawings = scenario.pictures() if pictures else {}
@@ -80,6 +79,7 @@ def run(
         step, states = scenarios.build_first(scenario, 1), partial(scenarios.states_of, scenario)
     else:
         step, states = scenario.build()
+    export.check_system(exports, step.system)
     show_time("making the scenario")
     if leader:
         show(info.headline(scenario, step))

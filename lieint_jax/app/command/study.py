@@ -46,7 +46,7 @@ def run(name: str, out: Path, quick: bool) -> None:
     """
     own = name.endswith(".py")
     study = _own_study(Path(name)) if own else _find_study(name)
-    out.mkdir(parents=True, exist_ok=True)
+    files.make_folder(out)
     path = files.unused_path(out / f"study-{Path(name).stem if own else name}.npz", _pictures)
     result = study.run(quick=quick)
     show_time("the study")

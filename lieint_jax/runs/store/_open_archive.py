@@ -137,8 +137,24 @@ def write_trajectory(
         t = np.asarray(arrays.pop("t"))
         arrays[TIME] = t[:, :1] if (t == t[:, :1]).all() else t
     arrays |= own | trajectory.info._asdict() | {"metadata": np.array(json.dumps(metadata))}
-    with path.open("xb") as file:
-        np.savez(file, allow_pickle=False, t=trajectory.t, **arrays)
+    write_archive(path, {"t": trajectory.t, **arrays})
+
+
+def write_archive(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write arrays as a new .npz. An existing file is not replaced, and nothing is left where writing fails.
+
+    Raises:
+        OSError: the file exists or cannot be written, as on a full disk.
+    """
+    file = path.open("xb")
+    try:
+        with file:
+            np.savez(file, allow_pickle=False, **arrays)
+    except BaseException as error:
+        path.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
 
 
 def _check_scenario(scenario: Table, entries: int, members: int) -> None:
