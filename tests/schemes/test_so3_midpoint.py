@@ -86,8 +86,8 @@ def loss(J, z, dt, kappa):
 
 @pytest.mark.parametrize("kappa", [kappa_symplectic, kappa_cayley], ids=lambda k: k.name)
 def test_the_energy_has_no_slope(kappa):
-    """Observed (2 ± 3)e-5 and (6 ± 3)e-5 eps a step. Functions of J alone are rounded in the same way in each step: with
-    them the slope was -1.2e-3 by the scalar form (tr, adj and det), -6e-4 by the vector form (J₃ − J₁).
+    """Observed (2 ± 3)e-5 and (6 ± 3)e-5 eps a step. Functions of J alone are rounded in the same way in each step:
+    with them the slope was -1.2e-3 by the scalar form (tr, adj and det), -6e-4 by the vector form (J₃ − J₁).
     """
     states = jax.vmap(lambda Omega: BODY.state(angular_velocity=Omega))(np.random.default_rng(1).normal(size=(256, 3)))
     run = li.run(li.schemes.so3_midpoint(BODY, kappa), states, 0.1, 100_000, save_every=None, progress=False)
