@@ -104,7 +104,8 @@ def _refuse_gaps(gaps: Array, wanted: Array) -> None:
 @compiled
 def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
     """The states, and the relative error of the trapezoidal rule from one saved state to the next; ≥ 1 is too large."""
-    t, space = trajectory.t, system.phase_space
+    t = trajectory.t
+    space: Any = system.phase_space
     sign = jnp.where(t[-1] < t[0], -1, 1)
     left = jnp.clip(jnp.searchsorted(sign * t, sign * times, side="right") - 1, 0, len(t) - 2)
     inside = (sign * t[0] <= sign * times) & (sign * times <= sign * t[-1])

@@ -291,6 +291,10 @@ CASES = {
         a=jnp.array([0.3, 0.4]),
         b=jnp.array([0.7]),
     ),
+    "potentials.force": (
+        lambda x, R: potentials.force(potentials.rod([1.0], (1.0, 1, 2), (1.0, 1, 1)), x, R),
+        dict(x=jnp.eye(2, 3), R=ROTATIONS),
+    ),
     "potentials.torques": (potentials.torques, dict(R=ROTATIONS, along_R=ROTATIONS[::-1] + 0.1)),
     **{
         f"maps.{map_.__name__}": (lambda theta, map_=map_: map_(so3, theta), dict(theta=THETA))
