@@ -85,6 +85,35 @@ def rod_first_calls():
     return [min(first.values()), max(first.values())]
 
 
+def over_step(what, less):
+    """The least and the greatest time of a step with tangent vectors over that of the step alone, less some steps."""
+    ratios = [x["seconds"][what] / x["seconds"]["step alone"] - less for x in result("tangent")["rows"]]
+    return [min(ratios), max(ratios)]
+
+
+def jvp_over_closed_form():
+    ratios = [x["seconds"] for x in result("tangent")["rows"] if x["closed"]]
+    ratios = [x["jvp, 1 vector"] / x["tangent, 1 vector"] for x in ratios]
+    return [min(ratios), max(ratios)]
+
+
+def host_part():
+    """Milliseconds of short calls of `li.run`: of free bodies, of satellites, and with `reduce`."""
+    later = {x["call"]: 1e3 * x["second"] for x in result("compile")["others"]}
+    return [later["ensemble.run" + kind] for kind in ("", ", satellites on an orbit", ", the range of the energy")]
+
+
+def quick_over_jit():
+    """The first gradient by `li.jit` over that by `jax.jit`."""
+    ratios = [x["quick reverse"]["first"] / x["reverse"]["first"] for x in result("compile")["rows"]]
+    return [min(ratios), max(ratios)]
+
+
+def drift_of_energy():
+    rows = result("free_rigid_body")["quality"]
+    return [x["energy_drift"] for x in rows if (x["name"], x["dtype"]) == ("ours, symplectic κ", "float64")]
+
+
 def measured_names():
     """What the rows of `tests/data/quoted_numbers.toml` are computed from."""
     ours = rate("so3_midpoint, symplectic κ")

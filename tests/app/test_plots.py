@@ -103,7 +103,7 @@ def test_figures_are_saved_in_one_place_and_never_by_pyplot():
 @pytest.mark.long
 def test_the_style_ends_with_the_figure_and_import_changes_nothing(tmp_path):
     code = (
-        "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax import plots;"
+        "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax.app import plots;"
         "assert dict(matplotlib.rcParams) == before; print(plots.COLORS[1])"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == plots.RED
