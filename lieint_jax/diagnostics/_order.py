@@ -114,12 +114,8 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
 
 @partial(compiled, once=True)
 def _distance(step: Step, a: State, b: State) -> Scalar:
-    return distance(a, b, step.system.phase_space)
-
-
-@partial(compiled, once=True)
-def _return_distance(step: Step, returned: State, state: State) -> Scalar:
-    return distance(returned, state, step.system.phase_space, scale=swinging(step.system, state))
+    """`distance` in units of b, also if it is at rest."""
+    return distance(a, b, step.system.phase_space, scale=swinging(step.system, b))
 
 
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:
@@ -135,7 +131,7 @@ def reversibility_of_run(step: Step, state: State, dt: Array, most: int) -> Scal
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))
     returned = _measure.run(step, there, back, 1, most)
-    found, accepted = _return_distance(step, _measure.last(returned), state), returned.info.converged[1]
+    found, accepted = _distance(step, _measure.last(returned), state), returned.info.converged[1]
     if step.approximate or (concrete(accepted) and accepted):
         return found
     return jnp.where(accepted, found, jnp.inf)
