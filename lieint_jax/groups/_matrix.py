@@ -182,18 +182,16 @@ class MatrixGroup:
         """ξ with exp ξ̂ = q, for q near the identity: to round-off for rotations by up to 3 radians.
 
         Beyond, it is NaN or, where ξ̂ has several eigenvalues, another logarithm. The corrections converge
-        quadratically, so after a last one below √ε (1 + |ξ̂|)², as matrices entry by entry, only rounding errors remain.
+        quadratically, so after a last one below √ε (1 + |ξ̂|²) only rounding errors remain.
         """
 
         def improve(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
             xi, _found = carry
             rest = 2 * self.vee(_artanh(self.exp(-xi) @ q))
             turn = self.ad(xi, rest)
-            last, size = (jnp.abs(self.hat(jax.lax.stop_gradient(x))) for x in (rest, xi))
-            small = jnp.all(last <= close * (one + size) @ (one + size))
-            return xi + rest + turn / 2 + self.ad(xi, turn) / 12, small
+            last, size = (_square(self.hat(jax.lax.stop_gradient(x))) for x in (rest, xi))
+            return xi + rest + turn / 2 + self.ad(xi, turn) / 12, last <= jnp.finfo(q.dtype).eps * (1 + size) ** 2
 
-        one, close = jnp.eye(len(q), dtype=q.dtype), jnp.sqrt(jnp.finfo(q.dtype).eps)
         guess = self.vee(_rough_log(q)), jnp.zeros((), bool)
         xi, found = jax.lax.fori_loop(0, _CORRECTIONS, improve, guess)
         return jnp.where(found, xi, jnp.nan)
@@ -563,6 +561,11 @@ def _in_blocks(weights: Sequence[float], powers: Sequence[la.Matrix], next_power
 
 def _sum_and_difference(even: la.Matrix, odd: la.Matrix) -> tuple[la.Matrix, la.Matrix]:
     return even + odd, even - odd
+
+
+def _square(X: SquareMatrix) -> Scalar:
+    """max_i Σ_j |X_ij X_ji|, about |X|² of a rotation: the same in any units of the basis, and 0 for translations."""
+    return jnp.max(jnp.sum(jnp.abs(X * X.T), axis=1))
 
 
 def _rough_log(q: SquareMatrix) -> Array:

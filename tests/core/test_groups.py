@@ -165,6 +165,8 @@ def test_log_of_rotations_by_up_to_three_radians(name):
     units = np.where(np.arange(g.dim) < 3, 1, 1e6) if name == "SE(3)" else np.ones(g.dim)
     q = np.array([expm(hat(g, x * units)) for x in xi])
     np.testing.assert_allclose(log(q) / units, xi, rtol=0, atol=1e-13)
+    near = np.array([expm(hat(g, -x * units)) for x in xi]) @ q  # the identity but for rounding, with a logarithm too
+    np.testing.assert_allclose(log(near) / units, 0, rtol=0, atol=2e-15)  # observed 5e-16
     if name == "SE(3)":
         farther = [3.13 / 3 * x * units for x in xi[12:] for units in (np.ones(6), [1, 1, 1, 1e9, 1e9, 1e9])]
         assert np.isnan(log(np.array([expm(hat(g, x)) for x in farther]))).all()
