@@ -4,8 +4,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-import lieint_command
-from lieint_jax.app.command import cli
+from lieint_jax.app.command import cli, entry
 
 ROOT = Path(__file__).parents[2]
 
@@ -23,13 +22,16 @@ def test_an_interrupt_while_jax_is_imported_is_one_line(monkeypatch, capsys):
         for name in ("lieint_jax.app.command", "lieint_jax.app.command.cli"):
             patch.delitem(sys.modules, name)
         patch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
-        assert lieint_command.main() == 130
+        assert entry.main() == 130
     assert capsys.readouterr().err == "lieint: interrupted\n"
     monkeypatch.setattr(cli, "main", lambda: 7)
-    assert lieint_command.main() == 7
+    assert entry.main() == 7
 
 
 def test_the_entry_is_the_same_for_pip_and_conda():
-    [entry] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"].items()
-    assert entry == ("lieint", "lieint_command:main")
-    assert "- {} = {}\n".format(*entry) in (ROOT / "docs/conda/recipe.yaml").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    [script] = project["project"]["scripts"].items()
+    assert script == ("lieint", "lieint_command:main")
+    included = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    assert included == {Path(entry.__file__).relative_to(ROOT).as_posix(): "lieint_command.py"}
+    assert "- {} = {}\n".format(*script) in (ROOT / "docs/conda/recipe.yaml").read_text(encoding="utf-8")

@@ -1,6 +1,6 @@
 """The command `lieint` as it is installed: an interrupt ends it in one line, even while JAX is imported.
 
-It is outside of `lieint_jax`, of which no module can be imported before JAX.
+It is installed as the module `lieint_command`, outside of the package, of which no module can be imported before JAX.
 """
 
 import sys
