@@ -20,6 +20,7 @@ from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import fitted_order, reversibility_of_run
 from lieint_jax.diagnostics._symplectic import dimensionless_defect
 from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
+from lieint_jax.diagnostics.tangent import swinging
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, energy_less_work, start_time
 
@@ -169,7 +170,8 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
     seen = jax.device_get(_measure_invariants(step.system, run))
     form, coarse, fine = _on_arrays(step), math.nan, math.nan
     if step.system.hamiltonian:
-        coarse, fine = (float(dimensionless_defect(form, state, x)) for x in (h, _checks.as_array(np.asarray(h) / 2)))
+        halves = h, _checks.as_array(np.asarray(h) / 2)
+        coarse, fine = (float(dimensionless_defect(form, state, x, seen.scale)) for x in halves)
     floor = 32 * float(jnp.finfo(h.dtype).eps) * max(1, step.system.phase_space.dim / 6)
     power = math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf
     rounding = power < 1 and coarse < 10 * floor  # which does not fall with dt
@@ -185,7 +187,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         symplectic_defect=coarse,
         symplectic_order=math.inf if rounding else power,
         order=fitted_order(step, state, dt, _SPAN, most),
-        reversibility=float(reversibility_of_run(step, state, h, most)),
+        reversibility=float(reversibility_of_run(step, state, h, most, seen.scale)),
         residual=float(run.info.residual.max()),
         converged=bool(run.info.converged.all()),
         work=state.work is not None,
@@ -207,6 +209,7 @@ class MeasuredInvariants(NamedTuple):
         momentum, total, terms: max|Φ_n − Φ₀|, max|Φ₀|, and the largest sum of absolute terms of a component of Φ₀;
             nan, 0 and 0 where there is no momentum map.
         constraint: the largest defect of the configuration.
+        scale: the state that gives the units of momenta, see `tangent.swinging`.
     """
 
     energy: ArrayLike
@@ -215,6 +218,7 @@ class MeasuredInvariants(NamedTuple):
     total: ArrayLike
     terms: ArrayLike
     constraint: ArrayLike
+    scale: State
 
 
 @partial(compiled, once=True)
@@ -236,6 +240,7 @@ def _measure_invariants(system: System, run: Trajectory) -> MeasuredInvariants:
         total=0.0 if none else jnp.max(jnp.abs(total)),
         terms=0.0 if none else jnp.max(_terms(system, moving)),
         constraint=jnp.max(jnp.abs(jax.vmap(system.phase_space.defect)(run.state))),
+        scale=swinging(system, start),
     )
 
 

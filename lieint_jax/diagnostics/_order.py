@@ -15,7 +15,7 @@ from lieint_jax._checks import as_array, concrete
 from lieint_jax._numerics import collocation
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
-from lieint_jax.diagnostics.tangent import distance, swinging
+from lieint_jax.diagnostics.tangent import distance, scale_at
 from lieint_jax.types import State, Step, System, clock, time_derivative
 from lieint_jax.types.shapes import Scalar
 
@@ -95,7 +95,8 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
     def look(n: int) -> None:
         run = _measure.run(step, state, as_array(T / n, dtype), n, most)
         last = _measure.last(run)
-        error = float(_distance(step, last, exact(clock(last) - clock(state)) if end is None else end))
+        true = exact(clock(last) - clock(state)) if end is None else end
+        error = float(_distance(step, last, true, true))
         if error > floor and run.info.converged.all():
             seen[T / n] = error
 
@@ -113,9 +114,8 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
 
 
 @partial(compiled, once=True)
-def _distance(step: Step, a: State, b: State) -> Scalar:
-    """`distance` in units of b, also if it is at rest."""
-    return distance(a, b, step.system.phase_space, scale=swinging(step.system, b))
+def _distance(step: Step, a: State, b: State, scale: State) -> Scalar:
+    return distance(a, b, step.system.phase_space, scale=scale)
 
 
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:
@@ -123,15 +123,16 @@ def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:
 
     It is infinite if the step of −dt does not converge, as those of a sampled law, which has no way back.
     """
-    return reversibility_of_run(*_measure.checked(step, state, dt, 1), 1)
+    step, state, h = _measure.checked(step, state, dt, 1)
+    return reversibility_of_run(step, state, h, 1, scale_at(step.system, state))
 
 
-def reversibility_of_run(step: Step, state: State, dt: Array, most: int) -> Scalar:
+def reversibility_of_run(step: Step, state: State, dt: Array, most: int, scale: State) -> Scalar:
     """`reversibility` of checked arguments, by the program of runs of up to `most` steps."""
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))
     returned = _measure.run(step, there, back, 1, most)
-    found, accepted = _distance(step, _measure.last(returned), state), returned.info.converged[1]
+    found, accepted = _distance(step, _measure.last(returned), state, scale), returned.info.converged[1]
     if step.approximate or (concrete(accepted) and accepted):
         return found
     return jnp.where(accepted, found, jnp.inf)

@@ -9,7 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._xla import compiled
-from lieint_jax.diagnostics.tangent import swinging, units, value_and_jacobian
+from lieint_jax.diagnostics.tangent import units, value_and_jacobian
 from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PhaseMatrix, Scalar
 
@@ -40,9 +40,9 @@ def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Scalar:
 
 
 @partial(compiled, once=True)
-def dimensionless_defect(step: Step, state: State, dt: Array) -> Scalar:
-    """The symplectic defect with δq and δp in units of the state, such as max|π|."""
-    of_q, of_p = units(step.system.phase_space, swinging(step.system, state))
+def dimensionless_defect(step: Step, state: State, dt: Array, scale: State) -> Scalar:
+    """The symplectic defect with δq and δp in units of the state `scale`, such as max|π|."""
+    of_q, of_p = units(step.system.phase_space, scale)
     unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))
     return jnp.max(jnp.abs(unit[:, None] * defect_matrix(step, state, dt) * unit[None]))
 

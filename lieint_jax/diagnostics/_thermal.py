@@ -16,6 +16,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import reversibility_of_run
 from lieint_jax.diagnostics._symplectic import dimensionless_defect
+from lieint_jax.diagnostics.tangent import scale_at
 from lieint_jax.types import State, Step, Trajectory
 
 _BLOCKS = 20  # of a run, for the standard error of a mean
@@ -95,7 +96,9 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
     eps = float(jnp.finfo(h.dtype).eps)
     exact = sizes[0] <= 64 * eps * (abs(float(less[0])) + kT) or sizes[1] == 0
     slope, slope_error = _slope(less, float(dt))
-    form, back = float(dimensionless_defect(quiet, state, h)), float(reversibility_of_run(quiet, state, h, 1))
+    scale = scale_at(quiet.system, state)
+    form = float(dimensionless_defect(quiet, state, h, scale))
+    back = float(reversibility_of_run(quiet, state, h, 1, scale))
     floor = 32 * eps * step.system.phase_space.dim
     accepted = not step.metropolis or (form <= floor and back <= floor)
     rejected = _extra_series(run, "rejections") if step.metropolis else np.zeros(1)

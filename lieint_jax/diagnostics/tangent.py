@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import TypeVar
 
 import jax
@@ -95,10 +94,12 @@ def swinging(system: System, state: State) -> State:
     return state._replace(p=jnp.where(size < _SLOW * least, natural, p).reshape(state.p.shape))
 
 
-@partial(compiled, once=True)
+scale_at = compiled(swinging, once=True)
+
+
 def units_at_start(system: System, state: State) -> PhaseVector:
     """The units of δq and δp, (2d,), as `units`, also of a state at rest."""
-    return jnp.concatenate(units(system.phase_space, swinging(system, state)))
+    return jnp.concatenate(units(system.phase_space, scale_at(system, state)))
 
 
 def orthonormalize(W: TangentVectors) -> tuple[Array, Array]:
