@@ -35,7 +35,6 @@ from lieint_jax.schemes._shared.half_rotation import (
     ITERATIONS,
     SLENDER,
     attitude_error_limit,
-    cross_apply,
     gyroscopic,
     on_branch,
 )
@@ -159,7 +158,7 @@ def _solve(kappa: Kappa, alpha: Array, J: Symmetric, a: Vector, iterations: int)
         return J @ y + kappa(4 * dot(y, y)) * y_cross_w(y) - a
 
     def y_cross_w(y: Vector) -> Vector:
-        return b * cross_apply(y, J) + c * cross(y, a)
+        return cross(y, b * (J @ y) + c * a)
 
     def jacobian(y: Vector) -> Matrix:
         """J + κ(b(ŷJ − (Jy)^) − c â) + 8κ′(y × w)⊗y."""

@@ -177,9 +177,12 @@ def solve_vector(
 
 
 def gyration(kappa: Kappa, J: Symmetric, y: Vector, b: VectorLike | None = None) -> Vector:
-    """Jy + b + κ y × (Jy + b), the left side of the vector form; b = 0 if it is None."""
-    Jy = J @ y if b is None else J @ y + b
-    return Jy + kappa(4 * dot(y, y)) * cross_apply(y, J, b)
+    """Jy + b + κ y × (Jy + b), the left side of the vector form; b = 0 if it is None.
+
+    Differences of moments, as in `gyroscopic`, are rounded alike in each step: by them the energy would have a slope.
+    """
+    w = _momentum(J, y, b)
+    return w + kappa(4 * dot(y, y)) * cross(y, w)
 
 
 def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector, b: VectorLike | None = None) -> Matrix:
@@ -188,19 +191,17 @@ def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector, b: VectorLike | None 
     if kappa.constant:
         return J.rows + G
     k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
-    return J.rows + k * G + outer(slope * cross_apply(y, J, b), y)
+    return J.rows + k * G + outer(slope * cross(y, _momentum(J, y, b)), y)
+
+
+def _momentum(J: Symmetric, y: Vector, b: VectorLike | None) -> Vector:
+    """Jy + b; b = 0 if it is None."""
+    return J @ y if b is None else J @ y + b
 
 
 def on_branch(kappa: Kappa, y: Vector, K: Matrix) -> Flag:
     """Whether κ is real at y = ½Θ̄, and y lies before the fold of the branch, where an eigenvalue of K vanishes."""
     return (4 * dot(y, y) <= kappa.limit**2) & K.no_negative_eigenvalue
-
-
-def cross_apply(y: Vector, J: Symmetric, b: VectorLike | None = None) -> Vector:
-    """y × (Jy + b); b = 0 if it is None."""
-    if b is not None:
-        return cross_apply(y, J) + cross(y, b)
-    return cross(y, J @ y)  # differences of moments are rounded alike in each step: the energy would have a slope
 
 
 def gyroscopic(J: Symmetric, y: Vector, b: VectorLike | None = None) -> Matrix:
