@@ -87,7 +87,7 @@ def run(
         shared time of the members. If they have no time or start at different times, t is the time since the start. If
         the step has its `own_time`, t is nΔt, and state.t the time of each member.
     """
-    found = compute(
+    _, saves, *_ = compute(
         step,
         states,
         dt,
@@ -104,4 +104,4 @@ def run(
         part=part,
         members=members,
     )
-    return found.trajectory if found.summary is None else found.summary
+    return saves.found

@@ -20,6 +20,7 @@ from lieint_jax.runs._clock import (
     splits,
     uniform_clock,
 )
+from lieint_jax.runs._compute import compute
 from lieint_jax.runs._driver import (
     Reached,
     at_start,
@@ -49,7 +50,7 @@ from lieint_jax.runs._make_run import open_run, run, untransformed
 from lieint_jax.runs._memory import peak_memory
 from lieint_jax.runs._over_members import over_members
 from lieint_jax.runs._part_of_task import part_of_task, part_of_text
-from lieint_jax.runs._run import Run, compute
+from lieint_jax.runs._run import Run
 from lieint_jax.runs._submit import Executor, submit
 
 __all__ = [

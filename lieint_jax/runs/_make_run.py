@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.dates import DateLike, text_of
+from lieint_jax.runs._compute import compute
 from lieint_jax.runs._job import MakeStates, MemberSummary, Summary, with_member_axis
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._make_job import check_own_steps, is_batch
-from lieint_jax.runs._run import Run, compute, stored_run
+from lieint_jax.runs._run import Run, run_of_saves, stored_run
 from lieint_jax.runs.store._reading import open_with_step
 from lieint_jax.runs.store._storage import StoreOptions, address
 from lieint_jax.types import State, Step, Trajectory
@@ -197,7 +198,7 @@ def run(
     batch = callable(states) or is_batch(step, states, own_step)
     if own_step and not batch:
         raise ValueError("own_step=True is for a batch, and these states are of one body")
-    return compute(
+    fields = compute(
         step,
         states if batch else with_member_axis(states),
         dt,
@@ -220,6 +221,7 @@ def run(
         batch=batch,
         epoch="" if epoch is None else text_of(epoch),
     )
+    return run_of_saves(*fields)
 
 
 def open_run(

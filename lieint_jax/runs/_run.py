@@ -2,42 +2,29 @@
 
 from __future__ import annotations
 
-import contextlib
 import html
 import math
-import os
-import shutil
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, dates
 from lieint_jax._free_body import Periods
-from lieint_jax.runs import _facts, _layout, processes
-from lieint_jax.runs._clock import GridClock
-from lieint_jax.runs._engine import engine_of
-from lieint_jax.runs._execute import MemoryOutput, execute, rows_and_carry
+from lieint_jax.runs import _facts
+from lieint_jax.runs._compute import compute, write
 from lieint_jax.runs._facts import Facts, dates_of, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
-from lieint_jax.runs._job import Job, MakeStates, MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
-from lieint_jax.runs._layout import Layout
+from lieint_jax.runs._job import MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._loop import energy
-from lieint_jax.runs._make_job import checked_job, is_batch, made_states, make_jobs
-from lieint_jax.runs._part_of_task import checked_part, part_of_task
-from lieint_jax.runs.store import _identity
-from lieint_jax.runs.store._into_store import run_into_store
+from lieint_jax.runs._make_job import checked_job, is_batch
 from lieint_jax.runs.store._leaves import Saves
-from lieint_jax.runs.store._reading import read_written
-from lieint_jax.runs.store._storage import StoreOptions, Url, address, checked_path
-from lieint_jax.runs.store._store_output import StoreOutput
+from lieint_jax.runs.store._storage import StoreOptions
 from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree, labeled, pytree, static
 
 if TYPE_CHECKING:
@@ -308,7 +295,7 @@ class Run(Generic[Saved, Reduced]):
             raise ValueError("a run at given times cannot be extended: start another one from its last state")
         start, saves = self._start_and_saves()
         options: dict[str, Any] = self._options | {"num_steps": facts.num_steps + more}
-        return compute(self.step, start, **options, progress=progress, earlier=saves)
+        return run_of_saves(*compute(self.step, start, **options, progress=progress, earlier=saves))
 
     def save(self, path: str | Path | StoreOptions) -> Run[Saved, Reduced]:
         """Write a run in memory to a new folder NAME.zarr, all of it or nothing, and return the run there.
@@ -367,10 +354,10 @@ class StoredRun(Run):
 
 def stored_run(path: str, saves: Saves, step: Step) -> Run:
     """The run in a store; that of one body is read at once."""
-    return _make_run(step, saves, Facts.of_store(path, saves.attributes))
+    return run_of_saves(step, saves, Facts.of_store(path, saves.attributes))
 
 
-def _make_run(step: Step, saves: Saves, facts: Facts, start: State | None = None, *given: Any) -> Run:
+def run_of_saves(step: Step, saves: Saves, facts: Facts, start: State | None = None, *given: Any) -> Run:
     """The run of these saves, which have a member axis also if it is of one body; `given` are its further fields."""
     found, failed = saves.found, saves.failed
     if not facts.batch:
@@ -379,98 +366,3 @@ def _make_run(step: Step, saves: Saves, facts: Facts, start: State | None = None
     shown = (found, None) if isinstance(found, Trajectory) else (None, found)
     kind: Any = StoredRun if facts.source else Run
     return kind(step, start, *shown, failed, *(given or [None] * 3), facts)
-
-
-def compute(
-    step: Step,
-    states: State | MakeStates,
-    dt: float | None,
-    num_steps: int | None,
-    *,
-    mesh: Mesh | None = None,
-    store: str | Path | StoreOptions | None = None,
-    progress: bool = True,
-    resume: bool = False,
-    part: tuple[int, int] | Literal["auto"] | None = None,
-    members: int | None = None,
-    threads: int | None = None,
-    same_bits: bool = True,
-    earlier: Saves | None = None,
-    **description: Any,
-) -> Run:
-    """The run of these arguments; states have the member axis also if it is of one body.
-
-    Args:
-        step, states, dt, num_steps, mesh, store, progress, resume, part, members, threads, same_bits: as in `li.run`.
-        earlier: the saves in memory of a run that this one continues.
-        description: further arguments of `checked_job`.
-    """
-    if resume and store is None:
-        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
-    k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
-    threads = threads or (None if mesh is None else len(mesh.local_devices))
-    mesh = _layout.checked_mesh(mesh)
-    options = None if store is None else StoreOptions.of(store)
-    in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
-    if (in_parts or remote) and _layout.count_processes(mesh) > 1:
-        raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
-    description |= {"dt": dt, "num_steps": num_steps, "store": store}
-    made = made_states(states, members)
-    with _checks.on_host():
-        whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
-    engine = engine_of(job, mesh, threads or _layout.count_cores())
-
-    with processes.name_lost(mesh) if jax.process_count() > 1 else contextlib.nullcontext():
-        if options is None:
-            if _layout.count_processes(mesh) > 1:
-                _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
-            layout = _layout.layout_of(mesh, job.members)
-            saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
-            assert saves is not None
-            start = job.initial if job.reduction is not None else None
-            functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
-            times = job.clock.times if isinstance(job.clock, GridClock) else None
-            return _make_run(job.step, saves, Facts.of_job(job, engine.name), start, *functions, times)
-        saves = run_into_store(
-            job,
-            engine.name,
-            options,
-            lambda layout, output: execute(engine, layout, output, progress),
-            whole=whole,
-            mesh=mesh,
-            part=(k, count) if in_parts else (0, 1),
-            in_parts=in_parts or remote,
-            resume=resume or part is not None,
-            same_bits=same_bits,
-        )
-    return stored_run(str(options.path), saves, job.step)
-
-
-def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions) -> Saves:
-    """The run of these saves, which an engine of this name computed, written into a new store: all of it or nothing."""
-    options = StoreOptions.of(store)
-    path = checked_path(options.path)
-    if isinstance(path, Url):
-        raise ValueError(f"a run is saved to a folder NAME.zarr; li.run(…, store={str(path)!r}) writes to a bucket")
-    if path.exists():
-        raise ValueError(f"{path.name} exists and is not overwritten: choose another path")
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
-    try:
-        hidden, mesh = options._replace(path=unfinished), _layout.checked_mesh(None)
-        run_into_store(job, engine, hidden, partial(_feed, job, saves), whole=job, mesh=mesh)
-        os.rename(unfinished, path)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
-    return read_written(path)
-
-
-def _feed(job: Job, saves: Saves, _: Layout, output: StoreOutput) -> None:
-    """Give an output all saves of a run. Its checkpoints are of the end, for nobody resumes an unfinished copy."""
-    rows, carry = rows_and_carry(job, saves)
-    saved = 0
-    while saved <= job.num_saves:
-        number = min(output.free_rows, job.num_saves + 1 - saved)
-        output.append(jax.tree.map(lambda x: np.asarray(x)[saved : saved + number], rows), number)  # noqa: B023
-        saved += number
-        output.checkpoint(carry, int(job.nodes[saved - 1]), 0.0, stop=False)
-    output.result(carry)
