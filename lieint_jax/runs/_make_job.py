@@ -53,18 +53,15 @@ class MadeStates:
         """
         found, first = None, members.start // BLOCK * BLOCK
         for start in range(first, members.stop, BLOCK):
-            made = self._block(start)
+            if self._last is None or self._last[0] != start:
+                numbers = np.arange(start, min(start + BLOCK, self.members))
+                self._last = start, _checked(self.function(numbers), len(numbers))
+            made = self._last[1]
             if found is None:
                 found = jax.tree.map(lambda x: np.empty((len(members), *x.shape[1:]), x.dtype) if x.ndim else x, made)
             _fill(found, made, members, start)
         assert found is not None
         return found
-
-    def _block(self, start: int) -> State:
-        if self._last is None or self._last[0] != start:
-            numbers = np.arange(start, min(start + BLOCK, self.members))
-            self._last = start, _checked(self.function(numbers), len(numbers))
-        return self._last[1]
 
 
 def is_batch(step: Step, states: State, own_step: bool) -> bool:
