@@ -205,7 +205,8 @@ def outcome(
     code, made = int(end.code), int(end.made)
     message = _message(end, names, bool(plausible), cause)
     if not success and end.covariance is not None:
-        warnings.warn(_warning(code, message), RuntimeWarning, stacklevel=3)
+        reason = "the fit is no success" if code in GOOD else f"the fit did not converge ({REASONS[code]})"
+        warnings.warn(f"{reason}: it has no standard errors; {message}", RuntimeWarning, stacklevel=3)
     return Fit(
         params,
         float(end.loss),
@@ -244,11 +245,6 @@ def _message(end: End, names: list[str], plausible: bool, cause: str = "") -> st
         remedy = "it has no standard error" if good and plausible else "widen the bound, or begin elsewhere"
         parts.append(f"{', '.join(at_side)} at a bound: {remedy}")
     return "; ".join(parts)
-
-
-def _warning(code: int, message: str) -> str:
-    reason = f"the fit did not converge ({REASONS[code]})" if code not in GOOD else "the fit is no success"
-    return f"{reason}: it has no standard errors; {message}"
 
 
 def _lines(params: PyTree, errors: PyTree) -> list[str]:
