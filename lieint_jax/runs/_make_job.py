@@ -109,7 +109,13 @@ def make_jobs(
     elif part is not None:  # the states of one member describe the arrays of all
         first = _make_members(step, made, range(1), options)
         own_step = promoted(checked_step(step), first.initial)[0]
-        whole = first.with_members(made.members, made.function)._replace(step=own_step)
+
+        def repeat(x: _layout.Numbers) -> np.ndarray:
+            return np.broadcast_to(np.asarray(x)[:1], (made.members, *x.shape[1:]))  # a view that needs no memory
+
+        t0: Any = repeat(first.t0) if first.own_times else first.t0  # pyright: ignore
+        states = jax.tree.map(repeat, first.states)
+        whole = first._replace(step=own_step, states=states, t0=t0, make_states=made.function)
     else:
         whole = _make_members(step, made, range(made.members), options)
     if part is None:
